@@ -9,7 +9,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import wraps
+from functools import partial, wraps
+from types import FunctionType
 from typing import Any, Literal
 
 import numba
@@ -20,7 +21,7 @@ from numba.core.options import DefaultOptions
 from numba.core.registry import CPUDispatcher
 from numba.extending import overload
 
-from .kernel_cache import KernelCache, depends_on
+from .kernel_cache import KernelCache
 
 _CONFIG: Any = numba.config
 _DISPATCHER: Any = CPUDispatcher  # numba's types leave out what is overridden here
@@ -28,8 +29,7 @@ _DISPATCHER: Any = CPUDispatcher  # numba's types leave out what is overridden h
 # processes would be taken for one and the same
 _IDENTITY: Any = FunctionIdentity
 _IDENTITY._unique_ids = iter(lambda: int.from_bytes(os.urandom(7)), None)
-_PATIENCE = 2.0
-"""s; compilation that is over sooner is not worth a word."""
+_PATIENCE = 2.0  # s; compilation that is over sooner is not worth a word
 
 Inline = Literal["never", "code", "text"]
 """Whether a kernel becomes part of whoever calls it.
@@ -60,30 +60,24 @@ def kernel(
         inline: whether it becomes part of whoever calls it.
         allocates: whether it may allocate and return arrays after all, and counts references.
     """
-    return _decorated(function, inline, allocates=allocates, within=False)
+    if function is None:
+        return partial(kernel, inline=inline, allocates=allocates)
+    return (
+        _Kernel(function, None, _options(inline, allocates=allocates)) if compiled() else function
+    )
 
 
 def inner_kernel(function: Callable[..., Any] | None = None, *, inline: Inline = "never") -> Any:
     """A kernel that only kernels call: no entry for Python is compiled, which takes tuples of
     arrays apart and is longer than many a kernel.
     """
-    return _decorated(function, inline, allocates=False, within=True)
+    if function is None:
+        return partial(inner_kernel, inline=inline)
+    options = _options(inline, within=True)
+    return _Kernel(function, targetoptions=options) if compiled() else function
 
 
-def _decorated(
-    function: Callable[..., Any] | None, inline: Inline, *, allocates: bool, within: bool
-) -> Any:
-    options = _options(allocates=allocates, inlined=inline == "code", within=within)
-    if inline == "text":
-        options["inline"] = "always"
-
-    def decorate(function: Callable[..., Any]) -> Any:
-        return _Kernel(function, targetoptions=dict(options)) if compiled() else function
-
-    return decorate if function is None else decorate(function)
-
-
-def _options(*, allocates: bool, inlined: bool, within: bool) -> dict[str, Any]:
+def _options(inline: Inline, *, allocates: bool = False, within: bool = False) -> dict[str, Any]:
     """Options of numba; what is not said here would be as whoever calls first has it.
 
     Three are not documented. ``_nrt`` leaves references uncounted; ``no_cfunc_wrapper`` leaves out
@@ -91,14 +85,13 @@ def _options(*, allocates: bool, inlined: bool, within: bool) -> dict[str, Any]:
     where only kernels call: the two take a third of all compiling. With a numba that knows them no
     longer everything works, slower.
     """
-    undocumented = {
-        "_nrt": allocates,
-        "no_cfunc_wrapper": True,
-        "no_cpython_wrapper": within,
+    undocumented = {"_nrt": allocates, "no_cfunc_wrapper": True, "no_cpython_wrapper": within}
+    return {
+        **({"inline": "always"} if inline == "text" else {}),
+        **{"nopython": True, "nogil": True, "boundscheck": None, "error_model": "numpy"},
+        "forceinline": inline == "code",
+        **{name: value for name, value in undocumented.items() if hasattr(DefaultOptions, name)},
     }
-    known = {name: value for name, value in undocumented.items() if hasattr(DefaultOptions, name)}
-    common = {"nopython": True, "nogil": True, "boundscheck": None, "error_model": "numpy"}
-    return {**common, "forceinline": inlined, **known}
 
 
 class _Kernel(_DISPATCHER):
@@ -113,16 +106,19 @@ class _Kernel(_DISPATCHER):
         """The entry point for a signature, from disk or compiled anew."""
         with _at_rest() as began:
             entry = super().compile(sig)
-            if self._cache_misses and time.monotonic() - began > _PATIENCE:
-                _say_once()
+            if self._cache_misses and time.monotonic() - began > _PATIENCE and not _said:
+                _said.append(True)
+                print(
+                    "rendezvous_env: compiling for this kind of team, which is done once and kept "
+                    "on disk; `rendezvous warmup` does it beforehand",
+                    file=sys.stderr,
+                )
         return entry
 
     def add_overload(self, cres: Any) -> None:
-        """Take compiled code in; to Python only if it has an entry for it.
-
-        Raises:
-            TypingError: if it returns an array: nobody would have counted that reference, and the
-                array would be freed while it is in use.
+        """Take compiled code in, with an entry for Python only if it has one. An array that it
+        returns is refused: nobody would have counted that reference, and it would be freed while in
+        use.
         """
         returned = cres.signature.return_type
         if not self.targetoptions.get("_nrt", True) and _holds_array(returned):
@@ -141,6 +137,7 @@ class _Kernel(_DISPATCHER):
         return super()._compile_for_args(*args, **kws)
 
 
+_said: list[bool] = []
 _began: list[float] = []
 """When each function that is being compiled was begun, s, the outermost first."""
 
@@ -148,10 +145,8 @@ _began: list[float] = []
 @contextmanager
 def _at_rest() -> Iterator[float]:
     """Let Python's collector of cycles rest while a function is compiled: it would look, again and
-    again, through a million objects that are all still in use, for an eighth of the time.
-
-    Yields:
-        When the outermost function was begun, s.
+    again, through a million objects that are all still in use, for an eighth of the time. Yields
+    when the outermost function was begun, s.
     """
     with global_compiler_lock:
         was_at_work = gc.isenabled()
@@ -165,40 +160,12 @@ def _at_rest() -> Iterator[float]:
                 gc.enable()
 
 
-_said: list[bool] = []
-
-
-def _say_once() -> None:
-    if not _said:
-        _said.append(True)
-        print(
-            "rendezvous_env: compiling for this kind of team, which is done once and kept on "
-            "disk; `rendezvous warmup` does it beforehand",
-            file=sys.stderr,
-        )
-
-
 def _holds_array(kind: Any) -> bool:
     parts = getattr(kind, "types", ())
     return isinstance(kind, numba.types.Array) or any(map(_holds_array, parts))
 
 
-def chosen_by_type(function: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
-    """How a plain function is compiled: what this decorates is called with the numba types of its
-    arguments, and returns the function that compiled code runs in its place (numba's ``overload``):
-    one of the same argument names, or a kernel with them.
-
-    A choice by type is made while compiling: what is not chosen is not compiled.
-    """
-
-    def decorate(choose: Callable[..., Any]) -> Any:
-        depends_on(function, choose)
-        return overload(function, jit_options=_overloading())(choose)
-
-    return decorate
-
-
-def by_type(argument: str, choose: Callable[[type], Callable[..., Any]]) -> Any:
+def by_type(argument: str, choose: Callable[[type], Any]) -> Any:
     """Make a function the one that is chosen by the type of one of its arguments.
 
     What this decorates gives name, arguments and docstring. Compiled code chooses while it is being
@@ -206,33 +173,34 @@ def by_type(argument: str, choose: Callable[[type], Callable[..., Any]]) -> Any:
 
     Args:
         argument: name of the one that decides.
-        choose: its class, NoneType for None → a function of the same arguments.
+        choose: its class, NoneType for None → a function of the same arguments, a kernel or plain;
+            or a value, which is a constant of the compiled code.
     """
 
     def decorate(described: Callable[..., Any]) -> Callable[..., Any]:
         names = list(inspect.signature(described).parameters)
         place, listed = names.index(argument), ", ".join(names)
-        # numba compares the names of arguments, so each function has to be called by its own
+        # numba compares the names of arguments, so each kernel has to be called by its own
         calling = eval(f"lambda chosen: lambda {listed}: chosen({listed})")
+        giving = eval(f"lambda chosen: lambda {listed}: chosen")
 
         @wraps(described)
         def called(*arguments: Any) -> Any:
-            return choose(type(arguments[place]))(*arguments)
+            chosen = choose(type(arguments[place]))
+            return chosen(*arguments) if callable(chosen) else chosen
 
         def typed(*types: Any) -> Any:
-            kind = getattr(types[place], "instance_class", type(None))
-            return calling(choose(kind))
+            chosen = choose(getattr(types[place], "instance_class", type(None)))
+            if isinstance(chosen, FunctionType):
+                return chosen
+            return calling(chosen) if callable(chosen) else giving(chosen)
 
-        overload(called, jit_options=_overloading(), strict=False)(typed)
+        options: Any = _options("code", within=True)
+        del options["nopython"]
+        overload(called, jit_options=options, strict=False)(typed)
         return called
 
     return decorate
-
-
-def _overloading() -> Any:
-    options: Any = _options(allocates=False, inlined=True, within=True)
-    del options["nopython"]
-    return options
 
 
 def entry_point(function: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:

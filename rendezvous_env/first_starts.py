@@ -13,8 +13,7 @@ from .simulator import Simulator
 
 STARTS = 1000
 """As many as a digest is made of: those of the seeds 0 to 999."""
-_DECIMALS = 9
-"""That count; the last bits of a cosine are the machine's."""
+_DECIMALS = 9  # That count; the last bits of a cosine are the machine's
 _NOT_OF_THE_FIELD = ("name", "reward", "costs")
 
 

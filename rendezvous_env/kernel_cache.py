@@ -35,9 +35,9 @@ _BESIDE = Path(__file__).parent / "__pycache__"
 _COMPILING = [Path(__file__).with_name(name) for name in ("compilation.py", "kernel_cache.py")]
 """How kernels are compiled and kept: an edit of these makes every kernel anew."""
 _LIBRARIES = {"numba", "numpy", *sys.stdlib_module_names}
+"""Known by their version; the code of all other modules is followed."""
 _DIGEST_SIZE = 32
-_SIGNATURE = 3
-"""Place of the signature in what numba makes of a compiled function for pickle."""
+_SIGNATURE = 3  # Place of the signature in what numba makes of a compiled function for pickle
 _KEPT_UNUSED = 14 * 24 * 3600.0
 """s; code of other versions, and of other installations that share the folder, is kept so long."""
 
@@ -90,12 +90,12 @@ class KernelCache:
 
     def _path(self, arguments: tuple[Any, ...], target_context: Any) -> Path | None:
         """The file for these types; None where no later process could find it."""
-        kinds = [kind for argument in arguments for kind in _named_tuples(argument)]
+        kinds = [kind for argument in arguments for kind in named_tuples(argument)]
         if (folder := _folder()) is None or any(kind.__module__ == "__main__" for kind in kinds):
             return None
         made_from = [_base(), target_context.codegen().magic_tuple(), self._options, arguments]
         digest = hashlib.sha256(repr(made_from).encode())
-        for text in _content((self._function, *kinds), frozenset(), set()):
+        for text in content(self._function, *kinds):
             digest.update(text.encode())
         return folder / f"{self._function.__name__.strip('<>')}-{digest.hexdigest()[:32]}.code"
 
@@ -103,14 +103,14 @@ class KernelCache:
 # ---- what compiled code is made from ------------------------------------------------------------
 
 
-_MADE_FROM: dict[Any, Any] = {}
+_CHOSEN_BY: dict[type, tuple[Any, ...]] = {}
 
 
-def depends_on(thing: Any, others: Any) -> None:
-    """Say that compiled code that has to do with a thing is made from others, which it does not
-    name: a NamedTuple class chooses functions, a plain function is compiled as another one.
+def depends_on(kind: type, functions: tuple[Any, ...]) -> None:
+    """Say that compiled code that has to do with a NamedTuple class is made from these functions,
+    plain or compiled, which are chosen by it.
     """
-    _MADE_FROM[thing] = others
+    _CHOSEN_BY[kind] = functions
 
 
 @cache
@@ -121,21 +121,22 @@ def _base() -> str:
     return f"{versions} {hashlib.sha256(sources).hexdigest()}"
 
 
-def _named_tuples(kind: Any) -> Iterator[type]:
+def named_tuples(kind: Any) -> Iterator[type]:
     """The NamedTuple classes in a numba type."""
     if (made := getattr(kind, "instance_class", None)) is not None:
         yield made
     for part in getattr(kind, "types", ()):
-        yield from _named_tuples(part)
+        yield from named_tuples(part)
+
+
+def content(*values: Any) -> Iterator[str]:
+    """What numba freezes of values: of a function its code and what that names, in turn."""
+    return _content(values, frozenset(), set())
 
 
 def _content(value: Any, names: frozenset[str], seen: set[int]) -> Iterator[str]:
-    """What numba freezes of a value: of a function its code and what that names, in turn.
-
-    Args:
-        value: anything.
-        names: which attributes of a module are asked for.
-        seen: functions that need not be followed again.
+    """Of one value; ``names`` are the attributes of modules that are asked for, ``seen`` functions
+    that need not be followed again.
     """
     if hasattr(value, "targetoptions"):  # a kernel, whose options hold for whoever inlines it
         yield repr(sorted(value.targetoptions.items()))
@@ -160,7 +161,7 @@ def _frozen(function: FunctionType) -> Iterable[Any]:
         code = code.replace(co_consts=(None, *code.co_consts[1:]))
     named = [known[name] for name in sorted(_names(code)) if name in known]
     held = [cell.cell_contents for cell in function.__closure__ or ()]
-    return (code, *named, *held, function.__defaults__, _MADE_FROM.get(function))
+    return (code, *named, *held, function.__defaults__)
 
 
 def _told(value: Any, names: frozenset[str]) -> tuple[str, Iterable[Any]]:
@@ -176,9 +177,9 @@ def _told(value: Any, names: frozenset[str]) -> tuple[str, Iterable[Any]]:
         return value.__name__, (value.__self__, getattr(value, "__func__", None))
     if isinstance(value, type):
         fields = getattr(value, "_fields", None), getattr(value, "_field_defaults", None)
-        return f"{value.__module__} {value.__qualname__} {fields}", (_MADE_FROM.get(value),)
-    if isinstance(value, dict):  # what is made from something is followed where it comes up
-        return "", [item for item in value.items() if item[0] not in _MADE_FROM]
+        return f"{value.__module__} {value.__qualname__} {fields}", (_CHOSEN_BY.get(value),)
+    if isinstance(value, dict):  # what a class chooses is followed where the class comes up
+        return "", [item for item in value.items() if item[0] not in _CHOSEN_BY]
     if isinstance(value, set | frozenset):
         return repr(sorted(map(repr, value))), ()
     if isinstance(value, np.ndarray):
@@ -189,7 +190,6 @@ def _told(value: Any, names: frozenset[str]) -> tuple[str, Iterable[Any]]:
 
 
 def _is_followed(module: str) -> bool:
-    """Whether code of a module is known by its content; else its version says it all."""
     return module.partition(".")[0] not in _LIBRARIES
 
 
@@ -204,17 +204,12 @@ def _names(code: CodeType) -> frozenset[str]:
 
 @cache
 def _folder() -> Path | None:
-    """Where compiled code is kept: an existing folder that can be written to.
-
-    NUMBA_CACHE_DIR if that is set, else beside the sources or at home; where these cannot be
-    written to a temporary folder, of which a warning tells. None if nothing can be written to.
+    """Where compiled code is kept: NUMBA_CACHE_DIR if that is set, else beside the sources or at
+    home; where these cannot be written to a temporary folder, with a warning; or nowhere.
     """
-    if _CONFIG.CACHE_DIR:
-        places = [Path(_CONFIG.CACHE_DIR)]
-    else:
-        places = [_BESIDE]
-        with suppress(RuntimeError):  # nobody's home
-            places.append(Path.home() / ".cache" / "rendezvous-env")
+    places = [Path(_CONFIG.CACHE_DIR or _BESIDE)]
+    with suppress(RuntimeError):  # nobody's home
+        places += [] if _CONFIG.CACHE_DIR else [Path.home() / ".cache" / "rendezvous-env"]
     for place in places:
         if found := _made(place):
             return found
@@ -230,7 +225,9 @@ def _folder() -> Path | None:
 
 
 def _made(place: Path) -> Path | None:
-    """The folder of kernels in a place, made if need be, without what was long not used."""
+    """The folder of kernels in a place, made if need be, without what was long not used; None if it
+    cannot be written to.
+    """
     folder = place / "kernels"
     try:
         folder.mkdir(parents=True, exist_ok=True)

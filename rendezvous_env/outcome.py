@@ -19,8 +19,6 @@ class StepOutput(NamedTuple):
 
     observations: NDArray[np.float32]
     """(B, n, rows, d)."""
-    whole_rows: NDArray[Any]
-    """(B, n · rows · parts), the same memory, see ``engine.memory.BlockScratch``."""
     scores: NDArray[np.float64]
     """(8, B): the team reward; V just before the first and after the last merge of the step (V at
     its end if there was none); the largest rise of V at a merge, and above the bound of theory 5;
@@ -70,9 +68,7 @@ class StepOutput(NamedTuple):
 
     @property
     def merge_excess(self) -> NDArray[np.float64]:
-        """(B,), largest rise of V at a merge above its bound (theory 5), m²/s; 0 if there was
-        none.
-        """
+        """(B,), largest rise of V at a merge above its bound (theory 5), m²/s; or 0."""
         return self.scores[_EXCESS]
 
 

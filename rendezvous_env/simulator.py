@@ -66,7 +66,7 @@ class Simulator(StateView):
         self._runner = runner = BatchRunner(self._state, self.num_threads, self.max_steps)
         self._episodes = Episodes(self._state, runner.layout, runner.robot, runner.team_scratch)
         self._given_out = tuple((a.shape, a.dtype) for a in runner.buffers.new())
-        self._all_running = self._none_rests()
+        self._all_running = True
         self._custom = bool(scenario.reward.custom or scenario.sensing.custom or scenario.costs)
         self.costs = no_costs(scenario.costs, self._acted[:2])
         """Of the last step, (B, n) each, by key of infos; without keys if the scenario has none."""
@@ -118,8 +118,7 @@ class Simulator(StateView):
 
         Raises:
             ValueError: for a bad mask, or an outcome of other teams; nothing has changed then.
-            RuntimeError: if no room was found for a start or an obstacle; nothing has changed then.
-                Or if the graph drawn gives a robot more neighbours than the observation has rows.
+            RuntimeError: as ``reset``.
         """
         which = self._which(mask)
         if outcome is not None:
@@ -143,7 +142,7 @@ class Simulator(StateView):
     ) -> None:
         self._all_running = False  # not known, should an interrupt leave from here
         self._episodes.begin(which, seeds, given, resting)
-        self._all_running = not (resting and len(which)) and self._none_rests()
+        self._all_running = not (resting and len(which)) and not self.status.any()
         self._ready = True
 
     def step(self, actions: ArrayLike) -> StepOutput:
@@ -152,9 +151,6 @@ class Simulator(StateView):
         Args:
             actions: (B, n, a) in the robots' own frames, m/s and rad/s; what finished teams and
                 merged-away robots are given is ignored.
-
-        Returns:
-            What the step gives out, in freshly allocated arrays.
 
         Raises:
             ValueError: for a wrong shape or a number that is not finite, naming the robot; nothing
@@ -256,29 +252,20 @@ class Simulator(StateView):
     def _sense_custom(self, output: StepOutput, which: NDArray[np.int64]) -> None:
         """Let imperfections of a user's own change what some teams have just seen."""
         if self.scenario.sensing.custom:
-            rows, drawn = (
-                output.observations[which],
-                (self.seeds[which], self._episodes.number[which]),
-            )
-            steps, places = self.steps[which], self.positions[which]
-            apply_custom(Seen(self.scenario, rows, steps, *drawn, places))
+            rows, steps = output.observations[which], self.steps[which]
+            seeds, numbers = self._state.seed[which], self._state.number[which]
+            apply_custom(Seen(self.scenario, rows, steps, seeds, numbers, self.positions[which]))
             output.observations[which] = rows
 
     def check_actions(self, actions: ArrayLike) -> NDArray[np.float32]:
         """Actions as an array that ``step`` takes as it is.
 
-        Args:
-            actions: see ``step``.
-
         Raises:
             ValueError: for a wrong shape, what is no number, or a number that is not finite, naming
                 the robot.
         """
-        given = (
-            actions
-            if getattr(actions, "dtype", None) is _FLOAT32
-            else floats("actions", actions, np.float32)
-        )
+        plain = getattr(actions, "dtype", None) is not _FLOAT32
+        given = floats("actions", actions, np.float32) if plain else actions
         table = np.ascontiguousarray(given)
         if table.shape != self._acted:
             raise ValueError(
@@ -337,26 +324,18 @@ class Simulator(StateView):
         """Whether every team is in the midst of an episode; quicker than ``ended``."""
         return self._all_running
 
-    def _none_rests(self) -> bool:
-        return bool((self.status == RUNNING).all())
-
     @property
     def nbytes(self) -> int:
         """Bytes of the state of all teams."""
-        return self._state.nbytes + self._episodes.seed.nbytes + self._episodes.number.nbytes
+        return self._state.nbytes
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Everything that the future of the teams depends on, as copies with leading axis B."""
-        drawn = {"seed": self._episodes.seed.copy(), "episode": self._episodes.number.copy()}
-        return self._state.as_dict() | drawn
+        return self._state.as_dict()
 
     def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Put a state back that ``get_state`` took out of a simulator of the same scenario and
-        batch.
-
-        Raises:
-            ValueError: naming an entry and what would be right, see ``check_state``; nothing has
-                changed then.
+        batch. What ``check_state`` refuses changes nothing.
         """
         self._put_state(self.check_state(state))
 
@@ -371,13 +350,10 @@ class Simulator(StateView):
         check_teams(self.scenario, entries)
         return entries
 
-    def _put_state(self, state: Mapping[str, NDArray[Any]]) -> None:
-        entries = dict(state)
-        self._episodes.seed[...] = entries.pop("seed")
-        self._episodes.number[...] = entries.pop("episode")
-        self._state.put(entries)
-        self._all_running = self._none_rests()
-        self._ready = bool((self._episodes.number >= 0).any())
+    def _put_state(self, state: dict[str, NDArray[Any]]) -> None:
+        self._state.put(state)
+        self._all_running = not self.status.any()
+        self._ready = bool((state["episode"] >= 0).any())
         if self._ready:
             self.observe()
 

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .engine.episodes import Episodes
 from .engine.memory import RENDEZVOUS, TIME_OUT
 from .engine.state import State
 from .outcome import ELAPSED, StepOutput
@@ -18,37 +17,55 @@ STANDING = ("success", "time", "contacts", "path_length", "lyapunov")
 """What ``StateView.episode_statistics`` tells."""
 
 
+def _statistic(name: str, doc: str, kind: Any = np.float64) -> Any:
+    return property(lambda view: view._state.statistic(name).astype(kind, copy=False), doc=doc)
+
+
 class StateView:
     """The global state of B teams and the statistics of their episodes, as copies."""
 
     scenario: Scenario
     _state: State
-    _episodes: Episodes
+
+    status = _statistic(
+        "status",
+        "(B,), RUNNING, RENDEZVOUS, TIME_OUT or AWAITING_RESET of engine.memory.",
+        np.int64,
+    )
+    steps = _statistic("steps", "(B,), steps done in this episode.", np.int64)
+    contacts = _statistic(
+        "contacts", "(B,), contacts in this episode, one for each robot and step.", np.int64
+    )
+    path_length = _statistic("path_length", "(B,), way of all robots together in this episode, m.")
+    initial_lyapunov = _statistic("initial_lyapunov", "(B,), V at the start of the episode, m²/s.")
+    min_clearance = _statistic(
+        "min_clearance",
+        "(B,), least distance of a robot to an obstacle in this episode, m; inf without obstacles.",
+    )
 
     @property
     def positions(self) -> NDArray[np.float64]:
         """p_i, (B, n, d), m; a merged-away robot is where the robot is that it became part of."""
-        places, into = self._state.positions(), self._state.teams.merged_into
+        places, into = self._state.of_teams("positions"), self._state.teams.merged_into
         return np.take_along_axis(places, into[..., None], axis=1)
 
     @property
     def headings(self) -> NDArray[np.float64]:
         """Yaw, or yaw and pitch, (B, n, 1 or 2), rad; (B, n, 0) for robots without a heading."""
-        return self._state.memory()[..., : self.scenario.model.n_angles].copy()
+        return self._state.of_teams("memory")[..., : self.scenario.model.n_angles].copy()
 
     @property
     def velocities(self) -> NDArray[np.float64]:
         """Velocities in the global frame, (B, n, d), m/s, of robots with inertia; (B, n, 0) for
         models that keep none.
         """
-        model = self.scenario.model
-        kept = self._state.memory()
+        model, kept = self.scenario.model, self._state.of_teams("memory")
         return kept[..., model.n_angles if model.keeps_velocity else kept.shape[-1] :].copy()
 
     @property
     def frames(self) -> NDArray[np.float64]:
         """R_i, local → global, (B, n, d, d)."""
-        d, frames = self.scenario.dim, self._state.frames()
+        d, frames = self.scenario.dim, self._state.of_teams("frames")
         return frames.reshape(*frames.shape[:2], d, d).copy()
 
     @property
@@ -74,20 +91,10 @@ class StateView:
         return self._state.teams.merged_into == np.arange(self.scenario.n_robots)
 
     @property
-    def status(self) -> NDArray[np.int64]:
-        """(B,), RUNNING, RENDEZVOUS, TIME_OUT or AWAITING_RESET of engine.memory."""
-        return self._state.statistic("status").astype(np.int64)
-
-    @property
     def ended(self) -> NDArray[np.bool_]:
         """(B,), whether the episode is over."""
         status = self._state.statistic("status")
         return (status == RENDEZVOUS) | (status == TIME_OUT)
-
-    @property
-    def steps(self) -> NDArray[np.int64]:
-        """(B,), steps done in this episode."""
-        return self._state.statistic("steps").astype(np.int64)
 
     @property
     def time(self) -> NDArray[np.float64]:
@@ -97,29 +104,7 @@ class StateView:
     @property
     def seeds(self) -> NDArray[np.uint64]:
         """(B,), seed of each team."""
-        return self._episodes.seed.copy()
-
-    @property
-    def initial_lyapunov(self) -> NDArray[np.float64]:
-        """(B,), V at the start of the episode, m²/s."""
-        return self._state.statistic("initial_lyapunov")
-
-    @property
-    def path_length(self) -> NDArray[np.float64]:
-        """(B,), way of all robots together in this episode, m."""
-        return self._state.statistic("path_length")
-
-    @property
-    def contacts(self) -> NDArray[np.int64]:
-        """(B,), contacts in this episode, one for each robot and step."""
-        return self._state.statistic("contacts").astype(np.int64)
-
-    @property
-    def min_clearance(self) -> NDArray[np.float64]:
-        """(B,), least distance of a robot to an obstacle in this episode, m; inf without
-        obstacles.
-        """
-        return self._state.statistic("min_clearance")
+        return self._state.seed.copy()
 
     def lyapunov(self) -> NDArray[np.float64]:
         """V = Σ_i Σ_j a_ij ‖p_i − p_j‖, (B,), m²/s, of the graph of the moment."""
@@ -127,27 +112,24 @@ class StateView:
 
     def episode_statistics(self, outcome: StepOutput | None = None) -> dict[str, NDArray[Any]]:
         """How the teams stand in their episodes, (B,) each, by the names of STANDING: whether all
-        have met, s, contacts, m, V in m²/s.
-
-        Args:
-            outcome: of the last step, if nothing has changed since; then it takes no time.
+        have met, s, contacts, m, V in m²/s. From the ``outcome`` of the last step, if nothing has
+        changed since, it takes no time.
         """
         if outcome is None:
             status, contacts = self.status, self.contacts
-            time, path_length, lyapunov = self.time, self.path_length, self.lyapunov()
+            so_far = self.time, self.path_length, self.lyapunov()
         else:
             status, contacts = outcome.status, outcome.contacts
-            so_far = outcome.so_far  # by index, which is quicker than to unpack an array
-            time, path_length, lyapunov = so_far[0], so_far[1], so_far[2]
-        return _standing(status == RENDEZVOUS, time, contacts, path_length, lyapunov)
+            scores = outcome.scores  # by index, which is quicker than to unpack an array
+            so_far = scores[ELAPSED], scores[ELAPSED + 1], scores[ELAPSED + 2]
+        return _standing(status == RENDEZVOUS, contacts, *so_far)
 
     def first_episode_statistics(self, outcome: StepOutput | None = None) -> dict[str, Any]:
         """``episode_statistics`` of team 0, as Python's own numbers; quicker for one."""
         if outcome is None:
             return {key: values[0].item() for key, values in self.episode_statistics().items()}
         met, contacts = outcome.status.item(0) == RENDEZVOUS, outcome.contacts.item(0)
-        time, path_length, lyapunov = outcome.scores[ELAPSED:, 0].tolist()
-        return _standing(met, time, contacts, path_length, lyapunov)
+        return _standing(met, contacts, *outcome.scores[ELAPSED:, 0].tolist())
 
     def merged_into_of_first(self) -> list[int]:
         """``merged_into`` of team 0; quicker where there is no other."""
@@ -155,12 +137,12 @@ class StateView:
 
     def size(self) -> NDArray[np.float64]:
         """L, (B,), m, of the robots that are left: hull perimeter, in 3-D 2π × mean width."""
-        teams = zip(self._state.positions(), self.active, strict=True)
+        teams = zip(self._state.of_teams("positions"), self.active, strict=True)
         return np.array([size(places[active]) for places, active in teams])
 
 
 def _standing(
-    success: Any, time: Any, contacts: Any, path_length: Any, lyapunov: Any
+    success: Any, contacts: Any, time: Any, path_length: Any, lyapunov: Any
 ) -> dict[str, Any]:
     """By the names of STANDING; written out, which takes a third as long as to pair them."""
     return {

@@ -49,32 +49,20 @@ class Pilot(Protocol):
 class Driven(NamedTuple):
     """What some steps in a row give out."""
 
-    output: StepOutput
-    """Of the last one."""
-    rewards: NDArray[np.float64]
-    """(B,), of all of them."""
-    robot_rewards: NDArray[np.float64]
-    """(B, n), likewise."""
-    contact: NDArray[np.bool_]
-    """(B, n), whether the robot touched an obstacle in any of them."""
+    output: StepOutput  # Of the last one
+    rewards: NDArray[np.float64]  # (B,), of all of them
+    robot_rewards: NDArray[np.float64]  # (B, n), likewise
+    contact: NDArray[np.bool_]  # (B, n), whether the robot touched an obstacle in any of them
 
 
 class BatchRunner:
-    """Advances and observes B teams.
-
-    Args:
-        state: of the teams.
-        num_threads: most threads that may be used; None is one for each core.
-        max_steps: after which episodes end.
+    """Advances and observes B teams, by at most ``num_threads`` threads, None for one of each core;
+    episodes end after ``max_steps``.
     """
 
     def __init__(self, state: State, num_threads: int | None, max_steps: int) -> None:
         place, n = state.place, state.place.scenario.n_robots
-        self._state, self._parts = state, state.parts()
-        layout_of_robot = place.scenario.observation_layout
-        others = layout_of_robot.rows - layout_of_robot.neighbour_slots
-        self._rows = place.batch * n * (place.neighbours + 1 + others)
-        self._most_threads = min(threads.most_threads(num_threads), place.blocks)
+        self._state, self._parts, self._num_threads = state, state.parts(), num_threads
         self.width = self._width(1)
         """Threads of a step."""
         self.layout, self.robot = layout(place), robot(place.scenario)
@@ -93,20 +81,22 @@ class BatchRunner:
 
     def _width(self, steps: int) -> int:
         """As many threads as have so much work each in so many steps."""
-        return max(1, min(self._most_threads, steps * self._rows // _WORK_PER_THREAD))
+        place = self._state.place
+        rows = steps * place.batch * place.scenario.n_robots * (place.rows + 1)
+        most = min(place.blocks, rows // _WORK_PER_THREAD)
+        # to ask how many cores there are takes a while
+        return 1 if most <= 1 else min(most, threads.most_threads(self._num_threads))
 
     def limit(self, max_steps: int) -> None:
         """Let episodes end after so many steps."""
-        self._constants = constants(self._state.scenario, max_steps)
+        self._setup = self.layout, constants(self._state.scenario, max_steps), self.robot
 
     def step(self, actions: NDArray[np.float32]) -> StepOutput:
-        """Advance all teams.
-
-        Args:
-            actions: (B, n, a), checked.
-        """
+        """Advance all teams under actions (B, n, a), checked."""
         output = self.buffers.new()
-        self._share(True, self._blocks, actions, output, self.width)
+        threads.share(
+            self._work(True, self._blocks, actions, output), len(self._blocks), self.width
+        )
         # the next step's arrays come from other memory: where both steps' were free at once, the
         # system would take it back, and clear it anew for every step of large teams
         self._last = output
@@ -134,11 +124,10 @@ class BatchRunner:
         if count > 1:
             earned, robots_earned = np.zeros_like(earned), np.zeros_like(robots_earned)
             touched = np.zeros_like(touched)
-        run, lanes, resting = self._ready(actions, output), self._state.lanes, resting.copy()
-        width = self._width(count)
+        lanes, resting, width = self._state.lanes, resting.copy(), self._width(count)
         while len(self._scratch) < width:
             self._scratch.append(scratch(self._state.place))
-        fixed, written = self._fixed(True, self._blocks), tuple(output)
+        advance = self._work(True, self._blocks, actions, output)
 
         def lead(part: threads.Part) -> None:
             mine = part[0] * lanes, min(part[1] * lanes, len(actions)), part[2]
@@ -146,7 +135,7 @@ class BatchRunner:
             for _ in range(count):
                 output.contact[rows] = False
                 pilot.act_of(mine, now, actions)
-                run(part, *fixed, actions, written, self._scratch[part[2]])
+                advance(part)
                 if pilot.keeps_ledger:
                     pilot.book_of(mine, output.contact, teams.merged_into, resting)
                 np.not_equal(output.status[rows], RUNNING, out=resting[rows])
@@ -165,46 +154,36 @@ class BatchRunner:
     def observe(self) -> StepOutput:
         """All teams as they are."""
         output = self.buffers.new()
-        self._share(False, self._blocks, self._no_actions, output, 1)
+        self._observe(self._blocks, output)
         return output
 
     def observe_again(self, which: NDArray[np.int64], output: StepOutput) -> None:
         """Write anew what some teams see; those that share a block with them see the same."""
-        blocks = np.unique(which // self._state.lanes)
-        self._share(False, blocks, self._no_actions, output, 1)
+        self._observe(np.unique(which // self._state.lanes), output)
 
-    def _share(
+    def _observe(self, blocks: NDArray[np.int64], output: StepOutput) -> None:
+        self._work(False, blocks, self._no_actions, output)((0, len(blocks), 0))
+
+    def _work(
         self,
         moves: bool,
         blocks: NDArray[np.int64],
         actions: NDArray[np.float32],
         output: StepOutput,
-        width: int,
-    ) -> None:
-        """Let up to ``width`` threads step or observe some blocks."""
-        run, fixed = self._ready(actions, output), self._fixed(moves, blocks)
-        written, scratch = tuple(output), self._scratch
-        if width == 1:  # as ``share`` would, without the way there
-            run(threads.part_of_all(len(blocks)), *fixed, actions, written, scratch[0])
-        else:
-            threads.share(
-                lambda part: run(part, *fixed, actions, written, scratch[part[2]]),
-                len(blocks),
-                width,
-            )
-
-    def _fixed(self, moves: bool, blocks: NDArray[np.int64]) -> tuple[Any, ...]:
-        """Arguments of the kernel that are the same for all threads."""
-        setup = (self.layout, self._constants, self.robot)
-        return moves, blocks, setup, self._sensor, self._parts
-
-    def _ready(self, actions: NDArray[np.float32], output: StepOutput) -> Callable[..., Any]:
-        """The kernel, compiled before threads share it: compiling may be interrupted."""
+    ) -> Callable[[threads.Part], None]:
+        """What steps or observes a part of some blocks. The kernel is compiled before threads share
+        it: compiling may be interrupted.
+        """
         if self._may_crowd:
             output.crowded.fill(-1)
+        written, scratch = tuple(output), self._scratch
+        fixed = moves, blocks, self._setup, self._sensor, self._parts
         if (run := self._run) is None:
-            writable = (np.empty_like(actions), tuple(output), self._scratch[0])
-            fixed = self._fixed(False, self._blocks)
-            run = entry_point(step_blocks, ((0, 0, 0), *fixed, *writable))
-            run = self._run = ignore_overflow(run)
-        return run
+            # of actions that may be written to, as those of callers need not be
+            arguments = (0, 0, 0), *fixed, np.empty_like(actions), written, scratch[0]
+            run = self._run = ignore_overflow(entry_point(step_blocks, arguments))
+
+        def work(part: threads.Part) -> None:
+            run(part, *fixed, actions, written, scratch[part[2]])
+
+        return work

@@ -26,18 +26,17 @@ def empty_links(
     """Links that no reset has touched yet: those of all pairs weigh 0, a list has none. Seeds and
     episodes, (B,), are those from which arcs that change are drawn.
     """
-    n = place.scenario.n_robots
+    n, size = place.scenario.n_robots, (place.batch, place.n_links)
     if place.one_way:
         weights = np.zeros((place.batch, n, n))
-        return DirectedEdges(weights, changes_of(place.scenario, seeds, episodes))
+        return DirectedEdges(weights, _changes_of(place.scenario, seeds, episodes))
     if place.sparse:
-        size = (place.batch, place.n_links)
         return EdgeList(np.zeros(size, np.int64), np.zeros(size, np.int64), np.zeros(size))
     first, second = (pairs.astype(np.int64) for pairs in np.triu_indices(n, 1))
     return DenseEdges(first, second, np.zeros((place.blocks, place.n_links, place.lanes)))
 
 
-def changes_of(
+def _changes_of(
     scenario: Scenario, seeds: NDArray[np.uint64], episodes: NDArray[np.int64]
 ) -> Changes | None:
     """How the arcs of a scenario follow the moment; None where only merges change them."""
@@ -81,22 +80,22 @@ def matrices(links: Links, batch: int, n: int) -> NDArray[np.float64]:
     return weights
 
 
-def as_kept(links: Links, listed: Sequence[LinkList], n: int) -> tuple[NDArray[Any], ...]:
+def as_kept(links: Links, listed: Sequence[LinkList], n: int) -> dict[str, NDArray[Any]]:
     """Lists of links, at most as many as there is room for, in the form in which links of this kind
     are kept; each array with an axis for the lists.
     """
     if isinstance(links, EdgeList):
-        kept = [np.zeros((len(listed), a.shape[1]), a.dtype) for a in links]
+        kept = {k: np.zeros((len(listed), a.shape[1]), a.dtype) for k, a in links._asdict().items()}
         for k, one in enumerate(listed):
-            for array, values in zip(kept, one, strict=True):
+            for array, values in zip(kept.values(), one, strict=True):
                 array[k, : len(values)] = values
-        return tuple(kept)
+        return kept
     weights = np.zeros((len(listed), n, n))
     for matrix, (first, second, weight) in zip(weights, listed, strict=True):
         matrix[first, second] = weight
     if isinstance(links, DirectedEdges):
-        return (weights,)
-    return (weights[:, links.first, links.second],)
+        return {"weights": weights}
+    return {"weights": weights[:, links.first, links.second]}
 
 
 def listed(weights: NDArray[np.float64], *, one_way: bool) -> LinkList:

@@ -14,33 +14,22 @@ from ..graphs.random_graphs import CustomFamily
 from ..obstacles.obstacle_set import world_of
 from ..physics.random_streams import ignore_overflow
 from ..scenario.start_options import StartOptions
-from .edge_tables import LinkList, listed
+from .edge_tables import as_kept, listed
 from .memory import AWAITING_RESET, RUNNING, Layout, Robot
-from .memory.obstacles import room_for_obstacles
-from .memory_layout import sampled_starts
 from .preparation import fixed_links, fixed_obstacles, start_rules
 from .reset.starts import TOO_MANY_LINKS, StartRules, reset_teams
-from .state import Overwritten, State, overwrite, undo
+from .state import State
 
 
 class Episodes:
-    """Seeds and episode numbers of B teams, and the beginning of their episodes.
-
-    Args:
-        state: of the teams.
-        layout: of its memory.
-        robot: its model.
-        scratch: working memory for one team.
-    """
+    """The beginning of the episodes of B teams; ``scratch`` is working memory for one team."""
 
     def __init__(self, state: State, layout: Layout, robot: Robot, scratch: Any) -> None:
-        self.seed, self.number = state.seed, state.number
         self._state, self._layout, self._robot, self._scratch = state, layout, robot, scratch
-        scenario = state.scenario
-        self._rules = start_rules(scenario)
-        links = fixed_links(scenario)
-        self._links = None if links is None else state.as_kept([links])
-        self._obstacles = fixed_obstacles(scenario)
+        self._rules = start_rules(state.scenario)
+        links, n = fixed_links(state.scenario), state.scenario.n_robots
+        self._links = None if links is None else as_kept(state.links, [links], n)
+        self._obstacles = fixed_obstacles(state.scenario)
         self._reset: Callable[..., Any] | None = None
 
     def begin(
@@ -66,34 +55,24 @@ class Episodes:
         if (reset := self._reset) is None:  # compiling may be interrupted: before anything changes
             arguments = self._arguments(which, resting, self._rules)
             reset = self._reset = ignore_overflow(entry_point(reset_teams, arguments))
-        log: list[Overwritten] = []
-        self._assign_seeds(which, seeds, log)
+        before = self._state.copy_of(which)
         try:
-            rules = self._take_given(which, given, log)
-        except ValueError:  # of a family of graphs of a user's own
-            undo(log)
+            self._assign_seeds(which, seeds)
+            rules = self._take_given(which, given)
+            failed, why = reset(*self._arguments(which, resting, rules))
+            if failed >= 0:
+                raise RuntimeError(self._no_room(failed, why))
+        except BaseException:
+            self._state.give(which, **before)
             raise
-        failed, why = reset(*self._arguments(which, resting, rules))
-        if failed >= 0:
-            undo(log)
-            raise RuntimeError(self._no_room(failed, why))
 
     def _arguments(
         self, which: NDArray[np.int64], resting: bool, rules: StartRules
     ) -> tuple[Any, ...]:
         """What ``reset_teams`` takes."""
-        state = self._state
-        return (
-            which,
-            AWAITING_RESET if resting else RUNNING,
-            rules,
-            (self.seed, self.number),
-            (self._layout, self._robot),
-            state.parts(),
-            self._scratch,
-            tuple(sampled_starts(state.place, len(which))),
-            room_for_obstacles(state.obstacles, len(which)),
-        )
+        state, status = self._state, AWAITING_RESET if resting else RUNNING
+        streams, setup = (state.seed, state.number), (self._layout, self._robot)
+        return which, status, rules, streams, setup, state.parts(), self._scratch
 
     def _no_room(self, team: int, why: int) -> str:
         scenario = self._state.scenario
@@ -116,20 +95,19 @@ class Episodes:
             "enlarge it or thin out the obstacles"
         )
 
-    def _assign_seeds(
-        self, which: NDArray[np.int64], seeds: list[int | None] | None, log: list[Overwritten]
-    ) -> None:
+    def _assign_seeds(self, which: NDArray[np.int64], seeds: list[int | None] | None) -> None:
         """Seed teams anew, or send them on to the next episode of their seed."""
-        unseeded = which[self.number[which] < 0]
-        overwrite(self.number, which, self.number[which] + 1, log)
+        seed, number = self._state.seed, self._state.number
+        unseeded = which[number[which] < 0]
+        number[which] += 1
         if seeds is not None:
             given = [team for team in which.tolist() if seeds[team] is not None]
-            overwrite(self.seed, given, [seeds[team] for team in given], log)
-            overwrite(self.number, given, 0, log)
+            seed[given] = [seeds[team] for team in given]
+            number[given] = 0
             unseeded = np.setdiff1d(unseeded, given)
         if len(unseeded):
             entropy = np.random.SeedSequence().generate_state(len(unseeded), np.uint64)
-            overwrite(self.seed, unseeded, entropy >> np.uint64(1), log)
+            seed[unseeded] = entropy >> np.uint64(1)
 
     def _check_room_for_links(self, given: StartOptions) -> None:
         """Refuse given weights with more links than a team of this graph can keep."""
@@ -141,39 +119,29 @@ class Episodes:
                     f"{room}; give the scenario a graph with as many"
                 )
 
-    def _take_given(
-        self, which: NDArray[np.int64], given: StartOptions, log: list[Overwritten]
-    ) -> StartRules:
+    def _take_given(self, which: NDArray[np.int64], given: StartOptions) -> StartRules:
         """Write the given parts of a start into the state; the rules say to draw the others."""
-        state, rules = self._state, self._rules
-        scenario, n, d = state.scenario, state.scenario.n_robots, state.scenario.dim
-        starts, headings = scenario.start_positions, scenario.start_headings
-        positions = given.positions if starts is None else _or(given.positions, [starts])
-        angles = given.angles if headings is None else _or(given.angles, [headings])
-        frames, obstacles = given.frames, given.obstacles
+        state, rules, scenario = self._state, self._rules, self._state.scenario
+        n, d = scenario.n_robots, scenario.dim
+        positions = _or(given.positions, scenario.start_positions)
+        angles, frames = _or(given.angles, scenario.start_headings), given.frames
         if frames is None and not scenario.model.nonholonomic and scenario.local_frames == "global":
             frames = np.broadcast_to(np.eye(d), (1, n, d, d))
         if positions is not None:
-            state.give("positions", _for_each(positions, which), which, log)
+            state.give(which, positions=_for_each(positions, which))
         if angles is not None:
             kept = np.zeros((*angles.shape[:-1], scenario.model.memory_size(d)))
             kept[..., : angles.shape[-1]] = angles  # whatever else it keeps begins at zero
-            state.give("memory", _for_each(kept, which), which, log)
+            state.give(which, memory=_for_each(kept, which))
         if frames is not None:
             flat = frames.reshape(len(frames), n, d * d)
-            state.give("frames", _for_each(flat, which), which, log)
-        if given.weights is not None:
-            one_way = state.place.one_way
-            links = [listed(m, one_way=one_way) for m in _for_each(given.weights, which)]
-            state.give_links(state.as_kept(links), which, log)
-        elif self._links is not None:
-            state.give_links(self._links, which, log)
-        elif isinstance(scenario.sensing_graph, CustomFamily):
-            state.give_links(state.as_kept(self._draw_custom(which)), which, log)
-        if obstacles is not None and obstacles.size:
-            state.give_obstacles(world_of(_for_each(obstacles, which)), which, log)
-        elif self._obstacles is not None and obstacles is None:
-            state.give_obstacles(self._obstacles, which, log)
+            state.give(which, frames=_for_each(flat, which))
+        state.give(which, **self._links_of(which, given.weights))
+        world, obstacles = self._obstacles, given.obstacles
+        if obstacles is not None:
+            world = world_of(_for_each(obstacles, which)) if obstacles.size else None
+        if world is not None:
+            state.give(which, **world._asdict())
         return rules._replace(
             draw_positions=positions is None,
             draw_memory=angles is None,
@@ -182,22 +150,29 @@ class Episodes:
             draw_obstacles=rules.draw_obstacles and given.obstacles is None,
         )
 
-    def _draw_custom(self, which: NDArray[np.int64]) -> list[LinkList]:
-        """The links of these teams' episodes, drawn by the family of a user's own."""
-        scenario = self._state.scenario
-        return [
-            scenario.sensing_graph.draw(
-                scenario.n_robots,
-                self.seed[team],
-                self.number[team],
-                connected=scenario.require_connected,
-            )
-            for team in which
-        ]
+    def _links_of(
+        self, which: NDArray[np.int64], weights: NDArray[np.float64] | None
+    ) -> dict[str, NDArray[Any]]:
+        """Links, see ``edge_tables.as_kept``, as given, as fixed, or as a family of a user's own
+        draws them; nothing where kernels draw them.
+        """
+        state, scenario = self._state, self._state.scenario
+        graph, connected, n = scenario.sensing_graph, scenario.require_connected, scenario.n_robots
+        if weights is not None:
+            lists = [listed(m, one_way=state.place.one_way) for m in _for_each(weights, which)]
+        elif self._links is not None:
+            return self._links
+        elif isinstance(graph, CustomFamily):
+            streams = zip(state.seed[which], state.number[which], strict=True)
+            lists = [graph.draw(n, seed, number, connected=connected) for seed, number in streams]
+        else:
+            return {}
+        return as_kept(state.links, lists, n)
 
 
-def _or(value: NDArray[np.float64] | None, default: Any) -> NDArray[np.float64]:
-    return np.array(default, dtype=np.float64) if value is None else value
+def _or(value: NDArray[np.float64] | None, default: Any) -> NDArray[np.float64] | None:
+    """What is given of all teams, or else of the scenario."""
+    return value if default is None or value is not None else np.array([default], np.float64)
 
 
 def _for_each(values: NDArray[np.float64], which: NDArray[np.int64]) -> NDArray[np.float64]:

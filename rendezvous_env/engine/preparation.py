@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..graphs.random_graphs import graph_rules
 from ..obstacles import obstacle_set
@@ -16,9 +15,10 @@ from ..robots.motion import init_memory
 from ..robots.robot_models import constants_of
 from ..scenario.scenario import CONTACT_MODES, Scenario
 from ..sensors.imperfections import imperfections_of
+from .edge_tables import LinkList
 from .memory import Constants, Layout, Robot
 from .memory_layout import MemoryLayout
-from .reset.starts import Spacing, StartRules
+from .reset.starts import StartRules
 from .stages.sense_one_by_one import Sensor
 from .state import State
 
@@ -78,22 +78,23 @@ def constants(scenario: Scenario, max_steps: int) -> tuple[Any, ...]:
 
 def start_rules(scenario: Scenario) -> StartRules:
     """The rules of a start of which nothing is given."""
-    field = scenario.obstacles if scenario.observation_layout.obstacle_slots else ()
-    is_field = isinstance(field, Field)
-    fixed_frame = scenario.model.n_angles == 0
+    graph = scenario.sensing_graph
+    field = scenario.obstacles if isinstance(scenario.obstacles, Field) else None
+    if not scenario.observation_layout.obstacle_slots:
+        field = None
     return StartRules(
         draw_positions=True,
-        draw_frames=fixed_frame and scenario.local_frames == "random",
+        draw_frames=scenario.model.n_angles == 0 and scenario.local_frames == "random",
         draw_memory=True,
         draw_weights=True,
-        draw_obstacles=is_field,
+        draw_obstacles=field is not None,
         spawn_size=float(scenario.spawn_size),
         least_distance=(1.0 if scenario.meeting == "pack" else 2.0) * scenario.merge_radius,
-        keep_out=float(field.keep_out) if isinstance(field, Field) else 0.0,
-        graph=graph_rules(scenario.sensing_graph, scenario.n_robots),
+        keep_out=float(field.keep_out) if field else 0.0,
+        graph=graph_rules(graph, scenario.n_robots),
         factors=_factors(scenario),
-        spacing=Spacing(float(scenario.start_reach)) if scenario.sensing_graph.changes else None,
-        field=field.rules if isinstance(field, Field) else None,
+        reach=float(scenario.start_reach) if graph.changes else None,
+        field=field.rules if field else None,
     )
 
 
@@ -104,11 +105,9 @@ def _factors(scenario: Scenario) -> tuple[float, float] | None:
     return (low, high) if graph.directed and not graph.changes and low < high else None
 
 
-def fixed_links(
-    scenario: Scenario,
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]] | None:
-    """The links of every episode: robots (E,), (E,), weights (E,), m/s; None if they are drawn or
-    change. Those of a directed graph are still to be multiplied by what is drawn for them.
+def fixed_links(scenario: Scenario) -> LinkList | None:
+    """The links of every episode; None if they are drawn or change. Those of a directed graph are
+    still to be multiplied by what is drawn for them.
     """
     graph = scenario.sensing_graph
     if graph.changes or (_draws_links(scenario) and not graph.directed):
@@ -137,8 +136,8 @@ def begins_alike(scenario: Scenario) -> bool:
 def _draws_links(scenario: Scenario) -> bool:
     """Whether anything of an episode's links is drawn."""
     graph = scenario.sensing_graph
-    if not graph.changes:
-        return not graph.fixed or graph.weight_range[0] < graph.weight_range[1]
+    if not (graph.fixed or graph.changes):
+        return True
     listed = getattr(graph, "graphs", (graph,))
     drawn = any(one.weight_range[0] < one.weight_range[1] for one in listed)
     return drawn or getattr(graph, "order", "cyclic") == "random"

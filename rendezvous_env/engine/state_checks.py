@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -32,11 +32,7 @@ _FLOATS = np.dtype(np.float32), np.dtype(np.float64)
 
 
 def check_keys(state: Any, names: tuple[str, ...]) -> None:
-    """Refuse what is no state with these entries.
-
-    Raises:
-        ValueError: naming the first entry that is missing.
-    """
+    """Refuse, with a ValueError, what is no mapping with these entries."""
     if not isinstance(state, Mapping):
         raise ValueError(f"state is {shown(state)}; it must be a mapping with {', '.join(names)}")
     for name in names:
@@ -77,14 +73,31 @@ def _entry(name: str, given: Any, own: NDArray[Any], exactly: bool) -> NDArray[A
     return value.astype(own.dtype, copy=False)
 
 
-def check_finite(state: Mapping[str, NDArray[Any]], names: tuple[str, ...]) -> None:
-    """Refuse entries that are not finite.
+def refuse_first(name: str, wrong: NDArray[np.bool_], values: NDArray[Any], what: str) -> None:
+    """Name the first wrong place, (team,), (team, robot), (team, slot) or deeper, if any is."""
+    if wrong.any():
+        place = tuple(int(k) for k in np.argwhere(wrong)[0])
+        where = ", ".join(map(str, place))
+        raise ValueError(f"state: {name}[{where}] is {values[place].tolist()}; it must be {what}")
 
-    Raises:
-        ValueError: naming the entry and the first place where it is not.
-    """
+
+def check_finite(state: Mapping[str, NDArray[Any]], names: Iterable[str]) -> None:
+    """Refuse entries that are not finite, with a ValueError that names the first place."""
     for name in names:
         refuse_first(name, ~np.isfinite(state[name]), state[name], "finite")
+
+
+def check_rotations(state: Mapping[str, NDArray[Any]], teams: Any, tolerance: float) -> None:
+    """Refuse frames, (B, n, d, d) or (B, n, d·d), of these teams that are no rotations, with a
+    ValueError that names team and robot.
+    """
+    given = state["frames"]
+    d = 3 if given.shape[-1] % 3 == 0 else 2
+    frames = given.reshape(*given.shape[:2], d, d)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is huge is refused
+        gap = np.abs(np.swapaxes(frames, -1, -2) @ frames - np.eye(d)).max(axis=(-2, -1))
+        wrong = ~((gap <= tolerance) & (np.linalg.det(frames) > 0))
+    refuse_first("frames", wrong & np.reshape(teams, (-1, 1)), frames, "a rotation")
 
 
 class Remembering:
@@ -130,67 +143,45 @@ class Remembering:
             ValueError: naming an entry that is missing, of another shape or not finite.
         """
         checked = check_entries(self._memory, state)
-        check_finite(checked, tuple(checked))
+        check_finite(checked, checked)
         return checked
 
 
-def check_rotations(state: Mapping[str, NDArray[Any]], teams: Any, tolerance: float) -> None:
-    """Refuse frames (B, n, d, d) or (B, n, d·d) of these teams that are no rotations.
-
-    Raises:
-        ValueError: naming team and robot.
-    """
-    given = state["frames"]
-    d = 3 if given.shape[-1] % 3 == 0 else 2
-    frames = given.reshape(*given.shape[:2], d, d)
-    with np.errstate(over="ignore", invalid="ignore"):  # what is huge is refused
-        gap = np.abs(np.swapaxes(frames, -1, -2) @ frames - np.eye(d)).max(axis=(-2, -1))
-        wrong = ~((gap <= tolerance) & (np.linalg.det(frames) > 0))
-    refuse_first("frames", wrong & np.reshape(teams, (-1, 1)), frames, "a rotation")
+# ---- the state of a simulator -------------------------------------------------------------------
 
 
 def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
-    """Refuse a state of teams, of the right shapes and types, that no episode can be in.
-
-    Args:
-        scenario: theirs.
-        state: as ``Simulator.get_state`` gives it.
-
-    Raises:
-        ValueError: naming the entry, its value, and what would be right.
+    """Refuse a state as ``Simulator.get_state`` gives it, of the right shapes and types, that no
+    episode can be in, with a ValueError that names the entry, its value, and what would be right.
     """
-    check_finite(state, tuple(name for name in _FINITE if name in state))
+
+    def refuse(name: str, wrong: Any, what: str) -> None:
+        refuse_first(name, wrong, state[name], what)
+
+    check_finite(state, (name for name in _FINITE if name in state))
     for name in _NOT_NEGATIVE:
-        refuse_first(name, state[name] < 0, state[name], "0 or more")
+        refuse(name, state[name] < 0, "0 or more")
     for name, most in _MOST.items():
         if name in state:
-            refuse_first(name, np.abs(state[name]) > most, state[name], f"at most {most:g}")
+            refuse(name, np.abs(state[name]) > most, f"at most {most:g}")
     initial, status = state["initial_lyapunov"], state["status"]
-    tiny = (initial != 0) & (initial < 1e-30)
-    refuse_first("initial_lyapunov", tiny, initial, "0, or 1e-30 or more")
-    clearance = state["min_clearance"]
-    refuse_first("min_clearance", ~(clearance > -np.inf), clearance, "a length or inf, m")
-    unknown = (status < 0) | (status > AWAITING_RESET)
-    refuse_first("status", unknown, status, f"0 to {AWAITING_RESET}")
-    refuse_first("seed", state["seed"] >= 2**63, state["seed"], "below 2**63")
-    refuse_first("episode", state["episode"] < -1, state["episode"], "-1 (none yet) or more")
+    refuse("initial_lyapunov", (initial != 0) & (initial < 1e-30), "0, or 1e-30 or more")
+    refuse("min_clearance", ~(state["min_clearance"] > -np.inf), "a length or inf, m")
+    refuse("status", (status < 0) | (status > AWAITING_RESET), f"0 to {AWAITING_RESET}")
+    refuse("seed", state["seed"] >= 2**63, "below 2**63")
+    refuse("episode", state["episode"] < -1, "-1 (none yet) or more")
     if "frames" in state:  # those of teams that have not begun are not drawn yet
         check_rotations(state, state["episode"] >= 0, _ROUNDING)
-    if scenario.model.keeps_velocity:
-        _check_velocities(scenario, state["memory"])
+    if scenario.model.keeps_velocity:  # how far a robot may come in a step stands on its limit
+        velocities, limit = state["memory"][..., scenario.model.n_angles :], scenario.speed_limit
+        too_fast = np.linalg.norm(velocities, axis=-1) > limit * (1 + _ROUNDING)
+        refuse("memory", too_fast, f"a velocity of at most {limit:g} m/s")
     if "first" in state:
         _check_lists(scenario.n_robots, state)
     _check_merges(state, scenario.meeting == "pack")
     _check_neighbours(scenario, state)
     for fault, wanted in faults(state["obstacles"], scenario.dim, only_balls(scenario.obstacles)):
-        refuse_first("obstacles", fault, state["obstacles"], wanted)
-
-
-def _check_velocities(scenario: Scenario, memory: NDArray[np.float64]) -> None:
-    """No robot is faster than its limit: how far it may come in a step stands on that."""
-    velocities, limit = memory[..., scenario.model.n_angles :], scenario.speed_limit
-    too_fast = np.linalg.norm(velocities, axis=-1) > limit * (1 + _ROUNDING)
-    refuse_first("memory", too_fast, memory, f"a velocity of at most {limit:g} m/s")
+        refuse("obstacles", fault, wanted)
 
 
 def _check_lists(n: int, state: Mapping[str, NDArray[Any]]) -> None:
@@ -247,23 +238,12 @@ def _check_neighbours(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> 
         )
 
 
-def refuse_first(name: str, wrong: NDArray[np.bool_], values: NDArray[Any], what: str) -> None:
-    """Name the first wrong place, (team,), (team, robot), (team, slot) or deeper, if any is."""
-    if wrong.any():
-        place = tuple(int(k) for k in np.argwhere(wrong)[0])
-        where = ", ".join(map(str, place))
-        raise ValueError(f"state: {name}[{where}] is {values[place].tolist()}; it must be {what}")
+# ---- arrays from outside ------------------------------------------------------------------------
 
 
 def check_output(output: Any, wanted: tuple[tuple[tuple[int, ...], Any], ...]) -> None:
-    """Refuse the output of other teams, into which compiled code would write too much.
-
-    Args:
-        output: what a step gave out.
-        wanted: shape and type of each of its arrays.
-
-    Raises:
-        ValueError: naming the array, or if it is no StepOutput.
+    """Refuse the output of other teams, into which compiled code would write too much, with a
+    ValueError that names the array; ``wanted`` has shape and type of each.
     """
     if not isinstance(output, StepOutput):
         raise ValueError(f"outcome is {shown(output)}; it must be what step() gave out, or None")
@@ -277,25 +257,13 @@ def check_output(output: Any, wanted: tuple[tuple[tuple[int, ...], Any], ...]) -
 
 
 def check_observations(value: Any, shape: tuple[int, ...]) -> NDArray[Any]:
-    """Observations (B, n, rows, d) of the right teams.
-
-    Raises:
-        ValueError: for another shape or type.
-    """
+    """Observations (B, n, rows, d) of the right teams; a ValueError refuses others."""
     return check_numbers("observations", value, shape, "(B, n, rows, d)")
 
 
 def check_numbers(name: str, value: Any, shape: tuple[int, ...], axes: str) -> NDArray[Any]:
-    """An array of float32 or float64 of a shape.
-
-    Args:
-        name: what the message calls it.
-        value: what was given.
-        shape: what it must have.
-        axes: the names of the axes.
-
-    Raises:
-        ValueError: for another shape or type.
+    """An array of float32 or float64 of a shape, whose axes are called ``axes``; a ValueError
+    refuses others by name.
     """
     array = np.asarray(value)
     if array.shape != shape:
@@ -306,9 +274,5 @@ def check_numbers(name: str, value: Any, shape: tuple[int, ...], axes: str) -> N
 
 
 def check_mask(mask: ArrayLike, num_envs: int) -> NDArray[np.bool_]:
-    """A mask (B,), which says yes or no to each team.
-
-    Raises:
-        ValueError: for another shape or type.
-    """
+    """A mask (B,), which says yes or no to each team; a ValueError refuses others."""
     return bools("mask", mask, (num_envs,), "teams")

@@ -9,10 +9,9 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
-from functools import lru_cache
+from collections.abc import Callable
+from functools import cache
 from itertools import count
-from pathlib import Path, PurePosixPath
 from queue import SimpleQueue
 from typing import Any
 
@@ -21,11 +20,6 @@ from ..compilation import compiled
 Part = tuple[int, int, int]
 """One thread's part of a kernel's work: its first block, the one after its last, and which of the
 threads it is, from 0 on."""
-
-
-def part_of_all(blocks: int) -> Part:
-    """The part of a thread that does all blocks alone."""
-    return 0, blocks, 0
 
 
 def share(run_kernel: Callable[[Part], Any], blocks: int, most: int) -> None:
@@ -41,7 +35,7 @@ def share(run_kernel: Callable[[Part], Any], blocks: int, most: int) -> None:
             works on any block then, and unless a kernel has failed all are done or none.
     """
     if most == 1 or not compiled():
-        run_kernel(part_of_all(blocks))
+        run_kernel((0, blocks, 0))
         return
     cuts = [blocks * k // most for k in range(most + 1)]
     job = _Job(run_kernel, list(zip(cuts, cuts[1:], range(most), strict=False)))
@@ -49,7 +43,7 @@ def share(run_kernel: Callable[[Part], Any], blocks: int, most: int) -> None:
     try:
         for _ in range(most):
             _jobs.put(job)
-        job.wait()
+        job.all_done.acquire()
     except BaseException:
         job.settle()
         raise
@@ -61,12 +55,13 @@ class _Job:
     """One call of ``share``."""
 
     def __init__(self, run_kernel: Callable[[Part], Any], parts: list[Part]) -> None:
-        self._run_kernel, self._parts = run_kernel, parts
+        self._run_kernel: Callable[[Part], Any] | None = run_kernel
+        self._parts = parts
         self._next, self._ended = count(), count(1)  # to take the next number is indivisible
         self._beginning = threading.Lock()
         self._begun = self._called_off = self._over = False
-        self._all_done = threading.Lock()
-        self._all_done.acquire()
+        self.all_done = threading.Lock()
+        self.all_done.acquire()
         self.errors: list[BaseException] = []
 
     def help(self) -> None:
@@ -75,17 +70,14 @@ class _Job:
             self._begun = not self._called_off or self._begun
         while self._begun and (k := next(self._next)) < len(self._parts):
             try:
+                assert self._run_kernel is not None
                 self._run_kernel(self._parts[k])
             except BaseException as error:
                 self.errors.append(error)
             if next(self._ended) == len(self._parts):
-                self._run_kernel = _nothing  # a thread that wakes late keeps no arrays alive
+                self._run_kernel = None  # a thread that wakes late keeps no arrays alive
                 self._over = True
-                self._all_done.release()
-
-    def wait(self) -> None:
-        """Wait for its end."""
-        self._all_done.acquire()
+                self.all_done.release()
 
     def settle(self) -> None:
         """Call the job off, or wait for its end if it has begun; interrupts are put off."""
@@ -101,18 +93,12 @@ class _Job:
                 continue
 
 
-def _nothing(_: Part) -> None:
-    pass
-
-
 _jobs: SimpleQueue[_Job] = SimpleQueue()
 _workers: list[threading.Thread] = []
 _workers_lock = threading.Lock()
 
 
 def _ensure_workers(wanted: int) -> None:
-    if len(_workers) >= wanted:
-        return
     with _workers_lock:
         while len(_workers) < wanted:
             worker = threading.Thread(target=_serve, args=(_jobs,), name="rendezvous", daemon=True)
@@ -136,9 +122,6 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_forget_workers)
 
 
-# ---- how many ----------------------------------------------------------------------------------
-
-
 def most_threads(asked: int | None) -> int:
     """As many threads as were asked for, or one for each core."""
     return available_cores() if asked is None else asked
@@ -147,60 +130,13 @@ def most_threads(asked: int | None) -> int:
 def available_cores() -> int:
     """Cores that this process may run on, and no more than its container's quota of processor time
     or NUMBA_NUM_THREADS, by which a process that is one of many is told to keep to its share.
-
-    A part of a core is not counted.
     """
-    affine = (
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
     share = os.environ.get("NUMBA_NUM_THREADS", "")
-    granted = int(share) if share.isdecimal() and int(share) else affine
-    return max(1, int(min(affine, cpu_quota(), granted)))
+    return min(_cores(), int(share)) if share.isdecimal() and int(share) else _cores()
 
 
-@lru_cache
-def cpu_quota(root: Path = Path("/")) -> float:
-    """Cores' worth of processor time that the control groups of this process grant, the least of
-    all that it is in; inf without any. ``root`` is that of the file system.
-    """
-    return min(_quotas(root), default=float("inf"))
+@cache
+def _cores() -> int:
+    from joblib import cpu_count  # imported when it is asked for: it takes a while
 
-
-def _quotas(root: Path) -> Iterator[float]:
-    for line in _read(root / "proc/self/cgroup").splitlines():
-        number, _, rest = line.partition(":")
-        controllers, _, path = rest.partition(":")
-        if number == "0" and not controllers:  # version 2
-            for folder in _upwards(root / "sys/fs/cgroup", path):
-                yield from _share(_read(folder / "cpu.max").split())
-        elif "cpu" in controllers.split(","):  # version 1
-            for mount in (controllers, "cpu"):
-                for folder in _upwards(root / "sys/fs/cgroup" / mount, path):
-                    files = folder / "cpu.cfs_quota_us", folder / "cpu.cfs_period_us"
-                    yield from _share([word for file in files for word in _read(file).split()])
-
-
-def _upwards(mount: Path, path: str) -> Iterator[Path]:
-    """A group and those it is in; a container may see its own as the outermost one."""
-    within = PurePosixPath(path.lstrip("/"))
-    if ".." not in within.parts:
-        yield from (mount / folder for folder in (within, *within.parents))
-    else:
-        yield mount
-
-
-def _share(words: list[str]) -> Iterator[float]:
-    """Quota over period; nothing where there is no limit ("max", or −1) or no such file."""
-    try:
-        quota, period = map(float, words)
-    except ValueError:
-        return
-    if quota > 0 and period > 0:
-        yield quota / period
-
-
-def _read(file: Path) -> str:
-    try:
-        return file.read_text(encoding="ascii")
-    except (OSError, UnicodeDecodeError):
-        return ""
+    return cpu_count()

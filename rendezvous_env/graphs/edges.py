@@ -4,12 +4,12 @@ Stages choose by these types while they are compiled, so that the step of one ki
 the others in it.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import by_type, chosen_by_type, inner_kernel, kernel
+from ..compilation import by_type, inner_kernel, kernel
 
 
 class DenseEdges(NamedTuple):
@@ -59,16 +59,13 @@ class DirectedEdges(NamedTuple):
 Links = DenseEdges | EdgeList | DirectedEdges
 
 
-def arcs_of(links: Any, team: int) -> Any:
+def _arcs(links, team):
+    return DirectedEdges(links.weights[team], None)
+
+
+@by_type("links", lambda kind: _arcs if kind is DirectedEdges else None)
+def arcs_of(links, team):
     """DirectedEdges of one team, whose weights are (n, n); None of links that go both ways."""
-    return DirectedEdges(links.weights[team], None) if isinstance(links, DirectedEdges) else None
-
-
-@chosen_by_type(arcs_of)
-def _compiled_arcs_of(links, team):
-    if links.instance_class is DirectedEdges:
-        return lambda links, team: DirectedEdges(links.weights[team], None)
-    return lambda links, team: None
 
 
 @inner_kernel(inline="code")

@@ -10,17 +10,10 @@ from .vectors import combine, dot, norm, subtract
 
 @kernel
 def first_crossing(offset, velocity, radius):
-    """When a point that moves straight comes within a ball about the origin.
+    """When a point that moves straight comes within a ball about the origin: the smallest s in
+    [0, 1] with ‖offset + s velocity‖ ≤ radius, a number; inf if there is none.
 
-    The smallest s in [0, 1] with ‖offset + s velocity‖ ≤ radius.
-
-    Args:
-        offset: from the centre of the ball to the point, a triple, m.
-        velocity: a triple, m per unit of s.
-        radius: of the ball, m.
-
-    Returns:
-        s, a number; 0.0 if the point is within from the start, inf if it never is.
+    Offset (m) and velocity (m per unit of s) are triples.
     """
     distance = norm(offset)
     if distance <= radius:
@@ -40,19 +33,12 @@ def first_crossing(offset, velocity, radius):
 
 @kernel
 def capsule_crossing(offset, velocity, half, radius):
-    """When a point that moves straight comes within a capsule, all points near a segment.
+    """When a point that moves straight comes within a capsule: the smallest s in [0, 1] with
+    ‖offset + s velocity − q‖ ≤ radius for a q of its segment, a number; inf if there is none.
 
-    The smallest s in [0, 1] with ‖offset + s velocity − q‖ ≤ radius for a q of the segment. It is
-    entered through the ball about one of its ends, or through the cylinder between them.
-
-    Args:
-        offset: from the middle of the segment to the point, a triple, m.
-        velocity: a triple, m per unit of s.
-        half: from the middle of the segment to one end, a triple, m.
-        radius: m.
-
-    Returns:
-        s, a number; 0.0 if the point is within from the start, inf if it never is.
+    It enters through the ball about one of the ends, or through the cylinder between them. Offset
+    (from the middle of the segment) and ``half`` (from there to an end), m, and velocity (m per
+    unit of s) are triples.
     """
     first = min(
         first_crossing(subtract(offset, half), velocity, radius),

@@ -1,33 +1,21 @@
-"""The point of an intersection of half-planes that is nearest to another: who may go how far where.
-
-Each half-plane holds the origin, so there is always such a point.
-"""
+"""The point of an intersection of half-planes that is nearest to another: who may go how far."""
 
 import math
 
 from ..compilation import kernel
 
-_PARALLEL = 1e-12
-"""Sine below which two borders do not cross."""
+_PARALLEL = 1e-12  # Sine below which two borders do not cross
 
 
 @kernel
 def nearest_within(wanted, normals, rooms, count):
-    """The pair x nearest to a wanted one with n_kᵀx ≤ c_k for all k (Seidel 1991, one by one).
+    """The pair x nearest to a wanted one, w, in its unit (Seidel 1991, one by one).
 
         min ‖x − w‖²   subject to   n_kᵀ x ≤ c_k,   c_k ≥ 0
 
     While x fits, nothing is to be done; else the nearest point lies on the border that it violates,
-    within what the borders before leave of that.
-
-    Args:
-        wanted: w, a pair, of any unit.
-        normals: n_k, (≥ count, 2), unit vectors.
-        rooms: c_k, (≥ count,), 0 or more, in the unit of w.
-        count: how many there are.
-
-    Returns:
-        x, a pair; the origin where rounding leaves nothing else.
+    within what the borders before leave of that. It is the origin, which always fits, where
+    rounding leaves nothing else. Normals n_k, (≥ count, 2), are unit vectors, rooms c_k (≥ count,).
     """
     x, y = wanted
     for j in range(count):

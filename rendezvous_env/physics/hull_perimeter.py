@@ -1,8 +1,5 @@
-"""The size L of a team, which knows no graph and no weight (guarantees, section 9).
-
-    L = ∫_{|u|=1} max_i u·p_i du
-
-In the plane L is the perimeter of the convex hull, in 3-D 2π times its mean width.
+"""The size L of a team: in the plane the perimeter of its convex hull, in 3-D 2π times its mean
+width (guarantees, section 9).
 """
 
 from __future__ import annotations
@@ -14,29 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-
 _FLAT = 1e-10
-"""Extent over the largest one below which a hull counts as flat: it moves L by no larger a
-share."""
+"""Extent over the largest one below which a hull counts as flat; L moves by no larger a share."""
 
 
 def size(points: Array) -> float:
-    """L = ∫_{|u|=1} max_i u·p_i du of points; 0 for a single place (guarantees, section 9).
+    """L = ∫_{|u|=1} max_i u·p_i du, m, of finite points p, (N, d), m, N ≥ 1; 0 for a single place.
 
     A segment is a polygon with two sides, a flat polygon in 3-D has the mean width P/4, so
     L = (π/2) P with P its perimeter.
-
-    Args:
-        points: p, (N, d), m, N ≥ 1, d = 2 or 3, finite.
-
-    Returns:
-        L, m.
     """
-    d = points.shape[1]
-    flat = _in_their_own_axes(points)
+    d, flat = points.shape[1], _in_their_own_axes(points)
     if flat.shape[1] == 3:
         return 2.0 * math.pi * _mean_width(flat)
-    return _perimeter(flat) * (1.0 if d == 2 else math.pi / 2.0)
+    if flat.shape[1] == 2:
+        perimeter = float(_hull(flat).area)
+    else:  # of a segment both sides count
+        perimeter = 2.0 * float(np.ptp(flat)) if flat.size else 0.0
+    return perimeter * (1.0 if d == 2 else math.pi / 2.0)
 
 
 def _in_their_own_axes(points: Array) -> Array:
@@ -46,13 +38,6 @@ def _in_their_own_axes(points: Array) -> Array:
     k = int(np.sum(extents > _FLAT * extents[0]))
     coordinates: Array = offsets @ axes[:k].T
     return coordinates
-
-
-def _perimeter(points: Array) -> float:
-    """Length of the hull's boundary in the plane, m; of a segment both sides count."""
-    if points.shape[1] < 2:
-        return 2.0 * float(np.ptp(points)) if points.size else 0.0
-    return float(_hull(points).area)
 
 
 def _mean_width(points: Array) -> float:

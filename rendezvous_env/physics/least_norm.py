@@ -10,24 +10,16 @@ import math
 from ..compilation import kernel
 from .vectors import ORIGIN, add, combine, cross, dot, load, scaled, split, subtract
 
-_ROUNDING = 4e-16
-"""Of a scalar product of unit vectors."""
-_SURROUNDED = 1e-14
-"""Norm of a point that would be zero without rounding."""
+_ROUNDING = 4e-16  # Of a scalar product of unit vectors
+_SURROUNDED = 1e-14  # Norm of a point that would be zero without rounding
 _MOST_ROUNDS = 64
 """A few do, however many bearings there are; each brings the point nearer to the origin."""
 
 
 @kernel
 def least_norm_of(rows, neighbour_slots):
-    """q_i of the neighbour rows a_ij g_ij, whose lengths do not count (lemma 2).
-
-    Args:
-        rows: of one robot, (rows, d), m/s; zero rows are absent.
-        neighbour_slots: K, how many of them, from the first, are neighbours.
-
-    Returns:
-        q_i, a triple without unit, ‖q_i‖ ≤ 1; zero where nobody is seen.
+    """q_i, a triple without unit, ‖q_i‖ ≤ 1, of the first K of the rows (rows, d) of one robot,
+    whose lengths do not count; zero where nobody is seen.
     """
     if rows.shape[1] == 2:
         right, left = cone_of(rows, neighbour_slots)
@@ -37,16 +29,9 @@ def least_norm_of(rows, neighbour_slots):
 
 @kernel
 def cone_of(rows, neighbour_slots):
-    """The two ends of the narrowest angle of the plane that holds all bearings, if it is at most π:
-    q is halfway between them (lemma 2).
-
-    Args:
-        rows: of one robot, (rows, 2), of any unit; zero rows are absent.
-        neighbour_slots: K.
-
-    Returns:
-        Its clockwise and its counter-clockwise end, unit triples; both zero where nobody is seen,
-        or neighbours are all round.
+    """The clockwise and the counter-clockwise end, unit triples, of the narrowest angle ≤ π of the
+    plane that holds all bearings; q is halfway between. Both are zero where nobody is seen, or
+    neighbours are all round. Arguments as ``least_norm_of``.
     """
     right, left = ORIGIN, ORIGIN
     nobody = True
@@ -104,15 +89,8 @@ def _least_in_space(rows, neighbour_slots):
 
 @kernel
 def least_along(rows, neighbour_slots, direction):
-    """The bearing that lies least far along a direction, argmin g·u; zero where nobody is seen.
-
-    Args:
-        rows: of one robot, (rows, d), of any unit; zero rows are absent.
-        neighbour_slots: K.
-        direction: u, a triple, of any unit.
-
-    Returns:
-        g, a unit triple.
+    """The bearing g, a unit triple, that lies least far along a triple u, argmin g·u; zero where
+    nobody is seen. Rows as ``least_norm_of``.
     """
     least, bearing = math.inf, ORIGIN
     for k in range(neighbour_slots):

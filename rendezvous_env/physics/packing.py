@@ -1,6 +1,5 @@
-"""Discs that stop where they would touch, and whether they lie in one packed cluster.
-
-One team at a time, in the plane; the counterpart of merging for robots with bodies.
+"""Discs that stop where they would touch, and whether they lie in one packed cluster: of robots
+with bodies, what merging is for others.
 """
 
 import math
@@ -25,7 +24,7 @@ def move_apart(positions, displacements, lengths, size, work):
 
     Args:
         positions: (n, 2), m; the start of the motion on entry, its end on return.
-        displacements: (n, 2), m, straight; those that were executed on return.
+        displacements: (n, 2), m; those that were executed on return.
         lengths: (n,) of the ways, m; written where a displacement is cut.
         size: D, m, of all discs.
         work: working memory (normals (n, 2), rooms (≥ n − 1,)).
@@ -54,12 +53,8 @@ def move_apart(positions, displacements, lengths, size, work):
 
 @kernel
 def is_packed(positions, radius, work):
-    """Whether all discs hang together, and each touches two others, in a team of two the other one.
-
-    Args:
-        positions: (n, 2), m, of their centres.
-        radius: r, m: two with ‖p_i − p_j‖ ≤ r count as touching.
-        work: working memory (order (n,) whole numbers, reached (n,) bool).
+    """Whether all discs hang together, and each touches two others, in a team of two the other one:
+    those with ‖p_i − p_j‖ ≤ radius, m. Working memory is (order (n,) int64, reached (n,) bool).
     """
     order, reached = work
     n, done, found = len(positions), 0, 1
@@ -68,7 +63,7 @@ def is_packed(positions, radius, work):
     while done < found:
         i, touched = order[done], 0
         for j in range(n):
-            if j != i and _apart(positions, i, j) <= radius:
+            if j != i and apart(positions, i, j) <= radius:
                 touched += 1
                 if not reached[j]:
                     order[found], reached[j] = j, True
@@ -80,5 +75,6 @@ def is_packed(positions, radius, work):
 
 
 @inner_kernel
-def _apart(positions, i, j):
+def apart(positions, i, j):
+    """‖p_i − p_j‖ in the plane, a number, m; positions (n, 2)."""
     return math.hypot(positions[j, 0] - positions[i, 0], positions[j, 1] - positions[i, 1])

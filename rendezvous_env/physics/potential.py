@@ -19,15 +19,10 @@ def distance_squared(positions, i, j):
 
 @kernel
 def lyapunov_of_links(positions, links):
-    """V = Σ_i Σ_j a_ij ‖p_i − p_j‖ of one team: each edge counts twice, as in the paper.
+    """V = Σ_i Σ_j a_ij ‖p_i − p_j‖ of one team, a number, m²/s: each edge counts twice.
 
-    Args:
-        positions: (n, d), m.
-        links: (first, second, weight), each (E,); weights a_ij in m/s, 0 where there is no link;
-            (a_ij + a_ji)/2 where the two differ.
-
-    Returns:
-        V, a number, m²/s.
+    Of positions (n, d), m, and links (first, second, weight), (E,) each, m/s: 0 where there is no
+    link, (a_ij + a_ji)/2 where the two differ.
     """
     first, second, weight = links
     total = 0.0
@@ -39,14 +34,8 @@ def lyapunov_of_links(positions, links):
 
 @kernel
 def net_bearings_of_links(positions, links, out):
-    """f_i = Σ_j a_ij g_ij of every robot in the global frame.
-
-    Links that are sorted by their robots add up in the order of the neighbours.
-
-    Args:
-        positions: (n, d), m.
-        links: (first, second, weight), each (E,); weights a_ij in m/s, 0 where there is no link.
-        out: f_i, (n, d), m/s; filled in.
+    """f_i = Σ_j a_ij g_ij of every robot into ``out``, (n, d), m/s, in the global frame; arguments
+    as ``lyapunov_of_links``. Sorted links add up in the order of the neighbours.
     """
     first, second, weight = links
     out[:] = 0.0
@@ -64,12 +53,8 @@ def net_bearings_of_links(positions, links, out):
 
 @kernel
 def net_bearings_of_arcs(positions, arcs, out):
-    """f_i = Σ_j a_ij g_ij of every robot in the global frame, where a_ij need not be a_ji.
-
-    Args:
-        positions: (n, d), m.
-        arcs: a_ij, (n, n), m/s, 0 where robot i does not see robot j.
-        out: f_i, (n, d), m/s; filled in.
+    """The same of arcs a_ij, (n, n), m/s, 0 where robot i does not see robot j: a_ij need not be
+    a_ji. Arguments as ``net_bearings_of_links``.
     """
     out[:] = 0.0
     for i in range(arcs.shape[0]):

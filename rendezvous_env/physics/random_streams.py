@@ -26,13 +26,7 @@ _TO_UNIT_INTERVAL = 2.0**-53
 def mix(word):
     """Scramble 64 bits: the finaliser of SplitMix64, a bijection of uint64, without unit.
 
-        z ← (z ⊕ z≫30) · c₁,   z ← (z ⊕ z≫27) · c₂,   z ← z ⊕ z≫31
-
-    Args:
-        word: z, uint64.
-
-    Returns:
-        The last z.
+    z ← (z ⊕ z≫30) · c₁,   z ← (z ⊕ z≫27) · c₂,   z ← z ⊕ z≫31
     """
     word = (word ^ (word >> _SHIFT_30)) * _FACTOR_1
     word = (word ^ (word >> _SHIFT_27)) * _FACTOR_2
@@ -41,17 +35,9 @@ def mix(word):
 
 @kernel
 def stream_key(seed, episode, purpose):
-    """Key of the stream for one purpose in one episode of a seed.
-
-        mix(mix(mix(seed + γ) ⊕ (episode + γ)) ⊕ (purpose + γ)),   γ the increment of SplitMix64
-
-    Args:
-        seed: uint64.
-        episode: its number, from 0 on.
-        purpose: START … SWITCHING.
-
-    Returns:
-        uint64, without unit.
+    """Key of the stream for one purpose (START … SWITCHING) in one episode of a seed, uint64,
+    without unit: mix(mix(mix(seed + γ) ⊕ (episode + γ)) ⊕ (purpose + γ)), γ the increment of
+    SplitMix64.
     """
     key = mix(np.uint64(seed) + _INCREMENT)
     key = mix(key ^ (np.uint64(episode) + _INCREMENT))
@@ -60,48 +46,28 @@ def stream_key(seed, episode, purpose):
 
 @kernel
 def word_of(key, counter):
-    """Word of a stream at an index: mix(key + (k + 1) γ), uint64, uniform, without unit.
-
-    Args:
-        key: of the stream, uint64.
-        counter: k, an index from 0 on.
-    """
+    """Word of a stream at an index k, from 0 on: mix(key + (k + 1) γ), uint64, without unit."""
     return mix(key + np.uint64(counter + 1) * _INCREMENT)
 
 
 @kernel
 def uniform(key, counter):
-    """Number of a stream at an index, uniform in [0, 1): the upper 53 bits of its word.
-
-    Args:
-        key: of the stream, uint64.
-        counter: k, an index from 0 on.
-
-    Returns:
-        A number without unit.
+    """Number of a stream at an index, without unit, uniform in [0, 1): the upper 53 bits of
+    ``word_of``, · 2⁻⁵³.
     """
     return np.float64(word_of(key, counter) >> _SHIFT_11) * _TO_UNIT_INTERVAL
 
 
 @kernel
 def draw_rotation(key, first_counter, axes):
-    """A uniformly distributed rotation matrix, from at most three numbers of a stream.
-
-    In the plane by an angle 2πu; in 3-D of a uniform unit quaternion (Shoemake, 1992).
-
-    Args:
-        key: of the stream, uint64.
-        first_counter: index in the stream to begin at.
-        axes: (0, 1) for 4 numbers, (0, 1, 2) for 9.
-
-    Returns:
-        R row by row, 4 or 9 numbers without unit.
+    """A uniformly distributed rotation R, row by row, 4 or 9 numbers without unit, by at most three
+    numbers of a stream, from an index on: in the plane by an angle 2πu, in 3-D of a uniform unit
+    quaternion (Shoemake, 1992). ``axes`` are (0, 1) or (0, 1, 2).
     """
     turn = 2.0 * math.pi * uniform(key, first_counter)
     if len(axes) == 2:
         c, s = math.cos(turn), math.sin(turn)
         return c, -s, s, c
-    # a uniform unit quaternion (x, y, z, w), after Shoemake (1992)
     other_turn = 2.0 * math.pi * uniform(key, first_counter + 1)
     share = uniform(key, first_counter + 2)
     small, large = math.sqrt(1.0 - share), math.sqrt(share)

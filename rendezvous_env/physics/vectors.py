@@ -100,8 +100,7 @@ def norm(a):
 
 @kernel(inline="code")
 def split(a):
-    """Length ‖a‖ and unit vector a/‖a‖ of a pair or triple: a number in its unit, and one like it.
-
+    """Length ‖a‖ and unit vector a/‖a‖ of a pair or triple: a number in its unit, and one like it;
     (0, zero) for the zero vector. Safe for any finite numbers, of which the squares may overflow or
     vanish. Powers of two change no digit, and choices in place of branches leave loops SIMD.
     """
@@ -117,9 +116,8 @@ def split(a):
 
 @kernel(inline="code")
 def without(a, h):
-    """The part a − (hᵀa) h of a pair or triple across a unit one h, like it and in the unit of a.
-
-    Taken twice, so that rounding leaves none of h.
+    """The part a − (hᵀa) h of a pair or triple across a unit one h, in the unit of a; taken twice,
+    so that rounding leaves none of h.
     """
     once = combine(1.0, a, -dot(a, h), h)
     return combine(1.0, once, -dot(once, h), h)
@@ -127,10 +125,9 @@ def without(a, h):
 
 @kernel(inline="code")
 def split_across(a, h):
-    """Length and unit vector of the part a − (hᵀa) h across a unit vector h, as ``split``.
-
-    There are but two directions across h in the plane, so that of pairs nothing is divided; it is
-    the one to the left for those along h.
+    """Length and unit vector of the part a − (hᵀa) h across a unit vector h, as ``split``. In the
+    plane there are but two directions across h, so nothing is divided; for a along h it is the one
+    to the left.
     """
     if len(a) == 2:
         to_left = h[0] * a[1] - h[1] * a[0]
@@ -161,9 +158,7 @@ def difference(a, b):
 @kernel(inline="code")
 def square(v):
     """Squared length ‖v‖² of a pair or triple, a number; unit of v squared."""
-    if len(v) == 2:
-        return v[0] * v[0] + v[1] * v[1]
-    return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+    return dot(v, v)
 
 
 @kernel(inline="code")
@@ -184,15 +179,18 @@ def rounded(v):
 
 
 @kernel(inline="code")
+def exactly(v):
+    """A pair or triple v of float32 as float64, v_k ← float64(v_k), in its unit."""
+    if len(v) == 2:
+        return np.float64(v[0]), np.float64(v[1])
+    return np.float64(v[0]), np.float64(v[1]), np.float64(v[2])
+
+
+@kernel(inline="code")
 def to_global(frame, v):
-    """Turn a vector from a local frame to the global one: w = R v.
+    """Turn a pair or triple from a local frame to the global one: w = R v, in the unit of v.
 
-    Args:
-        frame: R, row by row, 4 or 9 numbers without unit.
-        v: pair or triple of the local frame, of any unit.
-
-    Returns:
-        w, as long as v and of its unit.
+    A frame is R, local → global, row by row, 4 or 9 numbers without unit.
     """
     if len(v) == 2:
         return frame[0] * v[0] + frame[1] * v[1], frame[2] * v[0] + frame[3] * v[1]
@@ -205,15 +203,7 @@ def to_global(frame, v):
 
 @kernel(inline="code")
 def to_local(frame, v):
-    """Turn a vector from the global frame to a local one: w = Rᵀ v.
-
-    Args:
-        frame: R, local → global, row by row, 4 or 9 numbers without unit.
-        v: pair or triple of the global frame, of any unit.
-
-    Returns:
-        w, as long as v and of its unit.
-    """
+    """Turn a pair or triple from the global frame to a local one: w = Rᵀ v, as ``to_global``."""
     if len(v) == 2:
         return frame[0] * v[0] + frame[2] * v[1], frame[1] * v[0] + frame[3] * v[1]
     return (
@@ -225,15 +215,7 @@ def to_local(frame, v):
 
 @kernel
 def local_axis(frame, k):
-    """Axis k of a local frame in the global one: x = R e_k.
-
-    Args:
-        frame: R, row by row, 4 or 9 numbers without unit.
-        k: index of the axis.
-
-    Returns:
-        x, a unit triple, with z = 0 in the plane.
-    """
+    """Axis k of a local frame in the global one: R e_k, a unit triple, with z = 0 in the plane."""
     if len(frame) == 4:
         return frame[k], frame[2 + k], 0.0
     return frame[k], frame[3 + k], frame[6 + k]

@@ -10,19 +10,14 @@ import math
 from ..compilation import kernel
 from .vectors import ORIGIN, combine, cross, dot, load, norm, split, store, subtract
 
-_IN_LINE = 1e-9
-"""Sine of the angle between two directions below which they count as one."""
+_IN_LINE = 1e-9  # Sine of the angle between two directions below which they count as one
 
 
 @kernel
 def outward_directions(positions, merged_into, out):
-    """Unit vectors along ∂L/∂p_i; away from the centroid for robots inside the hull, whose motion
-    does not change L, and zero where that is no direction either.
-
-    Args:
-        positions: (n, d), m.
-        merged_into: (n,), only robots that are part of themselves count.
-        out: (n, d), for vectors of the global frame.
+    """Unit vectors along ∂L/∂p_i into ``out`` (n, d); away from the centroid for robots inside the
+    hull, whose motion does not change L, and zero where that is no direction either. Only robots
+    that are part of themselves count.
     """
     count, centre = 0, ORIGIN
     for i in range(positions.shape[0]):
@@ -58,9 +53,8 @@ def _gradient_in_plane(positions, merged_into, i):
 
 @kernel
 def _gradient_in_space(positions, merged_into, i):
-    """½ Σ over the edges of the hull at p_i: exterior dihedral angle × bearing from the other end.
-
-    Zero inside the hull, and in a team on one line.
+    """½ Σ over the edges of the hull at p_i: exterior dihedral angle × bearing from the other end;
+    zero inside the hull, and in a team on one line.
     """
     gradient = ORIGIN
     for j in range(positions.shape[0]):

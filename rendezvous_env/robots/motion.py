@@ -19,7 +19,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from ..checks import refuse, shown
-from ..compilation import by_type, chosen_by_type, kernel
+from ..compilation import by_type, kernel
 from ..kernel_cache import depends_on
 from ..physics.vectors import scaled
 
@@ -148,15 +148,9 @@ def motion_of(model: type) -> Motion | None:
     return _MOTIONS.get(model)
 
 
+@by_type("model", lambda kind: _MOTIONS[kind].drifts)
 def drifts(model):
-    """Whether a robot may move while its action is zero: ``Motion.drifts``."""
-    return _MOTIONS[type(model)].drifts
-
-
-@chosen_by_type(drifts)
-def _compiled_drifts(model):
-    known = _MOTIONS[model.instance_class].drifts
-    return lambda model: known
+    """Whether a robot may move while its action is zero, ‖Δ‖ > 0 m: ``Motion.drifts``."""
 
 
 # ---- equations of the model that the constants are of, as ``Motion`` says of each ----------------

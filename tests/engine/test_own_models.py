@@ -227,15 +227,6 @@ def test_a_sluggish_unicycle_moves_as_its_equations_say(own):
     np.testing.assert_array_equal(sim.get_state()["memory"][0], [[0.5, 0.0], [1.0, 0.0]])
 
 
-STEP = """
-import numpy as np, rendezvous_env as rv, own_hover
-from rendezvous_env.engine.stages.step import step_blocks
-sim = rv.Simulator(rv.Scenario(n_robots=2, robot_model="hover", time_step=0.1))
-sim.reset(0, {"positions": [[0.0, 0.0], [9.0, 0.0]]})
-sim.step(np.zeros((1, 2, 2)))
-print(sim.positions[0, 0, 0], sum(step_blocks.stats.cache_misses.values()))
-"""
-"""A whole step: which takes long to compile."""
 PIECE = """
 import own_hover
 from rendezvous_env.obstacles.contact import place_on
@@ -259,8 +250,7 @@ def ran(folder: Path, program: str) -> tuple[float, int]:
 
 
 @pytest.mark.skipif(not compiled(), reason="nothing is kept")
-@pytest.mark.parametrize("program", [PIECE, pytest.param(STEP, marks=pytest.mark.slow)])
-def test_an_edited_model_moves_as_edited(program, tmp_path):
+def test_an_edited_model_moves_as_edited(tmp_path):
     """Compiled code is kept on disk: it must follow the file that the model is in, and those that
     it imports.
     """
@@ -268,8 +258,8 @@ def test_an_edited_model_moves_as_edited(program, tmp_path):
     (tmp_path / "own_hover.py").write_text(text, encoding="utf-8")
     for wind in (0.5, 0.25):
         (tmp_path / "own_weather.py").write_text(f"WIND = {wind}\n", encoding="utf-8")
-        assert ran(tmp_path, program)[0] == pytest.approx(0.1 * wind)
-    assert ran(tmp_path, program) == (pytest.approx(0.025), 0)  # what was not edited is kept
+        assert ran(tmp_path, PIECE)[0] == pytest.approx(0.1 * wind)
+    assert ran(tmp_path, PIECE) == (pytest.approx(0.025), 0)  # what was not edited is kept
     path = tmp_path / "own_hover.py"
     path.write_text(text.replace("+ WIND)", "+ 2 * WIND)"))
-    assert ran(tmp_path, program)[0] == pytest.approx(0.05)
+    assert ran(tmp_path, PIECE)[0] == pytest.approx(0.05)

@@ -115,16 +115,6 @@ class TestEpisodes:
         seen = rv.Simulator(row).reset(0)[0].any(axis=-1)
         np.testing.assert_array_equal(seen, [[False, True], [True, True], [True, False]])
 
-    def test_a_running_episode_is_taken_out_and_put_back(self):
-        simulator, law = rv.Simulator(FOUR), baselines.make("bearing-only", FOUR)
-        seen = simulator.reset(1)
-        while simulator.status[0] == RUNNING:
-            seen = simulator.step(law(seen, 0.0)).observations
-        other = rv.Simulator(FOUR)
-        other.reset(2)
-        other.set_state(simulator.get_state())
-        assert other.status[0] == RENDEZVOUS
-
     def test_bodies_hide_one_another(self):
         """In a row of three the outer two do not see each other past a body of 0.1 m."""
         row = ((-1.0, 0.05), (0.0, 0.0), (1.0, 0.05))

@@ -2,27 +2,11 @@
 
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
 from conftest import refusing
 from test_sensing_engine import PLANE, WORST, act, sensing, simulator
 
 import rendezvous_env as rv
-
-
-def test_a_running_episode_is_taken_up_again():
-    scenario = PLANE.replace(sensing=WORST)
-    sim = simulator(scenario, batch=2)
-    for step in range(7):
-        act(sim, step)
-    other, copied = simulator(scenario, batch=2, seed=99), pickle.loads(pickle.dumps(sim))
-    other.set_state(sim.get_state())
-    assert (other.observe() == sim.observe()).all() and (copied.observe() == sim.observe()).all()
-    for step in range(7, 14):
-        seen = act(sim, step).observations
-        assert (act(other, step).observations == seen).all()
-        assert (act(copied, step).observations == seen).all()
 
 
 def test_the_state_knows_the_past_only_with_a_delay():

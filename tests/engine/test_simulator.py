@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import pickle
 
 import numpy as np
 import pytest
@@ -162,18 +161,13 @@ BATCHED = {
 @pytest.fixture
 def widths(monkeypatch):
     """How many threads each step was given to, from here on."""
-    given, real_share, real_part = [], threads.share, threads.part_of_all
+    given, real_share = [], threads.share
 
     def share(run_kernel, blocks, most):
         given.append(most)
         real_share(run_kernel, blocks, most)
 
-    def part_of_all(blocks):
-        given.append(1)
-        return real_part(blocks)
-
     monkeypatch.setattr(threads, "share", share)
-    monkeypatch.setattr(threads, "part_of_all", part_of_all)
     return given
 
 
@@ -307,39 +301,6 @@ def halfway(kind: str, **changes: object) -> Simulator:
         observations = sim.step(policy(observations, sim.time)).observations
     assert (sim.active.sum(axis=1) > 1).any()
     return sim
-
-
-def _continue(sim: Simulator, steps: int = 40) -> np.ndarray:
-    policy, observations, seen = law_of(sim.scenario), sim.observe(), []
-    for _ in range(steps):
-        outcome = sim.step(policy(observations, sim.time))
-        observations = outcome.observations
-        seen.append(np.concatenate([observations.reshape(20, -1), outcome.rewards[:, None]], 1))
-    return np.stack([*seen, np.concatenate([sim.reset().reshape(20, -1), np.zeros((20, 1))], 1)])
-
-
-def _restored(sim: Simulator) -> Simulator:
-    fresh = Simulator(sim.scenario, 20)
-    fresh.reset(99)
-    fresh.set_state(sim.get_state())
-    return fresh
-
-
-@pytest.mark.parametrize(
-    "duplicate",
-    [copy.deepcopy, copy.copy, lambda sim: pickle.loads(pickle.dumps(sim)), _restored],
-    ids=["deepcopy", "copy", "pickle", "set_state"],
-)
-def test_an_episode_goes_on_from_a_copy(kind, duplicate):
-    sim = halfway(kind)
-    twin = duplicate(sim)
-    assert_same_state(sim, twin)
-    np.testing.assert_array_equal(twin.lyapunov(), sim.lyapunov())
-    state = twin.get_state()
-    future = _continue(sim)
-    assert_same_state(twin, state)  # independent of the original
-    np.testing.assert_array_equal(_continue(twin), future)
-    assert_same_state(sim, twin)
 
 
 def test_a_wrong_state_is_refused_and_changes_nothing():

@@ -4,8 +4,6 @@ links.
 
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
 import pytest
 from conftest import assert_same_state, refusing
@@ -197,41 +195,6 @@ def test_a_thousand_robots_through_every_face():
 
 
 # ---- state and options --------------------------------------------------------------------------
-
-
-def halfway(scenario: Scenario) -> Simulator:
-    sim = Simulator(scenario, 2)
-    observations = sim.reset(SEED)
-    while sim.active.all() or sim.steps[0] < 30:
-        observations = sim.step(actions_of(scenario, observations)).observations
-    assert not sim.active.all(axis=1).any() or scenario is WEB
-    return sim
-
-
-def onwards(sim: Simulator) -> list[np.ndarray]:
-    found = [sim.observe()]
-    for _ in range(40):
-        outcome = sim.step(actions_of(sim.scenario, found[-1]))
-        found += [outcome.rewards, sim.positions, sim.weights, outcome.observations]
-    return found
-
-
-def through_state(sim: Simulator) -> Simulator:
-    other = Simulator(sim.scenario, sim.num_envs)
-    other.reset(9)
-    other.set_state(sim.get_state())
-    return other
-
-
-@pytest.mark.parametrize("twin_of", [through_state, lambda sim: pickle.loads(pickle.dumps(sim))])
-@pytest.mark.parametrize("name", ["ring", "web"])
-def test_a_running_sparse_team_can_be_taken_out_and_put_back(name, twin_of):
-    sim = halfway(SCENARIOS[name])
-    twin = twin_of(sim)
-    assert_same_state(sim, twin)
-    for own, other in zip(onwards(sim), onwards(twin), strict=True):
-        np.testing.assert_array_equal(own, other)
-    assert sim.active.sum() < 110
 
 
 @pytest.mark.parametrize(

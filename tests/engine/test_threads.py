@@ -9,6 +9,7 @@ import signal
 import threading
 import time
 import weakref
+from contextlib import contextmanager
 from types import SimpleNamespace
 
 import numpy as np
@@ -92,71 +93,68 @@ def test_what_a_slice_raises_reaches_the_caller(most):
     np.testing.assert_array_equal(marked(8, 2), 1.0)  # and the threads still work
 
 
-@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs timers")
-@pytest.mark.parametrize("most", [2, 4])
-def test_an_interrupted_job_is_done_or_was_never_begun(most):
-    """Interrupts by a timer at all moments: all blocks are done, or none, and nobody writes any
-    more when the caller leaves.
-    """
+@contextmanager
+def interrupts():
+    """Interrupts by a timer, as Ctrl-C sends them: a function that sets it for a time, s."""
+    if not hasattr(signal, "setitimer"):
+        pytest.skip("needs timers")
 
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    before, random, seen = signal.signal(signal.SIGALRM, interrupt), np.random.default_rng(0), []
+    before, random = signal.signal(signal.SIGALRM, interrupt), np.random.default_rng(0)
     gc.disable()  # what is raised in a callback of the collector (hypothesis has one) is lost
     try:
+        yield lambda least, most: signal.setitimer(signal.ITIMER_REAL, random.uniform(least, most))
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+        gc.enable()
+
+
+@pytest.mark.parametrize("most", [2, 4])
+def test_an_interrupted_job_is_done_or_was_never_begun(most):
+    """Interrupts at all moments: all blocks are done, or none, and nobody writes any more when the
+    caller leaves.
+    """
+    seen = []
+    with interrupts() as within:
         for _ in range(200):
             marks = np.zeros(64)
             try:
-                signal.setitimer(signal.ITIMER_REAL, random.uniform(1e-5, 1e-3))
+                within(1e-5, 1e-3)
                 threads.share(lambda part, marks=marks: mark(part, marks, 2000), 64, most)
                 time.sleep(0.01)
             except KeyboardInterrupt:
                 seen.append(marks.copy())
                 time.sleep(1e-3)
                 np.testing.assert_array_equal(marks, seen[-1])
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
-        gc.enable()
     assert len(seen) > 100
     assert all((marks == marks[0]).all() and marks[0] in (0.0, 1.0) for marks in seen)
     np.testing.assert_array_equal(marked(9, most), 1.0)  # and the threads still work
 
 
-@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs timers")
 def test_an_interrupted_step_is_one_for_all_teams_or_none(monkeypatch):
-    """Interrupts by a timer, as Ctrl-C sends them, at all moments of a step of four threads."""
+    """At all moments of a step of four threads."""
     monkeypatch.setattr(batch_runner, "_WORK_PER_THREAD", 1)
     sim = Simulator(rv.scenarios.get("swarm-20").replace(time_limit=1e4), 256, num_threads=4)
     sim.reset(0)
-    actions = np.full((256, 20, 2), 1e-3, np.float32)
+    actions, count = np.full((256, 20, 2), 1e-3, np.float32), 0
     sim.step(actions)
     assert sim._runner.width == 4
-
-    def interrupt(*_):
-        raise KeyboardInterrupt
-
-    before, interrupts = signal.signal(signal.SIGALRM, interrupt), 0
-    random = np.random.default_rng(0)
-    gc.disable()  # what is raised in a callback of the collector (hypothesis has one) is lost
-    try:
+    with interrupts() as within:
         for _ in range(300):
             try:
-                signal.setitimer(signal.ITIMER_REAL, random.uniform(1e-4, 5e-3))
+                within(1e-4, 5e-3)
                 for _ in range(100):
                     sim.step(actions)
             except KeyboardInterrupt:
-                interrupts += 1
+                count += 1
                 steps, positions = sim.steps, sim.positions
                 assert (steps == steps[0]).all()
                 time.sleep(1e-3)
                 np.testing.assert_array_equal(sim.positions, positions)
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
-        gc.enable()
-    assert interrupts > 100
+    assert count > 100
     sim.step(actions)
     assert sim.all_running
 
@@ -200,7 +198,13 @@ def test_without_compilation_one_thread_does_all(monkeypatch):
 def test_threads_do_not_keep_the_process_alive_and_are_as_many_as_needed():
     marked(10, 5)
     assert len(threads._workers) >= 5 and all(worker.daemon for worker in threads._workers)
-    assert threads.available_cores() >= 1
+
+
+def test_a_process_keeps_to_its_share_of_the_cores(monkeypatch):
+    monkeypatch.setattr(threads, "_cores", lambda: 8)
+    for share, left in (("3", 3), ("12", 8), ("", 8), ("0", 8), ("some", 8)):
+        monkeypatch.setenv("NUMBA_NUM_THREADS", share)
+        assert threads.available_cores() == left
 
 
 def _step_in_child(sim: Simulator, actions: np.ndarray, pipe) -> None:

@@ -8,10 +8,9 @@ from ...physics.potential import lyapunov_of_links
 from ...physics.random_streams import GRAPH, SWITCHING, stream_key, uniform
 from ...physics.vectors import difference, to_local
 from ...sensors.imperfections import is_seen
-from . import RUNNING, read, statistics_of
+from . import read, statistics_of, step_seen
 
-_ROUNDING = 1e-9
-"""Share of a dwell time by which a step may miss its end."""
+_ROUNDING = 1e-9  # Share of a dwell time by which a step may miss its end
 
 
 @inner_kernel(inline="code")
@@ -20,12 +19,9 @@ def update_links(block, setup, moves, state, changes):
     those of the state, by themselves: without any nothing is compiled.
     """
     if changes is not None:
-        statistics = statistics_of(state.teams, block)
-        steps = statistics.steps[0]
-        if moves and statistics.status[0] == RUNNING:
-            steps += 1.0
-        time = steps * setup.constants.duration
-        follow_changes(block, time, setup.layout, state.teams, state.links.weights[block], changes)
+        step = step_seen(statistics_of(state.teams, block), 0, moves)
+        time, arcs = step * setup.constants.duration, state.links.weights[block]
+        follow_changes(block, time, setup.layout, state.teams, arcs, changes)
 
 
 @kernel
@@ -55,8 +51,7 @@ def follow_changes(team, time, layout, teams, arcs, changes):
 @inner_kernel
 def _whose_turn(team, time, changes):
     """Index of the graph that holds at a time of the episode."""
-    count = changes.bases.shape[0]
-    period = math.floor(time / changes.dwell + _ROUNDING)
+    count, period = changes.bases.shape[0], math.floor(time / changes.dwell + _ROUNDING)
     if changes.at_random:
         key = stream_key(changes.seeds[team], changes.episodes[team], SWITCHING)
         return int(uniform(key, period) * count)
@@ -74,19 +69,18 @@ def _drawn_factor(key, counter, i, j, n, low, high):
 @inner_kernel
 def _keep_in_sight(team, layout, teams, arcs, changes):
     """Drop arcs to robots out of range or of the field of view."""
-    axes = layout.axes
     for i in range(arcs.shape[0]):
-        here = read(teams.positions[team, i], 0, axes)
+        here = read(teams.positions[team, i], 0, layout.axes)
         frame = read(teams.frames[team, i], 0, layout.entries)
         for j in range(arcs.shape[0]):
             if arcs[i, j] > 0.0:
-                offset = difference(here, read(teams.positions[team, j], 0, axes))
+                offset = difference(here, read(teams.positions[team, j], 0, layout.axes))
                 if not is_seen(to_local(frame, offset), changes.reach, changes.half_field):
                     arcs[i, j] = 0.0
 
 
 @inner_kernel
-def begin_arcs(team, key, rules, layout, state, positions, scratch, arcs):
+def begin_arcs(team, key, rules, layout, state, scratch, arcs):
     """Arcs of a team whose start has been written, and V at the start; nothing for other links, for
     which ``arcs`` is None. ``key`` is of the stream of the team's graph.
     """
@@ -95,16 +89,17 @@ def begin_arcs(team, key, rules, layout, state, positions, scratch, arcs):
             _multiply(key, rules.factors, arcs.weights)
         follow_changes(team, 0.0, layout, state.teams, arcs.weights, state.changes)
         count = load_links(team, 0, state.links, scratch)
-        listed = (scratch.first[:count], scratch.second[:count], scratch.weights[:count])
-        statistics_of(state.teams, team).initial_lyapunov[0] = lyapunov_of_links(positions, listed)
+        links = (scratch.first[:count], scratch.second[:count], scratch.weights[:count])
+        initial = lyapunov_of_links(scratch.positions, links)
+        statistics_of(state.teams, team).initial_lyapunov[0] = initial
 
 
 @inner_kernel(inline="code")
 def _multiply(key, factors, arcs):
     """Multiply given arcs by what is drawn for them, if anything is."""
     if factors is not None:
-        n = arcs.shape[0]
+        n, (low, high) = arcs.shape[0], factors
         for i in range(n):
             for j in range(n):
                 if i != j:
-                    arcs[i, j] *= _drawn_factor(key, 0, i, j, n, factors[0], factors[1])
+                    arcs[i, j] *= _drawn_factor(key, 0, i, j, n, low, high)

@@ -24,27 +24,27 @@ def stream_of_try(key, trial):
 
 
 @kernel
-def draw_places(key, rules, spacing, scene, positions, counts):
-    """Places, unless they are given; whether they fit.
+def draw_places(key, rules, reach, scene, positions, counts):
+    """Places, unless they are given; whether they fit. ``scene`` is links and obstacles.
 
-    Where links change they are drawn until short ones connect them, if that is asked for.
+    Where links change they are drawn until those up to ``reach`` connect them.
     """
     if rules.draw_positions:
-        if spacing is not None:
+        if reach is not None:
             for trial in range(_TRIES_FOR_JOINED):
                 # beside the streams of further tries for ways
                 own = stream_of_try(key, trial * TRIES_FOR_WAYS)
-                if not _draw_positions(own, rules, spacing, scene, positions):
+                if not _draw_positions(own, rules, reach, scene, positions):
                     return False
-                if _is_joined(positions, spacing.reach, counts):
+                if _is_joined(positions, reach, counts):
                     return True
             return False
-        return _draw_positions(key, rules, spacing, scene, positions)
+        return _draw_positions(key, rules, reach, scene, positions)
     return True
 
 
 @inner_kernel
-def _draw_positions(key, rules, spacing, scene, positions):
+def _draw_positions(key, rules, reach, scene, positions):
     """Uniform in the spawn area, neighbours at least 2r apart, clear of obstacles; whether it
     fits.
     """
@@ -55,7 +55,7 @@ def _draw_positions(key, rules, spacing, scene, positions):
             for k in range(d):
                 positions[i, k] = rules.spawn_size * (uniform(key, counter) - 0.5)
                 counter += 1
-            if _apart(i, positions, spacing, links, rules.least_distance) and _clear(
+            if _apart(i, positions, reach, links, rules.least_distance) and _clear(
                 positions[i], world, rules.keep_out
             ):
                 break
@@ -72,13 +72,13 @@ def _clear(position, world, margin):
 
 
 @inner_kernel
-def _apart(i, positions, spacing, links, least_distance):
+def _apart(i, positions, reach, links, least_distance):
     """Whether robot i is far enough from the neighbours that have a place already; where links
     change, from everyone who has.
     """
     for j in range(i):
         if distance_squared(positions, j, i) < least_distance * least_distance:
-            if spacing is not None:
+            if reach is not None:
                 return False
             if is_linked(j, i, links):
                 return False
@@ -90,11 +90,10 @@ def _is_joined(positions, reach, places):
     """Whether links up to a length (m) connect a team; ``places``, (n,), is working memory."""
     if math.isinf(reach):
         return True
-    n = positions.shape[0]
-    for i in range(n):
+    for i in range(len(places)):
         places[i] = i
-    groups = n
-    for i in range(n):
+    groups = len(places)
+    for i in range(len(places)):
         for j in range(i):
             if distance_squared(positions, i, j) <= reach * reach:
                 groups -= join(i, j, places)

@@ -21,8 +21,10 @@ from ..memory import (
     Place,
     in_lanes,
     lane_count,
+    load_team,
     read,
     statistics_of,
+    store_team,
     tally_of,
 )
 from ..memory.obstacles import obstacles_of
@@ -47,19 +49,13 @@ def advance_block(block, setup, state, output, scratch):
                 tally.proximity[lane] = FREE
     for i in range(lanes.action.shape[0]):
         displacement, position = lanes.displacement[i], teams.positions[block.index, i]
-        _add_displacements(setup.layout, displacement, tally, position)
-
-
-@inner_kernel(inline="text")
-def _add_displacements(layout, displacement, tally, position):
-    """Move one robot of every team that is free, and add up the ways."""
-    for k in range(len(layout.axes)):
-        for lane in range(lane_count(layout.width)):
-            # the others stand at their ends already; a choice, not a branch, keeps the loop SIMD
-            free = tally.proximity[lane] == FREE
-            position[k, lane] += displacement[k, lane] if free else 0.0
-    for lane in range(lane_count(layout.width)):
-        tally.way[lane] += displacement[len(layout.axes), lane]
+        for k in range(len(setup.layout.axes)):
+            for lane in range(lane_count(setup.layout.width)):
+                # the others stand at their ends already; a choice, not a branch, keeps it SIMD
+                free = tally.proximity[lane] == FREE
+                position[k, lane] += displacement[k, lane] if free else 0.0
+        for lane in range(lane_count(setup.layout.width)):
+            tally.way[lane] += displacement[len(setup.layout.axes), lane]
 
 
 @inner_kernel(inline="code")
@@ -79,16 +75,12 @@ def _mark_near(block, setup, teams, obstacles, lanes):
         tally.proximity[lane] = MOVED if near else FREE
     if obstacles is not None:
         if constants.contact_mode != IGNORE:
+            reach += _CLEARANCE
             for m in range(lanes.centres.shape[0]):
+                centre, radius = lanes.centres[m], lanes.bounds[m]
                 for i in range(lanes.action.shape[0]):
-                    _mark_near_ball(
-                        layout,
-                        teams.positions[block.index, i],
-                        lanes.centres[m],
-                        lanes.bounds[m],
-                        reach + _CLEARANCE,
-                        tally.proximity,
-                    )
+                    position = teams.positions[block.index, i]
+                    _mark_near_ball(layout, position, centre, radius, reach, tally.proximity)
 
 
 @inner_kernel(inline="code")
@@ -109,11 +101,11 @@ def _mark_near_ball(layout, position, centre, radius, reach, proximity):
 def _advance_exactly(place, setup, state, contact, scratch):
     """Move one team with swept contacts and merges."""
     d, lane, team, lanes = len(setup.layout.axes), place.lane, scratch.team, scratch.block
-    teams = state.teams
+    teams, tally = state.teams, tally_of(lanes.tally)
+    load_team(teams.positions, place.block, lane, team.positions)
     for i in range(team.lengths.shape[0]):
         team.lengths[i] = lanes.displacement[i, d, lane]
         for k in range(d):
-            team.positions[i, k] = teams.positions[place.block, i, k, lane]
             team.displacements[i, k] = lanes.displacement[i, k, lane]
     _stay_outside(place, setup, teams, state.obstacles, contact, scratch)
     for i in range(team.lengths.shape[0]):
@@ -126,13 +118,11 @@ def _advance_exactly(place, setup, state, contact, scratch):
     if not setup.constants.packs:
         merges = _merge_team(place, setup.constants.merge_radius, state, team)
     elif _pack_team(setup.constants, team):
-        tally_of(lanes.tally).proximity[lane] = PACKED
+        tally.proximity[lane] = PACKED
     for i in range(team.lengths.shape[0]):
         lanes.displacement[i, d, lane] = team.lengths[i]
-        for k in range(d):
-            teams.positions[place.block, i, k, lane] = team.positions[i, k]
+    store_team(team.positions, teams.positions, place.block, lane)
     if merges > 0:
-        tally = tally_of(lanes.tally)
         statistics_of(teams, place.block).active[lane] -= merges
         tally.proximity[lane] = MERGED
         tally.lyapunov_before_merge[lane] = team.report[0]
@@ -142,11 +132,38 @@ def _advance_exactly(place, setup, state, contact, scratch):
 
 
 @inner_kernel
-def _pack_team(constants, team):
-    """Move the team at hand as discs that do not overlap; whether all are one packed cluster."""
-    work, size = (team.here, team.moments), 2.0 * constants.body_radius
-    move_apart(team.positions, team.displacements, team.lengths, size, work)
-    return is_packed(team.positions, constants.merge_radius, (team.counts, team.resting))
+def _stay_outside(place, setup, teams, obstacles, contact, scratch):
+    """Replace the displacements of the team at hand by those that obstacles leave."""
+    if obstacles is not None:
+        mode, layout, robot = setup.constants.contact_mode, setup.layout, setup.robot
+        if mode != IGNORE:
+            team, world = scratch.team, obstacles_of(obstacles, place.team)
+            for i in range(team.lengths.shape[0]):
+                if teams.merged_into[place.team, i] != i:
+                    continue
+                curve = (
+                    robot.model,
+                    read(scratch.block.action[i], place.lane, robot.inputs),
+                    read(teams.frames[place.block, i], place.lane, layout.entries),
+                    read(teams.memory[place.block, i], place.lane, robot.memories),
+                )
+                point, way = load(team.positions[i]), load(team.displacements[i])
+                met, executed = _move_among(point, way, curve, curve[3], world, mode, team.normals)
+                for k in range(len(layout.axes)):
+                    team.displacements[i, k] = executed[k]
+                if met:
+                    contact[place.team, i] = True
+                    tally_of(scratch.block.tally).contacts[place.lane] += 1.0
+                    # of the chord: the way along a surface is not kept
+                    team.lengths[i] = norm(executed)
+
+
+@inner_kernel
+def _move_among(point, way, curve, memory, world, mode, normals):
+    if len(memory) == 0:  # a model that keeps nothing goes straight
+        return move_straight(point, way, world, mode, normals)
+    model, action, frame, _ = curve
+    return move_curved(point, way, model, action, frame, memory, world, mode, normals)
 
 
 @inner_kernel(inline="text")
@@ -171,42 +188,8 @@ def _merge_team(place, radius, state, team):
 
 
 @inner_kernel
-def _stay_outside(place, setup, teams, obstacles, contact, scratch):
-    """Replace the displacements of the team at hand by those that obstacles leave."""
-    if obstacles is not None:
-        if setup.constants.contact_mode != IGNORE:
-            team, world = scratch.team, obstacles_of(obstacles, place.team)
-            for i in range(team.lengths.shape[0]):
-                if teams.merged_into[place.team, i] != i:
-                    continue
-                curve = _curve_of(i, place, setup, teams, scratch.block.action[i])
-                point, way = load(team.positions[i]), load(team.displacements[i])
-                mode = setup.constants.contact_mode
-                met, executed = _move_among(point, way, curve, curve[3], world, mode, team.normals)
-                for k in range(len(setup.layout.axes)):
-                    team.displacements[i, k] = executed[k]
-                if met:
-                    contact[place.team, i] = True
-                    tally_of(scratch.block.tally).contacts[place.lane] += 1.0
-                    # of the chord: the way along a surface is not kept
-                    team.lengths[i] = norm(executed)
-
-
-@inner_kernel(inline="code")
-def _curve_of(i, place, setup, teams, action):
-    """What the way of robot i follows from: model, action, frame, memory."""
-    layout, robot = setup.layout, setup.robot
-    return (
-        robot.model,
-        read(action, place.lane, robot.inputs),
-        read(teams.frames[place.block, i], place.lane, layout.entries),
-        read(teams.memory[place.block, i], place.lane, robot.memories),
-    )
-
-
-@inner_kernel
-def _move_among(point, way, curve, memory, world, mode, normals):
-    if len(memory) == 0:  # a model that keeps nothing goes straight
-        return move_straight(point, way, world, mode, normals)
-    model, action, frame, _ = curve
-    return move_curved(point, way, model, action, frame, memory, world, mode, normals)
+def _pack_team(constants, team):
+    """Move the team at hand as discs that do not overlap; whether all are one packed cluster."""
+    work, size = (team.here, team.moments), 2.0 * constants.body_radius
+    move_apart(team.positions, team.displacements, team.lengths, size, work)
+    return is_packed(team.positions, constants.merge_radius, (team.counts, team.resting))

@@ -26,10 +26,9 @@ def conclude_block(block, setup, teams, output, scratch):
     """Bring the statistics up to date and write everything but observations, contacts and
     clearances.
     """
-    first, last = block.first, block.first + block.count
+    first, last, n = block.first, block.first + block.count, teams.merged_into.shape[1]
     statistics, tally = statistics_of(teams, block.index), tally_of(scratch.tally)
-    found = pair_of(scratch.pair, setup.layout.axes).half_lyapunov
-    _conclude(setup, found, tally, statistics)
+    _conclude(setup, pair_of(scratch.pair, setup.layout.axes).half_lyapunov, tally, statistics)
     for row in range(SCORES):
         # slices, since ``first + lane`` might be negative for all that the compiler knows: no SIMD
         told, score = output.scores[row, first:last], scratch.tally[SCORED + row]
@@ -39,7 +38,19 @@ def conclude_block(block, setup, teams, output, scratch):
     for lane in range(len(status)):
         status[lane] = int(statistics.status[lane])
         contacts[lane] = int(statistics.contacts[lane])
-    _reward_robots(block, setup, teams, output, scratch)
+    earned = output.robot_rewards[first:last]
+    for i in range(n):
+        for lane in range(len(earned)):
+            earned[lane, i] = tally.reward[lane]
+    for lane in range(block.count):
+        if statistics.active[lane] < n:  # who exists, and earns
+            team, merged = first + lane, tally.proximity[lane] == MERGED
+            for i in range(n):
+                active = teams.merged_into[team, i] == i
+                output.active[team, i] = active
+                earns = active or (merged and scratch.took_part[lane, i])
+                if not (setup.constants.all_earn or earns):
+                    output.robot_rewards[team, i] = 0.0
 
 
 @inner_kernel(inline="text")
@@ -72,23 +83,3 @@ def _conclude(setup, half_lyapunov, tally, statistics):
         tally.lyapunov[lane] = now
         tally.lyapunov_before_merge[lane] = tally.lyapunov_before_merge[lane] if merged else now
         tally.lyapunov_after_merge[lane] = tally.lyapunov_after_merge[lane] if merged else now
-
-
-@inner_kernel(inline="text")
-def _reward_robots(block, setup, teams, output, scratch):
-    """Who exists, and what everybody earns."""
-    n = teams.merged_into.shape[1]
-    statistics, tally = statistics_of(teams, block.index), tally_of(scratch.tally)
-    earned = output.robot_rewards[block.first : block.first + block.count]
-    for i in range(n):
-        for lane in range(len(earned)):
-            earned[lane, i] = tally.reward[lane]
-    for lane in range(block.count):
-        if statistics.active[lane] < n:
-            team, merged = block.first + lane, tally.proximity[lane] == MERGED
-            for i in range(n):
-                active = teams.merged_into[team, i] == i
-                output.active[team, i] = active
-                earns = active or (merged and scratch.took_part[lane, i])
-                if not (setup.constants.all_earn or earns):
-                    output.robot_rewards[team, i] = 0.0

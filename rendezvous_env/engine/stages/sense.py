@@ -1,17 +1,24 @@
 """The stage that looks: what the robots of a block see, V, and who is closest."""
 
-import math
-from typing import Any
-
 import numpy as np
 
 from ...compilation import by_type, inner_kernel
-from ...graphs.edges import DenseEdges, DirectedEdges, EdgeList
-from ...physics.bearings import observed, sighting
+from ...graphs.edges import DenseEdges, DirectedEdges, EdgeList, arcs_of
+from ...physics.bearings import bearing_factor, observed, sighting
+from ...physics.packing import apart
 from ...robots.motion import proprioception
-from ..memory import in_lanes, lane_count, pair_of, read, statistics_of, write, write_row
+from ..memory import (
+    in_lanes,
+    lane_count,
+    load_team,
+    pair_of,
+    read,
+    statistics_of,
+    write,
+    write_row,
+)
 from ..memory.changing_edges import update_links
-from .sense_by_chance import sense_by_chance
+from .sense_by_chance import gain_of, sense_by_chance
 from .sense_obstacles import sense_obstacles
 from .sense_one_by_one import sense_one_by_one
 
@@ -27,23 +34,18 @@ def sense_block(block, setup, sensor, moves, state, output, scratch):
     update_links(block.index, setup, moves, state, state.changes)
     _sense_neighbours(block.index, setup, state.teams, state.links, output.crowded, scratch)
     if setup.constants.packs:
-        _leave_out_docked(block, setup, state.teams.positions[block.index], scratch.block.rows)
+        _leave_out_docked(block, setup.constants, state.teams, scratch)
     square_closest = statistics_of(state.teams, block.index).square_closest
     for lane in range(lane_count(setup.layout.width)):
         square_closest[lane] = found.square_closest[lane]
     sense_obstacles(block, setup, state, state.obstacles, output, scratch)
     _proprioception(block, setup, state.teams, scratch.block.rows)
     sense_by_chance(sensor, block, setup, moves, state, scratch)
-    _give_out(block, setup, state.links, output, scratch, setup.layout.packs)
+    _give_out(block, setup, state.links, output, scratch, setup.layout.packs, setup.layout.axes)
     sense_one_by_one(sensor, block, setup, moves, state, output, scratch.team)
 
 
 # ---- neighbours ---------------------------------------------------------------------------------
-
-
-@by_type("links", lambda kind: _SENSE[kind])
-def _sense_neighbours(block, setup, teams, links, crowded, scratch):
-    """Write the neighbour rows of a block, add up V, and find who is closest."""
 
 
 @inner_kernel(inline="code")
@@ -94,106 +96,89 @@ def _store_row(layout, vector, factor, frame, row):
 @inner_kernel(inline="code")
 def _sense_list(block, setup, teams, links, crowded, scratch):
     """Every link of one team once, in the order of its robots, which is that of the rows."""
-    layout, counts, rows = setup.layout, scratch.team.counts, scratch.block.rows
-    found = pair_of(scratch.block.pair, layout.axes)
-    rows[:] = 0.0
-    counts[:] = 0
+    scratch.block.rows[:] = 0.0
+    scratch.team.counts[:] = 0
     for e in range(links.first.shape[1]):
-        gain = links.weights[block, e]
-        if gain <= 0.0:
-            continue
-        i, j = links.first[block, e], links.second[block, e]
-        offset, square, distance, factor = sighting(
-            read(teams.positions[block, i], 0, layout.axes),
-            read(teams.positions[block, j], 0, layout.axes),
-            gain,
-        )
-        found.half_lyapunov[0] += gain * distance
-        found.square_closest[0] = min(found.square_closest[0], square)
-        for end in range(2):
-            robot = j if end else i
-            slot = counts[robot]
-            if slot >= setup.constants.neighbour_slots:
-                crowded[block] = robot
-                continue
-            counts[robot] = slot + 1
-            frame = read(teams.frames[block, robot], 0, layout.entries)
-            write_row(observed(frame, offset, -factor if end else factor), rows[robot, slot], 0)
+        pair, weight = (links.first[block, e], links.second[block, e]), links.weights[block, e]
+        if weight > 0.0:
+            _sense_link(pair, weight, None, block, setup, teams, crowded, scratch)
 
 
 @inner_kernel(inline="code")
 def _sense_arcs(block, setup, teams, links, crowded, scratch):
     """Every pair of one team in index order, and of its two arcs those that are there."""
-    n, axes = teams.positions.shape[1], setup.layout.axes
-    found = pair_of(scratch.block.pair, axes)
+    arcs, n = arcs_of(links, block), teams.positions.shape[1]
     scratch.block.rows[:] = 0.0
     scratch.team.counts[:] = 0
     for i in range(n):
         for j in range(i + 1, n):
-            both = links.weights[block, i, j] + links.weights[block, j, i]
-            if both > 0.0:
-                _, square, distance, _ = sighting(
-                    read(teams.positions[block, i], 0, axes),
-                    read(teams.positions[block, j], 0, axes),
-                    both,
-                )
-                found.half_lyapunov[0] += 0.5 * both * distance
-                found.square_closest[0] = min(found.square_closest[0], square)
-                for i_sees in (True, False):
-                    a, b = (i, j) if i_sees else (j, i)
-                    gain = links.weights[block, a, b]
-                    if gain > 0.0:
-                        _look(a, b, gain, block, setup, teams, crowded, scratch)
+            weight = 0.5 * (arcs.weights[i, j] + arcs.weights[j, i])
+            if weight > 0.0:
+                _sense_link((i, j), weight, arcs, block, setup, teams, crowded, scratch)
 
 
 @inner_kernel(inline="code")
-def _look(i, j, gain, block, setup, teams, crowded, scratch):
-    """Write the row of robot j in the observation of robot i."""
-    layout, n, slots = setup.layout, teams.positions.shape[1], setup.constants.neighbour_slots
-    # with a row for each other robot it has its own; with fewer those present stand first
-    slot = j - (j > i) if slots == n - 1 else scratch.team.counts[i]
-    scratch.team.counts[i] += 1
-    if slot < slots:
-        offset, _, _, factor = sighting(
-            read(teams.positions[block, i], 0, layout.axes),
-            read(teams.positions[block, j], 0, layout.axes),
-            gain,
-        )
-        frame = read(teams.frames[block, i], 0, layout.entries)
-        write_row(observed(frame, offset, factor), scratch.block.rows[i, slot], 0)
-    else:
-        crowded[block] = i
+def _sense_link(pair, weight, arcs, block, setup, teams, crowded, scratch):
+    """One link or two arcs of one team; ``arcs`` are None if all go both ways."""
+    layout, slots, counts = setup.layout, setup.constants.neighbour_slots, scratch.team.counts
+    found = pair_of(scratch.block.pair, layout.axes)
+    offset, square, distance, _ = sighting(
+        read(teams.positions[block, pair[0]], 0, layout.axes),
+        read(teams.positions[block, pair[1]], 0, layout.axes),
+        weight,
+    )
+    found.half_lyapunov[0] += weight * distance
+    found.square_closest[0] = min(found.square_closest[0], square)
+    for end in range(2):
+        i, j = (pair[1], pair[0]) if end else pair
+        gain = gain_of(arcs, i, j, weight)
+        if gain > 0.0:
+            slot = _slot_of(arcs, i, j, slots, counts)
+            counts[i] += 1
+            if slot < slots:
+                frame = read(teams.frames[block, i], 0, layout.entries)
+                factor = bearing_factor(-gain if end else gain, distance)
+                write_row(observed(frame, offset, factor), scratch.block.rows[i, slot], 0)
+            else:
+                crowded[block] = i
 
 
-_SENSE: dict[type, Any] = {
-    DenseEdges: _sense_pairs,
-    EdgeList: _sense_list,
-    DirectedEdges: _sense_arcs,
-}
+@inner_kernel(inline="code")
+def _slot_of(arcs, i, j, slots, counts):
+    """Row of robot j in the observation of robot i: the next one; with arcs and a row for each
+    other robot its own.
+    """
+    if arcs is not None:
+        if slots == len(counts) - 1:
+            return j - (j > i)
+    return counts[i]
+
+
+_SENSE = {DenseEdges: _sense_pairs, EdgeList: _sense_list, DirectedEdges: _sense_arcs}
+
+
+@by_type("links", _SENSE.__getitem__)
+def _sense_neighbours(block, setup, teams, links, crowded, scratch):
+    """Write the neighbour rows of a block, add up V, and find who is closest."""
 
 
 @inner_kernel
-def _leave_out_docked(block, setup, positions, rows):
+def _leave_out_docked(block, constants, teams, scratch):
     """Zero the rows of those whom a body touches, as a link is gone with a merge; who touches all
     others keeps their rows, or it would have nothing to go by.
     """
-    n, constants = positions.shape[0], setup.constants
+    positions, n = scratch.team.positions, scratch.team.positions.shape[0]
     # halfway into r: bodies held at the edge of r would count as met now and then, not all at once
     docked = constants.body_radius + 0.5 * constants.merge_radius
     for lane in range(block.count):
+        load_team(teams.positions, block.index, lane, positions)
         for i in range(n):
             touched = 0
             for j in range(n):
-                touched += j != i and _apart(positions, i, j, lane) <= docked
+                touched += j != i and apart(positions, i, j) <= docked
             for j in range(n):
-                if touched < n - 1 and j != i and _apart(positions, i, j, lane) <= docked:
-                    rows[i, j - (j > i), 2 * lane : 2 * lane + 2] = 0.0
-
-
-@inner_kernel
-def _apart(positions, i, j, lane):
-    x = positions[j, 0, lane] - positions[i, 0, lane]
-    return math.hypot(x, positions[j, 1, lane] - positions[i, 1, lane])
+                if touched < n - 1 and j != i and apart(positions, i, j) <= docked:
+                    scratch.block.rows[i, j - (j > i), 2 * lane : 2 * lane + 2] = 0.0
 
 
 # ---- oneself ------------------------------------------------------------------------------------
@@ -224,23 +209,27 @@ def _store_oneself(seen, active, row, lane):
 
 
 @inner_kernel(inline="code")
-def _give_out(block, setup, links, output, scratch, packs):
+def _give_out(block, setup, links, output, scratch, packs, axes):
     """Copy the rows of all lanes into observations; which way is known while compiling."""
-    if packs is None:
-        _copy_rows(block, output, scratch)
+    rows, observations, layout = scratch.block.rows, output.observations, setup.layout
+    if packs is not None:
+        _pack_rows(block, setup.constants, links, output.crowded, observations, scratch)
+    elif len(axes) == 2:  # both numbers of a row in one piece: half as many to copy
+        _copy_rows(block, layout, rows.view(np.float64), observations.view(np.float64))
     else:
-        _pack_rows(block, setup.constants, links, output.crowded, output.observations, scratch)
+        _copy_rows(block, layout, rows, observations)
 
 
 @inner_kernel(inline="code")
-def _copy_rows(block, output, scratch):
-    rows = scratch.block.whole_rows
-    n_parts = rows.shape[1] // scratch.block.tally.shape[1]
-    observations = output.whole_rows[block.first : block.first + block.count]
-    for k in range(rows.shape[0]):
-        for lane in range(observations.shape[0]):
-            for part in range(n_parts):
-                observations[lane, k * n_parts + part] = rows[k, lane * n_parts + part]
+def _copy_rows(block, layout, rows, observations):
+    n_rows, parts = rows.shape[0] * rows.shape[1], rows.shape[2] // lane_count(layout.width)
+    source = rows.reshape(n_rows, rows.shape[2])
+    everybody = observations.reshape(observations.shape[0], n_rows * parts)
+    target = everybody[block.first : block.first + block.count]
+    for k in range(n_rows):
+        for lane in range(target.shape[0]):
+            for part in range(parts):
+                target[lane, k * parts + part] = source[k, lane * parts + part]
 
 
 @inner_kernel

@@ -9,12 +9,12 @@ import math
 import numpy as np
 
 from ...compilation import by_type, inner_kernel
-from ...graphs.edges import DenseEdges, DirectedEdges, EdgeList, arcs_of, load_links, pair_index
+from ...graphs.edges import DenseEdges, arcs_of, load_links, pair_index
 from ...physics.random_streams import SENSING, stream_key, word_of
-from ...physics.vectors import difference, square, to_local
+from ...physics.vectors import difference, exactly, square, to_local
 from ...sensors.chance import is_small, step_key, turned_by_chance
 from ...sensors.imperfections import in_sectors, is_seen
-from ..memory import RUNNING, lane_count, read, statistics_of, write_row
+from ..memory import first_row, lane_count, read, read_row, statistics_of, step_seen, write_row
 
 _EPISODE, _STEP = range(2)
 """Keys: of a team's episode, and of its step."""
@@ -47,11 +47,9 @@ def _begin(sensor, block, teams, moves, keys):
     seeds, episodes = sensor.seeds[first:last], sensor.episodes[first:last]
     statistics = statistics_of(teams, block.index)
     for lane in range(len(seeds)):
-        # a step that the team has not counted yet
-        uncounted = 1 if moves & (statistics.status[lane] == RUNNING) else 0
         key = stream_key(seeds[lane], episodes[lane], SENSING)
         keys[_EPISODE, lane] = key
-        keys[_STEP, lane] = step_key(key, int(statistics.steps[lane]) + uncounted)
+        keys[_STEP, lane] = step_key(key, step_seen(statistics, lane, moves))
 
 
 @inner_kernel(inline="code")
@@ -98,9 +96,9 @@ def _turn(layout, deviation, words, others, row):
 @inner_kernel(inline="code")
 def _turn_by(layout, deviation, small, words, others, row):
     for lane in range(lane_count(layout.width)):
-        seen = _row(row, lane, layout.axes)
+        seen = read_row(row, lane, layout.axes)
         turned = turned_by_chance(seen, deviation, small, words[lane], others[lane])
-        write_row(_unsigned(turned), row, lane)
+        write_row(turned, row, lane)
 
 
 @inner_kernel(inline="code")
@@ -127,10 +125,7 @@ def _linked_pairs(block, links, scratch):
     return load_links(block, 0, links, scratch)
 
 
-@by_type(
-    "links",
-    {DenseEdges: _all_pairs, EdgeList: _linked_pairs, DirectedEdges: _linked_pairs}.__getitem__,
-)
+@by_type("links", lambda kind: _all_pairs if kind is DenseEdges else _linked_pairs)
 def _list_pairs(block, links, scratch):
     """List the pairs that have rows in a block, in the order of these; how many there are."""
 
@@ -146,7 +141,7 @@ def _see_neighbours(found, block, setup, sensor, teams, links, scratch):
         _draw(layout, pair_index(first, second, n), errors, scratch.block.keys, scratch.block.words)
         for side in range(2):
             i, j = (second, first) if side else (first, second)
-            if leads(arcs_of(links, block), i, j):
+            if gain_of(arcs_of(links, block), i, j, 1.0) > 0.0:
                 slot = counts[i] if sensor.listed else j - (j > i)
                 counts[i] += 1
                 if slot < slots or not sensor.listed:
@@ -158,11 +153,11 @@ def _see_neighbours(found, block, setup, sensor, teams, links, scratch):
 
 
 @inner_kernel(inline="code")
-def leads(arcs, i, j):
-    """Whether robot i sees robot j, whom a link joins; ``arcs`` are None if all go both ways."""
+def gain_of(arcs, i, j, weight):
+    """What robot i gives to robot j that a link joins: its weight, or that of the arc."""
     if arcs is not None:
-        return arcs.weights[i, j] > 0.0
-    return True
+        return arcs.weights[i, j]
+    return weight
 
 
 @inner_kernel(inline="code")
@@ -209,12 +204,9 @@ def _keep(there, layout, row, lane):
 def _see_points(block, setup, errors, scratch):
     """Silhouettes, in the field of view, turned, and rounded."""
     rows, layout, words = scratch.block.rows, setup.layout, scratch.block.words
-    n, slots, points = (
-        rows.shape[0],
-        scratch.block.centres.shape[0],
-        scratch.team.silhouette.shape[0],
-    )
-    own = rows.shape[1] - setup.constants.rows + setup.constants.neighbour_slots
+    n, slots = rows.shape[0], scratch.block.centres.shape[0]
+    points = scratch.team.silhouette.shape[0]
+    own = first_row(setup.constants, rows)
     turns = errors.bias > 0.0 or errors.noise > 0.0
     for i in range(n):
         for m in range(slots):
@@ -226,9 +218,10 @@ def _see_points(block, setup, errors, scratch):
                     couple = n * (n - 1) // 2 + ((i * slots + m) * points + side) // 2
                     _draw(layout, couple, errors, scratch.block.keys, words)
                 _turn_side(layout, side % 2, errors, words, seen[side])
-            if errors.sectors > 0:
-                for s in range(points):
-                    _round(block.count, errors.sectors, layout, seen[s])
+            for s in range(points if errors.sectors > 0 else 0):
+                for lane in range(block.count):
+                    point = exactly(read_row(seen[s], lane, layout.axes))
+                    write_row(in_sectors(point, errors.sectors), seen[s], lane)
 
 
 @inner_kernel
@@ -237,41 +230,7 @@ def _see_in_view(count, half_field, layout, rows):
     for lane in range(count):
         seen = False
         for s in range(rows.shape[0]):
-            point = _exactly(_row(rows[s], lane, layout.axes))
+            point = exactly(read_row(rows[s], lane, layout.axes))
             seen = seen or (square(point) > 0.0 and is_seen(point, np.inf, half_field))
         for s in range(rows.shape[0]):
             _keep(seen, layout, rows[s], lane)
-
-
-@inner_kernel
-def _round(count, sectors, layout, row):
-    for lane in range(count):
-        point = _exactly(_row(row, lane, layout.axes))
-        write_row(_unsigned(in_sectors(point, sectors)), row, lane)
-
-
-# ---- rows ---------------------------------------------------------------------------------------
-
-
-@inner_kernel(inline="code")
-def _row(row, lane, axes):
-    """One lane of a row (L·d,), a pair or triple of float32."""
-    if len(axes) == 2:
-        return row[2 * lane], row[2 * lane + 1]
-    return row[3 * lane], row[3 * lane + 1], row[3 * lane + 2]
-
-
-@inner_kernel(inline="code")
-def _exactly(v):
-    """The same in float64."""
-    if len(v) == 2:
-        return np.float64(v[0]), np.float64(v[1])
-    return np.float64(v[0]), np.float64(v[1]), np.float64(v[2])
-
-
-@inner_kernel(inline="code")
-def _unsigned(v):
-    """The same without the negative zero."""
-    if len(v) == 2:
-        return v[0] + _ZERO, v[1] + _ZERO
-    return v[0] + _ZERO, v[1] + _ZERO, v[2] + _ZERO

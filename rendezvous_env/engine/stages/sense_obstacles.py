@@ -1,10 +1,8 @@
 """What the robots of a block see of obstacles, and how near they are."""
 
-from typing import Any
-
 import numpy as np
 
-from ...compilation import chosen_by_type, inner_kernel
+from ...compilation import by_type, inner_kernel
 from ...graphs.edges import arcs_of, load_links
 from ...obstacles.disc import BALL, disc_edges
 from ...obstacles.obstacle_set import (
@@ -19,7 +17,19 @@ from ...obstacles.shape import ABSENT
 from ...physics.potential import net_bearings_of_arcs, net_bearings_of_links
 from ...physics.vectors import load, local_axis, to_local
 from ...rewards.terms import CLEARANCE_PENALTY
-from ..memory import Place, SeenDisc, in_lanes, lane_count, read, statistics_of, tally_of, write_row
+from ..memory import (
+    Place,
+    SeenDisc,
+    first_row,
+    in_lanes,
+    lane_count,
+    load_team,
+    read,
+    read_row,
+    statistics_of,
+    tally_of,
+    write_row,
+)
 from ..memory.obstacles import obstacles_of
 
 
@@ -41,12 +51,11 @@ def load_balls(block, layout, obstacles, scratch):
 def sense_obstacles(block, setup, state, obstacles, output, scratch):
     """Silhouettes, clearances, the least clearance of the episode, and closeness for the reward."""
     n, constants = state.teams.merged_into.shape[1], setup.constants
-    if obstacles is None:
-        # in one piece: the entries of a table would be filled one by one, without SIMD
-        output.clearance.reshape(-1)[block.first * n : (block.first + block.count) * n] = np.inf
-    else:
+    # in one piece: the entries of a table would be filled one by one, without SIMD
+    output.clearance.reshape(-1)[block.first * n : (block.first + block.count) * n] = np.inf
+    if obstacles is not None:
         _see_discs(block, setup, state.teams, output.clearance, scratch.block, setup.layout.axes)
-        _see_others(block, setup, state, obstacles, output.clearance, scratch)
+        _see_others(block, setup, state, obstacles, output.clearance, scratch, setup.layout.axes)
         tally = tally_of(scratch.block.tally)
         statistics = statistics_of(state.teams, block.index)
         weighs = constants.reward_weights[CLEARANCE_PENALTY] != 0.0
@@ -58,12 +67,6 @@ def sense_obstacles(block, setup, state, obstacles, output, scratch):
                 closeness += max(0.0, 1.0 - clearance / constants.obstacle_range)
             statistics.min_clearance[lane] = least
             tally.closeness[lane] = closeness if weighs else 0.0
-
-
-@inner_kernel(inline="code")
-def _first_row(constants, rows):
-    """Place of the first row that shows no neighbour."""
-    return rows.shape[1] - constants.rows + constants.neighbour_slots
 
 
 @inner_kernel(inline="code")
@@ -80,7 +83,7 @@ def _see_discs(block, setup, teams, clearance, scratch, axes):
                 seen.reach[lane] = reach if active else -np.inf
             seen.nearest[:] = np.inf
             position, frame = teams.positions[block.index, i], teams.frames[block.index, i]
-            slot = _first_row(setup.constants, rows)
+            slot = first_row(setup.constants, rows)
             for m in range(scratch.centres.shape[0]):
                 _see_disc(layout, position, scratch.centres[m], scratch.radii[m], seen)
                 _turn_into(layout, seen.left, frame, rows[i, slot])
@@ -89,10 +92,6 @@ def _see_discs(block, setup, teams, clearance, scratch, axes):
             for lane in range(block.count):
                 active = seen.reach[lane] >= 0.0
                 clearance[block.first + lane, i] = seen.nearest[lane] if active else np.inf
-    else:
-        for lane in range(block.count):
-            for i in range(n):
-                clearance[block.first + lane, i] = np.inf
 
 
 @inner_kernel(inline="code")
@@ -127,53 +126,39 @@ def _turn_into(layout, bearing, frame, row):
         return
     for lane in range(lane_count(layout.width)):
         local = to_local(read(frame, lane, layout.entries), read(bearing, lane, layout.axes))
-        write_row((local[0] + 0.0, local[1] + 0.0), row, lane)
+        write_row(local, row, lane)
 
 
 # ---- what no lane function does -----------------------------------------------------------------
 
 
-def _see_others(
-    block: Any, setup: Any, state: Any, obstacles: Any, clearance: Any, scratch: Any
-) -> None:
-    if len(setup.layout.axes) == 3 or not isinstance(obstacles, RoundObstacles):
-        _see_one_by_one(block, setup, state, obstacles, clearance, scratch)
-
-
-@inner_kernel(inline="code")
-def _see_no_others(block, setup, state, obstacles, clearance, scratch):
-    pass
-
-
-@chosen_by_type(_see_others)
-def _compiled_see_others(block, setup, state, obstacles, clearance, scratch):
-    layout = setup.types[setup.fields.index("layout")]
-    axes = layout.types[layout.fields.index("axes")]
-    only_discs = axes.count == 2 and obstacles.instance_class is RoundObstacles
-    chosen = _see_no_others if only_discs else _see_one_by_one
-    return lambda block, setup, state, obstacles, clearance, scratch: chosen(
-        block, setup, state, obstacles, clearance, scratch
-    )
-
-
 @inner_kernel
-def _see_one_by_one(block, setup, state, obstacles, clearance, scratch):
+def _see_one_by_one(block, setup, state, obstacles, clearance, scratch, axes):
     """Polygons and capsules of the plane, and everything in 3-D."""
-    d, team, teams = len(setup.layout.axes), scratch.team, state.teams
+    d, team, teams = len(axes), scratch.team, state.teams
     for lane in range(block.count):
         place = Place(block.index, lane, block.first + lane)
         world = obstacles_of(obstacles, place.team)
         if d == 2 and _only_discs(world):
             continue
-        for i in range(team.lengths.shape[0]):
-            for k in range(d):
-                team.positions[i, k] = teams.positions[block.index, i, k, lane]
+        load_team(teams.positions, block.index, lane, team.positions)
         if d == 3:
             found = load_links(block.index, lane, state.links, team)
             listed = (team.first[:found], team.second[:found], team.weights[:found])
             _net_bearings(team.positions, listed, arcs_of(state.links, block.index), team.here)
         for i in range(team.lengths.shape[0]):
-            _see_all(i, place, setup, teams, world, clearance, scratch, setup.layout.axes)
+            _see_all(i, place, setup, teams, world, clearance, scratch, axes)
+
+
+@inner_kernel(inline="code")
+def _see_spheres(block, setup, state, obstacles, clearance, scratch, axes):
+    if len(axes) == 3:
+        _see_one_by_one(block, setup, state, obstacles, clearance, scratch, axes)
+
+
+@by_type("obstacles", lambda kind: _see_spheres if kind is RoundObstacles else _see_one_by_one)
+def _see_others(block, setup, state, obstacles, clearance, scratch, axes):
+    """What is not a disc in the plane; of those alone nothing is compiled here."""
 
 
 @inner_kernel(inline="code")
@@ -204,26 +189,16 @@ def _see_all(i, place, setup, teams, world, clearance, scratch, axes):
                 continue
         distance = distance_to(world, m, point) if active else np.inf
         clearance[team, i] = min(clearance[team, i], distance)
-        seen = distance <= setup.constants.obstacle_range
-        if seen:
+        if distance <= setup.constants.obstacle_range:
             if len(axes) == 2:
                 silhouette_2d(world, m, point, points)
             else:
                 f = load(scratch.team.here[i])
                 x, y = local_axis(frame, 0), local_axis(frame, 1)
                 silhouette_3d(world, m, point, f, x, y, points)
-        first = _first_row(setup.constants, rows) + m * points.shape[0]
-        _store_silhouette(place.lane, seen, frame, points, rows[i, first:])
-
-
-@inner_kernel
-def _store_silhouette(lane, seen, frame, points, rows):
-    """Turn silhouette bearings into the local frame; an obstacle that is not seen is zero."""
-    d = points.shape[1]
-    for s in range(points.shape[0]):
-        for axis in range(d):
-            along = 0.0
-            if seen:
-                for k in range(d):
-                    along += frame[k * d + axis] * points[s, k]
-            rows[s, d * lane + axis] = along
+        else:
+            points[:] = 0.0
+        first = first_row(setup.constants, rows) + m * points.shape[0]
+        for s in range(points.shape[0]):
+            bearing = to_local(frame, read_row(points[s], 0, axes))
+            write_row(bearing, rows[i, first + s], place.lane)

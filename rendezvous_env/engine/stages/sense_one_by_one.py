@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from ...compilation import inner_kernel
 from ...graphs.edges import arcs_of, load_links
+from ...physics.vectors import exactly
 from ...physics.worst_bias import outward_directions
 from ...sensors.imperfections import Imperfections, neighbour_seen
-from ..memory import RUNNING, Place, read, statistics_of
+from ..memory import Place, load_team, read, read_row, statistics_of, step_seen, write_row
 from ..memory.obstacles import obstacles_of
-from .sense_by_chance import leads
+from .sense_by_chance import gain_of
 
 
 class Sensor(NamedTuple):
@@ -24,14 +25,10 @@ class Sensor(NamedTuple):
     """Whether the rows of a block stand in the order of links, rather than each in its own."""
     packed: bool
     """Whether the rows of neighbours that are seen stand first, rather than each in its own."""
-    in_lanes: bool
-    """Whether range, field of view or chance change neighbours' rows."""
-    singly: bool
-    """Whether anything else does."""
-    seeds: NDArray[np.uint64]
-    """(B,), of the teams."""
-    episodes: NDArray[np.int64]
-    """(B,), their numbers."""
+    in_lanes: bool  # Whether range, field of view or chance change neighbours' rows
+    singly: bool  # Whether anything else does
+    seeds: NDArray[np.uint64]  # (B,), of the teams
+    episodes: NDArray[np.int64]  # (B,), their numbers
     past: NDArray[np.float32]
     """(B, delay + 1, n, K + M·S, d): what was seen in step t stands at t mod (delay + 1)."""
 
@@ -53,16 +50,8 @@ def sense_one_by_one(sensor, block, setup, moves, state, output, scratch):
                     for i in range(rows.shape[0]):
                         _close_ranks(rows[i, : setup.constants.neighbour_slots])
                 if late:
-                    step = _step_of(place, moves, state.teams)
+                    step = step_seen(statistics_of(state.teams, block.index), lane, moves)
                     _delay(step, state.teams.merged_into[place.team], rows, sensor.past[place.team])
-
-
-@inner_kernel
-def _step_of(place, moves, teams):
-    statistics = statistics_of(teams, place.block)
-    running = statistics.status[place.lane] == RUNNING
-    # a step that the team has not counted yet
-    return int(statistics.steps[place.lane]) + (1 if moves and running else 0)
 
 
 @inner_kernel
@@ -70,30 +59,24 @@ def _see_neighbours(place, setup, sensor, state, rows, scratch):
     """Both ends of every link, in the order in which their rows stand; of a one-way link one."""
     slots, teams, positions = setup.constants.neighbour_slots, state.teams, scratch.positions
     counts, merged_into = scratch.counts, teams.merged_into[place.team]
-    for i in range(positions.shape[0]):
-        for k in range(len(setup.layout.axes)):
-            positions[i, k] = teams.positions[place.block, i, k, place.lane]
+    load_team(teams.positions, place.block, place.lane, positions)
     if sensor.errors.error > 0.0:
         outward_directions(positions, merged_into, scratch.here)
-    scene = (
-        obstacles_of(state.obstacles, place.team),
-        merged_into,
-        setup.constants.body_radius,
-    )
+    world = obstacles_of(state.obstacles, place.team)
+    scene, places = (world, merged_into, setup.constants.body_radius), (positions, scratch.here)
     found = load_links(place.block, place.lane, state.links, scratch)
     counts[:] = 0
     for end in range(2 * found):
         first, second = scratch.first[end // 2], scratch.second[end // 2]
         i, j = (second, first) if end % 2 else (first, second)
-        if not leads(arcs_of(state.links, place.block), i, j):
-            continue
-        slot = counts[i] if sensor.packed else j - (j > i)
-        counts[i] += 1
-        if slot < slots:
-            frame = read(teams.frames[place.block, i], place.lane, setup.layout.entries)
-            row, places = _row(rows[i, slot], setup.layout.axes), (positions, scratch.here)
-            seen = neighbour_seen((i, j), row, frame, sensor.errors, places, scene)
-            _put(seen, rows[i, slot])
+        if gain_of(arcs_of(state.links, place.block), i, j, 1.0) > 0.0:
+            slot = counts[i] if sensor.packed else j - (j > i)
+            counts[i] += 1
+            if slot < slots:
+                frame = read(teams.frames[place.block, i], place.lane, setup.layout.entries)
+                row = exactly(read_row(rows[i, slot], 0, setup.layout.axes))
+                seen = neighbour_seen((i, j), row, frame, sensor.errors, places, scene)
+                write_row(seen, rows[i, slot], 0)
 
 
 @inner_kernel
@@ -127,19 +110,3 @@ def _delay(step, merged_into, rows, past):
                         past[t, i, row, k] = rows[i, row, k]
                 now[i, row, k] = rows[i, row, k]
                 rows[i, row, k] = due[i, row, k] if merged_into[i] == i else 0.0
-
-
-@inner_kernel(inline="code")
-def _row(row, axes):
-    """A row (d,) as a pair or triple of float64."""
-    if len(axes) == 2:
-        return np.float64(row[0]), np.float64(row[1])
-    return np.float64(row[0]), np.float64(row[1]), np.float64(row[2])
-
-
-@inner_kernel(inline="code")
-def _put(values, row):
-    """Write a pair or triple, never the negative zero."""
-    row[0], row[1] = values[0] + 0.0, values[1] + 0.0
-    if len(values) == 3:
-        row[2] = values[2] + 0.0

@@ -25,8 +25,7 @@ from .propose import load_actions, propose_block, turn_block, update_frames
 from .sense import sense_block
 from .sense_obstacles import load_balls
 
-_EXPONENT = np.uint32(0x7F800000)
-"""The exponent bits of a float32."""
+_EXPONENT = np.uint32(0x7F800000)  # The exponent bits of a float32
 _N_STATISTICS, _N_TALLY = len(STATISTICS), len(Tally._fields)
 
 
@@ -59,41 +58,32 @@ def step_blocks(part, moves, blocks, setup, sensor, state, actions, output, scra
 @inner_kernel(inline="text")
 def _is_laid_out(setup, teams, scratch):
     """Whether arrays are as long as they must be. They are; behind this question the compiler
-    knows it too, see memory.py.
+    knows it too, see ``memory``.
     """
-    layout, robot = setup.layout, setup.robot
-    lanes, d = lane_count(layout.width), len(layout.axes)
-    parts = 1 if d == 2 else d
+    lanes, d = lane_count(setup.layout.width), len(setup.layout.axes)
     return (
-        teams.positions.shape[2] == d
-        and teams.positions.shape[3] == lanes
-        and teams.frames.shape[2] == len(layout.entries)
-        and teams.frames.shape[3] == lanes
-        and teams.memory.shape[2] == len(robot.memories)
-        and teams.memory.shape[3] == lanes
-        and teams.statistics.shape[1] == _N_STATISTICS
-        and teams.statistics.shape[2] == lanes
-        and scratch.action.shape[1] == len(robot.inputs)
-        and scratch.action.shape[2] == lanes
-        and scratch.displacement.shape[1] == d + 1
-        and scratch.displacement.shape[2] == lanes
-        and scratch.tally.shape[0] == _N_TALLY
-        and scratch.tally.shape[1] == lanes
-        and scratch.pair.shape[0] == d + 4
-        and scratch.pair.shape[1] == lanes
-        and scratch.rows.shape[2] == lanes * d
-        and scratch.whole_rows.shape[1] == lanes * parts
-        and scratch.centres.shape[1] == d
-        and scratch.centres.shape[2] == lanes
-        and scratch.bounds.shape[1] == lanes
-        and scratch.radii.shape[1] == lanes
-        and scratch.disc.shape[0] == 3
-        and scratch.disc.shape[1] == 2
-        and scratch.disc.shape[2] == lanes
-        and scratch.keys.shape[1] == lanes
-        and scratch.words.shape[1] == 4
-        and scratch.words.shape[2] == lanes
+        _ends(teams.positions, d, lanes)
+        and _ends(teams.frames, len(setup.layout.entries), lanes)
+        and _ends(teams.memory, len(setup.robot.memories), lanes)
+        and _ends(teams.statistics, _N_STATISTICS, lanes)
+        and _ends(scratch.action, len(setup.robot.inputs), lanes)
+        and _ends(scratch.displacement, d + 1, lanes)
+        and _ends(scratch.tally, _N_TALLY, lanes)
+        and _ends(scratch.pair, d + 4, lanes)
+        and _ends(scratch.rows, scratch.rows.shape[1], lanes * d)
+        and _ends(scratch.centres, d, lanes)
+        and _ends(scratch.bounds, scratch.bounds.shape[0], lanes)
+        and _ends(scratch.radii, scratch.radii.shape[0], lanes)
+        and scratch.disc.shape == (3, 2, lanes)
+        and _ends(scratch.keys, 2, lanes)
+        and _ends(scratch.words, 4, lanes)
     )
+
+
+@inner_kernel(inline="code")
+def _ends(array, rows, columns):
+    """Whether an array is as long as this in its last two axes."""
+    return array.shape[array.ndim - 2] == rows and array.shape[array.ndim - 1] == columns
 
 
 @inner_kernel(inline="text")

@@ -1,0 +1,265 @@
+"""Where compiled kernels are kept, and when they are compiled anew."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import textwrap
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from rendezvous_env import compilation, kernel_cache
+from rendezvous_env.engine.stages.step import step_blocks
+from rendezvous_env.physics import crossings, random_streams, vectors
+
+KERNEL = "from rendezvous_env.compilation import by_type, kernel\n"
+OUTER = KERNEL + "from .inner import half\n@kernel\ndef f(x):\n    return half(x) + 1.0\n"
+INNER = KERNEL + "@kernel\ndef half(x):\n    return {factor} * x\n"
+CONSTANT = "FACTOR = {factor}\n"
+HELD = "def made():\n    return {factor}\n"
+WAYS = {
+    "attribute": ("import demo.found as found", CONSTANT, "found.FACTOR"),
+    "closure": (
+        "from demo.found import made\ndef around(factor):\n    @kernel\n    def g(x):\n"
+        "        return factor * x\n    return g\ng = around(made())",
+        HELD,
+        "g(1.0)",
+    ),
+    "plain": ("import numba\nfrom demo.found import made\nmade = numba.njit(made)", HELD, "made()"),
+    "by_type": (
+        "from typing import NamedTuple\nfrom demo import found\n"
+        "class Kind(NamedTuple):\n    x: float\n"
+        "@kernel\ndef ours(kind):\n    return found.FACTOR * kind.x\n"
+        "@by_type('kind', {Kind: ours}.__getitem__)\ndef ask(kind):\n    pass",
+        CONSTANT,
+        "ask(Kind(1.0))",
+    ),
+    "constant_by_type": (
+        "from demo import found\n@by_type('y', lambda kind: found.FACTOR)\ndef ask(y):\n    pass",
+        CONSTANT,
+        "ask(None)",
+    ),
+}
+"""Ways in which a kernel freezes a number of another file: what it imports, and how it asks."""
+
+
+def package(folder: Path, factor: float) -> None:
+    (folder / "demo").mkdir(exist_ok=True)
+    (folder / "demo" / "__init__.py").touch()
+    (folder / "demo" / "outer.py").write_text(OUTER)
+    (folder / "demo" / "inner.py").write_text(INNER.format(factor=factor))
+
+
+def call(folder: Path, module: str = "demo.outer", **environment: str) -> tuple[float, int, int]:
+    """f(10) in a fresh process, and how often its compiled code was found and not found."""
+    script = (
+        f"from {module} import f; print(f(10.0), "
+        "sum(f.stats.cache_hits.values()), sum(f.stats.cache_misses.values()))"
+    )
+    value, hits, misses = python(script, folder, **environment).stdout.split()
+    return float(value), int(hits), int(misses)
+
+
+def python(script: str, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """A fresh process that finds the packages in the folder, and ours, and no kernel of others."""
+    path = f"{folder}{os.pathsep}{ROOT}"
+    return subprocess.run(
+        [sys.executable, "-c", script],
+        check=True,
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(folder), **environment},
+        timeout=200,
+    )
+
+
+def test_an_edit_of_an_inlined_kernel_is_noticed_and_one_of_its_docstring_is_not(tmp_path):
+    package(tmp_path, 0.5)
+    assert call(tmp_path) == (6.0, 0, 1)
+    text = OUTER.replace("    return", '    """Half and one."""  # more lines\n\n    return')
+    (tmp_path / "demo" / "outer.py").write_text(text)
+    assert call(tmp_path) == (6.0, 1, 0)  # from disk
+    package(tmp_path, 0.25)  # outer.py, which inlines it, stays as it is
+    assert call(tmp_path) == (3.5, 0, 1)
+    package(tmp_path, 0.5)  # as another version beside this one, whose code is still there
+    assert call(tmp_path) == (6.0, 1, 0)
+
+
+def test_an_edit_of_whatever_a_kernel_freezes_is_noticed(tmp_path):
+    """In a cache of one's own, too."""
+    package(tmp_path, 0.5)
+    for way, (importing, _, asked) in WAYS.items():
+        lines = f"{KERNEL}{importing}\n@kernel\ndef f(x):\n    return {asked} * x\n"
+        (tmp_path / "demo" / f"{way}.py").write_text(lines.replace("found", f"found_{way}"))
+    script = "; ".join(
+        f"from demo.{way} import f; print(f(10.0), sum(f.stats.cache_misses.values()))"
+        for way in WAYS
+    )
+    place = {"NUMBA_CACHE_DIR": str(tmp_path / "elsewhere")}
+    for factor in (2.0, 3.0):
+        for way, (_, text, _) in WAYS.items():  # as long, in the same second
+            (tmp_path / "demo" / f"found_{way}.py").write_text(text.format(factor=factor))
+        for misses in (1, 0):
+            found = python(script, tmp_path, **place).stdout.splitlines()
+            assert found == [f"{10.0 * factor} {misses}"] * len(WAYS)
+    assert list((tmp_path / "elsewhere").rglob("f-*.code"))
+
+
+def test_an_edit_of_the_environment_makes_only_what_depends_on_it_anew(monkeypatch):
+    def contents():
+        kernels = random_streams.uniform, step_blocks, vectors.dot, crossings.first_crossing
+        return ["".join(kernel_cache.content(kernel)) for kernel in kernels]
+
+    before = contents()
+    monkeypatch.setattr(random_streams, "_INCREMENT", np.uint64(1))
+    changed = [old != new for old, new in zip(before, contents(), strict=True)]
+    assert changed == [True, True, False, False]
+
+
+def test_functions_of_one_name_from_two_processes_are_told_apart(tmp_path):
+    """Each of these callers holds an f of its own, the first function that its process compiled."""
+    (tmp_path / "closures.py").write_text(
+        f"import math\n{KERNEL}def made(k):\n"
+        "    @kernel\n    def f(x):\n        for _ in range(int(x)):\n"
+        "            x = math.sin(x + k) + math.exp(-x * k) + math.atan2(x, k) + math.cos(k * x)\n"
+        "        return x\n    return f\nf, g = made(1.0), made(2.0)\n"
+        "@kernel\ndef one(x):\n    return f(x) + f(x + 1.0) + f(x + 2.0)\n"
+        "@kernel\ndef two(x):\n    return g(x) + g(x + 1.0) + g(x + 2.0)\n"
+    )
+    one, two, both = (
+        python(f"from closures import one, two; print({asked})", tmp_path).stdout.split()
+        for asked in ("one(5.0)", "two(5.0)", "one(5.0), two(5.0)")
+    )
+    assert both == one + two and one != two
+
+
+@pytest.mark.slow
+def test_the_step_is_made_from_nothing_else(tmp_path):
+    """Whatever numba compiles for a step and a reset is among what their code is named after."""
+    script = """
+        import numpy as np
+        from numba.core.bytecode import FunctionIdentity
+        import rendezvous_env as rv
+        from rendezvous_env import kernel_cache
+        from rendezvous_env.engine.reset.starts import reset_teams
+        from rendezvous_env.engine.stages.step import first_not_finite, step_blocks
+
+        compiled, identify = set(), FunctionIdentity.from_function.__func__
+
+        def noted(kind, function):
+            found = identify(kind, function)
+            compiled.add(f"{found.func.__module__} {found.func.__qualname__}")
+            return found
+
+        FunctionIdentity.from_function = classmethod(noted)
+        field = rv.ObstacleField(count=1, radius=(0.3, 0.5), region=8.0, keep_out=0.5)
+        sensing = rv.Sensing(noise=0.1, occlusion="both", delay=1)
+        robots = {"n_robots": 3, "robot_model": "unicycle", "graph": rv.graphs.directed_cycle()}
+        teams = rv.Simulator(rv.Scenario(**robots, obstacles=field, sensing=sensing))
+        teams.reset(seed=0)
+        teams.step(np.zeros((1, 3, 2)))
+        texts = set()
+        for kernel in (reset_teams, step_blocks, first_not_finite):
+            kinds = [kind for a in kernel.signatures[0] for kind in kernel_cache.named_tuples(a)]
+            texts |= set(kernel_cache.content(kernel, *kinds))
+        ours = {name for name in compiled if name.startswith("rendezvous_env")}
+        print(len(ours), sorted(n for n in ours - texts if not n.endswith("<lambda>")))
+    """
+    count, _, left = python(textwrap.dedent(script), tmp_path).stdout.partition(" ")
+    assert int(count) > 100 and left.strip() == "[]"
+
+
+class Own(NamedTuple):
+    """Constants of a kind that somebody else's functions are chosen by."""
+
+    factor: float
+
+
+@pytest.mark.skipif(not compilation.compiled(), reason="nothing is compiled")
+def test_code_for_a_type_is_made_from_the_functions_that_it_chooses(tmp_path, monkeypatch):
+    def misses():
+        @compilation.kernel
+        def first(x):
+            return x[0].factor
+
+        assert first((Own(3.0),)) == 3.0
+        return sum(first.stats.cache_misses.values())
+
+    monkeypatch.setattr(kernel_cache, "_folder", lambda: tmp_path)
+    found = []
+    for chosen in (lambda: 1, lambda: 1, lambda: 2):
+        kernel_cache.depends_on(Own, (chosen,))
+        found.append(misses())
+        found.append(misses())
+    assert found == [1, 0, 1, 0, 1, 0] or found == [1, 0, 0, 0, 1, 0]
+    monkeypatch.setattr(Own, "__module__", "__main__")
+    assert misses() == misses() == 1  # no later process finds a type of the script that is run
+
+
+def test_what_nobody_used_for_long_is_removed(tmp_path):
+    package(tmp_path, 0.5)
+    call(tmp_path)
+    (ancient,) = (tmp_path / "kernels").glob("half-*")
+    os.utime(ancient, (0, 0))
+    assert call(tmp_path) == (6.0, 1, 0)
+    assert not ancient.exists()
+
+
+@pytest.mark.parametrize("chosen", [False, True], ids=["folder and home", "NUMBA_CACHE_DIR"])
+def test_a_cache_that_cannot_be_written_to_gives_one_warning(tmp_path, chosen):
+    package(tmp_path, 0.5)
+    file = tmp_path / "file"
+    file.write_text("in the way")
+    (tmp_path / "tmp").mkdir()
+    places = {"HOME": str(file), "TMPDIR": str(tmp_path / "tmp")}
+    places["NUMBA_CACHE_DIR"] = str(file) if chosen else ""
+    script = (
+        f"import pathlib; from rendezvous_env import kernel_cache as k; k._BESIDE = "
+        f"pathlib.Path({str(file)!r}); from demo import outer, inner; print(outer.f(10.0))"
+    )
+    for _ in range(2):
+        found = python(script, tmp_path, **places)
+        assert found.stdout.split() == ["6.0"]
+        assert found.stderr.count("RuntimeWarning") == 1 and str(tmp_path / "tmp") in found.stderr
+    assert list((tmp_path / "tmp").rglob("*.code"))
+    script = "import tempfile; tempfile.tempdir = '/dev/null'; " + script  # no place at all
+    found = python(script, tmp_path, **places)
+    assert found.stdout.split() == ["6.0"] and "made anew each time" in found.stderr
+
+
+def test_a_temporary_folder_of_somebody_else_is_not_trusted(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    temporary = kernel_cache._temporary
+    own = temporary().parent
+    assert own.parent == tmp_path and own == temporary().parent
+    own.chmod(0o777)
+    other = temporary().parent
+    assert other != own and other.parent == tmp_path and not other.stat().st_mode & 0o77
+
+
+def test_damaged_code_is_compiled_anew(tmp_path):
+    """Machine code with one bit flipped would end the process, so it is not given to it."""
+    package(tmp_path, 0.5)
+    call(tmp_path)
+    for damage in ("empty", "truncated", "one bit", "its digest"):
+        for file in (tmp_path / "kernels").iterdir():
+            content = bytearray(file.read_bytes())
+            content[0 if damage == "its digest" else len(content) // 2] ^= 4
+            kinds = {"empty": b"", "truncated": content[: len(content) // 2]}
+            file.write_bytes(kinds.get(damage, bytes(content)))
+        assert call(tmp_path) == (6.0, 0, 1)
+    assert call(tmp_path) == (6.0, 1, 0)  # and kept
+
+
+def test_bounds_checked_code_is_kept_apart(tmp_path):
+    package(tmp_path, 0.5)
+    call(tmp_path, NUMBA_BOUNDSCHECK="0")
+    assert call(tmp_path, NUMBA_BOUNDSCHECK="1") == (6.0, 0, 1)
+    assert call(tmp_path, NUMBA_BOUNDSCHECK="0") == (6.0, 1, 0)
