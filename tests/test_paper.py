@@ -107,8 +107,7 @@ class TestTheoremA:
     @pytest.mark.parametrize("weight", [0.4, 1.0, 2.5])
     def test_two_robots_meet_within_one_step_of_the_closed_form(self, weight, dim):
         pair = Scenario(n_robots=2, dim=dim, graph=graphs.path(weight), merge_radius=0.3)
-        random = np.random.default_rng(3)
-        starts = random.normal(size=(200, 2, dim)) * 4
+        starts = np.random.default_rng(3).normal(size=(200, 2, dim)) * 4
         result = run_to_end(pair, 200, options={"positions": starts})
         length = np.linalg.norm(starts[:, 1] - starts[:, 0], axis=-1)
         expected = np.maximum(length - pair.merge_radius, 0) / (2 * weight)

@@ -270,32 +270,26 @@ def check_share(share: Any) -> float:
 
 @kernel
 def _keep_links(teams, arguments):
+    """Velocities (R c and d) from desired ones in units of v_max, and what is told of them."""
     observations, constants, held, actions, alignment, lyapunov_rate = arguments
+    slots, radius, error = constants.neighbour_slots, constants.radius, constants.bearing_error
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
-            rows = observations[team, i]
-            velocity = _link_keeping_velocity(load(held[team, i]), rows, constants)
+            rows, velocity = observations[team, i], ORIGIN
+            degree, f = degree_of(rows, slots), net_bearing_of(rows, slots)
+            if degree > 0.0:
+                sine, towards = split(least_norm_of(rows, slots))
+                cosine = math.sqrt(max(1.0 - sine * sine, 0.0))
+                sure = max(sine * math.cos(error) - cosine * math.sin(error), 0.0)
+                speed = min(degree, 2.0 * radius, constants.speed_limit) * sure
+                wanted = scaled(load(held[team, i]), constants.speed_limit)
+                _, within = speed_scale(dot(wanted, wanted), constants.speed_limit)
+                free = project_on_links(scaled(wanted, within), rows, slots, radius, error)
+                share = constants.share
+                velocity = combine(share * speed, towards, 1.0 - share, free)
             store(velocity, actions[team, i])
-            f = net_bearing_of(rows, constants.neighbour_slots)
             alignment[team, i] = alignment_of(velocity, f)
             lyapunov_rate[team, i] = -2.0 * dot(f, velocity)
-
-
-@kernel
-def _link_keeping_velocity(desired, rows, constants):
-    """One robot's velocity, a triple, m/s, from the desired one in units of v_max (R c and d)."""
-    slots, radius, error = constants.neighbour_slots, constants.radius, constants.bearing_error
-    degree = degree_of(rows, slots)
-    if degree == 0.0:
-        return 0.0, 0.0, 0.0
-    sine, towards = split(least_norm_of(rows, slots))
-    cosine = math.sqrt(max(1.0 - sine * sine, 0.0))
-    sure = max(sine * math.cos(error) - cosine * math.sin(error), 0.0)
-    speed = min(degree, 2.0 * radius, constants.speed_limit) * sure
-    wanted = scaled(desired, constants.speed_limit)
-    _, within = speed_scale(dot(wanted, wanted), constants.speed_limit)
-    free = project_on_links(scaled(wanted, within), rows, slots, radius, error)
-    return combine(constants.share * speed, towards, 1.0 - constants.share, free)
 
 
 @kernel(inline="code")

@@ -171,10 +171,11 @@ def _sent(velocity, limit, duration):
 
 @kernel
 def _spend_bodies(teams, arguments):
-    """As ``_spend``, for nonholonomic robots."""
+    """As ``_spend``, for nonholonomic robots, in their body frames."""
     observations, constants, held, levels, actions, linked, told = arguments
     deposits, carried_out, alignment, lyapunov_rate = told
-    robot = constants.robot
+    robot, limit, gate = constants.robot, constants.speed_limit, constants.robot.gate
+    radius = robot.merge_radius
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
             deposits[team, i], carried_out[team, i] = 0.0, False
@@ -184,36 +185,22 @@ def _spend_bodies(teams, arguments):
             linked[team, i] = degree > 0.0
             if degree == 0.0:
                 continue
-            f = net_bearing_of(rows, robot.neighbour_slots)
-            accepted, deposit, moved = _spend_turning(
-                rows, f, degree, constants, held[team, i], levels[team, i], action
-            )
-            carried_out[team, i], deposits[team, i] = accepted, deposit
-            if norm(f) > 0.0:
-                alignment[team, i] = abs(f[0]) / norm(f)
-            lyapunov_rate[team, i] = -2.0 * dot(f, moved) / robot.gate.duration
-
-
-@inner_kernel(inline="code")
-def _spend_turning(rows, f, degree, constants, held, level, action):
-    """One nonholonomic robot, in its body frame: whether its desired inputs are carried out, its
-    deposit, its displacement.
-    """
-    robot, limit, gate = constants.robot, constants.speed_limit, constants.robot.gate
-    radius, error = robot.merge_radius, robot.error_chord * degree
-    pitch = pitch_of(rows, robot.gravity_row, gate)
-    action[0] = clip(held[0], 1.0) * limit
-    m = turn(desired_rates(held[1:], gate), pitch, action, gate)
-    moved = _driven(m, action, limit, gate)
-    deposit = certain_descent(f, degree, moved, radius, error)
-    carried_out = level + deposit >= 0.0
-    if not carried_out:
-        m = turn(gated_rates(rates_of(action, gate), f, pitch, gate), pitch, action, gate)
-        scale = descent_scale(norm(f), degree, radius, gate.duration, limit)
-        action[0] = scale * without_error(dot(m, f), error)
-        moved = _driven(m, action, limit, gate)
-        deposit = certain_descent(f, degree, moved, radius, error)
-    return carried_out, deposit, moved
+            f, error = net_bearing_of(rows, robot.neighbour_slots), robot.error_chord * degree
+            pitch, strength = pitch_of(rows, robot.gravity_row, gate), norm(f)
+            action[0] = clip(held[team, i, 0], 1.0) * limit
+            m = turn(desired_rates(held[team, i, 1:], gate), pitch, action, gate)
+            moved = _driven(m, action, limit, gate)
+            deposits[team, i] = certain_descent(f, degree, moved, radius, error)
+            carried_out[team, i] = levels[team, i] + deposits[team, i] >= 0.0
+            if not carried_out[team, i]:
+                m = turn(gated_rates(rates_of(action, gate), f, pitch, gate), pitch, action, gate)
+                scale = descent_scale(strength, degree, radius, gate.duration, limit)
+                action[0] = scale * without_error(dot(m, f), error)
+                moved = _driven(m, action, limit, gate)
+                deposits[team, i] = certain_descent(f, degree, moved, radius, error)
+            if strength > 0.0:
+                alignment[team, i] = abs(f[0]) / strength
+            lyapunov_rate[team, i] = -2.0 * dot(f, moved) / gate.duration
 
 
 @inner_kernel(inline="code")
