@@ -56,7 +56,14 @@ def test_what_is_wrong_with_a_model_is_said(registry):
         rv.Simulator(rv.Scenario(robot_model="still", time_step=0.05, allow_long_step=True))
 
 
-def walker(registry, equations=None, **fields):
+class Leaping(NamedTuple):
+    """Constants of a walker whose kernels are kept on disk: those of a local class are not."""
+
+    duration: float
+    speed_limit: float
+
+
+def walker(registry, equations=None, kind=None, **fields):
     """Register a good robot model with some of its equations and fields replaced."""
 
     def propose(model, action, frame, memory):
@@ -67,11 +74,12 @@ def walker(registry, equations=None, **fields):
         duration: float
         speed_limit: float
 
-    rv.describe_motion(Walker, rv.Motion(**{"propose": propose} | (equations or {})))
+    kind = kind or Walker
+    rv.describe_motion(kind, rv.Motion(**{"propose": propose} | (equations or {})))
     good = {
         "name": "walker",
         "dims": (2,),
-        "constants": lambda s: Walker(s.tau, 1.5 * s.speed_limit),
+        "constants": lambda s: kind(s.tau, 1.5 * s.speed_limit),
         "bounds": lambda s: [s.speed_limit] * 2,
     }
     rv.register_robot_model(rv.RobotModel(**good | fields))
@@ -193,7 +201,7 @@ def test_a_leap_that_no_question_found_is_told_in_the_step(registry):
         step = model.duration * action[0], model.duration * action[1]
         return step, math.hypot(*step)
 
-    walker(registry, {"propose": propose})
+    walker(registry, {"propose": propose}, Leaping)
     for leap in (0.30005, 0.20005):
         teams = rv.Simulator(rv.Scenario(robot_model="walker", n_robots=3), 2)
         teams.reset(seed=0)
