@@ -5,11 +5,11 @@ from __future__ import annotations
 import base64
 import hashlib
 import pprint
-import sys
+import runpy
 import textwrap
 from collections.abc import Iterator, Mapping
-from importlib import util
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -251,18 +251,8 @@ def is_written(path: Path) -> bool:
 
 
 def load(path: Path) -> Any:
-    """A file as a module of its own, read anew, which leaves nothing behind."""
-    spec = util.spec_from_file_location(f"_robot_{path.stem.strip('.')}", path)
-    assert spec is not None and spec.loader is not None
-    module = util.module_from_spec(spec)
-    cached, sys.dont_write_bytecode = sys.dont_write_bytecode, True
-    sys.modules[spec.name] = module  # where dataclasses look
-    try:
-        spec.loader.exec_module(module)
-    finally:
-        del sys.modules[spec.name]
-        sys.dont_write_bytecode = cached
-    return module
+    """A file as a module of its own, read again, which leaves nothing behind."""
+    return SimpleNamespace(**runpy.run_path(str(path), run_name="_robot"))
 
 
 def compare(path: Path, robot: RobotPolicy, ticks: int) -> float:
