@@ -5,11 +5,11 @@ must all meet.
 """
 
 from importlib import import_module as _import_module
+from typing import Any as _Any
 
 from . import graphs, rendezvous_v0, vector
 from .compilation import kernel
 from .envs.gymnasium_env import make_vec, register
-from .envs.training import LearningPreset as _LearningPreset
 from .envs.training import hand_in_preset as _hand_in_preset
 from .envs.training_parallel_env import training_env
 from .envs.wrappers import (
@@ -95,12 +95,9 @@ def __dir__() -> list[str]:
     return [*__all__, "__all__", "__doc__", "__file__", "__name__", "__path__", "__version__"]
 
 
-def _shipped_preset() -> _LearningPreset:
+def _shipped_preset() -> _Any:
     """The learning preset stands with the shipped policies, in the package above this one."""
-    made: _LearningPreset = _import_module(
-        "rendezvous_env.baselines.learned.training_environment"
-    ).ShippedPreset()
-    return made
+    return _import_module("rendezvous_env.baselines.learned.training_environment").ShippedPreset()
 
 
 _install_safe_names()

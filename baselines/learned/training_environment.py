@@ -159,7 +159,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
 
 
 class ShippedPreset:
-    """A ``LearningPreset``: what the shipped policies see, do and earn."""
+    """What ``training_env`` hands to learners: what the shipped policies see, do and earn."""
 
     def earnings(self, guarantee: str | None) -> tuple[RewardWeights, float]:
         """The reward, and the price of a robot's first contact."""

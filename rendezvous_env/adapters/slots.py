@@ -25,26 +25,19 @@ from ..state_view import STANDING
 class SlotStep(NamedTuple):
     """A step of B·n slots."""
 
-    observations: NDArray[np.float32]
-    """(slots, ...), what the next actions are chosen from; zeros for robots that are gone."""
-    rewards: NDArray[np.float32]
-    """(slots,), of the robots."""
-    acted: NDArray[np.bool_]
-    """(slots,), whose robot took part in the step."""
+    observations: NDArray[np.float32]  # (slots, ...), for the next actions; zeros if gone
+    rewards: NDArray[np.float32]  # (slots,), of the robots
+    acted: NDArray[np.bool_]  # (slots,), whose robot took part in the step
     ended: NDArray[np.bool_]
     """(slots,), whose episode the step ended, in whatever way; all of a team that is over."""
-    bootstrapped: NDArray[np.int64]
-    """(k,), slots that the step cut off at a time-out or a merge."""
+    bootstrapped: NDArray[np.int64]  # (k,), slots that the step cut off: time-out or merge
     survivors: NDArray[np.int64]
     """(k,), slots of the robots that each of them is now part of; its own at a time-out."""
     bootstrap_observations: NDArray[np.float32]
     """(k, ...), what the value of these slots' future is estimated from."""
-    last: NDArray[np.float32]
-    """(B, n, ...), observations at the end of the step, before any team was reset."""
-    met: NDArray[np.bool_]
-    """(B,), teams whose episode ended with a rendezvous."""
-    late: NDArray[np.bool_]
-    """(B,), teams whose episode ended at the time limit."""
+    last: NDArray[np.float32]  # (B, n, ...), at the end of the step, before any team was reset
+    met: NDArray[np.bool_]  # (B,), teams whose episode ended with a rendezvous
+    late: NDArray[np.bool_]  # (B,), teams whose episode ended at the time limit
     finished: dict[int, dict[str, Any]]
     """Of each team that is over: "return" (sum of team rewards), "length" (steps), STANDING, and
     with ``Scenario.costs`` "cost", the sum over its robots."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -42,33 +42,13 @@ _LOGGER = logging.getLogger("rendezvous_env")
 _said: set[tuple[Scenario, str]] = set()
 
 
-class LearningPreset(Protocol):
-    """What teams see, do and earn with ``learning_preset``: that of the shipped policies."""
-
-    def earnings(self, guarantee: str | None) -> tuple[RewardWeights, float]:
-        """The reward, and the price of a robot's first touch."""
-        ...
-
-    def shows(self, scenario: Scenario, guarantee: str | None) -> bool:
-        """Whether robots see and do what the shipped policy of this guarantee does."""
-        ...
-
-    def held_arguments(self, scenario: Scenario, guarantee: str) -> dict[str, Any]:
-        """Arguments of the guarantee's wrapper where they do not."""
-        ...
-
-    def wrap(
-        self, env: RendezvousVectorEnv, guarantee: str, discrete: bool, arguments: Mapping[str, Any]
-    ) -> GuaranteeWrapper:
-        """The teams that see and do what the shipped policy does."""
-        ...
+_presets: list[Callable[[], Any]] = []
 
 
-_presets: list[Callable[[], LearningPreset]] = []
-
-
-def hand_in_preset(load: Callable[[], LearningPreset]) -> None:
-    """Set what ``learning_preset`` loads, as the environment itself knows no policy."""
+def hand_in_preset(load: Callable[[], Any]) -> None:
+    """Set what ``learning_preset`` loads, as the environment itself knows no policy: what teams
+    see, do and earn, with the methods of ``ShippedPreset``.
+    """
     _presets[:] = [load]
 
 

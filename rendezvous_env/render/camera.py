@@ -11,12 +11,10 @@ import numpy as np
 from ..obstacles.obstacle_set import balls
 from .scene import Bools, Floats, outermost
 
-_AZIMUTH, _ELEVATION = math.radians(-62.0), math.radians(24.0)
-"""Of the eye, in 3-D."""
-_DISTANCE = 2.6
-"""Of the eye from the middle of a scene in 3-D, in diagonals of its bounding box."""
+_AZIMUTH, _ELEVATION = math.radians(-62.0), math.radians(24.0)  # of the eye, in 3-D
+_DISTANCE = 2.6  # of the eye from the middle of a scene, in diagonals of its bounding box
+# of its largest extent that a scene has in every axis, so that a row of robots has a view too
 _LEAST_SHARE = 0.02
-"""Of its largest extent that a scene has in every axis, so that a row of robots has a view too."""
 
 
 class Area(NamedTuple):
@@ -46,22 +44,14 @@ def cell(team: int, count: int, width: int, height: int) -> Area:
 class Camera(NamedTuple):
     """A fixed view; the plane from straight above, space in perspective."""
 
-    low: Floats
-    """(d,), least corner of the scene's bounding box, m."""
-    high: Floats
-    """(d,), its largest corner, m."""
-    right: Floats
-    """(d,), unit vector to the right of the picture."""
-    up: Floats
-    """(d,), unit vector to its top."""
-    back: Floats
-    """(d,), unit vector towards the eye; zero in the plane."""
-    distance: float
-    """Of the eye from the middle of the scene, m; inf in the plane."""
-    scale: float = 1.0
-    """Pixels for a metre at the middle of the scene."""
-    shift: tuple[float, float] = (0.0, 0.0)
-    """Pixel of the middle of the scene."""
+    low: Floats  # (d,), least corner of the scene's bounding box, m
+    high: Floats  # (d,), its largest corner, m
+    right: Floats  # (d,), unit vector to the right of the picture
+    up: Floats  # (d,), unit vector to its top
+    back: Floats  # (d,), unit vector towards the eye; zero in the plane
+    distance: float  # of the eye from the middle of the scene, m; inf in the plane
+    scale: float = 1.0  # pixels for a metre at the middle of the scene
+    shift: tuple[float, float] = (0.0, 0.0)  # pixel of the middle of the scene
 
     @property
     def centre(self) -> Floats:
@@ -105,13 +95,8 @@ class Camera(NamedTuple):
 
 
 def fit(positions: Floats, obstacles: Floats, area: Area, margin: float) -> Camera:
-    """The view of a team's start and its obstacles that fills an area.
-
-    Args:
-        positions: (n, d), m.
-        obstacles: (M, width), a table of ``obstacles.obstacle_set``.
-        area: what to fill; pixels count from its left top corner.
-        margin: pixels to leave free on each side.
+    """The view of a team's start (n, d), m, and its table of obstacles (M, width) that fills an
+    area but for a margin on each side; pixels count from its left top corner.
     """
     points = outermost(positions, obstacles)
     low, high = points.min(axis=0), points.max(axis=0)

@@ -16,19 +16,12 @@ class Moment(NamedTuple):
     """A team after some step."""
 
     steps: int
-    """Of the episode so far."""
-    time: float
-    """s."""
-    positions: Floats
-    """(n, d), m; a merged-away robot is where its survivor is."""
-    headings: Floats
-    """(n, k), rad: none, yaw, or yaw and pitch."""
-    merged_into: NDArray[np.int64]
-    """(n,), the robot that each one is now part of."""
-    contact: Bools
-    """(n,), whether the robot touched an obstacle in the step."""
-    lyapunov: float
-    """V, m²/s."""
+    time: float  # s
+    positions: Floats  # (n, d), m; a merged-away robot is where its survivor is
+    headings: Floats  # (n, k), rad: none, yaw, or yaw and pitch
+    merged_into: NDArray[np.int64]  # (n,)
+    contact: Bools  # (n,), in the step
+    lyapunov: float  # V, m²/s
 
     @property
     def active(self) -> Bools:
@@ -40,24 +33,16 @@ class Moment(NamedTuple):
 class History:
     """One team's episode since the renderer first saw it."""
 
-    obstacles: Floats
-    """(M, width), a table of ``obstacles.obstacle_set``."""
-    initial_lyapunov: float
-    """V at the start of the episode, m²/s."""
+    obstacles: Floats  # (M, width), a table of ``obstacles.obstacle_set``
+    initial_lyapunov: float  # V at the start of the episode, m²/s
     moments: list[Moment] = field(default_factory=list)
-    """In order of time."""
 
 
 def look(
     simulator: Simulator, histories: list[History], teams: int, contact: Bools | None
 ) -> list[History]:
-    """Histories with the present moment added; another episode begins another history.
-
-    Args:
-        simulator: the teams.
-        histories: of the first ``teams`` of them, or none yet.
-        teams: how many to look at.
-        contact: (B, n), who touched an obstacle in the step, if it is known.
+    """Histories of the first ``teams`` with the present moment added; another episode begins
+    another history. ``contact`` (B, n) says who touched an obstacle in the step, if it is known.
     """
     if contact is None:
         contact = np.zeros(simulator.merged_into.shape, dtype=np.bool_)

@@ -16,13 +16,10 @@ from .palette import ROBOTS
 from .picture import TeamPicture
 from .scene import Floats, in_contact
 
-_FINE = 2
-"""A picture is drawn so many times as large and then made smaller, which smooths every edge."""
-_DESIGN = 600
-"""Pixels of the shorter side for which lines and letters were chosen; they grow with it."""
-_HEADER, _STRIP, _CAPTION = 30, 118, 20
-_LEFT, _RIGHT, _TOP, _BOTTOM = 64, 16, 16, 34
-"""Margins within the strip, pixels."""
+_FINE = 2  # a picture is drawn so many times as large, then made smaller: smooth edges
+_DESIGN = 600  # pixels of the shorter side for which lines and letters were chosen
+_HEADER, _STRIP, _CAPTION = 30, 118, 20  # heights, pixels
+_LEFT, _RIGHT, _TOP, _BOTTOM = 64, 16, 16, 34  # margins within the strip, pixels
 
 
 class Page:
@@ -119,14 +116,8 @@ class Page:
 class Strip:
     """V(t) of one episode in a part of a page.
 
-    The time axis ends at a round number; when the episode goes on, one twice as long or longer
-    takes its place.
-
-    Args:
-        history: the episode.
-        area: of the page, in pixels.
-        unit: pixels of the page that count as one.
-        horizon: first length of the time axis, s.
+    The time axis is first ``horizon`` long, s, up to a round number; when the episode goes on, one
+    at least twice as long takes its place. ``unit`` pixels of the page count as one.
     """
 
     def __init__(self, history: History, area: Area, unit: float, horizon: float) -> None:

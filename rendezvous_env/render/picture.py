@@ -27,13 +27,8 @@ class TeamPicture:
     """One team's episode in a part of a page; the view does not change.
 
     Space is drawn in three layers: the ground with what spheres hide, the spheres, and the rest.
-    In the plane the ground is enough.
-
-    Args:
-        scenario: of the team.
-        history: its episode; its first moment and its obstacles settle the view.
-        area: of the page, in pixels.
-        unit: pixels of the page that count as one, so that a fine page has no thinner lines.
+    In the plane the ground is enough. ``unit`` pixels of the page count as one, so that a fine page
+    has no thinner lines.
     """
 
     def __init__(self, scenario: Scenario, history: History, area: Area, unit: float) -> None:
@@ -54,13 +49,8 @@ class TeamPicture:
             self._draw_obstacles(self._spheres)
 
     def draw(self, page: pygame.Surface, weights: Floats, bearings: Floats) -> None:
-        """Draw the last moment of the history.
-
-        Args:
-            page: to draw on.
-            weights: (n, n), who senses whom, m/s.
-            bearings: (n, rows, d), what the robots see now, in the global frame; zero rows are
-                absent.
+        """Draw the last moment of the history, with weights (n, n), who senses whom, m/s, and
+        bearings (n, rows, d), what the robots see, in the global frame.
         """
         self._extend_paths()
         moment = self.history.moments[-1]

@@ -228,24 +228,3 @@ def test_every_step_gives_arrays_of_its_own():
     for i, array in enumerate(kept):
         assert array.flags.writeable
         assert not any(np.may_share_memory(array, other) for other in kept[i + 1 :])
-
-
-def test_a_reset_without_room_changes_nothing():
-    scenario = rv.Scenario(n_robots=3, merge_radius=0.2, spawn_size=0.5)
-
-    def has_room(seed):
-        try:
-            return rv.make_vec(scenario).reset(seed=seed) is not None
-        except RuntimeError:
-            return False
-
-    rooms = [has_room(seed) for seed in range(100)]
-    venv = rv.make_vec(scenario, 2)
-    merging = np.array([[0.0, 0.0], [0.1, 0.0], [3.0, 0.0]])
-    venv.reset(seed=5, options={"positions": merging})
-    venv.step(np.zeros((2, 3, 2), np.float32))
-    before = venv.get_state()
-    assert not venv.simulator.active.all()
-    with pytest.raises(RuntimeError, match="team 1"):
-        venv.reset(seed=[rooms.index(True), rooms.index(False)])
-    assert same(venv.get_state(), before)

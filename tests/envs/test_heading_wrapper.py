@@ -9,12 +9,10 @@ from guarantees import make as make_under
 from tuples import mean_body_axis
 
 from rendezvous_env import HeadingVectorWrapper, Scenario, graphs, parallel_env
-from rendezvous_env.safety.theorems.descent import time_bound
 
 
-def make(kind="single_integrator-2d", *, changes=None, spawn_size=4.0, time_limit=8.0, **options):
-    changes = {"spawn_size": spawn_size, "time_limit": time_limit, **(changes or {})}
-    return make_under("heading", kind, changes=changes, **options)
+def make(kind="single_integrator-2d", **options):
+    return make_under("heading", kind, **options)
 
 
 def rotation(dim, seed):
@@ -46,13 +44,11 @@ def test_velocity_is_the_rows_sum_projected_on_the_heading(kind, certified):
     reached, random = spy(env), np.random.default_rng(1)
     observations, _ = env.reset(seed=2)
     while env.agents:
-        raw = draw(env, random)
-        before = observations
+        raw, before = draw(env, random), observations
         observations, _, _, _, infos = env.step(raw)
         for name, velocity in reached[-1].items():
-            i = int(name[6:])
             f = before[name].sum(axis=0, dtype=np.float64)
-            h = env.steering.headings[0, i]
+            h = env.steering.headings[0, env.unwrapped.index(name)]
             np.testing.assert_allclose(velocity, h * (h @ f), atol=2e-7 * (1 + abs(h @ f)))
             assert np.linalg.norm(h) == pytest.approx(1, abs=1e-12)
             if not certified:
@@ -60,7 +56,6 @@ def test_velocity_is_the_rows_sum_projected_on_the_heading(kind, certified):
                 np.testing.assert_allclose(h, q / np.linalg.norm(q), atol=1e-12)
             margin = abs(h @ f) / np.linalg.norm(f)
             assert infos[name]["alignment"] == pytest.approx(margin, abs=1e-9)
-            assert infos[name]["lyapunov_rate"] == pytest.approx(-2 * (h @ f) ** 2, abs=1e-9)
     assert len(reached) > 20
 
 
@@ -81,10 +76,8 @@ def test_speed_is_f_along_the_mean_axis_of_the_turn_executed(kind):
                 gravity = before[name][-1].astype(np.float64)
                 m = mean_body_axis(*rates, np.arctan2(-gravity[0], -gravity[2]), tau)
             assert v == pytest.approx(m @ f, abs=1e-6)
-            assert infos[name]["lyapunov_rate"] == pytest.approx(-2 * (m @ f) ** 2, abs=1e-6)
-            assert infos[name]["alignment"] == pytest.approx(
-                abs(f[0]) / np.linalg.norm(f), abs=1e-9
-            )
+            ahead = abs(f[0]) / np.linalg.norm(f)
+            assert infos[name]["alignment"] == pytest.approx(ahead, abs=1e-9)
             assert np.abs(rates).max() <= (3.0 if kind == "nonholonomic_3d" else 2.0) + 1e-6
 
 
@@ -100,9 +93,7 @@ def rotated_run(dim, world, turn, steps=25):
     env = make(f"single_integrator-{dim}d")
     observations, _ = env.reset(seed=0, options={"positions": starts @ world.T, "frames": turned})
     seen, places = [observations], [env.unwrapped.simulator.positions[0]]
-    for _ in range(steps):
-        if not env.agents:
-            break
+    while env.agents and len(seen) <= steps:
         observations, *_ = env.step(draw(env, random))
         seen.append(observations)
         places.append(env.unwrapped.simulator.positions[0])
@@ -126,9 +117,8 @@ def test_rotating_world_and_frames_changes_nothing_seen_and_rotates_the_motion(d
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_f_lies_along_x_unless_it_is_weak(dim):
-    env = make(f"single_integrator-{dim}d", spawn_size=3.0)
-    scenario, random = env.unwrapped.scenario, np.random.default_rng(2)
-    strong = weak = 0
+    env = make(f"single_integrator-{dim}d", changes={"spawn_size": 3.0})
+    scenario, random, strong = env.unwrapped.scenario, np.random.default_rng(2), 0
     for seed in range(4):
         observations, _ = env.reset(seed=seed)
         while env.agents:
@@ -138,8 +128,6 @@ def test_f_lies_along_x_unless_it_is_weak(dim):
                     np.testing.assert_allclose(f[1:], 0, atol=2e-6)
                     assert f[0] > 0
                     strong += 1
-                else:
-                    weak += 1
             observations, *_ = env.step(draw(env, random))
     assert strong > 100
 
@@ -148,18 +136,17 @@ def test_a_weak_f_keeps_the_last_frame():
     """The middle robot of three has f = 0 once it stands between the others."""
     scenario = Scenario(n_robots=3, graph="path", merge_radius=0.2)
     env = HeadingVectorWrapper(parallel_env(scenario))
-    states = []
-    for middle in (0.5, 0.0):
-        positions = [[-2.0, 0.0], [0.0, middle], [2.0, 0.0]]
-        observations, _ = env.reset(
-            seed=0, options={"positions": positions, "frames": np.stack([np.eye(2)] * 3)}
-        )
-        states.append(observations["robot_1"].copy())
+    frames = np.stack([np.eye(2)] * 3)
+    weak, strong = (
+        {"positions": [[-2.0, 0.0], [0.0, middle], [2.0, 0.0]], "frames": frames}
+        for middle in (0.0, 0.5)
+    )
     # from the start on weak: the local frame; x is not along f there
-    np.testing.assert_allclose(states[1], [[-1, 0], [1, 0]], atol=1e-6)
+    seen, _ = env.reset(seed=0, options=weak)
+    np.testing.assert_allclose(seen["robot_1"], [[-1, 0], [1, 0]], atol=1e-6)
     # strong first: x looks down, along f
-    np.testing.assert_allclose(states[0].sum(axis=0)[1], 0, atol=1e-6)
-    env.reset(seed=0, options={"positions": [[-2.0, 0], [0, 0.5], [2.0, 0]]})
+    seen, _ = env.reset(seed=0, options=strong)
+    np.testing.assert_allclose(seen["robot_1"].sum(axis=0)[1], 0, atol=1e-6)
     frame = env.steering.get_state()["frames"][0, 1]
     rows = env.unwrapped.simulator.observe()
     rows[0, 1] = 0.0
@@ -179,6 +166,27 @@ def test_in_space_the_second_axis_comes_from_the_most_prominent_row():
 
 
 # ---- what it is worth ----------------------------------------------------------------------------
+
+
+def test_the_certified_heading_follows_f_within_a_period():
+    """Passing by a neighbour f swings round; a held heading would lose the margin, h does not."""
+    env = make(decision_period=40, min_alignment=0.5, max_turn_rate=1.0)
+    margins, swings, base = [], [], env.unwrapped
+    step = base.step
+
+    def noting(actions):
+        f = base.scenario.observation_layout.net_bearing(base.simulator.observe()[0])
+        strong = np.linalg.norm(f, axis=-1) >= 2 * base.scenario.dead_zone
+        margins.extend(env.steering.alignment[0][strong])
+        swings.append(f[0] / np.linalg.norm(f[0]))
+        return step(actions)
+
+    base.step = noting
+    env.reset(seed=4)
+    while env.agents:
+        env.step(constant(env, (0.0, 1.0)))
+    assert min(margins) >= 0.5 - 1e-9 and len(margins) > 50
+    assert swings[0] @ swings[30] < 0.999
 
 
 def stalled_pair(certified):
@@ -201,20 +209,6 @@ def test_frozen_headings_stall_where_h_is_across_f_and_meet_under_the_certificat
     assert kept["success"] and alignment >= 0.5 - 1e-9
     # the gap of 2.8 m closes at 2 ε² m/s, faster while the headings turn aside
     assert 0.85 < kept["time"] / (2.8 / (2 * 0.5**2)) < 1.0
-
-
-def test_single_integrators_meet_within_the_bound_whatever_the_policy():
-    for seed, kind in enumerate(["single_integrator-2d", "single_integrator-3d"] * 3):
-        env = make(kind, spawn_size=2.0, min_alignment=0.5, decision_period=3)
-        env.reset(seed=seed)
-        simulator, scenario = env.unwrapped.simulator, env.unwrapped.scenario
-        bound = float(time_bound(scenario, simulator.lyapunov()[0], min_alignment=0.5))
-        env.max_cycles = int(np.ceil(bound / scenario.tau)) + 1
-        random = np.random.default_rng(seed)
-        while env.agents:
-            *_, infos = env.step(draw(env, random))
-        summary = next(iter(infos.values()))["summary"]
-        assert summary["success"] and summary["time"] <= bound
 
 
 def test_a_graph_without_links_moves_nobody():
