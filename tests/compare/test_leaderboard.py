@@ -18,14 +18,14 @@ from train import cli, policies
 from train.checks import UserError
 from train.compare import evaluation, statistics
 from train.leaderboard import cards as cards_of
-from train.leaderboard import command, registry, settings, tables
+from train.leaderboard import command, registry, tables
 from train.leaderboard.algorithms.ppo import multiplier_of
 from train.leaderboard.algorithms.ppo_cbf import Barrier, kept_out
 from train.leaderboard.playing import Player, play
 from train.leaderboard.teams import teams_to_learn_in
 from train.learn.settings import EVALUATION_SEEDS
 
-SMALL = settings.Config(
+SMALL = command.Config(
     algorithms=("bearing-only", "ppo-heading"), fields=("clutter-8",), seeds=(0, 1), decisions=64,
     starts=8, jobs=1,
 )  # fmt: skip
@@ -209,13 +209,13 @@ def test_cells_are_added_to_those_of_a_folder(board, tmp_path, monkeypatch, caps
 def test_what_is_not_installed_is_left_out_or_said(monkeypatch, capsys, tmp_path):
     """None of it where all names are meant; asked for by name it is an error."""
     monkeypatch.setattr(registry.Algorithm, "missing", property(lambda own: list(own.packages)))
-    named = {place.algorithm for place in settings.plan(settings.Config())}
+    named = {place.algorithm for place in command.plan(command.Config())}
     assert named == {"bearing-only", "tangent-joined-tuned", "tank-joined"}
     with pytest.raises(UserError, match=r"'qmix-none' needs torch, torchrl, tensordict, benchmarl"):
-        settings.plan(settings.Config(algorithms=("qmix-none",)))
+        command.plan(command.Config(algorithms=("qmix-none",)))
     monkeypatch.setattr(command, "play_all", lambda *given: (defaultdict(dict), 0.0))
     monkeypatch.setattr(command, "write", lambda *given: None)
-    assert command.run(settings.Config(out=tmp_path / "out")) == 0
+    assert command.run(command.Config(out=tmp_path / "out")) == 0
     assert "left out without benchmarl, stable-baselines3" in capsys.readouterr().out
 
 
@@ -228,9 +228,9 @@ def test_what_is_refused(monkeypatch):
         ({"starts": 0}, "--starts is 0"),
     ):
         with pytest.raises(UserError, match=said):
-            settings.plan(replace(SMALL, **changes))
+            command.plan(replace(SMALL, **changes))
     barred = replace(SMALL, algorithms=("ppo-cbf",), fields=("clutter-8", "rooms"), seeds=())
-    assert {place.field for place in settings.plan(barred)} == {"clutter-8-v1"}  # discs alone
+    assert {place.field for place in command.plan(barred)} == {"clutter-8-v1"}  # discs alone
 
 
 def test_every_algorithm_says_what_it_is():
@@ -250,7 +250,7 @@ def test_the_results_in_the_repository_give_these_tables(tier, monkeypatch):
     out = ROOT / "results" / "leaderboard" / tier
     cards = cards_of.read_cards(out)
     monkeypatch.setattr(registry.Algorithm, "missing", [])
-    asked = settings.plan(settings.Config(tier=tier))
+    asked = command.plan(command.Config(tier=tier))
     done = {(c["algorithm"], c["field"].partition("/")[2], c["seed"]) for c in cards}
     assert {(place.algorithm, place.field, place.seed) for place in asked} == done
     digests = {f"rendezvous/{name}": digest for name, digest in scenarios.digests().items()}

@@ -15,13 +15,13 @@ from rendezvous_env import Simulator, scenarios
 from rendezvous_env.obstacles.shape import RADIUS
 from train.checks import UserError
 from train.leaderboard import cards as cards_of
-from train.leaderboard import command, replays, settings
+from train.leaderboard import command, replays
 from train.leaderboard.playing import Player, play
 from train.leaderboard.teams import teams_to_learn_in
 from train.learn.settings import EVALUATION_SEEDS
 from train.recording import MAX_FRAMES
 
-RULES = settings.Config(
+RULES = command.Config(
     algorithms=("bearing-only", "tank-joined"), fields=("clutter-8", "unicycle-clutter-16"),
     starts=10, jobs=1,
 )  # fmt: skip
@@ -92,10 +92,9 @@ def led(field, count, safety, choose):
 
 def test_watching_changes_nothing_and_sees_every_step():
     player = partial(led, "clutter-16", 3, "tank", lambda shape: np.full(shape, 3))
-    watch = replays.Watch([2, 0])
-    found = play(own := player(), watch.begin)
+    found, recordings = replays.play_and_record(own := player(), [2, 0])
     assert found == play(player())
-    for team, recording in zip((2, 0), watch.recordings(), strict=True):
+    for team, recording in zip((2, 0), recordings, strict=True):
         assert recording["contacts"][-1].sum() == found["touches"][team]
         steps = recording["times"] / scenarios.get("clutter-16").tau
         np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)

@@ -15,7 +15,7 @@ from baselines.learned.policy_settings import PolicySettings, memory_of
 from baselines.learned.training_environment import FeatureVectorEnv
 from rendezvous_env.adapters.sb3 import RobotVecEnv
 from train.learn.networks import network_settings
-from train.learn.recurrent import RecurrentNetwork, RecurrentRobotPPO
+from train.learn.recurrent import RecurrentNetwork, RecurrentRobotPPO, Sequences
 
 TEAMS, STEPS, UNITS = 8, 20, 8
 SCENARIO = rv.scenarios.get("clutter-12").replace(time_limit=1.5)
@@ -77,8 +77,9 @@ def test_what_is_evaluated_is_what_was_done(collected):
     kept = buffer.mask.copy()
     for batch in buffer.get(4 * STEPS):
         assert (batch.observations.hidden != 0).any()
-        actions = batch.actions.long().flatten()
-        values, log_prob, _ = made.policy.evaluate_actions(batch.observations, actions)
+        preferences, values = made.policy.judged(batch.observations)
+        actions = batch.actions.long()
+        log_prob = preferences.log_softmax(dim=-1).gather(-1, actions)[:, 0]
         torch.testing.assert_close(log_prob, batch.old_log_prob, atol=2e-5, rtol=0)
         torch.testing.assert_close(values.flatten(), batch.old_values, atol=2e-5, rtol=0)
         samples += len(actions)
@@ -168,10 +169,10 @@ def test_memory_makes_a_difference(collected):
     ours, after = NumpyActor(arrays, SETTINGS, layout), hidden.numpy().copy()
     found = [ours.preferences(seen.numpy(), after), ours.preferences(seen.numpy())]
     for before, preferences in zip((hidden, torch.zeros_like(hidden)), found, strict=True):
+        once = torch.zeros(1, len(seen)), before, torch.ones(1, len(seen), dtype=torch.bool)
         with torch.no_grad():
-            logits = made.policy.get_distribution(seen, before).distribution.logits.numpy()
-        relative = preferences - preferences[:, :1]
-        np.testing.assert_allclose(relative, logits - logits[:, :1], atol=2e-5)
+            theirs, _ = made.policy.judged(Sequences(seen[None], *once))
+        np.testing.assert_allclose(preferences, theirs, atol=2e-5)
     assert np.abs(found[0] - found[1]).max() > 0.01
     assert not np.array_equal(after, hidden.numpy())
     with pytest.raises(ValueError, match=r"weights have no 'memory\.weight_ih'"):

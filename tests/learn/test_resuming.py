@@ -35,6 +35,11 @@ def copied(whole, tmp_path):
     return shutil.copytree(whole, tmp_path / "run")
 
 
+def setting(field, value, message):
+    """A damaged configuration: its file, what happens to it, and what is said then."""
+    return "config.json", lambda was: json.dumps(json.loads(was) | {field: value}).encode(), message
+
+
 class TestResume:
     def test_a_signal_keeps_all_whole_updates(self, whole, tmp_path, capsys):
         """It comes while the fourth is being told; checkpoints are written every other update."""
@@ -231,43 +236,28 @@ class TestRefusals:
         assert cli.main(["train", "--resume", str(folder)]) == 0
 
     @pytest.mark.parametrize(
-        ("name", "content", "message"),
+        ("name", "hurt", "message"),
         [
-            ("metrics.csv", b"step\xff\n", "metrics.csv: not readable ('utf-8' codec"),
-            ("metrics.csv", b"step\n1\n", "metrics.csv: line 1 is not step,update"),
-            ("evaluation.csv", b"a,b\n", "evaluation.csv: line 1 is not step,scenario"),
-            ("config.json", b"[" * 100_000, "config.json: it is nested too deeply"),
-            ("config.json", b"\xff", "config.json: 'utf-8' codec"),
-            ("config.json", b"[]", "config.json: the configuration is a list"),
+            ("metrics.csv", lambda was: b"step\xff\n", "metrics.csv: not readable ('utf-8' codec"),
+            ("metrics.csv", lambda was: b"step\n1\n", "metrics.csv: line 1 is not step,update"),
+            (
+                "metrics.csv",
+                lambda was: was.replace(b"\n2048,", b"\nx2048,"),
+                "line 5: step is 'x2048'; it must be a whole number",
+            ),
+            ("metrics.csv", lambda was: was + b"7,8\r\n", "line 14 has 2 cells, not 19"),
+            ("evaluation.csv", lambda was: b"a,b\n", "evaluation.csv: line 1 is not step,scenario"),
+            ("config.json", lambda was: b"[" * 100_000, "config.json: it is nested too deeply"),
+            ("config.json", lambda was: b"\xff", "config.json: 'utf-8' codec"),
+            ("config.json", lambda was: b"[]", "config.json: the configuration is a list"),
+            setting("clearance", float("nan"), "--clearance is nan; it must be a finite number"),
+            setting("num_teams", "8", "num_teams is '8'; it must be of type int"),
+            setting(
+                "hidden", [16, "16"], "hidden is (16, '16'); it must be of type tuple[int, ...]"
+            ),
+            setting("scenario", "clutter-8", "is of another run"),
         ],
     )
-    def test_a_damaged_file(self, copied, capsys, name, content, message):
-        (copied / name).write_bytes(content)
-        self.refused(message, capsys, copied)
-
-    @pytest.mark.parametrize(
-        ("row", "message"),
-        [
-            ("x{}", "line 5: step is 'x2048'; it must be a whole number"),
-            ("7,8\n", "line 5 has 2 cells, not 19"),
-        ],
-    )
-    def test_a_damaged_row(self, copied, capsys, row, message):
-        lines = (copied / "metrics.csv").read_text().splitlines(keepends=True)
-        lines[4] = row.format(lines[4])
-        (copied / "metrics.csv").write_text("".join(lines))
-        self.refused(message, capsys, copied)
-
-    @pytest.mark.parametrize(
-        ("field", "value", "message"),
-        [
-            ("clearance", float("nan"), "--clearance is nan; it must be a finite number"),
-            ("num_teams", "8", "num_teams is '8'; it must be of type int"),
-            ("hidden", [16, "16"], "hidden is (16, '16'); it must be of type tuple[int, ...]"),
-            ("scenario", "clutter-8", "is of another run"),
-        ],
-    )
-    def test_a_setting(self, copied, capsys, field, value, message):
-        plain = json.loads((copied / "config.json").read_text()) | {field: value}
-        (copied / "config.json").write_text(json.dumps(plain))
+    def test_a_damaged_file(self, copied, capsys, name, hurt, message):
+        (copied / name).write_bytes(hurt((copied / name).read_bytes()))
         self.refused(message, capsys, copied)

@@ -12,13 +12,13 @@ from rendezvous_env.sensors.sensing import Sensing
 from train import cli
 from train.learn import ppo, trainer
 from train.learn.ppo import Config
-from train.learn.sensing_ranges import SensingRanges
+from train.learn.sensing_ranges import draw
 from train.learn.teams import make_teams
 
-RANGES = SensingRanges(
-    noise=(0.05, 0.2), bias=(0.0, 0.1), dropout=(0.1, 0.3), range=(10.0, 20.0),
-    field_of_view=(math.pi, 6.0), occlusion=("obstacles", "both"), delay=(1, 3),
-)  # fmt: skip
+RANGES = {
+    "noise": (0.05, 0.2), "bias": (0.0, 0.1), "dropout": (0.1, 0.3), "range": (10.0, 20.0),
+    "field_of_view": (math.pi, 6.0), "occlusion": ("obstacles", "both"), "delay": (1, 3),
+}  # fmt: skip
 DRAWN = {
     "sensing_noise": (0.05, 0.3), "sensing_dropout": (0.0, 0.5), "sensing_delay": (0, 2),
     "sensing_groups": 3, "sensing_updates": 2,
@@ -28,10 +28,11 @@ DRAWN = {
 
 class TestRanges:
     def test_what_is_drawn_is_in_its_range(self):
-        drawn = [RANGES.draw(Sensing(sectors=8), 0, g, k) for g in range(20) for k in range(20)]
+        given, keys = Sensing(sectors=8), [(0, g, k) for g in range(20) for k in range(20)]
+        drawn = [draw(given, RANGES, 0.5, key) for key in keys]
         assert all(sensing.sectors == 8 and sensing.error == 0.0 for sensing in drawn)
         for name in ("noise", "bias", "dropout", "range", "field_of_view", "delay"):
-            low, high = getattr(RANGES, name)
+            low, high = RANGES[name]
             exact = getattr(Sensing(), name)
             found = np.array([v for s in drawn if (v := getattr(s, name)) != exact])
             assert low <= found.min() and found.max() <= high, name
@@ -42,17 +43,15 @@ class TestRanges:
         assert {s.occlusion for s in drawn} == {"none", "obstacles", "both"}
 
     def test_a_key_has_one_sensor_and_chances_count(self):
-        keys, always = [(seed, g) for seed in range(4) for g in range(4)], {"chance": 1.0}
+        keys = [(seed, g) for seed in range(4) for g in range(4)]
         drawn, again = (
-            [SensingRanges(noise=(0.0, 1.0), **always).draw(Sensing(), *key) for key in keys]
-            for _ in range(2)
+            [draw(Sensing(), {"noise": (0.0, 1.0)}, 1.0, key) for key in keys] for _ in range(2)
         )
         assert drawn == again and len(set(drawn)) == len(keys)
         given, ranges = Sensing(bias=0.1), {"noise": (0.2, 0.2), "occlusion": ("robots",)}
         expected = Sensing(noise=0.2, bias=0.1, occlusion="robots")
-        assert SensingRanges(**ranges, **always).draw(given, 0) == expected
-        assert SensingRanges(**ranges, chance=0.0).draw(given, 0) == given
-        assert RANGES and not SensingRanges()
+        assert draw(given, ranges, 1.0, (0,)) == expected
+        assert draw(given, ranges, 0.0, (0,)) == given
 
     @pytest.mark.parametrize(
         ("words", "message"),
@@ -98,7 +97,7 @@ class TestGroups:
             assert len(seen) == which.sum()
             generations.append(groups.generations.tolist())
             for g, k in enumerate(generations[-1]):
-                expected = ranges.draw(Sensing(), given.seed, g, k)
+                expected = draw(Sensing(), ranges, given.sensing_chance, (given.seed, g, k))
                 assert groups.groups[g].env.scenario.sensing == expected
                 state = groups.groups[g].env.simulator.get_state()
                 np.testing.assert_array_equal(before[g]["seed"], state["seed"])

@@ -2,6 +2,7 @@
 
 import json
 import math
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from training_runs import UPDATE, assert_goes_on, assert_same_run, config, flags
 
 from baselines.learned import checkpoints, learned_policy
 from baselines.learned.policy_settings import CHOICES
+from rendezvous_env.safety.safety_filter import FILTERS
 from rendezvous_env.scenario import scenarios
 from rendezvous_env.scenario.scenario import Scenario
 from train import checks, cli, results
@@ -202,7 +204,6 @@ class TestSettings:
             (["--curriculum", "-1"], "--curriculum is -1; it must be 0 or more"),
             (["--num-teams", "0"], "--num-teams is 0; it must be 1 or more"),
             (["--gamma", "1.5"], "--gamma is 1.5; it must be 1 or less"),
-            (["--min-alignment", "1"], "--min-alignment is 1.0; it must be in (0, 1)"),
             (["--seed", str(2**29)], "it must be 536870911 or less"),
             (["--budget", "3"], "--budget is 3.0; headings have none: add --guarantee tank"),
             (["--memory", "features"], "--memory is features; headings have none: add --guarantee"),
@@ -228,6 +229,22 @@ class TestSettings:
         monkeypatch.setattr(checks.importlib.util, "find_spec", lambda name: None)
         assert cli.main(["train", *flags(tmp_path / "run")]) == 2
         assert "pip install 'rendezvous-env[train]'" in capsys.readouterr().err
+
+    @pytest.mark.parametrize("guarantee", ["heading", "tank"])
+    @pytest.mark.parametrize(
+        ("margin", "fits"), [(0.0, False), (9e-7, False), (1e-6, True), (0.999, True), (1.0, False)]
+    )
+    def test_a_margin_is_one_that_the_filter_takes(self, margin, fits, guarantee, tmp_path):
+        settings = config(tmp_path, min_alignment=margin, guarantee=guarantee)
+        made = (
+            lambda: ppo.check(settings),
+            lambda: FILTERS[guarantee](settings.plain_scenario(), 1, min_alignment=margin),
+        )
+        said = r"min.alignment is .* it must be at least 1e-06 and less than 1"
+        refused = pytest.raises((UserError, ValueError), match=said)
+        for make in made:
+            with nullcontext() if fits else refused:
+                make()
 
     @pytest.mark.parametrize("name", ["guarantee", "memory", "critic"])
     def test_words_that_are_none(self, name, tmp_path):

@@ -1,6 +1,7 @@
 """An update is that of stable-baselines3, however it is shared out."""
 
 import copy
+from functools import partial
 
 import numpy as np
 import pytest
@@ -53,11 +54,20 @@ def collected(memory, batch_size=10**6):
     return model
 
 
+def evaluated(policy, sequences, actions):
+    """What PPO asks of a network, here of whole sequences."""
+    preferences, values = policy.judged(sequences)
+    chances = torch.distributions.Categorical(logits=preferences)
+    return values, chances.log_prob(actions), chances.entropy()
+
+
 def after(model, train):
     """Weights and what was told of an update, done to a copy."""
     model.rollout_buffer.part_size = 300  # several parts to a batch
     own = copy.copy(model)
     own.policy = copy.deepcopy(model.policy)
+    if getattr(own.policy, "units", 0):
+        own.policy.evaluate_actions = partial(evaluated, own.policy)
     own.policy.optimizer = type(model.policy.optimizer)(own.policy.parameters(), eps=1e-5)
     np.random.seed(0)
     train(own)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rendezvous_env.baselines.learned import plain_data
 
@@ -16,10 +16,33 @@ from ..checks import UserError
 from . import registry
 from .playing import play
 from .replays import Replay, path_of, replay_of, write_replay
-from .settings import Place
 
 Card = dict[str, Any]
 Run = tuple[Card, Replay | None]
+
+
+class Place(NamedTuple):
+    """A cell: what is trained, where, and with which seed."""
+
+    algorithm: str
+    field: str  # with version, without namespace
+    seed: int
+    decisions: int  # 0 of what does not learn
+    starts: int
+
+    @property
+    def name(self) -> str:
+        """Of its file."""
+        return f"{self.algorithm}/{self.field}-seed-{self.seed}"
+
+    @property
+    def command(self) -> str:
+        """The command that does this cell alone."""
+        budget = f" --decisions {self.decisions}" if self.decisions else ""
+        return (
+            f"rendezvous leaderboard --algorithms {self.algorithm} --fields {self.field} "
+            f"--seeds {self.seed}{budget} --starts {self.starts}"
+        )
 
 
 def run_of(place: Place, record: bool) -> Run:

@@ -19,8 +19,7 @@ from .teams import COSTS
 class Player:
     """Teams that rest when they have ended, and what chooses for them."""
 
-    teams: Any
-    """A vector environment of B teams with ``costs`` of ``teams.COSTS``."""
+    teams: Any  # a vector environment of B teams with ``costs`` of ``teams.COSTS``
     act: Callable[[NDArray[np.float32], NDArray[np.float64]], Any]
     """From observations and times (B,), s, to actions."""
 

@@ -20,10 +20,8 @@ from .playing import Player
 class Budget:
     """How much a learner may learn."""
 
-    decisions: int
-    """Of single robots."""
-    num_teams: int = 64
-    """Environments side by side."""
+    decisions: int  # of single robots
+    num_teams: int = 64  # environments side by side
 
 
 @dataclass(frozen=True)
@@ -34,23 +32,16 @@ class Algorithm:
     name, with hyphens; or with ``ALGORITHMS``, several by name.
     """
 
-    about: str
-    """What it is, in a line."""
-    safety: str
-    """Its way of being safe, in a word or two."""
-    guarantee: Literal["none", "heading", "tank"]
-    """What is proven of it: nothing, theorem C or theorem D."""
-    given: str
-    """What it reads: "bearings", or what else."""
+    about: str  # what it is, in a line
+    safety: str  # its way of being safe, in a word or two
+    guarantee: Literal["none", "heading", "tank"]  # proven: nothing, theorem C or theorem D
+    given: str  # what it reads: "bearings", or what else
     learn: Callable[[Scenario, int, Budget], tuple[Callable[[int], Player], dict[str, Any]]]
     """From field, seed and budget: what makes a player of so many teams, and its settings as plain
     data. What does not learn makes the player at once."""
-    fits: Callable[[Scenario], bool]
-    """Whether it can be had on a field."""
-    learns: bool = True
-    """Whether its seed and budget matter; else one seed is played."""
-    packages: tuple[str, ...] = ()
-    """Distributions that it learns with; their versions stand in its cards."""
+    fits: Callable[[Scenario], bool]  # whether it can be had on a field
+    learns: bool = True  # whether its seed and budget matter; else one seed is played
+    packages: tuple[str, ...] = ()  # distributions it needs; their versions are on its cards
 
     @property
     def missing(self) -> list[str]:

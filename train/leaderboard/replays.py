@@ -33,35 +33,33 @@ Replay = dict[str, Any]
 them and of the results on its card."""
 
 
-class Watch:
-    """Records the teams of these numbers, whoever leads them: it stands before ``Simulator.step``
-    from ``begin`` on.
+def play_and_record(
+    player: Player, starts: Sequence[int]
+) -> tuple[dict[str, list[Any]], list[Recording]]:
+    """As ``play``, with recordings of the teams of these numbers; ``Simulator.step`` is watched,
+    whoever calls it.
     """
+    recorders: list[Recorder] = []
 
-    def __init__(self, starts: Sequence[int]) -> None:
-        self._starts = starts
+    def begin(simulator: Simulator) -> None:
+        step, seen, start = simulator.step, simulator.observe(), Snapshot(simulator)
+        recorders.extend(Recorder(start, team, seen, exact=False) for team in starts)
 
-    def begin(self, simulator: Simulator) -> None:
-        """Record from here, where the teams have just begun."""
-        self._simulator, self._step = simulator, simulator.step
-        self._seen, start = simulator.observe(), Snapshot(simulator)
-        self._recorders = [Recorder(start, k, self._seen, exact=False) for k in self._starts]
-        vars(simulator)["step"] = self._watched
+        def watched(actions: NDArray[np.float32]) -> StepOutput:
+            nonlocal seen
+            running, before = simulator.status == RUNNING, simulator.lyapunov()
+            outcome = step(actions)
+            done = Step(running, seen, actions, before, outcome)
+            aligned, after = alignments(simulator.scenario, done), Snapshot(simulator)
+            for recorder in recorders:
+                recorder.see(done, aligned, after)
+            seen = outcome.observations
+            return outcome
 
-    def _watched(self, actions: NDArray[np.float32]) -> StepOutput:
-        simulator = self._simulator
-        running, before = simulator.status == RUNNING, simulator.lyapunov()
-        outcome = self._step(actions)
-        step = Step(running, self._seen, actions, before, outcome)
-        aligned, after = alignments(simulator.scenario, step), Snapshot(simulator)
-        for recorder in self._recorders:
-            recorder.see(step, aligned, after)
-        self._seen = outcome.observations
-        return outcome
+        vars(simulator)["step"] = watched
 
-    def recordings(self) -> list[Recording]:
-        """Those of the teams, once they have finished."""
-        return [recorder.finish() for recorder in self._recorders]
+    found = play(player, begin)
+    return found, [recorder.finish() for recorder in recorders]
 
 
 def replay_of(found: dict[str, Any], player: Player) -> Replay | None:
@@ -70,10 +68,10 @@ def replay_of(found: dict[str, Any], player: Player) -> Replay | None:
     """
     clean = found["clean"]
     starts = [0, *[start for start, one in enumerate(clean) if one != clean[0]][:1]]
-    watch = Watch(starts)
-    if play(player, watch.begin) != found:
+    again, recordings = play_and_record(player, starts)
+    if again != found:
         return None
-    encoded = zip(starts, encode_all(watch.recordings(), BUDGET), strict=True)
+    encoded = zip(starts, encode_all(recordings, BUDGET), strict=True)
     kept = {str(start): asdict(one) for start, one in encoded}
     return {"sha256": _seal(found, kept), "starts": kept}
 

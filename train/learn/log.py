@@ -81,14 +81,10 @@ class Result:
 
     folder: Path
     """Of the run; ``learned_policy.load`` reads its policy, ``Config(resume=folder)`` goes on."""
-    status: int
-    """0, or 128 + the number of the signal that ended it."""
-    stopped: bool
-    """Whether ``on_update`` ended it."""
-    steps: int
-    """Decisions of all robots so far, those before a resumption too."""
-    metrics: Row
-    """Row of metrics.csv of the last update; empty if there was none."""
+    status: int  # 0, or 128 + the number of the signal that ended it
+    stopped: bool  # whether ``on_update`` ended it
+    steps: int  # decisions of all robots so far, those before a resumption too
+    metrics: Row  # row of metrics.csv of the last update; empty if there was none
     evaluations: tuple[Row, ...]
     """Rows of evaluation.csv, those before a resumption too; NaN where a cell is empty."""
 

@@ -39,8 +39,7 @@ class SetFeatures(BaseFeaturesExtractor):
 
         features = (mean φ(g), max φ(g), mean ψ(s), max ψ(s), context)
 
-    Absent (zero) rows do not count. The weights, φ and ψ of ``width``, do not depend on the numbers
-    of slots.
+    Absent (zero) rows do not count. φ and ψ, of ``width``, are the same for any number of slots.
     """
 
     def __init__(self, observation_space: Box, layout: FeatureLayout, width: int) -> None:

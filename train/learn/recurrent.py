@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from rendezvous_env.baselines.learned.training_environment import FeatureVectorEnv
-from stable_baselines3.common.distributions import Distribution
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
 from stable_baselines3.common.vec_env import VecEnv
@@ -25,14 +24,10 @@ from .settings import Config
 class Sequences(NamedTuple):
     """Rollouts of S robots over T decisions, which a recurrent network evaluates at once."""
 
-    observations: Tensor
-    """(T, S, size)."""
-    starts: Tensor
-    """(T, S), 1 where an episode began with this decision, else 0."""
-    hidden: Tensor
-    """(S, units), memory before the first decision."""
-    kept: Tensor
-    """(T, S), bool: decisions that are samples; the others are of robots that were gone."""
+    observations: Tensor  # (T, S, size)
+    starts: Tensor  # (T, S), 1 where an episode began with this decision, else 0
+    hidden: Tensor  # (S, units), memory before the first decision
+    kept: Tensor  # (T, S), bool: decisions that are samples; else the robot was merged away
 
 
 class RecurrentNetwork(SplitNetwork):
@@ -44,8 +39,7 @@ class RecurrentNetwork(SplitNetwork):
     In forward passes the network itself keeps h, of so many ``units``, for all slots.
     """
 
-    hidden: Tensor
-    """h of every slot, (slots, units); empty before ``begin``."""
+    hidden: Tensor  # h of every slot, (slots, units); empty before ``begin``
 
     def __init__(self, *arguments: Any, units: int, **settings: Any) -> None:
         self.units = units  # the layers, which super() builds, need it
@@ -66,61 +60,37 @@ class RecurrentNetwork(SplitNetwork):
 
     def forward(self, obs: Tensor, deterministic: bool = False) -> tuple[Tensor, Tensor, Tensor]:
         """Choices, values and log-probabilities of all slots; updates their memory."""
-        features = self._features(obs)
-        self.hidden = self._next(features, self._alive(obs), self.hidden)
+        features: Any = self.extract_features(obs)
+        self.hidden = self._next(features, obs, self.hidden)
         return self._chosen(torch.cat((self.hidden, features), dim=-1), deterministic)
 
     def predict_values(  # type: ignore[override]  # with a memory
         self, obs: Tensor, hidden: Tensor | None = None
     ) -> Tensor:
         """Values (N, 1), given memories (N, units); None takes those of all slots. Updates none."""
-        latent = self.mlp_extractor.forward_critic(self._with_memory(obs, hidden))
+        features: Any = self.extract_features(obs)
+        after = self._next(features, obs, self.hidden if hidden is None else hidden)
+        latent = self.mlp_extractor.forward_critic(torch.cat((after, features), dim=-1))
         values: Tensor = self.value_net(latent)
         return values
 
-    def get_distribution(  # type: ignore[override]
-        self, obs: Tensor, hidden: Tensor | None = None
-    ) -> Distribution:
-        """Of the choices; arguments as ``predict_values``."""
-        latent = self.mlp_extractor.forward_actor(self._with_memory(obs, hidden))
-        return self._get_action_dist_from_latent(latent)
-
-    def evaluate_actions(  # type: ignore[override]  # of whole sequences
-        self, obs: Sequences, actions: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Values, log-probabilities and entropies of the samples that are kept."""
-        preferences, values = self.judged(obs)
-        chances = torch.distributions.Categorical(logits=preferences)
-        return values, chances.log_prob(actions), chances.entropy()
-
     def judged(self, obs: Sequences) -> tuple[Tensor, Tensor]:
         """Preferences and values of the samples that are kept."""
-        features = self._features(obs.observations.flatten(0, 1)).unflatten(0, obs.kept.shape)
-        alive, hidden, remembered = self._alive(obs.observations), obs.hidden, []
+        each: Any = self.extract_features(obs.observations.flatten(0, 1))
+        features = each.unflatten(0, obs.kept.shape)
+        hidden, remembered = obs.hidden, []
         for t in range(len(features)):
             hidden = hidden.masked_fill(obs.starts[t, :, None] > 0, 0.0)
-            hidden = self._next(features[t], alive[t], hidden)
+            hidden = self._next(features[t], obs.observations[t], hidden)
             remembered.append(hidden)
         return self._judged(torch.cat((torch.stack(remembered), features), dim=-1)[obs.kept])
 
-    def _features(self, obs: Tensor) -> Tensor:
-        features = self.extract_features(obs)
-        assert isinstance(features, Tensor)  # actor and critic share their extractor
-        return features
-
-    def _alive(self, obs: Tensor) -> Tensor:
-        """Whether a robot is shown anything, (..., 1)."""
-        return obs[..., : self.features_extractor.layout.size].any(dim=-1, keepdim=True)
-
-    def _next(self, features: Tensor, alive: Tensor, hidden: Tensor) -> Tensor:
+    def _next(self, features: Tensor, obs: Tensor, hidden: Tensor) -> Tensor:
         """The memory after these features, of which it reads the local ones."""
+        is_shown = obs[..., : self.features_extractor.layout.size].any(dim=-1, keepdim=True)
         local = features[..., : self.features_extractor.local_dim]
         remembered: Tensor = self.memory(local, hidden)
-        return remembered * alive
-
-    def _with_memory(self, obs: Tensor, hidden: Tensor | None) -> Tensor:
-        features, before = self._features(obs), self.hidden if hidden is None else hidden
-        return torch.cat((self._next(features, self._alive(obs), before), features), dim=-1)
+        return remembered * is_shown
 
 
 class SequenceBuffer(RobotRolloutBuffer):
@@ -133,8 +103,7 @@ class SequenceBuffer(RobotRolloutBuffer):
     tables = ("mask", "episode_starts", *RobotRolloutBuffer.tables)
     part_size = 4096
     _policy: RecurrentNetwork
-    _hidden: Tensor
-    """Memory of every slot before the rollout, (slots, units)."""
+    _hidden: Tensor  # memory of every slot before the rollout, (slots, units)
 
     def follow(self, robots: RobotVecEnv, policy: ActorCriticPolicy) -> None:
         """As ``RobotRolloutBuffer.follow``, at the beginning of a rollout."""
@@ -174,7 +143,7 @@ class RecurrentRobotPPO(HeadingPPO):
         self.policy.begin(self.n_envs)
 
     def collect_rollouts(self, env: VecEnv, *how: Any, **more: Any) -> bool:
-        """As ``HeadingPPO``; slots whose episodes begin with the rollout remember nothing."""
+        """As ``HeadingPPO``; slots whose episodes begin with the rollout forget the last one."""
         self.policy.forget(torch.as_tensor(self._last_episode_starts, device=self.device))
         return super().collect_rollouts(env, *how, **more)
 

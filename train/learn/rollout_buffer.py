@@ -42,12 +42,9 @@ class RobotRolloutBuffer(RolloutBuffer):
     ``bootstrap_observations``; one call of the network values all slots of a step.
     """
 
-    mask: NDArray[np.bool_]
-    """(steps, slots), whose robot took part in the step."""
-    tables: ClassVar[tuple[str, ...]] = _SAMPLES
-    """In the order of ``RolloutBufferSamples``."""
-    part_size = 1024
-    """Steps whose gradient is computed at once."""
+    mask: NDArray[np.bool_]  # (steps, slots), whose robot took part in the step
+    tables: ClassVar[tuple[str, ...]] = _SAMPLES  # in the order of ``RolloutBufferSamples``
+    part_size = 1024  # steps whose gradient is computed at once
     _robots: RobotVecEnv
     _policy: ActorCriticPolicy
 

@@ -14,12 +14,13 @@ from tyro.conf import arg
 
 from rendezvous_env.obstacles.fields import ObstacleField
 from rendezvous_env.rewards.terms import RewardWeights
+from rendezvous_env.safety.settings import SMALLEST_MARGIN
 from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..checks import UserError, check_fields, check_least, check_most, flag
 from ..policies import resolve_scenario
-from .sensing_ranges import SensingRanges
+from .sensing_ranges import Ranges, check_ranges
 
 TRAINING_SEEDS, EVALUATION_SEEDS = 2**62, 2**61
 """Of first starts: training with seed s has 2⁶² + 2³² s, evaluation 2⁶¹. ``compare`` counts up from
@@ -27,7 +28,9 @@ its --seed, which is far below: no policy is judged on starts that it was traine
 """
 CONFIG = "config.json"
 """The settings of a run, in its folder."""
-_SENSING = tuple(f"sensing_{field.name}" for field in fields(SensingRanges))
+_SAMPLED = ("noise", "bias", "dropout", "range", "field_of_view", "occlusion", "delay")
+"""Fields of Sensing that may have a range, in the order in which they are drawn."""
+_HOW_SAMPLED = ("sensing_chance", "sensing_groups", "sensing_updates")
 _PATHS = ("out", "resume", "start_from")
 
 EXAMPLES = (
@@ -46,7 +49,7 @@ _LEARNING = (
 FLAG_GROUPS = {
     "PPO": _LEARNING,
     "Policy": (*_POLICY, "decision_period", "budget", "critic"),
-    "Sensors that are sampled": (*_SENSING, "sensing_groups", "sensing_updates"),
+    "Sensors that are sampled": (*(f"sensing_{name}" for name in _SAMPLED), *_HOW_SAMPLED),
     "Rewards": (*_REWARDS, "touch_penalty"),
     "Evaluation and machine": (
         "eval_every", "eval_starts", "eval_scenarios", "checkpoint_every", "tensorboard",
@@ -219,9 +222,10 @@ class Config:
         """The scenario as it is named, with what --set says."""
         return resolve_scenario(self.scenario, self.set)
 
-    def sensing_ranges(self) -> SensingRanges:
-        """The distribution of the teams' sensors; false if they have the scenario's."""
-        return SensingRanges(**{k.removeprefix("sensing_"): getattr(self, k) for k in _SENSING})
+    def sensing_ranges(self) -> Ranges:
+        """What sensors are sampled from; empty if teams have the scenario's."""
+        given = {name: getattr(self, f"sensing_{name}") for name in _SAMPLED}
+        return {name: ends for name, ends in given.items() if ends}
 
     def stage(self, step: int) -> int:
         """The stage of the curriculum at a step; 0 without one."""
@@ -284,7 +288,8 @@ def check(config: Config) -> None:
     for name in ("learning_rate", "clip_range", "max_turn_rate"):
         rules[name] = getattr(config, name) > 0, "positive"
     rules["clearance"] = 0 <= config.clearance < math.pi, "an angle in [0, π) rad"
-    rules["min_alignment"] = 0 < config.min_alignment < 1, "in (0, 1)"
+    margins = SMALLEST_MARGIN <= config.min_alignment < 1  # as filters say
+    rules["min_alignment"] = margins, f"at least {SMALLEST_MARGIN:g} and less than 1"
     for name, (holds, rule) in rules.items():
         if not holds:
             raise UserError(f"{flag(name)} is {getattr(config, name)!r}; it must be {rule}")
@@ -297,11 +302,12 @@ def check(config: Config) -> None:
 
 def _check_unused(config: Config) -> None:
     """Refuse a flag that means nothing without another one."""
+    ranges = config.sensing_ranges()
     try:
-        drawn = bool(config.sensing_ranges())
+        check_ranges(ranges, config.sensing_chance)
     except ValueError as error:
         raise UserError(f"--sensing-… draws sensors: {error}") from error
-    if drawn and config.sensing_groups > config.num_teams:
+    if ranges and config.sensing_groups > config.num_teams:
         raise UserError(
             f"--sensing-groups is {config.sensing_groups}; it must be {config.num_teams} or less, "
             "as --num-teams"
@@ -313,9 +319,9 @@ def _check_unused(config: Config) -> None:
             unused["memory"] = unused["budget"]
     if config.memory != "recurrent":
         unused["memory_units"] = "there are none without --memory recurrent"
-    if not drawn:
+    if not ranges:
         why = "no sensors are drawn: add a range, as --sensing-noise"
-        unused |= dict.fromkeys(("sensing_chance", "sensing_groups", "sensing_updates"), why)
+        unused |= dict.fromkeys(_HOW_SAMPLED, why)
     for name, why in unused.items():
         if (value := getattr(config, name)) != getattr(Config, name):
             raise UserError(f"{flag(name)} is {value}; {why}")

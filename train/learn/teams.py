@@ -19,6 +19,7 @@ from rendezvous_env.sensors.sensing import Sensing
 from rendezvous_env.simulator import Simulator
 
 from .networks import GlobalStateLayout
+from .sensing_ranges import draw
 from .settings import Config
 
 
@@ -41,20 +42,20 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
         self._make, self._sizes, self._period = make, list(sizes), period
         self._bounds = np.cumsum(sizes)[:-1]
         self.generations = np.zeros(len(sizes), dtype=np.int64)
-        self.groups = [make(group, 0) for group in range(len(sizes))]
+        self.groups: list[Any] = [make(group, 0) for group in range(len(sizes))]
         first = self.groups[0]
         self.num_envs = sum(sizes)
         self.metadata, self.render_mode = first.metadata, None
         self.single_observation_space = first.single_observation_space
         self.single_action_space = first.single_action_space
         self.layout, self.global_state = first.layout, first.global_state
-        shape = (self.num_envs, self.simulator.scenario.n_robots)
-        self._blind = np.zeros(shape, dtype=np.bool_)
+        self._blind = np.zeros((self.num_envs, self.simulator.scenario.n_robots), dtype=np.bool_)
 
     @property
     def simulator(self) -> Simulator:
         """That of the first group; each has its own."""
-        return _simulator_of(self.groups[0])
+        simulator: Simulator = self.groups[0].env.simulator
+        return simulator
 
     @property
     def alignment(self) -> NDArray[np.float64]:
@@ -71,12 +72,10 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
         if options:
             raise ValueError(f"options are {dict(options)}; groups of teams take none")
         seeds = [seed + team for team in range(self.num_envs)] if isinstance(seed, int) else seed
-        none = [None] * len(self.groups)
-        parts: Any = none if seeds is None else np.split(np.array(seeds), self._bounds)
-        begun = [
-            teams.reset(seed=None if own is None else own.tolist())
-            for teams, own in zip(self.groups, parts, strict=True)
-        ]
+        parts: Any = [None] * len(self.groups)
+        if seeds is not None:
+            parts = [own.tolist() for own in np.split(np.array(seeds), self._bounds)]
+        begun = [teams.reset(seed=own) for teams, own in zip(self.groups, parts, strict=True)]
         observations = np.concatenate([seen for seen, _ in begun])
         self._note_blind(slice(None), observations)
         return observations, self._joined([infos for _, infos in begun])
@@ -102,8 +101,8 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
         shape: Any = self.single_observation_space.shape
         begun = [np.empty((0, *shape), dtype=np.float32)]
         for group in np.flatnonzero(due != self.generations).tolist():
-            renewed = self._make(group, int(due[group]))
-            drawn, simulator = _simulator_of(self.groups[group]).get_state(), _simulator_of(renewed)
+            renewed: Any = self._make(group, int(due[group]))
+            drawn, simulator = self.groups[group].env.simulator.get_state(), renewed.env.simulator
             simulator.reset(drawn["seed"].tolist())
             simulator.set_state(simulator.get_state() | {"episode": drawn["episode"]})
             begun.append(renewed.reset()[0])
@@ -138,10 +137,8 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
         return groups | {"generations": self.generations.copy(), "blind": self._blind.copy()}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Put back what ``get_state`` took out, with the sensors that belong to it.
-
-        Raises:
-            ValueError: naming what does not fit; nothing has changed then.
+        """Put back what ``get_state`` took out, with the sensors that belong to it; a ValueError
+        names what does not fit, and nothing has changed then.
         """
         check_keys(state, tuple(str(g) for g in range(len(self.groups))))
         own = check_entries({"generations": self.generations, "blind": self._blind}, state)
@@ -152,12 +149,6 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
             teams.set_state(state[str(g)])
         self.groups = groups
         self.generations, self._blind = own["generations"].copy(), own["blind"].copy()
-
-
-def _simulator_of(teams: FeatureVectorEnv) -> Simulator:
-    base: Any = teams.env  # any vector environment, as far as its type says
-    simulator: Simulator = base.simulator
-    return simulator
 
 
 def make_teams(config: Config, stage: int) -> FeatureVectorEnv | SensingGroups:
@@ -181,7 +172,8 @@ def make_teams(config: Config, stage: int) -> FeatureVectorEnv | SensingGroups:
     sizes = [len(p) for p in np.array_split(np.arange(config.num_teams), config.sensing_groups)]
 
     def make_group(group: int, generation: int) -> FeatureVectorEnv:
-        return make(ranges.draw(scenario.sensing, config.seed, group, generation), sizes[group])
+        key = config.seed, group, generation
+        return make(draw(scenario.sensing, ranges, config.sensing_chance, key), sizes[group])
 
     return SensingGroups(make_group, sizes, config.sensing_updates)
 

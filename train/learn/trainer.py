@@ -256,10 +256,10 @@ class Trainer:
         """How much time the environment took since this process began or resumed the run."""
         if not self._seconds:
             return "nothing was left to do"
-        share = self._environment_seconds / self._seconds
+        share = 100.0 * self._environment_seconds / self._seconds
         return (
-            f"{100 * share:.0f} % of the time in the environment; the same PPO on one that costs "
-            f"nothing would have taken the other {100 * (1 - share):.0f} %"
+            f"{share:.0f} % of the time in the environment; the same PPO on one that costs nothing "
+            f"would have taken the other {100.0 - share:.0f} %"
         )
 
     def _wall(self) -> float:

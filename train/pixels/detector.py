@@ -30,12 +30,9 @@ _WIDEST = 96
 class Found(NamedTuple):
     """What one look around shows, in the robot's own frame."""
 
-    colours: list[int]
-    """Which lamps are seen whole, by number."""
-    bearings: NDArray[np.float64]
-    """Of their middles, (k,), rad."""
-    edges: NDArray[np.float64]
-    """Counter-clockwise and clockwise edges of the obstacles within range, (m, 2), rad."""
+    colours: list[int]  # which lamps are seen whole, by number
+    bearings: NDArray[np.float64]  # of their middles, (k,), rad
+    edges: NDArray[np.float64]  # counter-clockwise and clockwise, of obstacles in range, (m, 2)
 
 
 class Detector:

@@ -48,21 +48,13 @@ class Episode:
 
     met: bool
     clean: bool
-    time: float
-    """Simulated, s."""
+    time: float  # simulated, s
     steps: int
-    work: float
-    """Time of a core to draw, look, decide and move, s."""
+    work: float  # time of a core to draw, look, decide and move, s
 
 
 def play(policy: str, seeds: range, watch: Watcher | None = None) -> Iterator[Episode]:
-    """Play starts from pixels alone.
-
-    Args:
-        policy: the name of a law, a rule or a learned policy.
-        seeds: of the starts.
-        watch: looks on.
-    """
+    """Play starts of these seeds from pixels alone, with a law, a rule or a learned policy."""
     layout, n = SCENARIO.observation_layout, SCENARIO.n_robots
     simulator = Simulator(SCENARIO)
     simulator.reset(seeds[0])

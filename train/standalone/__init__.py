@@ -226,7 +226,7 @@ def text_of(
 
 
 def _learned(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> str:
-    actor = {name: array for name, array in weights.items() if name.startswith(_ACTOR)}
+    actor = {name: array for name, array in sorted(weights.items()) if name.startswith(_ACTOR)}
     numbers = np.concatenate([array.astype("<f4").ravel() for array in actor.values()])
     text = base64.b64encode(numbers.tobytes()).decode()
     return _LEARNED.format(

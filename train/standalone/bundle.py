@@ -236,24 +236,9 @@ def _free_names(text: str) -> set[str]:
 
 
 def _renamed(name: Name, text: str, called: Mapping[Name, str]) -> str:
-    """A definition with the words that the file has for what it needs."""
-    places = []
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.Name):
-            word, shift = node.id, 0
-        elif isinstance(node, ast.FunctionDef | ast.ClassDef):
-            word, shift = node.name, 4 if isinstance(node, ast.FunctionDef) else 6
-        elif isinstance(node, ast.arg):
-            word, shift = node.arg, 0
-        else:
-            continue
-        new = called.get(_meaning(name.module, word), word)
-        if new != word and isinstance(node, ast.arg):
-            raise ValueError(f"{word} is a global name and an argument of one definition")
-        if new != word:
-            places.append((node.lineno, node.col_offset + shift, word, new))
-    lines = text.splitlines(keepends=True)
-    for row, column, word, new in sorted(places, reverse=True):
-        line = lines[row - 1].encode()  # columns count bytes
-        lines[row - 1] = (line[:column] + new.encode() + line[column + len(word) :]).decode()
-    return "".join(lines)
+    """A definition with the words that the file has for what it needs; attributes stay."""
+
+    def word_here(found: re.Match[str]) -> str:
+        return called.get(_meaning(name.module, found[0]), found[0])
+
+    return re.sub(r"(?<![.\w])[^\W\d]\w*", word_here, text)

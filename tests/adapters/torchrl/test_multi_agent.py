@@ -12,7 +12,7 @@ pytest.importorskip("benchmarl.experiment")
 
 from rendezvous_env import scenarios
 from rendezvous_env.adapters.torchrl import GROUP
-from train.leaderboard import cards, command, registry, settings
+from train.leaderboard import cards, command, registry
 from train.leaderboard.algorithms import multi_agent
 from train.leaderboard.teams import teams_to_learn_in
 
@@ -21,7 +21,7 @@ NAMES = tuple(
     for learner in ("ippo", "mappo", "masac", "qmix")
     for safety in ("none", "heading")
 )
-SMALL = settings.Config(
+SMALL = command.Config(
     algorithms=NAMES, fields=("clutter-8",), seeds=(0,), decisions=2**12, starts=4, jobs=1
 )
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")
@@ -69,7 +69,7 @@ def test_seeds_and_safety_make_a_difference(board):
     for learner in ("ippo", "mappo", "masac", "qmix"):
         bare, headed = (board[f"{learner}-{safety}"][1] for safety in ("none", "heading"))
         assert bare["results"] != headed["results"] and not sum(headed["results"]["risen"])
-    place = settings.plan(replace(SMALL, algorithms=("ippo-none",), seeds=(1,)))[0]
+    place = command.plan(replace(SMALL, algorithms=("ippo-none",), seeds=(1,)))[0]
     assert cards.run_of(place, False)[0]["results"] != board["ippo-none"][1]["results"]
 
 
