@@ -1,6 +1,4 @@
-"""Any function of observations as a policy that keeps a guarantee: what the wrappers do, without an
-environment to wrap.
-"""
+"""Functions of observations as policies that keep a guarantee, as the wrappers do."""
 
 from __future__ import annotations
 
@@ -43,19 +41,18 @@ class DecidingPolicy(RememberingPolicy):
         """Actions (B, n, a) of a step, ``elapsed`` s after the previous one."""
 
     def _settle(self, share: float) -> None:
-        """The previous step lasted this share of τ."""
+        """Account for the previous step, which lasted this share of τ."""
 
     def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
-        """Actions (..., n, a); a ValueError names the robot whose choice is not finite."""
+        """As ``Policy``; a ValueError names the robot whose choice is not finite."""
         return self._after(self.scenario.tau, observations)
 
     def _after(self, elapsed: float, observations: NDArray[Any]) -> Float32:
-        """Actions, ``elapsed`` s after the previous call."""
         teams = self._teams_of(observations)
         share = elapsed / self.scenario.tau
         self._settle(share)
         self._steps += share
-        due = self._steps + 0.5 * share >= self.decision_period  # or sooner than the next call
+        due = self._steps + 0.5 * share >= self.decision_period  # now rather than at the next call
         if due.any():
             self._decide(teams, due)
             self._steps[due] = 0.0
@@ -71,12 +68,8 @@ class DecidingPolicy(RememberingPolicy):
 class FilteredPolicy(DecidingPolicy):
     """Choices that are held for some steps, in each of which a filter makes actions of them.
 
-    Args:
-        scenario: whose robots it steers.
-        choose: observations (..., n, rows, d) to the filter's choices, called once in each period,
-            for all teams together; a method ``reset(mask)`` of it is called with the policy's.
-        make_filter: the filter for a number of teams.
-        decision_period: base steps for which a choice is held.
+    ``choose`` is called once in each period of base steps, for all teams together, and its method
+    ``reset(mask)``, if it has one, with the policy's; ``make_filter`` takes a number of teams.
     """
 
     _filter: Any
@@ -128,7 +121,7 @@ class FilteredPolicy(DecidingPolicy):
         self._filter.forget(which)
 
     def reset(self, mask: Mask | None = None) -> None:
-        """As ``RememberingPolicy.reset``; calls the ``reset`` of ``choose``, too, if it has one."""
+        """As ``RememberingPolicy.reset``, of ``choose``, too."""
         if mask is None:
             self._begin(self._leading or ())
         else:
@@ -146,7 +139,8 @@ class HeadingPolicy(FilteredPolicy):
         scenario: whose robots it steers.
         choose: observations (..., n, rows, d), zero rows for robots that are gone, to raw vectors
             (..., n, d) of any length in the same frames; for nonholonomic robots to turn rates
-            (..., n, d − 1) in units of the highest (theory 3, the gate); see ``FilteredPolicy``.
+            (..., n, d − 1) in units of the highest (theory 3, the gate). It is called once in each
+            period, for all teams together; if it has a method ``reset(mask)``, with the policy's.
         decision_period: base steps for which a vector is held.
         settings: those of ``HeadingVectorWrapper``: ``min_alignment=0.1``, ``max_turn_rate=3.0``,
             ``frame="net_bearing"``, ``certified=True``, ``bearing_error=0.0``.

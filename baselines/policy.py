@@ -24,12 +24,9 @@ class Policy(Protocol):
     """Chooses the actions of whole teams from what their robots see."""
 
     def __call__(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
-        """Actions of all robots, (..., n, a), within ``scenario.action_bounds``.
-
-        Args:
-            observations: (..., n, rows, d), see ``scenario.observation_layout``; the rows of a
-                robot that has merged away are zero.
-            time: (...), s since the start of each team's episode, or one number for all.
+        """Actions of all robots, (..., n, a), within ``scenario.action_bounds``, for observations
+        (..., n, rows, d), see ``scenario.observation_layout``, where the rows of a robot that has
+        merged away are zero, and time (...), s since each team's start, or one number for all.
         """
         ...
 
@@ -57,7 +54,7 @@ class TeamPolicy(ABC):
 
     @abstractmethod
     def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
-        """Actions (..., n, a) of teams; see ``Policy``."""
+        """Actions (..., n, a); see ``Policy``."""
 
     @overload
     def __call__(self, observations: Mapping[str, Any], time: ArrayLike) -> dict[str, Float32]: ...
@@ -66,12 +63,9 @@ class TeamPolicy(ABC):
     def __call__(self, observations: NDArray[Any], time: ArrayLike) -> Float32: ...
 
     def __call__(self, observations: Any, time: ArrayLike) -> Any:
-        """Actions (..., n, a) of observations as ``Policy``; or both by name, of the robots of one
-        team that are still there, which observe (rows, d) or (rows·d,) each.
-
-        Raises:
-            KeyError: for a name that no robot has.
-            ValueError: for observations of another shape.
+        """As ``Policy``; or observations and actions by name, of the robots of one team that are
+        still there, which observe (rows, d) or (rows·d,) each. A KeyError for a name that no robot
+        has, a ValueError for observations of another shape.
         """
         if not isinstance(observations, Mapping):
             return self.act(observations, time)
@@ -80,9 +74,8 @@ class TeamPolicy(ABC):
         table = np.zeros((n, *layout.shape), dtype=np.float32)
         for name, seen in observations.items():
             if name not in robots:
-                raise KeyError(
-                    f"no robot is called {shown(name)}; they are robot_0 to robot_{n - 1}"
-                )
+                known = f"they are robot_0 to robot_{n - 1}"
+                raise KeyError(f"no robot is called {shown(name)}; {known}")
             given = np.asarray(seen)
             if given.shape not in (layout.shape, (table[0].size,)):
                 raise ValueError(
@@ -99,8 +92,7 @@ class TeamPolicy(ABC):
 class RememberingPolicy(TeamPolicy):
     """A policy whose memory has the leading axes of the observations; others are other teams."""
 
-    _leading: tuple[int, ...] | None = None
-    """Of the teams that are remembered; None before the first call."""
+    _leading: tuple[int, ...] | None = None  # None before the first call
 
     @abstractmethod
     def _start(self, teams: int) -> None:
@@ -111,7 +103,7 @@ class RememberingPolicy(TeamPolicy):
         """Clear the memory of these teams, (B,)."""
 
     def _teams_of(self, observations: NDArray[Any]) -> Float32:
-        """What the remembered teams see, (B, n, rows, d)."""
+        """Observations, (B, n, rows, d), of the remembered teams, which are new for other axes."""
         n, layout = self.scenario.n_robots, self.scenario.observation_layout
         seen = np.ascontiguousarray(layout.checked(observations), dtype=np.float32)
         if seen.ndim < 3 or seen.shape[-3] != n:
@@ -128,7 +120,7 @@ class RememberingPolicy(TeamPolicy):
         self._start(math.prod(leading))
 
     def _as_given(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Values (B, ...) with the leading axes of the remembered teams."""
+        """Values (B, ...) with the leading axes of the observations."""
         assert self._leading is not None
         return values.reshape(*self._leading, *values.shape[1:])
 
@@ -216,16 +208,11 @@ def about(name: str) -> str:
 
 
 def make(name: str, scenario: ScenarioLike, **options: Any) -> Policy:
-    """A new policy for a scenario.
+    """A new policy for a scenario: a Scenario, the name of one or a TOML file.
 
-    Args:
-        name: one of ``names(scenario)``.
-        scenario: whose robots it is to steer; a Scenario, the name of one or a TOML file.
-        options: of that policy, e.g. ``clearance`` of "tangent-joined".
-
-    Raises:
-        ValueError: for an unknown name, one that does not fit the scenario, or an unknown option;
-            it lists the right ones.
+    ``name`` is one of ``names(scenario)``, ``options`` are that policy's, e.g. ``clearance`` of
+    "tangent-joined". A ValueError for an unknown name or option, or a policy that does not fit the
+    scenario, lists the right ones.
     """
     scenario = resolve(scenario)
     fitting = names(scenario)
@@ -237,17 +224,14 @@ def make(name: str, scenario: ScenarioLike, **options: Any) -> Policy:
             known = f"does not fit {robots} with {slots} obstacle slots"
         near = nearest_word(name, fitting)
         hint = f"; did you mean {near!r}?" if near else ""
-        raise ValueError(
-            f"policy {shown(name)} {known}; those that fit are {', '.join(fitting)}{hint}"
-        )
+        right = f"those that fit are {', '.join(fitting)}{hint}"
+        raise ValueError(f"policy {shown(name)} {known}; {right}")
     build = _registry[name].build
     allowed = [option for option in inspect.signature(build).parameters if option != "scenario"]
     for option in options:
         if option not in allowed:
-            raise ValueError(
-                f"policy {name!r} has no option {shown(option)}; "
-                f"it has {', '.join(allowed) or 'none'}"
-            )
+            right = f"it has {', '.join(allowed) or 'none'}"
+            raise ValueError(f"policy {name!r} has no option {shown(option)}; {right}")
     return build(scenario, **options)
 
 

@@ -22,10 +22,8 @@ _KINDS = ("law", "rule", "learned")
 
 
 class OneRobot:
-    """One robot's policy, called with what it has measured since its last tick.
-
-    The policy is of a team of as many robots, of which this one is the first; ``gain`` is a_ij of
-    each neighbour where none are given, m/s.
+    """One robot, the first of its policy's team, called with what it has measured since its last
+    tick; ``gain`` is a_ij of each neighbour where none are given, m/s.
     """
 
     def __init__(self, scenario: Scenario, policy: Policy, gain: float = 1.0) -> None:
@@ -50,12 +48,13 @@ class OneRobot:
         weights: ArrayLike | None = None,
         gravity: ArrayLike | None = None,
     ) -> Float32:
-        """What to do until the next tick.
+        """What to do until the next tick: the velocity, (d,), m/s; of a unicycle (v, ω), of a
+        nonholonomic robot of space (v, ω_α, ω_β), m/s and rad/s. Zeros if no neighbour is seen.
 
         Args:
             bearings: unit vectors to the neighbours that are seen now, (k, d), in any order, in the
                 robot's own frame: one that does not turn, for a single integrator; the body's, for
-                robots that turn.
+                robots that turn. Velocities are in the same one.
             obstacles: both edges of each obstacle that is near, (m, 2, 2), unit vectors in the same
                 frame, obstacles and edges in any order; in space eight boundary rays of its cone,
                 (m, 8, 3), every 45° about its middle, one after another, either way round. Each
@@ -64,10 +63,6 @@ class OneRobot:
             weights: gains a_ij of the neighbours, (k,), m/s; None is what all links of the
                 scenario weigh, or 1 where they differ.
             gravity: its unit direction in the same frame, (3,), of a nonholonomic robot of space.
-
-        Returns:
-            The velocity, (d,), m/s, in the same frame; of a unicycle (v, ω), of a nonholonomic
-            robot of space (v, ω_α, ω_β), m/s and rad/s. Zeros if no neighbour is seen.
 
         Raises:
             ValueError: naming the argument, its value and what would be right; nothing has changed.
@@ -98,10 +93,7 @@ class RobotPolicy(OneRobot):
         scenario: whose robot this is, any but a double integrator; a Scenario, a name or a file.
         policy: a name of ``baselines.names(scenario)`` of the kinds law, rule or learned; the path
             of a run, of a checkpoint or of an exported network; or a policy.
-        options: of a policy that is named.
-
-    Raises:
-        ValueError: naming the argument, its value and what would be right.
+        options: of a policy that is named. Errors are as of ``act``.
     """
 
     def __init__(

@@ -24,7 +24,7 @@ class RobotSight:
     Neighbours need no names: policies add up their rows or pool them. Obstacles keep their slots,
     because how fast an edge turns is a measurement, too: what is seen now is matched to what was
     seen at the last tick so that all edges together turn least. Gains sum to no more than D̄, m/s,
-    for which time steps are made; ``gain`` is each neighbour's where none are given, m/s.
+    for which time steps are made; ``gain`` as ``OneRobot``.
     """
 
     def __init__(self, layout: ObservationLayout, max_degree: float, gain: float = 1.0) -> None:

@@ -1,9 +1,9 @@
-"""Frames and planes that do not turn with their robots: what they see and remember there.
+"""Frames and planes that do not turn with their robots, where they see and remember directions.
 
 A robot that turns has no compass, but it knows from the rates that it commanded by how much it has
 turned since its episode began; so a unicycle remembers directions in the frame that its body had
-then. A robot of space passes obstacles in a plane that holds f (``planes_in_space``). What it sees
-and remembers there is as in the plane, so that the same policy steers it.
+then. A robot of space passes obstacles in a plane that holds f (``planes_in_space``), where the
+same policy steers it.
 """
 
 from __future__ import annotations
@@ -50,6 +50,8 @@ from .policy import Float32
 from .steering import ALIGNED_IN_SPACE, WITHIN, inputs_towards
 
 Array = NDArray[np.float64]
+_WIDTHS = {"towards": (3,), "aside": (3,), "headings": (2,), "velocities": (2,)}
+"""Shapes of what is remembered of a robot that is no number."""
 
 
 class _Robot(NamedTuple):
@@ -68,15 +70,18 @@ class _Robot(NamedTuple):
 
 
 class _Bodies(Remembering):
-    """What is remembered of the bodies of B teams, ``_kept``, by the kernels of a subclass."""
+    """What the kernels of a subclass remember of the bodies of B teams."""
 
+    _remembered: Any  # a tuple of arrays (B, n, ...)
+    _yaws: str  # which of these is by how much bodies have turned
     _look: Any
     _follow: Any
     _turn: Any
-    _yaws: Array
 
-    def __init__(self, scenario: Scenario, kept: Any, rows: int, most: float, **how: Any) -> None:
-        layout, self._kept = scenario.observation_layout, kept
+    def __init__(self, scenario: Scenario, num_envs: int, most: float, **how: Any) -> None:
+        layout, robots = scenario.observation_layout, (num_envs, scenario.n_robots)
+        arrays = (np.zeros((*robots, *_WIDTHS.get(f, ()))) for f in self._remembered._fields)
+        self._kept = self._remembered._make(arrays)
         self._robot = _Robot(
             neighbour_slots=layout.neighbour_slots,
             obstacle_slots=layout.obstacle_slots,
@@ -87,45 +92,45 @@ class _Bodies(Remembering):
             gate=gate_of(scenario, 0.0, 0.0, most),
             **how,
         )
-        self.headings: Array = kept.headings
+        self.headings: Array = self._kept.headings
         """Where they are to go, (B, n, 2), in that frame or plane; zero where there is none yet."""
-        self.velocities: Array = kept.velocities
+        self.velocities: Array = self._kept.velocities
         """Their mean velocities over the previous step, (B, n, 2), m/s."""
-        self._seen = np.zeros((*kept.turns.shape, rows, 2), np.float32)
+        rows = layout.neighbour_slots + 2 * layout.obstacle_slots
+        self._seen = np.zeros((*robots, rows, 2), np.float32)
 
     @property
     def _memory(self) -> dict[str, Array]:
         return self._kept._asdict()
 
     def seen(self, observations: Float32, teams: NDArray[np.intp]) -> Float32:
-        """What some teams see in that frame or plane, (B, n, K + 2 M, 2), until the next call."""
+        """What some teams see in that frame or plane, (B, n, K + 2M, 2), until the next call."""
         self._look(teams, observations, self._robot, self._kept, self._seen)
         return self._seen
 
     def follow(self, teams: Part, observations: Float32, held: Array) -> None:
-        """Write the desired inputs of a part of the teams, at law (1)'s speed, in units of their
-        bounds: velocities of points; (v, ω), or where another sets the speed ω alone.
+        """Write what some teams are to do, at law (1)'s speed, in units of their bounds: velocities
+        of points; (v, ω), or where another sets the speed ω alone.
         """
         self._follow(teams, observations, self._robot, self._kept, held)
 
     def turn(self, teams: Part, actions: Float32) -> None:
-        """Take note of the actions that these teams take for τ."""
+        """Note the actions that these teams take for τ."""
         self._turn(teams, actions, self._robot, self._kept)
 
     def settle(self, share: float) -> Array:
-        """Correct what the last step turned: it lasted only a share of τ, at most all of it.
-
-        |v| ‖ω‖ τ² of that step, (B, n), m: how far its arc may have been from a straight line.
+        """Correct the last step, which lasted only a share of τ; |v| ‖ω‖ τ² of it, (B, n), m, which
+        is how far its arc may have been from a straight line.
         """
-        turns, bends = self._kept.turns, self._kept.bends.copy()
-        self._yaws += (min(share, 1.0) - 1.0) * turns
-        turns[...], self._kept.bends[...] = 0.0, 0.0
+        kept, bends = self._kept, self._kept.bends.copy()
+        getattr(kept, self._yaws)[...] += (min(share, 1.0) - 1.0) * kept.turns
+        kept.turns[...], kept.bends[...] = 0.0, 0.0
         return bends
 
 
 @kernel
 def _law_speed(rows, neighbour_slots, merge_radius, duration):
-    """Of law (1) in a step of τ, min(1, r/(2 D τ)) ‖f‖, of a robot that sees these rows, m/s."""
+    """Law (1)'s speed in a step of τ, min(1, r/(2 D τ)) ‖f‖, m/s."""
     scale = scale_of_step(degree_of(rows, neighbour_slots), merge_radius, duration)
     return norm(net_bearing_of(rows, neighbour_slots)) * scale
 
@@ -188,27 +193,22 @@ class SteadyFrames(_Bodies):
 
         u = R(θ) u_body,   θ ← θ + ω τ
 
-    Within ``aligned``, rad, of where it is to go a robot drives, as ``inputs_towards``; ``most``
-    limits turn rates, rad/s, beside the scenario's limit.
+    ``aligned``, rad, as ``inputs_towards``; ``most`` limits turn rates, rad/s, beside the scenario.
     """
 
-    _look = staticmethod(_look_in_frames)
-    _follow = staticmethod(_follow_in_frames)
+    _remembered, _yaws = _InFrames, "angles"
+    _look, _follow = staticmethod(_look_in_frames), staticmethod(_follow_in_frames)
     _turn = staticmethod(_turn_in_frames)
 
     def __init__(
         self, scenario: Scenario, num_envs: int, aligned: float, most: float = math.inf
     ) -> None:
-        robots = num_envs, scenario.n_robots
-        kept = _InFrames(*np.zeros((2, *robots, 2)), *np.zeros((3, *robots)))
-        rows = scenario.observation_layout.rows
-        super().__init__(scenario, kept, rows, most, aligned=float(aligned))
-        self._yaws = self._kept.angles
+        super().__init__(scenario, num_envs, most, aligned=float(aligned))
 
 
 class _InPlanes(NamedTuple):
-    """What robots remember of their planes, (B, n, ...); triples in the frame of the yaw that their
-    body had at first, levelled by gravity.
+    """What robots remember of their planes, (B, n, ...); triples in the level frame with the yaw
+    that their body had at first.
     """
 
     towards: Array  # f/‖f‖; zero before the first step
@@ -260,7 +260,7 @@ def _look_in_planes(teams, observations, robot, memory, seen):
 
 @kernel
 def _plane_of(robot, memory):
-    """A robot's frame, and its plane as the body sees it: f/‖f‖, the unit vector across it, θ."""
+    """A robot's frame, and its plane in the body frame: f/‖f‖, the unit vector across it, θ."""
     frame = body_frame_3d(memory.yaws[robot], memory.pitches[robot])
     u, aside = load(memory.towards[robot]), load(memory.aside[robot])
     return frame, (to_local(frame, u), to_local(frame, aside), memory.angles[robot])
@@ -351,8 +351,8 @@ class SteadyPlanes(_Bodies):
     widened by the clearance, rad; ``keeps``, rad, as ``kept_azimuth``: PASSABLE under headings.
     """
 
-    _look = staticmethod(_look_in_planes)
-    _follow = staticmethod(_follow_in_planes)
+    _remembered, _yaws = _InPlanes, "yaws"
+    _look, _follow = staticmethod(_look_in_planes), staticmethod(_follow_in_planes)
     _turn = staticmethod(_turn_in_planes)
 
     def __init__(
@@ -363,10 +363,5 @@ class SteadyPlanes(_Bodies):
         most: float = math.inf,
         keeps: float = math.inf,
     ) -> None:
-        robots, layout = (num_envs, scenario.n_robots), scenario.observation_layout
-        widths = {"towards": (3,), "aside": (3,), "headings": (2,), "velocities": (2,)}
-        kept = [np.zeros((*robots, *widths.get(name, ()))) for name in _InPlanes._fields]
-        rows = layout.neighbour_slots + 2 * layout.obstacle_slots
         how = {"aligned": ALIGNED_IN_SPACE, "clearance": float(clearance), "keeps": float(keeps)}
-        super().__init__(scenario, _InPlanes(*kept), rows, most, **how)
-        self._yaws = self._kept.yaws
+        super().__init__(scenario, num_envs, most, **how)

@@ -1,8 +1,8 @@
 """From a desired velocity to the inputs of a robot model, and how turning changes a robot's memory.
 
-A policy decides in the robot's frame where to go, whatever the robot. A single integrator goes
-there; a unicycle or a nonholonomic robot of space turns there, and drives once it nearly faces it.
-Its frame turns with it, and it has no compass: what it remembers it turns by the rates it commands.
+A single integrator goes where a policy wants; a unicycle or a nonholonomic robot of space turns
+there, and drives once it nearly faces it. Its frame turns with it, and it has no compass: what it
+remembers it turns by the rates it commands.
 """
 
 from __future__ import annotations
@@ -28,14 +28,11 @@ from rendezvous_env.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
 Rows = NDArray[Any]
-ALIGNED = 0.5
-"""rad; a robot that turns drives within this angle of where it is to go, and else turns on the
-spot."""
-ALIGNED_IN_SPACE = 1.0
-"""rad; pitch turns slowly, and driving only where the axis is clear is safe meanwhile."""
+ALIGNED = 0.5  # rad; within this angle of where it is to go a robot that turns drives
+ALIGNED_IN_SPACE = 1.0  # as pitch turns slowly, and driving where the axis is clear is safe
 WITHIN = 1.0 - 1e-6
-"""Share of the speed limit that is used: after rounding to float32 no action is above the limit,
-and what is sent is what the budget has booked."""
+"""Share of the speed limit that is used, so that rounding to float32 exceeds no limit, and what is
+sent is what the tank has booked."""
 
 
 def turns(scenario: Scenario) -> bool:
@@ -58,21 +55,19 @@ def check_steerable(scenario: Scenario, what_steers: str = "learned policies ste
 
 
 class Steering:
-    """How single integrators, unicycles or nonholonomic robots of space follow desired velocities.
-
-    Frames are the robots' own at the start of a step; of observations (..., rows, d) pitch is read.
+    """How robots follow desired velocities, in their own frames at the start of a step; pitch is
+    read from their observations (..., rows, d).
     """
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
         self.turns = turns(scenario)
-        """Whether the frame turns with the robot."""
         self.gate = gate_of(scenario, 0.0, 0.0) if self.turns else None
-        """Step and turn limits for the kernels here; None for a single integrator."""
+        """Step and turn limits for kernels; None for a single integrator."""
         self._gravity = scenario.observation_layout.gravity.start
 
     def pitches(self, observations: Rows) -> Array:
-        """β of robots that see (..., rows, d), (...), rad; 0 in the plane and of points."""
+        """β, (...), rad; 0 in the plane and of points."""
         out = np.zeros(observations.shape[:-2])
         if self.turns:
             rows = np.ascontiguousarray(observations).reshape(-1, *observations.shape[-2:])
@@ -86,7 +81,7 @@ class Steering:
         return self._over_robots(_steer, wanted, observations, self._scenario.action_size)
 
     def velocities(self, actions: Rows, observations: Rows) -> Array:
-        """Mean velocity (..., d) over a step, m/s, of robots that take actions (..., a): v m."""
+        """Mean velocity (..., d) over a step, v m, m/s, of robots that take actions (..., a)."""
         if not self.turns:
             return np.asarray(actions, dtype=np.float64)
         return self._over_robots(_mean_velocities, actions, observations, self._scenario.dim)

@@ -15,7 +15,7 @@ from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 from rendezvous_env.vector import training_env
 
-from .filtered_policies import FilteredPolicy
+from .filtered_policies import DecidingPolicy, FilteredPolicy
 from .learned.learned_policy import GuidedPolicy
 from .learned.training_environment import FeatureVectorEnv
 from .policy import Float32, Mask, TeamPolicy, within_limits
@@ -44,11 +44,7 @@ class TrainedPolicy(TeamPolicy):
             observe zeros.
         arguments: of ``vector.training_env`` in training: ``guarantee="heading"``,
             ``learning_preset=True``, ``flatten=True``, ``discrete=False``, those of the guarantee's
-            wrapper, and fields of the scenario.
-
-    Raises:
-        TypeError: as ``vector.training_env``.
-        ValueError: likewise, or if ``predict`` cannot be called.
+            wrapper, and fields of the scenario. Errors are as there.
     """
 
     def __init__(
@@ -73,14 +69,12 @@ class TrainedPolicy(TeamPolicy):
         self._sees: Any = env.single_observation_space
         self._chooses: Any = env.single_action_space
         inner: Any = env.env
-        self._policy: Any
+        self._policy: DecidingPolicy | None = None  # without a guarantee choices are actions
         if isinstance(inner, FeatureVectorEnv):
             self._policy = _PresetPolicy(chosen, self._ask, inner)
         elif isinstance(inner, GuaranteeWrapper):
             period = inner.decision_period
             self._policy = FilteredPolicy(chosen, self._choose, self._make_filter, period)
-        else:
-            self._policy = _BarePolicy(chosen, self._ask)
 
     def _make_filter(self, teams: int) -> SafetyFilter:
         env: Any = training_env(self.scenario, teams, **self._arguments).env
@@ -92,7 +86,7 @@ class TrainedPolicy(TeamPolicy):
         return self._ask(seen).reshape(*seen.shape[:-2], -1)
 
     def _ask(self, seen: Float32) -> NDArray[Any]:
-        """Choices of the model, (B, n, ...), for what robots of B teams see."""
+        """What the model chooses, (B, n, ...), for what robots of B teams see."""
         seen = seen.reshape(-1, *self._sees.shape)
         rows = seen if self._by_team else seen.reshape(-1, *seen.shape[2:])
         found = self._predict(rows, **self._told)
@@ -107,13 +101,17 @@ class TrainedPolicy(TeamPolicy):
         return choices.reshape(*seen.shape[:2], *robot)
 
     def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
-        """Actions (..., n, a); a ValueError for predictions of another shape, or naming a robot."""
-        actions: Float32 = self._policy.act(observations, time)
-        return actions
+        """As ``Policy``; a ValueError for predictions of another shape, or naming a robot."""
+        if self._policy is not None:
+            return self._policy.act(observations, time)
+        seen = self.scenario.observation_layout.checked(observations)
+        actions = self._choose(np.asarray(seen, np.float32)).astype(np.float64)
+        return within_limits(actions, self.scenario)
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Forget the teams where ``mask`` (...) is true, all if it is None."""
-        self._policy.reset(mask)
+        """As ``Policy.reset``."""
+        if self._policy is not None:
+            self._policy.reset(mask)
 
 
 class _PresetPolicy(GuidedPolicy):
@@ -130,15 +128,3 @@ class _PresetPolicy(GuidedPolicy):
     def _choose(self, shown: Float32, due: Mask) -> None:
         self._held[due] = self._ask(shown)[due]
         (self._guided.choose if self._discrete else self._guided.head)(self._held)
-
-
-class _BarePolicy(TeamPolicy):
-    """Takes what is chosen for an action."""
-
-    def __init__(self, scenario: Scenario, ask: Predict) -> None:
-        self.scenario, self._ask = scenario, ask
-
-    def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
-        seen = self.scenario.observation_layout.checked(observations)
-        actions = self._ask(np.asarray(seen, np.float32)).astype(np.float64)
-        return within_limits(actions, self.scenario).reshape(*seen.shape[:-2], -1)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import whole
 from rendezvous_env.compilation import kernel
@@ -17,8 +16,8 @@ from rendezvous_env.scenario.observation_layout import ObservedRows
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.sensors.imperfections import in_sectors
 
-from ..policy import Policy, in_the_plane, is_single_integrator, register
-from .paper_laws import Array, LawPolicy, bearing_only_law
+from ..policy import in_the_plane, is_single_integrator, register
+from .paper_laws import Array, Law, bearing_only_law
 
 Rows = NDArray[Any]
 """Neighbour rows (..., K, d) of any length, zero where absent."""
@@ -129,40 +128,39 @@ def chosen_rows(rows: Rows, target: Order) -> Array:
     return np.take_along_axis(rows, chosen, axis=-2)[..., 0, :].astype(np.float64)
 
 
-def _unit_mean_actions(speed: float, f: Array, seen: ObservedRows, time: Any) -> Array:
-    return unit_mean_law(f, speed=speed)
-
-
 @register("unit-mean", fits=is_single_integrator, kind="field", on_request=True)
-def _unit_mean(scenario: Scenario) -> Policy:
+class _UnitMean(Law):
     """Along the net bearing at the speed limit."""
-    return LawPolicy(scenario, partial(_unit_mean_actions, scenario.speed_limit))
 
-
-def _smallest_sector_actions(f: Array, seen: ObservedRows, time: Any) -> Array:
-    return smallest_sector_law(seen.neighbours)
+    def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        return unit_mean_law(f, speed=self.scenario.speed_limit)
 
 
 @register("smallest-sector", fits=in_the_plane, kind="field", on_request=True)
-def _smallest_sector(scenario: Scenario) -> Policy:
+class _SmallestSector(Law):
     """Between the two neighbours that bound the smallest sector with all of them in it."""
-    return LawPolicy(scenario, _smallest_sector_actions)
 
-
-def _quantised_actions(
-    scenario: Scenario, sectors: int, f: Array, seen: ObservedRows, time: Any
-) -> Array:
-    rows = rounded_bearings(seen.neighbours, sectors)
-    degree = np.linalg.norm(rows, axis=-1).sum(axis=-1)[..., np.newaxis]
-    scale = step_scale(degree, scenario.merge_radius, scenario.tau)
-    return bearing_only_law(rows.sum(axis=-2)) * (scale if scenario.scales_velocity else 1.0)
+    def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        return smallest_sector_law(seen.neighbours)
 
 
 @register("quantised", fits=in_the_plane, kind="field", on_request=True)
-def _quantised(scenario: Scenario, sectors: int = 8) -> Policy:
+@dataclass(frozen=True)
+class _Quantised(Law):
     """Law (1) of bearings that are known by sector only."""
-    count = whole("sectors", sectors, 2, MOST_SECTORS)
-    return LawPolicy(scenario, partial(_quantised_actions, scenario, count))
+
+    sectors: int = 8
+
+    def __post_init__(self) -> None:
+        whole("sectors", self.sectors, 2, MOST_SECTORS)
+
+    def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        rows = rounded_bearings(seen.neighbours, self.sectors)
+        if not self.scenario.scales_velocity:
+            return bearing_only_law(rows.sum(axis=-2))
+        degree = np.linalg.norm(rows, axis=-1).sum(axis=-1)[..., np.newaxis]
+        scale = step_scale(degree, self.scenario.merge_radius, self.scenario.tau)
+        return np.asarray(bearing_only_law(rows.sum(axis=-2)) * scale)
 
 
 def _tells_robots_apart(scenario: Scenario) -> bool:
@@ -171,21 +169,17 @@ def _tells_robots_apart(scenario: Scenario) -> bool:
     return is_single_integrator(scenario) and slots in (1, scenario.n_robots - 1)
 
 
-def _pursuit_actions(
-    law: Callable[..., Array], speed: float, f: Array, seen: ObservedRows, time: Any
-) -> Array:
-    return law(seen.neighbours, speed=speed)
-
-
 @register("cyclic-pursuit", fits=_tells_robots_apart, kind="field", on_request=True)
-def _cyclic_pursuit(scenario: Scenario) -> Policy:
+class _CyclicPursuit(Law):
     """Straight at the next robot by row, at the speed limit."""
-    law = partial(_pursuit_actions, cyclic_pursuit_law, scenario.speed_limit)
-    return LawPolicy(scenario, law)
+
+    def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        return cyclic_pursuit_law(seen.neighbours, speed=self.scenario.speed_limit)
 
 
 @register("nearest-pursuit", fits=_tells_robots_apart, kind="field", on_request=True)
-def _nearest_pursuit(scenario: Scenario) -> Policy:
+class _NearestPursuit(Law):
     """Straight at the robot nearest by index, at the speed limit."""
-    law = partial(_pursuit_actions, nearest_pursuit_law, scenario.speed_limit)
-    return LawPolicy(scenario, law)
+
+    def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        return nearest_pursuit_law(seen.neighbours, speed=self.scenario.speed_limit)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,6 @@ from rendezvous_env.scenario.scenario import Scenario
 
 from ..policy import (
     Float32,
-    Policy,
     TeamPolicy,
     is_double_integrator,
     is_single_integrator,
@@ -101,45 +100,52 @@ def damped_law(net_bearing: Array, velocity: Array, *, damping: float) -> Array:
 
 
 @dataclass(frozen=True)
-class LawPolicy(TeamPolicy):
-    """A law without memory as a policy; its actions are kept within the scenario's limits."""
+class Law(TeamPolicy):
+    """A law without memory; its actions are kept within the scenario's limits."""
 
     scenario: Scenario
-    law: Callable[[Array, ObservedRows, ArrayLike], Array]
-    """Actions (..., n, a) from the net bearing (..., n, d), all that is seen, and the time in s."""
+
+    @abstractmethod
+    def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        """Actions (..., n, a) from f, (..., n, d), m/s, all that is seen, and the time in s."""
 
     def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
         """Actions (..., n, a); see ``Policy``."""
         layout = self.scenario.observation_layout
-        seen = layout.split(observations)
-        return within_limits(self.law(layout.net_bearing(observations), seen, time), self.scenario)
+        f, seen = layout.net_bearing(observations), layout.split(observations)
+        return within_limits(self.actions(f, seen, time), self.scenario)
 
 
-# Functions of the module with their scenario bound to them, not closures: policies are pickled.
+@dataclass(frozen=True)
+class LawPolicy(Law):
+    """A function as a law."""
 
+    law: Callable[[Array, ObservedRows, ArrayLike], Array]
+    """Arguments and result as of ``Law.actions``."""
 
-def _bearing_only_actions(scenario: Scenario, f: Array, seen: ObservedRows, time: Any) -> Array:
-    if not scenario.scales_velocity:
-        return bearing_only_law(f)
-    scale: Array = step_scale(degree_of(seen), scenario.merge_radius, scenario.tau)
-    return bearing_only_law(f) * scale[..., np.newaxis]
+    def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        """What the function gives."""
+        return self.law(f, seen, time)
 
 
 @register("bearing-only", fits=is_single_integrator, kind="law")
-def _bearing_only(scenario: Scenario) -> Policy:
+class _BearingOnly(Law):
     """Law (1): along the net bearing, as fast as it is long."""
-    return LawPolicy(scenario, partial(_bearing_only_actions, scenario))
 
-
-def _link_keeping_actions(scenario: Scenario, f: Array, seen: ObservedRows, time: Any) -> Array:
-    point, limits = least_norm_points(seen.neighbours), (scenario.merge_radius, scenario.tau)
-    return link_keeping_law(point, degree_of(seen), merge_radius=limits[0], duration=limits[1])
+    def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        if not self.scenario.scales_velocity:
+            return bearing_only_law(f)
+        scale = step_scale(degree_of(seen), self.scenario.merge_radius, self.scenario.tau)
+        return np.asarray(bearing_only_law(f) * scale[..., np.newaxis])
 
 
 @register("link-keeping", fits=is_single_integrator, kind="law", on_request=True)
-def _link_keeping(scenario: Scenario) -> Policy:
+class _LinkKeeping(Law):
     """Law (R b): into the middle of all that is seen, so that no link grows longer."""
-    return LawPolicy(scenario, partial(_link_keeping_actions, scenario))
+
+    def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        step = {"merge_radius": self.scenario.merge_radius, "duration": self.scenario.tau}
+        return link_keeping_law(least_norm_points(seen.neighbours), degree_of(seen), **step)
 
 
 # The paper's laws are in continuous time. Held over a step, a turn rate may swing the body past the
@@ -158,54 +164,52 @@ def is_unicycle(scenario: Scenario) -> bool:
     return scenario.robot_model == "unicycle"
 
 
-def _unicycle_actions(scenario: Scenario, f: Array, seen: ObservedRows, time: Any) -> Array:
-    actions = unicycle_law(f)
-    actions[..., 1] = _no_farther(actions[..., 1], np.arctan2(f[..., 1], f[..., 0]), scenario.tau)
-    return actions
-
-
 @register("unicycle", fits=is_unicycle, kind="law")
-def _unicycle(scenario: Scenario) -> Policy:
+class _Unicycle(Law):
     """Laws (7) and (8) of unicycles: the speed along f, turning towards it."""
-    return LawPolicy(scenario, partial(_unicycle_actions, scenario))
 
-
-def _unicycle_cosine_actions(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
-    return unicycle_cosine_law(f, time)
+    def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        actions, angle = unicycle_law(f), np.arctan2(f[..., 1], f[..., 0])
+        actions[..., 1] = _no_farther(actions[..., 1], angle, self.scenario.tau)
+        return actions
 
 
 @register("unicycle-cosine", fits=is_unicycle, kind="law")
-def _unicycle_cosine(scenario: Scenario) -> Policy:
+class _UnicycleCosine(Law):
     """Law (7) of unicycles that turn to and fro, ω = cos t, whatever they see."""
-    return LawPolicy(scenario, _unicycle_cosine_actions)
 
-
-def _nonholonomic_3d_actions(scenario: Scenario, f: Array, seen: ObservedRows, time: Any) -> Array:
-    assert seen.gravity is not None  # these robots always sense it
-    pitch = pitch_of(seen.gravity)
-    actions = nonholonomic_3d_law(f, pitch)
-    upright = np.copysign(1.0, np.cos(pitch))
-    ahead = np.abs(np.cos(pitch)) * f[..., 0] - upright * np.sin(pitch) * f[..., 2]
-    azimuth, rise = np.arctan2(upright * f[..., 1], ahead), np.arctan2(f[..., 2], f[..., 0])
-    actions[..., 1] = _no_farther(actions[..., 1], azimuth, scenario.tau)
-    actions[..., 2] = _no_farther(actions[..., 2], rise, scenario.tau)
-    return actions
+    def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        return unicycle_cosine_law(f, time)
 
 
 @register(
     "nonholonomic-3d", fits=lambda scenario: scenario.robot_model == "nonholonomic_3d", kind="law"
 )
-def _nonholonomic_3d(scenario: Scenario) -> Policy:
+class _Nonholonomic3D(Law):
     """Laws (12) and (17) of nonholonomic robots in 3-D."""
-    return LawPolicy(scenario, partial(_nonholonomic_3d_actions, scenario))
 
-
-def _damped_actions(damping: float, f: Array, seen: ObservedRows, time: Any) -> Array:
-    assert seen.velocity is not None  # these robots always sense it
-    return damped_law(f, seen.velocity.astype(np.float64), damping=damping)
+    def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        assert seen.gravity is not None  # these robots always sense it
+        pitch = pitch_of(seen.gravity)
+        actions = nonholonomic_3d_law(f, pitch)
+        upright = np.copysign(1.0, np.cos(pitch))
+        ahead = np.abs(np.cos(pitch)) * f[..., 0] - upright * np.sin(pitch) * f[..., 2]
+        azimuth, rise = np.arctan2(upright * f[..., 1], ahead), np.arctan2(f[..., 2], f[..., 0])
+        actions[..., 1] = _no_farther(actions[..., 1], azimuth, self.scenario.tau)
+        actions[..., 2] = _no_farther(actions[..., 2], rise, self.scenario.tau)
+        return actions
 
 
 @register("damped", fits=is_double_integrator, kind="law")
-def _damped(scenario: Scenario, damping: float = 1.0) -> Policy:
+@dataclass(frozen=True)
+class _Damped(Law):
     """For robots with inertia: where law (1) would go, with friction; not of the paper."""
-    return LawPolicy(scenario, partial(_damped_actions, positive("damping", damping, "1/s")))
+
+    damping: float = 1.0  # k, 1/s
+
+    def __post_init__(self) -> None:
+        positive("damping", self.damping, "1/s")
+
+    def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        assert seen.velocity is not None  # these robots always sense it
+        return damped_law(f, seen.velocity.astype(np.float64), damping=self.damping)

@@ -14,7 +14,7 @@ from rendezvous_env.checks import real, refuse
 from rendezvous_env.scenario.observation_layout import ObservedRows
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..policy import Float32, Mask, Policy, RememberingPolicy, register, within_limits
+from ..policy import Float32, Mask, RememberingPolicy, register, within_limits
 from ..steering import turns
 from .literature_laws import Order, chosen_rows, first_seen, rows_from_next
 from .paper_laws import Array, is_unicycle, pitch_of
@@ -24,14 +24,25 @@ _SHARE = 0.8  # of ω_max r/2, the speed above which a target can run round its 
 
 @dataclass
 class Pursuer(RememberingPolicy):
-    """Keeps a target while it is seen, and then takes the first that is seen in an order of rows.
-
-    Where nobody is seen it turns on the spot at ω_max: with a narrow field of view it searches.
+    """Keeps a target while it is seen, then takes the first that is seen in an order of rows. Where
+    nobody is seen it turns on the spot at ω_max: with a narrow field of view it searches.
     """
 
     scenario: Scenario
-    speed: float  # c, m/s
+    speed: Any = None  # c, m/s, less than ω_max r/2; None is somewhat less, or the speed limit
     order: Order | None = None  # rows by preference, ([B,] n, K); None is ``rows_from_next``
+
+    def __post_init__(self) -> None:
+        limit, given = self.scenario.speed_limit, self.speed
+        fastest = self.scenario.turn_limit * self.scenario.merge_radius / 2.0
+        self.speed = min(limit, _SHARE * fastest) if given is None else real(given)
+        if given is not None and not (0.0 < self.speed < fastest and self.speed <= limit):
+            refuse(
+                "speed",
+                given,
+                f"positive, less than ω_max r/2 = {fastest:.6g} m/s and at most the speed limit, "
+                f"{limit:.6g} m/s",
+            )
 
     def _start(self, teams: int) -> None:
         self._targets = np.full((teams, self.scenario.n_robots), -1)
@@ -58,12 +69,14 @@ class Pursuer(RememberingPolicy):
         """(B, n, a) for bearings (B, n, d) of targets."""
 
 
+@register("pursuit", fits=turns, kind="field", on_request=True)
 class Pursuit(Pursuer):
-    """Pursue one robot that is seen until it is gone: turn towards it at ω_max, drive at c only
-    while pointing at it, to within what is turned in a step.
+    """Turns towards one robot, and drives only while it points at it (E2).
 
         ω = ω_max sign α until α = 0,   v = c where α = 0, else 0,   c < ω_max r/2
                                                                         (guarantees 13, E2)
+
+    It points at it to within what is turned in a step.
     """
 
     def _actions(self, bearing: Array, rows: ObservedRows) -> Array:
@@ -77,14 +90,23 @@ class Pursuit(Pursuer):
         return np.concatenate([speed[..., np.newaxis], turns / tau], axis=-1)
 
 
+@register("windshield", fits=is_unicycle, kind="field", on_request=True)
 @dataclass
 class Windshield(Pursuer):
-    """A car that knows of its target only whether it is left, right or in the windshield.
+    """Drives on, and turns by all it can while its target is beside the windshield.
 
     v = c,   ω = ω_max, 0 or −ω_max for α > φ, |α| ≤ φ, α < −φ      (Yu et al., 2012, eq. 3)
     """
 
-    half_angle: float = field(kw_only=True)  # φ, rad
+    half_angle: Any = field(default=None, kw_only=True)  # φ, rad; None is half of lemma 11's
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        n, given = self.scenario.n_robots, self.half_angle
+        usual = 0.5 * math.acos((n - 2) / (n - 1))
+        self.half_angle = usual if given is None else real(given)
+        if not 0.0 < self.half_angle < math.pi / 2:
+            refuse("half_angle", given, "positive and less than π/2 rad")
 
     def _actions(self, bearing: Array, rows: ObservedRows) -> Array:
         angle = np.arctan2(bearing[..., 1], bearing[..., 0])
@@ -100,37 +122,3 @@ def yaw_and_pitch(bearing: Array, pitch: Array) -> Array:
     height = np.sin(pitch) * forward + np.cos(pitch) * up
     yaw = np.arctan2(left, level)
     return np.stack([yaw, np.arctan2(height, np.hypot(level, left)) - pitch], axis=-1)
-
-
-def _speed(scenario: Scenario, speed: float | None) -> float:
-    """c, m/s; at most the speed limit, and less than ω_max r/2."""
-    fastest = scenario.turn_limit * scenario.merge_radius / 2.0
-    if speed is None:
-        return min(scenario.speed_limit, _SHARE * fastest)
-    value = real(speed)
-    if not (0.0 < value < fastest and value <= scenario.speed_limit):
-        refuse(
-            "speed",
-            speed,
-            f"positive, less than ω_max r/2 = {fastest:.6g} m/s and at most the speed limit, "
-            f"{scenario.speed_limit:.6g} m/s",
-        )
-    return value
-
-
-@register("pursuit", fits=turns, kind="field", on_request=True)
-def _pursuit(scenario: Scenario, speed: float | None = None) -> Policy:
-    """Turns towards one robot, and drives only while it points at it (E2)."""
-    return Pursuit(scenario, _speed(scenario, speed))
-
-
-@register("windshield", fits=is_unicycle, kind="field", on_request=True)
-def _windshield(
-    scenario: Scenario, half_angle: float | None = None, speed: float | None = None
-) -> Policy:
-    """Drives on, and turns by all it can while its target is beside the windshield."""
-    n = scenario.n_robots
-    angle = 0.5 * math.acos((n - 2) / (n - 1)) if half_angle is None else real(half_angle)
-    if not 0.0 < angle < math.pi / 2:
-        refuse("half_angle", half_angle, "positive and less than π/2 rad")
-    return Windshield(scenario, _speed(scenario, speed), half_angle=angle)

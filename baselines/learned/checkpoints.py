@@ -23,15 +23,13 @@ FOLDER, POINTER = "checkpoints", "latest.json"
 
 
 class CheckpointError(ValueError):
-    """A checkpoint cannot be read; the message names the file and what would be right."""
+    """A checkpoint is missing, truncated, changed or of another version; the message names the file
+    and what would be right.
+    """
 
 
 def find(path: Path) -> Path:
-    """The checkpoint that a path means: the folder itself, or the newest one of a run.
-
-    Raises:
-        CheckpointError: if there is none, or the folder cannot be read.
-    """
+    """The checkpoint that a path means: the folder itself, or the newest one of a run."""
     found = [path] if DESCRIPTION in _names(path) else candidates(path)
     if not found:
         there = "no checkpoint in it" if path.is_dir() else "no such folder"
@@ -63,11 +61,7 @@ def _names(folder: Path) -> list[str]:
 
 
 def describe(place: Path) -> dict[str, Any]:
-    """The description of a checkpoint, which is checked against its own digest.
-
-    Raises:
-        CheckpointError: if it cannot be read, was changed, or is of another version.
-    """
+    """The description of a checkpoint, which is checked against its own digest."""
     path = place / DESCRIPTION
     try:
         about = read_json(path)
@@ -88,11 +82,7 @@ def describe(place: Path) -> dict[str, Any]:
 
 
 def read(place: Path, names: Iterable[str]) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """The description of a checkpoint and the arrays of some of its files.
-
-    Raises:
-        CheckpointError: naming the file that is missing, truncated, changed or of another version.
-    """
+    """The description of a checkpoint and the arrays of some of its files."""
     about = describe(place)
     return about, {name: _read_file(place / f"{name}.safetensors", about) for name in names}
 

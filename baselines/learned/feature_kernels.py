@@ -1,7 +1,4 @@
-"""What one robot is shown, made from what it sees and remembers: kernels over robots.
-
-Everything is written in the frame with x along f.
-"""
+"""What robots are shown, in the frame with x along f, made from what they see and remember."""
 
 import math
 from typing import NamedTuple
@@ -87,12 +84,11 @@ def _velocity(robot, velocities, f, degree, h, constants):
 
 @kernel
 def show(part, which, observations, moving, constants, memory, tanks, shown):
-    """Fill the rows of ``shown`` (B, n, size) that belong to some teams, and update their memory.
+    """Fill the rows of ``shown`` (B, n, size) of some teams, and update their memory.
 
-    ``part`` says which of the teams, from the first to the one before the second; with the teams
-    come the s since they decided, (B,). ``moving`` are headings and velocities, and the first of
-    ``tanks`` levels, as in ``Features.see``; Walls, the second, may be None, too. The memory has
-    room for the intervals of silhouettes, (M, 2), with it.
+    ``which`` are teams and the s since they decided, (B,), ``part`` a range of these; ``moving``
+    headings and velocities, ``tanks`` levels or None, as in ``Features.see``, and Walls or None.
+    With the memory comes working memory for intervals, (M, 2).
     """
     (teams, elapsed), (memory, intervals), (headings, velocities) = which, memory, moving
     K, M = constants.neighbour_slots, intervals.shape[0]

@@ -1,8 +1,6 @@
-"""Features that a learned policy is shown: tables made from the robot's own observations, and what
-it remembers.
+"""Features that a learned policy is shown, made from what a robot observes and remembers.
 
-Nothing here knows a position or a distance. The tables are in the frame with x along f, so a policy
-that reads them is invariant to rotations of the world.
+They are in the frame with x along f, so a policy that reads them is invariant to rotations.
 """
 
 from __future__ import annotations
@@ -35,10 +33,8 @@ from .feature_kernels import (
     show,
 )
 
-VERSION = 2
-"""Of what the columns mean; a network trained with another one cannot read the tables."""
-_WEIGHT = 8
-"""A robot that is shown something counts as so many that a filter steers."""
+VERSION = 2  # of what the columns mean; a network reads the version that it was trained with
+_WEIGHT = 8  # a robot that is shown something costs as much as so many that a filter steers
 
 
 class FeatureParts(NamedTuple):
@@ -50,7 +46,7 @@ class FeatureParts(NamedTuple):
 
 
 class FeatureLayout(NamedTuple):
-    """Which part of a flat row of numbers is what. Nobody else counts columns."""
+    """Which part of a flat row of numbers is what."""
 
     neighbour_slots: int  # K
     obstacle_slots: int  # M
@@ -68,7 +64,7 @@ class FeatureLayout(NamedTuple):
         return sets + self.context_columns
 
     def split(self, shown: Any) -> FeatureParts:
-        """Take (..., size) apart, an array or a tensor."""
+        """The parts of (..., size), an array or a tensor."""
         leading, K, M = shown.shape[:-1], self.neighbour_slots, self.obstacle_slots
         stop, context = K * NEIGHBOUR_COLUMNS, shown.shape[-1] - self.context_columns
         return FeatureParts(

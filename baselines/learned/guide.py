@@ -1,5 +1,5 @@
-"""From a choice to an action: the joined rule, as if f pointed a chosen angle to the side, kept to
-its guarantee; the same in training and in use.
+"""From a choice to an action: the joined rule with f turned by a chosen angle, kept to a guarantee;
+the same in training and in use.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ Array = NDArray[np.float64]
 
 
 class CommandedTank(EnergyTank):
-    """``EnergyTank`` of robots that learn of no contact and no merge, in training as in use: every
-    step is booked as commanded.
+    """``EnergyTank`` of robots that learn of no contact and no merge: every step is booked as
+    commanded.
     """
 
     keeps_ledger = False
@@ -51,7 +51,7 @@ class CommandedTank(EnergyTank):
         self._booked[which] = 0.0
 
     def settle(self, share: float, bends: Any = 0.0) -> None:
-        """Correct what the previous step booked: it lasted only a share σ of τ.
+        """Correct what the previous step booked, which lasted only a share σ of τ.
 
         On a straight line G is concave in time and 0 at first: in a share σ ≤ 1 of a step a robot
         has earned at least σ G, which is what stays booked; on an arc, which is off its chord by
@@ -155,13 +155,10 @@ class GuidedTeams:
     The raw vector becomes a certified heading, or with tanks any heading that they pay for;
     unicycles turn there as their gate or their tank allows, and remember in ``SteadyFrames``; in
     space all that happens in a plane (``SteadyPlanes``). ``show`` updates the memory, so it is
-    called once in each decision; ``act`` follows what is seen in every step.
-
-    The settings are the policy's; other arguments and errors as ``Features``.
+    called once in each decision, ``act`` in every step. Arguments and errors as ``Features``.
     """
 
-    keeps_ledger = False
-    """Tanks book what they commanded, see ``CommandedTank``."""
+    keeps_ledger = False  # as ``CommandedTank``
 
     def __init__(
         self,
@@ -209,7 +206,7 @@ class GuidedTeams:
         self._directions = self._turns[self.choices]
 
     def settle(self, share: float) -> None:
-        """The previous step lasted this share of τ."""
+        """Account for the previous step, which lasted this share of τ."""
         bends = 0.0 if self.bodies is None else self.bodies.settle(share)
         if self.tank is not None:
             self.tank.settle(share, bends)
@@ -259,10 +256,8 @@ class GuidedTeams:
         self.perception.note(self.angles[self.choices])
 
     def head(self, vectors: ArrayLike) -> None:
-        """Take directions (B, n, 2) in place of choices: how f is to be turned, with x along f.
-
-        Their length does not count, and zero is straight ahead. A ValueError names the robot whose
-        vector is not finite.
+        """Take directions (B, n, 2), with x along f, in place of choices; zero is straight ahead. A
+        ValueError names the robot whose vector is not finite.
         """
         given, wanted = floats("actions", vectors), (*self.choices.shape, 2)
         if given.shape != wanted:
@@ -275,8 +270,8 @@ class GuidedTeams:
         self.perception.note(np.arctan2(turned[..., 1], turned[..., 0]))
 
     def act(self, observations: Float32, elapsed: float | None = None) -> Float32:
-        """Velocities (B, n, a), m/s, or (v, ω) of nonholonomic robots, which see (B, n, rows, d);
-        ``elapsed`` s, None is τ, is how long headings have turned since the previous ones.
+        """Actions (B, n, a) of robots that see (B, n, rows, d); ``elapsed`` as
+        ``KernelFilter.act``.
         """
         observations = check_observations(observations, self._seen)
         actions = np.zeros((*self._seen[:2], self._action_size), np.float32)
@@ -286,7 +281,7 @@ class GuidedTeams:
     def act_of(
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> None:
-        """As ``act``, of the teams from the first of a part to the one before its second."""
+        """As ``act``, of some teams and unchecked."""
         carried, intervals = self._carried, np.empty((self._obstacle_slots, 2))
         aim, bodies = (self._directions, self._rule), self.bodies
         if bodies is None:

@@ -114,11 +114,8 @@ class LearnedPolicy(GuidedPolicy):
 
 def load(path: Path, scenario: Scenario) -> LearnedPolicy:
     """The policy of a checkpoint, of the newest one of a run, of a shipped folder, or of an ONNX
-    file that ``rendezvous export`` wrote.
-
-    Raises:
-        CheckpointError: if it cannot be read or does not belong to this version, naming the file.
-        ValueError: for robots that it cannot steer.
+    file that ``rendezvous export`` wrote. A CheckpointError names the file that cannot be read or
+    does not belong to this version, a ValueError robots that it cannot steer.
     """
     check_steerable(scenario)
     if path.suffix == SUFFIX:

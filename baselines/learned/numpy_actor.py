@@ -1,4 +1,4 @@
-"""The actor of a trained network in NumPy: what it would choose, without its learning library."""
+"""The actor of a trained network in NumPy, without its learning library."""
 
 from __future__ import annotations
 
@@ -26,9 +26,8 @@ class Network(ABC):
     """A network that prefers some choices to others."""
 
     def choose(self, shown: Array, hidden: Array | None = None) -> NDArray[np.int64]:
-        """Greedy choices (N,) of N robots that are shown (N, layout.size).
-
-        ``hidden`` is what they remember, (N, units), updated in place; None is nothing.
+        """Greedy choices (N,) of robots that are shown (N, layout.size) and remember ``hidden``,
+        (N, units), updated in place; None is nothing.
         """
         choices = np.empty(len(shown), dtype=np.int64)
         for first in range(0, len(shown), _AT_ONCE):
@@ -43,10 +42,8 @@ class Network(ABC):
 
 
 class NumpyActor(Network):
-    """A network's greedy choices, as ``HeadingNetwork`` of ``train.learn.networks`` has them.
-
-    Of its weights by name, those of the critic are not needed; the numbers of slots of the layout
-    need not be those of training. A ValueError names an array that is missing or does not fit.
+    """``train.learn.networks.HeadingNetwork`` with these weights, without its critic; slots may be
+    more or fewer than in training. A ValueError names an array that is missing or does not fit.
     """
 
     def __init__(self, weights: Weights, settings: PolicySettings, layout: FeatureLayout) -> None:

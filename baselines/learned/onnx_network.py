@@ -32,13 +32,9 @@ def digest_of(content: bytes) -> str:
 
 
 class OnnxNetwork(Network):
-    """A network that onnxruntime runs, from a file that ``rendezvous export`` wrote.
-
-    It reads tables of any ``layout`` with its columns.
-
-    Raises:
-        CheckpointError: if it cannot be read, was changed, holds no digest or does not belong to
-            this version, naming the file.
+    """A network that onnxruntime runs, from a file that ``rendezvous export`` wrote, for any
+    ``layout`` with its columns. A CheckpointError names a file that cannot be read, was changed,
+    holds no digest or does not belong to this version.
     """
 
     def __init__(self, path: Path) -> None:

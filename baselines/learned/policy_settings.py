@@ -17,10 +17,9 @@ from .features import VERSION, FeatureLayout
 from .plain_data import check_field_types, check_types
 
 ANGLES = np.array([0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0, 1.4, -1.4])
-"""What can be chosen where headings are certified, rad counter-clockwise from f; the first choice
-is the rule itself."""
+"""Choices where headings are certified, rad counter-clockwise from f; 0 is the rule itself."""
 ALL_ROUND = np.array([*ANGLES, 1.9, -1.9, 2.5, -2.5, np.pi])
-"""What can be chosen where a tank pays for going away from f, rad; begins as ANGLES."""
+"""Choices where a tank pays for going away from f, rad."""
 CHOICES = len(ANGLES)
 _WIDEST = 2**12
 _RANGES = {
@@ -69,10 +68,8 @@ class PolicySettings:
 
     @classmethod
     def from_plain(cls, plain: Any) -> PolicySettings:
-        """What ``to_plain`` gave, or that of a version without tanks.
-
-        Raises:
-            ValueError: for missing or unknown fields, or other features.
+        """What ``to_plain`` gave, or that of a version without tanks; a ValueError for missing or
+        unknown fields, or other features.
         """
         if not isinstance(plain, Mapping) or plain.get("perception") != VERSION:
             version = plain.get("perception") if isinstance(plain, Mapping) else plain

@@ -38,8 +38,8 @@ def observation_box(size: int) -> Box:
 class FeatureVectorEnv(GuaranteeWrapper):
     """Teams whose robots choose by what they are shown, see ``GuidedTeams``.
 
-    Actions are choices (B, n), each held for ``decision_period`` base steps, in each of which the
-    guide aims anew. Observations are (B, n, layout.size), the last ones of an episode included.
+    Actions are choices (B, n), each held for ``decision_period`` base steps. Observations are
+    (B, n, layout.size), the last ones of an episode included.
 
     Args:
         env: teams of any robots but double integrators, in any autoreset mode.
@@ -125,7 +125,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
         seed: int | Sequence[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], Info]:
-        """As ``GuaranteeWrapper.reset``; robots of teams that start afresh have touched nothing."""
+        """As ``GuaranteeWrapper.reset``; robots of new episodes have touched nothing."""
         shown, infos = super().reset(seed=seed, options=options)
         self._touches.forget(as_options(options).get("reset_mask"))
         return shown.copy(), infos
@@ -139,8 +139,8 @@ class FeatureVectorEnv(GuaranteeWrapper):
         return super().get_state() | memory | {"touched": self._touches.touched.copy()}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Put back what ``get_state`` took out; a ValueError names what does not fit, nothing has
-        changed then.
+        """Put back what ``get_state`` gave; a ValueError names what does not fit, and nothing has
+        changed.
         """
         check_keys(state, tuple(self._parts))
         touched = check_entries({"touched": self._touches.touched}, state)["touched"]

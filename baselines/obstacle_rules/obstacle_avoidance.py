@@ -1,7 +1,5 @@
-"""Rules that go round obstacles by the bearings of their edges alone, and the policies they make.
-
-Each rule gives a heading h; the velocity is law (4), h hᵀf. The certified form of a rule passes its
-heading through theorem C first.
+"""Rules that go round obstacles by the bearings of their edges alone, and the policies they make:
+law (4), h hᵀf, along the heading h of a rule, or along h made certified by theorem C.
 """
 
 from __future__ import annotations
@@ -38,8 +36,7 @@ from .merged_silhouettes_3d import joined_headings_3d
 from .planes_in_space import axis_is_clear_3d, headings_in_planes, widened_rays
 from .silhouettes import tangent_headings
 
-FLAT = 0.04
-"""rad; the flat sides between eight boundary rays lie within a round cone by no more."""
+FLAT = 0.04  # rad; the flat sides between eight boundary rays lie within a round cone by no more
 Array = NDArray[np.float64]
 HeadingRule = Callable[[Array, NDArray[Any]], Array]
 """Net bearings fᵢ, (..., d), m/s, and silhouettes, (..., M, S, d), unit vectors, zero where no
@@ -66,12 +63,12 @@ def tangent_joined_heading(
     carried: Array | None = None,
     persistence: float = 0.0,
 ) -> Array:
-    """Overlapping silhouettes are one obstacle; pass it on the nearer side (theory 6). Details are
-    with ``joined_headings_2d`` and ``joined_headings_3d``.
+    """Overlapping silhouettes are one obstacle; pass it on the nearer side (theory 6), as
+    ``joined_headings_2d`` and ``joined_headings_3d``.
 
-    In the plane ``carried`` are the headings of the previous step, (..., d), zero where there is
-    none. The clearance, rad, is kept to edges; with a ``persistence`` their angles from the carried
-    heading count beside those from f.
+    The clearance, rad, is kept to edges. In the plane ``carried`` are the headings of the previous
+    step, (..., d), zero where there is none; with a ``persistence`` the angles of edges from these
+    count beside those from f.
     """
     f = check_vectors("net_bearing", net_bearing)
     if f.shape[-1] == 3:
@@ -110,12 +107,10 @@ def check_clearance(clearance: Any) -> None:
 def steered(
     steering: Steering, wanted: NDArray[Any], observations: NDArray[Any], scenario: Scenario
 ) -> Float32:
-    """Actions (..., n, a) that follow velocities (..., n, d), m/s, given (..., n, rows, d); robots
-    that turn stand still while they do not point past all silhouettes.
+    """Actions (..., n, a) that follow velocities (..., n, d), m/s, given (..., n, rows, d).
 
     A robot outside a shape that moves along a ray outside its silhouette never enters it. So one
-    that turns on the spot until its axis is clear hits nothing that it sees, however slowly it
-    turns.
+    that turns on the spot until its axis is clear hits nothing that it sees.
     """
     actions = within_limits(steering.actions(wanted, observations), scenario)
     if steering.turns:
@@ -146,7 +141,6 @@ class BareHeadingPolicy(TeamPolicy):
 
     scenario: Scenario
     rule: HeadingRule
-    """Where they head."""
 
     def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
         """Actions (..., n, a); see ``Policy``."""
@@ -162,18 +156,14 @@ class CertifiedHeadingPolicy(RememberingPolicy):
 
         vᵢ = min(1, r/(2 Dᵢ τ)) hᵢ hᵢᵀ fᵢ                             (theory 3 and 4)
 
-    The rule means a line, so its heading is flipped to the side of f before it is certified. What
-    robots that turn remember turns with their frame; they lag behind their headings, and no theorem
-    covers them.
+    The rule means a line, so its heading is flipped to the side of f before it is certified. Robots
+    that turn lag behind their headings, and no theorem covers them.
     """
 
     scenario: Scenario
     rule: HeadingRule
-    """Where they would like to head."""
-    min_alignment: float = 0.1
-    """ε, the margin |hᵀf| ≥ ε‖f‖."""
-    max_turn_rate: float = 3.0
-    """ω_max of the heading, rad/s."""
+    min_alignment: float = 0.1  # ε, the margin |hᵀf| ≥ ε‖f‖
+    max_turn_rate: float = 3.0  # ω_max of the heading, rad/s
 
     def __post_init__(self) -> None:
         between("min_alignment", self.min_alignment, 0, 1)
@@ -212,56 +202,14 @@ class CertifiedHeadingPolicy(RememberingPolicy):
         return self._as_given(self._sent)
 
     def _aim(self, f: Array, silhouettes: NDArray[Any]) -> Array:
-        """Raw vectors (..., d) that are to be certified."""
+        """Vectors (..., d) to certify."""
         raw = self.rule(f, silhouettes)
         return np.where(np.sum(raw * f, axis=-1, keepdims=True) < 0, -raw, raw)
 
     @property
     def headings(self) -> Array:
-        """The headings last taken, (..., n, d); zero for a robot that has none yet."""
+        """Of the previous step, (..., n, d); zero for a robot that has none yet."""
         return np.zeros(0) if self._leading is None else self._as_given(self._previous).copy()
-
-
-@dataclass
-class TunedJoinedPolicy(CertifiedHeadingPolicy):
-    """The joined rule as good as tuning makes it; certified, and with two changes.
-
-    A robot keeps to the side that it has chosen (``persistence``), in space to a plane as well
-    (``headings_in_planes``), and an edge that lies beyond the cap is aimed at as it is: the robot
-    slows down at the edge of the cap instead of turning round into what lies behind it.
-    """
-
-    clearance: float = 0.2
-    """Angle by which to stay clear of an edge, rad."""
-    persistence: float = 0.5
-    """λ of ``merged_silhouettes_2d.joined_headings_2d``."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_clearance(self.clearance)
-        number("persistence", self.persistence, 0)
-
-    def _start(self, teams: int) -> None:
-        super()._start(teams)
-        self._asides = np.zeros_like(self._previous)
-
-    def _forget(self, which: Mask) -> None:
-        super()._forget(which)
-        self._asides[which] = 0.0
-
-    def after(self, elapsed: float, observations: NDArray[Any], time: ArrayLike) -> Float32:
-        """As ``RealTimePolicy.after``."""
-        seen = self._teams_of(observations)
-        self._asides = self._steering.turned(self._asides, self._sent, seen, elapsed)
-        return super().after(elapsed, observations, time)
-
-    def _aim(self, f: Array, silhouettes: NDArray[Any]) -> Array:
-        d, carried = f.shape[-1], self._previous
-        rule = float(self.clearance), carried.reshape(-1, d), float(self.persistence)
-        if d == 2:
-            return _over_robots(joined_headings_2d, f, silhouettes, *rule)
-        asides = self._asides.reshape(-1, 3)
-        return _over_robots(headings_in_planes, f, silhouettes, *rule, asides)
 
 
 def can_pass_obstacles(scenario: Scenario) -> bool:
@@ -271,7 +219,7 @@ def can_pass_obstacles(scenario: Scenario) -> bool:
 
 def _among_obstacles(scenario: Scenario) -> bool:
     """Whether actions are velocities, and obstacles may be seen."""
-    return is_single_integrator(scenario) and scenario.observation_layout.obstacle_slots > 0
+    return is_single_integrator(scenario) and can_pass_obstacles(scenario)
 
 
 @register("tangent", fits=_among_obstacles, kind="rule")
@@ -289,7 +237,8 @@ def _tangent_blocking(scenario: Scenario) -> Policy:
 @register("tangent-joined", fits=can_pass_obstacles, kind="rule")
 def _tangent_joined(scenario: Scenario, clearance: float = 0.05) -> Policy:
     """The same, with silhouettes that overlap taken for one."""
-    return BareHeadingPolicy(scenario, _joined_with(clearance))
+    check_clearance(clearance)
+    return BareHeadingPolicy(scenario, partial(tangent_joined_heading, clearance=clearance))
 
 
 @register("tangent-certified", fits=_among_obstacles, kind="rule")
@@ -316,25 +265,52 @@ def _tangent_joined_certified(
     max_turn_rate: float = 3.0,
 ) -> Policy:
     """The rule tangent-joined through the certified heading of theorem C."""
-    rule = _joined_with(clearance)
+    check_clearance(clearance)
+    rule = partial(tangent_joined_heading, clearance=clearance)
     return CertifiedHeadingPolicy(scenario, rule, min_alignment, max_turn_rate)
 
 
 @register("tangent-joined-tuned", fits=can_pass_obstacles, kind="rule")
-def _tangent_joined_tuned(
-    scenario: Scenario,
-    clearance: float = 0.2,
-    persistence: float | None = None,
-    min_alignment: float = 0.05,
-    max_turn_rate: float = 100.0,
-) -> Policy:
-    """The joined rule, certified and tuned: it keeps to a side once taken."""
-    if persistence is None:
-        persistence = 0.5 if scenario.dim == 2 else 0.35
-    rule, certified = _joined_with(clearance), (min_alignment, max_turn_rate)
-    return TunedJoinedPolicy(scenario, rule, *certified, clearance, persistence)
+class TunedJoinedPolicy(CertifiedHeadingPolicy):
+    """The joined rule, certified and tuned: it keeps to a side once taken.
 
+    That is what the ``persistence`` is for, λ of ``joined_headings_2d``; in space a robot keeps to
+    a plane as well (``headings_in_planes``). An edge beyond the cap is aimed at as it is: the robot
+    slows down at the edge of the cap instead of turning round into what lies behind it.
+    """
 
-def _joined_with(clearance: float) -> HeadingRule:
-    check_clearance(clearance)
-    return partial(tangent_joined_heading, clearance=clearance)
+    def __init__(
+        self,
+        scenario: Scenario,
+        clearance: float = 0.2,
+        persistence: float | None = None,
+        min_alignment: float = 0.05,
+        max_turn_rate: float = 100.0,
+    ) -> None:
+        check_clearance(clearance)
+        if persistence is None:
+            persistence = 0.5 if scenario.dim == 2 else 0.35
+        self._clearance, self._persistence = clearance, number("persistence", persistence, 0)
+        super().__init__(scenario, tangent_joined_heading, min_alignment, max_turn_rate)
+
+    def _start(self, teams: int) -> None:
+        super()._start(teams)
+        self._asides = np.zeros_like(self._previous)
+
+    def _forget(self, which: Mask) -> None:
+        super()._forget(which)
+        self._asides[which] = 0.0
+
+    def after(self, elapsed: float, observations: NDArray[Any], time: ArrayLike) -> Float32:
+        """As ``RealTimePolicy.after``."""
+        seen = self._teams_of(observations)
+        self._asides = self._steering.turned(self._asides, self._sent, seen, elapsed)
+        return super().after(elapsed, observations, time)
+
+    def _aim(self, f: Array, silhouettes: NDArray[Any]) -> Array:
+        d = f.shape[-1]
+        rule = float(self._clearance), self._previous.reshape(-1, d), self._persistence
+        if d == 2:
+            return _over_robots(joined_headings_2d, f, silhouettes, *rule)
+        asides = self._asides.reshape(-1, 3)
+        return _over_robots(headings_in_planes, f, silhouettes, *rule, asides)

@@ -1,8 +1,5 @@
-"""Obstacles of space in a plane that holds f, where they are intervals of angles.
-
-A robot that passes an obstacle keeps to an azimuth about f, and so to a plane. The cones under
-which obstacles are seen, widened by a clearance, cut that plane in silhouettes, to which the rules
-of the plane apply.
+"""Obstacles of space in a plane that holds f: a robot passes them at an azimuth about f, and the
+cones under which they are seen, widened by a clearance, cut its plane in silhouettes of the plane.
 """
 
 import math
@@ -92,17 +89,12 @@ def widened_rays(silhouettes, clearance, out):
 
 @kernel
 def kept_azimuth(towards, before, keeps, clearance, views):
-    """The azimuth about f at which a robot passes what blocks f, a unit triple across f: that of
-    the previous step if it keeps to one and its plane is not closed all round, else the one with
-    least to turn; and whether it was kept.
+    """The azimuth about f at which a robot passes what blocks f, a unit triple across f; and
+    whether it is that of the previous step, ``before``, zero = none yet.
 
-    Args:
-        towards: f/‖f‖, a triple.
-        before: of the previous step, a triple; zero = none yet.
-        keeps: rad; it is kept while the nearest free direction there is nearer to f; 0 is never.
-        clearance: rad.
-        views: ``widened_rays``, (K, 8, 3); then working memory: what the plane cuts of them,
-            (K, 2, 2), left as it is in the plane that is taken, and (K, 2).
+    It is kept while the nearest free direction in its plane is nearer to f than ``keeps``, rad, 0 =
+    never; else the one with least to turn is taken. ``views`` are ``widened_rays``, (K, 8, 3), and
+    working memory: what the plane that is taken cuts of them, (K, 2, 2), and (K, 2).
     """
     rays, cut, intervals = views
     if before == ORIGIN and rays.shape[0] > 0:
@@ -139,7 +131,7 @@ def _best_azimuth(towards, first, clearance, views):
 
 @kernel
 def lies_outside(direction, rays):
-    """Whether a direction, a triple, lies outside all cones, (K, 8, 3)."""
+    """Whether a triple lies outside all cones, (K, 8, 3)."""
     for m in range(rays.shape[0]):
         left, ahead = 0, 0.0
         for s in range(8):

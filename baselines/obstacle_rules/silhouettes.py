@@ -18,10 +18,8 @@ STRAIGHT_AHEAD = -1
 
 @kernel
 def tangent_headings(net_bearing, silhouettes, only_blocking, out):
-    """Head for the edge nearest to f of the most prominent obstacle, along f if there is none.
-
-    Section IV-C of the paper; the first of equals, and if ``only_blocking`` of those obstacles that
-    f points into.
+    """Head for the edge nearest to f of the most prominent obstacle, along f if there is none; if
+    ``only_blocking`` of those that f points into (section IV-C). Of equals it is the first.
     """
     for i in range(out.shape[0]):
         heading = direction_of(net_bearing[i])

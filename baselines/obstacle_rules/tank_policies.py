@@ -1,11 +1,10 @@
-"""The joined rule under an energy tank (theorem D): round walls, on one side, turning back when it
-costs too much; in space in a plane that holds f (``planes_in_space``).
+"""The joined rule under an energy tank (theorem D): round walls, turning back when they cost too
+much; in space in a plane that holds f (``planes_in_space``).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,7 +33,7 @@ from rendezvous_env.safety.tank import (
 from rendezvous_env.safety.turning import Gate, gate_of, mean_axis, send_rates
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..policy import Float32, Mask, Policy, RememberingPolicy, register
+from ..policy import Float32, Mask, RememberingPolicy, register
 from ..steering import ALIGNED, ALIGNED_IN_SPACE, Steering, inputs_towards
 from .merged_silhouettes_2d import TWO_PI, axis_is_clear, joined_interval_2d
 from .obstacle_avoidance import Array, can_pass_obstacles, check_clearance
@@ -58,7 +57,7 @@ one side, ever opposite, would otherwise never turn back."""
 
 
 class _Settings(NamedTuple):
-    """What wall followers share."""
+    """What the kernels know of the robots, and of how they follow walls."""
 
     clearance: float  # rad; in space within the plane, and across it
     patience: float  # m back that a first try may lead; each turn doubles it
@@ -239,15 +238,16 @@ def _turned(direction, angle):
     return combine(math.cos(angle), direction, math.sin(angle), _left_of(direction))
 
 
-@dataclass
+@register("tank-joined", fits=can_pass_obstacles, kind="tank")
 class TankJoinedPolicy(RememberingPolicy):
-    """The joined rule under an energy tank: round walls, away from f too while the tank lasts.
+    """Follows walls under an energy tank, the one side or the other, ever farther.
 
-    What blocks f is passed on one side, along the wall, until f is free; in space at one azimuth,
-    the one with least to turn (``planes_in_space``). The robot turns back when it has lost more
-    than ``patience``‖f‖ of its own work ∫ f·v dt since it met the wall, twice as much after each
-    turn, or when its tank is low; so it tries both sides ever farther, in space then those across
-    them. Where the tank would not last it rests instead of pressing against a wall.
+    What blocks f is passed on one side, along the wall, until f is free, away from f too while the
+    tank lasts; in space at one azimuth, the one with least to turn (``planes_in_space``). The robot
+    turns back when it has lost more than ``patience``‖f‖ of its own work ∫ f·v dt since it met the
+    wall, twice as much after each turn, or when its tank is low; so it tries both sides ever
+    farther, in space then those across them. Where the tank would not last it rests instead of
+    pressing against a wall.
 
     A nonholonomic robot turns into that direction, drives where its axis points past all
     silhouettes, and does not change its mind while it turns on the spot. Some of its way counts as
@@ -255,26 +255,32 @@ class TankJoinedPolicy(RememberingPolicy):
 
     It books what it commanded, knows neither contacts nor steps that a merge cut short, and what an
     absorbed robot had left is lost.
+
+    Args:
+        scenario: whose robots it steers.
+        budget: B of each robot, m²/s.
+        min_alignment: ε of the tank, in (0, 1).
+        clearance: angle by which to stay clear of an edge, rad.
+        patience: how far from f a first try may lead, m.
     """
 
-    scenario: Scenario
-    budget: float = 50.0  # B of each robot, m²/s
-    margin: float = 0.05  # ε of the tank, in (0, 1)
-    clearance: float = 0.2  # angle by which to stay clear of an edge, rad
-    patience: float = 1.0  # how far from f a first try may lead, m
-
-    def __post_init__(self) -> None:
-        number("budget", self.budget, 0.0, unit="m²/s")
-        between("min_alignment", self.margin, 0, 1)
-        check_clearance(self.clearance)
-        positive("patience", self.patience, "m")
-        scenario = self.scenario
+    def __init__(
+        self,
+        scenario: Scenario,
+        budget: float = 50.0,
+        min_alignment: float = 0.05,
+        clearance: float = 0.2,
+        patience: float = 1.0,
+    ) -> None:
+        self.scenario, self.budget = scenario, number("budget", budget, 0.0, unit="m²/s")
+        self._margin = between("min_alignment", min_alignment, 0, 1)
+        check_clearance(clearance)
         steering = self._steering = Steering(scenario)
         self._unit = np.array(scenario.action_bounds if steering.turns else scenario.speed_limit)
         self._settings = _Settings(
-            clearance=float(self.clearance) / (scenario.dim - 1),
-            patience=float(self.patience),
-            min_alignment=0.0 if steering.turns else float(self.margin),  # guarantees 8
+            clearance=float(clearance) / (scenario.dim - 1),
+            patience=positive("patience", patience, "m"),
+            min_alignment=0.0 if steering.turns else self._margin,  # guarantees 8
             merge_radius=float(scenario.merge_radius),
             duration=float(scenario.tau),
             speed_limit=float(scenario.speed_limit),
@@ -285,15 +291,15 @@ class TankJoinedPolicy(RememberingPolicy):
 
     def _start(self, teams: int) -> None:
         self._tank = EnergyTank(
-            self.scenario, teams, budget=self.budget, min_alignment=self.margin, frame="local"
+            self.scenario, teams, budget=self.budget, min_alignment=self._margin, frame="local"
         )
         self._memory = np.zeros((teams, self.scenario.n_robots, MEMORY))
-        self._memory[..., PATIENCE] = self.patience
+        self._memory[..., PATIENCE] = self._settings.patience
 
     def _forget(self, which: Mask) -> None:
         self._tank.forget(which)
         self._memory[which] = 0.0
-        self._memory[which, :, PATIENCE] = self.patience
+        self._memory[which, :, PATIENCE] = self._settings.patience
 
     def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
         """Actions (..., n, a); see ``Policy``."""
@@ -328,15 +334,3 @@ class TankJoinedPolicy(RememberingPolicy):
     def levels(self) -> Array:
         """A, (..., n), m²/s; without an episode there are none."""
         return np.zeros(0) if self._leading is None else self._as_given(self._tank.levels)
-
-
-@register("tank-joined", fits=can_pass_obstacles, kind="tank")
-def _tank_joined(
-    scenario: Scenario,
-    budget: float = TankJoinedPolicy.budget,
-    min_alignment: float = TankJoinedPolicy.margin,
-    clearance: float = TankJoinedPolicy.clearance,
-    patience: float = TankJoinedPolicy.patience,
-) -> Policy:
-    """Follows walls under an energy tank, the one side or the other, ever farther."""
-    return TankJoinedPolicy(scenario, budget, min_alignment, clearance, patience)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,8 +13,8 @@ from rendezvous_env.limits import LARGEST_SEED
 from rendezvous_env.scenario.observation_layout import ObservedRows
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..laws.paper_laws import Array, LawPolicy
-from ..policy import Float32, Mask, Policy, TeamPolicy, register
+from ..laws.paper_laws import Array, Law
+from ..policy import Float32, Mask, TeamPolicy, register
 
 
 @register("random", fits=lambda scenario: True, kind="blind")
@@ -44,11 +43,9 @@ class RandomPolicy(TeamPolicy):
             self._generator = np.random.default_rng(self.seed)
 
 
-def _no_actions(size: int, f: Array, seen: ObservedRows, time: Any) -> Array:
-    return np.zeros((*f.shape[:-1], size))
-
-
 @register("zero", fits=lambda scenario: True, kind="blind")
-def _zero(scenario: Scenario) -> Policy:
+class _Zero(Law):
     """No action at all."""
-    return LawPolicy(scenario, partial(_no_actions, scenario.action_size))
+
+    def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        return np.zeros((*f.shape[:-1], self.scenario.action_size))

@@ -1,7 +1,4 @@
-"""Oracle baselines: what they share, and laws of the literature that need relative positions.
-
-They show what the distances would be worth that bearings lack.
-"""
+"""Oracle baselines: laws of the literature that need the distances that bearings lack."""
 
 from __future__ import annotations
 
@@ -27,8 +24,7 @@ _ASIDE = 1e-3  # tangent of the angle from its way within which a robot that tur
 class PrivilegedPolicy(TeamPolicy):
     """A policy that reads where robots are; those that turn do so on the spot."""
 
-    name: str
-    """What the registry calls it."""
+    name: str  # in the registry
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
@@ -38,8 +34,8 @@ class PrivilegedPolicy(TeamPolicy):
         self._steps: NDArray[np.int64] = np.zeros(0, np.int64)
 
     def watch(self, simulator: Simulator) -> None:
-        """Take the teams whose map and positions it may read, freshly reset; call it before an
-        episode. ValueError if it is no simulator of such robots.
+        """Take the teams, freshly reset, whose map and positions it may read. A ValueError if it is
+        no simulator of such robots.
         """
         n, d, model = self.scenario.n_robots, self.scenario.dim, self.scenario.robot_model
         wanted = f"a Simulator of {n} {model.replace('_', ' ')}s in {d}-D"
@@ -52,7 +48,7 @@ class PrivilegedPolicy(TeamPolicy):
         self.reset()
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Start afresh at the next call, for the teams where ``mask`` (B,) is true or for all."""
+        """As ``Policy.reset``, of the teams that it watches."""
         if self._simulator is None:
             return
         batch = self._simulator.num_envs
@@ -62,11 +58,8 @@ class PrivilegedPolicy(TeamPolicy):
             self._fresh = self._fresh | bools("mask", mask, (batch,), "teams")
 
     def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
-        """Actions (..., n, a), of the teams that it watches; see ``Policy``.
-
-        Raises:
-            RuntimeError: if it watches none.
-            ValueError: if the observations are those of other teams.
+        """As ``Policy``, of the teams that it watches; a RuntimeError if it watches none, a
+        ValueError if the observations are those of other teams.
         """
         seen = self.scenario.observation_layout.checked(observations)
         if (simulator := self._simulator) is None:
@@ -96,8 +89,8 @@ class PrivilegedPolicy(TeamPolicy):
 
     @abstractmethod
     def _velocities(self, simulator: Simulator, active: Mask, begun: Mask) -> Array:
-        """(B, n, d), m/s, in the global frame, of robots (B, n) that have not merged away; teams of
-        ``begun``, (B,), start an episode or were reset.
+        """(B, n, d), m/s, in the global frame, of the active robots, (B, n); teams of ``begun``,
+        (B,), start an episode or were reset.
         """
 
 
@@ -192,14 +185,13 @@ class PrivilegedEnclosingBall(PrivilegedPolicy):
 
     name = "privileged-enclosing-ball"
 
-    def __init__(self, scenario: Scenario) -> None:
-        super().__init__(scenario)
-        self._centres: Array = np.zeros((0, scenario.dim))
+    def watch(self, simulator: Simulator) -> None:
+        """As ``PrivilegedPolicy.watch``."""
+        super().watch(simulator)
+        self._centres = np.zeros((simulator.num_envs, self.scenario.dim))
 
     def _velocities(self, simulator: Simulator, active: Mask, begun: Mask) -> Array:
         positions = simulator.positions
-        if len(self._centres) != len(begun):
-            self._centres = np.zeros((len(begun), self.scenario.dim))
         for team in np.flatnonzero(begun):
             self._centres[team], _ = smallest_enclosing_ball(positions[team, active[team]])
         return within_a_step(self._centres[:, np.newaxis] - positions, self.scenario)

@@ -1,6 +1,4 @@
-"""An oracle baseline: it knows the map and where everybody is, and plans.
-
-What it passes cleanly says which starts are possible at all, and how fast: an upper bound for
+"""An oracle baseline that knows the map and where everybody is, and plans: an upper bound for
 policies that see bearings alone.
 """
 
@@ -9,9 +7,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
 
 from ..policy import Mask, register
@@ -22,10 +18,8 @@ from .roadmap import Array, Roadmap, WaysTo
 NAME = "privileged-planner"
 _CLEARANCES = tuple(0.1 * 0.5**k for k in range(8))
 """m; the widest with which all robots can meet is kept."""
-_GRID = {2: 13, 3: 7}
-"""Places along each side of a grid that are tried; a second, finer one follows."""
-_ARRIVED = 1e-5
-"""Share of a full step within which a turn has been reached: what float32 leaves of it."""
+_GRID = {2: 13, 3: 7}  # places along each side of a grid
+_ARRIVED = 1e-5  # of a full step; a turn is reached within what float32 leaves of it
 
 
 class Meeting(NamedTuple):
@@ -91,19 +85,12 @@ class PrivilegedPlanner(PrivilegedPolicy):
 
     name = NAME
 
-    def __init__(self, scenario: Scenario) -> None:
-        super().__init__(scenario)
-        self._goals: list[WaysTo | None] = []
-        self._active: Mask = np.zeros((0, 0), np.bool_)
-        self._turns: Array = np.zeros((0, 0, 0, 2))
-        self._next: NDArray[np.int64] = np.zeros((0, 0), np.int64)
-
     def watch(self, simulator: Simulator) -> None:
-        """Take the teams whose map and positions it may read; see ``PrivilegedPolicy``."""
+        """As ``PrivilegedPolicy.watch``."""
         super().watch(simulator)
         self._active = simulator.active
-        self._goals = [None] * simulator.num_envs
-        self._turns = simulator.positions[:, :, None]
+        self._goals: list[WaysTo | None] = [None] * simulator.num_envs
+        self._turns = simulator.positions[:, :, None]  # of each robot's way, (B, n, P, d)
         self._next = np.zeros(self._active.shape, np.int64)
 
     def _velocities(self, simulator: Simulator, active: Mask, begun: Mask) -> Array:
@@ -122,7 +109,7 @@ class PrivilegedPlanner(PrivilegedPolicy):
     def _update_plans(
         self, simulator: Simulator, positions: Array, active: Mask, begun: Mask
     ) -> None:
-        """Plan for teams that begin an episode, and find new ways where robots have merged."""
+        """Plan for teams that start an episode, and find new ways where robots have merged."""
         merged = (active != self._active).any(axis=1)
         self._active = active
         for team in np.flatnonzero((begun | merged) & (active.sum(axis=1) > 1)).tolist():

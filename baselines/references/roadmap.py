@@ -1,9 +1,8 @@
 """Shortest ways among obstacles, for policies that may know the map.
 
-A shortest way of the plane runs straight from corner to corner of the obstacles, inflated by a
-clearance: corners that see one another are the nodes of a visibility graph, in which Dijkstra's
-algorithm finds the ways. In space the nodes are points all over the inflated obstacles, and ways
-are nearly as short as can be.
+In the plane they are those of Dijkstra's algorithm in the visibility graph of the corners of the
+obstacles, inflated by a clearance. In space the nodes are points all over the inflated obstacles,
+and ways are nearly as short as can be.
 """
 
 from __future__ import annotations
@@ -39,9 +38,8 @@ _TOUCH = 1e-7  # m, less than the depth of a contact: so deep a way from the sur
 
 
 class Roadmap:
-    """Ways that keep a clearance, m, from the obstacles of one team, (M, width), in space of dim d.
-
-    A way from a point that is nearer to an obstacle keeps less.
+    """Ways that keep a clearance, m, from the obstacles of one team, (M, width), or from a point
+    that is nearer to one of them less.
     """
 
     def __init__(self, table: Array, clearance: float, dim: int = 2) -> None:
@@ -54,8 +52,7 @@ class Roadmap:
                 f"the obstacles have {len(corners)} corners; ways are planned among {MOST_CORNERS} "
                 "at most: give fewer obstacles, or polygons of fewer corners"
             )
-        self.corners: Array = corners[self._margins(corners) == _KEPT * clearance]
-        """(C, d), m."""
+        self.corners: Array = corners[self._margins(corners) == _KEPT * clearance]  # (C, d), m
         self._lengths = self.straight(self.corners, self.corners)
 
     def _margins(self, points: Array) -> Array:
@@ -78,8 +75,8 @@ class Roadmap:
         return out
 
     def to_corners(self, points: Array) -> tuple[Array, NDArray[np.int32]]:
-        """Lengths of the shortest ways from points (N, d) to all corners, (N, C), m; and the corner
-        before each on that way, negative if it is the first.
+        """Lengths (N, C) of the shortest ways from points to corners, m, and the corner before each
+        on that way, negative if it is the first.
         """
         n, count = len(points), len(self.corners)
         lengths = np.full((n + count, n + count), np.inf)
@@ -92,8 +89,8 @@ class Roadmap:
         return found[:, n:], before[:, n:] - n
 
     def distances(self, points: Array, to_corners: Array, places: Array) -> Array:
-        """Lengths (N, K) of the shortest ways from points to places, m, by way of corners whose
-        distances (N, C) are known; inf where there is none.
+        """Lengths (N, K) of the shortest ways from points to places, m, given those to corners; inf
+        where there is none.
         """
         out, last = self.straight(points, places), self.straight(self.corners, places)
         if len(self.corners):
