@@ -12,19 +12,14 @@ from .scenario.scenarios import ScenarioLike, resolve
 from .simulator import Simulator
 
 STARTS = 1000
-"""As many as a digest is made of: those of the seeds 0 to 999."""
+"""Of the seeds 0 to 999."""
 _DECIMALS = 9  # That count; the last bits of a cosine are the machine's
 _NOT_OF_THE_FIELD = ("name", "reward", "costs")
 
 
 def digest(scenario: ScenarioLike) -> str:
-    """SHA-256 over what a scenario differs in from the default, and over its first 1,000 initial
-    conditions: positions, headings, frames, weights and obstacles, to 1e-9.
-
-    What only learners are told, rewards and costs, does not count.
-
-    Args:
-        scenario: a Scenario, the name of one or the path of a TOML file.
+    """SHA-256 over what a scenario differs in from the default, rewards and costs aside, and over
+    its first 1,000 initial conditions: positions, headings, frames, weights and obstacles, to 1e-9.
 
     Raises:
         RuntimeError: if no room was found for a start.

@@ -33,8 +33,7 @@ class Simulator(StateView):
     """B teams of one scenario, advanced together.
 
     A batch of one and a batch of many give bit-equal trajectories for equal seeds, with any number
-    of threads. A step uses threads by itself; one simulator must not be used from several threads
-    at the same time, since its working memory is shared.
+    of threads. Those are its own: one simulator must not be used from several threads at a time.
 
     Args:
         scenario: the experiment, the name of a scenario, or the path of a TOML file.
@@ -51,15 +50,14 @@ class Simulator(StateView):
     ) -> None:
         self.scenario = scenario = resolve(scenario)
         self.num_envs = whole("num_envs", num_envs, 1, MOST_TEAMS)
-        self.num_threads = num_threads
-        if num_threads is not None:
-            self.num_threads = whole("num_threads", num_threads, 1, MOST_TEAMS)
+        given = num_threads is not None
+        self.num_threads = whole("num_threads", num_threads, 1, MOST_TEAMS) if given else None
         check_memory(scenario, self.num_envs)
         self.max_steps = scenario.max_steps
         self._make()
 
     def _make(self) -> None:
-        """Make what follows from the arguments: state, constants and working memory."""
+        """Make what follows from the arguments."""
         scenario = self.scenario
         self._acted = (self.num_envs, scenario.n_robots, scenario.action_size)
         self._state = State(MemoryLayout(scenario, self.num_envs))
@@ -108,10 +106,11 @@ class Simulator(StateView):
         return self.observe()
 
     def restart(self, mask: NDArray[np.bool_], outcome: StepOutput | None = None) -> None:
-        """Send some teams on to the next episode of their seed, at little cost to the others.
+        """Send the teams of a mask (B,) on to the next episode of their seed, at little cost to the
+        others.
 
         Args:
-            mask: (B,), which teams.
+            mask: which teams.
             outcome: what the last step gave out; in place of these teams' last observation,
                 contact, clearance and statistics it takes those of their start. If None, they pass
                 the next step without moving and are observed there.
@@ -172,8 +171,8 @@ class Simulator(StateView):
 
     @property
     def can_drive(self) -> bool:
-        """Whether nothing of a user's own wants to hear of every step, and no robot can come to
-        have more neighbours than rows.
+        """Whether nothing of a user's own is called in every step, and no robot can come to have
+        more neighbours than rows.
         """
         slots = self.scenario.observation_layout.neighbour_slots
         return not (self._custom or self._own_model or slots < self.scenario.n_robots - 1)
@@ -185,14 +184,10 @@ class Simulator(StateView):
         count: int,
         show: Show | None = None,
     ) -> Driven:
-        """Advance every running team by ``count`` steps, as ``step`` under the pilot's actions,
-        which are not checked. Only where it ``can_drive``.
-
-        Args:
-            pilot: what makes actions of what is seen, see there.
-            observations: (B, n, rows, d), of the teams as they are.
-            count: of steps, 1 or more.
-            show: called with some teams and what they see after the last step, by their thread.
+        """Advance every running team by ``count`` ≥ 1 steps, as ``step`` under the pilot's actions,
+        which are not checked, from observations (B, n, rows, d) of the teams as they are. Only
+        where it ``can_drive``. ``show`` is called with some teams and what they see after the last
+        step, by their thread.
         """
         resting = np.zeros(self.num_envs, np.bool_) if self._all_running else self.status != RUNNING
         self._all_running = False  # not known, should an interrupt leave from here

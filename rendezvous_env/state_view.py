@@ -112,8 +112,8 @@ class StateView:
 
     def episode_statistics(self, outcome: StepOutput | None = None) -> dict[str, NDArray[Any]]:
         """How the teams stand in their episodes, (B,) each, by the names of STANDING: whether all
-        have met, s, contacts, m, V in m²/s. From the ``outcome`` of the last step, if nothing has
-        changed since, it takes no time.
+        have met, s, contacts, m, V in m²/s; in no time from the ``outcome`` of the last step, if
+        nothing has changed since.
         """
         if outcome is None:
             status, contacts = self.status, self.contacts

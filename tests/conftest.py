@@ -65,7 +65,7 @@ KERNELS = tuple(
         "borders/test_fuzz_core.py::test_actions",
         "borders/test_fuzz_core.py::test_options",
         "borders/test_fuzz_core.py::test_states",
-        "engine/test_graphs_that_change.py::test_a_batch",
+        "engine/test_graphs_that_change.py::test_law_1",
         "engine/test_graphs_that_change.py::test_a_robot_that_comes_to_see_more",
         "engine/test_graphs_that_change.py::test_links_of_a_restart",
         "engine/test_packing.py::TestEpisodes::test_a",

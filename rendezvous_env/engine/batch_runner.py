@@ -110,14 +110,8 @@ class BatchRunner:
         count: int,
         show: Show | None = None,
     ) -> Driven:
-        """Advance all teams by some steps; each thread leads its own through all of them.
-
-        Args:
-            pilot: what makes actions of what is seen.
-            seen: (B, n, rows, d), now.
-            resting: (B,), teams that pass the first step by.
-            count: of steps.
-            show: called with some teams and what they see after the last step, by their thread.
+        """``Simulator.drive``: each thread leads its own teams through all steps; those that are
+        resting, (B,), pass the first one by.
         """
         teams, output, actions = self._state.teams, self.buffers.new(), self._no_actions.copy()
         earned, robots_earned, touched = output.rewards, output.robot_rewards, output.contact
@@ -158,7 +152,7 @@ class BatchRunner:
         return output
 
     def observe_again(self, which: NDArray[np.int64], output: StepOutput) -> None:
-        """Write anew what some teams see; those that share a block with them see the same."""
+        """Write anew what some teams see, and those of their blocks, which see the same."""
         self._observe(np.unique(which // self._state.lanes), output)
 
     def _observe(self, blocks: NDArray[np.int64], output: StepOutput) -> None:
@@ -171,9 +165,7 @@ class BatchRunner:
         actions: NDArray[np.float32],
         output: StepOutput,
     ) -> Callable[[threads.Part], None]:
-        """What steps or observes a part of some blocks. The kernel is compiled before threads share
-        it: compiling may be interrupted.
-        """
+        """What steps or observes a part of some blocks; compiled here, which may be interrupted."""
         if self._may_crowd:
             output.crowded.fill(-1)
         written, scratch = tuple(output), self._scratch

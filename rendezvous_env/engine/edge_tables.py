@@ -5,7 +5,7 @@ kept and given.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -28,8 +28,8 @@ def empty_links(
     """
     n, size = place.scenario.n_robots, (place.batch, place.n_links)
     if place.one_way:
-        weights = np.zeros((place.batch, n, n))
-        return DirectedEdges(weights, _changes_of(place.scenario, seeds, episodes))
+        changes = _changes_of(place.scenario, seeds, episodes)
+        return DirectedEdges(np.zeros((place.batch, n, n)), changes)
     if place.sparse:
         return EdgeList(np.zeros(size, np.int64), np.zeros(size, np.int64), np.zeros(size))
     first, second = (pairs.astype(np.int64) for pairs in np.triu_indices(n, 1))
@@ -58,12 +58,6 @@ def _changes_of(
     )
 
 
-def arrays_of(links: Links) -> dict[str, NDArray[Any]]:
-    """The arrays of links that belong to the teams, by name."""
-    names = EdgeList._fields if isinstance(links, EdgeList) else ("weights",)
-    return {name: getattr(links, name) for name in names}
-
-
 def matrices(links: Links, batch: int, n: int) -> NDArray[np.float64]:
     """a_ij, (B, n, n), m/s."""
     if isinstance(links, DirectedEdges):
@@ -80,10 +74,11 @@ def matrices(links: Links, batch: int, n: int) -> NDArray[np.float64]:
     return weights
 
 
-def as_kept(links: Links, listed: Sequence[LinkList], n: int) -> dict[str, NDArray[Any]]:
+def as_kept(links: Links, listed: Iterable[LinkList], n: int) -> dict[str, NDArray[Any]]:
     """Lists of links, at most as many as there is room for, in the form in which links of this kind
     are kept; each array with an axis for the lists.
     """
+    listed = list(listed)
     if isinstance(links, EdgeList):
         kept = {k: np.zeros((len(listed), a.shape[1]), a.dtype) for k, a in links._asdict().items()}
         for k, one in enumerate(listed):
@@ -96,9 +91,3 @@ def as_kept(links: Links, listed: Sequence[LinkList], n: int) -> dict[str, NDArr
     if isinstance(links, DirectedEdges):
         return {"weights": weights}
     return {"weights": weights[:, links.first, links.second]}
-
-
-def listed(weights: NDArray[np.float64], *, one_way: bool) -> LinkList:
-    """The links of a matrix of weights, in the order of their robots; or all its arcs."""
-    first, second = np.nonzero(weights if one_way else np.triu(weights))
-    return first, second, weights[first, second]

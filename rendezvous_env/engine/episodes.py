@@ -14,7 +14,7 @@ from ..graphs.random_graphs import CustomFamily
 from ..obstacles.obstacle_set import world_of
 from ..physics.random_streams import ignore_overflow
 from ..scenario.start_options import StartOptions
-from .edge_tables import as_kept, listed
+from .edge_tables import as_kept
 from .memory import AWAITING_RESET, RUNNING, Layout, Robot
 from .preparation import fixed_links, fixed_obstacles, start_rules
 from .reset.starts import TOO_MANY_LINKS, StartRules, reset_teams
@@ -39,17 +39,8 @@ class Episodes:
         given: StartOptions,
         resting: bool,
     ) -> None:
-        """Begin a new episode in some teams.
-
-        Args:
-            which: (count,), teams.
-            seeds: of all teams; None goes on to the next episode of their seed.
-            given: parts of a start.
-            resting: let these teams pass the next step without moving.
-
-        Raises:
-            ValueError: for links for which there is no room; nothing has changed then.
-            RuntimeError: if no room was found for a start or an obstacle; likewise.
+        """Begin a new episode in these teams, (count,); seeds, of all teams, and resting as
+        ``Simulator.reset`` has them. What it raises leaves everything as it was.
         """
         self._check_room_for_links(given)
         if (reset := self._reset) is None:  # compiling may be interrupted: before anything changes
@@ -153,13 +144,14 @@ class Episodes:
     def _links_of(
         self, which: NDArray[np.int64], weights: NDArray[np.float64] | None
     ) -> dict[str, NDArray[Any]]:
-        """Links, see ``edge_tables.as_kept``, as given, as fixed, or as a family of a user's own
-        draws them; nothing where kernels draw them.
+        """Links as given, as fixed, or as a family of a user's own draws them, see ``as_kept``;
+        nothing where kernels draw them.
         """
         state, scenario = self._state, self._state.scenario
         graph, connected, n = scenario.sensing_graph, scenario.require_connected, scenario.n_robots
         if weights is not None:
-            lists = [listed(m, one_way=state.place.one_way) for m in _for_each(weights, which)]
+            kept = weights if state.place.one_way else np.triu(weights)
+            lists = [(*np.nonzero(m), m[np.nonzero(m)]) for m in _for_each(kept, which)]
         elif self._links is not None:
             return self._links
         elif isinstance(graph, CustomFamily):

@@ -1,4 +1,4 @@
-"""Memory for B teams of a scenario: empty state, and room for what threads are at work on."""
+"""Memory for B teams of a scenario: how it is laid out, allocated, and how much there is."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..obstacles import obstacle_set, parsing
+from ..obstacles import parsing
 from ..outcome import SCORES, StepOutput
 from ..scenario.scenario import Scenario
 from .memory import STATISTICS, BlockScratch, ManyTeams, OneTeam, Tally, Teams, TeamScratch
@@ -44,14 +43,13 @@ class MemoryLayout:
         self.neighbours = layout.neighbour_slots if alone else n - 1
         self.rows = self.neighbours + layout.rows - layout.neighbour_slots
         self.packed = self.sparse or layout.neighbour_slots != n - 1
-        robot = {"n": n, "a": scenario.action_size, "k": scenario.model.memory_size(d)}
-        slots = layout.obstacle_slots
+        memory, slots = scenario.model.memory_size(d), layout.obstacle_slots
         self.sizes = {
-            **robot,
             **{"B": batch, "blocks": self.blocks, "L": self.lanes, "L·d": self.lanes * d},
+            **{"n": n, "a": scenario.action_size, "k": memory, "rows": self.rows},
             **{"d": d, "d+1": d + 1, "d+4": d + 4, "d²": d * d},
-            **{"rows": self.rows, "M": slots, "2M": 2 * slots, "S": layout.silhouette_points},
-            **{"E": self.n_links, "statistics": len(STATISTICS), "tally": len(Tally._fields)},
+            **{"M": slots, "2M": 2 * slots, "S": layout.silhouette_points, "E": self.n_links},
+            **{"statistics": len(STATISTICS), "tally": len(Tally._fields)},
         }
         """Lengths of the axes that annotations of arrays name."""
 
@@ -70,44 +68,18 @@ def _described(
 
 
 def allocate(kind: type[Arrays], sizes: dict[str, int]) -> Arrays:
-    """A tuple of arrays of zeros, see ``MemoryLayout.sizes``."""
-    return kind(*(_zeros(shape, number) for shape, number in _described(kind, sizes)))
+    """A tuple of arrays of zeros, see ``MemoryLayout.sizes``.
 
-
-def _zeros(shape: tuple[int, ...], number: np.dtype[Any]) -> NDArray[Any]:
-    """Zeros that begin with a cache line, as numpy's seldom do: each vector of eight lanes fills a
-    whole line, and one that lay across two would be read and written as two.
+    Each begins with a cache line, as numpy's seldom do: a vector of eight lanes that lay across two
+    lines would be read and written as two.
     """
-    size = math.prod(shape) * number.itemsize
-    memory = np.zeros(size + _LINE, np.uint8)
-    start = -memory.ctypes.data % _LINE
-    return memory[start : start + size].view(number).reshape(shape)
-
-
-def empty_teams(place: MemoryLayout) -> Teams:
-    """State of teams that no reset has touched yet."""
-    teams = allocate(Teams, place.sizes)
-    teams.merged_into[:] = np.arange(place.scenario.n_robots)
-    for entry in ("min_clearance", "square_closest"):
-        teams.statistics[:, STATISTICS.index(entry)] = np.inf
-    return teams
-
-
-def empty_obstacles(place: MemoryLayout) -> Any:
-    """An ObstacleSet with a leading axis B, all slots absent; None where there are no slots."""
-    obstacles, slots = place.scenario.obstacles, place.sizes["M"]
-    if slots == 0:
-        return None
-    table = obstacle_set.pack((), slots, parsing.row_width(obstacles))
-    tables = np.repeat(table[None], place.batch, axis=0)
-    return obstacle_set.world_of(tables, parsing.only_balls(obstacles))
-
-
-def empty_past(place: MemoryLayout) -> NDArray[np.float32]:
-    """What a sensor with a delay has seen, (B, delay + 1, n, K + M·S, d); of none without one."""
-    layout, delay = place.scenario.observation_layout, place.scenario.sensing.delay
-    shape = place.scenario.n_robots, layout.obstacles.stop, layout.dim
-    return np.zeros((place.batch, delay + 1 if delay else 0, *shape), np.float32)
+    arrays = []
+    for shape, number in _described(kind, sizes):
+        size = math.prod(shape) * number.itemsize
+        memory = np.zeros(size + _LINE, np.uint8)
+        start = -memory.ctypes.data % _LINE
+        arrays.append(memory[start : start + size].view(number).reshape(shape))
+    return kind(*arrays)
 
 
 def scratch(place: MemoryLayout) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
@@ -120,8 +92,7 @@ def scratch(place: MemoryLayout) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
 
 class OutputBuffers:
     """Room for what steps give out, in which nobody touches an obstacle and no robot has merged, as
-    in most steps. Kernels write what is otherwise: flags fill less than a processor's nearest
-    memory, and to fill them in one piece is quicker than block by block.
+    in most steps; kernels write what is otherwise.
     """
 
     def __init__(self, place: MemoryLayout) -> None:
@@ -149,10 +120,8 @@ class OutputBuffers:
 
 # ---- how much there is --------------------------------------------------------------------------
 
-_UNSEEN = 2**28
-"""Bytes that are never asked for: to look up what is free takes longer than a small team."""
-_KEPT_OBSERVATIONS = 3
-"""That exist at a time: what a step gives out, what the one before gave, and the caller's copy."""
+_UNSEEN = 2**28  # Bytes up to which nobody looks up what is free, which takes longer than a step
+_KEPT_OBSERVATIONS = 3  # At a time: this step's, the one's before, and the caller's copy
 _BOUNDS = 4  # Arrays in a space: its bounds, and whether each is finite
 
 

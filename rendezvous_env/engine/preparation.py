@@ -44,10 +44,10 @@ def sensor(state: State) -> Sensor | None:
     errors, place = imperfections_of(state.scenario.sensing), state.place
     if errors is None:
         return None
+    in_order = place.neighbours == state.scenario.observation_layout.neighbour_slots
     return Sensor(
         errors=errors,
-        listed=place.packed
-        and place.neighbours == state.scenario.observation_layout.neighbour_slots,
+        listed=place.packed and in_order,
         packed=place.packed,
         in_lanes=errors.over_lanes,
         singly=errors.one_by_one,
@@ -59,21 +59,22 @@ def sensor(state: State) -> Sensor | None:
 
 def constants(scenario: Scenario, max_steps: int) -> tuple[Any, ...]:
     """The fields of Constants, as a plain tuple."""
-    found = Constants(
-        duration=float(scenario.tau),
-        merge_radius=float(scenario.merge_radius),
-        speed_limit=float(constants_of(scenario).speed_limit),
-        max_steps=max_steps,
-        contact_mode=CONTACT_MODES.index(scenario.obstacle_contact),
-        obstacle_range=float(scenario.obstacle_range),
-        neighbour_slots=scenario.observation_layout.neighbour_slots,
-        rows=scenario.observation_layout.rows,
-        reward_weights=scenario.reward.built_in,
-        all_earn=scenario.on_merge == "follow",
-        body_radius=float(scenario.body_radius or 0.5 * scenario.merge_radius),
-        packs=scenario.meeting == "pack",
+    return tuple(
+        Constants(
+            duration=float(scenario.tau),
+            merge_radius=float(scenario.merge_radius),
+            speed_limit=float(constants_of(scenario).speed_limit),
+            max_steps=max_steps,
+            contact_mode=CONTACT_MODES.index(scenario.obstacle_contact),
+            obstacle_range=float(scenario.obstacle_range),
+            neighbour_slots=scenario.observation_layout.neighbour_slots,
+            rows=scenario.observation_layout.rows,
+            reward_weights=scenario.reward.built_in,
+            all_earn=scenario.on_merge == "follow",
+            body_radius=float(scenario.body_radius or 0.5 * scenario.merge_radius),
+            packs=scenario.meeting == "pack",
+        )
     )
-    return tuple(found)
 
 
 def start_rules(scenario: Scenario) -> StartRules:
@@ -101,8 +102,8 @@ def start_rules(scenario: Scenario) -> StartRules:
 def _factors(scenario: Scenario) -> tuple[float, float] | None:
     """The range of weights of a directed graph; None where nothing of it is drawn at the start."""
     graph = scenario.sensing_graph
-    low, high = graph.weight_range
-    return (low, high) if graph.directed and not graph.changes and low < high else None
+    drawn = graph.directed and not graph.changes and graph.weight_range[0] < graph.weight_range[1]
+    return graph.weight_range if drawn else None
 
 
 def fixed_links(scenario: Scenario) -> LinkList | None:
@@ -118,9 +119,7 @@ def fixed_links(scenario: Scenario) -> LinkList | None:
 
 def begins_alike(scenario: Scenario) -> bool:
     """Whether all episodes are one and the same: places, attitudes, graph and obstacles are given.
-
-    The robots' frames may be drawn all the same: they turn what a robot sees and what it does
-    alike, and a policy that goes by what it sees moves as in any other frame.
+    Frames may be drawn all the same: they turn what a robot sees and what it does alike.
     """
     rules, model = start_rules(scenario), scenario.model
     if scenario.start_positions is None or _draws_links(scenario) or rules.draw_obstacles:
@@ -144,9 +143,7 @@ def _draws_links(scenario: Scenario) -> bool:
 
 
 def fixed_obstacles(scenario: Scenario) -> ObstacleSet | None:
-    """The scenario's obstacles, leading axis 1; None if they are drawn, or there is no room for
-    any.
-    """
+    """The scenario's obstacles, leading axis 1; None if they are drawn, or have no room."""
     slots = scenario.observation_layout.obstacle_slots
     if isinstance(scenario.obstacles, Field) or slots == 0:
         return None

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..graphs.edges import DenseEdges
+from ..graphs.edges import DenseEdges, EdgeList
 from ..obstacles import obstacle_set, parsing
-from .edge_tables import arrays_of, empty_links, matrices
-from .memory import STATISTICS
-from .memory_layout import MemoryLayout, empty_obstacles, empty_past, empty_teams
+from .edge_tables import empty_links, matrices
+from .memory import STATISTICS, Teams
+from .memory_layout import MemoryLayout, allocate
 
 KEPT = {
     "status": np.int64,
@@ -30,16 +30,24 @@ class State:
     def __init__(self, place: MemoryLayout) -> None:
         self.place, self.scenario, self.batch = place, place.scenario, place.batch
         self.lanes = place.lanes
-        self.teams, self.obstacles = empty_teams(place), empty_obstacles(place)
+        self.teams = allocate(Teams, place.sizes)
+        self.teams.merged_into[:] = np.arange(self.scenario.n_robots)
+        for entry in ("min_clearance", "square_closest"):
+            self.teams.statistics[:, STATISTICS.index(entry)] = np.inf
+        self.obstacles = self._no_obstacles()
+        """With a leading axis B; None where there are no slots."""
         self.seed = np.zeros(place.batch, dtype=np.uint64)
         """(B,), of each team."""
         self.number = np.full(place.batch, -1)
         """(B,), of the team's episode, −1 before its first."""
         self.links = empty_links(place, self.seed, self.number)
-        self.past = empty_past(place)
-        """What a sensor with a delay has seen, see ``Sensor.past``."""
+        rows, delay = self.scenario.observation_layout, self.scenario.sensing.delay
+        seen = delay + 1 if delay else 0, self.scenario.n_robots, rows.obstacles.stop, rows.dim
+        self.past = np.zeros((place.batch, *seen), np.float32)
+        """What a sensor with a delay has seen, see ``Sensor.past``; of none without one."""
         self._everybody = np.arange(place.batch)
-        links = arrays_of(self.links)
+        names = EdgeList._fields if isinstance(self.links, EdgeList) else ("weights",)
+        links = {name: getattr(self.links, name) for name in names}
         own = {"seed": self.seed, "episode": self.number, "past": self.past}
         world = {} if self.obstacles is None else self.obstacles._asdict()
         self._arrays: dict[str, NDArray[Any]] = {**self.teams._asdict(), **links, **own, **world}
@@ -49,10 +57,16 @@ class State:
             self._in_blocks.add("weights")
         self._told = ["positions", "memory", "merged_into", *links, "seed", "episode"]
         """Of these arrays those that neither are constant nor follow from the rest."""
-        if self.scenario.model.n_angles == 0:
-            self._told.append("frames")
-        if self.past.shape[1] > 1:
-            self._told.append("past")
+        self._told += ["frames"] if self.scenario.model.n_angles == 0 else []
+        self._told += ["past"] if delay else []
+
+    def _no_obstacles(self) -> Any:
+        obstacles, slots = self.scenario.obstacles, self.place.sizes["M"]
+        if slots == 0:
+            return None
+        table = obstacle_set.pack((), slots, parsing.row_width(obstacles))
+        tables = np.repeat(table[None], self.batch, axis=0)
+        return obstacle_set.world_of(tables, parsing.only_balls(obstacles))
 
     @property
     def nbytes(self) -> int:

@@ -27,7 +27,7 @@ _MOST = {
     "obstacles": 1e9,
     "past": 1e13,
 }
-"""Absolute values up to which nothing overflows that a step computes."""
+"""Absolute values up to which nothing overflows in a step."""
 _FLOATS = np.dtype(np.float32), np.dtype(np.float64)
 
 
@@ -43,12 +43,8 @@ def check_keys(state: Any, names: tuple[str, ...]) -> None:
 def check_entries(
     own: Mapping[str, NDArray[Any]], state: Any, *, exactly: bool = False
 ) -> dict[str, NDArray[Any]]:
-    """The entries of a state that are wanted, as arrays of the right shape and type.
-
-    Args:
-        own: what each entry must be like.
-        state: what was given; lists of numbers will do.
-        exactly: refuse further entries, and other types instead of converting them.
+    """The entries of a state, of shape and type as in ``own``; lists of numbers will do.
+    ``exactly`` refuses further entries, and other types instead of converting them.
 
     Raises:
         ValueError: naming the entry, and what would be right.
@@ -82,15 +78,13 @@ def refuse_first(name: str, wrong: NDArray[np.bool_], values: NDArray[Any], what
 
 
 def check_finite(state: Mapping[str, NDArray[Any]], names: Iterable[str]) -> None:
-    """Refuse entries that are not finite, with a ValueError that names the first place."""
+    """Refuse entries that are not finite."""
     for name in names:
         refuse_first(name, ~np.isfinite(state[name]), state[name], "finite")
 
 
 def check_rotations(state: Mapping[str, NDArray[Any]], teams: Any, tolerance: float) -> None:
-    """Refuse frames, (B, n, d, d) or (B, n, d·d), of these teams that are no rotations, with a
-    ValueError that names team and robot.
-    """
+    """Refuse frames, (B, n, d, d) or (B, n, d·d), of these teams that are no rotations."""
     given = state["frames"]
     d = 3 if given.shape[-1] % 3 == 0 else 2
     frames = given.reshape(*given.shape[:2], d, d)
@@ -127,11 +121,7 @@ class Remembering:
         return {name: array.copy() for name, array in self._memory.items()}
 
     def set_state(self, state: Mapping[str, ArrayLike]) -> None:
-        """Put back what ``get_state`` took out.
-
-        Raises:
-            ValueError: naming what does not fit, see ``check_state``; nothing has changed then.
-        """
+        """Put back what ``get_state`` took out; what ``check_state`` refuses changes nothing."""
         checked = self.check_state(state)
         for name, array in self._memory.items():
             array[...] = checked[name]
@@ -242,8 +232,8 @@ def _check_neighbours(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> 
 
 
 def check_output(output: Any, wanted: tuple[tuple[tuple[int, ...], Any], ...]) -> None:
-    """Refuse the output of other teams, into which compiled code would write too much, with a
-    ValueError that names the array; ``wanted`` has shape and type of each.
+    """Refuse the output of other teams, which compiled code would write to; ``wanted`` has shape
+    and type of each of its arrays.
     """
     if not isinstance(output, StepOutput):
         raise ValueError(f"outcome is {shown(output)}; it must be what step() gave out, or None")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -36,15 +34,3 @@ def test_random_walks_among_all_kinds_stay_outside():
                 assert nearest >= -1e-9
                 assert clearance == pytest.approx(nearest, abs=1e-12)
     assert touched > 100
-
-
-def test_what_is_seen_beside_other_kinds():
-    """A bar seen from its end: both edges touch the round end."""
-    scenario = Scenario(n_robots=2, obstacle_range=0.6, **AMONG)
-    sim = Simulator(scenario)
-    sim.reset(0, {"positions": [[-3.0, 0.0], [40.0, 0.0]]})
-    seen = scenario.observation_layout.split(sim.observe()).obstacles[0, 0]
-    angle = math.asin(0.5)
-    np.testing.assert_allclose(seen[0, 0], (math.cos(angle), 0.5), atol=1e-6)
-    np.testing.assert_allclose(seen[0, 1], (math.cos(angle), -0.5), atol=1e-6)
-    assert (seen[1:] == 0).all()  # farther than the range

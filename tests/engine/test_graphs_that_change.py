@@ -302,19 +302,6 @@ def test_no_progress_is_earned_where_no_edge_was_at_the_start():
 # ---- state --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_batch_is_its_teams_one_by_one(kind):
-    made = scenario(**KINDS[kind], require_connected=False)
-    policy, batch = baselines.make("bearing-only", made), rv.Simulator(made, 6)
-    alone = rv.Simulator(made)
-    rows, single = batch.reset(5), alone.reset(9)
-    for _ in range(120):
-        actions = policy(rows, batch.time)
-        np.testing.assert_array_equal(single[0], rows[4])
-        rows = batch.step(actions).observations
-        single = alone.step(actions[4:5]).observations
-
-
 def test_links_of_a_restart_are_those_of_the_new_start():
     made = scenario(**KINDS["proximity"])
     sim = rv.Simulator(made, 4)

@@ -21,20 +21,11 @@ class Still(NamedTuple):
 
 def test_what_is_wrong_with_a_model_is_said(registry):
     good = {"constants": lambda s: Still(s.tau, 1.0), "bounds": lambda s: [1.0] * 2}
-    for changes, message in [
+    for changes, message in (
         ({"name": "unicycle", "dims": (2,)}, "is already registered; replace=True"),
-        (
-            {"name": "still", "dims": ()},
-            r"dims of .*'still' is \(\); it must be a tuple of 2 and 3",
-        ),
-        ({"name": "still", "dims": (2,), "n_kept": lambda d: 5}, "keeps 5 numbers.* from 0.* to 4"),
         ({"name": "still", "dims": (2,), "n_angles": 2, "n_kept": lambda d: 1}, "from 2"),
-        (
-            {"name": "still", "dims": (2,), "senses": "smell"},
-            "senses of .* is 'smell'; it must be one",
-        ),
         ({"name": "still", "dims": (2,), "n_kept": lambda d: 3, "keeps_velocity": True}, "be 2"),
-    ]:
+    ):
         with pytest.raises(ValueError, match=message):
             rv.register_robot_model(rv.RobotModel(**good | changes))
     with pytest.raises(ValueError, match="it must be a RobotModel"):
@@ -160,9 +151,12 @@ BAD_FIELDS = {
     "angles half": ({"n_angles": 0.5}, "n_angles of .* is 0.5"),
     "kept": ({"n_kept": 2}, "n_kept of .* is 2; it must be a function"),
     "kept what": ({"n_kept": lambda dim: "a"}, "keeps 'a' numbers"),
+    "kept much": ({"n_kept": lambda dim: 5}, "keeps 5 numbers.* from 0.* to 4"),
     "flag": ({"keeps_velocity": 1}, "keeps_velocity of .* is 1; it must be one of True, False"),
-    "senses": ({"senses": ["velocity"]}, "must be one of"),
+    "senses": ({"senses": "smell"}, "senses of .* is 'smell'; it must be one of"),
+    "senses two": ({"senses": ["velocity"]}, "must be one of"),
     "dims": ({"dims": None}, "must be a tuple of 2 and 3"),
+    "no dims": ({"dims": ()}, r"dims of .*'walker' is \(\); it must be a tuple of 2 and 3"),
     "dims of lists": ({"dims": ([2],)}, "must be a tuple of 2 and 3"),
     "no name": ({"name": ""}, "must be a word"),
     "name with a gap": ({"name": "a b"}, "must be a word"),

@@ -1,6 +1,4 @@
-"""Turns by chance: the inverse of the normal distribution, small rotations, and the words they are
-made of, on some 10⁷ numbers.
-"""
+"""Turns by chance: the inverse of the normal distribution, and small rotations."""
 
 from __future__ import annotations
 
@@ -75,18 +73,6 @@ def rotations(angles: np.ndarray, small: bool) -> np.ndarray:
     return found
 
 
-def uniformity(*numbers: np.ndarray, bins: int) -> float:
-    """p-value of a chi-square test that normal numbers fill bins of equal probability alike, those
-    of two lists together if there are two.
-    """
-    place = 0
-    for each in numbers:
-        place = place * bins + (special.ndtr(each.ravel()) * bins).astype(np.int32)
-    counts = np.bincount(place)
-    assert len(counts) == bins ** len(numbers)
-    return float(stats.chisquare(counts).pvalue)
-
-
 class TestOneNumber:
     def test_it_is_the_inverse_of_the_distribution_function(self):
         most = 2**31 - 1
@@ -148,54 +134,7 @@ class TestOneTurn:
         assert stats.kstest(turn, stats.uniform(-math.pi, 2 * math.pi).cdf).pvalue > 0.01
 
 
-@pytest.fixture(scope="module")
-def words():
-    return words_of(2000, 4000)
-
-
-@pytest.fixture(scope="module", params=[0, 1], ids=["upper", "lower"])
-def numbers(words, request):
-    return gaussians(halves(words)[request.param])
-
-
-class TestManyNumbers:
-    """Those of 2,000 teams in one step, 8·10⁶ of each half, and of a few in many."""
-
-    def test_moments(self, numbers):
-        # of the mean of z, z² … z⁶, by their standard deviations
-        count, powers = numbers.size, np.ones_like(numbers)
-        for power, mean, variance in (
-            (1, 0, 1), (2, 1, 2), (3, 0, 15), (4, 3, 96), (5, 0, 945), (6, 15, 10170),
-        ):  # fmt: skip
-            powers *= numbers
-            assert abs(powers.mean() - mean) < 3.5 * math.sqrt(variance / count), power
-
-    def test_tails_to_five_deviations(self, numbers):
-        for least in (3.0, 4.0, 4.5, 5.0):
-            for beyond in (numbers > least, numbers < -least):
-                count, chance = int(beyond.sum()), float(special.ndtr(-least))
-                assert stats.binomtest(count, numbers.size, chance).pvalue > 0.005, least
-        assert np.abs(numbers).max() > 5.0
-
-    def test_bins_of_equal_probability_fill_alike(self, numbers):
-        assert uniformity(numbers, bins=4096) > 0.005
-
-    def test_counters_sides_and_seeds_are_independent(self, words):
-        upper, lower = (gaussians(half) for half in halves(words[:300]))
-        pairs = {
-            "sides": (upper, lower),
-            "counters": (upper[:, 1:], upper[:, :-1]),
-            "couples": (upper[:, 3:], upper[:, :-3]),
-            "a side and the next counter": (upper[:, 1:], lower[:, :-1]),
-            "seeds": (upper[1:], upper[:-1]),
-        }
-        for name, (one, other) in pairs.items():
-            assert abs(np.mean(one * other)) < 3.5 / math.sqrt(one.size), name
-            squares = (one * one - 1) * (other * other - 1)  # each of variance 2
-            assert abs(np.mean(squares)) < 7.0 / math.sqrt(one.size), name
-            assert uniformity(one, other, bins=32) > 0.005, name
-
-    def test_every_step_has_a_key_of_its_own(self):
-        key = np.uint64(stream_key(SEED, EPISODE, SENSING))
-        keys = {int(np.uint64(step_key(key, step))) for step in (0, 1, 2, 10**15)}
-        assert len(keys | {int(key)}) == 5
+def test_every_step_has_a_key_of_its_own():
+    key = np.uint64(stream_key(SEED, EPISODE, SENSING))
+    keys = {int(np.uint64(step_key(key, step))) for step in (0, 1, 2, 10**15)}
+    assert len(keys | {int(key)}) == 5

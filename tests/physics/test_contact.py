@@ -160,6 +160,13 @@ class TestStraightByHand:
         np.testing.assert_allclose(end, np.full(2, 1.0 - 0.5e-3 * 2 / 3), atol=1e-6)
         assert contact
 
+    def test_from_a_wall_onto_a_ramp_it_goes_what_is_left_of_the_way(self):
+        """A quarter of it to the wall, a third of the rest along that, then half of (2, −2)."""
+        ramp = Polygon(((4, 0), (14, -10), (14, 10), (4, 10)))
+        end, contact = straight((0, -1), (8, 4), [WALL, ramp])
+        np.testing.assert_allclose(end, (5, -1), atol=1e-5)
+        assert contact
+
     def test_between_two_spheres_it_slides_out_along_the_common_tangent(self):
         spheres = [Sphere((0, 1, 0), math.sqrt(2)), Sphere((0, -1, 0), math.sqrt(2))]
         end, contact = straight((1, 0, 0), (-1, 0, 0.3), spheres)

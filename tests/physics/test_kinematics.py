@@ -11,8 +11,6 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from tuples import arc, body_frame
 
-from rendezvous_env import Scenario
-from rendezvous_env.robots.robot_models import ROBOT_MODELS
 from rendezvous_env.robots.unicycle import mean_cos_sin
 
 angles = st.floats(-3.2, 3.2)
@@ -63,25 +61,3 @@ def test_the_body_frame_is_a_rotation_with_the_heading_first_and_left_level(yaw,
     )
     flat = body_frame(2, yaw, 0.0)
     np.testing.assert_allclose(flat, body_frame(3, yaw, 0.0)[:2, :2], atol=1e-15)
-
-
-def test_the_models():
-    sizes = {
-        (name, d): Scenario(n_robots=2, robot_model=name, dim=d).action_size
-        for name, model in ROBOT_MODELS.items()
-        for d in model.dims
-    }
-    assert sizes == {
-        ("single_integrator", 2): 2,
-        ("single_integrator", 3): 3,
-        ("unicycle", 2): 2,
-        ("nonholonomic_3d", 3): 3,
-        ("double_integrator", 2): 2,
-        ("double_integrator", 3): 3,
-    }
-    assert [m.name for m in ROBOT_MODELS.values() if m.senses_gravity] == ["nonholonomic_3d"]
-    assert [m.name for m in ROBOT_MODELS.values() if m.senses_velocity] == ["double_integrator"]
-    assert [m.name for m in ROBOT_MODELS.values() if not m.nonholonomic] == [
-        "single_integrator",
-        "double_integrator",
-    ]

@@ -4,12 +4,11 @@ import math
 
 import numpy as np
 import pytest
-import scipy.optimize
 import shapely
 from test_contact import MICRON, move_one_curved, move_one_straight
 from tuples import arc, world
 
-from rendezvous_env.obstacles.contact import CONTACT_DEPTH, SLIDE, STOP
+from rendezvous_env.obstacles.contact import SLIDE, STOP
 from rendezvous_env.obstacles.disc import Disc, Sphere
 from rendezvous_env.obstacles.polygon import Polygon
 
@@ -180,56 +179,6 @@ class TestManyStraightMotions:
             assert np.mean(exact[free]) > 0.999  # the rest grazed, and were put on the surface
             shift = np.linalg.norm(out - displacements, axis=2)
             assert shift[free].max() < 2e-3
-
-    def test_sliding_follows_the_free_part_of_the_motion(self, straight_motions):
-        """Redo it leg by leg: stop, project with nonnegative least squares, go on."""
-        scenes, worlds, starts, displacements, moved = straight_motions
-        slid, contact = moved[SLIDE]
-        checked = 0
-        for s, scene in enumerate(scenes):
-            for i in np.flatnonzero(contact[s])[:60]:
-                corners = leg_by_leg(scene, worlds[s], starts[s, i], displacements[s, i])
-                np.testing.assert_allclose(corners[-1], starts[s, i] + slid[s, i], atol=1e-6)
-                depth = MICRON * 1.001
-                assert not np.any(goes_deeper(scene, corners[:-1], corners[1:], depth))
-                checked += len(corners) > 3
-        assert checked > 30  # of several legs
-
-
-def leg_by_leg(scene, packed, start, displacement):
-    """Corners (L, d) of the path of a sliding robot."""
-    corners, left, leg = [start], 1.0, displacement
-    for _ in range(16):
-        out, contact = move_one_straight(corners[-1], leg, packed, STOP)
-        corners.append(corners[-1] + out)
-        length = np.linalg.norm(leg)
-        if not contact or length == 0:
-            break
-        left *= 1 - np.linalg.norm(out) / length
-        leg = left * free_part(scene, corners[-1], displacement)
-    return np.array(corners)
-
-
-def free_part(scene, point, velocity):
-    """The direction nearest to the velocity that enters nothing touched: v + Σ λₖ nₖ, λ ≥ 0."""
-    normals = []
-    for obstacle in scene:
-        if isinstance(obstacle, Polygon):
-            if signed_distances([obstacle], point[None])[0, 0] < CONTACT_DEPTH:
-                normals.append(polygon_normal(obstacle, point))
-        elif np.linalg.norm(point - obstacle.centre) - obstacle.radius < CONTACT_DEPTH:
-            normals.append((point - obstacle.centre) / np.linalg.norm(point - obstacle.centre))
-    if not normals:
-        return velocity
-    basis = np.array(normals).T
-    push, _ = scipy.optimize.nnls(basis, -velocity)
-    return velocity + basis @ push
-
-
-def polygon_normal(polygon, point):
-    """Outward normal of the edge whose line is the farthest out at the point."""
-    corners, normals = polygon_edges(polygon)
-    return normals[np.argmax(np.sum((point - corners) * normals, axis=1))]
 
 
 @pytest.fixture(scope="module", params=[2, 3])
