@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from ..engine.batch_runner import Pilot, Show
 from ..engine.memory import RUNNING
 from ..rewards.costs import no_costs
-from ..safety.safety_filter import KernelFilter
 from ..scenario.start_options import as_options
 from .guarantee import (
     AnyFilter,
@@ -132,8 +131,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
     @property
     def _pilot(self) -> Pilot | None:
         """What computes actions within threads; None where each step is Python's."""
-        made = self.filter
-        return made if isinstance(made, KernelFilter) and made.leads else None
+        return self.filter if self.filter.leads else None
 
     def _drive(self) -> tuple[NDArray[np.float32] | None, Any, Any, Any, Info]:
         """Base steps under the held choices, in which no team is reset: the policy's observations
@@ -162,7 +160,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         where it sees base observations, or something else.
         """
         made = self.filter
-        shown = made.new_view() if self._pilot is made else None  # type: ignore[comparison-overlap]
+        shown = made.new_view() if self._pilot is made else None
         if shown is None:
             return None, None
         return shown, lambda teams, observations: made.view_of(teams, observations, shown)

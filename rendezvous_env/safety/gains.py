@@ -15,7 +15,7 @@ from ..physics.vectors import combine, dot, load, norm, scaled, store
 from ..robots.single_integrator import speed_scale
 from ..scenario.scenario import Scenario
 from .links import alignment_of
-from .safety_filter import Float32, KernelFilter, check_inputs, register_filter
+from .safety_filter import Float32, SafetyFilter, check_inputs, register_filter
 
 _NOTHING = 1e-30
 """Weights that add up to less, m/s, are none."""
@@ -57,7 +57,7 @@ def gain_range(scenario: Scenario, min_gain: Any = None, max_gain: Any = None) -
     return GainRange(least, most)
 
 
-class Gains(KernelFilter):
+class Gains(SafetyFilter):
     """Held weights and frames of the robots of B teams (theorem G).
 
         v_i = Σ_j c_ij g_ij,   c_ij ∝ w_j a_ij,   min_gain ≤ Σ_j c_ij ≤ max_gain
@@ -102,7 +102,7 @@ class Gains(KernelFilter):
     def act_of(
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> None:
-        """As ``KernelFilter.act_of``."""
+        """As ``SafetyFilter.act_of``."""
         told = self.gain, self.alignment, self.lyapunov_rate
         _weigh(teams, (observations, self._constants, self._held, actions, *told))
 

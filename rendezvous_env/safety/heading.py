@@ -42,7 +42,7 @@ from .robot_lanes import (
     take_in,
     vector_of,
 )
-from .safety_filter import Float32, KernelFilter, check_inputs, register_filter
+from .safety_filter import Float32, SafetyFilter, check_inputs, register_filter
 from .settings import MAX_TURN_RATE, check_gate_constants, check_vectors
 from .turning import Robot, desired_rates, gated_rates, pitch_of, robot_of, turn
 
@@ -55,9 +55,7 @@ _NEARLY_ANTIPODAL = 1e-6
 def flexible_velocity(
     net_bearing: NDArray[np.float64], headings: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Velocity of the flexible bearing-only law: the net bearing projected onto the heading.
-
-        ṗᵢ = hᵢ hᵢᵀ fᵢ                                              (Zhao & Zheng, eq. 4)
+    """ṗᵢ = hᵢ hᵢᵀ fᵢ (Zhao & Zheng, eq. 4), the net bearing projected onto the heading.
 
     Of fᵢ = Σⱼ aᵢⱼ gᵢⱼ, (..., d), m/s, and unit vectors hᵢ, (..., d), in the robot's own frame.
     """
@@ -66,11 +64,8 @@ def flexible_velocity(
 
 
 def step_scale(row_lengths_sum: Any, merge_radius: float, duration: float) -> Any:
-    """Factor on a robot's velocity with which V cannot rise within a long step, in (0, 1].
-
-        min(1, r/(2 Dᵢ τ)),   1 where Dᵢ = 0                        (theory 4)
-
-    Of Dᵢ = Σⱼ aᵢⱼ, the summed lengths of the neighbour rows, any shape, m/s, r, m, and τ, s.
+    """Factor min(1, r/(2 Dᵢ τ)) on a velocity with which V cannot rise within a long step (theory
+    4), of Dᵢ = Σⱼ aᵢⱼ, the summed lengths of the neighbour rows, any shape, m/s, r, m, and τ, s.
     """
     return merge_radius / np.maximum(2.0 * duration * row_lengths_sum, merge_radius)
 
@@ -115,8 +110,8 @@ def certified_heading(
     Args:
         raw: any vectors, (..., d), d = 2 or 3, of any unit; only the direction counts.
         net_bearing: fᵢ, (..., d), m/s, in the same frame.
-        previous: the headings of the step before, (..., d), in the same frame; zero = none yet:
-            fᵢ/‖fᵢ‖ is carried then, or the local x axis where fᵢ = 0.
+        previous: the headings of the step before, likewise; zero = none yet: fᵢ/‖fᵢ‖ is carried
+            then, or the local x axis where fᵢ = 0.
         min_alignment: ε, in (0, 1).
         dead_zone: δ = a*/(2n), m/s.
         max_turn: ω_max τ, rad; π or more (inf too) is no limit.
@@ -236,8 +231,7 @@ class _Constants(NamedTuple):
 def _steer(robots, constants, arrays, work):
     """Velocities of robots from one index to another, by law (4) with the certified heading.
 
-    v = min(1, r/(2Dτ)) h hᵀ f                                  (eq. 4, theorem C, theory 4)
-    v = min(1, r/(2Dτ)) max(0, hᵀf − e) h,   e = 2 sin(η/2) D   with bearing errors (N1')
+    v = min(1, r/(2Dτ)) h max(0, hᵀf − e),   e = 2 sin(η/2) D   (eq. 4, theorems C and N1')
     """
     observations, held, headings, actions, alignment, lyapunov_rate = arrays
     lanes, robot = lanes_of(work), constants.robot
@@ -313,7 +307,7 @@ def _turn_bodies(teams, arguments):
             lyapunov_rate[team, i] = -2.0 * along * sure
 
 
-class HeadingFilter(KernelFilter):
+class HeadingFilter(SafetyFilter):
     """Headings, frames and held raw vectors of the robots of B teams.
 
     Args:
@@ -347,7 +341,7 @@ class HeadingFilter(KernelFilter):
         robot = robot_of(
             scenario, self._sight.dead_zone, min_alignment, bearing_error, max_turn_rate
         )
-        flag("certified", certified)
+        certified = flag("certified", certified)
         if robot.error_chord > 0.0 and not certified:
             refuse("bearing_error", bearing_error, "0 with certified=False: nothing is promised")
         given = scenario.max_turn_rate
@@ -355,42 +349,38 @@ class HeadingFilter(KernelFilter):
         long_step = scenario.tau > scenario.certified_step
         self._constants = _Constants(
             robot,
-            speed_scaled=bool(certified and (turns_body or long_step)),
-            certified=bool(certified),
+            speed_scaled=certified and (turns_body or long_step),
+            certified=certified,
             max_turn=self._heading_rate * scenario.tau,
         )
-        self._headings = np.zeros((num_envs, scenario.n_robots, scenario.dim))
+        self.carried = np.zeros((num_envs, scenario.n_robots, scenario.dim))
+        """h_i, (B, n, d), in the robots' own frames; zero for a robot that has none yet."""
 
     @property
     def headings(self) -> NDArray[np.float64]:
-        """h_i, (B, n, d), in the robots' own frames; zero for a robot that has none yet."""
-        return self._headings.copy()
-
-    @property
-    def carried(self) -> NDArray[np.float64]:
-        """The same, not copied."""
-        return self._headings
+        """A copy of what is ``carried``."""
+        return self.carried.copy()
 
     @property
     def _memory(self) -> dict[str, NDArray[np.float64]]:
-        return {"headings": self._headings, **super()._memory}
+        return {"headings": self.carried, **super()._memory}
 
     def _begin(self, which: Any) -> None:
         super()._begin(which)
-        self._headings[which] = 0.0
+        self.carried[which] = 0.0
 
     def act_of(
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> None:
-        """As ``KernelFilter.act_of``."""
+        """As ``SafetyFilter.act_of``."""
         constants, told = self._constants, (self.alignment, self.lyapunov_rate)
         if elapsed is not None:
             constants = constants._replace(max_turn=self._heading_rate * elapsed)
         if self.turns_body:
             _turn_bodies(teams, (observations, constants, self._held, actions, *told))
         else:
-            memory = self._held, self._headings
-            in_lanes(_steer, teams, constants, observations, *memory, actions, *told)
+            memory = self._held, self.carried, actions
+            in_lanes(_steer, teams, constants, observations, *memory, *told)
 
 
 register_filter("heading", HeadingFilter)

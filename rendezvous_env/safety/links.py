@@ -31,7 +31,7 @@ from ..physics.vectors import (
 )
 from ..robots.single_integrator import speed_scale
 from ..scenario.scenario import Scenario
-from .safety_filter import Float32, KernelFilter, check_inputs, register_filter
+from .safety_filter import Float32, SafetyFilter, check_inputs, register_filter
 from .settings import check_bearing_error, check_vectors
 
 
@@ -188,7 +188,7 @@ class _Constants(NamedTuple):
     bearing_error: float
 
 
-class LinkKeeping(KernelFilter):
+class LinkKeeping(SafetyFilter):
     """Desired velocities and frames of the robots of B teams that lose no link (theorem R).
 
         v_i = λ min(d_i, r/(2τ), v_max) sin(φ_i − η)₊ q_i/‖q_i‖ + (1 − λ) P(wanted)
@@ -233,7 +233,7 @@ class LinkKeeping(KernelFilter):
     def act_of(
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> None:
-        """As ``KernelFilter.act_of``."""
+        """As ``SafetyFilter.act_of``."""
         told = self.alignment, self.lyapunov_rate
         _keep_links(teams, (observations, self._constants, self._held, actions, *told))
 

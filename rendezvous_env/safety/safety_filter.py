@@ -5,7 +5,6 @@ Everything here comes from the robots' own observations: no position, no global 
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any
@@ -93,7 +92,7 @@ def check_inputs(scenario: Scenario, theorem: str, *, bodies: bool = False) -> N
     )
 
 
-class SafetyFilter(Remembering, ABC):
+class SafetyFilter(Remembering):
     """What the policies of B teams chose, held, and what the robots do because of it.
 
     A subclass says what that is (``act``) and what more is remembered (``_memory``). Its
@@ -151,11 +150,8 @@ class SafetyFilter(Remembering, ABC):
         return {"frames": self._frames, "held": self._held}
 
     def _begin(self, which: Any) -> None:
-        """Remember of these teams what is known before an episode."""
         self._frames[which] = np.eye(self.scenario.dim)
-        self._held[which] = 0.0
-        self.alignment[which] = np.nan
-        self.lyapunov_rate[which] = 0.0
+        self._held[which], self.alignment[which], self.lyapunov_rate[which] = 0.0, np.nan, 0.0
 
     def view(self, observations: Float32) -> Float32:
         """Observations (B, n, rows, d) as the policy sees them, with x along f where that is asked
@@ -202,11 +198,27 @@ class SafetyFilter(Remembering, ABC):
                 "float32"
             )
 
-    @abstractmethod
-    def act(self, observations: Float32) -> Float32:
+    def act(self, observations: Float32, elapsed: float | None = None) -> Float32:
         """Actions for the base environment, (B, n, a) float32, from observations (B, n, rows, d) in
         the robots' own frames; zero for robots that see no neighbour. Sets what is ``told``.
+
+        Filters of ours use ``elapsed``, s since the actions before, in which a heading may have
+        turned; None is τ. Bodies turn for τ from now on, whatever it is.
         """
+        observations = check_observations(observations, self._seen)
+        actions = np.zeros(self._acted, dtype=np.float32)
+        over_teams(lambda teams: self.act_of(teams, observations, actions, elapsed), *self._batch)
+        return actions
+
+    def act_of(
+        self,
+        teams: threads.Part,
+        observations: Float32,
+        actions: Float32,
+        elapsed: float | None = None,
+    ) -> None:
+        """As ``act``, written for some teams, from the first of a part to before its second."""
+        raise NotImplementedError(f"{type(self).__name__} needs act(observations) → actions")
 
     def book(
         self,
@@ -215,53 +227,14 @@ class SafetyFilter(Remembering, ABC):
         resting: ArrayLike | None = None,
     ) -> None:
         """Learn how the step went in which the actions last given were held; see ``keeps_ledger``.
+        Another shape or type, or a robot that is none, is refused in a ValueError, and nothing has
+        changed.
 
         Args:
             contact: (B, n) bool, whether the robot touched an obstacle; None is nobody.
             merged_into: (B, n) int, the robot that each one is now part of, itself while it is on
                 its own; None: nobody knows.
             resting: (B,) bool, teams that the step passed by; None is no team.
-        """
-
-    def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
-        """As ``Remembering.check_state``; frames are rotations."""
-        checked = super().check_state(state)
-        check_rotations(checked, np.ones(len(self._held), np.bool_), _ROUNDING)
-        return checked
-
-
-class KernelFilter(SafetyFilter):
-    """A filter whose kernels do some teams at a time, so that a thread can lead its teams through
-    many steps without waiting for the others (``Simulator.drive``).
-    """
-
-    def act(self, observations: Float32, elapsed: float | None = None) -> Float32:
-        """As ``SafetyFilter.act``; ``elapsed``, s, is the time since the actions before, in which a
-        heading may have turned; None is τ. Bodies turn for τ from now on, whatever it is.
-        """
-        observations = check_observations(observations, self._seen)
-        actions = np.zeros(self._acted, dtype=np.float32)
-        over_teams(lambda teams: self.act_of(teams, observations, actions, elapsed), *self._batch)
-        return actions
-
-    @abstractmethod
-    def act_of(
-        self,
-        teams: threads.Part,
-        observations: Float32,
-        actions: Float32,
-        elapsed: float | None = None,
-    ) -> None:
-        """Write the actions of some teams, from the first of a part to before its second."""
-
-    def book(
-        self,
-        contact: ArrayLike | None = None,
-        merged_into: ArrayLike | None = None,
-        resting: ArrayLike | None = None,
-    ) -> None:
-        """As ``SafetyFilter.book``; another shape or type, or a robot that is none, is refused in a
-        ValueError, and nothing has changed.
         """
         team = self._held.shape[:2]
         touched, passed = np.zeros(team, np.bool_), np.zeros(team[0], np.bool_)
@@ -283,11 +256,17 @@ class KernelFilter(SafetyFilter):
 
     @cached_property
     def leads(self) -> bool:
-        """Whether no subclass does more in ``act``, ``book`` and ``view`` than what is said by
-        teams.
+        """Whether ``act``, ``book`` and ``view`` are those above, so that a thread can lead its
+        teams through many steps without waiting for the others (``Simulator.drive``).
         """
-        own, base = type(self), KernelFilter
+        own, base = type(self), SafetyFilter
         return all(getattr(own, name) is getattr(base, name) for name in ("act", "book", "view"))
+
+    def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
+        """As ``Remembering.check_state``; frames are rotations."""
+        checked = super().check_state(state)
+        check_rotations(checked, np.ones(len(self._held), np.bool_), _ROUNDING)
+        return checked
 
 
 def register_filter(name: str, safety_filter: type[SafetyFilter]) -> None:

@@ -1,8 +1,7 @@
 """Theorem D: any motion while a robot's energy tank lasts, else law (4), which fills it.
 
 docs/guarantees.md, section 8. Each robot keeps this account alone, from its own bearings. Vectors
-are pairs or triples in one frame, f in m/s. A bearing error η may make f wrong by e = 2 sin(η/2) D,
-m/s, which the account then pays for.
+are pairs or triples in one frame. Bearing errors η make f wrong by e = 2 sin(η/2) D, m/s, at most.
 """
 
 from __future__ import annotations
@@ -35,18 +34,15 @@ from .robot_lanes import (
     tell_whether,
     vector_of,
 )
-from .safety_filter import Float32, KernelFilter, check_inputs, register_filter
+from .safety_filter import Float32, SafetyFilter, check_inputs, register_filter
 from .settings import levels_follow_v
 from .turning import Robot, desired_rates, gated_rates, pitch_of, rates_of, robot_of, turn
 
 
 @kernel(inline="code")
 def descent_scale(strength, degree, merge_radius, duration, speed_limit):
-    """Factor on f with which a step is sure to let V fall, and no faster than the robot may go.
-
-        s = min(1, r/(2 D τ), v_max/‖f‖)                            (theorem D)
-
-    A number in (0, 1], without unit, of ‖f‖, D > 0 and v_max, m/s, r, m, and τ, s.
+    """Factor min(1, r/(2 D τ), v_max/‖f‖) on f with which a step is sure to let V fall, a number
+    without unit (theorem D), of ‖f‖, D > 0 and v_max, m/s, r, m, and τ, s.
     """
     unhurried = speed_limit / max(strength, speed_limit)
     return min(scale_of_step(degree, merge_radius, duration), unhurried)
@@ -54,11 +50,8 @@ def descent_scale(strength, degree, merge_radius, duration, speed_limit):
 
 @kernel(inline="code")
 def certain_descent(net_bearing, degree, displacement, merge_radius, error=0.0):
-    """This robot's part in what V is sure to fall by, a number, m²/s; negative where V may rise.
-
-        2 f·Δ − (2/r) D ‖Δ‖² − 2 e ‖Δ‖                              (theorem D)
-
-    Summed over the robots this bounds V(t) − V(t + τ) while neighbours stay at least r apart.
+    """2 f·Δ − (2/r) D ‖Δ‖² − 2 e ‖Δ‖, a number, m²/s: summed over the robots V falls by so much in
+    a step that begins with neighbours r or more apart (theorem D).
     """
     spent = 2.0 / merge_radius * degree * dot(displacement, displacement)
     sure = 2.0 * dot(net_bearing, displacement) - spent
@@ -67,9 +60,8 @@ def certain_descent(net_bearing, degree, displacement, merge_radius, error=0.0):
 
 @kernel(inline="code")
 def promised_descent(strength, scale, min_alignment, duration, error=0.0):
-    """What a robot owes in every step, so that all meet in finite time, a number, m²/s (theorem D).
-
-    ε² τ s ‖f‖²,   with errors   τ s max(0, ε ‖f‖ − e)²
+    """ε² τ s ‖f‖², with errors τ s max(0, ε ‖f‖ − e)²: what a robot owes in every step, so that all
+    meet in finite time, a number, m²/s (theorem D).
     """
     if error > 0.0:
         sure = max(min_alignment * strength - error, 0.0)
@@ -81,8 +73,7 @@ def promised_descent(strength, scale, min_alignment, duration, error=0.0):
 def descending_velocity(wanted, net_bearing, scale, min_alignment, error=0.0):
     """Law (4) along the wanted line, which earns at least what is owed, a pair or triple, m/s.
 
-        v = s h hᵀf,   h the wanted direction projected onto the cap |hᵀf| ≥ ε‖f‖    (theorem D)
-        v = s max(0, hᵀf − e) h                                     with errors (theorem N1')
+        v = s max(0, hᵀf − e) h,   h the wanted direction projected onto the cap |hᵀf| ≥ ε‖f‖
 
     ``wanted`` is of any length; the direction is f/‖f‖ where nothing is wanted. f is not zero.
     """
@@ -252,26 +243,22 @@ _FULLEST = 1e60
 
 
 def unit_of_tanks(scenario: Scenario) -> float:
-    """The unit, a number, m²/s, in which levels are shown, twice the most that a robot can earn in
-    a step (theorem D): r D̄, 1 without links.
+    """The unit r D̄ in which levels are shown, a number, m²/s: twice the most that a robot can earn
+    in a step (theorem D); 1 without links.
     """
     return float(scenario.merge_radius * scenario.max_degree) or 1.0
 
 
-class EnergyTank(KernelFilter):
+class EnergyTank(SafetyFilter):
     """Energy tanks, frames and desired inputs of the robots of B teams (theorem D).
 
         A ← A + G(Δ),   G(Δ) = 2 f·Δ − (2/r) D ‖Δ‖² − ε² τ s ‖f‖²              (guarantees 8)
 
-    A desired velocity is carried out where A + G ≥ 0, else law (4) along it. Nonholonomic robots
-    keep the account without the term ε²; with an empty tank they drive with v = s mᵀf, and turn
-    through the gate of theory 3. One step is
-
-        tank.hold(desired); actions = tank.act(observations); …; tank.book(…)
-
-    where G is that of the actions as they are sent, in float32. A policy, which learns of neither
-    contacts nor merges, calls ``book()`` bare: then every step books as commanded, and the tank of
-    a robot that is gone is lost.
+    A desired velocity is carried out where A + G ≥ 0, else law (4) along it; G is that of actions
+    as they are sent, in float32. Nonholonomic robots keep the account without the term ε²; with an
+    empty tank they drive with v = s mᵀf, and turn through the gate of theory 3. A policy, which
+    learns of neither contacts nor merges, calls ``book()`` bare after each ``act``: every step
+    books as commanded, and the tank of a robot that is gone is lost.
 
     Args:
         scenario, num_envs, frame, num_threads: as ``SafetyFilter``.
@@ -330,9 +317,8 @@ class EnergyTank(KernelFilter):
 
     def _begin(self, which: Any) -> None:
         super()._begin(which)
-        self._levels[which] = self.budget
-        self._deposits[which], self._linked[which] = 0.0, False
-        self.carried_out[which] = False
+        self._levels[which], self._deposits[which] = self.budget, 0.0
+        self._linked[which] = self.carried_out[which] = False
 
     def new_view(self, dtype: DTypeLike = np.float32) -> Float32 | None:
         """As ``SafetyFilter.new_view``; (B, n, rows + 1, d) with ``observe_level``."""
@@ -355,7 +341,7 @@ class EnergyTank(KernelFilter):
     def act_of(
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> None:
-        """As ``KernelFilter.act_of``; what the step earns waits for ``book``."""
+        """As ``SafetyFilter.act_of``; what the step earns waits for ``book``."""
         told = (self._deposits, self.carried_out, self.alignment, self.lyapunov_rate)
         memory = self._held, self._levels, actions, self._linked
         if self.turns_body:
@@ -364,7 +350,7 @@ class EnergyTank(KernelFilter):
             in_lanes(_spend, teams, self._constants, observations, *memory, *told)
 
     def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> None:
-        """As ``KernelFilter.book_of``; a step that a merge cuts short books as commanded, and where
+        """As ``SafetyFilter.book_of``; a step that a merge cuts short books as commanded, and where
         everyone sees everyone, with equal weights, levels shrink as V does when robots merge.
         """
         account = self._levels, self._deposits, self._linked

@@ -20,8 +20,9 @@ from train.cli import main
 from train.verify import claims as cases
 from train.verify.adversaries import KINDS, Adversary
 from train.verify.claims import BATCH, CLAIMS, Claim, bound_a
-from train.verify.falsification import Trial, begin
+from train.verify.falsification import begin
 from train.verify.monitors import Moment
+from train.verify.random_scenarios import Trial
 from train.verify.verify import Config, run
 
 BY_NAME = {claim.name: claim for claim in CLAIMS}
@@ -87,7 +88,7 @@ def test_the_trials_are_of_every_kind():
     assert 0 < sum(len(trial.starts) == BATCH for trial in drawn) < 60
     margins = [trial.arguments["min_alignment"] for trial in drawn]
     assert 0.3 <= min(margins) < 0.4 < max(margins)
-    assert {trial.period for trial in drawn} == {1, 5}
+    assert {trial.frame for trial in drawn} == {"net_bearing", "local"}
 
 
 def test_merges_do_raise_v_and_stay_below_their_bound():
@@ -187,7 +188,7 @@ def test_robots_that_nothing_certifies_are_caught(tmp_path, name, bound, share, 
         """Robots that choose in each step, in their own frames."""
         trial = BY_NAME[name].draw(random, batch, least_margin)
         arguments = trial.arguments | {"max_turn_rate": 3.0}
-        return dataclasses.replace(trial, arguments=arguments, frame="local", period=1)
+        return dataclasses.replace(trial, arguments=arguments, frame="local")
 
     claim = dataclasses.replace(
         BY_NAME[name],
@@ -215,7 +216,7 @@ def light_link_left(random, batch, least_margin):
         start_positions=((0.0, 0.0), (0.4, 0.0), (10.4, 0.0)),
         merge_radius=0.2,
     )
-    return Trial(scenario, "law", {}, "local", 1, 0)
+    return Trial(scenario, "law", {})
 
 
 def with_max_a(trial, teams):

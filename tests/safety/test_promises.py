@@ -14,7 +14,8 @@ from rendezvous_env.safety.gains import Gains
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.safety.links import LinkKeeping
 from rendezvous_env.safety.tank import EnergyTank
-from train.verify.falsification import Trial, play
+from train.verify.falsification import play
+from train.verify.random_scenarios import Trial
 
 ANYWHERE = ("single_integrator-2d", "single_integrator-3d")
 FIVE = {kind: five(kind, spawn_size=3.0) for kind in MODELS}

@@ -11,10 +11,9 @@ import pytest
 from rich.console import Console
 
 import rendezvous_env as rv
-from train.verify import adversaries, counterexamples, falsification, random_starts, verify
-from train.verify.counterexamples import repeat, shrink, trials_of, write
-from train.verify.falsification import Trial, ask, climb, play
-from train.verify.random_scenarios import CHOICES, Kind, draw, draw_kind
+from train.verify import adversaries, falsification, random_scenarios, random_starts, verify
+from train.verify.falsification import ask, climb, play, repeat, shrink, write
+from train.verify.random_scenarios import CHOICES, Kind, Trial, trials_of
 
 PLANE = Kind("single_integrator", 2, "fixed", True, "none")
 PAIR = rv.Scenario(
@@ -45,10 +44,7 @@ def promising(monkeypatch, **limits):
 
 
 def test_scenarios_are_of_every_kind():
-    drawn = []
-    for number in range(600):
-        random = np.random.default_rng(number)
-        drawn.append(draw(random, draw_kind(random)).scenario)
+    drawn = [trials_of(0, number, number)[0].scenario for number in range(600)]
     assert {scenario.sensing_graph.kind for scenario in drawn} == {
         *("complete", "edges", "path", "cycle", "star", "random_tree", "erdos_renyi"),
         *("directed", "directed_cycle", "switching", "proximity"),
@@ -223,7 +219,7 @@ def command(tmp_path, **options):
 @pytest.fixture
 def one_kind(monkeypatch):
     """Compiled code of one kind only."""
-    monkeypatch.setattr(counterexamples, "draw_kind", lambda random: PLANE)
+    monkeypatch.setattr(random_scenarios, "draw_kind", lambda random: PLANE)
 
 
 def test_nothing_is_violated(tmp_path, one_kind):

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from train import resume
 from train.checks import UserError
-from train.verify import claims, counterexamples, verify
+from train.verify import claims, verify
 from train.verify.claims import BATCH, CLAIMS
 from train.verify.falsification import Played, Tally
 
@@ -31,7 +31,7 @@ def nothing_is_played(monkeypatch):
     def climb(trial):
         return trial, Played({f"{trial.by}: A": Counter(["granted"])}, steps=trial.seed)
 
-    monkeypatch.setattr(counterexamples, "climb", climb)
+    monkeypatch.setattr(verify, "climb", climb)
 
 
 def config(out, **changes):
@@ -87,7 +87,7 @@ def test_what_is_finished_is_not_done_again(after, tmp_path):
 def test_so_it_is_with_any(tmp_path):
     settings = {"any": True, "claims": (), "trials": 72}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(counterexamples, "DRAWS", 4)
+        patch.setattr(verify, "DRAWS", 4)
         whole, printed = checked(config(tmp_path / "whole", **settings))
         stopped(config(tmp_path, **settings), 2)
         done, again = checked(config(tmp_path, **settings))

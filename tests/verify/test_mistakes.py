@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import pytest
 
 from rendezvous_env.safety.theorems import assumptions, certificate, constants, gains, links
-from train.verify.counterexamples import trials_of
 from train.verify.falsification import climb
+from train.verify.random_scenarios import trials_of
 
 
 def exchange(monkeypatch, before, after):

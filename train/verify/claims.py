@@ -4,12 +4,11 @@ and what is looked at in every step (``monitors``).
 
 from __future__ import annotations
 
-import itertools
 import math
 import time
 import zlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -22,17 +21,13 @@ from rendezvous_env.safety.heading import flexible_velocity
 from rendezvous_env.safety.theorems.constants import merge_rise_allowance
 from rendezvous_env.safety.theorems.descent import time_bound
 
-from .falsification import Policy, Tally, Task, Trial, begin
+from .falsification import Policy, Tally, begin
 from .monitors import Watch
+from .random_scenarios import Trial
 from .random_starts import log_uniform
 
 Array = NDArray[np.float64]
 Random = np.random.Generator
-Draw = Callable[[Random, int, float], Trial]
-"""(random numbers, number of the batch, smallest ε) → what its teams share, and who plays."""
-Law = Callable[[Trial, Random], Policy]
-Bound = Callable[[Trial, Simulator], Array]
-"""(trial, teams at their start) → time limits (B,), s."""
 
 BATCH = 40
 """Teams of one batch: they share everything but start, frames, weights and adversaries."""
@@ -41,8 +36,6 @@ FAMILIES = ("complete", "path", "cycle", "star", "random_tree", "erdos_renyi")
 PATIENCE = 500.0
 """s after which nonholonomic robots, which have no time bound worth waiting for, are held not to
 meet."""
-_MOST = 256
-"""Tasks of a claim."""
 
 
 def draw_team(
@@ -88,36 +81,37 @@ def draw_team(
         line = unit(random.normal(size=(BATCH, 1, dim)))
         starts = tuple(scenario.replace(start_positions=p) for p in places[..., None] * line)
     arguments = {"min_alignment": float(random.uniform(least_margin, max(least_margin, 0.9)))}
-    frame, period = "local", 1
+    frame = "local"
     if by == "heading":
         turn_rates = (1.0, 10.0) if turning else (0.2, 50.0)
         arguments["max_turn_rate"] = log_uniform(random, *turn_rates)
-        frame, period = str(random.choice(["net_bearing", "local"])), int(random.choice([1, 1, 5]))
-    return Trial(scenario, by, arguments, frame, period, int(random.integers(2**40)), starts=starts)
+        frame = str(random.choice(["net_bearing", "local"]))
+    return Trial(scenario, by, arguments, frame, 1, int(random.integers(2**40)), starts=starts)
 
 
 def _graph(random: Random, family: str, n: int) -> Any:
-    """One of a family, or two trees side by side, robots in any order."""
-    if family != "two trees":
-        weight = (random.uniform(0.5, 1.0), random.uniform(1.0, 2.0))
-        chance = (random.uniform(0.2, 0.8),) if family == "erdos_renyi" else ()
-        return getattr(graphs, family if n > 2 or family != "cycle" else "path")(*chance, weight)
-    order, cut, edges = random.permutation(n).tolist(), int(random.integers(1, n)), []
-    for piece in (order[:cut], order[cut:]):
-        for k in range(1, len(piece)):
-            edges.append((piece[k], piece[int(random.integers(k))], random.uniform(0.5, 2.0)))
-    return graphs.from_edges(edges, n)
+    """One of a family, or two trees side by side: a tree, robots in any order, without an edge."""
+    if family == "two trees":
+        order = random.permutation(n).tolist()
+        edges = [
+            (order[k], order[int(random.integers(k))], random.uniform(0.5, 2.0))
+            for k in range(1, n)
+        ]
+        edges.pop(int(random.integers(n - 1)))
+        return graphs.from_edges(edges, n)
+    weight = (random.uniform(0.5, 1.0), random.uniform(1.0, 2.0))
+    chance = (random.uniform(0.2, 0.8),) if family == "erdos_renyi" else ()
+    return getattr(graphs, family if n > 2 or family != "cycle" else "path")(*chance, weight)
 
 
-def bound_a(trial: Trial, teams: Simulator) -> Array:
+def bound_a(trial: Trial, teams: Simulator, margin: float = 1.0) -> Array:
     """Of theorem A, s."""
-    return time_bound(trial.scenario, teams.lyapunov())
+    return time_bound(trial.scenario, teams.lyapunov(), min_alignment=margin)
 
 
 def bound_c(trial: Trial, teams: Simulator) -> Array:
     """Of theorems B and C, s."""
-    margin = trial.arguments["min_alignment"]
-    return time_bound(trial.scenario, teams.lyapunov(), min_alignment=margin)
+    return bound_a(trial, teams, trial.arguments["min_alignment"])
 
 
 def bound_of_pieces(trial: Trial, teams: Simulator) -> Array:
@@ -172,12 +166,14 @@ class Claim:
 
     name: str
     statement: str
-    draw: Draw
-    bound: Bound
+    draw: Callable[[Random, int, float], Trial]
+    """(random numbers, number of the batch, smallest ε) → what its teams share, and who plays."""
+    bound: Callable[[Trial, Simulator], Array]
+    """(trial, teams at their start) → time limits (B,), s."""
     numbers: tuple[str, ...]
     """Of monitors.ALL; the first one's margin is reported, and a team that breaks any violates the
     claim. "time" is ``bound``, all others are at most 0."""
-    law: Law | None = None
+    law: Callable[[Trial, Random], Policy] | None = None
     """Who plays; None is law (1), or the paper's of robots that turn, and under certified headings
     adversaries."""
 
@@ -193,94 +189,60 @@ _unicycles = partial(draw_team, by="law", dims=(2,), turning=True)
 _space = partial(draw_team, by="law", dims=(3,), turning=True)
 _turning = partial(draw_team, turning=True)
 _long_steps = partial(draw_team, step_factors=(4.0, 10.0))
-_trees = partial(draw_team, sizes=(8,), families=("random_tree",))
-"""There merges make V rise."""
+_trees = partial(draw_team, sizes=(8,), families=("random_tree",))  # whose merges make V rise
 
-CLAIMS: tuple[Claim, ...] = (
-    Claim("lemma-1", "Σ‖f‖ ≥ 2 max a", _law_1, bound_a, ("lemma",)),
-    Claim(
-        "theorem-1",
-        "law (1): V falls by τ Σ‖f‖² in every step, connected teams meet",
-        *(_law_1, bound_a, ("law_descent", "time")),
-    ),
-    Claim(
-        "necessity",
-        "law (1): a disconnected graph leaves one robot for each piece",
-        *(_pieces, bound_of_pieces, ("pieces", "time")),
-    ),
-    Claim(
-        "theorem-2",
-        "any policy under certified headings: V never rises between merges, all meet",
-        *(draw_team, bound_c, ("descent", "time")),
-    ),
-    Claim(
-        "theorem-3",
-        "unicycles meet under (7) with (8) or ω = cos t",
-        *(_unicycles, patience, ("time",), cosine_or_not),
-    ),
-    Claim(
-        "theorem-4",
-        "3-D nonholonomic robots meet under (12), (17)",
-        *(_space, patience, ("time",)),
-    ),
-    Claim("bound-A", "law (1): T ≤ A", _law_1, bound_a, ("time",)),
-    Claim(
-        "bound-B",
-        "headings at a fixed angle to f: T ≤ B",
-        *(_law_1, bound_c, ("time", "descent"), at_fixed_angle),
-    ),
-    Claim(
-        "bound-C",
-        "any policy under certified headings: T ≤ C",
-        *(draw_team, bound_c, ("time",)),
-    ),
-    Claim(
-        "gate",
-        "any turn rates through the gate: V never rises between merges, all meet",
-        *(_turning, patience, ("time", "descent")),
-    ),
-    Claim(
-        "certified-step",
-        "τ = r/(2D̄), law (4): V falls by τ Σ(hᵀf)² in every step",
-        *(_law_1, bound_c, ("descent",), at_fixed_angle),
-    ),
-    Claim(
-        "local-scaling",
-        "4 to 10 times that step, scaled: V never rises between merges, all meet",
-        *(_long_steps, bound_c, ("descent", "time")),
-    ),
-    Claim(
-        "merge-rise",
-        "V rises at a merge by at most r max(0, D_i + D_j − 4 a_ij)",
-        *(_trees, bound_c, ("merge_rise",)),
-    ),
-)
+_STATEMENTS = {
+    "lemma-1": "Σ‖f‖ ≥ 2 max a",
+    "theorem-1": "law (1): V falls by τ Σ‖f‖² in every step, connected teams meet",
+    "necessity": "law (1): a disconnected graph leaves one robot for each piece",
+    "theorem-2": "any policy under certified headings: V never rises between merges, all meet",
+    "theorem-3": "unicycles meet under (7) with (8) or ω = cos t",
+    "theorem-4": "3-D nonholonomic robots meet under (12), (17)",
+    "bound-A": "law (1): T ≤ A",
+    "bound-B": "headings at a fixed angle to f: T ≤ B",
+    "bound-C": "any policy under certified headings: T ≤ C",
+    "gate": "any turn rates through the gate: V never rises between merges, all meet",
+    "certified-step": "τ = r/(2D̄), law (4): V falls by τ Σ(hᵀf)² in every step",
+    "local-scaling": "4 to 10 times that step, scaled: V never rises between merges, all meet",
+    "merge-rise": "V rises at a merge by at most r max(0, D_i + D_j − 4 a_ij)",
+}
+_HOW: dict[str, tuple[Any, ...]] = {
+    "lemma-1": (_law_1, bound_a, ("lemma",)),
+    "theorem-1": (_law_1, bound_a, ("law_descent", "time")),
+    "necessity": (_pieces, bound_of_pieces, ("pieces", "time")),
+    "theorem-2": (draw_team, bound_c, ("descent", "time")),
+    "theorem-3": (_unicycles, patience, ("time",), cosine_or_not),
+    "theorem-4": (_space, patience, ("time",)),
+    "bound-A": (_law_1, bound_a, ("time",)),
+    "bound-B": (_law_1, bound_c, ("time", "descent"), at_fixed_angle),
+    "bound-C": (draw_team, bound_c, ("time",)),
+    "gate": (_turning, patience, ("time", "descent")),
+    "certified-step": (_law_1, bound_c, ("descent",), at_fixed_angle),
+    "local-scaling": (_long_steps, bound_c, ("descent", "time")),
+    "merge-rise": (_trees, bound_c, ("merge_rise",)),
+}
+CLAIMS = tuple(Claim(name, said, *_HOW[name]) for name, said in _STATEMENTS.items())
 
 
 def check(claim: Claim, seed: int, batch: int, trials: int, least_margin: float) -> Tally:
     """Run one batch of a claim, by its number, with margins ε of ``least_margin`` or more, until
     each team has met, is out of time or has broken one of the claim's numbers; and count ``trials``
-    of its teams. Every base step is looked at, also where choices are held for several. The same
-    arguments give the same, but for the seconds.
+    of its teams. The same arguments give the same, but for the seconds.
     """
     began = time.perf_counter()
     random = np.random.default_rng([seed, zlib.crc32(claim.name.encode()), batch])
     trial = claim.draw(random, batch, least_margin)
-    wrapped, seen, policy = begin(replace(trial, period=1), 0.0, BATCH)
+    wrapped, seen, policy = begin(trial, 0.0, BATCH)
     policy = policy if claim.law is None else claim.law(trial, random)
     teams = wrapped.unwrapped.simulator
     limit = claim.bound(trial, teams)
     kept = {name: np.zeros(BATCH) for name in claim.numbers if name != "time"}
-    watch = Watch(wrapped.unwrapped, kept, 1, 0.0, climbing=True)
+    watch = Watch(wrapped.unwrapped, kept, 1, 0.0)
     # one step more: a bound falls within a step
     teams.set_max_steps(math.ceil(limit.max() / watch.held) + 1)
-    wrong, chosen = np.zeros(BATCH, dtype=np.bool_), np.empty(0)
-    for step in itertools.count():
-        if not (np.isinf(watch.met) & ~teams.ended & ~wrong).any():
-            break
-        if step % trial.period == 0:
-            chosen = np.asarray(policy(seen, watch.now), dtype=np.float32)
-        seen, *_, infos = wrapped.step(chosen)
+    wrong = np.zeros(BATCH, dtype=np.bool_)
+    while (np.isinf(watch.met) & ~teams.ended & ~wrong).any():
+        seen, *_, infos = wrapped.step(np.asarray(policy(seen, watch.now), dtype=np.float32))
         wrong |= watch.look(infos).any(axis=0)
     if "time" in claim.numbers:
         wrong |= watch.met > limit
@@ -294,28 +256,3 @@ def check(claim: Claim, seed: int, batch: int, trials: int, least_margin: float)
         first=batch if wrong[:trials].any() else None,
         seconds=time.perf_counter() - began,
     )
-
-
-def check_all(
-    claim: Claim, batches: Sequence[tuple[int, int]], seed: int, least_margin: float
-) -> Tally:
-    """Run batches of a claim, by their numbers and the teams that count."""
-    tally = Tally()
-    for number, count in batches:
-        tally.join(check(claim, seed, number, count, least_margin))
-    return tally
-
-
-def tasks_of(
-    claim: Claim, batches: Sequence[tuple[int, int]], seed: int, least_margin: float
-) -> list[Task]:
-    """The batches of a claim, cut into tasks."""
-    size = math.ceil(len(batches) / _MOST)
-    return [
-        Task(
-            f"{claim.name}-{batches[k][0]:07d}",
-            claim.name,
-            partial(check_all, claim, batches[k : k + size], seed, least_margin),
-        )
-        for k in range(0, len(batches), size)
-    ]

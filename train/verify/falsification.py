@@ -1,15 +1,20 @@
-"""One scenario, one certificate: adversaries play, and every number that it gives is checked.
+"""One scenario, one certificate: adversaries play, and every number that it gives is checked; what
+is violated is made small and written.
 
 Everything goes through what any user has: certificates, the vector environment and its wrappers.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,7 +29,7 @@ from rendezvous_env.safety.theorems.theorem import PROMISED
 
 from .adversaries import Adversary, Misled
 from .monitors import NUMBERS, REPEATED, Moment, Watch
-from .random_scenarios import other_starts
+from .random_scenarios import Trial, other_starts
 
 Array = NDArray[np.float64]
 Policy = Callable[[Any, Moment], Any]
@@ -39,25 +44,14 @@ _PARENTS = 3
 """Starts from which those of the next generation are made."""
 _LAWS = {"unicycle": "unicycle", "nonholonomic_3d": "nonholonomic-3d"}
 _WRAPPERS: dict[str, Callable[..., Any]] = {
+    "law": lambda env, **unused: env,
     "heading": vector.HeadingVectorWrapper,
     "tank": vector.EnergyTankWrapper,
     "gains": vector.GainWrapper,
     "links": vector.LinkKeepingWrapper,
 }
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A scenario, what keeps the guarantee, and how it is played."""
-
-    scenario: rv.Scenario
-    by: str
-    arguments: dict[str, float]  # of the certificate, and of the wrapper
-    frame: str
-    period: int  # base steps for which a choice is held
-    seed: int  # team b has this seed + b; adversaries are drawn from it
-    generations: int = 0  # how often starts are improved, see ``climb``
-    starts: tuple[rv.Scenario, ...] = ()  # in place of its own; they divide the teams among them
+_HOW = ("by", "arguments", "frame", "period", "seed")
+"""What of a trial is written besides its scenario."""
 
 
 @dataclass(frozen=True)
@@ -111,16 +105,16 @@ class Tally:
 
     def add(self, number: int, trial: Trial, played: Played) -> None:
         """Count one trial."""
-        self.steps += played.steps
-        broken = played.violation
+        broken, ratio = played.violation, played.time_over_bound
+        own = Tally(steps=played.steps, violations=int(broken is not None))
         for name, checked in played.granted.items():
-            self.counts.update({(name, what): count for what, count in checked.items()})
-            self.counts[name, "violations"] += broken is not None and broken.number in checked
-            if "time" in checked and not np.isnan(played.time_over_bound):
-                self.ratio[name] = max(self.ratio.get(name, 0.0), played.time_over_bound)
+            own.counts.update({(name, what): count for what, count in checked.items()})
+            own.counts[name, "violations"] += broken is not None and broken.number in checked
+            if "time" in checked and not np.isnan(ratio):
+                own.ratio[name] = ratio
         if broken is not None:
-            self.violations += 1
-            self.found.append((number, trial, played))
+            own.found = [(number, trial, played)]
+        self.join(own)
 
     def join(self, other: Tally) -> None:
         """Take in what others say."""
@@ -131,14 +125,6 @@ class Tally:
         self.counts.update(other.counts)
         for name, ratio in other.ratio.items():
             self.ratio[name] = max(self.ratio.get(name, 0.0), ratio)
-
-
-class Task(NamedTuple):
-    """Some batches of a claim, or some random scenarios: they depend on nothing else."""
-
-    name: str  # of its cell
-    group: str  # the claim, or "scenarios"
-    look: Callable[[], Tally]
 
 
 class Promised(NamedTuple):
@@ -170,24 +156,6 @@ def ask(scenario: rv.Scenario, by: str, arguments: Mapping[str, float]) -> Promi
             where += ", obstacles" * (theorem.name == "R" and bool(scenario.obstacles))
             theorems[f"{by}: {theorem.name}{where}"] = tuple(own)
     return Promised(limits, theorems, asked.error, found.theorem)
-
-
-def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> Played:
-    """Ask for the certificates, play with so many teams side by side, and hold every number against
-    what happens until one is violated; ``choices``, (steps, n, k), are of one team, instead of
-    adversaries.
-    """
-    among = trial.starts or (trial.scenario,)
-    promised = [ask(one, trial.by, trial.arguments) for one in among]
-    if not any(one.limits for one in promised):
-        return Played()
-    if any("expected_time" in one.limits for one in promised) and teams == TEAMS:
-        teams = REPEATED * len(among)
-    try:
-        wrapped, start, policy = begin(trial, promised[0].bearing_error, teams)
-    except (ValueError, RuntimeError):  # no room for a start, or a wrapper that refuses robots
-        return Played()
-    return _to_end(trial, promised, wrapped, start, policy, choices)
 
 
 def start_of(teams: int, starts: int) -> NDArray[np.int64]:
@@ -236,34 +204,38 @@ def _teams_of(scenario: rv.Scenario, count: int) -> Any:
 
 def guarded(env: Any, by: str, arguments: Mapping[str, Any]) -> Any:
     """A vector environment under what keeps a guarantee; law (1) needs nothing."""
-    return env if by == "law" else _WRAPPERS[by](env, **arguments)
+    return _WRAPPERS[by](env, **arguments)
 
 
-def _to_end(
-    trial: Trial,
-    promised: Sequence[Promised],
-    wrapped: Any,
-    observations: Any,
-    policy: Policy,
-    choices: Array | None,
-) -> Played:
-    """Step until every team has met or its bound is reached, or something is violated; teams whose
-    bound is out of reach do not count where there are others.
+def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> Played:
+    """Ask for the certificates, play with so many teams side by side, and hold every number against
+    what happens, until one is violated, or every team has met or its bound is reached.
+
+    Teams whose bound is out of reach do not count where there are others; ``choices``, (steps, n,
+    k), are of one team, instead of adversaries.
     """
-    teams = wrapped.unwrapped.simulator
-    which = start_of(teams.num_envs, len(promised))
+    among = trial.starts or (trial.scenario,)
+    promised = [ask(one, trial.by, trial.arguments) for one in among]
+    if not any(one.limits for one in promised):
+        return Played()
+    if any("expected_time" in one.limits for one in promised) and teams == TEAMS:
+        teams = REPEATED * len(among)
+    try:
+        wrapped, observations, policy = begin(trial, promised[0].bearing_error, teams)
+    except (ValueError, RuntimeError):  # no room for a start, or a wrapper that refuses robots
+        return Played()
+    simulator, which = wrapped.unwrapped.simulator, start_of(teams, len(among))
     limits = {
         name: np.array([one.limits.get(name, math.inf) for one in promised])[which]
         for name in NUMBERS
         if any(name in one.limits for one in promised)
     }
-    last = _last_steps(trial, limits) if choices is None else np.full(len(which), len(choices))
-    teams.set_max_steps(trial.period * int(last.max()) + 1)
-    budget, climbing = trial.arguments.get("budget", 0.0), trial.generations > 0
-    watch = Watch(wrapped.unwrapped, limits, trial.period, budget, climbing)
+    last = _last_steps(trial, limits) if choices is None else np.full(teams, len(choices))
+    simulator.set_max_steps(trial.period * int(last.max()) + 1)
+    watch = Watch(wrapped.unwrapped, limits, trial.period, trial.arguments.get("budget", 0.0))
     kept: list[Any] = []
     wrong, began = None, watch.now.positions
-    while wrong is None and ((last > len(kept)) & ~teams.ended).any():
+    while wrong is None and ((last > len(kept)) & ~simulator.ended).any():
         chosen = policy(observations, watch.now) if choices is None else choices[None, len(kept)]
         kept.append(np.asarray(chosen, dtype=np.float32))
         observations, *_, infos = wrapped.step(kept[-1])
@@ -323,3 +295,84 @@ def climb(trial: Trial) -> tuple[Trial, Played]:
         start = played.began[played.violation.team]
         trial = replace(trial, scenario=trial.scenario.replace(start_positions=start), starts=())
     return trial, played
+
+
+def shrink(trial: Trial, played: Played) -> tuple[Trial, Played]:
+    """A trial of fewer robots and plainer fields in which the same number is violated: one thing is
+    made simpler at a time, and kept if adversaries still find a violation.
+    """
+    assert played.violation is not None
+    number, simpler = played.violation.number, _simpler(trial)
+    while (smaller := next(simpler, None)) is not None:
+        found = play(smaller)
+        if found.violation is not None and found.violation.number == number:
+            trial, played, simpler = smaller, found, _simpler(smaller)
+    return trial, played
+
+
+def _simpler(trial: Trial) -> Iterator[Trial]:
+    """The trial with one thing less, the largest things first."""
+    scenario, plain, exact = trial.scenario, rv.Scenario(), rv.Sensing()
+    given = scenario.obstacles if isinstance(scenario.obstacles, tuple) else ()
+    fields = ("max_speed", "time_step", "max_turn_rate", "obstacle_contact", "on_merge")
+    flaws = [one.name for one in dataclasses.fields(exact)]
+    changes: list[dict[str, Any]] = [
+        {"obstacles": ()},
+        *[{name: getattr(plain, name)} for name in fields],
+        {"local_frames": "global"},
+        *[{"sensing": replace(scenario.sensing, **{n: getattr(exact, n)})} for n in flaws],
+        *[{"obstacles": given[:k] + given[k + 1 :]} for k in range(len(given))],
+        *_fewer_robots(scenario),
+    ]
+    for change in changes:
+        if any(getattr(scenario, name) != value for name, value in change.items()):
+            with suppress(ValueError):
+                yield replace(trial, scenario=scenario.replace(**change))
+    if trial.period > 1 or trial.frame != "local":
+        yield replace(trial, period=1, frame="local")
+
+
+def _fewer_robots(scenario: rv.Scenario) -> Iterator[dict[str, Any]]:
+    n, graph = scenario.n_robots, scenario.sensing_graph
+    for robot in range(n if n > 2 else 0):
+        left = [k for k in range(n) if k != robot]
+        tables = {name: getattr(scenario, name) for name in ("start_positions", "start_headings")}
+        change: dict[str, Any] = {
+            name: tuple(table[k] for k in left) for name, table in tables.items() if table
+        }
+        with suppress(ValueError):  # nobody left to see
+            if graph.kind in ("edges", "directed"):
+                made = rv.graphs.directed if graph.kind == "directed" else rv.graphs.from_matrix
+                change["graph"] = made(graph.base_weights(n)[np.ix_(left, left)])
+            yield {"n_robots": n - 1, **change}
+
+
+def write(folder: Path, name: str, trial: Trial, played: Played) -> Path:
+    """A violation as a scenario in NAME.toml, and how it is played in NAME.json; where one team
+    alone repeats it, with that team's choices and start.
+    """
+    assert played.violation is not None
+    violation, choices = played.violation, None
+    alone = replace(trial, seed=trial.seed + violation.team)
+    repeated = play(alone, teams=1, choices=violation.choices).violation
+    if repeated is not None and repeated.number == violation.number:
+        trial, violation, choices = alone, repeated, violation.choices.tolist()
+    folder.mkdir(parents=True, exist_ok=True)
+    trial.scenario.replace(name=name).to_toml(folder / f"{name}.toml")
+    how = {
+        **{name: getattr(trial, name) for name in _HOW},
+        "teams": TEAMS if choices is None else 1,
+        **{name: getattr(violation, name) for name in ("number", "found", "promised", "step")},
+        "certificate": violation.words,
+        "choices": choices,
+    }
+    (folder / f"{name}.json").write_text(json.dumps(how), encoding="utf-8")
+    return folder / f"{name}.toml"
+
+
+def repeat(path: Path) -> Played:
+    """Play a violation again from the files of ``write``."""
+    how = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+    trial = Trial(rv.Scenario.from_toml(path), **{name: how[name] for name in _HOW})
+    choices = None if how["choices"] is None else np.array(how["choices"])
+    return play(trial, teams=how["teams"], choices=choices)

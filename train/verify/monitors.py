@@ -53,7 +53,7 @@ class Moment:
     def __getattr__(self, name: str) -> Any:
         """Read it."""
         found = getattr(self._teams, name)
-        setattr(self, name, found := found() if callable(found) else found)
+        vars(self)[name] = found = found() if callable(found) else found
         return found
 
 
@@ -61,12 +61,10 @@ class Watch:
     """Looks at teams of ours, at their start, after every step.
 
     ``limits`` is the most that each of ALL may be, (B,); a step is ``period`` base steps; tanks
-    begin with a ``budget``, m²/s; ``climbing`` keeps how near each team comes to break a number.
+    begin with a ``budget``, m²/s.
     """
 
-    def __init__(
-        self, env: Any, limits: dict[str, Array], period: int, budget: float, climbing: bool
-    ) -> None:
+    def __init__(self, env: Any, limits: dict[str, Array], period: int, budget: float) -> None:
         self.env, self.limits, self.teams, self.scenario = env, limits, env.simulator, env.scenario
         self.now = now = Moment(self.teams)
         scenario, count = self.scenario, self.teams.num_envs
@@ -82,10 +80,10 @@ class Watch:
         steps = self.held, period == 1, scenario.speed_limit, sight, r, pieces
         self.numbers = *steps, self.length_error, rounding, spent
         self.growth_error, self.no_tanks = 0.0, np.zeros((count, n))
-        self.along = directions(scenario.dim)
-        self.met, levels = np.full(count, np.inf), np.full(count, n * budget)
-        tops = extents(now.positions, now.active, self.along)
-        self.kept = self.met, np.ones(count, dtype=bool), levels, np.zeros(count), tops
+        self.along, self.met = directions(scenario.dim), np.full(count, np.inf)
+        free, levels = np.ones(count, dtype=bool), np.full(count, n * budget)
+        tops, height_error = extents(now.positions, now.active, self.along), np.zeros(count)
+        self.kept = self.met, free, levels, height_error, tops
         start = np.linalg.norm(now.positions[:, None] - now.positions[:, :, None], axis=-1)
         growth = limits.get("link_growth", np.full(1, math.inf))[:, None, None]
         self.lasting = start, (start + growth <= sight) & (now.weights > 0)
@@ -94,14 +92,12 @@ class Watch:
         self.unit = np.where(np.isfinite(self.most), self.most, 1.0)
         self.unit[len(PROMISED) :] = np.maximum(now.lyapunov, 1e-300)
         self.unit[[_LEMMA, _PIECES]] = 1.0
-        self.nearest = np.full(self.most.shape, -np.inf) if climbing else None
+        self.nearest = np.full(self.most.shape, -np.inf)
         self.found, self.errors = np.full(self.most.shape, -np.inf), np.zeros(self.most.shape)
 
     @property
     def closeness(self) -> dict[str, Array]:
-        """How near each team came to break each number, (B,); nothing unless climbing."""
-        if self.nearest is None:
-            return {}
+        """How near each team came to break each number, (B,)."""
         return {name: self.nearest[ALL.index(name)] for name in self.limits}
 
     @property
@@ -141,9 +137,8 @@ class Watch:
             near = 1.0 if self.scenario.dim == 2 else _NEARLY
             for team in np.flatnonzero(found[_HULL] > near * self.most[_HULL]).tolist():
                 found[_HULL, team] = size(now.positions[team][now.active[team]])
-        if self.nearest is not None:
-            near = np.divide(found, self.unit, out=np.zeros(found.shape), where=self.most < np.inf)
-            np.maximum(self.nearest, near, out=self.nearest)
+        near = np.divide(found, self.unit, out=np.zeros(found.shape), where=self.most < np.inf)
+        np.maximum(self.nearest, near, out=self.nearest)
         return np.asarray(found > self.most + self.errors)
 
     def worst(self, wrong: Mask) -> Found:
@@ -169,19 +164,8 @@ class Watch:
 
 @kernel
 def _measure(before, after, reported, where, numbers, kept, found, errors):
-    """Write what each of ALL is of each team, and by how much rounding may raise it, (13, B).
-
-    Args:
-        before: places (B, n, d), who is there (B, n), weights (B, n, n), V (B,), before the step.
-        after: places, who is there, V and the time (B,), after it.
-        reported: contacts and levels of tanks, (B, n); V before the first merge, and above its
-            bound at merges, (B,).
-        where: directions (M, d); lengths at the start and which links must last, (B, n, n).
-        numbers: of Watch, and the error of a link's growth since the start.
-        kept: when teams met, whether they have touched nothing yet, ΣA, the error of V since the
-            start, (B,), and supports, (B, M); they are brought up to date.
-        found: written.
-        errors: written.
+    """Write what each of ALL is of each team, and by how much rounding may raise it, (13, B);
+    what is kept from step to step is brought up to date. Tuples as ``Watch.look`` gives them.
     """
     (places, was, weights, higher), (moved_to, there, height, time) = before, after
     contact, tanks, at_merge, excess = reported

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,14 +26,18 @@ Random = np.random.Generator
 
 STARTS = 6
 """Of a draw: scenarios that differ in where the robots start, and are played side by side."""
+DRAWS = 50
+"""Of a task: they are of one kind and share compiled code."""
+_KINDS = 10**9
+"""Where the random streams of kinds begin, beyond those of draws."""
 _TRIES = 40
 _CORNERS = 0.25
 """Share of scenarios that are drawn where promises would break first."""
 _TOLERABLE = 0.8
 """Share of scenarios with a sensor that is wrong in one way, so little that theorems bear it."""
+_CLIMBING = 0.15
+"""Share of trials whose starts are improved."""
 _SIZES = (2, 3, 3, 3, 4, 4, 4, 5, 6)
-
-
 _MODELS = (
     *[("single_integrator", 2)] * 11,
     *[("single_integrator", 3)] * 6,
@@ -50,6 +55,20 @@ GRAPHS = {
 }
 
 
+@dataclass(frozen=True)
+class Trial:
+    """A scenario, what keeps the guarantee, and how it is played."""
+
+    scenario: rv.Scenario
+    by: str
+    arguments: dict[str, float]  # of the certificate, and of the wrapper
+    frame: str = "local"
+    period: int = 1  # base steps for which a choice is held
+    seed: int = 0  # team b has this seed + b; adversaries are drawn from it
+    generations: int = 0  # how often starts are improved, see ``climb``
+    starts: tuple[rv.Scenario, ...] = ()  # in place of its own; they divide the teams among them
+
+
 class Kind(NamedTuple):
     """What compiled code depends on: trials of one kind share it."""
 
@@ -60,14 +79,6 @@ class Kind(NamedTuple):
     obstacles: str  # none, round or any
 
 
-class Drawn(NamedTuple):
-    """A scenario, and the arguments of its certificate and wrapper for each of CHOICES."""
-
-    scenario: rv.Scenario
-    arguments: dict[str, dict[str, float]]
-    starts: tuple[rv.Scenario, ...] = ()  # its own first; none if drawn for every episode
-
-
 def draw_kind(random: Random) -> Kind:
     """Mostly single integrators in the plane without obstacles, about which most is promised."""
     model, dim = pick(random, *_MODELS)
@@ -76,23 +87,50 @@ def draw_kind(random: Random) -> Kind:
     return Kind(model, dim, graphs, exact, pick(random, "none", "none", "round", "any"))
 
 
-def draw(random: Random, kind: Kind) -> Drawn:
-    """A scenario that is possible."""
+def trials_of(seed: int, number: int, kind_number: int | None = None) -> list[Trial]:
+    """The scenarios of a draw, played under each of CHOICES; of the kind of their task if of no
+    other.
+    """
+    kind_number = number // DRAWS if kind_number is None else kind_number
+    kind = draw_kind(np.random.default_rng([seed, _KINDS + kind_number]))
+    random = np.random.default_rng([seed, number])
+    scenario, arguments, starts = _draw(random, kind)
+    return [
+        Trial(
+            scenario=scenario,
+            by=by,
+            arguments=arguments[by],
+            frame="net_bearing" if random.random() < 0.3 else "local",
+            period=3 if by != "law" and random.random() < 0.15 else 1,
+            seed=int(random.integers(2**31)),
+            generations=3 if random.random() < _CLIMBING else 0,
+            starts=starts,
+        )
+        for by in CHOICES
+    ]
+
+
+def _draw(
+    random: Random, kind: Kind
+) -> tuple[rv.Scenario, dict[str, dict[str, float]], tuple[rv.Scenario, ...]]:
+    """A scenario that is possible, arguments for each of CHOICES, and its starts, its own first;
+    none if every episode draws them.
+    """
     for _ in range(_TRIES):
         try:
             scenario = _scenario(random, kind)
-            given = {by: arguments(random, scenario, by) for by in CHOICES}
+            given = {by: _arguments(random, scenario, by) for by in CHOICES}
             if not kind.exact and kind.graphs != "proximity" and random.random() < _TOLERABLE:
                 scenario = _tolerable(random, scenario, given)
         except ValueError:
             continue  # fields that do not go together
         if scenario.start_positions is None:
-            return Drawn(scenario, given)
+            return scenario, given, ()
         # half of the others are drawn anew where no obstacles lie between the robots
         own, anew = np.array(scenario.start_positions), 0.0 if scenario.obstacles else 0.5
         others = other_starts(random, scenario, own[None], anew)[1:]
-        return Drawn(scenario, given, (scenario, *others))
-    return Drawn(rv.Scenario(), {by: arguments(random, rv.Scenario(), by) for by in CHOICES})
+        return scenario, given, (scenario, *others)
+    return rv.Scenario(), {by: _arguments(random, rv.Scenario(), by) for by in CHOICES}, ()
 
 
 def other_starts(
@@ -121,7 +159,7 @@ def _reach(sight: float | None, n: int, r: float) -> float:
     return math.inf if sight is None else sight - (n - 1) * r / 2.0
 
 
-def arguments(random: Random, scenario: rv.Scenario, by: str) -> dict[str, float]:
+def _arguments(random: Random, scenario: rv.Scenario, by: str) -> dict[str, float]:
     """What a certificate is asked with besides ``by``, and a wrapper made with."""
     if by in ("heading", "tank"):
         margin = {"min_alignment": float(1.0 - log_uniform(random, 0.02, 0.95))}
@@ -195,9 +233,8 @@ def _scenario(random: Random, kind: Kind) -> rv.Scenario:
     fields["spawn_size"] = side = r * log_uniform(random, 4.0, 25.0)
     fields["on_merge"] = pick(random, "remove", "follow")
     if kind.obstacles != "none":
-        fields["obstacles"] = places_of.obstacles(
-            random, dim, kind.obstacles == "round", r, places, side
-        )
+        round_only = kind.obstacles == "round"
+        fields["obstacles"] = places_of.obstacles(random, dim, round_only, r, places, side)
     scenario = rv.Scenario(**fields)
     return scenario.replace(**_clock(random, scenario))
 
@@ -215,7 +252,8 @@ def _corner(random: Random, kind: Kind, fields: dict[str, Any], reach: float) ->
         fields["sensing"] = rv.Sensing(occlusion="robots")
         fields["graph"] = _fixed(random, n, False, 1.0)
         if random.random() < 0.5:  # in a row, and who is next has the light link
-            fields["start_positions"] = places_of.in_row(random, n, dim, r)
+            gaps = [r * log_uniform(random, 2.0, 20.0) for _ in range(n)]
+            fields["start_positions"] = at.along_x(gaps, dim)
             far = np.abs(np.arange(n)[:, None] - np.arange(n)) > 1
             light = log_uniform(random, 0.003, 0.3) * (1.0 - np.eye(n))
             fields["graph"] = rv.graphs.from_matrix(np.where(far, 1.0, light))
@@ -224,9 +262,9 @@ def _corner(random: Random, kind: Kind, fields: dict[str, Any], reach: float) ->
         heavy[0] = 1.0
         fields["graph"] = rv.graphs.directed(heavy * (1.0 - np.eye(n)))
     if kind.obstacles != "none":
-        balls = places_of.at_midpoints(random, rv.Disc if dim == 2 else rv.Sphere, places)
+        balls = at.at_midpoints(random, places)
         if kind.obstacles == "any":
-            balls.append(places_of.angular(random, dim, r, places + 100.0 * r))
+            balls.append(at.angular(random, dim, r, places + 100.0 * r))
         fields["obstacles"] = tuple(balls)
     scenario = rv.Scenario(**fields)
     if kind.graphs != "changing":
@@ -249,9 +287,8 @@ def _clock(random: Random, scenario: rv.Scenario) -> dict[str, Any]:
             fields["max_speed"] = scenario.merge_radius / tau * random.uniform(0.3, 1.0)
     if random.random() < 0.3:
         fields["max_turn_rate"] = log_uniform(random, 0.1, 100.0)
-    steps = max(1.0, getattr(scenario.sensing_graph, "dwell", 0.0) / tau)
-    if hasattr(scenario.sensing_graph, "dwell") and steps <= 1.0:
-        fields["time_step"] = scenario.sensing_graph.dwell
+    if (dwell := getattr(scenario.sensing_graph, "dwell", math.inf)) <= tau:
+        fields["time_step"] = dwell
     return fields | {"time_limit": 1000.0 * fields.get("time_step", scenario.tau)}
 
 
@@ -291,8 +328,7 @@ def _graph(random: Random, kind: str, n: int, r: float) -> Any:
             side = np.arange(n) % 2
             across = (side[:, None] != side).astype(float)
             listed = [graphs.from_matrix(across), graphs.complete()]
-        heaviest = max(graph.max_degree(n) for graph in listed)
-        if heaviest == 0.0:
+        if (heaviest := max(graph.max_degree(n) for graph in listed)) == 0.0:
             raise ValueError("no graph of the list has an edge")
         dwell = r / (2.0 * heaviest) * log_uniform(random, 1.0, 20.0)
         return graphs.switching(listed, dwell, pick(random, "cyclic", "random"))

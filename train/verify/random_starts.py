@@ -30,23 +30,14 @@ def pick(random: Random, *options: Any) -> Any:
     return options[int(random.integers(len(options)))]
 
 
-def starts(random: Random, n: int, dim: int, r: float, reach: float) -> Array | None:
-    """Places (n, d), m, of one of STARTS, in any order and orientation; None: they are drawn."""
-    place = pick(random, *STARTS)
-    if place is None:
-        return None
-    places = place(random, n, dim, r, reach)
-    turn, _ = np.linalg.qr(random.normal(size=(dim, dim)))
-    if random.random() < 0.7:
-        places = random.permutation(places)
-    return np.asarray(places @ turn.T)
+# Places (n, d), m, of robots whose links are r or ``reach``, m, or anything in between.
 
 
 def _in_box(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
     return random.uniform(0.0, r * log_uniform(random, 1.5, 25.0), (n, dim))
 
 
-def _along_x(gaps: Any, dim: int) -> Array:
+def along_x(gaps: Any, dim: int) -> Array:
     """Robots in order, so far apart."""
     places = np.zeros((len(gaps), dim))
     places[:, 0] = np.cumsum(gaps)
@@ -55,12 +46,12 @@ def _along_x(gaps: Any, dim: int) -> Array:
 
 def on_line(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
     """Robots nearly on a line, in order, gaps as they come."""
-    places = _along_x([_gap(random, r, reach) for _ in range(n)], dim)
+    places = along_x([_gap(random, r, reach) for _ in range(n)], dim)
     return places + pick(random, 0.0, 1e-9, 1e-3, 0.1) * r * random.normal(size=(n, dim))
 
 
 def _gap(random: Random, r: float, reach: float) -> float:
-    """Between neighbours: within r, hardly more, as far as a link may be, or anything."""
+    """Between neighbours: within r, hardly more, anything, or as far as a link may be."""
     gaps = (
         r * log_uniform(random, 1e-3, 1.0),
         r * (1.0 + log_uniform(random, 1e-5, 0.3)),
@@ -71,7 +62,7 @@ def _gap(random: Random, r: float, reach: float) -> float:
 
 
 def _in_clusters(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
-    """Some robots within r of each other, and others so, a few r apart."""
+    """Two or three groups a few r apart, each within r."""
     apart = r * log_uniform(random, 1.2, 20.0)
     centres = apart * random.normal(size=(int(random.integers(2, 4)), dim))
     offsets = r * log_uniform(random, 1e-3, 0.9) * random.normal(size=(n, dim))
@@ -95,17 +86,12 @@ def _in_tree(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
     return places
 
 
-def in_row(random: Random, n: int, dim: int, r: float) -> Array:
-    """Robots on a line, apart, in order."""
-    return _along_x([r * log_uniform(random, 2.0, 20.0) for _ in range(n)], dim)
-
-
 def in_tail(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
     """Robots in a row about r apart, ever nearer, and the last one as far as it may be."""
     near = random.uniform(0.6, 1.0, n - 1)
     gaps = np.sort(pick(random, near, 1.0 + 0.03 * near**3))[::-1] * r
     gaps[-1] = min(reach, 30.0 * r) * (1.0 - log_uniform(random, 1e-7, 0.05))
-    places = _along_x([0.0, *gaps], dim)
+    places = along_x([0.0, *gaps], dim)
     return places + pick(random, 0.0, 1e-3, 0.05) * r * random.normal(size=(n, dim))
 
 
@@ -120,6 +106,17 @@ def in_wedge(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
 
 
 STARTS = (None, _in_box, on_line, _in_clusters, _in_clusters, _on_ring, _in_tree, in_wedge)
+
+
+def starts(random: Random, n: int, dim: int, r: float, reach: float) -> Array | None:
+    """Places of one of STARTS, in any order and orientation; None: every episode draws them."""
+    if (place := pick(random, *STARTS)) is None:
+        return None
+    places = place(random, n, dim, r, reach)
+    turn, _ = np.linalg.qr(random.normal(size=(dim, dim)))
+    if random.random() < 0.7:
+        places = random.permutation(places)
+    return np.asarray(places @ turn.T)
 
 
 def changed(random: Random, places: Array, r: float) -> Array:
@@ -141,19 +138,22 @@ def obstacles(
             return rv.WallField(layout, length, opening, 0.03 * side, side, 0.1 * r)
         radius = (0.02 * side, 0.1 * side)
         return rv.ObstacleField((1, 3), radius, side, 0.1 * r, bool(random.integers(2)))
-    ball = rv.Disc if dim == 2 else rv.Sphere
     if random.random() < 0.6:
-        found = at_midpoints(random, ball, places)
+        found = at_midpoints(random, places)
     else:
         at = places[random.integers(len(places), size=int(random.integers(1, 4)))]
         sizes = [r * log_uniform(random, 0.1, 5.0) for _ in at]
         found = [
-            ball(tuple((place + 2.0 * size * random.normal(size=dim)).tolist()), size)
+            _ball(place + 2.0 * size * random.normal(size=dim), size)
             for place, size in zip(at, sizes, strict=True)
         ]
     if not round_only:
         found.append(angular(random, dim, r, places))
     return tuple(found)
+
+
+def _ball(centre: Array, radius: float) -> Any:
+    return (rv.Disc if len(centre) == 2 else rv.Sphere)(tuple(centre.tolist()), radius)
 
 
 def angular(random: Random, dim: int, r: float, places: Array) -> Any:
@@ -168,14 +168,11 @@ def angular(random: Random, dim: int, r: float, places: Array) -> Any:
     return rv.Capsule((tuple(at.tolist()), tuple(other.tolist())), 0.3 * size)
 
 
-def at_midpoints(random: Random, ball: Any, places: Array) -> list[Any]:
+def at_midpoints(random: Random, places: Array) -> list[Any]:
     """Balls at the midpoints of the nearest pairs."""
-    pairs = sorted(
-        itertools.combinations(range(len(places)), 2),
-        key=lambda pair: float(np.linalg.norm(places[pair[0]] - places[pair[1]])),
-    )
-    found = []
-    for i, j in pairs[: int(random.integers(1, len(places) + 1))]:
-        radius = 0.5 * float(np.linalg.norm(places[i] - places[j])) * random.uniform(0.2, 0.95)
-        found.append(ball(tuple(((places[i] + places[j]) / 2.0).tolist()), radius))
-    return found
+    pairs = [
+        (float(np.linalg.norm(one - other)), (one + other) / 2.0)
+        for one, other in itertools.combinations(places, 2)
+    ]
+    nearest = sorted(pairs, key=lambda pair: pair[0])[: int(random.integers(1, len(places) + 1))]
+    return [_ball(middle, 0.5 * gap * random.uniform(0.2, 0.95)) for gap, middle in nearest]

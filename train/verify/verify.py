@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -20,12 +22,15 @@ from ..checks import UserError, check_least, check_most
 from ..results import write_csv
 from ..resume import Part, claimed, program
 from ..tasks import Workers, each
-from . import counterexamples
-from .claims import BATCH, CLAIMS, Claim, tasks_of
-from .falsification import TEAMS, Tally, Task
+from . import claims as cases
+from .claims import BATCH, CLAIMS, Claim
+from .falsification import TEAMS, Tally, climb, shrink, write
 from .monitors import NUMBERS
+from .random_scenarios import DRAWS, STARTS, trials_of
 
 _BAR = TextColumn("{task.description:16}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+_MOST_TASKS = 256
+"""Of a claim."""
 _MOST_WRITTEN = 20
 """Violations of a search that are made small and written."""
 
@@ -59,13 +64,6 @@ class Config(Workers):
     fresh: Annotated[bool, arg(name="overwrite", aliases=("--fresh",))] = False
     """Throws away what another command has left unfinished in OUT/verify.part."""
 
-    def batches(self) -> list[tuple[int, int]]:
-        """(number, teams that count) of each batch to run."""
-        if self.only_batch is not None:
-            return [(self.only_batch, min(self.trials, BATCH))]
-        count = math.ceil(self.trials / BATCH)
-        return [(k, min(BATCH, self.trials - k * BATCH)) for k in range(count)]
-
 
 def check_config(config: Config) -> None:
     """Refuse what cannot be run in a UserError: the flag, its value and what would be right."""
@@ -96,47 +94,84 @@ def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | Non
     plan = program() | {name: getattr(config, name) for name in asked}  # all that numbers depend on
     plan["claims"] = [claim.name for claim in chosen]
     part = Part(path.with_suffix(".part"), plan, "verification")
-    with claimed(config.out, ".verify.lock", f"--out {config.out}"):
-        with (
-            part.at_work(config.out, console, fresh=config.fresh),
-            Progress(*_BAR, console=console, transient=True) as bars,
-        ):
-            tallies = _look_at_all(config, chosen, part, bars)
-            if config.any:
-                rows = theorem_rows(tallies["scenarios"])
-            else:
-                rows = [claim_row(claim, config, tallies[claim.name]) for claim in chosen]
-            write_csv(path, list(rows[0]) if rows else ["theorem"], rows)
-            part.discard()
+    tasks = _tasks_of_any(config) if config.any else _tasks_of_claims(config, chosen)
+    tallies = {task.group: Tally() for task in tasks}
+    with (
+        claimed(config.out, ".verify.lock", f"--out {config.out}"),
+        part.at_work(config.out, console, fresh=config.fresh),
+        Progress(*_BAR, console=console, transient=True) as progress,
+    ):
+        count = config.trials if config.only_batch is None else min(config.trials, BATCH)
+        bars = {group: progress.add_task(group, total=count) for group in tallies}
+        for task, found, _ in part.finish(tasks, lambda left: each(look, left, config)):
+            tallies[task.group].join(found)
+            progress.advance(bars[task.group], found.trials)
+        if config.any:
+            rows = theorem_rows(tallies["scenarios"])
+        else:
+            rows = [claim_row(claim, config, tallies[claim.name]) for claim in chosen]
+        write_csv(path, list(rows[0]) if rows else ["theorem"], rows)
+        part.discard()
     if config.any:
         return _report_any(config, tallies["scenarios"], rows, path, console)
     return _report(rows, chosen, path, console)
 
 
-def _look_at_all(
-    config: Config, chosen: Sequence[Claim], part: Part, progress: Progress
-) -> dict[str, Tally]:
-    """Do what is not finished, under a progress bar for each claim; what is found by claim, or of
-    all "scenarios".
-    """
-    if config.any:
-        total = config.trials
-        tasks = counterexamples.tasks_of(total, config.seed, config.kinds)
-    else:
-        asked = config.batches(), config.seed, config.min_alignment
-        tasks = [task for claim in chosen for task in tasks_of(claim, *asked)]
-        total = sum(count for _, count in asked[0])
-    tallies = {task.group: Tally() for task in tasks}
-    bars = {group: progress.add_task(group, total=total) for group in tallies}
-    for task, found, _ in part.finish(tasks, lambda left: each(look, left, config)):
-        tallies[task.group].join(found)
-        progress.advance(bars[task.group], found.trials)
-    return tallies
+class Task(NamedTuple):
+    """Some batches of a claim, or some random scenarios: they depend on nothing else."""
+
+    name: str  # of its cell
+    group: str  # the claim, or "scenarios"
+    look: Callable[[], Tally]
 
 
 def look(task: Task) -> Tally:
     """Do a task."""
     return task.look()
+
+
+def _tasks_of_claims(config: Config, claims: Sequence[Claim]) -> list[Task]:
+    """The batches of each claim, by their numbers and the teams that count, cut into tasks."""
+    count = math.ceil(config.trials / BATCH)
+    batches = [(k, min(BATCH, config.trials - k * BATCH)) for k in range(count)]
+    if config.only_batch is not None:
+        batches = [(config.only_batch, min(config.trials, BATCH))]
+    size = math.ceil(len(batches) / _MOST_TASKS)
+    parts = [batches[k : k + size] for k in range(0, len(batches), size)]
+    given = config.seed, config.min_alignment
+    return [
+        Task(f"{claim.name}-{part[0][0]:07d}", claim.name, partial(_check_all, claim, part, *given))
+        for claim in claims
+        for part in parts
+    ]
+
+
+def _check_all(
+    claim: Claim, batches: Sequence[tuple[int, int]], seed: int, least_margin: float
+) -> Tally:
+    tally = Tally()
+    for number, count in batches:
+        tally.join(cases.check(claim, seed, number, count, least_margin))
+    return tally
+
+
+def _tasks_of_any(config: Config) -> list[Task]:
+    """So many scenarios, or a few more, of so many kinds at most, cut into tasks of one kind."""
+    draws = math.ceil(config.trials / STARTS)
+    parts = [range(k, min(k + DRAWS, draws)) for k in range(0, draws, DRAWS)]
+    kinds = config.kinds or len(parts)
+    looks = [partial(_try_all, part, config.seed, k % kinds) for k, part in enumerate(parts)]
+    return [Task(f"any-{k:07d}", "scenarios", look_at) for k, look_at in enumerate(looks)]
+
+
+def _try_all(numbers: range, seed: int, kind: int) -> Tally:
+    """Play the trials of these draws, all of one kind."""
+    began, tally = time.perf_counter(), Tally(trials=len(numbers) * STARTS)
+    for number in numbers:
+        for trial in trials_of(seed, number, kind):
+            tally.add(number, *climb(trial))
+    tally.seconds = time.perf_counter() - began
+    return tally
 
 
 def claim_row(claim: Claim, config: Config, tally: Tally) -> dict[str, Any]:
@@ -205,9 +240,8 @@ def _report_any(
     console.print(table_of(f"Certificates of {tally.trials} random scenarios, tried", rows))
     tally.found.sort(key=lambda found: found[0])
     for number, trial, played in tally.found[:_MOST_WRITTEN]:
-        small, played = counterexamples.shrink(trial, played)
-        name = f"any-{config.seed}-{number}-{trial.by}"
-        file = counterexamples.write(config.out, name, small, played)
+        small, played = shrink(trial, played)
+        file = write(config.out, f"any-{config.seed}-{number}-{trial.by}", small, played)
         console.print(f"scenario {number}: {played.violation}; {file}", soft_wrap=True)
     console.print(
         f"{tally.violations} violations, {tally.steps} steps of {TEAMS} teams in "

@@ -33,8 +33,8 @@ def kind_of_links(graph: Graph) -> str:
 
 
 def leaders(scenario: Scenario) -> list[list[int]]:
-    """Groups of robots that see nobody outside, in the graph of the moment that has most of them;
-    arrays of indices without unit. One group: some robot can be reached from all at any time
+    """Groups of robots that see nobody outside, arrays of indices without unit, in the graph of the
+    moment that has most of them. One group: some robot can be reached from all at any time
     (theorem G).
     """
     graph: Any = scenario.sensing_graph
@@ -127,17 +127,18 @@ def merge_rise_allowance(scenario: Scenario) -> float:
 
 
 def lyapunov_bound(
-    scenario: Scenario, initial_lyapunov: ArrayLike, *, reach: float | None = None
+    scenario: Scenario, initial_lyapunov: ArrayLike | None = None, *, reach: float | None = None
 ) -> Array:
     """V0⁺ = V(0) + (n − 1) r W, (...), m²/s: the most that V can be if it never rises between
-    merges; at obstacles, where they may be at one robot's place, it can by twice as much (theory
-    5). A V(0) that is not finite or negative is refused.
+    merges; V(0) is ``largest_lyapunov`` if None. At obstacles, where merges may be at one robot's
+    place, they can raise it by twice as much (theory 5).
 
     Where linked robots start within r of each other, two of them merge at once while others walk
     on, by r/2 or ``reach``, m: V rises by 4 W of it at most, once.
     """
     rises = (2.0 if scenario.obstacles else 1.0) * merge_rise_allowance(scenario)
-    most = checked("initial_lyapunov", initial_lyapunov, "m²/s") + rises
+    most = largest_lyapunov(scenario) if initial_lyapunov is None else initial_lyapunov
+    most = np.asarray(most, dtype=np.float64) + rises
     if starts_apart(scenario):
         return most
     total = scenario.sensing_graph.weight_sum(scenario.n_robots)
@@ -163,10 +164,8 @@ def starts_apart(scenario: Scenario) -> bool:
         return True
     from scipy.spatial import cKDTree
 
-    near = cKDTree(np.array(scenario.start_positions)).query_pairs(
-        scenario.merge_radius * (1 - 1e-9)
-    )
-    if not near:
+    places, r = np.array(scenario.start_positions), scenario.merge_radius
+    if not (near := cKDTree(places).query_pairs(r * (1 - 1e-9))):
         return True
     first, second, _ = scenario.sensing_graph.links(scenario.n_robots)
     linked = {*zip(first.tolist(), second.tolist(), strict=True)}

@@ -1,18 +1,13 @@
 """Theorem E1: law (1) on bearings that are late.
 
-**Assumptions.** Fixed, undirected, connected graph; law (1) at speeds s_i f̂_i, s ≤ s_i ≤ 1, on
-exact bearings that are k steps late, (k+1) τ ≤ r/(2D̄) with the step for which they are held;
-robots whose action is their velocity, nothing in the way. A sensor that is late is so for the
-bearings of merged robots too.
+**Assumptions.** Fixed, undirected, connected graph; law (1) on exact bearings that are k steps
+late, (k+1) τ ≤ r/(2D̄), at merges too; robots whose action is their velocity, nothing in the way.
 
 **Promise**, s = min(1, v_max/D̄):
 
     T ≤ V_late max_m m/(4 s c_m²) + (n−1)(k+1) τ,      V ≤ V_late = V0⁺ + (n−1)(2 r W + n r D̄/2).
 
-Where bearings are fresh after a merge T ≤ n V0⁺/(4 s a*²); under law (4) with a margin that does
-not fade, and ages up to r/(2√3 D̄), n V0⁺/(ε² a*²).
-
-**Proof.** docs/proofs.md, E1.
+Proof, and other ages: docs/proofs.md, E1.
 """
 
 from __future__ import annotations
@@ -50,7 +45,7 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """The time and V."""
     n, degree, late = scenario.n_robots, scenario.max_degree, scenario.sensing.delay
     meanwhile = (n - 1) * n * scenario.merge_radius * degree / 2.0
-    most = float(known.lyapunov_bound(scenario, known.largest_lyapunov(scenario)))
+    most = float(known.lyapunov_bound(scenario))
     most += 2.0 * known.merge_rise_allowance(scenario) + meanwhile
     slowest = min(1.0, scenario.speed_limit / degree) * known.least_bearing_square(scenario)
     return Bounds(

@@ -1,26 +1,19 @@
 """Theorems A, B and C: V falls under law (1), and under any headings that keep a margin.
 
 **Assumptions.** Fixed, undirected, connected graph; robots whose action is their velocity; exact
-bearings of all neighbours, inputs held over τ ≤ r/(2D̄), or velocities scaled by r/(2 D_i τ)
-where that is less than 1; nothing in the way. A: law (1), ε = 1. B: law (4), |h_iᵀf_i| ≥ ε‖f_i‖.
-C: any policy under certified headings, a margin ε that fades in the dead zone δ = a*/(2n).
+bearings of all neighbours, inputs held over τ ≤ r/(2D̄) or velocities scaled by r/(2 D_i τ);
+nothing in the way. A: law (1), ε = 1. B: law (4), |h_iᵀf_i| ≥ ε‖f_i‖. C: certified headings.
 
-**Promise.** V never rises between merges, never exceeds V0⁺ = V(0) + (n−1) r W, and all have met
-by
+**Promise.** V never rises between merges, never exceeds V0⁺ = V(0) + (n−1) r W, and
 
     T ≤ σ n V0⁺/(4 ε² a*²)      and      T ≤ σ V0⁺ max_m m/(4 ε² c_m²) + (n−1) τ,
 
-σ = max(1, 2D̄τ/r) max(1, D̄/v_max), c_m ≥ a* the least D_i while m robots are left; on a complete
-graph of one weight a, no obstacles, T ≤ σ V(0)/(2 (n−1) ε² a²). In continuous time half of that
-suffices. Beside obstacles V alone is bounded, in motion without a contact and twice the rise per
-merge; likewise, under headings, V of robots that turn, of which turning.py has the rest.
-
-**Proof.** docs/proofs.md, A to C.
+σ = max(1, 2D̄τ/r) max(1, D̄/v_max); on a complete graph of one weight a, no obstacles,
+T ≤ σ V(0)/(2 (n−1) ε² a²). Beside obstacles V alone is bounded, in motion without a contact;
+likewise, under headings, V of robots that turn. Proof: docs/proofs.md, A to C.
 """
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,11 +31,11 @@ Array = NDArray[np.float64]
 def time_bound(
     scenario: Scenario, initial_lyapunov: ArrayLike, *, min_alignment: float = 1.0
 ) -> Array:
-    """Time by which all robots have met with inputs held over the step, (...), s, from V(0), (...),
+    """Time by which all robots have met, inputs held over the step, (...), s, from V(0), (...),
     m²/s (theorems A and C); infinite where nothing is guaranteed.
 
-    Of the scenario's own graph: weights that a reset is given in its place may lose a bound for
-    complete graphs and cycles. ValueError for an ε that is not in (0, 1], or a V(0) that is none.
+    For the scenario's own graph, not for weights given to a reset. ValueError for an ε that is not
+    in (0, 1], or a V(0) that is none.
     """
     check_margin(min_alignment)
     if not isinstance(scenario, Scenario):
@@ -68,8 +61,7 @@ def time_bound(
 
 def lyapunov_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """V never rises between merges, for any inputs that keep to law (1), a heading or a gate."""
-    most = known.lyapunov_bound(scenario, known.largest_lyapunov(scenario))
-    return Bounds(lyapunov=float(most))
+    return Bounds(lyapunov=float(known.lyapunov_bound(scenario)))
 
 
 def time_bounds(scenario: Scenario, asked: Asked) -> Bounds:
@@ -85,7 +77,7 @@ def time_bounds(scenario: Scenario, asked: Asked) -> Bounds:
         words += " with velocities scaled to the long step" * long
     start = known.largest_lyapunov(scenario)
     time = float(time_bound(scenario, start, min_alignment=asked.min_alignment))
-    return replace(lyapunov_bounds(scenario, asked), words=words, meets=True, time=time)
+    return Bounds(words, True, time, lyapunov=float(known.lyapunov_bound(scenario)))
 
 
 # The paper's laws for robots that turn, held, can raise V a little; certified ones cannot.

@@ -1,25 +1,18 @@
 """Theorem G: robots that weigh the bearings they see, on any graph, in continuous time and held.
 
-**Assumptions.** ṗ_i = Σ_j c_ij g_ij with gains c_ij ≥ 0 that may depend on time, state, a network
-or an adversary, and Σ_j c_ij ≥ c; robots whose action is their velocity, exact bearings, nothing
-in the way. The graph may be directed and may switch, as long as at every moment all robots see
-somebody (or all but one, the leader). Neighbours nearer than r merge. Law (1) has gains a_ij.
+**Assumptions.** ṗ_i = Σ_j c_ij g_ij, any gains c_ij ≥ 0 with c ≤ Σ_j c_ij ≤ C (law (1) has a_ij);
+robots whose action is their velocity, exact bearings, nothing in the way. The graph may be directed
+and may switch, as long as at every moment all robots but one, the leader, see somebody.
 
-**Promise**, L0 = L(0) the size of the team at the start (``Simulator.size``):
+**Promise**, L0 = L(0) the size of the team (``Simulator.size``): in continuous time T ≤ L0/(2 c
+κ(n)), in 3-D n w0/(2c), w0 = L0/2π; with a leader κ₁, 2(n−1) w0/c. Held over τ, τ C < r (D1):
 
-* in continuous time T ≤ L0/(2 c κ(n)), in 3-D n w0/(2c), w0 = L0/2π; with a leader κ₁, 2(n−1)
-  w0/c;
-* inputs held over τ with τ Σ_j c_ij ≤ τ C < r, in the plane and in 3-D (D1):
+    T ≤ L0 / (c s μ k) + (n − 1) τ,      s = sin(ψ/2),   k = (r − τC)/(r − τC + 2τc),
+    ψ = π/n,  with a leader 5π/(12 (n−1)),  in 3-D π (1 − cos 5π/12)/(2 (n−1)),
+    μ = ψ,  in 3-D 2π (1 − cos(ψ/2)).
 
-      T ≤ L0 / (c s μ k) + (n − 1) τ,      s = sin(ψ/2),   k = (r − τC)/(r − τC + 2τc),
-      ψ = π/n,  with a leader 5π/(12 (n−1)),  in 3-D π (1 − cos 5π/12)/(2 (n−1)),
-      μ = ψ,  in 3-D 2π (1 − cos(ψ/2));
-
-* for τ C ≤ r the hull of the team does not grow in a step that begins with linked robots r or
-  more apart, which is every step but the first of given starts and those in which links change.
-  There it grows by r at most, at most once for each merge: L0 stands for L(0) and that growth.
-
-**Proof.** docs/proofs.md, G and D1.
+For τ C ≤ r the hull does not grow in a step that begins with linked robots r or more apart; L0
+holds what it grows by in others. Proof: docs/proofs.md, G and D1.
 """
 
 from __future__ import annotations
@@ -37,8 +30,7 @@ from .theorem import Asked, Bounds, Theorem
 
 Array = NDArray[np.float64]
 
-_WIDE = 5.0 * np.pi / 12.0
-"""How far from the direction of the robot farthest from a leader the leader still lies deep."""
+_WIDE = 5.0 * np.pi / 12.0  # so far from the direction of another robot a leader still lies deep
 
 
 def kappa(n: ArrayLike) -> Array:

@@ -1,25 +1,19 @@
 """Theorem R: links that last, for robots that see only so far.
 
-**Assumptions.** Sight is mutual: up to a range R, both see each other or neither, on an
-undirected graph or the one of who is near. Robots whose action is their velocity, bearings wrong
-by η at most, no walls. Links of length R − (n−1) r/2 or less connect the team at the start, R −
-(n−1) r beside obstacles that robots pass through: there a merge is at one robot's place. Linked
-robots start r or more apart.
+**Assumptions.** Sight is mutual up to a range R, on an undirected graph or the one of who is near.
+Robots whose action is their velocity, bearings wrong by η at most, no walls. Links of length
+R − (n−1) r/2 or less connect the team at the start, R − (n−1) r beside obstacles that robots pass
+through; linked robots start r or more apart.
 
-    v_i = λ s_i sin(asin‖q̂_i‖ − η)₊ q̂_i/‖q̂_i‖ + (1−λ) P(wanted),      s_i = min(d_i, r/(2τ), v_max),
+    v_i = λ s_i sin(asin‖q̂_i‖ − η)₊ q̂_i/‖q̂_i‖ + (1−λ) P(wanted),      s_i = min(d_i, r/(2τ), v_max)
 
-q_i the point of least norm of conv{g_ij}, P the projection onto B'_i = ∩_j ball((r/4τ) g_ij,
-r/4τ).
-
-**Promise.** No link grows longer in a step without a merge, by r/2 in a merge (r beside
-obstacles); without walls and for η < π/(2n) all meet within
+**Promise.** No link grows longer in a step without a merge; for η < π/(2n)
 
     T ≤ n V_tot/(4 λ d s (1 − 2nη/π)²) + (n−1) τ,      s = min(d, r/2τ, v_max),
     V_tot = 2aR [n(n−1)/2 + (n−1)²] + (n−1) r a n(n−1)/2,
 
 a the heaviest and d the lightest link; without a limit of range V_tot = V0⁺, d = min_m c_m.
-
-**Proof.** docs/proofs.md, R.
+Proof: docs/proofs.md, R.
 """
 
 from __future__ import annotations
@@ -89,7 +83,7 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """The time, V where it counts who is in sight only, and links."""
     n, reach, radius = scenario.n_robots, scenario.sensing.range, scenario.merge_radius
     if reach is None:
-        most = float(known.lyapunov_bound(scenario, known.largest_lyapunov(scenario)))
+        most = float(known.lyapunov_bound(scenario))
         degrees = known.least_degrees(scenario)
     else:
         heaviest, pairs = scenario.sensing_graph.extreme_weights(n)[1], n * (n - 1) / 2.0

@@ -1,15 +1,12 @@
 """Theorems N, N1, N1' and E[T]: bearings that are wrong, by a bounded angle or at random.
 
-**N.** All Σ_j c_ij are equal to c, of every robot left, and every bearing is within η < π/n of
-the true one, in 3-D tan η < 1/√(n(n−2)). On any graph on which all see somebody, in continuous
-time,
+**N.** All Σ_j c_ij equal c, every bearing is within η < π/n of the true one, in 3-D tan η <
+1/√(n(n−2)). On any graph on which all see somebody, in continuous time,
 
     T ≤ L0 sin(π/n)/(2 c κ(n) sin(π/n − η)),      in 3-D  w0/(2c [cos η/n − sin η √(1 − 2/n)]).
 
 Inputs that are held count as errors: η_m = η + asin(2 c_m τ/r), T ≤ L0 / min_m shrinking(m, c_m,
-η_m) + (n−1) τ. With η > 0 the hull is not nested: L decreases in steps without a merge, and in
-one with a merge it grows by 2 c τ sin(η/2) in every direction at most, which L0 counts n − 1
-times.
+η_m) + (n−1) τ. L0 holds what the hull grows by in steps with a merge.
 
 **N1.** Law (1), undirected connected graph, τ ≤ r/(2D̄), nobody slowed down. With e_i = 2
 sin(η/2) D_i, c_m ≤ D_i ≤ D̄_m while m robots are left, and ρ_m = m D̄_m sin(η/2)/c_m < 1:
@@ -17,15 +14,15 @@ sin(η/2) D_i, c_m ≤ D_i ≤ D̄_m while m robots are left, and ρ_m = m D̄_m
     V(t+τ) ≤ V(t) − τ Σ(‖f_i‖² − e_i²) between merges,
     T ≤ (V0⁺ + (n−1) τ Σ e_i²) max_m m/(4c_m²(1 − ρ_m²)) + (n−1) τ.
 
-**N1'.** Any policy under headings that are certified against f̂ and go max(0, h·f̂_i − e_i) along
-them: V never rises between merges, and T ≤ V0⁺ max_m m/(q_m² s_min) + (n−1) τ if all q_m = 2ε c_m
-− ε β a* m/n − 2 (1+ε) m D̄_m sin(η/2), β = ½, are positive; on a complete graph of one weight, no
-obstacles, also with V(0)/(n−1) and q_m²/(m−1) in place of V0⁺ and q_m².
+**N1'.** Under headings certified against f̂, going max(0, h·f̂_i − e_i) along them, V never rises
+between merges, and T ≤ V0⁺ max_m m/(q_m² s_min) + (n−1) τ if all q_m = 2ε c_m − ε β a* m/n − 2
+(1+ε) m D̄_m sin(η/2), β = ½, are positive; where V/(m−1) never rises at merges also with V(0)/(n−1)
+and q_m²/(m−1) in place of V0⁺ and q_m².
 
-**E[T].** Noise that is drawn anew for every bearing and step, τ = θ r/(2D̄), γ = exp(−σ²/2): E[T] ≤
+**E[T].** Noise drawn anew for every bearing and step, τ = θ r/(2D̄), γ = exp(−σ²/2): E[T] ≤
 (V0⁺ + n(n−1) r θ D̄)/p if p = min_m 4c_m²/m γ(2−θγ) − θ(1−γ²) Σ a_ij² is positive.
 
-**Proofs.** docs/proofs.md, N to E[T].
+Proofs: docs/proofs.md, N to E[T].
 """
 
 from __future__ import annotations
@@ -128,8 +125,10 @@ def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Theorem N1; without a time for a long step, or if robots can be slowed down."""
     n, left, chord = scenario.n_robots, known.robots_left(scenario), error_chord(asked.error)
     as_it_is = scenario.speed_limit >= scenario.max_degree and not known.long_step(scenario)
-    most = known.lyapunov_bound(scenario, known.largest_lyapunov(scenario))
-    most += (n - 1) * scenario.tau * n * (chord * scenario.max_degree) ** 2
+    most = (
+        known.lyapunov_bound(scenario)
+        + (n - 1) * scenario.tau * n * (chord * scenario.max_degree) ** 2
+    )
     feigned = left * (chord * known.most_degrees(scenario)) ** 2
     rates = 4.0 * known.least_degrees(scenario) ** 2 / left - feigned
     time = known.held_time(scenario, most, rates) if as_it_is else math.inf
@@ -172,7 +171,7 @@ def heading_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     return certified_bounds(
         scenario,
         asked,
-        float(known.lyapunov_bound(scenario, start)),
+        float(known.lyapunov_bound(scenario)),
         start / (scenario.n_robots - 1) if known.merges_at_midpoints(scenario) else None,
         DEAD_ZONE,
         "theorem N1': every policy under certified headings that allow for errors of "
@@ -204,7 +203,7 @@ def noisy_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     weights = weights * graph.weight_range[1]
     scattered = theta * (1.0 - gamma**2) * 2.0 * float(weights @ weights)
     fall = known.least_bearing_square(scenario) * gamma * (2.0 - theta * gamma) - scattered
-    most = known.lyapunov_bound(scenario, known.largest_lyapunov(scenario))
+    most = known.lyapunov_bound(scenario)
     most += (n - 1) * scenario.merge_radius * theta * degree * n  # cut short by merges
     return Bounds(expected_time=float(known.over_rate(most, fall)))
 

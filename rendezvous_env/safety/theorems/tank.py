@@ -1,31 +1,23 @@
 """Theorem D: the energy tank, any motion at all while each robot's own energy budget lasts.
 
 **Assumptions.** Fixed, undirected, connected graph, bearings of all neighbours, wrong by η at
-most. Robot i is displaced by Δ_i in a step. With s_i = min(1, r/(2 D_i τ), v_max/‖f_i‖) its tank
-A_i(0) = B_i ≥ 0 earns
+most. With s_i = min(1, r/(2 D_i τ), v_max/‖f_i‖) a robot's tank A_i(0) = B_i ≥ 0 earns
 
-    G_i = 2 f_i·Δ_i − (2/r) D_i ‖Δ_i‖² − ε² τ s_i ‖f_i‖²,
+    G_i = 2 f_i·Δ_i − (2/r) D_i ‖Δ_i‖² − ε² τ s_i ‖f_i‖²
 
-for wrong bearings less 2 e_i ‖Δ_i‖ and with τ s_i max(0, ε‖f̂_i‖ − e_i)² in place of the last
-term. What is wanted is done while A_i + G_i ≥ 0, else law (4) along the wanted direction
-projected onto the cap of ε.
+by a displacement Δ_i; with errors see docs/guarantees.md, 11.
 
 **Promise.** V + ΣA_i does not rise in a step without merge or contact, so V ≤ V0⁺ + (n−1) r W +
 ΣB_i; and without walls, for robots whose action is their velocity,
 
     T ≤ (V0⁺ + (n−1) r W + ΣB_i) max_m m/(q_m² s_min) + (n−1) τ,
 
-s_min = min(1, r/(2D̄τ), v_max/D̄), q_m = 2ε c_m − 2 (1+ε) m D̄_m sin(η/2) > 0 as in theorem N1'
-with β = 0; 2ε c_m for exact bearings.
+q_m = 2ε c_m − 2 (1+ε) m D̄_m sin(η/2) > 0 as in N1' with β = 0, s_min = min(1, r/(2D̄τ), v_max/D̄).
+Where everyone sees everyone, all weights a, no obstacles, levels follow V at merges, and
 
-Where everyone sees everyone, all weights a, no obstacles, all levels become (m'−1)/(m−1) of what
-they were when m robots become m'. Then (V + ΣA)/(m−1) does not rise but by r a per merge, and
+    T ≤ ((V(0) + ΣB_i)/(n−1) + (n−1) r a) max_m m (m−1)/(q_m² s_min) + (n−1) τ.
 
-    T ≤ ((V(0) + ΣB_i)/(n−1) + (n−1) r a) max_m m (m−1)/(q_m² s_min) + (n−1) τ,
-
-for exact bearings at most (V(0) + ΣB_i + (n−1)² r a)/(2 (n−1) ε² a² s_min) + (n−1) τ.
-
-**Proof.** docs/proofs.md, D.
+Proof: docs/proofs.md, D.
 """
 
 from __future__ import annotations
@@ -41,7 +33,7 @@ from .theorem import Asked, Bounds, Theorem
 def lyapunov_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """V alone: with walls, and for robots that turn."""
     reach = scenario.speed_limit * scenario.tau
-    most = known.lyapunov_bound(scenario, known.largest_lyapunov(scenario), reach=reach)
+    most = known.lyapunov_bound(scenario, reach=reach)
     most += known.merge_rise_allowance(scenario) + scenario.n_robots * asked.budget
     return Bounds(lyapunov=float(most))
 

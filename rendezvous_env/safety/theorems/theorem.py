@@ -1,4 +1,4 @@
-"""What a theorem is here: what it assumes, in predicates that say what fails, and its numbers."""
+"""What a theorem is here: assumptions, as predicates that say what fails, and its numbers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PROMISED = ("time", "lyapunov", "hull", "link_growth", "expected_time")
 
 
 class Asked(NamedTuple):
-    """The arguments of ``certificate`` besides the scenario."""
+    """The arguments of ``certificate`` besides the scenario; by default law (1), exact bearings."""
 
     by: str = "law"
     min_alignment: float = 1.0  # ε, without unit
@@ -34,7 +34,6 @@ class Asked(NamedTuple):
 
 
 LAW = Asked()
-"""Law (1) on exact bearings."""
 
 
 @dataclass(frozen=True)
@@ -59,13 +58,12 @@ def bounds_with_errors(
     words: str,
     who: str,
     even_so: str = "",
-    **others: float,
+    **others: Any,
 ) -> Bounds:
     """A rendezvous if its time, s, is finite; else why errors η > ``tolerated``, rad, are too large
     for ``who``. ``others`` are numbers that hold all the same (guarantees 11).
     """
-    meets = math.isfinite(time)
-    if not meets:
+    if not (meets := math.isfinite(time)):
         words = (
             f"none: bearings may err by {asked.error:.4g} rad, and {who} is known to tolerate less "
             f"than {tolerated:.4g} rad here (guarantees 11){even_so}"

@@ -1,19 +1,17 @@
 """Theorems T, 3 and 4: robots that turn at a limited rate.
 
 **T.** Fixed, undirected, connected graph, exact bearings of all neighbours, nothing in the way;
-unicycles or 3-D nonholonomic robots under the gate of ``HeadingVectorWrapper``, inputs held over
-the step, for any desired turn rates. With ω the turn limit, or the wrapper's if that is
-less (3 rad/s here, so a wrapper must be given no less), F = min_m 2c_m/m, s_min as in theorem D and
+unicycles or 3-D nonholonomic robots under the gate of ``HeadingVectorWrapper``, inputs held, any
+desired turn rates. With ω the turn limit (at most 3 rad/s, so a wrapper must be given no less),
+F = min_m 2c_m/m, s_min as in theorem D and
 
     p = min(ωτ, 0.7 τF, π/3),  K = ⌈1.25/p⌉ + 2,  θ = 1/10,
     in 3-D  p = min(ωτ, π/2),  K = ⌈π/(2p)⌉ + 2,  θ = min(1, p²)/10,
     q = min( τ s_min ε²F²/5,  θ²F²r²/(2.5 D̄²Kτ) ),
 
-V falls by q in every K steps without a merge: T ≤ Kτ (V0⁺/q + n). It is very loose.
+V falls by q in every K steps without a merge: T ≤ Kτ (V0⁺/q + n). Proof: docs/proofs.md, T.
 
 **3 and 4.** The paper's laws (7)(8) and (12)(17) meet in continuous time, by no known time.
-
-**Proof.** docs/proofs.md, T.
 """
 
 from __future__ import annotations
@@ -51,7 +49,7 @@ def gated_window(scenario: Scenario, min_alignment: float) -> tuple[int, float]:
 def gate_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Theorem T."""
     count, fall = gated_window(scenario, asked.min_alignment)
-    most = known.lyapunov_bound(scenario, known.largest_lyapunov(scenario))
+    most = known.lyapunov_bound(scenario)
     turning = min(scenario.turn_limit, MAX_TURN_RATE)
     return Bounds(
         words=(
