@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rendezvous_env.obstacles.obstacle_set import outlines
 from rendezvous_env.obstacles.shape import Outline
-from rendezvous_env.render.scene import outermost, shapes
+from rendezvous_env.render.scene import outermost
 
 from .recording import Recording
 
@@ -105,7 +106,7 @@ def encode(recording: Recording, stride: int = 1) -> Encoded:
     packed = gzip.compress(b"".join(parts), compresslevel=6, mtime=0)
     extent = np.stack([points.min(axis=0), points.max(axis=0)], axis=1).tolist()
     text = base64.b64encode(packed).decode("ascii")
-    return Encoded(fields, text, stride, extent, [_shape(one) for one in shapes(table, dim)])
+    return Encoded(fields, text, stride, extent, [_shape(one) for one in outlines(table, dim)])
 
 
 def _shape(one: Outline) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import dijkstra
 from rendezvous_env.compilation import kernel
 from rendezvous_env.obstacles import capsule, shape
 from rendezvous_env.obstacles.capsule import CAPSULE
-from rendezvous_env.obstacles.obstacle_set import CENTRE, RADIUS, balls, entry, world_of
+from rendezvous_env.obstacles.obstacle_set import CENTRE, RADIUS, entry, outlines, world_of
 from rendezvous_env.obstacles.polygon import POLYGON
 from rendezvous_env.obstacles.shape import ABSENT
 from rendezvous_env.physics.vectors import ORIGIN, combine, dot, load, norm, subtract
@@ -155,7 +155,10 @@ def _points_around(table: Array, clearance: float) -> Array:
     height, azimuth = 1.0 - 2.0 * k / _ON_A_BALL, math.pi * (1.0 + math.sqrt(5.0)) * k
     aside = np.sqrt(1.0 - height**2)
     ways = np.stack([aside * np.cos(azimuth), aside * np.sin(azimuth), height], axis=-1)
-    lattices = [b.centre + (b.radius + clearance) / math.cos(_APART) * ways for b in balls(table)]
+    lattices = [
+        ball.centre + (ball.radius + clearance) / math.cos(_APART) * ways
+        for ball in outlines(table, 3)
+    ]
     return np.concatenate([np.empty((0, 3)), *lattices])
 
 

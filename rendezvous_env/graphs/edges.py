@@ -1,7 +1,6 @@
 """How the links of B teams are kept, and the list of one team that the equations take.
 
-Stages choose by these types while they are compiled, so that the step of one kind has nothing of
-the others in it.
+Stages choose by these types while they are compiled: a step contains the code of one kind alone.
 """
 
 from typing import NamedTuple
@@ -48,7 +47,7 @@ class Changes(NamedTuple):
 class DirectedEdges(NamedTuple):
     """Links that can be one-way, as a matrix for each team; only where a block holds one team.
 
-    What takes links as pairs gets those that a_ij or a_ji joins, with the mean of the two: then
+    As pairs they are those that a_ij or a_ji joins, with the mean ā_ij of the two: then
     V = 2 Σ ā_ij ‖p_i − p_j‖ over pairs is Σ_i Σ_j a_ij ‖p_i − p_j‖.
     """
 
@@ -156,15 +155,6 @@ def store_links(block, lane, count, links, scratch):
 def pair_index(i, j, n):
     """Place of the pair i < j in the list of all pairs of n robots, in the order of indices."""
     return i * n - i * (i + 1) // 2 + j - i - 1
-
-
-@kernel
-def copy_links(source, target, count):
-    """Copy the first ``count`` of some links (first, second, weights)."""
-    for e in range(count):
-        target[0][e] = source[0][e]
-        target[1][e] = source[1][e]
-        target[2][e] = source[2][e]
 
 
 @kernel

@@ -40,9 +40,8 @@ class GraphNumbers(NamedTuple):
     most_links: int
     """The most links that an episode can have."""
     most_neighbours: int
-    """The most neighbours that a robot can have in any episode, merges included: contraction leaves
-    a path a path and a cycle a cycle, and who sees one robot at most never comes to see two; others
-    it can turn into a star."""
+    """The most neighbours that a robot can have in any episode, merges included, see
+    ``weights.max_degree``."""
     max_degree: float
     """D̄, m/s: the largest D_i = Σ_j a_ij in any episode, merges included (theory 4)."""
     step_degree: float
@@ -83,8 +82,8 @@ def step_degree(n: int, worst: float, usual: float) -> float:
 class Graph:
     """A weighted sensing graph for any number of robots, or a family of them.
 
-    Make one with the functions of ``graphs`` rather than by hand. What is said here holds for
-    graphs whose edges are the same in every episode; other kinds say what differs there.
+    Make one with the functions of ``graphs``. This class is of graphs whose edges are the same in
+    every episode; other kinds say what differs.
     """
 
     kind: str
@@ -167,23 +166,19 @@ class Graph:
         weights: NDArray[np.float64] = self.sparse_weights(n).toarray()
         return weights
 
-    def draw(self, n: int, seed: int, episode: int, *, connected: bool) -> LinkArrays:
-        """The edges of one episode, of a family that is drawn outside the kernels."""
-        raise NotImplementedError
-
     # ---- numbers of theory 3 and 4 ------------------------------------------------------------
 
     def components(self, n: int) -> list[list[int]]:
         """Connected components as lists of robot indices; a family only draws connected graphs."""
-        return [list(piece) for piece in _components(self, n)]
+        return [list(piece) for piece in _groups(self, n, matrices.components)]
 
     def closed_groups(self, n: int) -> list[list[int]]:
         """Groups of robots who see nobody outside, see ``weights.closed_groups``."""
-        return [list(group) for group in _closed_groups(self, n)]
+        return [list(group) for group in _groups(self, n, matrices.closed_groups)]
 
     def why_not_joined(self, n: int) -> str | None:
         """Why robots of this graph can never all meet (theorem 1), or need not where it is directed
-        or changes (guarantees, section 10), in words; None if they do.
+        or changes (guarantees, section 10); None if they do.
         """
         pieces = self.components(n) if self.undirected else self.closed_groups(n)
         listed = " and ".join(map(str, pieces))
@@ -222,9 +217,7 @@ class Graph:
     extreme_weights = _number("extreme_weights")
 
     def start_reach(self, scenario: Any) -> float:
-        """Links up to this length, m, must connect every start that is drawn; infinite where none
-        need to.
-        """
+        """Links up to this length, m, must connect every start that is drawn; inf asks nothing."""
         return float(np.inf)
 
     # ---- plain data ---------------------------------------------------------------------------
@@ -240,20 +233,10 @@ class Graph:
             plain["probability"] = self.probability
         return plain
 
-    @classmethod
-    def from_plain(cls, plain: Mapping[str, Any]) -> Graph:
-        """A graph from the plain data of ``to_plain``, some keys left out."""
-        return parse(plain)
 
-
-@lru_cache(maxsize=8)  # as long as the team: of the last ones a certificate asks again and again
-def _components(graph: Graph, n: int) -> list[list[int]]:
-    return matrices.components(graph.sparse_weights(n))
-
-
-@lru_cache(maxsize=8)
-def _closed_groups(graph: Graph, n: int) -> list[list[int]]:
-    return matrices.closed_groups(graph.sparse_weights(n))
+@lru_cache(maxsize=16)  # as long as the team: of the last ones a certificate asks again and again
+def _groups(graph: Graph, n: int, found_by: Callable[[Any], list[list[int]]]) -> list[list[int]]:
+    return found_by(graph.sparse_weights(n))
 
 
 def class_of(kind: Any) -> type[Graph]:

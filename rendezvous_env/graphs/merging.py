@@ -1,8 +1,7 @@
 """Neighbours that come within the merge radius become one robot (assumption 2, theory 5).
 
-One team at a time, given by its places and its links: ``first[e] < second[e]`` are the robots of
-link e, ``weight[e]`` its a_ij in m/s. A link that merging makes superfluous gets the weight 0, so
-that the number of links never grows and nothing has to be allocated.
+One team at a time, given by its places and links: ``first[e] < second[e]`` are the robots of link
+e, ``weight[e]`` its a_ij in m/s. A superfluous link gets the weight 0; nothing is allocated.
 
 Where links can be one-way, a pair merges if either sees the other: a link then weighs the mean of
 a_ij and a_ji, which makes V of the links that of the arcs, and ``arcs`` holds the two.
@@ -21,9 +20,9 @@ from ..physics.vectors import load, subtract
 def merge_swept(positions, displacements, lengths, links, arcs, merged_into, world, radius, work):
     """Move one team by its displacements and merge whom the motion brings together (theory 5).
 
-    Pairs merge at the first moment of the motion when their distance falls to r, earliest first and
-    then by index; both rest for what is left of the step. Afterwards pairs that stand closer than r
-    merge, nearest first, until none is left.
+    Pairs merge at the first moment when their distance falls to r, earliest first and then by
+    index; both rest for what is left of the step. Afterwards pairs that stand closer than r merge,
+    nearest first, until none is left.
 
     Args:
         positions: (n, d), m; the start of the motion on entry, its end on return.

@@ -14,8 +14,8 @@ from .graph import Graph
 class ProximityGraph(CompleteGraph, kinds=("proximity",)):
     """Robot i sees robot j while j is within its sensor's range and field of view.
 
-    Its numbers are those of the complete graph, which it may become. Sight within a range is
-    mutual; with a field of view links can be one-way.
+    Its numbers are those of the complete graph, which it may become. With a field of view links can
+    be one-way.
     """
 
     fixed: ClassVar[bool] = False

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..checks import Registry
 from ..compilation import inner_kernel, kernel
 from ..physics.random_streams import GRAPH, uniform
-from .edges import copy_links, pair_index, sort_links
+from .edges import pair_index, sort_links
 from .fixed import CompleteGraph, Weight, as_range
 from .graph import KINDS, Graph, GraphNumbers, LinkArrays, step_degree
 from .weights import checked_edges, read_edges
@@ -159,7 +159,8 @@ def draw_links(key, n, rules, first, second, weights, places):
     capacity, counter, count = len(first), 0, 0
     if rules.topology == FIXED_EDGES:
         count = len(rules.first)
-        copy_links((rules.first, rules.second, rules.weights), (first, second, weights), count)
+        first[:count], second[:count] = rules.first, rules.second
+        weights[:count] = rules.weights
     else:
         joined = False
         if rules.topology == ERDOS_RENYI:
@@ -199,7 +200,9 @@ def _draw_pairs(key, counter, n, probability, first, second):
 
 @inner_kernel
 def _add_tree(key, counter, n, first, second, count, places):
-    """First-entry edges of a random walk on the complete graph: a uniform tree (Aldous–Broder)."""
+    """Add the first-entry edges of a random walk on the complete graph, a uniform tree
+    (Aldous–Broder), but for those that are among the sorted ``count`` already.
+    """
     places[:] = 0  # 1: visited
     here, left = 0, n - 1
     places[here] = 1
@@ -210,7 +213,7 @@ def _add_tree(key, counter, n, first, second, count, places):
         if places[there] == 0:
             places[there] = 1
             low, high = min(here, there), max(here, there)
-            if not _is_listed(low, high, first, second, drawn):
+            if not is_linked(low, high, (first[:drawn], second[:drawn])):
                 if count < len(first):
                     first[count], second[count] = low, high
                 count += 1
@@ -219,18 +222,10 @@ def _add_tree(key, counter, n, first, second, count, places):
     return count, counter
 
 
-@inner_kernel
-def _is_listed(low, high, first, second, count):
-    for e in range(count):
-        if first[e] == low and second[e] == high:
-            return True
-    return False
-
-
 @kernel
 def is_linked(i, j, links):
-    """Whether two robots i < j are linked by sorted links (first, second, weights)."""
-    first, second, _ = links
+    """Whether two robots i < j are linked by sorted links (first, second, …)."""
+    first, second = links[0], links[1]
     low, high = 0, len(first)
     while low < high:
         middle = (low + high) // 2

@@ -34,11 +34,10 @@ def _check_graphs(field: str, value: Any) -> tuple[Graph, ...]:
 
 @dataclass(frozen=True)
 class SwitchingGraph(Graph, kinds=("switching",)):
-    """A list of fixed graphs of which each holds for a dwell time.
+    """A list of fixed graphs of which each holds for a dwell time; merges hold in all of them.
 
-    Whom a merge has made one stays one in all of them. Their numbers are the worst of the list,
-    where robots may merge that are no neighbours in the graph at hand. It has no weights of its
-    own: ``weight_range`` is 1.
+    Its numbers are the worst of the list, as robots may merge that are no neighbours in the current
+    graph. It has no weights of its own: ``weight_range`` is 1.
     """
 
     fixed: ClassVar[bool] = False
@@ -78,8 +77,8 @@ class SwitchingGraph(Graph, kinds=("switching",)):
         return sees, seen, union[sees, seen]
 
     def numbers(self, n: int) -> GraphNumbers:
-        """The worst of the list, whoever has merged: merges in one graph gather the neighbours of
-        another. Graphs without links make nobody's D_i small.
+        """The worst of the list: merges in one graph gather the neighbours of another. Graphs
+        without links make nobody's D_i small.
         """
         found = [graph.numbers(n) for graph in self.graphs]
         worst = max(

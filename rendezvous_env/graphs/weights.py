@@ -78,8 +78,8 @@ def count_of(edges: Iterable[tuple[int, int, float]]) -> int:
 
 
 def checked_edges(edges: Any, n: int, *, directed: bool) -> Edges:
-    """Edges of ``read_edges`` as a graph of n robots keeps them, undirected ones with i < j; loops,
-    repeated edges and indices out of range are refused.
+    """Edges of ``read_edges`` as a graph of n robots keeps them, undirected ones with i < j, each
+    of two different robots and once, or they are refused.
     """
     if isinstance(edges, Edges):
         first, second, weight = edges.first, edges.second, edges.weight
@@ -113,8 +113,8 @@ def check_weights(
     *,
     directed: bool = False,
 ) -> None:
-    """Refuse a matrix that is no set of sensing weights: (n, n), non-negative, finite, zero on the
-    diagonal and, unless ``directed``, symmetric; the first wrong entry is named.
+    """Refuse weights that are not (n, n), non-negative, finite, zero on the diagonal and, unless
+    ``directed``, symmetric; the first wrong entry is named.
     """
     size = n if n is not None else (weights.shape[0] if weights.ndim else 0)
     if weights.shape != (size, size):
@@ -168,8 +168,8 @@ def _groups(count: int, labels: NDArray[Any]) -> list[list[int]]:
 def max_degree(weights: Any, *, directed: bool = False) -> float:
     """D̄: the largest D_i = Σ_j a_ij that merging can produce (theory 4), m/s.
 
-    A path stays a path and a cycle a cycle, so that nobody has more than two neighbours; whoever
-    sees one robot at most never comes to see two. Other components can become a star.
+    Nobody on a path or cycle comes to have more than two neighbours, and nobody who sees one robot
+    at most comes to see two. Other components can become a star.
     """
     from scipy.sparse.csgraph import connected_components
 
@@ -195,8 +195,8 @@ def bottleneck_weight(weights: Any) -> float:
 
 
 def closed_groups(weights: Any) -> list[list[int]]:
-    """Groups of robots who see nobody outside: the strongly connected components that no directed
-    edge leaves. If there is one alone, its robots are globally reachable (guarantees, section 10).
+    """Strongly connected components that no directed edge leaves; if there is only one, its robots
+    are globally reachable (guarantees, section 10).
     """
     from scipy.sparse.csgraph import connected_components
 

@@ -47,13 +47,14 @@ class Capsule(shape.Shape):
         """Dimension of the space it is in."""
         return len(self.ends[0])
 
-    def packed(self) -> shape.Packed:
+    def packed(self) -> list[float]:
         """Its row; the radius of the bounding ball is half its length."""
         first, second = np.array(self.ends)
-        half = [*((second - first) / 2).tolist(), 0.0][:3]
         reach = float(np.linalg.norm(second - first)) / 2 + self.radius
-        middle = tuple((first + second) / 2)
-        return shape.Packed(CAPSULE, 0, middle, reach, [*half, self.radius])
+        middle, half = (
+            [*vector.tolist(), 0.0][:3] for vector in ((first + second) / 2, (second - first) / 2)
+        )
+        return [CAPSULE, 0, reach, *middle, *half, self.radius]
 
 
 def _check_ends(field: str, value: Any) -> tuple[tuple[float, ...], ...]:
@@ -83,8 +84,8 @@ def _nearest_share(offset, half):
 
 @kernel
 def _surface(row, corners, point):
-    """‖o − s h‖ − R,   o = p − c,   s = clip(oᵀh/‖h‖², −1, 1): the segment has its middle at c and
-    ends c ± h; on it the normal is any direction across it.
+    """‖o − s h‖ − R,   o = p − c,   s = clip(oᵀh/‖h‖², −1, 1), of the segment from c − h to c + h;
+    on it the normal is any direction across it.
     """
     half, radius = _axis(row), row[_THICKNESS]
     offset = subtract(point, centre_of_row(row))
@@ -128,8 +129,8 @@ def _edges(row, corners, point):
 
 @kernel
 def _cone(row, corners, point, axes, out):
-    """The cone is convex, so of the rays cos θ u + sin θ (cos φ e + sin φ w), φ = k · 45° and θ in
-    [0, π], the first ones hit the capsule and the others miss it; θ is halved in.
+    """The cone is convex: of the rays cos θ u + sin θ (cos φ e + sin φ w), φ = k · 45°, those up to
+    some θ hit the capsule and the others miss it; it is found by bisection.
     """
     towards, e, w = axes
     half, radius = _axis(row), row[_THICKNESS]
@@ -157,23 +158,19 @@ def _is_hit(ray, offset, half, radius):
     return norm(add(across, share, half_across)) <= radius
 
 
-def _outline(row: NDArray[np.float64], _: int) -> shape.Outline:
-    """Two half circles, joined."""
-    half, centre = row[_AXIS : _AXIS + 2], row[MIDDLE : MIDDLE + 2]
+def _outlines(row: NDArray[np.float64], _: int, dim: int) -> list[shape.Outline]:
+    """Two half circles, joined; in 3-D balls along it."""
+    half, centre = row[_AXIS : _AXIS + dim], row[MIDDLE : MIDDLE + dim]
+    if dim == 3:
+        count = 1 + 2 * math.ceil(2 * float(np.linalg.norm(half)) / row[_THICKNESS])
+        shares = np.linspace(-1.0, 1.0, min(count, _MOST_BEADS)) if count > 1 else (0.0,)
+        return shape.round_outlines((centre + share * half for share in shares), row[_THICKNESS])
     bearing = math.atan2(half[1], half[0])
     ends = [
         centre + end * half + row[_THICKNESS] * np.stack([np.cos(around), np.sin(around)], axis=-1)
         for end, around in ((1.0, bearing + _ROUND_END), (-1.0, bearing + math.pi + _ROUND_END))
     ]
-    return shape.Outline(centre, float(row[BOUND]), np.concatenate(ends))
-
-
-def _balls(row: NDArray[np.float64]) -> list[shape.Ball]:
-    """Balls along it."""
-    centre, half, thickness = row[MIDDLE : MIDDLE + 3], row[_AXIS:_THICKNESS], row[_THICKNESS]
-    count = min(1 + 2 * math.ceil(2 * float(np.linalg.norm(half)) / thickness), _MOST_BEADS)
-    shares = np.linspace(-1.0, 1.0, count) if count > 1 else (0.0,)
-    return [shape.Ball(centre + share * half, float(thickness)) for share in shares]
+    return [shape.Outline(centre, float(row[BOUND]), np.concatenate(ends))]
 
 
 CAPSULES = shape.ShapeKind(
@@ -185,6 +182,5 @@ CAPSULES = shape.ShapeKind(
     edges=_edges,
     cone=_cone,
     numbers=4,
-    outline=_outline,
-    balls=_balls,
+    outlines=_outlines,
 )

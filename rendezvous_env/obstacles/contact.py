@@ -1,8 +1,8 @@
 """How obstacles stop a robot: swept motion along straight lines and arcs.
 
-A contact is a path that would go deeper than 1 µm into an obstacle; leaving, sliding along and
-shallower grazing are free. No robot passes through an obstacle at any speed, and none ends a step
-inside one. Where it makes contact a robot loses the part of its motion that would enter:
+A contact is a path more than 1 µm deep into an obstacle; leaving, sliding and shallower grazing are
+free. No robot passes through an obstacle at any speed, and none ends a step inside one. At a
+contact a robot loses the part of its motion that would enter:
 
     ṗ = Π_T(p) v,    T(p) = {w : wᵀn ≥ 0 for the normal n of every obstacle touched at p}
 
@@ -35,12 +35,10 @@ _NEARLY_PARALLEL = 1e-24  # square sine of the angle between two planes that mee
 def move_straight(point, way, world, mode, normals):
     """Move a robot straight, as far as the obstacles let it: ṗ = Π_T(p) v (theory 6).
 
-    It starts at a point, m, outside every obstacle or on its surface; ``way``, m, is what it would
-    do without obstacles, ``mode`` SLIDE, STOP or IGNORE, ``normals`` (2M, 3) working memory.
-
-    Returns:
-        Whether there was a contact, and the displacement executed, a triple, m: bit-equal to
-        ``way`` on a path that touches nothing.
+    It starts at a point, m, outside every obstacle or on a surface; ``way`` is its displacement
+    without obstacles, m, ``mode`` SLIDE, STOP or IGNORE, ``normals`` (2M, 3) working memory. It
+    returns whether there was a contact, and the displacement executed, a triple, m: ``way``, bit
+    for bit, where nothing is touched.
     """
     if mode == IGNORE:
         return False, way
@@ -52,9 +50,8 @@ def move_straight(point, way, world, mode, normals):
 
 @kernel
 def move_curved(point, way, model, action, frame, memory, world, mode, normals):
-    """As ``move_straight`` along a curved way, with what the equations of a robot model take.
-
-    From the contact on, what is left of the way is replaced by its chord, which slides.
+    """As ``move_straight`` along the curve of a robot model; from the contact on what is left of it
+    is replaced by its chord, which slides.
     """
     near, reach = False, model.speed_limit * model.duration
     for m in range(world.kinds.shape[0]):
@@ -116,9 +113,8 @@ def _follow(point, way, world, mode, normals):
 def _settle(start, path, share, pace, world):
     """The place after a share of a path, as ``place_on`` has it, moved outside the obstacles.
 
-    Where two surfaces meet so sharply that pushing it out of one pushes it into the other, it goes
-    back along the path a little, twice as far each time, at worst to the start. ``pace`` is the
-    longest way, m, for a share of 1.
+    Where surfaces meet so sharply that to leave one is to enter another, it goes back along the
+    path, twice as far each time, at worst to the start. ``pace``, m, is the longest way for 1.
     """
     retreat = CONTACT_DEPTH / max(CONTACT_DEPTH, pace)
     while share > 0.0 and retreat > 0.0:  # a path of infinite length leaves no retreat
@@ -157,12 +153,11 @@ def _push_out(point, world):
 
 @kernel
 def _first_contact_on_curve(point, curve, world):
-    """Time, s, until a curve meets the surface of the first obstacle that it enters deeper than
-    1 µm; inf if there is no contact, and if the chords run out, the time that was proved clear.
+    """Time, s, until a curve makes contact; inf if it does not, and if the chords run out, the time
+    that was proved clear.
 
-    The curve is followed chord by chord. A chord that clears all obstacles made fatter by what the
-    curve may be away from it (``motion.chord_error_bound``) proves its piece clear; if it does not,
-    the next one is half as long.
+    A chord that clears all obstacles made fatter by ``motion.chord_error_bound`` proves its piece
+    of the curve clear; if it does not, the next one is half as long.
     """
     model, action, _, memory = curve
     bent = chord_error_bound(model, action, memory)
@@ -197,7 +192,7 @@ def free_part(velocity, point, world, reach, touched):
 
     Of the projections onto the faces of the cone T — v itself, planes, the lines in which two
     planes meet, 0 — that lie in T, the longest is the projection onto T. Touched are obstacles
-    nearer to the point than ``reach``, m; two normals of each go to ``touched``, (2M, 3).
+    within ``reach``, m, of the point; two normals of each go to ``touched``, (2M, 3).
     """
     count = 0
     for m in range(world.kinds.shape[0]):

@@ -27,9 +27,9 @@ class _Round(shape.Shape):
     radius: Thickness
     """m."""
 
-    def packed(self) -> shape.Packed:
+    def packed(self) -> list[float]:
         """Its row."""
-        return shape.Packed(BALL, 0, self.centre, self.radius, [])
+        return [BALL, 0, self.radius, *self.centre, 0.0][: shape.DETAILS]
 
 
 @dataclass(frozen=True)
@@ -118,8 +118,5 @@ BALLS = shape.ShapeKind(
     normals=shape.one_normal(_surface),
     edges=_edges,
     cone=_cone,
-    outline=lambda row, _: shape.Outline(
-        row[MIDDLE : MIDDLE + 2], float(row[BOUND]), np.empty((0, 2))
-    ),
-    balls=lambda row: [shape.Ball(row[MIDDLE : MIDDLE + 3], float(row[BOUND]))],
+    outlines=lambda row, _, d: shape.round_outlines([row[MIDDLE : MIDDLE + d]], row[BOUND]),
 )

@@ -11,7 +11,7 @@ from ..limits import MOST_OBSTACLES
 from ..physics.random_streams import uniform
 from ..physics.vectors import load
 from .disc import BALL
-from .obstacle_set import CENTRE, RADIUS, distance_to
+from .obstacle_set import CENTRE, RADIUS, clear, distance_to
 from .reachability import none_walled_in
 from .shape import ABSENT, Drawn, Length, Range
 from .walls import WallField, WallRules, draw_walls
@@ -44,7 +44,7 @@ class ObstacleField(Drawn):
     """Whether obstacles may overlap."""
     passage: Length = 0.0
     """Every robot can reach every other through gaps at least this wide, m: a start where some are
-    walled in is drawn again. 0, and always in 3-D: that is not looked at."""
+    walled in is drawn again. 0, as always in 3-D, does not check."""
 
     numbers = 0
     only_balls = True
@@ -99,9 +99,7 @@ def draw_field(key, rules, starts, n_starts, world):
     1000 tries, those from there on are absent.
     """
     d = starts.shape[1]
-    world.kinds[:] = ABSENT
-    world.corners[:] = 0
-    world.shapes[:] = 0.0
+    clear(world)
     least, most = rules.counts
     low, high = rules.radius
     count = least + int(uniform(key, 0) * (most - least + 1))

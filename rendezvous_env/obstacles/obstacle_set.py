@@ -1,8 +1,7 @@
-"""All obstacles of a team together: where a shape enters the step, a table and a picture.
+"""All obstacles of a team: where a shape enters the step, a table and a picture.
 
-Kernels take an obstacle set: kinds, numbers of corners, and rows that begin with the bounding ball.
-What they ask of obstacle m is chosen by its kind. Compiled code for a set of balls contains nothing
-about other shapes.
+Kernels take kinds, numbers of corners, and rows that begin with the bounding ball. What they ask
+of obstacle m is chosen by its kind; code compiled for a set of balls contains no other shapes.
 """
 
 from __future__ import annotations
@@ -130,6 +129,14 @@ def clear_of_obstacles(point, world, margin):
 
 
 @kernel
+def clear(world):
+    """Let all slots be absent."""
+    world.kinds[:] = ABSENT
+    world.corners[:] = 0
+    world.shapes[:] = 0.0
+
+
+@kernel
 def within(world, m, point, reach):
     """Whether the bounding ball (c, R) of obstacle m is near: ‖p − c‖ ≤ R + reach, m."""
     if world.kinds[m] == ABSENT:
@@ -143,8 +150,8 @@ def within(world, m, point, reach):
 
 @kernel
 def silhouette_2d(world, m, point, out):
-    """Unit bearings of the counter-clockwise and the clockwise edge of obstacle m, seen from a
-    point outside it, into (2, d) ``out``; on the surface, the two directions along it.
+    """Unit bearings of both edges of obstacle m, the counter-clockwise first, seen from a point
+    outside it, into (2, d) ``out``; on the surface, the two directions along it.
     """
     left, right = _edges(world, m, point)
     store(left, out[0])
@@ -153,8 +160,8 @@ def silhouette_2d(world, m, point, out):
 
 @kernel
 def silhouette_3d(world, m, point, net_bearing, axis_x, axis_y, out):
-    """Boundary rays of the cone under which obstacle m is seen from a point outside it, at eight
-    azimuths k · 45° from that of ``azimuth_axes`` on, into (8, 3) ``out``; in the global frame.
+    """Boundary rays of the cone of obstacle m, seen from a point outside it, at the azimuths
+    k · 45° of ``azimuth_axes``, into (8, 3) ``out``; in the global frame.
     """
     towards, _ = centre_direction(point, centre_of_row(world.shapes[m]))
     e, w = azimuth_axes(towards, net_bearing, axis_x, axis_y)
@@ -167,27 +174,28 @@ def silhouette_3d(world, m, point, net_bearing, axis_x, axis_y, out):
 def pack(
     obstacles: Sequence[Obstacle], slots: int, width: int | None = None
 ) -> NDArray[np.float64]:
-    """Obstacles as a table (slots, width), rows left over absent; as narrow as possible if no width
-    is given. More obstacles, or larger ones, than there is room for are refused.
+    """Obstacles as a table (slots, width), by default as narrow as possible; the rows left over are
+    absent. More obstacles, or larger ones, than there is room for are refused.
     """
     rows = [obstacle.packed() for obstacle in obstacles]
-    needed = max((len(row.details) for row in rows), default=0)
-    room = needed if width is None else width - shape.DETAILS
+    needed = row_width(obstacles)
     if len(rows) > slots:
         there = f"the scenario has room for {slots}; set its obstacle_slots"
         raise ValueError(f"obstacles: {len(rows)} given, but {there}")
-    if needed > room:
+    if width is not None and needed > width:
         raise ValueError(
             "obstacles: one has more corners than any of the scenario's own obstacles, or is a "
             "capsule where the scenario has none"
         )
-    table = np.zeros((slots, shape.DETAILS + room))
-    table[:, KIND] = ABSENT
+    table = np.full((slots, width or needed), float(ABSENT))
     for row, packed in zip(table, rows, strict=False):
-        row[: shape.CENTRE] = packed.kind, packed.corners, packed.radius
-        row[shape.CENTRE : shape.CENTRE + len(packed.centre)] = packed.centre
-        row[shape.DETAILS : shape.DETAILS + len(packed.details)] = packed.details
+        row[: len(packed)] = packed
     return table
+
+
+def row_width(obstacles: Sequence[Obstacle]) -> int:
+    """Columns of a table: as few as the largest obstacle needs."""
+    return max((len(obstacle.packed()) for obstacle in obstacles), default=shape.DETAILS)
 
 
 def faults(
@@ -236,20 +244,10 @@ def check_outside(field: str, positions: NDArray[np.float64], value: Sequence[Ob
                 raise ValueError(f"{field}: robot_{i} at {position.tolist()} is {depth}")
 
 
-def outlines(table: NDArray[np.float64]) -> Iterator[shape.Outline]:
-    """Every obstacle of a table (M, width) of the plane that is there."""
-    for row, kind in _there(table):
-        if kind.outline is not None:
-            yield kind.outline(row[AHEAD:], int(row[shape.CORNERS]))
-
-
-def balls(table: NDArray[np.float64]) -> Iterator[shape.Ball]:
-    """Every obstacle of a table (M, width) of space that is there, as balls."""
-    for row, kind in _there(table):
-        if kind.balls is not None:
-            yield from kind.balls(row[AHEAD:])
-
-
-def _there(table: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.float64], shape.ShapeKind]]:
-    for row in table[table[:, KIND] != ABSENT]:
-        yield row, _KINDS[int(row[KIND])]
+def outlines(table: NDArray[np.float64], dim: int) -> list[shape.Outline]:
+    """Pictures of all obstacles of a table (M, width): discs and outlines, in 3-D balls."""
+    return [
+        outline
+        for row in table[table[:, KIND] != ABSENT]
+        for outline in _KINDS[int(row[KIND])].outlines(row[AHEAD:], int(row[shape.CORNERS]), dim)
+    ]

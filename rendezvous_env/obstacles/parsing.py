@@ -7,6 +7,7 @@ from dataclasses import MISSING, fields
 from typing import Any
 
 from ..checks import known_fields, refuse, shown
+from . import obstacle_set
 from .disc import Disc, Sphere
 from .fields import Field, ObstacleField
 from .obstacle_set import SHAPES, Obstacle
@@ -69,19 +70,12 @@ def _from_plain(plain: Mapping[str, Any], dim: int) -> Obstacle | Field:
     known_fields(values, (*keys, "kind"), f"obstacles: a {kind}", "key")
     if missing := [key for key, needed in keys.items() if needed and key not in values]:
         raise ValueError(f"obstacles: a {kind} needs {missing[0]}")
-    return _KINDS[kind](**{key: _as_tuples(value) for key, value in values.items()})
+    return _KINDS[kind](**values)
 
 
 def _keys(kind: str) -> dict[str, bool]:
     """Keys of a kind in files, and whether each is needed."""
     return {field.name: field.default is MISSING for field in fields(_KINDS[kind])}  # type: ignore[arg-type]
-
-
-def _as_tuples(value: Any, depth: int = 3) -> Any:
-    """Lists of lists of lists as tuples; nothing that describes an obstacle is nested deeper."""
-    if not isinstance(value, list) or depth == 0:
-        return value
-    return tuple(_as_tuples(entry, depth - 1) for entry in value)
 
 
 def to_plain(value: Obstacles) -> dict[str, Any] | list[dict[str, Any]]:
@@ -107,7 +101,7 @@ def row_width(value: Obstacles) -> int:
     """Columns of the table of a scenario's obstacles: as few as the largest of them needs."""
     if isinstance(value, Field):
         return DETAILS + value.numbers
-    return DETAILS + max((len(obstacle.packed().details) for obstacle in value), default=0)
+    return obstacle_set.row_width(value)
 
 
 def only_balls(value: Obstacles) -> bool:

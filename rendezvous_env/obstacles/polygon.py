@@ -29,11 +29,7 @@ _VERTEX_TOLERANCE = 1e-9  # m; on a vertex are points that are no deeper behind 
 
 @dataclass(frozen=True)
 class Polygon(shape.Shape):
-    """A convex obstacle in the plane.
-
-    Compose other shapes of several convex ones, and let them overlap: a robot is a point and finds
-    its way along a seam.
-    """
+    """A convex obstacle in the plane; others are composed of several that overlap."""
 
     vertices: Annotated[tuple[tuple[float, float], ...], _check_vertices]
     """Corners in m, kept counter-clockwise; the last is joined to the first."""
@@ -50,11 +46,11 @@ class Polygon(shape.Shape):
             y += triangle * (y1 - y0 + y2 - y0)
         return x0 + x / (3 * doubled), y0 + y / (3 * doubled)
 
-    def packed(self) -> shape.Packed:
+    def packed(self) -> list[float]:
         """Its row; the bounding ball is about the centre of the area."""
         centre, vertices = self.centroid, np.array(self.vertices)
         radius = float(np.linalg.norm(vertices - np.array(centre), axis=1).max())
-        return shape.Packed(POLYGON, len(vertices), centre, radius, vertices.ravel().tolist())
+        return [POLYGON, len(vertices), radius, *centre, 0.0, *vertices.ravel().tolist()]
 
 
 def _twice_area(vertices: Sequence[tuple[float, ...]]) -> float:
@@ -107,10 +103,8 @@ def _edge(row, corners, k):
 
 @kernel
 def _surface(row, corners, point):
-    """max_k n_kᵀ(p − v_k) inside, min_q ‖p − q‖ over the edges outside.
-
-    The plane falls into the inside, one strip before each edge and one wedge before each vertex. On
-    a vertex, where there is no one normal, it is that of an adjacent edge.
+    """max_k n_kᵀ(p − v_k) inside; min_q ‖p − q‖ outside, in a strip before each edge and a wedge
+    before each vertex. On a vertex the normal is that of an adjacent edge.
     """
     highest, normal_x, normal_y = -np.inf, 0.0, 0.0
     nearest, vertex_x, vertex_y = np.inf, 0.0, 0.0
@@ -188,9 +182,9 @@ def _edges(row, corners, point):
     return (left_x / left, left_y / left, 0.0), (right_x / right, right_y / right, 0.0)
 
 
-def _outline(row: NDArray[np.float64], corners: int) -> shape.Outline:
+def _outlines(row: NDArray[np.float64], corners: int, _: int) -> list[shape.Outline]:
     vertices = row[OWN : OWN + 2 * corners].reshape(-1, 2)
-    return shape.Outline(row[MIDDLE : MIDDLE + 2], float(row[BOUND]), vertices)
+    return [shape.Outline(row[MIDDLE : MIDDLE + 2], float(row[BOUND]), vertices)]
 
 
 POLYGONS = shape.ShapeKind(
@@ -201,5 +195,5 @@ POLYGONS = shape.ShapeKind(
     edges=_edges,
     normals=_normals,
     least_corners=3,
-    outline=_outline,
+    outlines=_outlines,
 )

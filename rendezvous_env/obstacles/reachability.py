@@ -1,11 +1,11 @@
 """Whether discs wall robots in, each from the others.
 
-Two discs that overlap are joined by the segment of their centres, which lies in both together. A
-point p and a point q outside the union lie in different parts of the plane if and only if some
-closed chain of joined discs goes round one of them and not the other: its segments then cross the
-segment p q an odd number of times (Alexander duality modulo 2; that chains of segments find every
-hole is the nerve theorem). So p and q are together if and only if every disc can be given a side, 0
-or 1, such that two joined discs are on different sides exactly if their segment crosses p q.
+Discs that overlap are joined by the segment of their centres. Points p and q outside the union lie
+in different parts of the plane if and only if some closed chain of joined discs goes round one of
+them and not the other: its segments cross the segment p q an odd number of times (Alexander duality
+modulo 2; by the nerve theorem such chains find every hole). So p and q are together if and only if
+every disc can be given a side, 0 or 1, such that joined discs are on different sides exactly if
+their segment crosses p q.
 """
 
 from ..compilation import inner_kernel, kernel

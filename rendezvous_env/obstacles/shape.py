@@ -1,7 +1,5 @@
 """What every shape of an obstacle has: the protocol, the checks of its numbers, its row.
 
-An obstacle is a row of numbers, which files and pictures read:
-
     [kind, number of corners, radius of the bounding ball, centre x, y, z, …]
 
 followed by what its shape needs; in the plane z = 0. Kernels take kind and number of corners by
@@ -12,7 +10,7 @@ themselves, and the rest as the row. A new shape is a file like ``capsule`` that
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Annotated, Any, NamedTuple
 
@@ -50,18 +48,8 @@ def check_point(field: str, value: Any, dim: int) -> tuple[float, ...]:
     return tuple(real(x) for x in point)
 
 
-class Packed(NamedTuple):
-    """An obstacle as the numbers of its row; centre and radius, m, are of its bounding ball."""
-
-    kind: int
-    corners: int
-    centre: tuple[float, ...]
-    radius: float
-    details: list[float]  # what follows in the row
-
-
 class Drawn:
-    """What a user sets about obstacles: a frozen dataclass, whose fields are what files say."""
+    """What a user sets about obstacles: a frozen dataclass with the keys of files as fields."""
 
     def __post_init__(self) -> None:
         check_fields(self, f"obstacles: {type(self).__name__}.{{}}")
@@ -75,60 +63,53 @@ class Shape(Drawn):
         """Dimension of the space it is in."""
         raise NotImplementedError
 
-    def packed(self) -> Packed:
-        """Its row."""
+    def packed(self) -> list[float]:
+        """Its row of a table."""
         raise NotImplementedError
 
 
 class Outline(NamedTuple):
-    """An obstacle of the plane, as pictures draw it; m."""
+    """An obstacle as pictures draw it, or one of the balls that stand for it in 3-D; m."""
 
-    centre: NDArray[np.float64]  # (2,), of the bounding disc
-    radius: float  # of the bounding disc
-    vertices: NDArray[np.float64]  # (k, 2); none for a disc, which its bounding disc is
+    centre: NDArray[np.float64]  # (d,), of the bounding ball
+    radius: float  # of the bounding ball
+    vertices: NDArray[np.float64]  # (k, d); none where it is its bounding ball
 
 
-class Ball(NamedTuple):
-    """A ball in 3-D, as pictures draw it; m."""
-
-    centre: NDArray[np.float64]  # (3,)
-    radius: float
+def round_outlines(centres: Iterable[NDArray[np.float64]], radius: float) -> list[Outline]:
+    """Discs or balls of one radius."""
+    return [Outline(centre, float(radius), np.empty((0, len(centre)))) for centre in centres]
 
 
 class ShapeKind(NamedTuple):
-    """All that is asked of one kind of shape. Kernels take the row and the number of corners of an
-    obstacle first; points and vectors are triples, m, with z = 0 in the plane.
+    """One kind of shape. Kernels take row and number of corners first; points and vectors are
+    triples, m, with z = 0 in the plane.
     """
 
     kind: int
     """Number of the kind in tables."""
     classes: dict[str, type[Any]]
-    """What users make, by the names that files have for them."""
+    """What users make, by its name in files."""
     surface: Callable[..., Any]
     """(row, corners, point) → signed distance ± min_q ‖p − q‖ over the surface, m, negative inside,
     and the outward unit normal at the nearest q."""
     entry: Callable[..., Any]
     """(row, corners, point p, way w, depth) → least s in [0, 1] at which p + s w meets the surface,
-    if the way goes deeper in than ``depth``, m; else inf. A negative depth makes the obstacle
-    fatter by so much."""
+    if the way goes deeper in than ``depth``, m; else inf. Negative depths make it fatter."""
     normals: Callable[..., Any]
-    """(row, corners, point) → two normals where the point touches it, which differ where it may
-    slide either way; ``one_normal`` makes it of ``surface``."""
+    """(row, corners, point) → both normals at a point that touches it, the same but on vertices."""
+    outlines: Callable[[NDArray[np.float64], int, int], list[Outline]]
+    """(row, corners, dimension) → picture."""
     edges: Callable[..., Any] | None = None
-    """(row, corners, point) → unit bearings of the counter-clockwise and the clockwise edge, seen
-    from a point outside; None for shapes of space alone."""
+    """(row, corners, point outside) → unit bearings of the counter-clockwise and the clockwise
+    edge; None for shapes of space alone."""
     cone: Callable[..., Any] | None = None
-    """(row, corners, point, axes, out): boundary rays of the cone under which it is seen, at
-    azimuths k · 45°, into (8, 3) ``out``; ``axes`` are u towards the centre, e at azimuth 0, u × e.
-    None for shapes of the plane alone."""
+    """(row, corners, point, axes, out): boundary rays of its cone at azimuths k · 45°, into (8, 3)
+    ``out``; ``axes`` are u towards the centre, e at azimuth 0, u × e. None in the plane alone."""
     numbers: int = 0
-    """Numbers that its row needs beyond the bounding ball, corners aside."""
+    """In its row beyond the bounding ball, corners aside."""
     least_corners: int = 0
     """3 of polygons; 0 of what has none."""
-    outline: Callable[[NDArray[np.float64], int], Outline] | None = None
-    """(row, corners) → picture in the plane."""
-    balls: Callable[[NDArray[np.float64]], list[Ball]] | None = None
-    """row → picture in 3-D."""
 
 
 def one_normal(surface: Callable[..., Any]) -> Any:

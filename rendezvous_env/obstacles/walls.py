@@ -1,10 +1,9 @@
 """Straight walls of the plane that are drawn anew for every episode, by layout.
 
-No layout closes anything in. Each consists of pieces that lie apart from one another: the U of a
-trap, both walls of a corridor, the cross in the middle of rooms, and the outer part of each of
-their walls. Each piece can be drawn together into a point of its own, and such pieces, however
-many, leave what is around them in one part. So robots outside the walls can always reach one
-another, and nothing has to be looked at but that they are outside.
+No layout closes anything in. Its pieces lie apart from one another, and each can be contracted to a
+point: the U of a trap, both walls of a corridor, the cross in the middle of rooms and the outer
+part of each of their walls. Such pieces, however many, leave the plane around them connected. So
+robots outside the walls can always reach one another.
 """
 
 from __future__ import annotations
@@ -17,9 +16,9 @@ from ..checks import refuse
 from ..compilation import inner_kernel, kernel
 from ..physics.random_streams import uniform
 from ..physics.vectors import load
-from .obstacle_set import CENTRE, DETAILS, RADIUS, clear_of_obstacles
+from .obstacle_set import CENTRE, DETAILS, RADIUS, clear, clear_of_obstacles
 from .polygon import POLYGON
-from .shape import ABSENT, Drawn, Length, Range, Thickness
+from .shape import Drawn, Length, Range, Thickness
 
 LAYOUTS = {"trap": 3, "corridor": 2, "rooms": 8}
 """Names of layouts, and the boxes that each consists of."""
@@ -37,9 +36,8 @@ class WallField(Drawn):
     """Walls of a layout, at a place and at an angle that are drawn anew for every episode.
 
     A trap is a U; a corridor two walls side by side; rooms are the four quarters between four walls
-    that meet in the middle, with a door in each. None of them closes anything in, wherever it
-    stands, so every start is possible; but a robot that may not walk away from the others, as under
-    law (4), is caught.
+    that meet in the middle, with a door in each. None closes anything in, so every start is
+    possible; but a robot that may not move away from the others, as under law (4), is caught.
     """
 
     layout: Literal["trap", "corridor", "rooms"]
@@ -55,7 +53,6 @@ class WallField(Drawn):
     keep_out: Length
     """No robot starts nearer than this to a surface, m."""
 
-    dim = 2
     numbers = BOX
     only_balls = False
 
@@ -75,8 +72,6 @@ class WallField(Drawn):
     def most(self) -> int:
         """Number of obstacles."""
         return LAYOUTS[self.layout]
-
-    boxes = most
 
     @property
     def rules(self) -> WallRules:
@@ -102,14 +97,11 @@ def draw_walls(key, rules, starts, n_starts, world):
     they are absent.
     """
     for trial in range(_TRIES):
-        world.kinds[:] = ABSENT
-        world.corners[:] = 0
-        world.shapes[:] = 0.0
+        clear(world)
         _draw_layout(key, trial * _NUMBERS, rules, world)
         if _keeps_out(world, starts, n_starts, rules.keep_out):
             return True
-    world.kinds[:] = ABSENT
-    world.corners[:] = 0
+    clear(world)
     return False
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..obstacles.obstacle_set import balls
+from ..obstacles.obstacle_set import outlines
 from .scene import Bools, Floats, outermost
 
 _AZIMUTH, _ELEVATION = math.radians(-62.0), math.radians(24.0)  # of the eye, in 3-D
@@ -81,7 +81,7 @@ class Camera(NamedTuple):
         """(m,), whether a sphere of a table stands between the eye and each point (m, d), m; in the
         plane nothing is hidden.
         """
-        spheres = [] if math.isinf(self.distance) else list(balls(obstacles))
+        spheres = [] if math.isinf(self.distance) else outlines(obstacles, 3)
         if not spheres:
             return np.zeros(len(points), dtype=np.bool_)
         centres = np.array([ball.centre for ball in spheres])

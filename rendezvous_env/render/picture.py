@@ -7,12 +7,13 @@ import math
 import numpy as np
 import pygame
 
+from ..obstacles.obstacle_set import outlines
 from ..scenario.scenario import Scenario
 from . import ink
 from .camera import Area, fit, nice_step
 from .history import History, Moment
 from .palette import OBSTACLE, OBSTACLE_EDGE, mixed, robot_colour
-from .scene import Bools, Floats, ended, facing, shapes
+from .scene import Bools, Floats, ended, facing
 
 _MARGIN = 18  # pixels
 _ROBOT = 6.5  # radius of a robot, pixels; one that others have joined is larger
@@ -43,7 +44,7 @@ class TeamPicture:
         self._front, self._spheres = self._ground, None
         if scenario.dim == 2:
             self._draw_obstacles(self._ground)
-        elif shapes(history.obstacles, 3):
+        elif outlines(history.obstacles, 3):
             self._front = pygame.Surface(size, pygame.SRCALPHA)
             self._spheres = pygame.Surface(size, pygame.SRCALPHA)
             self._draw_obstacles(self._spheres)
@@ -100,7 +101,7 @@ class TeamPicture:
         """Obstacles from the farthest to the nearest; spheres a little lighter at their top."""
         camera, draw = self.camera, pygame.draw
         for centre, size, vertices in sorted(
-            shapes(self.history.obstacles, self._scenario.dim),
+            outlines(self.history.obstacles, self._scenario.dim),
             key=lambda shape: float(camera.nearness(shape.centre)),
         ):
             if len(vertices):

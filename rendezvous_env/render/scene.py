@@ -8,18 +8,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..obstacles.obstacle_set import balls, outlines
-from ..obstacles.shape import Outline
+from ..obstacles.obstacle_set import outlines
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-
-
-def shapes(obstacles: Floats, dim: int) -> list[Outline]:
-    """Discs and outlines of a table (M, width) of obstacles; in 3-D balls, without vertices."""
-    if dim == 2:
-        return list(outlines(obstacles))
-    return [Outline(ball.centre, ball.radius, np.zeros((0, 3))) for ball in balls(obstacles)]
 
 
 def outermost(positions: Floats, obstacles: Floats) -> Floats:
@@ -28,7 +20,7 @@ def outermost(positions: Floats, obstacles: Floats) -> Floats:
     arms = np.concatenate([np.eye(d), -np.eye(d)])
     ends = [
         vertices if len(vertices) else centre + radius * arms
-        for centre, radius, vertices in shapes(obstacles, d)
+        for centre, radius, vertices in outlines(obstacles, d)
     ]
     return np.concatenate([positions.reshape(-1, d), *ends])
 

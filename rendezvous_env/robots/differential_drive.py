@@ -1,8 +1,8 @@
-"""A machine under a policy: from a wanted velocity to the wheels of a differential drive.
+"""From the desired velocity of a policy to the wheels of a differential drive.
 
-Plain Python, for one robot. Bearings and wanted velocities are those of the point P at a distance l
-ahead of the axle, which can go any way, though the axle cannot. With a velocity (x, y) of P in the
-body frame, x ahead, y to the left,
+Plain Python, for one robot. Bearings and velocities are those of the point P at a distance l ahead
+of the axle, which can move in any direction, though the axle cannot. With a velocity (x, y) of P in
+the body frame, x ahead, y to the left,
 
     v = x,   ω = y/l                                          (speed and turn rate of the body)
     w = (2v ∓ L ω)/(2R)                                       (left and right wheel, rad/s)
@@ -12,8 +12,8 @@ of wheels of radius R, L apart. They are limited together:
     w ← w min(1, W/max|w|)                                    (speed)
     w ← w₋ + (w − w₋) min(1, A dt/max|w − w₋|)                (acceleration, from w₋ before)
 
-The first keeps the direction in which P goes, as x : y = v : l ω. The second brings both wheels to
-what is wanted at the same time.
+The first keeps the direction of P, as x : y = v : l ω. With the second both wheels reach what is
+wanted at the same time.
 """
 
 from __future__ import annotations
@@ -49,56 +49,22 @@ class Machine(NamedTuple):
     """s without a new command, after which the robot stops."""
 
 
-def body_rates(velocity: Sequence[float], yaw: float, lead: float) -> Pair:
-    """Speed and turn rate (v, ω), m/s and rad/s, with which P has a velocity (x, y), m/s, in a
-    frame in which the body has the yaw θ, rad.
-
-        v = x cos θ + y sin θ,   ω = (y cos θ − x sin θ)/l
-    """
-    x, y = float(velocity[0]), float(velocity[1])
-    c, s = math.cos(yaw), math.sin(yaw)
-    return c * x + s * y, (c * y - s * x) / lead
-
-
-def wheel_speeds(rates: Pair, machine: Machine) -> Pair:
-    """Left and right wheel (2v ∓ Lω)/(2R), rad/s, of a speed and a turn rate."""
-    v, turn = rates[0], 0.5 * machine.base_length * rates[1]
-    return (v - turn) / machine.wheel_radius, (v + turn) / machine.wheel_radius
-
-
-def rates_of_wheels(wheels: Pair, machine: Machine) -> Pair:
-    """Undo ``wheel_speeds``: v = R (w_r + w_l)/2 and ω = R (w_r − w_l)/L, m/s and rad/s."""
-    left, right = wheels
-    radius, base = machine.wheel_radius, machine.base_length
-    return 0.5 * radius * (left + right), radius * (right - left) / base
-
-
-def within_reach(wheels: Pair, before: Pair, most: float) -> Pair:
-    """As far towards w as both come: w₋ + (w − w₋) min(1, M/max|w − w₋|), rad/s."""
-    left, right = wheels[0] - before[0], wheels[1] - before[1]
-    largest = max(abs(left), abs(right))
-    if largest <= most:
-        return wheels
-    return before[0] + left * most / largest, before[1] + right * most / largest
-
-
 def keep_apart(velocity: Sequence[float], near: ArrayLike, rooms: ArrayLike = 0.0) -> Pair:
-    """The velocity nearest to a wanted one, v, (x, y), m/s, that approaches nothing near by more
-    than is left.
+    """The velocity nearest to a desired one, v, (x, y), m/s, that keeps away from what is near.
 
         min ‖x − v‖²   subject to   x·g_k ≤ c_k                    (buffered Voronoi cells)
 
-    Robots that obey with 0 come no nearer while they go, though each knows no more than in which
-    direction the others are that are near. With c_k = (d_k − D)/(2 dt), of a distance d_k that is
-    known, they come as near as D, and no nearer (Zhou et al. 2017).
+    With c_k = 0 robots come no nearer while they move; each needs to know only the directions of
+    those nearby. With c_k = (d_k − D)/(2 dt), for known distances d_k, they come no nearer than D
+    (Zhou et al. 2017).
 
     Args:
         velocity: v.
         near: g_k, (k, 2), unit vectors to what is near, in the frame of the velocity.
-        rooms: c_k, (k,) or one for all, m/s; less than 0 is 0.
+        rooms: c_k, (k,) or one for all, m/s; less than 0 counts as 0.
 
     Raises:
-        ValueError: naming the argument of another shape, or that is not finite.
+        ValueError: naming the argument that has another shape or is not finite.
     """
     normals = floats("near", near).reshape(-1, 2)
     most = np.maximum(np.broadcast_to(floats("rooms", rooms), len(normals)), 0.0)
@@ -125,7 +91,7 @@ class DifferentialDrive:
         self.reset()
 
     def reset(self) -> None:
-        """It stands, without a command."""
+        """At rest, without a command."""
         self.wheels: Pair = (0.0, 0.0)
         """Last commanded, left and right, rad/s."""
         self._wanted: Pair = (0.0, 0.0)
@@ -143,9 +109,12 @@ class DifferentialDrive:
         if not math.isfinite(real(yaw)):
             refuse("yaw", yaw, "a finite number (rad)")
         positive("dt", dt, "s")
-        left, right = wheel_speeds(body_rates(velocity, yaw, self.machine.lead), self.machine)
-        largest, most = max(abs(left), abs(right)), self.machine.wheel_speed
-        factor = most * _BELOW / largest if largest > most else 1.0
+        machine, x, y = self.machine, float(velocity[0]), float(velocity[1])
+        c, s = math.cos(yaw), math.sin(yaw)
+        ahead, turn = c * x + s * y, 0.5 * machine.base_length * ((c * y - s * x) / machine.lead)
+        left, right = (ahead - turn) / machine.wheel_radius, (ahead + turn) / machine.wheel_radius
+        largest = max(abs(left), abs(right))
+        factor = machine.wheel_speed * _BELOW / largest if largest > machine.wheel_speed else 1.0
         self._wanted, self._age = (left * factor, right * factor), 0.0
         return self._go(dt)
 
@@ -157,6 +126,12 @@ class DifferentialDrive:
         return self._go(dt)
 
     def _go(self, dt: float) -> Pair:
-        most = self.machine.wheel_acceleration * dt
-        self.wheels = within_reach(self._wanted, self.wheels, most)
-        return rates_of_wheels(self.wheels, self.machine)
+        """Accelerate both wheels; v = R (w_r + w_l)/2 and ω = R (w_r − w_l)/L."""
+        machine, (left, right) = self.machine, self._wanted
+        before, most = self.wheels, machine.wheel_acceleration * dt
+        largest = max(abs(left - before[0]), abs(right - before[1]))
+        if largest > most:
+            left = before[0] + (left - before[0]) * most / largest
+            right = before[1] + (right - before[1]) * most / largest
+        self.wheels, radius = (left, right), machine.wheel_radius
+        return 0.5 * radius * (left + right), radius * (right - left) / machine.base_length

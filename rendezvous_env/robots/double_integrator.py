@@ -3,11 +3,11 @@
     p̈ = a,    ‖a‖ ≤ a_max,    ‖ṗ‖ ≤ v_max
 
 An acceleration that would exceed the speed limit at the end of the step is replaced by the constant
-one that reaches the limit in the same direction of motion; so the motion is exact for a held input,
-and the speed never exceeds the limit within the step: ‖ṗ‖ is convex along it.
+one that reaches the limit in the same direction of motion. So the motion is exact for a held input,
+and the speed keeps within the limit: ‖ṗ‖ is convex along the step.
 
-An obstacle takes away what of the velocity goes into it, without friction; where a contact stops a
-robot it takes away everything.
+An obstacle takes away the part of the velocity that goes into it, without friction; where a contact
+stops a robot, all of it.
 """
 
 import math

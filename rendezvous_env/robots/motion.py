@@ -1,14 +1,13 @@
 """How a robot moves while its action is held: the seam at which a robot model enters the step.
 
 A robot model is a NamedTuple of constants, whose type says which equations hold, and a ``Motion``
-of seven functions of numbers and small tuples. ``describe`` joins the two. Compiled code chooses
-the functions by that type while it is compiled; nothing is looked up in a step.
+of functions of numbers and small tuples. ``describe`` joins the two. The functions are chosen by
+that type while the step is compiled.
 
-Everywhere ``action`` is the robot's action in its own frame, a tuple of numbers as it was given;
-``frame`` its rotation to the global frame, row by row; ``memory`` what the model keeps from step to
-step (angles, a velocity), a tuple that may be empty. A model applies its own limits to the action.
-A model that keeps nothing moves straight: neither ``displacement_at`` nor ``chord_error_bound``
-is asked then.
+``action`` is the robot's action in its own frame, a tuple of numbers as given, to which the model
+applies its limits; ``frame`` its rotation to the global frame, row by row; ``memory`` what the
+model keeps from step to step (angles, a velocity), a tuple that may be empty. A model that keeps
+nothing moves straight, and is asked neither ``displacement_at`` nor ``chord_error_bound``.
 """
 
 from __future__ import annotations
@@ -24,8 +23,7 @@ from ..kernel_cache import depends_on
 from ..physics.vectors import scaled
 
 FREE, SLID, STOPPED = range(3)
-"""Whether a robot has met an obstacle in a step, and what it did then: nothing met; it slid on;
-it rests where it met it."""
+"""A robot touched no obstacle in a step, slid along one, or rests where it touched it."""
 
 
 @kernel(inline="code")
@@ -66,8 +64,8 @@ def _start_with_nothing(model, key, counter):
 
 class _Equations(NamedTuple):
     propose: Callable[..., Any]
-    """(model, action, frame, memory) → displacement in the global frame over the step, m, a pair or
-    triple, and the length of the way, m; as if nothing were in it."""
+    """(model, action, frame, memory) → displacement over the step in the global frame, m, a pair or
+    triple, and the length of the way, m, without obstacles."""
     displacement_at: Callable[..., Any] = _evenly
     """(model, action, frame, memory, time) → displacement after so much of the step, m."""
     chord_error_bound: Callable[..., Any] = _straight
@@ -85,8 +83,8 @@ class _Equations(NamedTuple):
     """(model, key, counter) → memory at the start of an episode, drawn from at most three numbers
     of the stream ``key`` from ``counter`` on."""
     closes: Callable[..., Any] = _never
-    """(model, action, memory) → time after which the way has come back to where it began and goes
-    on as it did then, s; inf if it never does. Contacts are looked for no longer than that."""
+    """(model, action, memory) → period of the way, s, inf if it never closes; contacts are looked
+    for no longer than that."""
     drifts: bool = True
     """Whether a robot may move while its action is zero; False saves a look at every robot."""
 
@@ -100,8 +98,8 @@ _RENAMED = {  # names of equations in version 0.2
 
 
 class Motion(_Equations):
-    """The equations of one robot model; what is left out is that of a robot that moves straight at
-    an even speed, keeps nothing, has a fixed frame and senses nothing of itself.
+    """The equations of one robot model; by default those of a robot that moves straight at an even
+    speed, keeps nothing, has a fixed frame and senses nothing of itself.
     """
 
     __slots__ = ()
@@ -162,9 +160,7 @@ def _equation(name: str) -> Any:
 
 @_equation("propose")
 def propose(model, action, frame, memory):
-    """What a robot would do in a step with nothing in its way: Δ = ∫₀^τ ṗ dt in the global frame, a
-    pair or triple, m, and the length of the way ∫₀^τ ‖ṗ‖ dt, m.
-    """
+    """∫₀^τ ṗ dt without obstacles, in the global frame, a pair or triple, and ∫₀^τ ‖ṗ‖ dt, m."""
 
 
 @_equation("displacement_at")

@@ -24,11 +24,8 @@ _ROUNDING = 1e-9
 
 
 def _check_dims(field: str, value: Any) -> tuple[int, ...]:
-    if (
-        not isinstance(value, tuple)
-        or not value
-        or not all(is_whole(dim) and dim in (2, 3) for dim in value)
-    ):
+    known = isinstance(value, tuple) and all(is_whole(dim) and dim in (2, 3) for dim in value)
+    if not known or not value:
         refuse(field, value, "a tuple of 2 and 3, or of one of them")
     return value
 
@@ -74,10 +71,8 @@ class RobotModel:
             refuse("name of a robot model", self.name, "a word of letters, digits and _")
         check_fields(self, f"{{}} of robot model {self.name!r}")
         for dim in self.dims:
-            size, wanted = (
-                self.memory_size(dim),
-                f"from {self.n_angles}, its angles, to {MOST_KEPT}",
-            )
+            size = self.memory_size(dim)
+            wanted = f"from {self.n_angles}, its angles, to {MOST_KEPT}"
             right = is_whole(size) and self.n_angles <= size <= MOST_KEPT
             if right and self.keeps_velocity:
                 right, wanted = size == self.n_angles + dim, f"{self.n_angles + dim} with velocity"
@@ -93,16 +88,6 @@ class RobotModel:
     def nonholonomic(self) -> bool:
         """Whether the robot can only move along its body axis."""
         return self.n_angles > 0
-
-    @property
-    def senses_gravity(self) -> bool:
-        """Whether the observation has a gravity row: law (17) needs the pitch."""
-        return self.senses == "gravity"
-
-    @property
-    def senses_velocity(self) -> bool:
-        """Whether the observation has a row for the robot's own velocity."""
-        return self.senses == "velocity"
 
 
 ROBOT_MODELS: dict[str, RobotModel] = {}

@@ -27,7 +27,6 @@ from ..rewards.terms import RewardWeights
 from ..robots.robot_models import ROBOT_MODELS, RobotModel, try_with
 from ..sensors.sensing import Sensing
 from . import scenario_files
-from .bodies import check_bodies
 from .observation_layout import ObservationLayout
 from .start_options import check_apart, check_positions, check_table
 
@@ -49,10 +48,6 @@ def _check_dim(field: str, value: Any) -> int:
     if not checks.is_whole(value) or value not in (2, 3):
         checks.refuse(field, value, "2 or 3")
     return int(value)
-
-
-def _check_model(field: str, value: Any) -> str:
-    return checks.choice(field, value, ROBOT_MODELS)
 
 
 def _of_class(made: Any) -> Callable[[str, Any], Any]:
@@ -89,7 +84,7 @@ class Scenario:
     """Number of robots n, at least 2."""
     dim: Annotated[int, _check_dim] = 2
     """Dimension d of the space, 2 or 3."""
-    robot_model: Annotated[str, _check_model] = "single_integrator"
+    robot_model: Annotated[str, partial(checks.choice, choices=ROBOT_MODELS)] = "single_integrator"
     """single_integrator or double_integrator (2-D or 3-D), unicycle (2-D), nonholonomic_3d (3-D),
     or one that has been registered."""
     graph: GraphLike = dataclasses.field(default_factory=graphs.complete)
@@ -159,7 +154,7 @@ class Scenario:
             checks.refuse("robot_model", self.robot_model, wanted)
         self._check_graph()
         self._check_obstacles()
-        check_bodies(self)
+        self._check_bodies()
         self._check_starts()
         self._check_time_step()
 
@@ -263,8 +258,8 @@ class Scenario:
             dim=self.dim,
             neighbour_slots=self.neighbour_slots or most,
             obstacle_slots=obstacles.max_count(self.obstacles) if slots is None else slots,
-            senses_gravity=self.model.senses_gravity,
-            senses_velocity=self.model.senses_velocity,
+            senses_gravity=self.model.senses == "gravity",
+            senses_velocity=self.model.senses == "velocity",
         )
 
     # ---- construction -------------------------------------------------------------------------
@@ -315,9 +310,8 @@ class Scenario:
         why = graph.why_not_joined(self.n_robots)
         if why is not None and self.require_connected:
             raise ValueError(f"graph is not connected: {why}, or pass require_connected=False")
-        self._check_slots(
-            "neighbour_slots", 1, self.n_robots - 1, "a whole number from 1 to n_robots - 1 ="
-        )
+        wanted = "a whole number from 1 to n_robots - 1 ="
+        self._check_slots("neighbour_slots", 1, self.n_robots - 1, wanted)
 
     def _check_slots(self, field: str, least: int, most: int, wanted: str) -> None:
         slots = getattr(self, field)
@@ -333,11 +327,30 @@ class Scenario:
         wanted = f"at least the number of obstacles, {count}, and at most"
         self._check_slots("obstacle_slots", count, MOST_OBSTACLES, wanted)
 
+    def _check_bodies(self) -> None:
+        """Bodies do not overlap: they dock at r, where every pair does, or stop (guarantees 13)."""
+        packs, n, radius = self.meeting == "pack", self.n_robots, self.body_radius
+        if radius is None:
+            if packs:
+                checks.refuse("body_radius", None, "given with meeting='pack': bodies touch")
+            return
+        if radius > 0.5 * self.merge_radius:
+            most = f"at most half the merge_radius, {0.5 * self.merge_radius:g} m"
+            checks.refuse("body_radius", radius, most)
+        graph = self.sensing_graph
+        if graph.directed or not graph.fixed or graph.most_links(n) < n * (n - 1) // 2:
+            raise ValueError("graph must be complete with a body_radius: others would not stop")
+        free = self.dim == 2 and not self.obstacles
+        if packs and not (free and self.robot_model == "single_integrator"):
+            raise ValueError(
+                f"meeting is 'pack'; it must be 'merge' for {self.robot_model} robots in "
+                f"{self.dim}-D{' among obstacles' if self.obstacles else ''}: bodies pack as "
+                "single integrators in the plane, without obstacles"
+            )
+
     def _check_starts(self) -> None:
-        for field, width in (
-            ("start_positions", self.dim),
-            ("start_headings", self.model.n_angles),
-        ):
+        widths = {"start_positions": self.dim, "start_headings": self.model.n_angles}
+        for field, width in widths.items():
             if getattr(self, field) is not None:
                 table = check_table(field, getattr(self, field), (self.n_robots, width))
                 object.__setattr__(self, field, tuple(map(tuple, table.tolist())))

@@ -225,6 +225,7 @@ def names() -> list[str]:
 
 
 NAMESPACE = "rendezvous"  # of versioned names, in Gymnasium and PettingZoo too
+_NAME = re.compile(rf"(?:{NAMESPACE}/)?(?P<plain>.+?)(?P<version>-v\d+)?")
 
 
 @cache
@@ -255,34 +256,24 @@ def versioned(name: str) -> str:
     return known[name]
 
 
-def _without_version(name: str) -> str:
-    """The plain name of a versioned one; others as they are."""
-    plain, version = name.removeprefix(f"{NAMESPACE}/"), ""
-    if (found := re.fullmatch(r"(.+)-v(\d+)", plain)) and found[1] in _FIELDS:
-        plain, version = found[1], found[0]
-    elif plain != name and plain not in _FIELDS:
-        return name
-    if version and f"{NAMESPACE}/{version}" != versioned(plain):
-        raise ValueError(
-            f"scenario {shown(name)} is of another version; here it is {versioned(plain)}, and "
-            "results of different versions do not compare"
-        )
-    return plain
-
-
 def get(name: str) -> Scenario:
     """The scenario of that name, with or without namespace and version ("rendezvous/duo-v1").
 
     Raises:
         ValueError: for an unknown name, with the nearest known one, or a version that this is not.
     """
-    name = _without_version(name) if isinstance(name, str) else name
-    if not isinstance(name, str) or name not in _FIELDS:
-        plain = re.sub(rf"^{NAMESPACE}/|-v\d+$", "", name) if isinstance(name, str) else name
+    parts = _NAME.fullmatch(name) if isinstance(name, str) else None
+    plain = parts["plain"] if parts else name
+    if parts is None or plain not in _FIELDS:
         near = nearest_word(plain, _FIELDS)
         hint = f"did you mean {near!r}? " if near else ""
         raise ValueError(f"scenario {shown(name)} is unknown; {hint}known are {', '.join(_FIELDS)}")
-    return Scenario(name=name, **_FIELDS[name])
+    if parts["version"] and f"{NAMESPACE}/{plain}{parts['version']}" != versioned(plain):
+        raise ValueError(
+            f"scenario {shown(name)} is of another version; here it is {versioned(plain)}, and "
+            "results of different versions do not compare"
+        )
+    return Scenario(name=plain, **_FIELDS[plain])
 
 
 def resolve(scenario: ScenarioLike, **overrides: Any) -> Scenario:

@@ -1,8 +1,7 @@
-"""Turns of bearings by chance, in float32 as what is seen is, without a branch: over the lanes of
-many teams they become SIMD.
+"""Random turns of bearings, in float32 as observations are, and without a branch: over the lanes of
+many teams they become SIMD. Each comes from a word of 32 bits.
 
-Each comes from a word of 32 bits. Nothing here is left to a library, so that one team, many, and
-plain Python get the same bits.
+Nothing here is left to a library, so that one team, many, and plain Python get the same bits.
 """
 
 import math
@@ -96,10 +95,9 @@ def _polynomial(factors, x):
 
 @kernel(inline="code")
 def cosine_and_sine(angle, small):
-    """The pair (cos α, sin α), to 10⁻⁷, of a float32 angle of at most some thousand rad.
-
-    From those of its distance to the nearest multiple of π/2 (coefficients of Cephes, Moshier),
-    which is the angle itself if it is ``small``, at most π/4; the numbers are the same.
+    """The pair (cos α, sin α), to 10⁻⁷, of a float32 angle of at most some thousand rad, from those
+    of its distance to the nearest multiple of π/2 (coefficients of Cephes, Moshier). A ``small``
+    angle, at most π/4, is that itself.
     """
     if small:
         return _near_zero(angle)
@@ -132,7 +130,6 @@ def turned_by_chance(row, deviation, small, word, other):
         R(α) g,   or   cos α g + sin α ‖g‖ t,   t = cos φ b + sin φ c,   b, c, g orthogonal
 
     The row and the deviation, rad, are float32; α is made of ``word`` and φ of ``other``, uint32.
-    Larger angles take time unless the deviation ``is_small``.
     """
     c, s = cosine_and_sine(deviation * gaussian(word), small)
     if len(row) == 2:
@@ -144,8 +141,8 @@ def turned_by_chance(row, deviation, small, word, other):
 
 @kernel(inline="code")
 def _across(row, turn):
-    """A triple across a row and as long, at an angle about it: from a basis without a branch (after
-    Duff et al., "Building an orthonormal basis, revisited", 2017).
+    """A triple across a row and as long, at an angle about it (after Duff et al., "Building an
+    orthonormal basis, revisited", 2017).
     """
     (x, y, z), (c, s) = row, cosine_and_sine(turn, False)
     length = np.float32(math.sqrt(square(row)))

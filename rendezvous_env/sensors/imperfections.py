@@ -1,12 +1,11 @@
 """What a sensor gets wrong, and what that makes of one row at a time.
 
 An imperfection is a setting in ``sensing.py`` and, here, a constant of ``Imperfections``, its value
-in ``imperfections_of`` and its equation. What a robot makes of one neighbour is in
-``neighbour_seen``; range, view and chance, that are over lanes, in
-``engine/stages/sense_by_chance.py``.
+in ``imperfections_of`` and its equation. ``neighbour_seen`` puts them together, but for range, view
+and chance, which ``engine/stages/sense_by_chance.py`` does over lanes.
 
-Rows are a_ij g_ij or unit bearings in the robot's own frame, pairs of the plane or triples of
-space; what turns them keeps their length.
+Rows are a_ij g_ij or unit bearings in the robot's own frame, pairs or triples; what turns them
+keeps their length.
 """
 
 from __future__ import annotations
@@ -80,16 +79,11 @@ def imperfections_of(sensing: Sensing) -> Imperfections | None:
 
 @inner_kernel(inline="code")  # to hand all its arguments over would take longer than what it does
 def neighbour_seen(pair, row, frame, sensor, places, scene):
-    """What robot i makes of the row of its neighbour j, in sight and turned by chance; zero if
-    something hides it.
+    """The row of neighbour j as robot i sees it, zero if something hides it; given are i and j, and
+    the row after range, view and chance, in the frame of robot i.
 
-    Args:
-        pair: i and j.
-        row: about a_ij g_ij in the frame of robot i, m/s; zero if it is missing.
-        frame: of robot i, row by row.
-        sensor: Imperfections.
-        places: positions (n, d), m, and where each robot raises the hull's perimeter most (n, d).
-        scene: obstacles of the team, who is part of whom (n,), radius of robots that hide, m.
+    ``places`` are positions (n, d), m, and the directions (n, d) in which each robot raises the
+    hull's perimeter most; ``scene`` is obstacles, merged_into (n,) and the radius of robots, m.
     """
     (i, j), (positions, outward) = pair, places
     offset = subtract(load(positions[j]), load(positions[i]))
@@ -146,9 +140,7 @@ def is_seen(offset, reach, half_field):
 
 @kernel
 def is_hidden_by_obstacles(world, point, way):
-    """Whether the straight way from a point to another place, triples, m, goes into an obstacle,
-    deeper than a contact does.
-    """
+    """Whether the straight way from a point, triples, m, goes into an obstacle beyond a contact."""
     for m in range(world.kinds.shape[0]):
         if world.kinds[m] != ABSENT and entry(world, m, point, way, CONTACT_DEPTH) <= 1.0:
             return True
@@ -158,9 +150,7 @@ def is_hidden_by_obstacles(world, point, way):
 @kernel
 def is_hidden_by_robot(offset, other, radius):
     """Whether a nearer robot, a disc or sphere of a radius (m) at an offset ``other``, hides the
-    one at ``offset``, triples, m.
-
-    The nearest robot is always seen. A robot within the disc of another sees its far side only.
+    one at ``offset``, triples, m. The nearest robot is always seen.
     """
     distance_squared, other_squared = dot(offset, offset), dot(other, other)
     along = dot(offset, other)
@@ -175,11 +165,9 @@ def is_hidden_by_robot(offset, other, radius):
 @kernel(inline="code")
 def turned(row, angle, axis):
     """A row turned by an angle α, rad: in the plane counter-clockwise, in 3-D about the part of an
-    axis (a triple) that is perpendicular to it.
+    axis (a triple) that is perpendicular to it; the x or y axis replaces an axis along the row.
 
         R(α) g,   or   cos α g + sin α (e × g),  e ∥ axis − (axis·g) g
-
-    An axis nearly along the row counts as the x axis, and then as the y axis.
     """
     c, s = math.cos(angle), math.sin(angle)
     if len(row) == 2:
@@ -211,10 +199,8 @@ def turned_towards(row, angle, target):
 
 @kernel(inline="code")
 def in_sectors(row, sectors):
-    """A row turned into the middle of its sector: the nearest of so many directions, evenly spaced.
-
-    In the plane the directions are the multiples of 2π/sectors from the x axis. In space the yaw
-    is rounded to them, and so is the elevation, as far as ± π/2.
+    """A row turned into the middle of its sector: to the nearest multiple of 2π/sectors from the x
+    axis, in space in yaw and, as far as ± π/2, in elevation.
     """
     width = 2.0 * math.pi / sectors
     yaw = width * math.floor(math.atan2(row[1], row[0]) / width + 0.5)

@@ -93,7 +93,7 @@ def towards_neighbours(scenario: Scenario, observations: np.ndarray) -> np.ndarr
     """Actions with which robots of any model meet: along the net bearing, against the velocity."""
     layout = scenario.observation_layout
     f = layout.net_bearing(observations)
-    if scenario.model.senses_velocity:
+    if scenario.model.senses == "velocity":
         f = f - 2.0 * observations[..., -1, :]
     if scenario.model.nonholonomic:
         return np.concatenate([0.3 + f[..., :1], f[..., 1:]], axis=-1)

@@ -9,10 +9,10 @@ from drawing import at, drawn, near, still
 
 import baselines
 import rendezvous_env as rv
-from rendezvous_env.obstacles.obstacle_set import pack
+from rendezvous_env.obstacles.obstacle_set import outlines, pack
 from rendezvous_env.render.camera import Area, fit, nice_step
 from rendezvous_env.render.palette import OBSTACLE, ROBOTS, robot_colour
-from rendezvous_env.render.scene import ended, in_contact, outermost, shapes, ways
+from rendezvous_env.render.scene import ended, in_contact, outermost, ways
 from train.figures import path_figures, reproduce
 
 STRIP = 600 - 118
@@ -197,7 +197,7 @@ def test_a_capsule_is_drawn():
 @pytest.mark.parametrize(("radius", "count"), [(0.001, 99), (0.5, 37)])
 def test_a_capsule_of_space_is_drawn_as_balls(radius, count):
     """As few as do for a very thin one."""
-    beads = shapes(pack((rv.Capsule(((0.0, 0.0, 0.0), (9.0, 0.0, 0.0)), radius),), 1), 3)
+    beads = outlines(pack((rv.Capsule(((0.0, 0.0, 0.0), (9.0, 0.0, 0.0)), radius),), 1), 3)
     assert len(beads) == count and beads[-1].centre.tolist() == [9.0, 0.0, 0.0]
     assert {bead.radius for bead in beads} == {radius}
 
@@ -206,7 +206,7 @@ def test_a_figure_shows_a_capsule():
     found = rv.rollout(LOG, baselines.make("tangent-joined", LOG), options=BESIDE)
     recording = reproduce.one_team(found)
     path_figures.team_figure(LOG, recording, "tangent-joined").canvas.draw()
-    (part,) = shapes(recording["obstacles"], 2)
+    (part,) = outlines(recording["obstacles"], 2)
     assert len(part.vertices) == 34 and part.centre.tolist() == [0.0, 0.0]
     assert np.hypot(*part.vertices.T).max() == pytest.approx(np.hypot(2, 1) + 0.5)
 

@@ -11,7 +11,7 @@ from browsing import needs_browser, picture, scrub, shown_rows, visited, wait_fo
 from matplotlib.image import imread
 
 import rendezvous_env as rv
-from rendezvous_env.render.scene import shapes
+from rendezvous_env.obstacles.obstacle_set import outlines
 from train import results
 from train.compare import compare
 from train.report import build as report
@@ -192,7 +192,7 @@ def test_the_world_shows_what_is_there(opened, recorded):
         column, row = canvas.evaluate(to_pixels, place.tolist())
         return np.rint(255 * pixels[round(row), round(column) + right]).tolist()
 
-    centre = next(one.centre for one in shapes(recorded("obstacles"), 2) if not len(one.vertices))
+    centre = next(one.centre for one in outlines(recorded("obstacles"), 2) if not len(one.vertices))
     assert colour(centre) == [0xE6, 0x9F, 0x00]
     assert colour(recorded("positions")[0, 1], right=6) == [0xD5, 0x5E, 0x00]
 

@@ -11,7 +11,6 @@ from rendezvous_env.obstacles.capsule import CAPSULE, Capsule
 from rendezvous_env.obstacles.disc import BALL, Disc, Sphere
 from rendezvous_env.obstacles.fields import ObstacleField, draw_field
 from rendezvous_env.obstacles.obstacle_set import (
-    balls,
     check_outside,
     outlines,
     pack,
@@ -189,14 +188,14 @@ class TestDrawField:
 
 
 def test_outlines_are_those_of_the_capsule():
-    (outline,) = outlines(pack((LOG,), 1))
+    (outline,) = outlines(pack((LOG,), 1), 2)
     away = [distance(corner, LOG) for corner in outline.vertices]
     np.testing.assert_allclose(away, 0.5)
     edges = np.roll(outline.vertices, -1, axis=0) - outline.vertices
     following = np.roll(edges, -1, axis=0)
     turns = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
     assert (turns > -1e-12).all()  # convex, counter-clockwise
-    beads = list(balls(pack((TRUNK,), 1)))
+    beads = outlines(pack((TRUNK,), 1), 3)
     np.testing.assert_allclose([distance(bead.centre, TRUNK) for bead in beads], 0, atol=1e-12)
     np.testing.assert_allclose(beads[0].centre, TRUNK.ends[0])
     np.testing.assert_allclose(beads[-1].centre, TRUNK.ends[1])

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rendezvous_env.obstacles.obstacle_set import outlines
 from rendezvous_env.render.palette import OBSTACLE_EDGE, code
-from rendezvous_env.render.scene import ended, facing, in_contact, shapes, ways
+from rendezvous_env.render.scene import ended, facing, in_contact, ways
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..recording import Recording
@@ -97,7 +98,7 @@ def _draw_headings(axes: Any, path: NDArray[np.float64], arrows: NDArray[np.floa
 def _draw_obstacles(axes: Axes, obstacles: NDArray[np.float64]) -> None:
     from matplotlib.patches import Circle, Polygon
 
-    for (x, y), radius, vertices in shapes(obstacles, 2):
+    for (x, y), radius, vertices in outlines(obstacles, 2):
         shape = Polygon(vertices) if len(vertices) else Circle((x, y), radius)
         shape.set(facecolor=ORANGE, edgecolor=code(OBSTACLE_EDGE), linewidth=0.8, zorder=1)
         axes.add_patch(shape)
@@ -106,7 +107,7 @@ def _draw_obstacles(axes: Axes, obstacles: NDArray[np.float64]) -> None:
 def _draw_spheres(axes: Any, obstacles: NDArray[np.float64]) -> None:
     around, down = np.mgrid[0 : 2 * math.pi : 25j, 0 : math.pi : 13j]
     ball = np.stack([np.cos(around) * np.sin(down), np.sin(around) * np.sin(down), np.cos(down)])
-    for centre, radius, _ in shapes(obstacles, 3):
+    for centre, radius, _ in outlines(obstacles, 3):
         surface = centre[:, None, None] + radius * ball
         axes.plot_surface(*surface, color=ORANGE, alpha=0.55, linewidth=0)
 
