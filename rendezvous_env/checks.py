@@ -172,9 +172,8 @@ def mapping(field: str, value: Any, wanted: str) -> Mapping[Any, Any]:
 
 
 def floats(field: str, value: Any, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
-    """Numbers of any shape as an array; what does not fit the type is infinite in it.
-
-    Words, nothing, mappings, ragged lists and whatever else is no number are refused.
+    """Numbers of any shape as an array, infinite where they do not fit the type; anything else is
+    refused.
     """
     try:
         array = np.asarray(value)
@@ -229,8 +228,8 @@ def bools(field: str, value: Any, shape: tuple[int, ...] | None, of_what: str) -
 
 
 def nearest_word(word: Any, words: Iterable[str], cutoff: float = 0.65) -> str | None:
-    """The known word that other packages call ``word``, or the one most like it, if any is much
-    like it (``cutoff`` of 1) or has it as a part; parts stand between - and _.
+    """The known word that other packages call ``word``, or the one most like it (at least
+    ``cutoff`` of 1), or one of which it is a part, between - and _.
     """
     if not isinstance(word, str) or len(word) > _LONGEST_WORD:
         return None
@@ -246,9 +245,7 @@ def nearest_word(word: Any, words: Iterable[str], cutoff: float = 0.65) -> str |
 def known_fields(
     given: Iterable[Any], known: Iterable[str], what: str, noun: str = "field"
 ) -> None:
-    """Raise an UnknownFieldError for a field, or what else ``noun`` calls it, that does not exist,
-    with the one most like it.
-    """
+    """Raise an UnknownFieldError for a field that does not exist, with the one most like it."""
     known = list(known)
     for key in given:
         if key not in known:
@@ -284,13 +281,13 @@ def names_unknown_fields(what: str) -> Callable[[type[_Made]], type[_Made]]:
 
 
 def check_fields(made: Any, label: str = "{}") -> None:
-    """Bring the fields of a frozen dataclass into the form in which they are kept, from its
-    ``__post_init__``: NumPy's scalars become Python's own, and each value goes through the check of
-    its annotation. None is kept where it is the default.
+    """Check and convert the fields of a frozen dataclass, in its ``__post_init__``: NumPy's scalars
+    become Python's own, and each value goes through the check of its annotation. None is kept where
+    it is the default.
 
-    ``Annotated[kind, check]`` names a function of a name and a value, which returns what is kept;
-    bool, Literal, float and str stand for ``flag``, ``choice``, ``number`` and ``text``. Messages
-    call a field what ``label`` makes of its name.
+    ``Annotated[kind, check]`` names a function of field and value that returns what is kept; bool,
+    Literal, float and str stand for ``flag``, ``choice``, ``number`` and ``text``. Messages call a
+    field what ``label`` makes of its name.
     """
     checks = _checks_of(cast(Any, type(made)))
     for field in dataclasses.fields(made):

@@ -1,8 +1,7 @@
 """``rendezvous_env.baselines`` and ``rendezvous_env.train``: names that no file of a user takes.
 
-The packages ``baselines`` and ``train`` stand beside ``rendezvous_env``. A user's own ``train.py``
-or folder ``baselines`` hides them; under these names they are found all the same. Where nothing
-hides them both names mean the same modules, loaded once.
+A user's own ``train.py`` or folder ``baselines`` hides these packages, but not under these names.
+Where nothing hides them both names mean the same modules, loaded once.
 """
 
 from __future__ import annotations

@@ -87,8 +87,8 @@ class CustomFamily(DrawnGraph):
         self.draw(scenario.n_robots, 0, 0, connected=scenario.require_connected)
 
     def draw(self, n: int, seed: int, episode: int, *, connected: bool) -> LinkArrays:
-        """The edges of one episode, a function of seed and episode alone; what are no edges of n
-        robots is refused, and what does not join them if ``connected``.
+        """The edges of one episode, a function of seed and episode alone; refused are wrong edges
+        and, if ``connected``, those that do not join all robots.
         """
         random = np.random.default_rng((int(seed), int(episode), GRAPH))
         try:
@@ -107,10 +107,9 @@ def family(name: str, draw: DrawEdges | None = None) -> Any:
     """Register a family of graphs of your own: a function of the number of robots n and a NumPy
     ``Generator`` of the episode that returns its edges (i, j), each once.
 
-    Then ``Scenario(graph=name)`` and ``graphs.parse({"kind": name, "weight_range": [low, high]})``
-    know it. Weights are drawn from the range after the edges. The theorems take it for any
-    connected graph with these weights. A family of yours may be replaced; without ``draw`` a
-    decorator is returned.
+    ``Scenario(graph=name)`` and ``graphs.parse({"kind": name, "weight_range": [low, high]})`` then
+    know it. Weights are drawn after the edges. Theorems take it for any connected graph with these
+    weights. One of the same name is replaced; without ``draw`` a decorator is returned.
 
     Raises:
         ValueError: for a name that another kind of graph has, or what cannot be called.
@@ -159,8 +158,8 @@ def draw_links(key, n, rules, first, second, weights, places):
     capacity, counter, count = len(first), 0, 0
     if rules.topology == FIXED_EDGES:
         count = len(rules.first)
-        first[:count], second[:count] = rules.first, rules.second
-        weights[:count] = rules.weights
+        for e in range(count):
+            first[e], second[e], weights[e] = rules.first[e], rules.second[e], rules.weights[e]
     else:
         joined = False
         if rules.topology == ERDOS_RENYI:

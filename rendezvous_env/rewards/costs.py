@@ -1,7 +1,6 @@
 """Costs of a step, robot by robot: what a learner is to keep below a limit, apart from its reward.
 
-Safety-Gymnasium's convention: a step has costs beside rewards, each robot its own; ``cost`` is
-their sum and ``cost_NAME`` each of them, as its converters to Gymnasium put them into infos.
+As in Safety-Gymnasium's converters to Gymnasium, infos have ``cost_NAME`` and their sum, ``cost``.
 """
 
 from __future__ import annotations
@@ -52,9 +51,7 @@ def no_costs(names: tuple[str, ...], shape: tuple[int, int]) -> Costs:
 
 
 def costs_of(names: tuple[str, ...], step: RewardStep, running: NDArray[np.bool_]) -> Costs:
-    """What a step cost each robot; robots that are gone and teams that rest (not ``running``, (B,))
-    pay nothing.
-    """
+    """What a step cost each robot that took part, in teams that are ``running``, (B,)."""
     paying = running[:, None] & step.took_part
     costs = no_costs(names, paying.shape)
     for name in names:

@@ -49,11 +49,10 @@ TERMS = Registry("reward term", "rv.reward_term")
 def reward_term(name: str, term: Term | None = None) -> Any:
     """Register a reward term: a function from a ``RewardStep`` to numbers, (B,) or (B, n).
 
-    ``RewardWeights(custom={name: weight})`` then adds weight × term in every step and every
-    interface. (B,) is earned by the team and each of its robots; of (B, n) each robot earns its
-    own, and the team the mean over the robots that took part. A term treats every team by itself,
-    so that a batch earns what single teams earn. One of the same name is replaced; without ``term``
-    a decorator is returned.
+    ``RewardWeights(custom={name: weight})`` adds weight × term in every step. (B,) is earned by the
+    team and each of its robots; of (B, n) each robot earns its own, and the team the mean over the
+    robots that took part. A term treats every team by itself. One of the same name is replaced;
+    without ``term`` a decorator is returned.
 
     Raises:
         ValueError: for what is no name or cannot be called.

@@ -1,7 +1,7 @@
 """What a robot model is to an experiment: actions, limits, what it keeps and senses.
 
 Its equations are named by the type of its constants, see ``motion``. Contacts and merging rest on
-what they promise, so a user's model is asked a few questions before robots move by it.
+what they promise, so the equations of a user's model are tried before robots move by them.
 """
 
 from __future__ import annotations
@@ -43,28 +43,25 @@ class RobotModel:
     dims: Annotated[tuple[int, ...], _check_dims]
     """Dimensions of space it exists in."""
     constants: Annotated[Callable[[Any], Any], check_function]
-    """Scenario → the NamedTuple of constants that its equations take; it must have the fields
-    ``duration``, s, and ``speed_limit``, m/s, which no motion exceeds."""
+    """Scenario → NamedTuple of constants that its equations take, with the fields ``duration``, s,
+    and ``speed_limit``, m/s, which no motion exceeds."""
     bounds: Annotated[Callable[[Any], list[float]], check_function]
     """Scenario → symmetric bound on each number of an action."""
     n_angles: Annotated[int, partial(whole, least=0, most=MOST_KEPT)] = 0
-    """Angles that make up its attitude, the first numbers that it keeps; without any its frame is
-    fixed."""
+    """Angles of its attitude, the first numbers that it keeps; without any its frame is fixed."""
     n_kept: Annotated[Callable[[int], int], check_function] | None = None
     """Dimension → numbers kept from step to step; None is ``n_angles``."""
     keeps_velocity: bool = False
-    """Whether the numbers that it keeps after its angles are its velocity in the global frame, m/s,
-    never longer than the speed limit."""
+    """Whether what it keeps after its angles is its velocity in the global frame, m/s, never above
+    the speed limit."""
     senses: Literal["gravity", "velocity"] | None = None
     """What the last row of an observation is: "gravity", "velocity", or nothing."""
     action: str = "velocity, m/s"
     """What an action is, in words."""
     theorem: str | None = None
-    """Which theorem covers its own law in continuous time, e.g. "theorem 3"; None where none
-    does."""
+    """Which theorem covers its own law in continuous time, e.g. "theorem 3"."""
     bounded: bool = False
-    """Whether theorems 1, 2, A and C with the time bounds of theory 3 hold for it: its action is
-    its velocity."""
+    """Whether its action is its velocity: theorems 1, 2, A and C, and the bounds of theory 3."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.isidentifier():
@@ -102,11 +99,11 @@ def try_with(example: Callable[[str, int], Any]) -> None:
 def register_robot_model(model: RobotModel, *, replace: bool = False) -> None:
     """Make a robot model known by its name; ``replace`` lets it take the place of another.
 
-    Its equations must have been described by ``motion.describe``; a few sampled calls try them.
+    Its equations, described by ``motion.describe``, are tried a few times.
 
     Raises:
         ValueError: if it is no RobotModel or its name is taken; or if its equations give what is
-            not finite, go faster than its speed limit, or contradict one another.
+            not finite, exceed its speed limit, or contradict one another.
     """
     if not isinstance(model, RobotModel):
         refuse("model", model, "a RobotModel")
@@ -135,9 +132,9 @@ def is_custom(model: RobotModel) -> bool:
 
 
 def constants_of(scenario: Any, early: bool = False) -> Any:
-    """The constants that the equations of a scenario's robot model take, refused if they, or a few
-    sampled calls of the equations, are not what a step needs; ``early`` at registration, when a
-    model need not be described yet, nor fit a scenario's step.
+    """The constants that the equations of a scenario's robot model take; they and a few sampled
+    calls are checked. At registration, ``early``, a model need not be described yet, nor fit the
+    step.
     """
     model, tau = scenario.model, scenario.tau
     who = f"robot model {model.name!r}"
@@ -217,11 +214,11 @@ class _Asked(NamedTuple):
         return _called(what, getattr(self.motion, name), self.constants, *arguments)
 
     def numbers(self, name: str, count: int, *arguments: Any) -> tuple[float, ...]:
-        """What it gives if that must be so many finite numbers."""
+        """What an equation gives, refused if that are not so many finite numbers."""
         return self.check(name, count, self.ask(name, *arguments))
 
     def check(self, name: str, count: int, found: Any) -> tuple[float, ...]:
-        """Refuse what are not so many finite numbers."""
+        """Likewise, of what it gave."""
         finite = isinstance(found, tuple) and all(math.isfinite(real(number)) for number in found)
         if not finite or len(found) != count:
             self.refuse(name, found, f"a tuple of {count} finite numbers")

@@ -31,8 +31,8 @@ class ObservedRows(NamedTuple):
 
 @dataclass(frozen=True)
 class ObservationLayout:
-    """The rows of an observation ``(..., rows, d)``: neighbours, obstacles, and then what the robot
-    senses of itself, gravity or its velocity. An absent row is zero.
+    """The rows of an observation ``(..., rows, d)``: neighbours, obstacles, then gravity or the
+    robot's velocity. An absent row is zero.
     """
 
     dim: int

@@ -64,9 +64,8 @@ def _in_space(obstacles: Any, spawn_size: float = 14.0, **more: Any) -> Fields:
 
 
 def _beads(side: int, rim: int = 0, window: bool = False) -> list[Fields]:
-    """A square slab of spheres that leave no gap, so many along each side; with a rim, which makes
-    a bowl of it, or without the one in its middle. Eight rays show a sphere as it is, and a long
-    bar not.
+    """A square slab of overlapping spheres, so many along each side; with a rim it is a bowl, and a
+    window leaves out the middle one. Eight rays show spheres as they are, long bars not.
     """
     places = range(-(side // 2), side // 2 + 1)
     return [
@@ -79,9 +78,7 @@ def _beads(side: int, rim: int = 0, window: bool = False) -> list[Fields]:
 
 
 def _turning(fields: Fields, turn_rate: float) -> Fields:
-    """The same for unicycles of so many rad/s, which at 1 m/s turn within a circle of 1/ω m, and
-    need longer.
-    """
+    """The same for unicycles, which at 1 m/s turn within a circle of 1/ω m, and need longer."""
     turns = {"robot_model": "unicycle", "max_turn_rate": turn_rate, "time_limit": 120.0}
     return {**fields, **turns}
 

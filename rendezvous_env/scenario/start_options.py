@@ -179,8 +179,8 @@ def check_table(field: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.fl
 def check_positions(
     field: str, scenario: Any, positions: NDArray[np.float64], weights: Any, standing: Any
 ) -> None:
-    """Refuse positions, (n, d), m, inside obstacles or of neighbours in one place, between whom no
-    bearing exists: of robots with a weight in an (n, n) matrix, or in what gives one for n.
+    """Refuse positions, (n, d), m, inside obstacles, or of neighbours in one place, who have no
+    bearing: those with a weight in an (n, n) matrix, or in what gives one for n.
     """
     _, place, counts = np.unique(positions + 0.0, axis=0, return_inverse=True, return_counts=True)
     if counts.max() > 1:

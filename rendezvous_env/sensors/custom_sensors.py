@@ -41,8 +41,8 @@ class Seen:
         self._name, self._keys = "", (seeds, episodes, steps)
 
     def uniform(self, *shape: int) -> NDArray[np.float64]:
-        """Random numbers in [0, 1) for every team, (B, *shape): they follow from seed, episode,
-        step and the name of the imperfection, so that an episode is the same in any batch.
+        """Random numbers in [0, 1), (B, *shape), which follow from a team's seed, episode and step
+        and the name of the imperfection.
         """
         numbers = np.empty((len(self.time), int(np.prod(shape))))
         salt = np.uint64(zlib.crc32(self._name.encode()))
@@ -68,10 +68,10 @@ _IMPERFECTIONS = Registry("imperfection", "rv.sensor_imperfection")
 def sensor_imperfection(name: str, change: Imperfection | None = None) -> Any:
     """Register an imperfection: a function that changes what is ``Seen`` in place.
 
-    ``Sensing(custom=(name,))`` then applies it after all others. It treats every team by itself and
-    remembers nothing. It may drop rows (zero) and turn them; rows that are absent stay so, and
-    robots that are gone see nothing. Where there are fewer rows than other robots, those left stand
-    first. An imperfection of the same name is replaced; without ``change`` a decorator is returned.
+    ``Sensing(custom=(name,))`` applies it after all others. It treats every team by itself and
+    remembers nothing. It may zero rows and turn them; absent rows stay so. Where there are fewer
+    rows than other robots, those left stand first. One of the same name is replaced; without
+    ``change`` a decorator is returned.
 
     Raises:
         ValueError: for what is no name or cannot be called.

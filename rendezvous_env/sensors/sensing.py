@@ -29,9 +29,9 @@ _Deviation = Annotated[float, partial(checks.number, least=0.0, most=_FULL_CIRCL
 class Sensing:
     """How the robots' sensors differ from exact ones, which see every neighbour and turn nothing.
 
-    Links, merges and V follow the graph, not what a sensor misses. A row that is missing is zero;
-    a row that is there is as long as ever. What is drawn belongs to the team's seed, the episode,
-    the step and the ordered pair, so that an episode is the same in any batch.
+    Links, merges and V follow the graph, not what a sensor misses. A missing row is zero, any other
+    keeps its length. What is drawn belongs to seed, episode, step and ordered pair, so that an
+    episode is the same in any batch.
 
     Raises:
         ValueError: naming the field, its value and what would be right.
@@ -62,17 +62,15 @@ class Sensing:
     """What hides neighbours that are behind it: none, obstacles, robots (as discs or spheres of
     radius r/2) or both."""
     custom: Annotated[tuple[str, ...], as_custom] = ()
-    """Imperfections of your own, by the names under which ``sensor_imperfection`` registered them,
-    in the order in which they are applied, after all others."""
+    """Names that ``sensor_imperfection`` registered, applied in this order after all others."""
 
     def __post_init__(self) -> None:
         checks.check_fields(self, "sensing.{}")
 
     @classmethod
     def camera(cls) -> Sensing:
-        """Four cameras of 64 × 64 pixels and a detector of coloured lamps, as measured in
-        pictures (docs/worlds.md): what is hidden has no row, and a whole lamp in sight is
-        missed once in a while.
+        """Four cameras of 64 × 64 pixels and a detector of coloured lamps, as measured in pictures
+        (docs/worlds.md).
         """
         return cls(noise=0.0075, dropout=0.03, occlusion="both")
 
