@@ -120,37 +120,6 @@ def random_steps(env, steps, seed=0):
         yield env.step(actions.astype(np.float32))
 
 
-def test_ends_of_slots():
-    env = make_robots(SCENARIO, 20)
-    env.seed(SEED)
-    env.reset()
-    active, merges, meetings, lates = np.ones((20, ROBOTS), bool), 0, 0, 0
-    for obs, rewards, dones, infos in random_steps(env, 60):
-        assert obs.shape == (60, 2, 2) and obs.dtype == rewards.dtype == np.float32
-        assert dones.dtype == bool and obs[dones].shape[0] == dones.sum()
-        np.testing.assert_array_equal(env.acted.reshape(20, ROBOTS), active)
-        for team in range(20):
-            slots = range(team * ROBOTS, (team + 1) * ROBOTS)
-            if not dones[team * ROBOTS]:  # robot 0 lives to the end
-                for slot in slots:
-                    if active[team, slot % ROBOTS] and dones[slot]:
-                        merges += 1
-                        into = env.simulator.merged_into[team, slot % ROBOTS]
-                        survivor = obs[team * ROBOTS + into]
-                        np.testing.assert_array_equal(infos[slot]["terminal_observation"], survivor)
-                        assert infos[slot]["TimeLimit.truncated"] and not obs[slot].any()
-                continue
-            assert all(dones[slot] for slot in slots)
-            (met,) = (infos[slot]["is_success"] for slot in slots if "episode" in infos[slot])
-            for slot in slots:
-                cut = active[team, slot % ROBOTS] and not met
-                assert infos[slot]["TimeLimit.truncated"] == cut
-                assert infos[slot]["terminal_observation"].shape == (2, 2)
-            meetings, lates = meetings + met, lates + (not met)
-        active = env.simulator.active
-    assert merges >= 10 and meetings >= 5 and lates >= 5
-
-
 def test_statistics_are_those_of_teams():
     env = make_robots(SCENARIO, 4)
     env.seed(SEED)

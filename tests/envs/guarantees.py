@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,20 +11,6 @@ from gymnasium.spaces import Discrete
 
 import rendezvous_env as rv
 from rendezvous_env import vector
-
-with warnings.catch_warnings():  # PettingZoo imports its own old modules here
-    warnings.simplefilter("ignore", DeprecationWarning)
-    from pettingzoo import test as suites  # noqa: F401
-    from pettingzoo.test.state_test import state_test  # noqa: F401
-
-
-# the two messages that a table of directions must provoke, by their exact text
-SHAPE = (
-    "ignore:^The observation contains negative numbers and is in the shape of a graphical "
-    r"observation\. This might be a bad thing\.$:UserWarning"
-)
-ZEROS = r"ignore:^Observation numpy array is all zeros\.$:UserWarning"
-api_suite = pytest.mark.filterwarnings(SHAPE, ZEROS)
 
 
 class Guarantee(NamedTuple):

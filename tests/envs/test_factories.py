@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import warnings
-
 import gymnasium
 import numpy as np
 import pytest
 from guarantees import NAMES, draw, same
-from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 import baselines
@@ -91,14 +88,6 @@ def test_a_layout_takes_flat_observations_apart():
 
 
 # ---- the single-team heading environment --------------------------------------------------------
-
-
-def test_gymnasium_is_content_with_the_heading_environment():
-    env = gymnasium.make(HEADING, scenario=SCENARIO, min_alignment=0.3)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it prefers images and bounded boxes
-        check_env(env.unwrapped, skip_render_check=True)
-    assert env.action_space.shape == (4, 2)
 
 
 def test_the_heading_environment_is_the_wrapped_one():

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
-
 import gymnasium
 import numpy as np
 import pytest
 from guarantees import same
-from gymnasium.utils.env_checker import check_env, data_equivalence
+from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import rendezvous_env as rv
@@ -158,15 +156,6 @@ def test_infos_have_the_form_that_gymnasium_gives_single_environments(scenario, 
             rows = their_summary[f"_{key.lstrip('_')}"]
             np.testing.assert_array_equal(values[rows], summary[key][rows])
             assert values.dtype == summary[key].dtype
-
-
-@pytest.mark.parametrize("name", ["fig4", "swarm-20", "unicycle-6", "uav-6", "random-10"])
-def test_gymnasium_finds_nothing_to_warn_of(name):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        env = gymnasium.make(NAME, scenario=name)
-        check_env(env.unwrapped, skip_render_check=True)
-    assert env.spec.max_episode_steps is None
 
 
 def test_gymnasium_makes_teams():

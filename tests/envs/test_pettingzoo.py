@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import copy
 import hashlib
-import os
-import subprocess
-import sys
-from types import SimpleNamespace
 
 import numpy as np
 import pettingzoo
 import pytest
-from conftest import MODELS, ROOT, UNEQUAL, five, law_of
-from guarantees import api_suite, constant, same, state_test, suites
+from conftest import MODELS, ROOT, five, law_of
+from guarantees import constant, draw, same
+from test_package import run_python
 
 from rendezvous_env import Scenario, Simulator, parallel_env, rendezvous_v0
 
@@ -48,51 +45,14 @@ def until_a_merge(env, seed=3):
     return result
 
 
-# ---- the suites of PettingZoo -------------------------------------------------------------------
-
-
-@api_suite
-@pytest.mark.parametrize("on_merge", ["remove", "follow"])
-def test_parallel_api(kind, on_merge, capsys):
-    suites.parallel_api_test(make(kind, on_merge=on_merge), num_cycles=300)
-    assert "Passed Parallel API test" in capsys.readouterr().out
-
-
-@api_suite
-def test_aec_api(kind, capsys):
-    suites.api_test(make(kind, rendezvous_v0.env), num_cycles=200, verbose_progress=False)
-    assert "Passed API test" in capsys.readouterr().out
-    env = make(kind, rendezvous_v0.raw_env)
-    state_test(env, make(kind), num_cycles=20)
-    assert np.isfinite([env.state_space.low, env.state_space.high]).all()
-
-
-@api_suite
-def test_seeds(kind):
-    suites.parallel_seed_test(lambda: make(kind), num_cycles=100)
-    suites.seed_test(lambda: make(kind, rendezvous_v0.env), num_cycles=100)
-    first, second = (make(kind).reset(seed=seed)[0]["robot_0"] for seed in (1, 2))
-    assert not np.array_equal(first, second)
-
-
-def test_max_cycles(kind):
-    module = SimpleNamespace(
-        parallel_env=lambda max_cycles: rendezvous_v0.parallel_env(five(kind), None, max_cycles),
-        env=lambda max_cycles: rendezvous_v0.env(five(kind), None, max_cycles),
-    )
-    suites.max_cycles_test(module)
-    env = module.parallel_env(7)
-    for steps in (7, 2):  # it may be set at any time
+def test_max_cycles_may_be_set_at_any_time():
+    env = parallel_env("duo")
+    assert env.max_cycles == env.scenario.max_steps
+    for steps in (7, 2):
         env.max_cycles = steps
         env.reset(seed=0)
         taken = [env.step(act(env, 0.0))[3] for _ in range(steps)]
         assert all(taken[-1].values()) and env.agents == [] and not any(taken[-2].values())
-    for wrong in (0, -3, 1.5, True):
-        with pytest.raises(ValueError, match=f"max_cycles is {wrong!r}"):
-            env.max_cycles = wrong
-    with pytest.raises(ValueError, match="max_cycles is 0"):
-        module.parallel_env(0)
-    assert make(kind, time_limit=7.0).max_cycles == five(kind, time_limit=7.0).max_steps
 
 
 # ---- determinism over whole episodes ------------------------------------------------------------
@@ -127,16 +87,8 @@ def fingerprint(kind):
 def test_whole_episodes_are_the_same_in_every_process():
     expected = [fingerprint(kind) for kind in MODELS]
     assert expected == [fingerprint(kind) for kind in MODELS] and len(set(expected)) == len(MODELS)
-    found = subprocess.run(
-        [sys.executable, "-c", EPISODE, *MODELS],
-        check=True,
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        env={**os.environ, "PYTHONHASHSEED": "4711"},
-        timeout=300,
-    )
-    assert found.stdout.split()[-len(MODELS) :] == expected
+    found = run_python(ROOT, "-c", EPISODE, *MODELS, PYTHONHASHSEED="4711")
+    assert found.split()[-len(MODELS) :] == expected
 
 
 def test_the_environment_is_the_simulator(kind):
@@ -214,6 +166,22 @@ def test_spaces(kind):
     expected = [bound, 10 * bound, bound] if kind == "nonholonomic_3d" else [bound] * len(high)
     np.testing.assert_allclose(high, expected, rtol=1e-6)
     assert env.state_space is env.state_space
+
+
+def test_robots_with_inertia_see_their_velocity():
+    heavy = {"robot_model": "double_integrator", "max_speed": 0.7}
+    env, usual = (make("single_integrator-2d", **heavy, max_acceleration=a) for a in (50.0, None))
+    space, random, fastest = env.observation_space("robot_0"), np.random.default_rng(0), 0.0
+    np.testing.assert_allclose(space.high[-1], 0.7, rtol=1e-6)
+    np.testing.assert_allclose(env.action_space("robot_0").high, 50.0)
+    np.testing.assert_allclose(usual.action_space("robot_0").high, 4 * 0.7)
+    env.reset(seed=0)
+    while env.agents:
+        observations, *_ = env.step(draw(env, random))
+        for seen in observations.values():
+            assert space.contains(seen)
+            fastest = max(fastest, float(np.linalg.norm(seen[-1])))
+    assert 0.69 < fastest <= 0.7000001
 
 
 # ---- what a step returns ------------------------------------------------------------------------
@@ -317,21 +285,6 @@ def test_a_robot_that_merges_in_the_last_step_terminates_and_the_others_are_trun
     _, _, terminations, truncations, _ = env.step(act(env, 0.0))
     assert terminations == {"robot_0": False, "robot_1": True, "robot_2": False}
     assert truncations == {"robot_0": True, "robot_1": False, "robot_2": True}
-
-
-def test_reset_takes_a_start_and_refuses_a_bad_one(kind):
-    env = make(kind)
-    positions = np.random.default_rng(0).normal(size=(5, env.scenario.dim)) * 3
-    env.reset(seed=0, options={"positions": positions, "weights": UNEQUAL})
-    np.testing.assert_array_equal(env.simulator.positions[0], positions)
-    env.step(act(env))
-    state, agents = env.state(), list(env.agents)
-    with pytest.raises(ValueError, match=r"positions has shape \(4, [23]\)"):
-        env.reset(seed=1, options={"positions": positions[:4]})
-    with pytest.raises(ValueError, match="did you mean 'headings'"):
-        env.reset(seed=1, options={"heading": np.zeros(5)})
-    np.testing.assert_array_equal(env.state(), state)
-    assert env.agents == agents
 
 
 def test_the_state_says_what_it_holds(kind):

@@ -60,20 +60,6 @@ def test_a_wall_along_f_fills_no_tank():
     assert not any(info["carried_out"] for info in infos.values())
 
 
-def test_a_refused_state_leaves_the_tanks_alone():
-    for env in (make("tank", budget=1.0), vector.EnergyTankWrapper(rv.make_vec("duo"), budget=1.0)):
-        env.reset(seed=0)
-        state, levels = env.get_state(), env.tank.levels
-        foreign = {**state["tank"], "levels": levels + 1}
-        with pytest.raises(ValueError, match="observed"):
-            env.set_state({**state, "tank": foreign, "observed": np.zeros(3)})
-        with pytest.raises(ValueError, match="levels"):
-            env.set_state({**state, "tank": {**state["tank"], "levels": -levels}})
-        np.testing.assert_array_equal(env.tank.levels, levels)
-        env.set_state({**state, "tank": foreign})
-        np.testing.assert_array_equal(env.tank.levels, levels + 1)
-
-
 def test_teams_of_a_mask_begin_anew_alone():
     venv = vector.EnergyTankWrapper(rv.make_vec("fig3", 3), budget=0.5)
     venv.reset(seed=0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from guarantees import draw, suites
+from guarantees import draw
 from gymnasium.vector import AutoresetMode
 
 import baselines
@@ -35,12 +35,6 @@ def form(request):
 
 
 # ---- both environments --------------------------------------------------------------------------
-
-
-def test_the_suites_of_pettingzoo(form, capsys):
-    suites.parallel_api_test(rv.training_env(SCENARIO, **form), 60)
-    assert "Passed" in capsys.readouterr().out
-    suites.parallel_seed_test(lambda: rv.training_env(SCENARIO, **form), 5)
 
 
 def test_the_environment_by_name_is_the_vector_environment_with_one_team(form):

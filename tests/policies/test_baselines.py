@@ -34,6 +34,9 @@ GRAVITY = [-math.sin(PITCH), 0.0, -math.cos(PITCH)]
         # β = π/2, and β = −π/2 with f_y = 0
         ("nonholonomic-3d", SPACE, [[0, 1, 0], [0, 0, 0], [-1, 0, 0]], [0, 20, 0]),
         ("nonholonomic-3d", SPACE, [[0, 0, 1], [0, 0, 0], [1, 0, 0]], [0, 0, 1]),
+        ("damped", HEAVY, [[1, 0], [0, 1], [0.3, -0.4]], [0.7, 1.4]),
+        # within the limit of 8 m/s², direction kept
+        ("damped", HEAVY, [[6, 0], [0, 8], [0, 0]], [4.8, 6.4]),
         ("zero", POINT, [[1, 0], [0, 1]], [0, 0]),
     ],
 )  # fmt: skip

@@ -1,13 +1,12 @@
 """The scripts of the table of frameworks run, those of frameworks that are installed."""
 
 import json
-import subprocess
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 from run_table import FRAMEWORKS
+from test_package import run_python
 
 HERE = Path(__file__).parent
 SMALL = {  # by the module that each needs
@@ -23,11 +22,6 @@ SMALL = {  # by the module that each needs
 @pytest.mark.parametrize("needed", [module for module in SMALL if find_spec(module)])
 def test_script(needed):
     assert {framework.script for framework in FRAMEWORKS.values()} == {s[0] for s in SMALL.values()}
-    command = [sys.executable, *SMALL[needed], "--starts", "2"]
-    done = subprocess.run(
-        command, capture_output=True, text=True, cwd=HERE, timeout=600, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout.splitlines()[-1])
+    found = json.loads(run_python(HERE, *SMALL[needed], "--starts", "2").splitlines()[-1])
     assert found["frames_per_second"] > 0 and found["training_frames"] > 0
     assert {found["before"], found["after"]} <= {0.0, 0.5, 1.0} and found["training_seconds"] > 0
