@@ -131,10 +131,6 @@ class StateView:
         met, contacts = outcome.status.item(0) == RENDEZVOUS, outcome.contacts.item(0)
         return _standing(met, contacts, *outcome.scores[ELAPSED:, 0].tolist())
 
-    def merged_into_of_first(self) -> list[int]:
-        """``merged_into`` of team 0; quicker where there is no other."""
-        return self._state.teams.merged_into.tolist()[0]
-
     def size(self) -> NDArray[np.float64]:
         """L, (B,), m, of the robots that are left: hull perimeter, in 3-D 2π × mean width."""
         teams = zip(self._state.of_teams("positions"), self.active, strict=True)

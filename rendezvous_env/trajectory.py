@@ -29,16 +29,11 @@ _MUCH = 1e9  # bytes above which a rollout warns before it starts
 class Merge(NamedTuple):
     """A step in which robots of a team merged."""
 
-    env: int
-    """Index of the team."""
-    time: float
-    """End of the step, s."""
-    robots: tuple[int, ...]
-    """Robots that were absorbed."""
-    lyapunov_before: float
-    """V just before the first merge of the step, m²/s."""
-    lyapunov_after: float
-    """V just after the last, m²/s."""
+    env: int  # index of the team
+    time: float  # end of the step, s
+    robots: tuple[int, ...]  # that were absorbed
+    lyapunov_before: float  # V just before the first merge of the step, m²/s
+    lyapunov_after: float  # V just after the last, m²/s
 
 
 @dataclass(frozen=True)
@@ -122,16 +117,11 @@ class Trajectory:
 class Step(NamedTuple):
     """One step of an episode as ``run`` yields it."""
 
-    running: NDArray[np.bool_]
-    """(B,), which teams took part."""
-    observations: NDArray[np.float32]
-    """(B, n, rows, d), what the actions were chosen from."""
-    actions: NDArray[np.float32]
-    """(B, n, a)."""
-    lyapunov: NDArray[np.float64]
-    """(B,), V before the step."""
+    running: NDArray[np.bool_]  # (B,), which teams took part
+    observations: NDArray[np.float32]  # (B, n, rows, d), what the actions were chosen from
+    actions: NDArray[np.float32]  # (B, n, a)
+    lyapunov: NDArray[np.float64]  # (B,), V before the step, m²/s
     outcome: StepOutput
-    """What the step gave out."""
 
 
 def begin(policy: Policy, simulator: Simulator) -> None:
@@ -149,11 +139,9 @@ def run(simulator: Simulator, policy: Policy, observations: NDArray[np.float32])
 
     Args:
         simulator: the teams, freshly reset.
-        policy: (B, n, rows, d) observations and (B,) times in s → (B, n, a) actions; see ``begin``.
+        policy: (B, n, rows, d) observations and (B,) times in s → (B, n, a) actions, refused in a
+            ValueError if they have another shape or are not finite; see ``begin``.
         observations: what the reset returned.
-
-    Raises:
-        ValueError: if an action has the wrong shape or is not finite.
     """
     begin(policy, simulator)
     while (running := simulator.status == RUNNING).any():
@@ -191,7 +179,6 @@ def rollout(
         raise TypeError(f"policy is {shown(policy)}; it must be callable: baselines.make makes one")
     asked = _requested(record)
     simulator = Simulator(resolve(scenario), num_envs)
-    _warn_of_size(simulator, asked)
     kept: defaultdict[str, list[NDArray[Any]]] = defaultdict(list)
 
     def keep(**arrays: NDArray[Any]) -> None:
@@ -210,6 +197,7 @@ def rollout(
 
     observations = simulator.reset(seed, options)
     keep_state(observations)
+    _warn_of_size(simulator, sum(arrays[0].nbytes for arrays in kept.values()), asked)
     finished_at = np.full(simulator.num_envs, np.inf)
     for step in run(simulator, policy, observations):
         outcome = step.outcome
@@ -245,17 +233,15 @@ def _requested(record: Any) -> tuple[str, ...]:
     return tuple(name for name in ON_REQUEST if name in names)
 
 
-def _warn_of_size(simulator: Simulator, asked: tuple[str, ...]) -> None:
-    """Warn if an episode up to the time limit would fill more than ``_MUCH``."""
-    scenario, layout = simulator.scenario, simulator.scenario.observation_layout
-    n, d = scenario.n_robots, scenario.dim
-    numbers = 8 * (n * (d + scenario.model.n_angles) + 4) + 2 * n
-    requested = {"observations": 4 * n * layout.rows * d, "actions": 4 * n * scenario.action_size}
-    a_step = simulator.num_envs * (numbers + sum(requested[name] for name in asked))
-    if (size := a_step * (simulator.max_steps + 1)) > _MUCH:
+def _warn_of_size(simulator: Simulator, a_state: int, asked: tuple[str, ...]) -> None:
+    """Warn if an episode up to the time limit, of so many bytes a state, fills more than _MUCH."""
+    n, size = simulator.scenario.n_robots, simulator.scenario.action_size
+    actions = 4 * n * size if "actions" in asked else 0
+    a_step = a_state + simulator.num_envs * (3 * 8 + n + actions)  # V twice, reward, contacts
+    if (total := a_step * (simulator.max_steps + 1)) > _MUCH:
         advice = "take fewer teams or steps" + (", or record less" if asked else "")
         warnings.warn(
-            f"this rollout may keep {size / 1e9:.1f} GB, {a_step / 1e6:.3g} MB a step for up to "
+            f"this rollout may keep {total / 1e9:.1f} GB, {a_step / 1e6:.3g} MB a step for up to "
             f"{simulator.max_steps} steps; {advice}",
             stacklevel=3,
         )

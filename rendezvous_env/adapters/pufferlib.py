@@ -28,15 +28,10 @@ def make(
     wrap: Callable[[Any], Any] = lambda teams: teams,
     **arguments: Any,
 ) -> RobotPufferEnv:
-    """The robots of a training environment as agents; what ``pufferlib.vector.make`` calls.
+    """The robots of ``vector.training_env`` as agents; what ``pufferlib.vector.make`` calls.
 
-    Args:
-        scenario: as the further arguments, and errors, see ``rendezvous_env.vector.training_env``.
-        num_teams: B.
-        buf: as ``seed``, see ``RobotPufferEnv``.
-        seed: s.
-        wrap: wraps the teams in a ``VectorWrapper`` of your own that changes rewards, say.
-        **arguments: of the training environment.
+    ``wrap`` puts the teams into a ``VectorWrapper`` of your own that changes rewards, say; ``buf``
+    and ``seed`` are of ``RobotPufferEnv``, all other arguments, and errors, of the teams.
     """
     return RobotPufferEnv(wrap(training_env(scenario, num_teams, **arguments)), buf, seed)
 

@@ -47,17 +47,19 @@ class Rollout:
 
     def cut(self, *, only_ended: bool = False) -> Iterator[SingleAgentEpisode]:
         """Episodes and, unless ``only_ended``, parts of them since the last cut."""
-        steps = [step for _, _, step in self._steps]
-        seen = np.stack([before for before, _, _ in self._steps] + [self.observations])
-        rewards = np.stack([step.rewards for step in steps])
+        before, chosen, steps = zip(*self._steps, strict=True)
+        n, seen = self._robots.n_robots, np.stack([*before, self.observations])
+        rewards, acted, ended = (
+            np.stack([getattr(step, name) for step in steps])
+            for name in ("rewards", "acted", "ended")
+        )
         costs = {key: np.stack([step.costs[key] for step in steps]) for key in steps[0].costs}
-        acted, ended = (np.stack([getattr(s, name) for s in steps]) for name in ("acted", "ended"))
-        met = np.repeat(np.stack([step.met for step in steps]), self._robots.n_robots, axis=1)
-        columns = {
-            name: np.stack([chosen[name] for _, chosen, _ in self._steps])
-            for name in self._steps[0][1]
-        }
-        lasts = _last_observations(steps)
+        columns = {name: np.stack([each[name] for each in chosen]) for name in chosen[0]}
+        after = seen[1:].copy()  # a step; where it ended an episode, what to bootstrap from
+        for t, step in enumerate(steps):
+            for team in step.finished:
+                after[t, team * n : (team + 1) * n] = step.last[team]
+            after[t, step.bootstrapped] = step.bootstrap_observations
         self._steps, self.count = [], 0
         for slot in range(acted.shape[1]):
             times = np.flatnonzero(acted[:, slot])
@@ -65,17 +67,16 @@ class Rollout:
                 if not len(part):
                     continue
                 end = int(part[-1])
-                over = bool(ended[end, slot])
+                over, met = bool(ended[end, slot]), bool(steps[end].met[slot // n])
                 if over or not only_ended:
-                    last = lasts[end, slot] if over else seen[end + 1, slot]
                     yield self._episode(
                         slot,
-                        np.concatenate([seen[part, slot], last[None]]),
+                        np.concatenate([seen[part, slot], after[end, slot, None]]),
                         rewards[part, slot],
                         {key: values[part, slot] for key, values in costs.items()},
                         {name: values[part, slot] for name, values in columns.items()},
-                        terminated=bool(over and met[end, slot]),
-                        truncated=bool(over and not met[end, slot]),
+                        terminated=over and met,
+                        truncated=over and not met,
                     )
                 if over:
                     self._ids[slot], self._lengths[slot] = uuid4().hex, 0
@@ -118,17 +119,3 @@ def _spread(values: NDArray[Any], slots: NDArray[np.int64], total: int) -> NDArr
     spread = np.zeros((total, *values.shape[1:]), dtype=values.dtype)
     spread[slots] = values
     return spread
-
-
-def _last_observations(steps: list[SlotStep]) -> dict[tuple[int, int], NDArray[np.float32]]:
-    """Last observations of episodes by step and slot; where they were cut off, those to bootstrap
-    from.
-    """
-    found: dict[tuple[int, int], NDArray[np.float32]] = {}
-    for t, step in enumerate(steps):
-        n = step.last.shape[1]
-        for team in step.finished:
-            found |= {(t, team * n + robot): step.last[team, robot] for robot in range(n)}
-        cut_off = zip(step.bootstrapped.tolist(), step.bootstrap_observations, strict=True)
-        found |= {(t, slot): observation for slot, observation in cut_off}
-    return found

@@ -35,31 +35,26 @@ def make_robots(scenario: ScenarioLike, num_teams: int, **arguments: Any) -> Rob
 class RobotVecEnv(VecEnv):
     """B teams of n robots as B·n slots; slot = team · n + robot, see ``RobotSlots``.
 
-    A team is reset in the step in which it ends. Rendezvous is a true end. A time-out and a merge
-    are none: the slot's info has ``TimeLimit.truncated`` True, and ``terminal_observation`` is the
-    robot's own last observation at a time-out and its survivor's at a merge, so that meeting early
-    is not punished. The slot of a merged-away robot observes zeros until its team is reset;
-    ``acted`` leaves these slots out, and so does ``RobotRolloutBuffer``.
+    Where a slot is cut off by a time-out or a merge its info has ``TimeLimit.truncated`` True, and
+    ``terminal_observation`` is what its future is valued by. The slot of a merged-away robot
+    observes zeros until its team is reset; ``acted`` leaves these slots out, and so does
+    ``RobotRolloutBuffer``.
 
     With ``Scenario.costs`` the info of every slot has ``cost`` and ``cost_NAME``, and ``costs`` has
     them as arrays (slots,); those of an episode, summed over its robots, stand in ``episode``.
 
-    When a team's episode ends, the info of one of its slots carries the statistics: ``episode``
-    with "r" (sum of team rewards), "l" (steps), "t" (s since the start of this object) and the
-    summary, and ``is_success``. The slots of a team take turns, from the last one on, and count as
-    monitored: ``evaluate_policy`` waits for an episode of every slot it has a share for, and so
-    counts each episode of a team once.
+    When a team's episode ends, the info of one of its slots carries ``is_success`` and ``episode``:
+    "r" (sum of team rewards), "l" (steps), "t" (s since the start of this object) and the summary.
+    The slots of a team take turns, from the last one on, and count as monitored:
+    ``evaluate_policy``, which waits for an episode of every slot it has a share for, counts each
+    episode of a team once.
 
     ``seed(s)`` gives team b the seed s + b at the next reset; ``set_options`` gives start options,
     one dict for all, or one for each slot, of which a team takes that of its robot 0.
 
     Args:
-        teams: a vector environment of teams with SAME_STEP autoreset, wrapped or not; a wrapper
-            that changes the rewards of teams changes those of their robots, see
-            ``RewardShaping``.
-
-    Raises:
-        ValueError: for another autoreset mode.
+        teams: as of ``RobotSlots``; a wrapper that changes the rewards of teams changes those of
+            their robots, see ``RewardShaping``.
     """
 
     acted: NDArray[np.bool_]
@@ -181,9 +176,6 @@ class RobotVecEnv(VecEnv):
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
         """An attribute of the vector environment, its wrappers or its simulator, for each slot; of
         a simulator's array with leading axis B a slot gets the entry of its team.
-
-        Raises:
-            AttributeError: if none of them has it.
         """
         owner = self._owner(attr_name)
         value, slots = getattr(owner, attr_name), self._get_indices(indices)

@@ -28,21 +28,17 @@ class SlotStep(NamedTuple):
     observations: NDArray[np.float32]  # (slots, ...), for the next actions; zeros if gone
     rewards: NDArray[np.float32]  # (slots,), of the robots
     acted: NDArray[np.bool_]  # (slots,), whose robot took part in the step
-    ended: NDArray[np.bool_]
-    """(slots,), whose episode the step ended, in whatever way; all of a team that is over."""
+    ended: NDArray[np.bool_]  # (slots,), whose episode it ended; all slots of a team that is over
     bootstrapped: NDArray[np.int64]  # (k,), slots that the step cut off: time-out or merge
-    survivors: NDArray[np.int64]
-    """(k,), slots of the robots that each of them is now part of; its own at a time-out."""
-    bootstrap_observations: NDArray[np.float32]
-    """(k, ...), what the value of these slots' future is estimated from."""
+    survivors: NDArray[np.int64]  # (k,), the slots that these are now part of, or their own
+    bootstrap_observations: NDArray[np.float32]  # (k, ...), by which their future is valued
     last: NDArray[np.float32]  # (B, n, ...), at the end of the step, before any team was reset
     met: NDArray[np.bool_]  # (B,), teams whose episode ended with a rendezvous
     late: NDArray[np.bool_]  # (B,), teams whose episode ended at the time limit
     finished: dict[int, dict[str, Any]]
     """Of each team that is over: "return" (sum of team rewards), "length" (steps), STANDING, and
     with ``Scenario.costs`` "cost", the sum over its robots."""
-    costs: dict[str, NDArray[np.float64]]
-    """(slots,) each, costs of the robots in the step, by key of infos; empty without any."""
+    costs: dict[str, NDArray[np.float64]]  # (slots,) each, of the step, by key of infos
 
 
 class RobotSlots:
@@ -53,10 +49,8 @@ class RobotSlots:
     time-out and by its survivor's at a merge, so that meeting early is not punished.
 
     Args:
-        teams: a vector environment of teams with SAME_STEP autoreset, wrapped or not.
-
-    Raises:
-        ValueError: for another autoreset mode.
+        teams: a vector environment of teams with SAME_STEP autoreset, wrapped or not; a ValueError
+            for another mode.
     """
 
     active: NDArray[np.bool_]
@@ -110,14 +104,14 @@ class RobotSlots:
             count[which] = 0
 
     def step(self, actions: NDArray[Any]) -> SlotStep:
-        """Advance every team with actions (slots, a), or (slots,) where they are discrete.
-
-        Raises:
-            ValueError: as the teams.
+        """Advance every team with actions (slots, a), or (slots,) where they are discrete; errors
+        as the teams.
         """
         observations, rewards, met, late, infos = self.teams.step(actions.reshape(self._acting))
-        over = met | late
-        last = last_observations(observations, infos, over)
+        over, last = met | late, observations
+        if over.any():
+            last = observations.copy()
+            last[over] = np.stack(infos["final_obs"][over].tolist())
         active, into = (at_the_end(infos, over, key) for key in ("active", "merged_into"))
         merged = self.active & ~active
         ended = (merged | over[:, None]).reshape(-1)
@@ -185,19 +179,6 @@ class RobotSlots:
         self.teams.close()
 
 
-def last_observations(
-    observations: NDArray[np.float32], infos: Mapping[str, Any], over: NDArray[np.bool_]
-) -> NDArray[np.float32]:
-    """Observations (B, n, ...) at the end of the step, before the teams (B,) that ended in it were
-    reset.
-    """
-    if not over.any():
-        return observations
-    last = observations.copy()
-    last[over] = np.stack(infos["final_obs"][over].tolist())
-    return last
-
-
 def team_options(options: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Options of all teams, stacked, from those of each; kinds and obstacles must be the same."""
     first = options[0]
@@ -221,11 +202,8 @@ class RewardShaping:
     """Rewards of single robots where wrappers of a user's own have changed those of their teams.
 
     What a wrapper adds to the reward of a team is added to that of each of its robots. A wrapper
-    that changes ``infos["robot_rewards"]`` itself has the last word.
-
-    Args:
-        teams: a vector environment of teams, wrapped or not; a recorder is put under the innermost
-            wrapper that is not of this package.
+    that changes ``infos["robot_rewards"]`` itself has the last word. A recorder is put under the
+    innermost wrapper that is not of this package.
     """
 
     def __init__(self, teams: VectorEnv[Any, Any, Any]) -> None:
@@ -242,9 +220,7 @@ class RewardShaping:
     def robot_rewards(
         self, rewards: NDArray[np.float64], infos: Mapping[str, Any], acted: NDArray[np.bool_]
     ) -> NDArray[np.float64]:
-        """Rewards of the robots in the last step, (B, n), from what the outermost wrapper gave and
-        who (B, n) took part in the step.
-        """
+        """Of the last step, (B, n), from what the outermost wrapper gave and who (B, n) acted."""
         given: NDArray[np.float64] = infos["robot_rewards"]
         if self._recorder is None:
             return given

@@ -16,11 +16,10 @@ from torchrl.envs import EnvBase
 
 from ..engine.memory import RENDEZVOUS, TIME_OUT
 from ..envs.agents import names_of
-from ..envs.vector_env import at_the_end
 from ..scenario.start_options import seeds_of_teams
 from ..simulator import Simulator
 from ..vector import training_env
-from .slots import RewardShaping, last_observations
+from .slots import RewardShaping
 
 if TYPE_CHECKING:
     from ..scenario.scenarios import ScenarioLike
@@ -48,10 +47,8 @@ class RendezvousEnv(EnvBase):
     | "done" | (B, 1) bool | either |
 
     A robot that has merged observes zeros, its actions are ignored, and it earns the team reward
-    until the end, so that meeting early is not punished. A team that has ended begins its next
-    episode at once; ``reset`` then only shows its start, as collectors and
-    ``rollout(break_when_any_done=False)`` ask for. With ``return_state`` it stands still until it
-    is reset, which takes longer, so that the last state of an episode can be returned.
+    until the end, so that meeting early is not punished. A team that has ended stands still until
+    it is reset, as collectors and ``rollout(break_when_any_done=False)`` do.
 
     ``set_seed(s)`` gives team b the seed s + b at its next reset; without a seed a team goes on to
     the next episode of its own. ``reset(options=...)`` takes start options as ``make_vec``.
@@ -64,10 +61,7 @@ class RendezvousEnv(EnvBase):
         wrap: wraps the teams, ``wrap(teams) -> teams``, in a ``VectorWrapper`` of your own that
             changes rewards, say.
         device: of all tensors; None leaves them on the CPU, where they are computed, at no cost.
-        **arguments: of ``vector.training_env``, but for ``autoreset_mode``.
-
-    Raises:
-        TypeError, ValueError: as ``vector.training_env``.
+        **arguments: of ``vector.training_env``, but for ``autoreset_mode``; errors are those, too.
     """
 
     def __init__(
@@ -81,7 +75,7 @@ class RendezvousEnv(EnvBase):
         device: torch.device | str | None = None,
         **arguments: Any,
     ) -> None:
-        mode = AutoresetMode.DISABLED if return_state else AutoresetMode.SAME_STEP
+        mode = AutoresetMode.DISABLED
         self.teams: Any = training_env(scenario, num_envs, autoreset_mode=mode, **arguments)
         self.simulator: Simulator = self.teams.simulator
         self._wrapped = wrap(self.teams)
@@ -91,8 +85,6 @@ class RendezvousEnv(EnvBase):
         self.group_map = {GROUP: names_of(self.simulator.scenario.n_robots)}
         """The one group and its robots."""
         self._make_specs()
-        self._begun = np.zeros(num_envs, dtype=np.bool_)
-        self._costs = self.simulator.costs
         self._set_seed(seed)
 
     @property
@@ -152,68 +144,40 @@ class RendezvousEnv(EnvBase):
         if asked is not None:
             which = asked.cpu().numpy().reshape(-1)
         seeds = [own if now else None for own, now in zip(self._seeds, which, strict=True)]
-        if options or any(seed is not None for seed in seeds) or not self._begun[which].all():
-            self._begin(which, seeds, options or {})
-        self._begun &= ~which
-        self._costs = {key: np.where(which[:, None], 0.0, was) for key, was in self._costs.items()}
+        given = {**(options or {}), "reset_mask": which}
+        observations, infos = self._wrapped.reset(seed=seeds, options=given)
+        self._seeds = [None if now else own for own, now in zip(self._seeds, which, strict=True)]
         status = self.simulator.status
-        return self._given(*self._start, status == RENDEZVOUS, status == TIME_OUT)
-
-    def _begin(
-        self, which: NDArray[np.bool_], seeds: list[int | None], options: Mapping[str, Any]
-    ) -> None:
-        """Begin new episodes in these teams, but not where one has just begun by itself."""
-        seeded = np.array([seed is not None for seed in seeds])
-        anew = which if options else which & (seeded | ~self._begun)
-        self._note(
-            *self._wrapped.reset(
-                seed=seeds if seeded.any() else None, options={**options, "reset_mask": anew}
-            )
-        )
-        for team in np.flatnonzero(which).tolist():
-            self._seeds[team] = None
-
-    def _note(self, observations: NDArray[np.float32], infos: Mapping[str, Any]) -> None:
-        """Keep what the next reset shows."""
-        self._start = observations, infos["active"], infos["contacts"]
-        self._costs = {key: infos[key] for key in self.simulator.costs}
+        return self._given(observations, infos, status == RENDEZVOUS, status == TIME_OUT)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         actions = tensordict.get((GROUP, "action")).detach().cpu().numpy()
-        acted = self._start[1]
         observations, rewards, met, cut, infos = self._wrapped.step(actions)
-        reward = self._shaping.robot_rewards(rewards, infos, acted).astype(np.float32)
-        self._note(observations, infos)
-        last = self._start
-        if not self._gives_state:
-            self._begun = over = met | cut
-            if over.any():
-                active, contacts = (at_the_end(infos, over, key) for key in ("active", "contacts"))
-                last = last_observations(observations, infos, over), active, contacts
-        return self._given(*last, met, cut, reward=reward)
+        reward = self._shaping.robot_rewards(rewards, infos, infos["active"]).astype(np.float32)
+        return self._given(observations, infos, met, cut, reward=reward)
 
     def _given(
         self,
         observations: NDArray[np.float32],
-        active: NDArray[np.bool_],
-        contacts: NDArray[np.int64],
+        infos: Mapping[str, Any],
         met: NDArray[np.bool_],
         cut: NDArray[np.bool_],
         **scalars: NDArray[Any],
     ) -> TensorDict:
         """What a step or a reset returns, over the same memory."""
+        active = infos["active"]
         robots: dict[str, Any] = {"observation": torch.from_numpy(observations)}
         for key, values in {"active": active, **scalars}.items():
             robots[key] = torch.from_numpy(values[..., None])
-        if self._costs:
+        if keys := list(self.simulator.costs):
             costs = {
-                key: torch.from_numpy(values.astype(np.float32)[..., None])
-                for key, values in self._costs.items()
+                key: torch.from_numpy(infos[key].astype(np.float32)[..., None]) for key in keys
             }
             robots["info"] = TensorDict(costs, batch_size=active.shape, device=self.device)
         given: dict[str, Any] = {
             GROUP: TensorDict(robots, batch_size=active.shape, device=self.device)
         }
+        contacts = infos["contacts"]
         of_teams = {"done": met | cut, "terminated": met, "truncated": cut, "contacts": contacts}
         for key, values in of_teams.items():
             given[key] = torch.from_numpy(values[:, None])

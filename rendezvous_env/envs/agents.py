@@ -57,11 +57,8 @@ class TeamByName(OneTeam, SpacesByName[_Space], ParallelEnv[str, NDArray[np.floa
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, Infos]:
-        """Begin an episode: the first of a seed, or without one the next; options: see
-        ``RendezvousParallelEnv``.
-
-        Raises:
-            ValueError: for a bad option or seed; nothing has changed then.
+        """Begin an episode: the first of a seed, or without one the next; options as in
+        ``RendezvousParallelEnv``. A ValueError for a bad option or seed, and nothing has changed.
         """
         observations, infos = self.teams.reset(seed=seed, options=options)
         self.agents = self.possible_agents.copy()
@@ -101,11 +98,8 @@ def alive_in(teams: Mapping[str, NDArray[Any]], on_merge: str) -> list[str]:
 
 
 def check_robots(actions: Any, alive: Sequence[str], merged_into: NDArray[np.int64]) -> None:
-    """Refuse actions, by name, that are not for exactly the robots alive.
-
-    Raises:
-        KeyError: naming the robot that is missing, unknown or gone, and what it is now part of.
-        ValueError: if the actions are no dict.
+    """Refuse actions, by name, that are not for exactly the robots alive: a KeyError names the
+    robot that is missing, unknown or gone, and what it is now part of.
     """
     if not isinstance(actions, Mapping):
         refuse("actions", actions, f"a dict with an action for each of {alive}")
@@ -149,15 +143,13 @@ def table_of(
 class OneAfterAnother(parallel_to_aec_wrapper):
     """PettingZoo's AEC form of a parallel environment of ours.
 
-    PettingZoo keeps the actions until the last robot has chosen. A wrong one would be found only
-    then, too late for its robot to correct it.
+    PettingZoo keeps the actions until the last robot has chosen: a wrong one would be found too
+    late for its robot to correct it.
     """
 
     def step(self, action: Any) -> None:
-        """Take the action of the robot whose turn it is; None of one that has ended.
-
-        Raises:
-            ValueError: for anything else, naming the robot; nothing has changed then.
+        """Take the action of the robot whose turn it is, None of one that has ended; a ValueError
+        for anything else, naming the robot, and nothing has changed.
         """
         robot = self.agent_selection
         if not (self.terminations[robot] or self.truncations[robot]):

@@ -44,6 +44,11 @@ def check_not_guaranteed(env: Any, wrapper: str, layers: type, guarantees: type)
         env = env.env  # type: ignore[attr-defined]
 
 
+def settings_of(kind: type[SafetyFilter]) -> list[str]:
+    """Names of what a user can choose of a filter."""
+    return [name for name in arguments_of(kind)[2:] if name != "num_threads"]
+
+
 def make_filter(
     safety_filter: AnyFilter, simulator: Simulator, settings: Mapping[str, Any]
 ) -> SafetyFilter:
@@ -57,8 +62,7 @@ def make_filter(
     kind: Any = safety_filter
     if not isinstance(kind, type):
         kind = FILTERS[choice("safety_filter", kind, FILTERS)]
-    known = [name for name in arguments_of(kind)[2:] if name != "num_threads"]
-    known_fields(settings, known, kind.__name__, "setting")
+    known_fields(settings, settings_of(kind), kind.__name__, "setting")
     made: SafetyFilter = kind(scenario, num_envs, num_threads=simulator.num_threads, **settings)
     return made
 

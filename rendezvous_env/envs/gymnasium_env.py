@@ -16,7 +16,7 @@ from ..scenario.scenario import Scenario
 from ..scenario.scenarios import ScenarioLike, resolve, with_versions
 from ..scenario.start_options import seeds_of_teams
 from ..simulator import Simulator
-from .overrides import check_overrides, sorted_overrides
+from .overrides import arguments_of, check_overrides, sorted_overrides
 from .vector_env import Info, OneTeam, RendezvousVectorEnv, of_first_team
 from .vector_wrappers import HeadingVectorWrapper
 
@@ -33,17 +33,12 @@ __all__ = [
 class RendezvousEnv(OneTeam, gymnasium.Env[Any, Any]):
     """One team of n robots as one agent.
 
-    What a robot does, sees and earns is specified in ``RendezvousParallelEnv``. Observations are
-    (n, rows, d), actions (n, a), zero or ignored for robots that are gone; the reward is the
-    team's.
-    Terminated: all robots have met. Truncated: the time limit. Infos as ``RendezvousVectorEnv``,
-    without the axis of teams and without masks. Wrappers of the vector environment hold here too.
+    Observations (n, rows, d), actions (n, a), the team's reward and infos are those of
+    ``RendezvousVectorEnv``, without the axis of teams and without masks.
 
     Args:
-        teams: a vector environment of one team, with ``AutoresetMode.DISABLED``.
-
-    Raises:
-        ValueError: for more teams, or another autoreset mode.
+        teams: a vector environment of one team, wrapped or not, with ``AutoresetMode.DISABLED``; a
+            ValueError for others.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as Gymnasium declares it
@@ -64,10 +59,8 @@ class RendezvousEnv(OneTeam, gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], Info]:
-        """Begin a new episode; without a seed the next one of the last seed.
-
-        Raises:
-            ValueError: for a bad option or seed; nothing has changed then.
+        """Begin a new episode; without a seed the next one of the last seed. A ValueError for a
+        bad option or seed, and nothing has changed.
         """
         seeds = seeds_of_teams(seed, 1)
         observations, infos = self.teams.reset(seed=seeds, options=options)
@@ -139,7 +132,8 @@ def make_heading_vec(
     """Many teams that choose heading vectors: ``make_vec`` in the vector HeadingVectorWrapper, with
     the arguments and errors of both; ``max_turn_rate`` is the wrapper's.
     """
-    of_wrapper, of_teams = sorted_overrides(make_vec, HeadingVectorWrapper, arguments)
+    own = arguments_of(HeadingVectorWrapper)[1:]
+    of_wrapper, of_teams = sorted_overrides(make_vec, own, arguments)
     return HeadingVectorWrapper(make_vec(scenario, num_envs, **of_teams), **of_wrapper)
 
 

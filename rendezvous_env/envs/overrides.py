@@ -1,11 +1,9 @@
-"""Keyword arguments of factories: those of the scenario, those of a guarantee's wrapper, and
-unknown ones.
-"""
+"""Keyword arguments of factories: of the scenario, of a guarantee's wrapper, and unknown ones."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -27,15 +25,13 @@ def check_overrides(factory: Callable[..., Any], given: Mapping[str, Any]) -> No
 
 
 def sorted_overrides(
-    factory: Callable[..., Any], wrapper: Callable[..., Any] | None, given: Mapping[str, Any]
+    factory: Callable[..., Any], of_wrapper: Collection[str], given: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Overrides that are arguments of a wrapper, if there is one, and those of the factory and
-    fields of the scenario.
+    """Overrides that are arguments of a wrapper, and those of the factory and of the scenario.
 
     ``max_turn_rate`` is both: it is the wrapper's, which turns no faster than the scenario allows.
     An unknown word is refused with the known one that is most like it.
     """
-    of_wrapper = arguments_of(wrapper)[1:] if wrapper is not None else []
     known = [*of_wrapper, *arguments_of(factory)[:-1], *_FIELDS]
     known_fields(given, known, factory.__name__, "argument")
     arguments = {key: value for key, value in given.items() if key in of_wrapper}

@@ -14,7 +14,7 @@ from ..engine.state_checks import check_keys
 from ..render.renderer import RENDER_MODES
 from ..scenario.scenario import Scenario
 from ..simulator import Simulator
-from .agents import Infos, StepReturn, TeamByName, alive_in, table_of
+from .agents import StepReturn, TeamByName, alive_in, table_of
 from .spaces import as_told
 from .vector_env import RendezvousVectorEnv
 
@@ -22,18 +22,14 @@ from .vector_env import RendezvousVectorEnv
 class RendezvousParallelEnv(TeamByName[Box]):
     """Robots that see only directions must all meet.
 
-    ## Description
-
     ``n`` robots move in the plane or in 3-D. Each one sees in which direction its neighbours and
     the edges of near obstacles lie, in its own frame, and never how far. Neighbours that come
     within ``merge_radius`` become one robot; when one is left, the team has met. After Zhao and
     Zheng, *Flexible Bearing-Only Rendezvous Control of Mobile Robots* (2017).
 
-    ## Agents
-
-    ``robot_0`` … ``robot_{n-1}``. When robots i < j merge, ``robot_i`` goes on and ``robot_j``
-    ends; with ``on_merge="follow"`` it stays instead, with zero observations and without effect,
-    and earns the team reward.
+    Agents are ``robot_0`` … ``robot_{n-1}``. When robots i < j merge, ``robot_i`` goes on and
+    ``robot_j`` ends; with ``on_merge="follow"`` it stays instead, with zero observations and
+    without effect, and earns the team reward.
 
     ## Action space
 
@@ -80,17 +76,13 @@ class RendezvousParallelEnv(TeamByName[Box]):
     earns at least −w₁ (2 v_max τ A + 2 r D̄ m)/V_0 − w₂/N − w₃ n (theory 5). Under
     ``HeadingVectorWrapper`` and without contacts the terms of v_max and w₃ are 0.
 
-    ## Start
+    ## Start and end
 
     Drawn from the seed: uniform in a box of edge ``spawn_size``, neighbours at least 2r apart,
     clear of obstacles; frames and yaw uniform, pitch within ±45°. ``reset(options=…)`` takes any
     part as given: "positions" (n, d), "headings" (n,) or (n, 2), "frames" (n, d, d), "weights" (n,
-    n), "obstacles".
-
-    ## End
-
-    Terminated: all robots have met; a merged-away robot, once, with the team reward and a zero
-    observation. Truncated: the time limit, ``max_cycles`` steps.
+    n), "obstacles". Terminated: all robots have met; a merged-away robot, once, with the team
+    reward and a zero observation. Truncated: the time limit, ``max_cycles`` steps.
 
     ## Infos
 
@@ -108,10 +100,8 @@ class RendezvousParallelEnv(TeamByName[Box]):
     | lyapunov | V, m²/s |
     | cost, cost_NAME | with ``Scenario.costs``: what the step cost this robot |
 
-    After the last step also ``summary``: the last five once more.
-
-    ``state()`` is the privileged global state for centralised critics; ``simulator`` holds it in SI
-    units.
+    After the last step also ``summary``: success to lyapunov once more. ``state()`` is the
+    privileged global state for centralised critics; ``simulator`` holds it in SI units.
 
     ## Pictures
 
@@ -120,9 +110,7 @@ class RendezvousParallelEnv(TeamByName[Box]):
     arrow or s makes one step, escape or q closes it and the episode goes on unseen. Both need the
     extra ``render``. ``metadata["render_fps"]`` is 1/τ: real time.
 
-    ## Version history
-
-    * v0: first version.
+    Version history: v0, the first version.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo reads a plain class attribute
@@ -157,11 +145,8 @@ class RendezvousParallelEnv(TeamByName[Box]):
         self.simulator.set_max_steps(value)
 
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
-        """Advance by one step τ with an action for each robot in ``agents``.
-
-        Returns:
-            Observations, rewards, terminations, truncations and infos of the robots that were alive
-            at the start of the step.
+        """Advance by one step τ with an action for each robot in ``agents``; all that is returned
+        is by name, of the robots that were alive at the start of the step.
 
         Raises:
             KeyError: for a missing, unknown or merged-away robot; nothing has changed then.
@@ -170,54 +155,41 @@ class RendezvousParallelEnv(TeamByName[Box]):
         """
         if self._is_over(actions):
             return {}, {}, {}, {}, {}
-        simulator, alive, names = self.simulator, self.agents, self.possible_agents
+        simulator, alive = self.simulator, self.agents
         outcome = self.teams.advance(table_of(actions, alive, simulator))
-        status = outcome.status.item(0)
+        status, statistics = outcome.status.item(0), simulator.first_episode_statistics(outcome)
         over, met = status != RUNNING, status == RENDEZVOUS
         table = as_told(outcome.observations[0], self.flatten)
-        observations = dict(zip(names, table, strict=True))
-        rewards = dict(zip(names, outcome.robot_rewards[0].tolist(), strict=True))
-        statistics = simulator.first_episode_statistics(outcome)
-        into, (active,) = simulator.merged_into_of_first(), outcome.active.tolist()
-        (contacts,), (clearances,) = outcome.contact.tolist(), outcome.clearance.tolist()
-        infos: Infos = {}
-        for i, name in enumerate(names):
-            infos[name] = info = statistics.copy()  # then item by item: half as long as at once
-            info["merged_into"], info["contact"] = into[i], contacts[i]
-            info["clearance"] = clearances[i]
-        for key, costs in simulator.costs.items():
-            for info, cost in zip(infos.values(), costs[0].tolist(), strict=True):
-                info[key] = cost
-        if len(alive) < len(names):
-            observations = {name: observations[name] for name in alive}
-            rewards = {name: rewards[name] for name in alive}
-            infos = {name: infos[name] for name in alive}
-        ends, cuts = dict.fromkeys(alive, met), dict.fromkeys(alive, over and not met)
-        if not met and self.scenario.on_merge == "remove" and active.count(True) < len(alive):
-            lives = dict(zip(names, active, strict=True))
-            ends = {name: not lives[name] for name in alive}
-            cuts = {name: over and not ended for name, ended in ends.items()}
-            self.agents = [name for name in alive if lives[name]]
-        if over:
-            self.agents = []
-            for info in infos.values():
+        robot_rewards, active = outcome.robot_rewards[0].tolist(), outcome.active[0].tolist()
+        own: dict[str, Any] = {"merged_into": simulator.merged_into, "contact": outcome.contact}
+        own |= {"clearance": outcome.clearance, **simulator.costs}
+        numbers = {key: values[0].tolist() for key, values in own.items()}
+        removed = self.scenario.on_merge == "remove"
+        returned: StepReturn = {}, {}, {}, {}, {}
+        observations, rewards, ends, cuts, infos = returned
+        for name in alive:
+            i = self._indices[name]
+            observations[name], rewards[name] = table[i], robot_rewards[i]
+            ends[name] = ended = met or (removed and not active[i])
+            cuts[name] = over and not ended
+            infos[name] = info = statistics.copy()
+            for key, values in numbers.items():
+                info[key] = values[i]
+            if over:
                 info["summary"] = statistics.copy()
-        return observations, rewards, ends, cuts, infos
+        self.agents = [] if over else [name for name in alive if not ends[name]]
+        return returned
 
     def index(self, name: str) -> int:
         """Index of a robot by its name."""
         return self._indices[name]
 
     def get_state(self) -> dict[str, Any]:
-        """The running episode as copies; ``set_state`` puts it back."""
+        """As ``OneTeam.get_state``."""
         return {"agents": self.agents.copy(), "simulator": self.simulator.get_state()}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Put back an episode that ``get_state`` took out.
-
-        Raises:
-            ValueError: naming what does not fit; nothing has changed then.
-        """
+        """As ``OneTeam.set_state``."""
         check_keys(state, ("agents", "simulator"))
         teams = self.simulator.check_state(state["simulator"])
         alive, given = alive_in(teams, self.scenario.on_merge), state["agents"]

@@ -20,6 +20,7 @@ from ..safety.theorems.certificate import certificate
 from ..scenario.scenario import Scenario
 from ..scenario.scenarios import ScenarioLike, resolve
 from ..scenario.start_options import as_options
+from .guarantee import settings_of
 from .gymnasium_env import make_vec
 from .overrides import sorted_overrides
 from .vector_env import Info, RendezvousVectorEnv, Transition, at_the_end, leave_out_summary
@@ -40,8 +41,6 @@ WRAPPERS: dict[str, Any] = {
 """By guarantee: theorems C, D, G and R."""
 _LOGGER = logging.getLogger("rendezvous_env")
 _said: set[tuple[Scenario, str]] = set()
-
-
 _presets: list[Callable[[], Any]] = []
 
 
@@ -85,39 +84,31 @@ def training_env(
     | actions, ``discrete`` | (B, n): index of an angle φ in ``learned.policy_settings``; 0: φ = 0 |
 
     An action says where f is imagined to point; from there the joined rule leads round obstacles,
-    and the guarantee's filter turns the result into an action that keeps its promise. The length
-    does not count; the zero vector is straight ahead, the rule itself. Other robots and guarantees
-    have no shipped policy: they see and do what the guarantee's wrapper says (for "tank" with the
-    budget of the shipped policy and ``observe_level``), and a choice is held for 0.6 s, too.
+    and the guarantee's filter makes an action of the result that keeps its promise. The length does
+    not count; the zero vector is straight ahead, the rule itself. Other robots and guarantees have
+    no shipped policy: they see and do what the guarantee's wrapper says (for "tank" with the budget
+    of the shipped policy and ``observe_level``), and a choice is held for 0.6 s, too.
 
     | argument | |
     |---|---|
-    | scenario | a Scenario, the name of one (``scenarios.names()``) or the path of a TOML file |
-    | num_envs | B, number of teams |
     | guarantee | "heading" (theorem C), "tank" (D), "gains" (G), "links" (R), the name of a |
     | | filter of one's own (``register_filter``), or None: bare actions. Where the certificate |
     | | does not cover the scenario the logger "rendezvous_env" says so, once |
     | learning_preset | see above; False leaves the plain wrapper and the scenario's reward |
     | flatten | whether tables are (B, n, rows·d); what ``Features`` shows is flat |
     | discrete | whether robots choose among the angles of the shipped policy |
-    | render_mode, autoreset_mode, num_threads, max_cycles | as ``make_vec`` |
     | touch_penalty | of a robot's first touch in an episode; None is 1 with the preset, else 0 |
-    | further ones | arguments of the guarantee's wrapper, fields of the scenario; a ``reward``, |
-    | | here or in the scenario, overrides the preset's |
+    | further ones | those of ``make_vec`` and of the guarantee's wrapper, fields of the scenario; |
+    | | a ``reward``, here or in the scenario, overrides the preset's |
 
     Raises:
         TypeError: for an unknown argument or field, with the nearest known one.
         ValueError: naming an argument, its value and what would be right.
     """
-    wrapper: Any = None
+    own: list[str] = []
     if guarantee is not None:
-        choice("guarantee", guarantee, FILTERS)
-        wrapper = WRAPPERS.get(guarantee, GuaranteeWrapper)
-    arguments, changes = sorted_overrides(
-        training_env,
-        FILTERS[guarantee or ""] if wrapper is GuaranteeWrapper else wrapper,
-        overrides,
-    )
+        own = ["decision_period", *settings_of(FILTERS[choice("guarantee", guarantee, FILTERS)])]
+    arguments, changes = sorted_overrides(training_env, own, overrides)
     if changes.setdefault("on_merge", "follow") != "follow":
         refuse("on_merge", changes["on_merge"], "'follow' in a training environment")
     chosen = resolve(scenario, **changes)
@@ -146,10 +137,10 @@ def training_env(
         _say_what_is_not_covered(chosen, guarantee, arguments)
         if preset is not None and shown:
             teams = preset.wrap(teams, guarantee, discrete, arguments)
-        elif wrapper is GuaranteeWrapper:
-            teams = GuaranteeWrapper(teams, guarantee, **arguments)
+        elif guarantee in WRAPPERS:
+            teams = WRAPPERS[guarantee](teams, **arguments)
         else:
-            teams = wrapper(teams, **arguments)
+            teams = GuaranteeWrapper(teams, guarantee, **arguments)
     if touch_penalty is not None:
         price = number("touch_penalty", touch_penalty)
     return TrainingTeams(teams, price)
@@ -162,11 +153,11 @@ def _say_what_is_not_covered(
     if guarantee not in WRAPPERS or (scenario, guarantee) in _said:
         return
     _said.add((scenario, guarantee))
+    settings = inspect.signature(FILTERS[guarantee]).parameters
     known = inspect.signature(certificate).parameters
     asked = {key: value for key, value in arguments.items() if key in known}
-    own = inspect.signature(WRAPPERS[guarantee]).parameters
-    if "min_alignment" in own:
-        asked.setdefault("min_alignment", own["min_alignment"].default)
+    if "min_alignment" in settings:
+        asked.setdefault("min_alignment", settings["min_alignment"].default)
     found = certificate(scenario, by=guarantee, **asked)
     if not found.guaranteed:
         _LOGGER.warning(
@@ -175,20 +166,12 @@ def _say_what_is_not_covered(
 
 
 class TrainingTeams(gymnasium.vector.VectorWrapper):
-    """B teams whose robots all act and earn until their episode ends.
+    """B teams whose robots all act and earn until their episode ends; see ``training_env``.
 
-    ``training_env`` says what they see and do. Robots that have merged away observe zeros; their
-    actions are ignored, and they earn with their team.
-
-    | array | shape | |
-    |---|---|---|
-    | rewards | (B,) float64 | mean of what the team's robots earn |
-    | infos["robot_rewards"] | (B, n) float64 | the team's, less ``touch_penalty`` once touched |
-    | infos["active"] | (B, n) bool | the robot still exists on its own |
-
-    A reward is bounded as in ``rendezvous_v0``, less ``touch_penalty`` in one step of an episode.
-    The other infos are those of ``RendezvousVectorEnv`` and of the guarantee's wrapper: numbers,
-    under the same keys in every step. ``final_obs`` and ``final_info`` come only with SAME_STEP.
+    ``infos["robot_rewards"]``, (B, n), are the team's reward, less ``touch_penalty`` in the step of
+    a robot's first touch in an episode; ``rewards``, (B,), are their mean. The other infos are
+    those of ``RendezvousVectorEnv`` and of the guarantee's wrapper, under the same keys in every
+    step. ``final_obs`` and ``final_info`` come only with SAME_STEP.
 
     Args:
         teams: whose scenario has ``on_merge="follow"``.
@@ -218,8 +201,7 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
     ) -> tuple[NDArray[np.float32], Info]:
         """As ``RendezvousVectorEnv.reset``."""
         observations, infos = self.env.reset(seed=seed, options=options)
-        which = as_options(options).get("reset_mask")
-        self._touches.forget(None if which is None else np.asarray(which))
+        self._touches.forget(as_options(options).get("reset_mask"))
         return observations, infos
 
     def step(self, actions: ArrayLike) -> Transition:
@@ -268,6 +250,6 @@ class FirstContacts:
             self.forget(over)
         return first
 
-    def forget(self, which: NDArray[np.bool_] | None = None) -> None:
+    def forget(self, which: ArrayLike | None = None) -> None:
         """New episodes of all teams, or of those of a mask (B,)."""
-        self.touched[slice(None) if which is None else which] = False
+        self.touched[slice(None) if which is None else np.asarray(which)] = False

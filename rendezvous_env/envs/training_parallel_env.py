@@ -26,11 +26,9 @@ def training_env(
     render_mode: str | None = None,
     **overrides: Any,
 ) -> TrainingParallelEnv:
-    """One team for a generic learner: a PettingZoo environment.
-
-    It is the team of ``rendezvous_env.vector.training_env`` with B = 1, by name. Its docstring has
-    the other arguments (``max_cycles``, ``touch_penalty``, those of the guarantee's wrapper, fields
-    of the scenario), what robots see, do and earn, and errors.
+    """One team for a generic learner, as PettingZoo has it: that of
+    ``rendezvous_env.vector.training_env`` with B = 1, by name. Its docstring has all arguments,
+    errors, and what robots see, do and earn.
     """
     teams = vector_training_env(
         scenario,
@@ -50,18 +48,10 @@ class TrainingParallelEnv(TeamByName[Box | Discrete]):
     """The robots of one training team, by name; ``training_env`` says what they see and do.
 
     All stay from the first step of an episode to its last: one that has merged away observes zeros,
-    its action is ignored, and it earns with its team. Infos have the same keys in every step, and
-    numbers:
-
-    | key | |
-    |---|---|
-    | active | whether it still exists on its own |
-    | merged_into | index of the robot that it is now part of; its own while it is active |
-    | contact | whether it touched an obstacle since its last decision |
-    | clearance | m to the nearest obstacle, inf without any |
-    | success, time, contacts, path_length, lyapunov | of the team, as in ``rendezvous_v0`` |
-    | alignment, lyapunov_rate, … | infos of the guarantee's wrapper |
-    | cost, cost_NAME | with ``Scenario.costs``: its costs since its last decision |
+    its action is ignored, and it earns with its team. Infos are numbers, under the same keys in
+    every step: those of ``RendezvousParallelEnv`` without ``summary``, ``active`` (whether the
+    robot still exists on its own), and those of the guarantee's wrapper. ``contact`` and costs
+    count since the last decision.
 
     Args:
         teams: ``TrainingTeams`` of one team, with ``AutoresetMode.DISABLED``.
@@ -87,12 +77,12 @@ class TrainingParallelEnv(TeamByName[Box | Discrete]):
         check_robots(actions, names, self.simulator.merged_into[0])
         for name in names:
             action, space = actions[name], self.action_spaces[name]
-            if isinstance(space, Discrete):
+            if isinstance(space, Box):
+                check_action(name, action, space.shape[0])
+            else:
                 scalar = np.ndim(action) == 0 and hasattr(action, "item")
                 index = action.item() if scalar else action
                 whole(f"action of {name}", index, 0, int(space.n) - 1)
-            else:
-                check_action(name, action, space.shape[0])
         table = np.stack([np.asarray(actions[name]) for name in names])[None]
         observations, _, ends, cuts, infos = self.teams.step(table)
         over, cut = bool(ends[0]), bool(cuts[0])

@@ -53,14 +53,13 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
     | terminations | (B,) bool | all robots have met |
     | truncations | (B,) bool | the time limit |
 
-    Infos are those of ``RendezvousParallelEnv`` as arrays, each with its mask ``_key`` (B,); and
+    Infos are those of ``RendezvousParallelEnv`` as arrays, (B,) of teams, (B, n) of robots, each
+    with its mask ``_key`` (B,); ``summary`` is a dict of arrays. Two more:
 
     | key | shape | |
     |---|---|---|
     | robot_rewards | (B, n) float64 | team reward of robots alive before the step, else 0 |
     | active | (B, n) bool | the robot still exists on its own |
-    | merged_into, contact, clearance, costs | (B, n) | |
-    | success, time, contacts, path_length, lyapunov | (B,) | ``summary`` is a dict of them |
 
     A team that has ended, by ``autoreset_mode``:
 
@@ -73,10 +72,9 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
     team goes on to the next episode of its own. Options as in ``RendezvousParallelEnv``, one for
     all teams or with a leading axis B. ``simulator`` holds the global state for analysis.
 
-    ``render()`` gives a picture for each team in "rgb_array" mode, as Gymnasium's ``RecordVideo``
-    for vector environments wants it: parts of one picture of (600, 600, 3) uint8, in which the
-    first 16 teams stand side by side, and which ``renderer.render()`` gives as a whole. Further
-    teams are not drawn and have one blank part together, so that thousands cost no more than 16.
+    ``render()`` in "rgb_array" mode gives a picture for each team, as Gymnasium's ``RecordVideo``
+    for vector environments wants it: parts of one picture (600, 600, 3) uint8 of the first 16 teams
+    side by side, which ``renderer.render()`` gives as a whole. Further teams share one blank part.
 
     Args:
         simulator: the teams.
@@ -95,12 +93,9 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         render_mode: str | None = None,
         flatten: bool = False,
     ) -> None:
-        self.simulator = simulator
-        self.autoreset_mode = autoreset_mode
-        self.scenario = simulator.scenario
-        self.num_envs = simulator.num_envs
-        self.renderer = Renderer(simulator, render_mode)
-        self.render_mode = render_mode
+        self.simulator, self.autoreset_mode = simulator, autoreset_mode
+        self.scenario, self.num_envs = simulator.scenario, simulator.num_envs
+        self.renderer, self.render_mode = Renderer(simulator, render_mode), render_mode
         self.metadata = render_metadata(simulator) | {"autoreset_mode": autoreset_mode}
         self.begins_anew = True
         """Whether teams that have ended are reset here, not by a wrapper (``begin_anew``)."""
@@ -231,10 +226,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A picture for each team, see the class; in "human" mode they are shown, side by side.
-
-        Raises:
-            RuntimeError: before the first reset, or where no window can be opened.
-            ImportError: without the extra ``render``.
+        Errors as ``Renderer.render``.
         """
         return self.renderer.pictures()
 
@@ -262,33 +254,25 @@ class OneTeam:
         self.metadata = self.metadata | own
 
     def state(self) -> NDArray[np.float32]:
-        """The privileged global state, one float32 vector.
-
-        Positions (n·d, m), frames (n·d·d), weights (n·n, m/s), active (n, 0 or 1), packed obstacles
-        (M·width), and the share of the time limit that has passed.
+        """The privileged global state, one float32 vector: positions (n·d, m), frames (n·d·d),
+        weights (n·n, m/s), active (n, 0 or 1), packed obstacles (M·width), and the share of the
+        time limit that has passed.
         """
-        state: NDArray[np.float32] = self.teams.state()[0]
-        return state
+        return self.teams.state()[0]
 
     def get_state(self) -> dict[str, Any]:
         """The running episode and all memory, as copies; ``set_state`` puts it back."""
-        state: dict[str, Any] = self.teams.get_state()
-        return state
+        return self.teams.get_state()
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Put back what ``get_state`` took out.
-
-        Raises:
-            ValueError: naming what does not fit; nothing has changed then.
+        """Put back what ``get_state`` took out; a ValueError names what does not fit, and nothing
+        has changed then.
         """
         self.teams.set_state(state)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A picture, (600, 600, 3) uint8, in "rgb_array" mode; in "human" mode it is shown.
-
-        Raises:
-            RuntimeError: before the first reset, or where no window can be opened.
-            ImportError: without the extra ``render``.
+        """A picture, (600, 600, 3) uint8, in "rgb_array" mode; in "human" mode it is shown. Errors
+        as ``Renderer.render``.
         """
         return self.renderer.render()
 
@@ -340,7 +324,7 @@ def of_all(infos: Info, num_envs: int) -> Info:
 
 
 def masked(infos: Info, mask: NDArray[np.bool_]) -> Info:
-    """Infos of the teams of a mask, with masks: to every key ``_key``."""
+    """Infos of the teams of a mask (B,), with masks: to every key ``_key``."""
     return _with_masks(infos, np.full((len(infos), len(mask)), mask))
 
 

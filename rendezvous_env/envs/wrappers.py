@@ -29,22 +29,21 @@ from .spaces import as_told, choice_box, observation_box
 class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
     """Robots choose; for ``decision_period`` base steps a safety filter turns choices into actions.
 
-    Observations are the filter's view of the rows, actions are its choices, and infos hold its
-    numbers of the last base step beside those of the base environment.
+    Observations are the filter's view of the rows, actions its choices; infos add the filter's
+    numbers of the last base step.
 
     Args:
         env: a rendezvous parallel environment, which other wrappers may have changed.
         safety_filter: a filter of one team of this scenario, its class, or its name
             (``register_filter``): "heading", "tank", "gains", "links" or a user's own.
         decision_period: base steps for which a choice is held; the filter computes an action in
-            each. Rewards are summed, and a robot that merges on the way ends with its last
-            observation.
+            each. Rewards are summed; a robot that merges on the way ends with its last observation.
         **settings: of a filter given by class or name. All four have ``frame``, in which robots see
             and choose: "net_bearing" (x along f_i, single integrators only) or "local".
 
     Raises:
-        TypeError: for another kind of environment, one under a guarantee already, or a setting that
-            the filter does not know.
+        TypeError: for another kind of environment, one already under a guarantee, or an unknown
+            setting.
         ValueError: naming the argument, its value and what would be right.
     """
 
@@ -180,21 +179,15 @@ class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
     Velocities are scaled by r/(2 D_i τ) where the step is longer than certified (theory 4).
     Nonholonomic robots choose turn rates through the gate of theory 3 and drive with v = mᵀf.
 
-    ## Action space
-
-    ``Box(−1, 1, (d,))``, a raw vector in the frame that is observed; its length does not count. For
-    nonholonomic robots ``Box(−1, 1, (1,))`` or ``(2,)``: turn rates in units of ``max_turn_rate``.
-
-    ## Observation space
-
-    The rows of the base environment. With ``frame="net_bearing"`` (single integrators) in a frame
-    whose x axis is along f_i, so that any network is rotation-equivariant: exactly in 2-D; in 3-D
-    the second axis comes from the row with the longest part across f_i. While ‖f_i‖ < δ the last
-    frame is kept.
-
-    ## Infos
-
-    ``alignment`` = |h_iᵀf_i|/‖f_i‖ (NaN where f_i = 0) and ``lyapunov_rate`` = −2 (h_iᵀf_i)².
+    * Actions: ``Box(−1, 1, (d,))``, a raw vector in the frame that is observed; its length does not
+      count. For nonholonomic robots ``Box(−1, 1, (1,))`` or ``(2,)``: turn rates in units of
+      ``max_turn_rate``.
+    * Observations: the base environment's rows. With ``frame="net_bearing"`` (single integrators) x
+      is along f_i, so that any network is rotation-equivariant: exactly in 2-D; in 3-D the second
+      axis comes from the row with the longest part across f_i. While ‖f_i‖ < δ the last frame is
+      kept.
+    * Infos: ``alignment`` = |h_iᵀf_i|/‖f_i‖ (NaN where f_i = 0) and ``lyapunov_rate`` =
+      −2 (h_iᵀf_i)², m²/s².
 
     Args:
         env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``.
@@ -214,32 +207,24 @@ class EnergyTankWrapper(TankSettings, GuaranteeWrapper):
     The desired velocity is carried out while A_i + G_i ≥ 0, even straight away from f_i. Otherwise
     law (4) moves the robot along that direction, projected onto the cap |hᵀf_i| ≥ ε‖f_i‖, or along
     f_i if it is zero, and that fills the tank. So V ≤ V(0) + n·budget until the first merge, and
-    without obstacles all robots meet in finite time whatever the policy does (theorem D).
+    without obstacles all robots meet in finite time whatever the policy does (theorem D). In a step
+    with contact a robot books min(0, G_i): the bound on V is claimed for motion without contacts. A
+    survivor's tank is the sum of both.
 
-    ## Action space
+    * Actions: ``Box(−1, 1, (d,))``, the desired velocity in units of v_max, in the frame that is
+      observed; a longer one is scaled to v_max. For other robot models the base action in units of
+      its bounds. For nonholonomic robots the energy budget has no term ε², and there is no time
+      bound; with an empty tank they drive with v = s mᵀf and turn through the gate of theory 3.
+    * Observations: as ``HeadingVectorWrapper``'s. With ``observe_level`` one row more, the last:
+      (A_i/(r D̄), 0, …), the level of the robot's own tank in units of twice the most that a step
+      can earn. The robot knows it from its own past; no sensor is needed.
 
-    ``Box(−1, 1, (d,))``, the desired velocity in units of v_max, in the frame that is observed; a
-    longer one is scaled to v_max. For other robot models the base action in units of its bounds.
-    For nonholonomic robots the energy budget has no term ε², and there is no time bound; with an
-    empty tank they drive with v = s mᵀf and turn through the gate of theory 3.
-
-    ## Observation space
-
-    As ``HeadingVectorWrapper``'s. With ``observe_level`` one row more, the last: (A_i/(r D̄), 0, …),
-    its length the level of the robot's own tank in units of twice the most that a step can earn.
-    The robot knows it from its own past; no sensor is needed.
-
-    ## Infos
-
-    | key | |
+    | infos | |
     |---|---|
     | tank | A_i after the step, m²/s; 0 for a robot that has merged: the survivor has it |
     | carried_out | whether the desired velocity was, not law (4) in its place |
     | alignment | |h_iᵀf_i|/‖f_i‖, h_i the direction of motion or the body axis; NaN without any |
     | lyapunov_rate | −2 f_iᵀΔ_i/τ, m²/s²: positive where V is made to rise |
-
-    In a step with contact a robot books min(0, G_i): the bound on V is claimed for motion without
-    contacts. A survivor's tank is the sum of both.
 
     Args:
         env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``.
@@ -260,19 +245,12 @@ class GainWrapper(GainSettings, GuaranteeWrapper):
     switching, or never connected at once. While every robot sees somebody all meet in finite time.
     V is not watched: it may rise.
 
-    ## Action space
-
-    ``Box(0, 1, (K,))``, a weight for each neighbour row, in the order of the rows that are seen.
-    Absent rows do not count; if the others are all zero, they count alike. Then all are scaled as a
-    whole. Observations as under ``HeadingVectorWrapper``.
-
-    ## Infos
-
-    | key | |
-    |---|---|
-    | gain | Σ_j c_ij, m/s; 0 for a robot that sees nobody |
-    | alignment | |h_iᵀf_i|/‖f_i‖, h_i the direction of motion; NaN without any |
-    | lyapunov_rate | −2 f_iᵀv_i, m²/s²: positive where V is made to rise |
+    * Actions: ``Box(0, 1, (K,))``, a weight for each neighbour row, in the order of the rows that
+      are seen. Absent rows do not count; if the others are all zero, they count alike. Then all are
+      scaled as a whole. Observations as under ``HeadingVectorWrapper``.
+    * Infos: ``gain`` = Σ_j c_ij, m/s, 0 for a robot that sees nobody; ``alignment`` =
+      |h_iᵀf_i|/‖f_i‖, h_i the direction of motion, NaN without any; ``lyapunov_rate`` = −2 f_iᵀv_i,
+      m²/s², positive where V is made to rise.
 
     Args:
         env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``; its robots'
@@ -293,17 +271,9 @@ class LinkKeepingWrapper(LinkSettings, GuaranteeWrapper):
     sensor of limited range a link that is shorter than range − (n − 1) r/2 is never lost but by a
     merge, and if such links connect the team at the start, all meet in finite time whatever the
     policy does. Claimed for motion without contacts: an obstacle turns robots aside.
-
-    ## Action space
-
-    ``Box(−1, 1, (d,))``, the desired velocity in units of v_max, in the frame that is observed; a
-    longer one is scaled to v_max. Observations as under ``HeadingVectorWrapper``.
-
-    ## Infos
-
-    ``alignment`` = |h_iᵀf_i|/‖f_i‖, h_i the direction of motion (NaN without any), and
-    ``lyapunov_rate`` = −2 f_iᵀv_i, m²/s², which is never positive while no bearing errs by more
-    than ``bearing_error``.
+    Actions as under ``EnergyTankWrapper``, observations as under ``HeadingVectorWrapper``, infos
+    ``alignment`` and ``lyapunov_rate`` as under ``GainWrapper``; the rate is never positive while
+    no bearing errs by more than ``bearing_error``.
 
     Args:
         env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``; its robots'

@@ -99,7 +99,8 @@ class Renderer:
         """The picture, (height, width, 3); None in "human" mode, which shows it.
 
         Raises:
-            RuntimeError: before the first reset.
+            RuntimeError: before the first reset, or where no window can be opened.
+            ImportError: without the extra ``render``.
         """
         if self.render_mode is None:
             gymnasium.logger.warn(
