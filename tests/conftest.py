@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sys
 import tempfile
 from collections import Counter
@@ -41,7 +42,12 @@ def pytest_configure(config: pytest.Config) -> None:
     """What libraries leave in the folder for temporary files goes when the run ends."""
     if hasattr(config, "workerinput"):
         return  # a worker has its controller's
-    ours = tempfile.TemporaryDirectory(prefix="rv-", ignore_cleanup_errors=True)
+    for left in Path(tempfile.gettempdir()).glob("rv-*-*"):  # by runs that were killed
+        try:
+            os.kill(int(left.name.split("-")[1]), 0)
+        except ProcessLookupError:
+            shutil.rmtree(left, ignore_errors=True)
+    ours = tempfile.TemporaryDirectory(prefix=f"rv-{os.getpid()}-", ignore_cleanup_errors=True)
     # pytest's own folders stay where they were: those of failures are kept
     os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", tempfile.gettempdir())
     os.environ["TMPDIR"], tempfile.tempdir = ours.name, None

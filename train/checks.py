@@ -30,9 +30,7 @@ def check_installed(what: str, extra: str, *packages: str) -> None:
 
 
 def check_fields(config: Any) -> None:
-    """Refuse what no field of any command's settings may be: NaN, ±∞, text that no file can be
-    called.
-    """
+    """Refuse what no field of any settings may be: NaN, ±∞, text that is no name of a file."""
     for field in fields(config):
         name = field.name if "Positional" in str(field.type) else flag(field.name)
         for value in _each(config, field.name):

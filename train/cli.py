@@ -43,11 +43,8 @@ _LONGEST_LINE = 1000
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command; ``argv`` is what follows ``rendezvous``, taken from the system if None.
-
-    Returns:
-        Exit status: 0, 1 for a failed check, 2 for the user's mistake or a disk or memory that is
-        full, 130 when interrupted (Ctrl-C), 143 when terminated.
+    """Run a command, of the words after ``rendezvous``; exit status 0, 1 for a failed check, 2 for
+    the user's mistake or a full disk or memory, 130 when interrupted (Ctrl-C), 143 when terminated.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before anything loads torch
     # what a small network computes must not depend on the number of cores, nor wait for them
@@ -141,11 +138,8 @@ def _complete(shell: str) -> int:
 
 
 def help_of(command: str, module: Any) -> str:
-    """What ``--help`` prints for a command: what it does, examples, and its flags in groups.
-
-    The fields of the module's Config are documented below them. Where that is defined there may be
-    EXAMPLES (words after the command) and FLAG_GROUPS (names of fields by title; the others stand
-    first).
+    """What ``--help`` prints: the docstring of the command's Config, EXAMPLES (words after the
+    command), and fields with their docstrings; those of FLAG_GROUPS (names by title) come last.
     """
     config = module.Config
     hints, documents = get_type_hints(config, include_extras=True), _documents(config)
@@ -191,12 +185,10 @@ def _documents(config: type) -> dict[str, str]:
 
 def _flag_of(name: str, hint: Any, positional: bool, default: Any) -> str:
     """A flag with its other names and what follows it."""
-    names = [flag(name)]
+    names, kind = [flag(name)], hint
     for one in getattr(hint, "__metadata__", ()):  # tyro.conf.arg
-        if getattr(one, "name", None) is not None:
-            names = [f"--{one.name}"]
         names += getattr(one, "aliases", None) or ()
-    kind = getattr(hint, "__origin__", hint) if hasattr(hint, "__metadata__") else hint
+        kind = hint.__origin__
     if kind is bool:
         return f"{names[0]}, --no-{names[0][2:]}" if default else ", ".join(names)
     if positional:

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env.obstacles.obstacle_set import outlines
-from rendezvous_env.obstacles.shape import Outline
 from rendezvous_env.render.scene import outermost
 
 from .recording import Recording
@@ -49,12 +48,9 @@ class Encoded:
     the observations."""
     text: str
     """All arrays, little-endian, in base64 of gzip."""
-    stride: int
-    """Besides merges and the end, every stride-th recorded frame is there."""
-    extent: list[list[float]]
-    """Of robots and obstacles, least and most of each axis, m."""
-    obstacles: list[dict[str, Any]]
-    """Their shapes: centre, radius, vertices, m."""
+    stride: int  # besides merges and the end, every stride-th recorded frame is there
+    extent: list[list[float]]  # of robots and obstacles, least and most of each axis, m
+    obstacles: list[dict[str, Any]]  # centre, radius, vertices, m
 
 
 def encode_all(recordings: Sequence[Recording], budget: int | None = None) -> list[Encoded]:
@@ -62,21 +58,18 @@ def encode_all(recordings: Sequence[Recording], budget: int | None = None) -> li
     largest.
     """
     found = [encode(recording) for recording in recordings]
-    share = _share([len(encoded.text) for encoded in found], budget or BUDGET)
+    left, share = budget or BUDGET, np.inf
+    sizes = sorted(len(encoded.text) for encoded in found)
+    for count, size in zip(range(len(sizes), 0, -1), sizes, strict=True):
+        if size * count > left:
+            share = left / count  # the largest size that each may have
+            break
+        left -= size
     for number, recording in enumerate(recordings):
         while len((one := found[number]).text) > share and one.stride < len(recording["times"]):
             excess = math.ceil(math.log2(len(one.text) / share))
             found[number] = encode(recording, one.stride * 2**excess)
     return found
-
-
-def _share(sizes: Sequence[int], left: int) -> float:
-    """The largest size that each may have, so that all together keep to what is left."""
-    for count, size in zip(range(len(sizes), 0, -1), sorted(sizes), strict=True):
-        if size * count > left:
-            return left / count
-        left -= size
-    return np.inf
 
 
 def encode(recording: Recording, stride: int = 1) -> Encoded:
@@ -88,11 +81,9 @@ def encode(recording: Recording, stride: int = 1) -> Encoded:
     recording = {name: recording[name][stays] for name in _KEPT}
     fields: list[list[Any]] = []
     parts: list[bytes] = []
-    for name in _EXACT:
-        fields.append([name, "float32", [*recording[name].shape]])
-        parts.append(recording[name].astype("<f4").tobytes())
-    fields.append(["active", "uint8", [*recording["active"].shape]])
-    parts.append(recording["active"].astype(np.uint8).tobytes())
+    for name, kind in (*((name, "float32") for name in _EXACT), ("active", "uint8")):
+        fields.append([name, kind, [*recording[name].shape]])
+        parts.append(recording[name].astype(np.dtype(kind).newbyteorder("<")).tobytes())
     rounded = {name: _rounded(recording[name]) for name in _ROUNDED}
     if dim == 2:
         kept = rounded["positions"], rounded["frames"]
@@ -106,13 +97,11 @@ def encode(recording: Recording, stride: int = 1) -> Encoded:
     packed = gzip.compress(b"".join(parts), compresslevel=6, mtime=0)
     extent = np.stack([points.min(axis=0), points.max(axis=0)], axis=1).tolist()
     text = base64.b64encode(packed).decode("ascii")
-    return Encoded(fields, text, stride, extent, [_shape(one) for one in outlines(table, dim)])
-
-
-def _shape(one: Outline) -> dict[str, Any]:
-    """As plain data, to a hundredth of a millimetre."""
-    plain = {"centre": one.centre, "radius": np.float64(one.radius), "vertices": one.vertices}
-    return {name: value.round(5).tolist() for name, value in plain.items()}
+    plain = [  # to a hundredth of a millimetre
+        {name: np.round(value, 5).tolist() for name, value in one._asdict().items()}
+        for one in outlines(table, dim)
+    ]
+    return Encoded(fields, text, stride, extent, plain)
 
 
 def rounding(array: NDArray[np.floating[Any]]) -> float:

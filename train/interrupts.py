@@ -38,11 +38,11 @@ def line_of(command: str, error: KeyboardInterrupt) -> str:
 def raised(command: str) -> Iterator[None]:
     """Signals raise ``Interrupted`` in the body.
 
-    An exception can be lost, and compiled code sees none. So a thread that the system tells of the
-    signal ends the process, naming the command, if the body still runs after GRACE.
+    An exception can be lost, and compiled code sees none. So a thread that reads the signal from a
+    pipe ends the process, naming the command, if the body still runs after GRACE.
     """
     if threading.current_thread() is not threading.main_thread():
-        yield  # signals go to the main thread, and are its business
+        yield  # signals go to the main thread
         return
     reader, writer = os.pipe()
     os.set_blocking(writer, False)

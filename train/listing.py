@@ -68,9 +68,7 @@ def _policies() -> Iterator[tuple[str, list[tuple[str, ...]]]]:
 
 
 def columns_of(fitting: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
-    """Scenarios by letter, those together that the same policies fit, the largest group first, of
-    the names of the policies that fit each scenario.
-    """
+    """Scenarios by letter, those together that the same policies fit, the largest group first."""
     groups: dict[frozenset[str], list[str]] = {}
     for scenario, names in fitting.items():
         groups.setdefault(frozenset(names), []).append(scenario)
@@ -87,22 +85,22 @@ def describe(scenario: Scenario) -> str:
     graph = scenario.sensing_graph
     low, high = graph.weight_range
     gains = "" if low == high else f" with gains of {low:g} to {high:g} m/s"
-    parts += [f"{graph.kind.replace('_', ' ')} graph{gains}", _obstacles(scenario)]
+    parts.append(f"{graph.kind.replace('_', ' ')} graph{gains}")
+    if scenario.obstacles:
+        passed = ", which robots pass through" if scenario.obstacle_contact == "ignore" else ""
+        parts.append(f"{_obstacles(scenario)}{passed}")
     if not scenario.sensing.exact:
         parts.append(f"sensing with {scenario.sensing.departures()}")
     parts += ["one start, which is given"] if begins_alike(scenario) else []
-    return ", ".join(part for part in parts if part)
+    return ", ".join(parts)
 
 
 def _obstacles(scenario: Scenario) -> str:
     field = scenario.obstacles
-    passed = ", which robots pass through" if scenario.obstacle_contact == "ignore" else ""
     if isinstance(field, ObstacleField):
         low, high = field.count_range
         count = f"{low}" if low == high else f"{low} to {high}"
-        shapes = "discs" if scenario.dim == 2 else "spheres"
-        return f"{count} drawn {shapes}{passed}"
+        return f"{count} drawn {'discs' if scenario.dim == 2 else 'spheres'}"
     if isinstance(field, WallField):
-        return f"{field.layout} of drawn walls{passed}"
-    plural = "s" if len(field) > 1 else ""
-    return f"{len(field)} fixed obstacle{plural}{passed}" if field else ""
+        return f"{field.layout} of drawn walls"
+    return f"{len(field)} fixed obstacle{'s' if len(field) > 1 else ''}"

@@ -1,7 +1,7 @@
-"""Which policies and scenarios a command can take, by name.
+"""The policies and scenarios of commands, by name.
 
-Policies: those of the registry, ``learned:PATH``, which is that of a run, of a checkpoint or of an
-exported network, and ``module:function``, a user's own. Scenarios: by name or TOML file.
+Policies: those of the registry; ``learned:PATH`` of a run, a checkpoint or an exported network;
+``module:function``, a user's own. Scenarios: by name or TOML file.
 """
 
 from __future__ import annotations
@@ -65,23 +65,20 @@ def make(name: str, scenario: Scenario) -> Policy:
 
 
 def learned_path(name: str, scenario: Scenario | None = None) -> Path | None:
-    """Folder of a learned policy for the robots of a scenario, by default single integrators; None
-    for a scripted one.
-    """
+    """Folder of a learned policy for the robots of a scenario, or for single integrators."""
     if name in shipped.NAMES:
         return shipped.folder(name, scenario)
     return Path(name.removeprefix(_AT_PATH)) if name.startswith(_AT_PATH) else None
 
 
 def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
-    """Those of the wanted policies that fit a scenario. If none is wanted, all that fit and are not
-    there on request alone; those that see nothing or everything only where nothing else fits.
+    """Those of the wanted policies that fit a scenario. If none is wanted, all that fit but those
+    on request; those that see nothing or everything only where nothing else fits.
     """
     known = baselines.names(scenario)
     if not wanted:
-        usual = [name for name in known if not registry.on_request(name)]
-        if scenario.sensing.exact:
-            usual = [name for name in usual if name not in _WHERE_SENSORS_ERR]
+        left_out = _WHERE_SENSORS_ERR if scenario.sensing.exact else ()
+        usual = [n for n in known if not registry.on_request(n) and n not in left_out]
         return [name for name in usual if kind_of(name) not in _ON_REQUEST] or usual
     return [
         name
@@ -93,14 +90,17 @@ def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
 
 
 def source_file(name: str) -> Path | None:
-    """The file in which a policy is made that has no weights; None if it stands in none."""
-    return _own_file(name) if is_user_policy(name) else file_of(builder_of(name))
+    """The file in which a policy without weights is made; None if there is none."""
+    if not is_user_policy(name):
+        return file_of(builder_of(name))
+    if found := file_of(find_function(name)):
+        return found
+    place = getattr(sys.modules[name.partition(":")[0]], "__file__", None)
+    return None if place is None else Path(place)
 
 
 def best(scenario: Scenario) -> str:
-    """The policy to take where none is named: the best that fits among obstacles, else the law of
-    such robots.
-    """
+    """The default policy: the best that fits among obstacles, else the law of such robots."""
     known = fitting(scenario, ())
     return next((name for name in _BEST if scenario.obstacles and name in known), known[0])
 
@@ -124,8 +124,8 @@ def check_names(wanted: Sequence[str]) -> None:
 
 
 def promised_margin(name: str, policy: Policy) -> float | None:
-    """Alignment margin ε that a policy keeps by construction: 1 for law (1), and the attribute
-    ``min_alignment`` of a policy with certified headings; None if it promises none.
+    """Alignment margin ε that a policy keeps by construction: 1 for law (1), ``min_alignment`` of a
+    policy with certified headings, else None.
     """
     margin = 1.0 if name == "bearing-only" else getattr(policy, "min_alignment", None)
     return None if margin is None else float(margin)
@@ -133,7 +133,7 @@ def promised_margin(name: str, policy: Policy) -> float | None:
 
 def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
     """A scenario by its name or TOML file, changed as ``--set`` says: FIELD=VALUE each, a value as
-    TOML writes it; changes go into its name. A UserError says what would be right.
+    in TOML; changes go into its name.
     """
     try:
         given: dict[str, Any] = {}
@@ -160,17 +160,14 @@ def is_user_policy(name: str) -> bool:
 
 
 def find_function(name: str) -> Callable[[Scenario], Policy | None]:
-    """The function of a name, whose module may lie in the current folder; a UserError names what
-    there is not, or what importing it raised.
-    """
+    """The function of a name, whose module may lie in the current folder."""
     module_name, _, function_name = name.partition(":")
     if not all(part.isidentifier() for part in (*module_name.split("."), function_name)):
         raise UserError(f"policy {name!r}: write MODULE:FUNCTION, as in my_policies:make")
     with _code_of(name, f": importing {module_name} failed"):
         module = _imported(name, module_name)
-    function = getattr(module, function_name, None)
-    place = getattr(module, "__file__", None) or "built in"
-    if function is None:
+    if (function := getattr(module, function_name, None)) is None:
+        place = getattr(module, "__file__", None) or "built in"
         hint = meant(function_name, [key for key in vars(module) if key[0] != "_"])
         what = f"{module_name} ({place}) has no {function_name!r}; {hint}".rstrip("; ")
         raise UserError(f"policy {name!r}: {what}")
@@ -217,14 +214,6 @@ def _code_of(name: str, where: str) -> Iterator[None]:
     except Exception as error:
         kind = "" if isinstance(error, ModuleNotFoundError) else f"{type(error).__name__}: "
         raise UserError(f"policy {name!r}{where}: {kind}{error}") from error
-
-
-def _own_file(name: str) -> Path | None:
-    """The file in which the function is written, or its module if that cannot be told."""
-    if found := file_of(find_function(name)):
-        return found
-    place = getattr(sys.modules[name.partition(":")[0]], "__file__", None)
-    return None if place is None else Path(place)
 
 
 def _imported(name: str, module: str) -> Any:

@@ -40,11 +40,8 @@ ARRAYS = {
 """Shape and meaning of the arrays of a recording; in trajectories.npz each stands under
 scenario/policy/start/name."""
 Recording = dict[str, NDArray[Any]]
-"""One team's episode over T frames: the start, some of the steps, every merge and the end. The
-arrays are those of ``ARRAYS``.
-
-A recording that is kept has observations only where they cannot be found again (``seen_again``);
-else it has links.
+"""One team's episode over T frames: the start, some of the steps, every merge and the end; arrays
+as in ``ARRAYS``. It has observations where they cannot be found again (``seen_again``), else links.
 """
 
 LINKS = ("weights", "first", "second")
@@ -74,9 +71,7 @@ class Snapshot:
 
 
 class Recorder:
-    """Records one team of a batch that was just reset, with observations (B, n, rows, d) of the
-    start unless they are exact and can be found again.
-    """
+    """Records one team of a batch that was just reset, with what it sees unless that is exact."""
 
     def __init__(
         self, start: Snapshot, team: int, observations: NDArray[np.float32], exact: bool
@@ -88,8 +83,7 @@ class Recorder:
         self._stride = 1
         self._links = [start.links(team)]
         self._frames: list[tuple[int, Recording]] = []
-        alignment = np.full(len(self._active), np.nan)
-        self._add(start, observations[team], alignment, (np.nan, np.nan))
+        self._add(start, observations[team], np.full(len(self._active), np.nan))
 
     def see(self, step: Step, alignments: NDArray[np.float64], after: Snapshot) -> None:
         """Take in one step, the alignments (B, n) of its robots, and the state after it."""
@@ -99,19 +93,20 @@ class Recorder:
         self._contacts += outcome.contact[team]
         merged = bool((outcome.active[team] != self._active).any())
         self._active = outcome.active[team]
-        jump = np.nan, np.nan
+        kept = outcome.observations[team], alignments[team]
         if merged:
             self._links.append(after.links(team))
             jump = outcome.lyapunov_before_merge[team], outcome.lyapunov_after_merge[team]
-        if merged or after.steps[team] % self._stride == 0 or outcome.status[team] != RUNNING:
-            self._add(after, outcome.observations[team], alignments[team], jump)
+            self._add(after, *kept, jump)
+        elif after.steps[team] % self._stride == 0 or outcome.status[team] != RUNNING:
+            self._add(after, *kept)
 
     def _add(
         self,
         state: Snapshot,
         observations: NDArray[np.float32],
         alignment: NDArray[np.float64],
-        jump: tuple[float, float],
+        jump: tuple[float, float] = (np.nan, np.nan),
     ) -> None:
         """Keep a frame, and thin out if there are too many."""
         team = self._team
@@ -155,16 +150,12 @@ def whole(recording: Recording, scenario: Scenario) -> Recording:
 
 
 def observations(recording: Recording, scenario: Scenario) -> NDArray[np.float32]:
-    """What an exact sensor shows in each frame, (T, n, rows, d): bit for bit what the robots saw.
-
-    Each frame is the state of a team of its own, which the simulator looks at.
-
-    Raises:
-        ValueError: naming an entry that no episode of the scenario can have.
+    """What an exact sensor shows in each frame, (T, n, rows, d): bit for bit what the robots saw. A
+    ValueError names an entry that no episode of the scenario can have.
     """
     into = recording["merged_into"]
     frames = len(into)
-    simulator = Simulator(scenario, frames)
+    simulator = Simulator(scenario, frames)  # a team for each frame
     state = simulator.get_state()
     merged = (into[1:] != into[:-1]).any(axis=-1)
     row = np.concatenate([[0], np.cumsum(merged)])

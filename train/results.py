@@ -66,20 +66,13 @@ PAIRED = {
 }
 """The same for paired.csv."""
 
-RESULT_COLUMNS = tuple(RESULTS)
-"""Of results.csv."""
-
-PAIRED_COLUMNS = tuple(PAIRED)
-"""Of paired.csv."""
-
+RESULT_COLUMNS, PAIRED_COLUMNS = tuple(RESULTS), tuple(PAIRED)
 _PACKAGES = ("rendezvous-env", "numpy", "numba", "scipy", "gymnasium", "pettingzoo")
 
 
 @contextmanager
 def atomic(path: Path) -> Iterator[Path]:
-    """A name to write to; the file takes its place only once it is whole, and only if the body does
-    not raise.
-    """
+    """A name to write to; the file takes its place once it is whole, unless the body raises."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part{path.suffix}")
     try:
         yield temporary
@@ -89,10 +82,8 @@ def atomic(path: Path) -> Iterator[Path]:
 
 
 def prepare_folder(folder: Path, flag: str | None = None) -> Path:
-    """Make a folder that can be written to, before any work is spent on its content.
-
-    Raises:
-        UserError: if it cannot be, naming the flag with its value, --out and the folder if None.
+    """Make a folder that can be written to; a UserError names the flag with its value, by default
+    --out and the folder.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -109,8 +100,7 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, An
     with atomic(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, columns)
         writer.writeheader()
-        for row in rows:
-            writer.writerow({column: plain(row[column]) for column in row})
+        writer.writerows({name: plain(cell) for name, cell in row.items()} for row in rows)
 
 
 def plain(value: Any) -> Any:
@@ -151,8 +141,8 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def versioned(scenario: Scenario) -> dict[str, str]:
-    """Versioned name and digest of the first starts ("field", "digest") of a named scenario, by
-    which others can tell that they have the same; nothing for another one.
+    """Versioned name ("field") and digest of the first starts ("digest") of a named scenario;
+    empty for another one.
     """
     name = scenario.name
     if name not in scenarios.with_versions() or scenario != scenarios.get(name):

@@ -1,7 +1,7 @@
-"""Work that may be stopped at any moment: what is finished lies in a folder, and the same command
+"""Work that can be stopped at any moment: finished tasks lie in a folder, and the same command
 resumes it; one process at a time.
 
-plan.json says what was asked for, cells/ holds what each finished task gave. A cell depends on
+plan.json says what was asked for, cells/ holds the results of finished tasks. A cell depends on
 nothing but the plan, so a resumed command finds what an uninterrupted one would have found.
 """
 
@@ -53,41 +53,39 @@ def _source() -> str:
 
 
 def run_id(plan: Mapping[str, Any]) -> str:
-    """The name of a plan: the same command gives the same one."""
+    """The id of a plan: the same for the same command."""
     return plain_data.digest(plan)[:16]
 
 
 @contextmanager
 def claimed(folder: Path, lock: str, what: str) -> Iterator[None]:
-    """Make a folder that can be written to, and hold a lock file in it meanwhile.
-
-    The file names its holder. The system frees the lock if this process dies. Folders that had to
-    be made go again if they stay empty.
+    """Make a folder and hold a lock file in it, which names its holder; the system frees the lock
+    if this process dies. Folders that had to be made go again if they stay empty.
 
     Raises:
         UserError: if another process holds it, naming that and ``what``; or it cannot be written.
     """
-    new, holder = [path for path in (folder, *folder.parents) if not path.exists()], ""
+    new = [path for path in (folder, *folder.parents) if not path.exists()]
     path = folder / lock
     try:
         results.prepare_folder(folder)
-        held = FileLock(path, timeout=0)
         try:
-            held.acquire()
+            held = FileLock(path, timeout=0).acquire()
         except Timeout:
+            who = ""
             with suppress(OSError):
-                holder = path.read_text(encoding="utf-8", errors="replace").strip()
-            who = holder or "another process"
+                who = path.read_text(encoding="utf-8", errors="replace").strip()
+            who = who or "another process"
             raise UserError(f"{what} is in use by {who}; wait for its end, or stop it") from None
         except OSError as error:
             raise UserError(f"{path}: cannot be locked: {error.strerror}") from error
-        try:
+        with held:
             began = datetime.now(UTC).isoformat(timespec="seconds")
             path.write_text(f"process {os.getpid()} on {socket.gethostname()}, since {began}\n")
-            yield
-        finally:
-            path.unlink(missing_ok=True)
-            held.release()
+            try:
+                yield
+            finally:
+                path.unlink(missing_ok=True)
     finally:
         with suppress(OSError):  # the first that is not empty ends it
             for made in new:
@@ -101,12 +99,13 @@ class Part:
         self.folder, self.run = folder, run_id(plan)
         self._plan, self._what, self._cells = plan, what, folder / "cells"
 
-    def begin(self, given: Path, *, fresh: bool) -> None:
-        """Make the folder, or resume what is there; ``given`` is what --out said.
+    @contextmanager
+    def at_work(self, given: Path, console: Console, *, fresh: bool) -> Iterator[None]:
+        """Make the folder, or resume what is there, and say so; ``given`` is what --out said.
+        Nothing stays where no task was finished.
 
         Raises:
-            UserError: if it is of another command, and not to be thrown away for a fresh beginning.
-            OSError: if it cannot be written; nothing stays where no task was finished.
+            UserError: if it is of another command, and not to be thrown away for a fresh start.
         """
         if any(self.folder.glob("[!.]*")):
             if fresh and (self.folder / PLAN).is_file():
@@ -117,19 +116,9 @@ class Part:
         try:
             results.write_json(self.folder / PLAN, {**self._plan, "run": self.run})
             self._cells.mkdir(exist_ok=True)
-        except OSError:
-            self._discard_if_empty()
-            raise
-
-    @contextmanager
-    def at_work(self, given: Path, console: Console, *, fresh: bool) -> Iterator[None]:
-        """``begin``, and say what is there before the body, and after a body that is interrupted;
-        nothing stays where no task was finished.
-        """
-        self.begin(given, fresh=fresh)
-        if count := self._count():
-            console.print(f"resumes with {count} finished tasks in {self.folder}", soft_wrap=True)
-        try:
+            if count := self._count():
+                said = f"resumes with {count} finished tasks in {self.folder}"
+                console.print(said, soft_wrap=True)
             yield
         except KeyboardInterrupt as error:
             if count := self._count():
@@ -138,16 +127,17 @@ class Part:
                 )
             raise
         finally:
-            self._discard_if_empty()
+            if self.folder.is_dir() and not self._count():
+                self.discard()
 
     def save(self, name: str, result: Any) -> None:
-        """Keep what a task gave."""
+        """Keep the result of a task."""
         content = pickle.dumps(result)
         with results.atomic(self._cells / f"{name}.cell") as temporary:
             temporary.write_bytes(self._digest(content) + content)
 
     def load(self, name: str) -> Any:
-        """What a task gave; None if it is not finished, or damaged: it is done again."""
+        """The result of a task; None if it is not finished, or damaged: it is done again."""
         try:
             content = (self._cells / f"{name}.cell").read_bytes()
         except OSError:
@@ -161,15 +151,10 @@ class Part:
         tasks: Sequence[Task],
         do: Callable[[list[Task]], Generator[tuple[int, Any], None, None]],
     ) -> Iterator[tuple[Task, Any, bool]]:
-        """What all tasks give, each kept: first those that are finished, then others as they end.
+        """Tasks, each with a name of its own, their results and whether they were done now: first
+        those that are finished, then the others as they end, each kept.
 
-        Args:
-            tasks: each with a name of its own.
-            do: those that are left, in an order that it may change → number of one and what it
-                gave, such as ``tasks.each``.
-
-        Yields:
-            A task, what it gave, and whether it was done now.
+        ``do`` does those that are left, in an order that it may change, as ``tasks.each`` does.
         """
         left = []
         for task in tasks:
@@ -177,8 +162,8 @@ class Part:
                 left.append(task)
             else:
                 yield task, kept, False
-        with closing(do(left)) as results:
-            for number, result in results:
+        with closing(do(left)) as done:
+            for number, result in done:
                 self.save(left[number].name, result)
                 yield left[number], result, True
 
@@ -190,10 +175,6 @@ class Part:
             elif path.name != PLAN:
                 path.unlink()
         shutil.rmtree(self.folder)
-
-    def _discard_if_empty(self) -> None:
-        if self.folder.is_dir() and not self._count():
-            self.discard()
 
     def _digest(self, content: bytes) -> bytes:
         return hashlib.sha256(self.run.encode() + content).digest()
@@ -223,11 +204,7 @@ class Part:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Plain data of a folder of work.
-
-    Raises:
-        UserError: if it cannot be read.
-    """
+    """Plain data of a folder of work; a UserError if it cannot be read."""
     try:
         return dict(plain_data.read_json(path))
     except (OSError, ValueError, TypeError) as error:

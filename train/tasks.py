@@ -34,17 +34,16 @@ _ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_N
 NAME = "rendezvous"
 """Of a worker of a Ray cluster while it is at a task: ``ray::rendezvous``."""
 _AHEAD = 4
-"""Tasks that each core of a cluster is given at a time: some wait, so that none of them idles."""
+"""Tasks submitted for each core of a cluster: some wait, so that no core idles."""
 _ANSWER = 10.0
 """s that a cluster has to answer."""
 _MODE = "RAY_AUTH_MODE"
-"""Where Ray reads whether a cluster asks for a token. Each process reads it for itself; Ray sets it
-in one that starts a cluster of its own."""
+"""Where each process reads whether a cluster asks for a token."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Workers:
-    """Who does the tasks of a command, and the flags that say so."""
+    """The flags that say who does the tasks of a command."""
 
     jobs: int | None = None
     """How many processes work at once: one on each core if nothing is said, or all that a cluster
@@ -79,21 +78,19 @@ def each(
     *,
     long: bool = False,
 ) -> Generator[tuple[int, Result], None, None]:
-    """Do all tasks; what each gives does not depend on who does it, nor on when.
+    """Numbers of tasks and their results, in the order in which they end; a result does not depend
+    on who finds it, nor on when.
 
-    Workers are processes: most of a step is Python's, and holds its lock. One that is lost (a kill,
-    or no memory) costs what was in the air, which is done again. They end when the iterator is
-    closed, which a caller that may be interrupted sees to itself.
+    Workers are processes: most of a step is Python's, and holds its lock. The tasks of a worker
+    that is lost (a kill, or no memory) are done again. Workers end when the iterator is closed,
+    which a caller that may be interrupted sees to itself.
 
     Args:
-        work: what to do with a task; both travel to other processes, as the result does.
+        work: what to do with a task; work, tasks and results are pickled.
         tasks: any.
         workers: who does them.
         here: whether a task must be done in this process.
-        long: whether to start workers at once; else when the first tasks have taken some seconds.
-
-    Yields:
-        Number of a task and what it gave, in the order in which they end.
+        long: whether to start workers at once; else once the first tasks have taken some seconds.
 
     Raises:
         UserError: if workers are lost again and again, or there is no such cluster.
@@ -148,8 +145,8 @@ def _on_cores(
 
 
 def _executor(count: int) -> Any:
-    """So many worker processes, each of one thread, which end with this one and hear no Ctrl-C: a
-    terminal tells it to all processes, and this one sees to the others.
+    """Worker processes of one thread, which end with this one. They hear no Ctrl-C, which a
+    terminal sends to all processes: this one ends them.
     """
     from joblib.externals.loky.process_executor import ProcessPoolExecutor
 
@@ -158,17 +155,16 @@ def _executor(count: int) -> Any:
     executor = ProcessPoolExecutor(
         count, initializer=_end_with, initargs=(os.getpid(),), env=_ONE_THREAD
     )
-    mask = signal.pthread_sigmask
-    before = mask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         executor._ensure_executor_running()  # processes and threads inherit the mask
     finally:
-        mask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     return executor
 
 
 def _end_with(parent: int) -> None:
-    """Let this worker end as soon as the process is gone that it works for."""
+    """End this worker once the process that it works for is gone."""
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -181,8 +177,8 @@ def _end_with(parent: int) -> None:
 def _on_cluster(
     work: Callable[[Task], Result], tasks: dict[int, Task], workers: Workers
 ) -> Generator[tuple[int, Result], None, None]:
-    """Results from a Ray cluster, each of a task of Ray's own: its joblib backend has a pool whose
-    results come all together, and of which nothing is left when a worker is lost.
+    """Results from a Ray cluster, each of a Ray task: its joblib backend returns all results
+    together, and none when a worker is lost.
     """
     import ray
     from ray.exceptions import OwnerDiedError, RayError, RayTaskError
@@ -223,8 +219,15 @@ def _joined(address: str | None, cores: int) -> Iterator[None]:
     import ray
     from ray.exceptions import RayError
 
-    if address:
-        _check_answers(address)
+    host, _, port = (address or "").rpartition("://")[2].rpartition(":")
+    if host and port.isdigit():  # else "auto", or one that Ray refuses at once
+        try:  # where nobody listens Ray itself would ask for many minutes
+            socket.create_connection((host.strip("[]"), int(port)), timeout=_ANSWER).close()
+        except (OSError, OverflowError) as error:
+            raise UserError(
+                f"--address {address}: no cluster answers there ({error}); "
+                "`ray start --head` says the address of one"
+            ) from error
     try:
         ray.init(
             address or "local",
@@ -244,27 +247,12 @@ def _joined(address: str | None, cores: int) -> Iterator[None]:
 
 
 def _mode() -> str:
-    """What two processes must have in common, in words."""
     return f"{_MODE} is {os.environ.get(_MODE, 'not set')} here and must be that of the cluster"
 
 
-def _check_answers(address: str) -> None:
-    """Refuse a machine where nobody listens: Ray itself would ask for many minutes."""
-    host, _, port = address.rpartition("://")[2].rpartition(":")
-    if not (host and port.isdigit()):
-        return  # "auto", or one that Ray refuses at once
-    try:
-        socket.create_connection((host.strip("[]"), int(port)), timeout=_ANSWER).close()
-    except (OSError, OverflowError) as error:
-        raise UserError(
-            f"--address {address}: no cluster answers there ({error}); "
-            "`ray start --head` says the address of one"
-        ) from error
-
-
 def _do(folder: str, work: Callable[[Any], Any], task: Any) -> bytes:
-    """Do a task and pickle its result: arrays that Ray itself brings back are read-only. The worker
-    stands in this folder where it has it, so that relative paths mean the same.
+    """Do a task, in a folder if the worker has it, so that relative paths mean the same. The result
+    is pickled: arrays that Ray brings back are read-only.
     """
     with suppress(OSError):
         os.chdir(folder)

@@ -284,7 +284,9 @@ class TestStatistics:
 
     def test_without_law_1_the_best_is_the_reference(self):
         worse = batch(clean=np.zeros(4, bool))
-        assert statistics.reference_policy({"a": worse, "b": batch()}) == "b"
+        assert [
+            row["policy"] for row in statistics.compare_pairs("s", {"a": worse, "b": batch()})
+        ] == ["a"]
 
 
 def test_nobody_gets_round_the_wall():

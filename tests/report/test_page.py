@@ -141,7 +141,7 @@ class TestNarrow:
     @pytest.fixture
     def phone(self, opened):
         opened.set_viewport_size({"width": 390, "height": 844})
-        opened.wait_for_timeout(200)
+        wait_until(opened, opened.locator("#switch").is_visible)
         return opened
 
     def test_one_policy_at_a_time(self, phone):

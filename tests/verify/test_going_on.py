@@ -125,26 +125,26 @@ def test_so_is_another_program(tmp_path, monkeypatch):
 @pytest.mark.parametrize("numbers", [(40, -0.0, math.nan, 0), (1, -1 / 3, math.inf, 1)])
 def test_a_task_reads_back_bit_by_bit(numbers, first, tmp_path):
     part = resume.Part(tmp_path / "part", {}, "test")
-    part.begin(tmp_path, fresh=False)
     trials, margin, ratio, violations = numbers
     seen = Tally(trials, 0.1 + 0.2, 7, margin, violations, first, ratio={"one": ratio})
-    part.save("one", seen)
-    assert repr(part.load("one")) == repr(seen)
-    assert part.load("another") is None
+    with part.at_work(tmp_path, Console(), fresh=False):
+        part.save("one", seen)
+        assert repr(part.load("one")) == repr(seen)
+        assert part.load("another") is None
 
 
 def test_a_folder_on_its_way_out_can_still_be_gone_on_with(tmp_path, monkeypatch):
     """Of files in any order the plan goes last."""
     part = resume.Part(tmp_path / "part", {"seed": 1}, "test")
-    part.begin(tmp_path, fresh=False)
-    part.save("one", {"x": 1})
+    with part.at_work(tmp_path, Console(), fresh=False):
+        part.save("one", {"x": 1})
     (part.folder / "table.csv").touch()
     with monkeypatch.context() as patch:
         patch.setattr(resume.Path, "unlink", lambda path: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             part.discard()
-    part.begin(tmp_path, fresh=False)
-    part.discard()
+    with part.at_work(tmp_path, Console(), fresh=False):
+        part.discard()
     part.folder.mkdir()  # or a kill before there was a plan
-    part.begin(tmp_path, fresh=False)
-    assert (part.folder / resume.PLAN).is_file()
+    with part.at_work(tmp_path, Console(), fresh=False):
+        assert (part.folder / resume.PLAN).is_file()

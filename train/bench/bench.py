@@ -57,9 +57,8 @@ class Config:
 
 
 Row = dict[str, Any]
-"""A measured case: group, name, n_robots, num_envs, unit and against; rate, the median of rates, in
-units per second; ratio, the median over turns of this rate divided by that of the case against
-which it is measured, None without one.
+"""A measured case: the fields _SHOWN; rate, the median of rates, in units per second; ratio, the
+median over turns of this rate divided by that of the case against which it is measured, or None.
 """
 
 
@@ -120,25 +119,22 @@ def _compared(config: Config) -> Iterator[list[Case]]:
 
 
 def measure(compared: Sequence[Case], config: Config) -> list[Row]:
-    """Time cases in turns, so that what disturbs the machine disturbs all of them.
-
-    Raises:
-        RuntimeError: if robots merged while they were timed.
+    """Time cases in turns, so that what disturbs the machine disturbs all of them; a RuntimeError
+    if robots merged meanwhile.
     """
     running = [case.build() for case in compared]
     counts = [_calibrate(each, config.seconds) for each in running]
-    rates: list[list[float]] = [[] for _ in compared]
+    rates: dict[str, list[float]] = {case.name: [] for case in compared}
     for _ in range(config.repeats):
-        for case, each, count, found in zip(compared, running, counts, rates, strict=True):
+        for case, each, count in zip(compared, running, counts, strict=True):
             begin = time.perf_counter()
             for _ in range(count):
                 each.step()
-            found.append(case.per_step * count / (time.perf_counter() - begin))
+            rates[case.name].append(case.per_step * count / (time.perf_counter() - begin))
     for case, each in zip(compared, running, strict=True):
         if not each.intact():
             raise RuntimeError(f"{case.name}, n = {case.n_robots}: robots merged while timed")
-    by_name = {case.name: own for case, own in zip(compared, rates, strict=True)}
-    return [_row(case, by_name) for case in compared]
+    return [_row(case, rates) for case in compared]
 
 
 def _calibrate(running: Running, seconds: float) -> int:
@@ -151,13 +147,13 @@ def _calibrate(running: Running, seconds: float) -> int:
     return max(1, round(seconds * count / passed))
 
 
-def _row(case: Case, by_name: Mapping[str, list[float]]) -> Row:
-    rates, ratio = by_name[case.name], None
+def _row(case: Case, rates: Mapping[str, list[float]]) -> Row:
+    own, ratio = rates[case.name], None
     if case.against:
-        pairs = zip(rates, by_name[case.against], strict=True)
-        ratio = statistics.median(own / other for own, other in pairs)
+        pairs = zip(own, rates[case.against], strict=True)
+        ratio = statistics.median(one / other for one, other in pairs)
     shown = {name: getattr(case, name) for name in _SHOWN}
-    return shown | {"rate": statistics.median(rates), "rates": rates, "ratio": ratio}
+    return shown | {"rate": statistics.median(own), "rates": own, "ratio": ratio}
 
 
 def _bytes_per_team(n_robots: int, config: Config) -> tuple[int, int]:

@@ -32,7 +32,6 @@ class Running(NamedTuple):
     """Something that can be timed."""
 
     step: Callable[[], Any]
-    """One step; its results are thrown away."""
     intact: Callable[[], bool] = lambda: True
     """Whether no robot has merged meanwhile, so that every step did the same work."""
 
@@ -42,18 +41,13 @@ class Case:
     """One row of the table, before it is measured."""
 
     name: str
-    group: str
-    """One of bench.GROUPS."""
+    group: str  # one of bench.GROUPS
     n_robots: int
-    num_envs: int
-    """B, environments that step together."""
-    per_step: int
-    """What one step counts as, in ``unit``."""
-    unit: str
-    """"team steps", "robot steps", "decisions" of teams, or "samples"."""
+    num_envs: int  # B, environments that step together
+    per_step: int  # what one step counts as, in ``unit``
+    unit: str  # "team steps", "decisions" of teams, or "samples"
     build: Callable[[], Running]
-    against: str = ""
-    """The name of the case, timed in turns with this one, that its rate is divided by."""
+    against: str = ""  # the case, timed in turns with this one, that its rate is divided by
 
 
 class Size(NamedTuple):
@@ -99,22 +93,24 @@ def among_discs() -> rv.Scenario:
 
 def one_team(group: str, scenario: rv.Scenario, size: Size | None = None) -> list[Case]:
     """A step of one team in dicts, beside MPE2's ``simple_spread_v3`` when it is installed."""
-    builds = {"PettingZoo": partial(_dicts, scenario)}
+    builds = {"PettingZoo": partial(_in_dicts, partial(rv.parallel_env, scenario))}
     if installed("mpe2") and not scenario.obstacles:
-        builds = {"MPE2 simple_spread_v3": partial(_mpe2, scenario.n_robots)} | builds
+        peer = partial(_in_dicts, partial(_mpe2, scenario.n_robots), 0.0)
+        builds = {"MPE2 simple_spread_v3": peer} | builds
     return in_turns(group, scenario.n_robots, 1, builds)
 
 
 def batched(group: str, scenario: rv.Scenario, size: Size) -> list[Case]:
     """Steps of many teams, beside the bare kernel where there are no obstacles."""
-    limit = {"limit, 1 thread": partial(_limit, scenario.n_robots, size.num_envs)}
     builds = {
         "Simulator": partial(simulator_of, scenario, size),
         "make_vec": partial(_vector, scenario, size),
         f"make_vec, episodes of {EPISODE} steps": partial(_vector, scenario, size, EPISODE),
     }
-    all_of = builds if scenario.obstacles else limit | builds
-    return in_turns(group, scenario.n_robots, size.num_envs, all_of)
+    if not scenario.obstacles:
+        limit = partial(_limit, scenario.n_robots, size.num_envs)
+        builds = {"limit, 1 thread": limit} | builds
+    return in_turns(group, scenario.n_robots, size.num_envs, builds)
 
 
 def wrapped(n: int, size: Size) -> list[Case]:
@@ -136,8 +132,8 @@ def training(name: str, guarantee: str, size: Size) -> list[Case]:
     """Decisions where robots learn, beside the physics of their base steps alone."""
 
     def build(learning: bool) -> Running:
-        options: dict[str, Any] = {"guarantee": guarantee, "num_threads": size.num_threads}
-        env: Any = training_env(name, size.num_envs, **options)
+        threads = size.num_threads
+        env: Any = training_env(name, size.num_envs, guarantee=guarantee, num_threads=threads)
         if learning:
             return Running(stepping(env).step)
         step, steps = simulator_of(env.scenario, size).step, range(env.env.decision_period)
@@ -154,7 +150,9 @@ def sensing(n: int, size: Size | None) -> list[Case]:
 
     def build(sensor: rv.Sensing) -> Running:
         scenario = spread_out(n, sensing=sensor)
-        return _dicts(scenario) if size is None else simulator_of(scenario, size)
+        if size is None:
+            return _in_dicts(partial(rv.parallel_env, scenario))
+        return simulator_of(scenario, size)
 
     builds = {name: partial(build, sensor) for name, sensor in _SENSORS.items()}
     return in_turns("sensing", n, 1 if size is None else size.num_envs, builds)
@@ -175,22 +173,19 @@ def stepping(env: Any) -> Running:
     return Running(lambda: env.step(next(tape)), lambda: bool(simulator.active.all()))
 
 
-def _dicts(scenario: rv.Scenario) -> Running:
-    return _in_dicts(rv.parallel_env(scenario), scenario.action_size, -1.0)
-
-
-def _mpe2(n: int) -> Running:
+def _mpe2(n: int) -> Any:
     from mpe2 import simple_spread_v3
 
-    env = simple_spread_v3.parallel_env(N=n, continuous_actions=True, max_cycles=10**9)
-    return _in_dicts(env, 5, 0.0)
+    return simple_spread_v3.parallel_env(N=n, continuous_actions=True, max_cycles=10**9)
 
 
-def _in_dicts(env: Any, size: int, low: float) -> Running:
-    """A PettingZoo environment under random actions of so many numbers from ``low`` to 1."""
+def _in_dicts(make: Callable[[], Any], low: float = -1.0) -> Running:
+    """A PettingZoo environment under random actions from ``low`` to 1."""
+    env = make()
     env.reset(seed=0)
     names = list(env.agents)
-    drawn = np.random.default_rng(0).uniform(low, 1.0, (8, len(names), size)).astype(np.float32)
+    shape = 8, len(names), *env.action_space(names[0]).shape
+    drawn = np.random.default_rng(0).uniform(low, 1.0, shape).astype(np.float32)
     tape = itertools.cycle([dict(zip(names, each, strict=True)) for each in drawn])
     return Running(lambda: env.step(next(tape)), lambda: list(env.agents) == names)
 
@@ -228,10 +223,8 @@ def _limit(n: int, num_envs: int) -> Running:
 
 @njit(nogil=True, error_model="numpy")
 def bare_step(positions: Any, bearings: Any, f: Any) -> None:
-    """All bearings, their sums f and an Euler step of 1 ns, with no frames, merging or reward.
-
-    Positions are (blocks, n, 2, lanes), bearings (blocks, n, n - 1, 2, lanes) and f (n, 2, lanes):
-    teams stand last in memory, so that the processor takes several at once.
+    """All bearings (blocks, n, n − 1, 2, lanes), their sums f (n, 2, lanes) and an Euler step of
+    1 ns: no frames, merging or reward. Teams stand last in memory: several are computed at once.
     """
     blocks, n, _, lanes = positions.shape
     for block in range(blocks):

@@ -113,10 +113,8 @@ def heading_ppo(size: Size) -> list[Case]:
         from ..learn.trainer import SAME_NAME
 
         alike = {name: getattr(config, name) for name in SAME_NAME}
-        alike["batch_size"] = min(config.batch_size, samples)
-        return learning(
-            PPO("MlpPolicy", _free(make_teams(config, 0)), n_epochs=config.epochs, **alike)
-        )
+        alike |= {"batch_size": min(config.batch_size, samples), "n_epochs": config.epochs}
+        return learning(PPO("MlpPolicy", _free(make_teams(config, 0)), **alike))
 
     def learning(model: Any) -> Running:
         model.set_logger(Logger(None, []))
@@ -135,18 +133,9 @@ def _free(teams: Any) -> Any:
     """Robots whose steps cost nothing: always the same answer."""
     from rendezvous_env.adapters.sb3 import RobotVecEnv
 
-    class FreeRobots(RobotVecEnv):
-        """As ``_free`` says."""
-
-        def step_async(self, actions: Any) -> None:
-            """Nothing."""
-
-        def step_wait(self) -> Any:
-            """The same answer."""
-            return answer
-
-    robots = FreeRobots(teams)
+    robots: Any = RobotVecEnv(teams)
     seen = robots.reset()
     nothing = np.zeros(len(seen), np.float32), np.zeros(len(seen), np.bool_)
-    answer: Any = (seen, *nothing, [{} for _ in seen])
+    answer: Any = seen, *nothing, [{} for _ in seen]
+    robots.step_async, robots.step_wait = lambda actions: None, lambda: answer
     return robots

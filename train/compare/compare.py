@@ -36,7 +36,7 @@ Picture = tuple[str, Callable[[], "Figure"]]
 
 
 class _Clock(dict[str, float]):
-    """Where the time goes, by the wall clock: s of each part that is over, by its name."""
+    """Wall-clock time of each part that is over, s."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -53,10 +53,8 @@ class _Clock(dict[str, float]):
 
 
 def run(config: Config) -> int:
-    """Compare, print the answer, write all files.
-
-    Returns:
-        Exit status: 1 if a merge raised V above its proven bound, else 0.
+    """Compare, print the answer, write all files; exit status 1 if a merge raised V above its
+    proven bound, else 0.
     """
     console, clock = Console(), _Clock()
     jobs = plan(config)
@@ -107,14 +105,10 @@ def _run(
 class Found:
     """What a comparison found."""
 
-    played: list[Played]
-    """In the order of the jobs."""
-    rows: list[Row]
-    """Of results.csv."""
-    pairs: list[Row]
-    """Of paired.csv."""
-    bounds: list[Row]
-    """Of ceiling.csv."""
+    played: list[Played]  # in the order of the jobs
+    rows: list[Row]  # of results.csv
+    pairs: list[Row]  # of paired.csv
+    bounds: list[Row]  # of ceiling.csv
     rankings: list[Ranking]
 
     @property
@@ -134,7 +128,7 @@ def _play(config: Config, jobs: Sequence[Job], part: Part, console: Console) -> 
         upper_bound.row_of(scenario, [cells[task.name] for task in own])
         for scenario, own in runs.items()
     ]
-    rows, pairs = [summary(done) for done in played], paired_rows(played, config.against)
+    rows, pairs = list(map(summary, played)), paired_rows(played, config.against)
     return Found(played, rows, pairs, bounds, rank(played)), compiling
 
 
@@ -216,21 +210,20 @@ def description(config: Config, found: Found, timing: dict[str, float]) -> dict[
 
 
 def write_summary(path: Path, found: Found, about: Mapping[str, Any]) -> None:
-    """Write all that was found in short, as JSON, for ``--json``.
-
-    The names of columns are those of results.csv and paired.csv; null where it does not apply.
+    """Write a short form of all that was found, as JSON, for ``--json``; columns as in results.csv
+    and paired.csv, null where they do not apply.
     """
-    policies: dict[str, Row] = {}
-    for row in found.rows:
-        of_scenario = policies.setdefault(row["scenario"], {})
-        of_scenario[row["policy"]] = _plain(row, results.RESULT_COLUMNS[2:])
     scenarios = {
         ranking.scenario: {
             "starts": ranking.starts,
             "best": ranking.best if ranking.is_contest else None,
             "tied": list(ranking.tied),
             "references": list(ranking.references),
-            "policies": policies[ranking.scenario],
+            "policies": {
+                row["policy"]: _plain(row, results.RESULT_COLUMNS[2:])
+                for row in found.rows
+                if row["scenario"] == ranking.scenario
+            },
         }
         for ranking in found.rankings
     }
@@ -247,23 +240,22 @@ def _plain(row: Row, columns: Sequence[str]) -> Row:
 
 def _draw(part: Part, found: Found, config: Config, console: Console) -> list[str]:
     """Draw all figures; the names of their files."""
-    endings = ("png", "pdf") if config.pdf else ("png",)
+    pictures, endings = list(_pictures(found, config)), ("png", "pdf") if config.pdf else ("png",)
     work = partial(_draw_one, folder=part.folder, run=part.run, endings=endings)
     # on this machine, wherever was played: its files are wanted here
-    drawn = each(work, list(_pictures(found, config)), Workers(jobs=config.jobs))
+    drawn = each(work, pictures, Workers(jobs=config.jobs))
     with console.status("drawing …"), closing(drawn):
-        files = dict(drawn)
-    return [name for number in sorted(files) for name in files[number]]
+        list(drawn)
+    return [f"{title}.{ending}" for title, _ in pictures for ending in endings]
 
 
-def _draw_one(picture: Picture, *, folder: Path, run: str, endings: Sequence[str]) -> list[str]:
+def _draw_one(picture: Picture, *, folder: Path, run: str, endings: Sequence[str]) -> None:
     from ..figures import style
 
     title, make = picture
-    figure, names = make(), [f"{title}.{ending}" for ending in endings]
-    for name in names:
-        style.save(figure, folder / name, run)
-    return names
+    figure = make()
+    for ending in endings:
+        style.save(figure, folder / f"{title}.{ending}", run)
 
 
 def _pictures(found: Found, config: Config) -> Iterator[Picture]:

@@ -93,10 +93,8 @@ def play(
     keep: int = 0,
     steps: int | None = None,
 ) -> tuple[Episodes, list[Recording]]:
-    """Run one policy from the starts ``seed``, ``seed`` + 1, … of a scenario.
-
-    The starts depend on their seeds alone, so every policy meets the same ones. A scenario whose
-    episodes are all the same is played once.
+    """Run one policy from the starts ``seed``, ``seed`` + 1, … of a scenario, the same for every
+    policy. A scenario whose episodes are all the same is played once.
 
     Args:
         scenario: the experiment.
@@ -143,30 +141,33 @@ def counts_contacts(scenario: Scenario) -> bool:
 
 
 class _Meter:
-    """Watches a batch and keeps what is worst in each team so far."""
+    """Watches a batch and keeps the worst of each team so far."""
 
     def __init__(self, simulator: Simulator) -> None:
         batch = simulator.num_envs
         self._simulator = simulator
-        self._rise = np.full(batch, -np.inf)
-        self._merge_rise, self._merge_excess = np.zeros(batch), np.zeros(batch)
+        self._rise, self._growth = np.full((2, batch), -np.inf)
+        self._merge_rise, self._merge_excess = np.zeros((2, batch))
         self._alignment = np.full(batch, np.inf)
-        self._growth = np.full(batch, -np.inf)
         sized = not simulator.scenario.sensing_graph.undirected
-        self._size = simulator.size() if sized else np.full(batch, np.nan)
+        # a hull for every team and step costs more than a step
+        self._size = simulator.size() if sized else None
 
     def see(self, step: Step) -> NDArray[np.float64]:
         """Take in one step; returns the alignments of its robots, (B, n)."""
-        at, outcome = step.running, step.outcome
-        change = outcome.lyapunov_before_merge - step.lyapunov
-        np.maximum(self._rise, change, out=self._rise, where=at)
-        np.maximum(self._merge_rise, outcome.merge_rise, out=self._merge_rise, where=at)
-        np.maximum(self._merge_excess, outcome.merge_excess, out=self._merge_excess, where=at)
-        aligned = alignments(self._simulator.scenario, step)
-        np.fmin(self._alignment, np.fmin.reduce(aligned, axis=1), out=self._alignment, where=at)
-        if not np.isnan(self._size).any():  # a hull for every team and step costs more than a step
+
+        def keep(worst: NDArray[np.float64], found: NDArray[np.float64]) -> None:
+            np.maximum(worst, found, out=worst, where=step.running)
+
+        keep(self._rise, step.outcome.lyapunov_before_merge - step.lyapunov)
+        keep(self._merge_rise, step.outcome.merge_rise)
+        keep(self._merge_excess, step.outcome.merge_excess)
+        if self._size is not None:
             before, self._size = self._size, self._simulator.size()
-            np.maximum(self._growth, self._size - before, out=self._growth, where=at)
+            keep(self._growth, self._size - before)
+        aligned = alignments(self._simulator.scenario, step)
+        least = np.fmin.reduce(aligned, axis=1)
+        np.fmin(self._alignment, least, out=self._alignment, where=step.running)
         return aligned
 
     def episodes(self, margin: float | None) -> Episodes:
@@ -199,14 +200,12 @@ def _or_nan(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def alignments(scenario: Scenario, step: Step) -> NDArray[np.float64]:
-    """Alignment |vᵀf|/(‖v‖‖f‖), (B, n), in [0, 1], of every robot with ‖f‖ ≥ 2δ, else NaN.
+    """Alignment |vᵀf|/(‖v‖‖f‖), (B, n), in [0, 1], of every robot with ‖f‖ ≥ 2δ, else NaN, as of
+    teams that have finished. A ValueError for a step of other robots.
 
     v is the commanded velocity; for nonholonomic robots it has the direction of the body axis,
     for robots with inertia it is the commanded acceleration. A robot that is to rest has alignment
-    0. Robots of teams that have finished have NaN.
-
-    Raises:
-        ValueError: for a step of other robots.
+    0.
     """
     n, layout = scenario.n_robots, scenario.observation_layout
     shape = (len(step.running), n, *layout.shape)

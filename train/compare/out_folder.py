@@ -1,9 +1,9 @@
-"""How a result folder comes to stand at OUT: whole, or not at all.
+"""A result folder stands at OUT whole, or not at all.
 
-OUT.part holds a comparison that is not finished (``resume``). In the end it gets tables,
-figures and, last of all, run.json with the digests of all of them; then the rest goes and it is
-renamed to OUT. So wherever a kill strikes, OUT.part with a run.json is whole, OUT.part without one
-is resumed, and what stood at OUT stays until then.
+OUT.part holds an unfinished comparison (``resume``). It gets tables, figures and, last of all,
+run.json with the digests of all of them; then the rest goes and it is renamed to OUT. So wherever a
+kill strikes, OUT.part with a run.json is whole, OUT.part without one is resumed, and the older OUT
+stays until then.
 """
 
 from __future__ import annotations
@@ -45,19 +45,15 @@ def _replaced(out: Path) -> Path:
 
 
 def destination(given: Path) -> Path:
-    """The folder that --out means, which is replaced as a whole.
-
-    Raises:
-        UserError: if something would be lost with it that ``compare`` has not written.
+    """The folder that --out means, which is replaced as a whole; a UserError if something would be
+    lost with it that ``compare`` has not written.
     """
     out = Path(os.path.realpath(given))
     here = Path.cwd()
     if out == here or out in here.parents or os.path.ismount(out):
         raise UserError(f"--out {given}: cannot be replaced as a whole; name a folder in it")
     try:
-        names = sorted(os.listdir(out))
-    except FileNotFoundError:
-        return out
+        names = sorted(os.listdir(out)) if out.exists() else ()
     except OSError as error:
         raise UserError(f"--out {given}: cannot write there: {error.strerror}") from error
     for name in names:
@@ -70,7 +66,7 @@ def destination(given: Path) -> Path:
 
 
 def seal(folder: Path, files: Sequence[str], about: Mapping[str, Any]) -> None:
-    """Write run.json, which says so much about a run, with the digest of every file and its own."""
+    """Write run.json: what is known about a run, the digest of every file, and its own."""
     for name in files:
         with (folder / name).open("rb") as file:
             os.fsync(file.fileno())  # outlasts a power failure, as run.json does
@@ -86,7 +82,7 @@ def is_sealed(about: Mapping[str, Any]) -> bool:
 
 
 def settle(out: Path) -> str | None:
-    """Put in place what a kill has left finished beside OUT; the id of its run, if there was."""
+    """Put in place what a kill has left finished beside OUT; the id of its run, if any."""
     if (part_of(out) / RUN).is_file():
         return promote(out)
     if not out.exists() and _replaced(out).exists():

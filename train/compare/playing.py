@@ -1,4 +1,4 @@
-"""Play what is left of a comparison, cut into tasks that do not depend on each other."""
+"""Play a comparison in independent tasks."""
 
 from __future__ import annotations
 
@@ -33,17 +33,16 @@ multiplied in another order, and rounded otherwise."""
 TOGETHER = 8
 """Starts that are computed side by side, by other code than a few."""
 _MANY = 32
-"""Tasks for which other processes start at once. With fewer this one plays until it sees that they
-take long, and where kernels are not compiled yet the first task takes as long as many."""
+"""Tasks from which on other processes start at once. With fewer this one plays until it sees that
+they take long; where kernels are not compiled yet, the first task takes as long as many."""
 
 
 @dataclass(frozen=True)
 class Played:
-    """What came of a job, or of a block of its starts."""
+    """The results of a job, or of a block of its starts."""
 
     job: Job
     episodes: Episodes
-    """Measured, one entry for each start."""
     recordings: dict[int, Recording]
     """By start: the first ones, and the first on which the policy failed."""
     ready: float = 0.0
@@ -64,16 +63,17 @@ def play_job(
     """Play one job; the arguments are those of ``evaluation.play``."""
     make = partial(policies.make, job.policy, job.scenario)
     margin = policies.promised_margin(job.policy, make())
-    settings: dict[str, Any] = {"episodes": episodes, "seed": seed, "keep": keep, "steps": steps}
-    done, recordings = play(job.scenario, make, margin=margin, **settings)
+    done, recordings = play(
+        job.scenario, make, margin=margin, episodes=episodes, seed=seed, keep=keep, steps=steps
+    )
     return Played(job, done, dict(enumerate(recordings)))
 
 
 def summary(played: Played) -> dict[str, Any]:
     """The row of results.csv that belongs to a job."""
-    scenario, name = played.job.scenario, played.job.policy
+    scenario = played.job.scenario
     limit = scenario.max_steps * scenario.tau
-    return statistics.summarise(scenario.name, name, played.episodes, limit)
+    return statistics.summarise(scenario.name, played.job.policy, played.episodes, limit)
 
 
 def plan_of(jobs: Sequence[Job], config: Config) -> dict[str, Any]:
@@ -95,8 +95,7 @@ def plan_of(jobs: Sequence[Job], config: Config) -> dict[str, Any]:
 
 def _weights(policy: str, scenarios: Sequence[Scenario]) -> str | None:
     """Digests of a learned policy's checkpoints, one for each robot model that has its own, or of
-    the file that holds a policy: an exported network, or the source of a scripted one. None for one
-    that was typed in.
+    the file of a policy: an exported network, or the source of a scripted one; None without one.
     """
     places = {policies.learned_path(policy, scenario) for scenario in scenarios}
     learned = sorted(place for place in places if place is not None)
@@ -111,17 +110,12 @@ def _weights(policy: str, scenarios: Sequence[Scenario]) -> str | None:
 class Task:
     """A part of a comparison that any process can do."""
 
-    name: str
-    """Of the file in OUT.part that keeps what comes of it."""
-    label: str
-    """For the progress bar, once it is done."""
+    name: str  # of the file in OUT.part that keeps its result
+    label: str  # for the progress bar, once it is done
     scenario: Scenario
-    count: int
-    """How many starts it plays."""
-    work: Callable[[], Any]
-    """Does it; travels to other processes, as its result does."""
-    stays: bool = False
-    """Whether only this process can do it."""
+    count: int  # of starts
+    work: Callable[[], Any]  # pickled, as its result
+    stays: bool = False  # whether only this process can do it
 
 
 def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
@@ -174,7 +168,7 @@ def make_ready(job: Job, starts: int) -> None:
 
 
 def joined(blocks: Sequence[Played]) -> Played:
-    """What came of a job, of all its blocks in order."""
+    """The results of a job, of all its blocks in order."""
     recordings = {start: one for block in blocks for start, one in block.recordings.items()}
     return Played(blocks[0].job, Episodes.joined([one.episodes for one in blocks]), recordings)
 
@@ -182,10 +176,8 @@ def joined(blocks: Sequence[Played]) -> Played:
 def play_all(
     tasks: Sequence[Task], workers: Workers, part: Part, console: Console
 ) -> tuple[dict[str, Any], float]:
-    """Do all tasks that are not finished, under a progress bar.
-
-    Returns:
-        What came of the tasks, by their names; and how long workers made kernels ready, s, each.
+    """Do all tasks that are not finished, under a progress bar; results by the names of tasks, and
+    how long each worker made kernels ready, s.
     """
 
     def do(left: list[Task]) -> Generator[tuple[int, Any], None, None]:
@@ -206,8 +198,8 @@ def play_all(
 
 
 def _one_of_each_first(tasks: Sequence[Task]) -> list[Task]:
-    """The same tasks, but those first that need different kernels: workers that start together
-    then do not compile the same ones.
+    """The tasks, those first that need different kernels: workers that start together then do not
+    compile the same ones.
     """
     first: dict[tuple[Any, ...], str] = {}
     for task in tasks:

@@ -9,14 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import policies
-from .evaluation import Episodes
 from .playing import Played, by_scenario
 from .statistics import best_policy, clean_difference
 
-_CONTEST = 2
-"""Policies that it takes at least."""
 _MOST_NAMED = 4
-"""Of policies that are level."""
+"""Of policies that are tied."""
 
 
 @dataclass(frozen=True)
@@ -25,11 +22,8 @@ class Ranking:
 
     scenario: str
     starts: int
-    """How many each policy was played on."""
-    share: dict[str, float]
-    """Collision-free success of every policy, from 0 to 1; NaN where contacts do not count."""
-    best: str | None
-    """The best of those that know no map, None where nothing of its kind can be said."""
+    share: dict[str, float]  # collision-free success, 0 to 1; NaN where contacts do not count
+    best: str | None  # of those that know no map
     tied: tuple[str, ...]
     """Those that the starts do not tell from it: the paired interval holds 0."""
     references: tuple[str, ...]
@@ -38,7 +32,7 @@ class Ranking:
     @property
     def is_contest(self) -> bool:
         """Whether there was something to win."""
-        return self.best is not None and len(self.share) - len(self.references) >= _CONTEST
+        return self.best is not None and len(self.share) - len(self.references) > 1
 
     @property
     def top(self) -> tuple[str, ...]:
@@ -48,23 +42,21 @@ class Ranking:
 
 def rank(played: Sequence[Played]) -> list[Ranking]:
     """The rankings of all scenarios, in their order."""
-    return [_ranking(scenario, own) for scenario, own in by_scenario(played).items()]
-
-
-def _ranking(scenario: str, played: dict[str, Episodes]) -> Ranking:
-    share = {name: float(own.clean.mean()) for name, own in played.items()}
-    references = tuple(name for name in played if policies.kind_of(name) == "privileged")
-    competing = {name: own for name, own in played.items() if name not in references}
-    starts = len(next(iter(played.values())).clean)
-    applies = not any(np.isnan(value) for value in share.values())
-    best = best_policy(competing) if competing and applies else None
-    tied = []
-    for name, own in competing.items():
-        if best is not None and name != best:
-            difference, (low, high) = clean_difference(own, competing[best])
-            if difference == 0 or low <= 0 <= high:  # a single start speaks for itself
-                tied.append(name)
-    return Ranking(scenario, starts, share, best, tuple(tied), references)
+    found = []
+    for scenario, episodes in by_scenario(played).items():
+        share = {name: float(own.clean.mean()) for name, own in episodes.items()}
+        references = tuple(name for name in episodes if policies.kind_of(name) == "privileged")
+        competing = {name: own for name, own in episodes.items() if name not in references}
+        applies = not np.isnan(list(share.values())).any()
+        best, tied = best_policy(competing) if competing and applies else None, []
+        for name, own in competing.items():
+            if best is not None and name != best:
+                difference, (low, high) = clean_difference(own, competing[best])
+                if difference == 0 or low <= 0 <= high:  # a single start speaks for itself
+                    tied.append(name)
+        starts = len(next(iter(episodes.values())).clean)
+        found.append(Ranking(scenario, starts, share, best, tuple(tied), references))
+    return found
 
 
 def answer(rankings: Sequence[Ranking]) -> str:

@@ -1,4 +1,4 @@
-"""What a comparison is to be: its settings, and the jobs that follow from them."""
+"""The settings of a comparison, and the jobs that follow from them."""
 
 from __future__ import annotations
 
@@ -29,9 +29,8 @@ DEFAULT_SCENARIOS = (
 
 _STARTS, _KEPT = 100, 3
 _LARGE = 8
-"""Robots; what more of them do among obstacles takes so long, and so much room, that fewer starts
-must do."""
-
+"""Robots; larger teams among obstacles take so long, and so much room, that they have fewer
+starts."""
 
 EXAMPLES = (
     "",
@@ -93,7 +92,7 @@ class Config(Workers):
     """Writes each figure as PDF too, for print."""
 
     def sweeps(self) -> list[levels.Sweep]:
-        """What the figures against levels of a sensor show."""
+        """The scenarios at levels of a sensor."""
         return levels.sweeps(_resolve(self), self.sensing)
 
     def starts(self, scenario: Scenario) -> int:
@@ -145,18 +144,13 @@ def plan(config: Config) -> list[Job]:
             f"these are: {', '.join(played)}"
         )
     if config.json is not None:
-        _check_json(config.json, config.out)
+        path, out = (Path(os.path.realpath(one)) for one in (config.json, config.out))
+        if path == out or out in path.parents:
+            raise UserError(f"--json {config.json}: lies in --out, which is replaced as a whole")
+        if path.is_dir():
+            raise UserError(f"--json {config.json}: is a folder; name a file")
+        results.prepare_folder(path.parent, f"--json {config.json}")
     return jobs
-
-
-def _check_json(given: Path, out: Path) -> None:
-    """Refuse a file that cannot be written, before any work."""
-    path, out = Path(os.path.realpath(given)), Path(os.path.realpath(out))
-    if path == out or out in path.parents:
-        raise UserError(f"--json {given}: lies in --out, which is replaced as a whole")
-    if path.is_dir():
-        raise UserError(f"--json {given}: is a folder; name a file")
-    results.prepare_folder(path.parent, f"--json {given}")
 
 
 def _resolve(config: Config) -> list[Scenario]:

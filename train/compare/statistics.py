@@ -20,8 +20,8 @@ _NONE: Interval = (np.nan, np.nan)
 
 
 def fraction_interval(hits: NDArray[Any]) -> Interval:
-    """Wilson interval of the mean of ``hits``, (N,), 0 or 1; honest about 0 and 1, unlike the
-    bootstrap. A single one has no interval, nor has NaN.
+    """Wilson interval of the mean of ``hits``, (N,), 0 or 1, which holds near 0 and 1, unlike the
+    bootstrap; none of a single one, or of NaN.
     """
     from scipy.stats import binomtest
 
@@ -36,7 +36,7 @@ def bootstrap_interval(
     samples: tuple[NDArray[Any], ...], statistic: Callable[..., Any]
 ) -> Interval:
     """Percentile bootstrap interval of a statistic of ``samples``, each (N,), paired by start; the
-    same for the same samples. A single start has no interval, nor has NaN.
+    same for the same samples; none of a single start, or of NaN.
     """
     from scipy.stats import bootstrap
 
@@ -74,10 +74,8 @@ def censored_median(
 
 
 def summarise(scenario: str, policy: str, episodes: Episodes, limit: float) -> dict[str, Any]:
-    """One row of results.csv, see ``results.RESULTS``; ``limit`` is the time limit, s.
-
-    NaN where it does not apply: intervals of a single start, collision-free success where
-    robots pass through obstacles.
+    """One row of results.csv, see ``results.RESULTS``; NaN where it does not apply. ``limit`` is
+    the time limit, s.
     """
     median, times = censored_median(episodes.time, episodes.success, limit)
     return {
@@ -104,11 +102,6 @@ def _ends(name: str, interval: Interval) -> dict[str, float]:
     return {f"{name}_low": interval[0], f"{name}_high": interval[1]}
 
 
-def reference_policy(played: Mapping[str, Episodes]) -> str:
-    """The policy that the others are compared with: law (1), or else the best there is."""
-    return "bearing-only" if "bearing-only" in played else best_policy(played)
-
-
 def best_policy(played: Mapping[str, Episodes]) -> str:
     """The policy that meets most often, cleanly where contacts count; among equals the soonest."""
     return max(played, key=lambda name: (played[name].good.mean(), -np.median(played[name].time)))
@@ -126,9 +119,9 @@ def compare_pairs(
     scenario: str, played: Mapping[str, Episodes], against: str | None = None
 ) -> list[dict[str, Any]]:
     """Rows of paired.csv, see ``results.PAIRED``: every policy against a reference on the same
-    starts, ``reference_policy`` if none is named. Two failures tie.
+    starts, by default law (1), or else the best. Two failures tie.
     """
-    against = against or reference_policy(played)
+    against = against or ("bearing-only" if "bearing-only" in played else best_policy(played))
     # a rendezvous that is not good is later than any
     costs = {name: np.where(own.good, own.time, np.inf) for name, own in played.items()}
     rows = []
@@ -150,9 +143,8 @@ def compare_pairs(
 
 
 def interquartile_mean(scores: NDArray[np.float64]) -> float:
-    """Mean of the middle half of all runs: scores (S, F), of S seeds on F fields.
-
-    As ``scipy.stats.trim_mean``, which takes 40 times as long: a bootstrap asks thousands of times.
+    """Mean of the middle half of all runs: scores (S, F), of S seeds on F fields. For a bootstrap
+    ``scipy.stats.trim_mean`` is too slow.
     """
     quarter = scores.size // 4
     ordered = np.partition(scores, (quarter, scores.size - quarter - 1), axis=None)
@@ -163,7 +155,7 @@ def stratified_interval(
     samples: tuple[NDArray[np.float64], ...], statistic: Callable[..., float]
 ) -> Interval:
     """Percentile bootstrap interval of a statistic of ``samples``, (S, F) each, drawn independently
-    of one another and of other fields; the same for the same samples. Single seeds have none.
+    for each and each field; the same for the same samples; none of single seeds.
     """
     if all(len(one) == 1 for one in samples):
         return _NONE
@@ -180,8 +172,8 @@ def stratified_interval(
 
 
 def probability_of_improvement(own: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    """Chance that a run of scores (S, F) does better than one of (S', F) on the same field, all
-    fields alike; a tie counts half.
+    """Chance that a run of scores (S, F) does better than one of (S', F) on the same field; a tie
+    counts half.
     """
     above = (own[:, None] > other) + 0.5 * (own[:, None] == other)
     return float(above.mean(axis=(0, 1)).mean())

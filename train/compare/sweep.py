@@ -30,13 +30,9 @@ class Sweep:
     """One scenario at some levels of one field of its sensor."""
 
     base: Scenario
-    """As it was named."""
-    field: str
-    """Of ``rv.Sensing``."""
-    levels: tuple[Level, ...]
-    """Values of the field, in the order in which they were named."""
-    scenarios: tuple[Scenario, ...]
-    """The base at each of them."""
+    field: str  # of ``rv.Sensing``
+    levels: tuple[Level, ...]  # in the order in which they were named
+    scenarios: tuple[Scenario, ...]  # the base at each level
 
     @property
     def labels(self) -> list[str]:
@@ -100,8 +96,8 @@ def _at(base: Scenario, field: str, level: Level) -> Scenario:
 
 
 COLUMNS = ("base", "field", "level", *results.RESULT_COLUMNS)
-"""Of levels.csv: a scenario, a field of its sensor and the level at which it stands; then the row
-of results.csv. A level is empty where the field is that of an exact sensor and no number."""
+"""Of levels.csv: a scenario, a field of its sensor and its level, empty where that is no number and
+the sensor's is exact; then the row of results.csv."""
 
 
 def rows_of(sweep: Sweep, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

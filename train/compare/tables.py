@@ -50,13 +50,16 @@ def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Tab
         column.no_wrap = True
     for heading, own in _by_scenario(rows):
         scenario, count = scenarios[own[0]["scenario"]], own[0]["episodes"]
+        limit = scenario.max_steps * scenario.tau
         table.add_row(f"{heading}, {'one start' if count == 1 else f'{count} starts'}")
         for row in own:
+            times = (_time(row[name], limit) for name in ("median_time", "time_low", "time_high"))
+            median, low, high = times
             table.add_row(
                 f"  {escape(row['policy'])}",
                 f"{100 * row['success']:.0f}",
-                _percent(row["clean_success"], row["clean_low"], row["clean_high"]),
-                _time_cell(row, scenario.max_steps * scenario.tau),
+                _percent(row, "clean_success", "clean"),
+                f"{median} [{low}, {high}]" if row["time_low"] < limit else median,
                 _number(row["time_over_bound"], ".2g"),
                 _number(row["path_length"], ".1f"),
                 "none" if (rise := row["max_rise_between_merges"]) <= _ROUNDING else f"{rise:.2g}",
@@ -71,19 +74,13 @@ def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Tab
     return table
 
 
-def _percent(value: float, low: float, high: float, style: str = ".0f") -> str:
+def _percent(row: Row, value: str, interval: str, style: str = ".0f") -> str:
     """A share with its interval, if it has one; – where it does not apply."""
+    value, low, high = (row[name] for name in (value, f"{interval}_low", f"{interval}_high"))
     if value != value:
         return "–"
     cells = [format(100 * number, style) for number in (value, low, high)]
     return f"{cells[0]} [{cells[1]}, {cells[2]}]" if low == low else cells[0]
-
-
-def _time_cell(row: Row, limit: float) -> str:
-    """Median and interval, if it has one."""
-    names = ("median_time", "time_low", "time_high")
-    median, low, high = (_time(row[name], limit) for name in names)
-    return f"{median} [{low}, {high}]" if row["time_low"] < limit else median
 
 
 def _number(value: float, style: str) -> str:
@@ -102,11 +99,9 @@ def paired_table(rows: Sequence[Row]) -> Table:
     for heading, own in _by_scenario(rows):
         table.add_row(heading)
         for row in own:
-            points, low, high = (row[f"clean_difference{end}"] for end in ("", "_low", "_high"))
-            names = ("probability_of_improvement", "improvement_low", "improvement_high")
-            better = _percent(*(row[name] for name in names))
-            shown = _percent(points, low, high, "+z.1f")
-            table.add_row(f"  {escape(row['policy'])}", shown, better)
+            points = _percent(row, "clean_difference", "clean_difference", "+z.1f")
+            better = _percent(row, "probability_of_improvement", "improvement")
+            table.add_row(f"  {escape(row['policy'])}", points, better)
     return table
 
 
@@ -124,14 +119,13 @@ def ceiling_table(rows: Sequence[Row]) -> Table:
 
 
 _HEADING, _LONGEST_WORD = 9, 14
-"""Characters of a line in which a scenario's name stands, at least, and at most for a long word in
-it; longer names take more lines."""
+"""Least and most characters of a line of a scenario's name."""
 _BETWEEN = 2
 BEST, TIED = "*", "="
 
 
 def show_matrix(rankings: Sequence[Ranking], console: Console) -> None:
-    """Print the matrix, in as many parts as the console is too narrow for, and its marks."""
+    """Print the matrix, in parts where the console is too narrow, and the meaning of its marks."""
     names = max(len(name) for ranking in rankings for name in ranking.share)
     room = console.width - min(names, console.width // 2)
     words = (len(word) + 1 for ranking in rankings for word in ranking.scenario.split("-"))
@@ -159,8 +153,7 @@ def _matrix(rankings: Sequence[Ranking], heading: int) -> Table:
 def _cell(ranking: Ranking, name: str) -> RenderableType:
     if name not in ranking.share:
         return ""
-    value = ranking.share[name]
-    text = percent(value, ranking.starts)
+    text = percent(ranking.share[name], ranking.starts)
     if name == ranking.best and ranking.is_contest:
         return Text(f"{text}{BEST}", style="bold")
     mark = TIED if name in ranking.tied else " "
@@ -197,9 +190,8 @@ def show_sweeps(sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]], console
         console.print(f"[bold]{escape(title)}[/bold]; collision-free %, median s")
         table = _empty("policy", *sweep.labels)
         for policy in dict.fromkeys(row["policy"] for row in own):
-            levels = (row for row in own if row["policy"] == policy)
             cells = []
-            for row in levels:
+            for row in (row for row in own if row["policy"] == policy):
                 counts = not math.isnan(row["clean_success"])
                 share = percent(row["clean_success" if counts else "success"], row["episodes"])
                 cells.append(f"{share}, {_time(row['median_time'], limit)}")

@@ -1,8 +1,8 @@
-"""How much can be reached at all: by a planner that knows the map, and by law (4).
+"""Upper bounds: by a planner that knows the map, and by law (4).
 
-What the planner passes cleanly is the share of starts that are possible. What some run of law (4)
-has done a policy could have done, so the share of starts that at least one of many randomised
-certified runs passed cleanly is an estimate, from below, of what any heading policy can reach.
+The planner's collision-free success is the share of starts that are possible. The share that at
+least one of many randomised certified runs passed without a collision is an estimate, from below,
+of what any heading policy can reach.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ def applies(scenario: Scenario) -> bool:
 
 
 def play_run(scenario: Scenario, number: int | None, episodes: int, seed: int) -> Episodes:
-    """Play a run on the starts that follow from ``seed``. All that is random follows from its
-    number; 0 is the joined rule with nothing random but its clearance, None the planner.
+    """Play a run on the starts from ``seed`` on. All that is random follows from its number; 0 is
+    the joined rule with nothing random but its clearance, None the planner.
     """
     make: Callable[[], Policy] = partial(baselines.make, privileged_planner.NAME, scenario)
     if number is not None:
@@ -62,7 +62,7 @@ def play_run(scenario: Scenario, number: int | None, episodes: int, seed: int) -
 
 
 def tasks_of(scenario: Scenario, config: Config) -> list[Task]:
-    """So many runs of law (4) as are asked for, and the planner's."""
+    """The runs of law (4) that are asked for, and the planner's."""
     starts = config.starts(scenario)
     return [
         Task(

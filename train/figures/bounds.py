@@ -26,8 +26,7 @@ class Row(NamedTuple):
     by: str
     graph: str
     before: float
-    """The bound that the commit 27dbdb6 gave for held inputs, s, median of 256 starts from seed 0;
-    infinite where it knew none."""
+    """The bound of the commit 27dbdb6 for held inputs, s, median of 256 starts from seed 0."""
 
 
 ROWS = (
@@ -45,8 +44,8 @@ ROWS = (
     Row("links", "cycle-10", 616.97),
 )
 COLUMNS = ("by", "graph", "median", "longest", "bound", "own_bound", "ratio", "ratio_before")
-"""Of bounds.csv; times in s. The bound of any start in the spawn area, the median of the bounds of
-the teams' own starts, and that over the median time."""
+"""Of bounds.csv; times in s. The bounds are that of any start in the spawn area and the median of
+those of the teams' own starts, which stands in the ratios."""
 _HEAD = (
     *("kept by", "team", "median, s", "longest, s", "bound of any start, s"),
     *("of its own start, s", "own bound / median", "at 27dbdb6"),
@@ -64,8 +63,8 @@ _NAMES = {
 
 
 def measure(rows: Sequence[Row], teams: int, seed: int) -> Iterator[dict[str, Any]]:
-    """COLUMNS of each row: how long random teams take under random choices, and by when they must
-    have met. The seed is that of the first team's start; choices are drawn from it too.
+    """COLUMNS of each row: how long random teams take under random choices, and their time bounds.
+    The seed is that of the first team's start; choices are drawn from it too.
     """
     for row in rows:
         scenario = scenario_of(row.graph)
@@ -76,16 +75,9 @@ def measure(rows: Sequence[Row], teams: int, seed: int) -> Iterator[dict[str, An
             for one in (scenario, *(scenario.replace(start_positions=start) for start in starts))
         )
         middle, bound = float(np.median(times)), float(np.median(own))
-        yield {
-            "by": row.by,
-            "graph": row.graph,
-            "median": middle,
-            "longest": float(times.max()),
-            "bound": any_start,
-            "own_bound": bound,
-            "ratio": bound / middle,
-            "ratio_before": row.before / middle,
-        }
+        ratios = bound / middle, row.before / middle
+        values = row.by, row.graph, middle, float(times.max()), any_start, bound, *ratios
+        yield dict(zip(COLUMNS, values, strict=True))
 
 
 def scenario_of(graph: str) -> rv.Scenario:
@@ -99,8 +91,8 @@ def scenario_of(graph: str) -> rv.Scenario:
 def times_to_meet(
     scenario: rv.Scenario, by: str, arguments: Mapping[str, float], teams: int, seed: int
 ) -> tuple[Array, Array]:
-    """Starts (B, n, d), m, and when each team has met under choices drawn anew in every step, (B,),
-    s; inf if it has not.
+    """Starts (B, n, d), m, and rendezvous times (B,), s, under choices drawn anew in every step;
+    inf for a time-out.
     """
     env = rv.make_vec(scenario, teams, autoreset_mode="Disabled", max_cycles=_MOST_STEPS)
     wrapped, random = guarded(env, by, arguments), np.random.default_rng([seed, 1])
@@ -121,27 +113,21 @@ def times_to_meet(
 
 def table_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """The lines of a Markdown table."""
-    lines = [_line(_HEAD), "|---|---" + "|--:" * (len(_HEAD) - 2) + "|"]
-    for row in rows:
-        numbers = [_short(row[name]) for name in COLUMNS[2:]]
-        lines.append(_line((_NAMES[row["by"]], row["graph"], *numbers)))
-    return lines
 
+    def cell(value: float) -> str:
+        if math.isinf(value):
+            return "none"
+        return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
 
-def _line(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |"
-
-
-def _short(value: float) -> str:
-    if math.isinf(value):
-        return "none"
-    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+    lines = [
+        (_NAMES[row["by"]], row["graph"], *(cell(row[n]) for n in COLUMNS[2:])) for row in rows
+    ]
+    head, *body = (f"| {' | '.join(cells)} |" for cells in (_HEAD, *lines))
+    return [head, "|---|---" + "|--:" * (len(_HEAD) - 2) + "|", *body]
 
 
 def write_into(page: Path, table: Sequence[str]) -> None:
-    """Put a table in the place of the one with the same head in a Markdown page, which must have
-    one.
-    """
+    """Replace the table with the same head in a Markdown page."""
     lines = page.read_text(encoding="utf-8").split("\n")
     if table[0] not in lines:
         raise UserError(f"--page is {page}, which has no table that begins with {table[0]}")

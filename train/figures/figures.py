@@ -1,6 +1,5 @@
-"""Figures of ``compare``: success, times, and collision-free success against clutter and team size.
-
-The drawing library is imported when a figure is made.
+"""Figures of ``compare``: success, times, and collision-free success against clutter, team size and
+levels of a sensor. The drawing library is imported when a figure is made.
 """
 
 from __future__ import annotations
@@ -63,18 +62,13 @@ def policy_marker(name: str) -> str:
     return next((mark for end, mark in _VARIANTS.items() if name.endswith(end)), "o")
 
 
-def _line_style(name: str) -> str:
-    """Solid for a policy, broken for a variant, dotted under a tank."""
-    return {"o": "-", _VARIANTS["-tank"]: ":"}.get(policy_marker(name), "--")
-
-
 @styled
 def success_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Success, with and without collisions, of every policy in results.csv, a panel a scenario."""
 
     def draw(axes: Axes, panel: Sequence[Mapping[str, Any]]) -> None:
-        _intervals(axes, panel, "success", "success", above=True, factor=100.0)
-        _intervals(axes, panel, "clean_success", "clean", factor=100.0)
+        _intervals(axes, panel, ("success", "success"), 100.0, shift=-0.17, markerfacecolor="white")
+        _intervals(axes, panel, ("clean_success", "clean"), 100.0, shift=0.17)
         axes.set_xlim(-4, 104)
         axes.set_xticks(range(0, 101, 25))
 
@@ -97,7 +91,7 @@ def time_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
 
     def draw(axes: Axes, panel: Sequence[Mapping[str, Any]]) -> None:
         met = [row for row in panel if row["success"] > 0.5]
-        _intervals(axes, met, "median_time", "time")
+        _intervals(axes, met, ("median_time", "time"))
         for row in panel:
             if row not in met:
                 style: Any = {"va": "center", "fontsize": SMALL - 1, "color": "0.4"}
@@ -140,37 +134,26 @@ def _panels(rows: Sequence[Mapping[str, Any]], draw: Any, label: str) -> Figure:
 def _intervals(
     axes: Axes,
     rows: Sequence[Mapping[str, Any]],
-    value: str,
-    interval: str,
-    *,
-    above: bool = False,
+    names: tuple[str, str],
     factor: float = 1.0,
+    shift: float = 0.0,
+    **style: Any,
 ) -> None:
-    """A marker with a horizontal interval for each row, open and raised if above another one; none
-    where the value does not apply, and no interval where there is none.
+    """A marker with a horizontal interval for each row, of the columns that ``columns_of`` takes;
+    none where the value does not apply, and no interval where there is none.
     """
-    shift = 0.17 if interval == "clean" else -0.17 if above else 0.0
+    style = {"markersize": 3, "linewidth": 1.0, "markeredgewidth": 0.8, "clip_on": False} | style
     for row in rows:
-        ((centre,), (low,), (high,)) = factor * columns_of([row], value, interval)
-        if math.isnan(centre):
-            continue
-        axes.errorbar(
-            [centre],
-            [row["place"] + shift],
-            xerr=np.fmax(0.0, [[centre - low], [high - centre]]),
-            fmt=policy_marker(row["policy"]),
-            color=policy_colour(row["policy"]),
-            markerfacecolor="white" if above else None,
-            markersize=3,
-            linewidth=1.0,
-            markeredgewidth=0.8,
-            clip_on=False,
-        )
+        centre, low, high = factor * columns_of([row], *names)
+        if not np.isnan(centre):
+            style |= {"fmt": policy_marker(row["policy"]), "color": policy_colour(row["policy"])}
+            around = np.fmax(0.0, [centre - low, high - centre])
+            axes.errorbar(centre, [row["place"] + shift], xerr=around, **style)
 
 
 def sweeps(scenarios: Sequence[Scenario], quantity: str) -> list[list[Scenario]]:
-    """Groups of scenarios, two or more in each, that differ only in the number of "robots", or of
-    "obstacles" that are drawn at random, in its order.
+    """Groups of two or more scenarios that differ only in the number of "robots", or of "obstacles"
+    that are drawn at random, in its order.
     """
     groups: dict[str, dict[int, Scenario]] = {}
     for scenario in scenarios:
@@ -191,8 +174,8 @@ def _number(scenario: Scenario, quantity: str) -> int | None:
     """How many obstacles or robots a scenario has; None where they are not drawn by number."""
     if quantity == "robots":
         return scenario.n_robots
-    count = getattr(scenario.obstacles, "count", None)
-    return count if isinstance(count, int) and not isinstance(scenario.obstacles, tuple) else None
+    count = getattr(scenario.obstacles, "count", None)  # of a tuple it is a method
+    return count if isinstance(count, int) else None
 
 
 @styled
@@ -203,13 +186,10 @@ def sweep_figure(
     obstacles or of robots, in a group of ``sweeps``.
     """
     numbers = {scenario.name: _number(scenario, quantity) or 0 for scenario in group}
-    inside = [row for row in rows if row["scenario"] in numbers]
-    policies = list(dict.fromkeys(row["policy"] for row in inside))
-    lines = math.ceil(len(policies) / LEGEND_COLUMNS)
-    figure = new_figure(COLUMN, 2.75 + LINE * lines)
+    found = _by_policy([row for row in rows if row["scenario"] in numbers])
+    figure = new_figure(COLUMN, 2.75 + LINE * math.ceil(len(found) / LEGEND_COLUMNS))
     axes = figure.add_subplot()
-    for policy in policies:
-        own = [row for row in inside if row["policy"] == policy]
+    for policy, own in found.items():
         own.sort(key=lambda row: numbers[row["scenario"]])
         x = [numbers[row["scenario"]] for row in own]
         policy_line(axes, policy, x, 100.0 * columns_of(own, "clean_success", "clean"))
@@ -229,17 +209,26 @@ def sweep_figure(
     return figure
 
 
+def _by_policy(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
+    return {
+        policy: [row for row in rows if row["policy"] == policy]
+        for policy in dict.fromkeys(row["policy"] for row in rows)
+    }
+
+
 def policy_line(
     axes: Axes, policy: str, x: Sequence[float] | NDArray[Any], numbers: NDArray[Any]
 ) -> None:
-    """One policy with its intervals: ``numbers`` are values and the ends of theirs, (3, N)."""
-    centre, low, high = numbers
+    """One policy with its intervals: ``numbers`` are values and the ends of theirs, (3, N). Solid
+    for a policy, broken for a variant, dotted under a tank.
+    """
+    (centre, low, high), marker = numbers, policy_marker(policy)
     axes.errorbar(
         x,
         centre,
         yerr=np.fmax(0.0, [centre - low, high - centre]),
-        fmt=policy_marker(policy),
-        linestyle=_line_style(policy),
+        fmt=marker,
+        linestyle={"o": "-", _VARIANTS["-tank"]: ":"}.get(marker, "--"),
         color=policy_colour(policy),
         elinewidth=0.6,
         label=policy,
@@ -265,26 +254,23 @@ def level_figure(sweep: Any, rows: Sequence[dict[str, Any]]) -> Figure:
     Levels stand at equal distances, since the exact sensor need not be a number. Where more than
     half of the starts time out there is no median time, and no mark.
     """
-    lines = math.ceil(len({row["policy"] for row in rows}) / LEGEND_COLUMNS)
-    figure = new_figure(COLUMN, 4.2 + LINE * lines)
+    found = _by_policy(rows)
+    figure = new_figure(COLUMN, 4.2 + LINE * math.ceil(len(found) / LEGEND_COLUMNS))
     above, below = figure.subplots(2, 1, sharex=True)
-    policies = list(dict.fromkeys(row["policy"] for row in rows))
     limit = sweep.base.max_steps * sweep.base.tau
     counts = not np.isnan([row["clean_success"] for row in rows]).any()
     names = ("clean_success", "clean") if counts else ("success", "success")
-    for policy in policies:
-        own = [row for row in rows if row["policy"] == policy]
+    for policy, own in found.items():
         x = np.arange(len(own))
         policy_line(above, policy, x, 100.0 * columns_of(own, *names))
         times = columns_of(own, "median_time", "time")
         met = times[0] < limit
         policy_line(below, policy, x[met], times[:, met])
     above.set(ylim=(-2, 102), ylabel=f"met {'without contact ' if counts else ''}/ % of starts")
-    below.set(ylabel="median time / s")
+    unit = f" / {_UNITS[sweep.field]}" if sweep.field in _UNITS else ""
+    below.set(ylabel="median time / s", xlabel=f"{sweep.field.replace('_', ' ')}{unit}")
     below.set_ylim(bottom=0.0)
     below.set_xticks(range(len(sweep.labels)), sweep.labels)
-    unit = f" / {_UNITS[sweep.field]}" if sweep.field in _UNITS else ""
-    below.set_xlabel(f"{sweep.field.replace('_', ' ')}{unit}")
     for axes in (above, below):
         axes.grid()
     above.set_title(f"{sweep.base.name}, {rows[0]['episodes']} starts, 95 % intervals")

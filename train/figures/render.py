@@ -102,8 +102,8 @@ def _check(config: Config) -> tuple[Scenario, str]:
         if value is not None and not least <= value <= most:
             raise UserError(f"--{field} is {value}; it must be from {least} to {most}")
     policies.check_names([config.policy] if config.policy else [])
+    scenario = policies.resolve_scenario(config.scenario, config.set)
     try:
-        scenario = policies.resolve_scenario(config.scenario, config.set)
         name = config.policy or policies.best(scenario)
         policies.make(name, scenario)
     except (ValueError, OSError) as error:

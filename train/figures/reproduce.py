@@ -46,6 +46,9 @@ EXAMPLES = (
 )  # fmt: skip
 
 
+_COMPILING = "the first use on a machine compiles …"
+
+
 @dataclass(frozen=True)
 class Config:
     """Draw a figure of the paper: (a) the paths, (b) V(t) with its jumps at merges.
@@ -101,11 +104,12 @@ def _paper(config: Config) -> int:
     except ValueError as error:
         raise UserError(str(error)) from error
     path, console = results.prepare_folder(config.out) / f"{config.figure}.png", Console()
-    with console.status("simulating; the first use on a machine compiles …"):
+    with console.status(f"simulating; {_COMPILING}"):
         trajectory = rollout(scenario, policy, config.seed, record="observations")
     recording = one_team(trajectory)
     results.write_arrays(path.with_suffix(".npz"), recording)
-    results.write_csv(path.with_suffix(".csv"), *_table_of(recording))
+    table = _table_of(recording)
+    results.write_csv(path.with_suffix(".csv"), list(table[0]), table)
     _save(path_figures.team_figure(scenario, recording, name), path)
     end = f"met after {recording['times'][-1]:.2f} s" if trajectory.success[0] else "did not meet"
     (rise,) = trajectory.largest_rise_between_merges
@@ -116,38 +120,36 @@ def _paper(config: Config) -> int:
 
 def one_team(trajectory: Trajectory) -> Recording:
     """The first team of a rollout, every step a frame."""
-    gone = (trajectory.active[:-1, 0] != trajectory.active[1:, 0]).any(axis=-1)
+    merged = (trajectory.active[:-1, 0] != trajectory.active[1:, 0]).any(axis=-1)
     kept = ("positions", "headings", "active", "lyapunov", *trajectory.recorded)
-    first = {name: getattr(trajectory, name)[:, 0] for name in kept if name != "actions"}
     jumps = {
-        name: np.append(np.nan, np.where(gone, getattr(trajectory, name)[:, 0], np.nan))
+        name: np.append(np.nan, np.where(merged, getattr(trajectory, name)[:, 0], np.nan))
         for name in _JUMPS
     }
-    contacts = np.cumsum(trajectory.contacts[:, 0], axis=0)
     return {
         "times": trajectory.times,
-        **first,
+        **{name: getattr(trajectory, name)[:, 0] for name in kept if name != "actions"},
         **jumps,
-        "contacts": np.concatenate([np.zeros_like(contacts[:1]), contacts]),
+        "contacts": np.cumsum(np.insert(trajectory.contacts[:, 0], 0, 0, axis=0), axis=0),
         "obstacles": trajectory.obstacles[0],
     }
 
 
-def _table_of(recording: Recording) -> tuple[list[str], list[dict[str, Any]]]:
-    """Columns, and a row for each frame: s, m²/s (empty without a merge), m."""
-    frames, n, _ = recording["positions"].shape
-    places = [f"{axis}_{robot}" for robot in range(n) for axis in ("x", "y")]
+def _table_of(recording: Recording) -> list[dict[str, Any]]:
+    """A row for each frame: s, m²/s (empty without a merge), m."""
+    positions = recording["positions"]
+    places = [f"{axis}_{robot}" for robot in range(positions.shape[1]) for axis in ("x", "y")]
     columns = ["time", "robots", "lyapunov", *_JUMPS, *places]
     numbers = (recording[name] for name in ("lyapunov", *_JUMPS))
-    robots, positions = recording["active"].sum(axis=1), recording["positions"]
-    table = np.column_stack([recording["times"], robots, *numbers, positions.reshape(frames, -1)])
-    return columns, [dict(zip(columns, row, strict=True)) for row in table.tolist()]
+    first = recording["times"], recording["active"].sum(axis=1)
+    table = np.column_stack([*first, *numbers, positions.reshape(len(positions), -1)])
+    return [dict(zip(columns, row, strict=True)) for row in table.tolist()]
 
 
 def _bounds(config: Config) -> int:
     """Play, print the table, write bounds.csv and the page."""
     path, console = results.prepare_folder(config.out) / "bounds.csv", Console()
-    with console.status("playing; the first use on a machine compiles …"):
+    with console.status(f"playing; {_COMPILING}"):
         rows = list(bounds.measure(bounds.ROWS, config.episodes, config.seed))
     results.write_csv(path, bounds.COLUMNS, rows)
     table = bounds.table_of(rows)
@@ -164,10 +166,10 @@ def _pixels(config: Config) -> int:
     from ..pixels import pixels
 
     path, console = results.prepare_folder(config.out) / "pixels.csv", Console()
-    policies.check_names([config.policy] if config.policy else [])
-    rows = []
-    for name in [config.policy] if config.policy else pixels.POLICIES:
-        with console.status(f"{name} looks; the first use on a machine compiles …"):
+    names, rows = [config.policy] if config.policy else pixels.POLICIES, []
+    policies.check_names(names)
+    for name in names:
+        with console.status(f"{name} looks; {_COMPILING}"):
             rows.append(row := pixels.compare(name, config.episodes, config.seed))
         console.print(
             f"{name}: {row['clean']:.1%} [{row['low']:.1%}, {row['high']:.1%}] without a contact "
@@ -183,7 +185,7 @@ def _pixels(config: Config) -> int:
 def _tank(config: Config) -> int:
     """Play, draw, and write tank.png, tank.pdf and tank.csv."""
     path, console = results.prepare_folder(config.out) / "tank.png", Console()
-    with console.status("playing; the first use on a machine compiles …"):
+    with console.status(f"playing; {_COMPILING}"):
         rows = list(measure_tanks(config.episodes, config.seed))
     results.write_csv(path.with_suffix(".csv"), list(rows[0]), rows)
     _save(tank_tradeoff_figure(rows), path)
@@ -217,9 +219,7 @@ def measure_tanks(episodes: int, seed: int) -> Iterator[dict[str, Any]]:
 
 @styled
 def tank_tradeoff_figure(rows: Sequence[dict[str, Any]]) -> Figure:
-    """Collision-free success and the bound against ε, of rows of ``measure_tanks``, one line for
-    each budget.
-    """
+    """Collision-free success and the bound against ε, one line for each budget."""
     figure = new_figure(PAGE, 2.6)
     left, right = figure.subplots(1, 2)
     for budget, colour in zip(BUDGETS, _TANK_COLOURS, strict=True):

@@ -27,11 +27,7 @@ def is_one(folder: Path) -> bool:
 
 
 def page(folder: Path) -> str:
-    """The whole page.
-
-    Raises:
-        UserError: if a card, replay or table is missing, not readable, or of another version.
-    """
+    """The whole page; a UserError if a card, replay or table is missing or not readable."""
     found, path = cards.read_cards(folder), folder / "leaderboard.csv"
     rows = results.read_csv(path)
     if not found or [tuple(row) for row in rows] != [tuple(tables.COLUMNS)] * len(rows):
@@ -75,15 +71,14 @@ def _policy(card: cards.Card) -> str:
 def _replays(folder: Path, card: cards.Card) -> list[Replay]:
     """What was kept of a run, with what its card says of each start."""
     found, kept = card["results"], path_of(cards.path_in(folder, card))
+    names = {"success": "success", "clean": "clean", "time": "time", "contacts": "touches"}
     return [
-        Replay(card["field"], _policy(card), start, vars(one), _outcome(found, start))
+        Replay(
+            card["field"], _policy(card), start, vars(one),
+            {name: str(found[own][start]) for name, own in names.items()},
+        )
         for start, one in read_replay(kept, found).items()
-    ]
-
-
-def _outcome(found: dict[str, list[Any]], start: int) -> dict[str, str]:
-    names = {name: name for name in ("success", "clean", "time")} | {"contacts": "touches"}
-    return {name: str(found[own][start]) for name, own in names.items()}
+    ]  # fmt: skip
 
 
 def _cell(card: cards.Card, is_replayed: bool) -> dict[str, str]:

@@ -28,28 +28,18 @@ _FILES = ("results.csv", "paired.csv", "episodes.csv", "trajectories.npz")
 class Comparison:
     """One result folder."""
 
-    run: dict[str, Any]
-    """run.json."""
-    scenarios: dict[str, Scenario]
-    """By name."""
-    rows: list[Row]
-    """results.csv."""
+    run: dict[str, Any]  # run.json
+    scenarios: dict[str, Scenario]  # by name
+    rows: list[Row]  # of results.csv
     paired: list[Row]
-    """paired.csv."""
     episodes: list[Row]
-    """episodes.csv."""
-    recordings: dict[Key, Recording]
-    """trajectories.npz, with what the robots saw."""
-    figures: list[Path]
-    """Its PNG files."""
+    recordings: dict[Key, Recording]  # with what the robots saw
+    figures: list[Path]  # its PNG files
 
 
 def read(folder: Path) -> Comparison:
-    """Read a result folder.
-
-    Raises:
-        UserError: if it is missing, half written, of another format version, or a mixture of two
-            comparisons.
+    """Read a result folder; a UserError if it is missing, half written, of another format version,
+    or a mixture of two comparisons.
     """
     if not folder.is_dir():
         part = part_of(folder) if folder.name else folder
@@ -64,15 +54,10 @@ def read(folder: Path) -> Comparison:
         scenarios = {name: Scenario.from_plain(plain) for name, plain in run["scenarios"].items()}
     except (ValueError, TypeError, AttributeError, KeyError, OverflowError) as error:
         raise UserError(f"{folder / RUN}: a scenario is not readable: {error}") from error
-    return Comparison(
-        run=run,
-        scenarios=scenarios,
-        rows=results.read_csv(folder / "results.csv"),
-        paired=results.read_csv(folder / "paired.csv"),
-        episodes=results.read_csv(folder / "episodes.csv"),
-        recordings=_read_recordings(folder / "trajectories.npz", scenarios),
-        figures=sorted(folder / name for name in run["files"] if name.endswith(".png")),
-    )
+    rows, paired, episodes = (results.read_csv(folder / name) for name in _FILES[:3])
+    recordings = _read_recordings(folder / _FILES[3], scenarios)
+    pictures = sorted(folder / name for name in run["files"] if name.endswith(".png"))
+    return Comparison(run, scenarios, rows, paired, episodes, recordings, pictures)
 
 
 def half_written(path: Path, what: str) -> UserError:

@@ -42,15 +42,9 @@ def whole(
     scripts: Sequence[str],
     recordings: str,
 ) -> str:
-    """The page.
-
-    Args:
-        title: of the window.
-        links: titles of sections in the head; "About" leads to the section "run".
-        sections: HTML.
-        data: what the scripts read as DATA.
-        scripts: names of files, put into one function.
-        recordings: further elements with data; with any, the page has the library of plots.
+    """The page, with links to its sections ("About" leads to "run"), the sections as HTML, data
+    that the scripts read as DATA, and elements with recordings; with any, it has the library of
+    plots.
     """
     ids = {"About": "run"}
     own = "\n".join(part(f"{name}.js") for name in scripts)
@@ -76,25 +70,22 @@ def figures(paths: Sequence[Path]) -> str:
 
 def _figure(path: Path) -> str:
     source = base64.b64encode(path.read_bytes()).decode("ascii")
-    name, said = escape(path.name), escape(_caption(path.stem))
+    kind, _, scenario = path.stem.partition("-")
+    if kind == "trajectories":
+        said = (
+            f"{scenario}: the ways of the robots from the first start under each policy. "
+            "Dots: starts. Crosses: merges. Orange: obstacles."
+        )
+    else:
+        numbered, _, number = path.stem.rpartition("-")
+        said = _CAPTIONS.get(numbered if number.isdigit() else path.stem, path.stem)
+    name, said = escape(path.name), escape(said)
     return (
         f'<figure id="{escape(path.stem)}"><img loading="lazy" alt="{said}" '
         f'src="data:image/png;base64,{source}"><figcaption>{said} <button type="button" '
         f'class="save" data-name="{name}" aria-label="Save {name}">PNG</button></figcaption>'
         "</figure>"
     )
-
-
-def _caption(stem: str) -> str:
-    """What a figure shows, by the name of its file without the ending."""
-    kind, _, scenario = stem.partition("-")
-    if kind == "trajectories":
-        return (
-            f"{scenario}: the ways of the robots from the first start under each policy. "
-            "Dots: starts. Crosses: merges. Orange: obstacles."
-        )
-    name, _, number = stem.rpartition("-")
-    return _CAPTIONS.get(name if number.isdigit() else stem, stem)
 
 
 def terms(lines: Mapping[str, str]) -> str:
@@ -113,10 +104,8 @@ class Replay(NamedTuple):
     scenario: str
     policy: str
     start: int
-    shown: Mapping[str, Any]
-    """Fields of ``encoding.Encoded``."""
-    outcome: Mapping[str, str]
-    """Cells of episodes.csv; the page needs success, clean, time and contacts."""
+    shown: Mapping[str, Any]  # fields of ``encoding.Encoded``
+    outcome: Mapping[str, str]  # of episodes.csv, with success, clean, time and contacts
 
 
 def elements(replays: Sequence[Replay]) -> str:
