@@ -36,11 +36,9 @@ class GainRange(NamedTuple):
 
 
 def gain_range(scenario: Scenario, min_gain: Any = None, max_gain: Any = None) -> GainRange:
-    """The limits of Σ_j c_ij in force, numbers, m/s (theorem G); no gain exceeds r/τ.
-
-    ``min_gain`` is c, a* if it is None, or ``max_gain`` or r/τ if that is less. ``max_gain`` is C,
-    D̄ if it is None, or ``min_gain`` if that is more. A ValueError names the one that is not
-    positive, too large for the step, or less than the other.
+    """The limits c and C of Σ_j c_ij in force, numbers, m/s (theorem G), neither above r/τ: a* and
+    D̄ where none is given, or the other one if that is less, or more. A ValueError names the one
+    that is not positive, too large for the step, or less than the other.
     """
     safe = scenario.merge_radius / scenario.tau
     least = None if min_gain is None else positive("min_gain", min_gain, "m/s")

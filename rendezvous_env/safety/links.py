@@ -1,7 +1,4 @@
-"""Theorem R: desired velocities in, velocities that lengthen no link out.
-
-docs/guarantees.md, section 12.
-"""
+"""Theorem R: desired velocities in, velocities that lengthen no link out (guarantees, 12)."""
 
 from __future__ import annotations
 
@@ -36,10 +33,7 @@ from .settings import check_bearing_error, check_vectors
 
 
 def least_norm_points(neighbour_rows: ArrayLike) -> NDArray[np.float64]:
-    """q_i, (..., d), without unit, the point of least norm of the averages of a robot's bearings
-    (guarantees, lemma 2).
-
-        q_i = argmin ‖q‖,   q ∈ conv{g_ij : j seen}
+    """q_i = argmin ‖q‖, q ∈ conv{g_ij : j seen}, (..., d), without unit (guarantees, lemma 2).
 
     All bearings lie along it, q_i·g_ij ≥ ‖q_i‖², and it is zero where neighbours are all round, or
     nobody is seen. Of rows a_ij g_ij, (..., K, d), m/s, zero ones are absent, lengths do not count;
@@ -62,11 +56,9 @@ def _least_norm_points(rows, out):
 def link_keeping_law(
     least_norm_point: NDArray[np.float64], degree: Any, *, merge_radius: float, duration: float
 ) -> NDArray[np.float64]:
-    """Velocities, (..., d), m/s, that lengthen no link, held over the step, τ, s, too.
-
-        v_i = min(d_i, r/τ) q_i                                     (theorem R b)
-
-    Of q_i, (..., d), without unit, in the robot's own frame, d_i = Σ_j a_ij, (...), m/s, and r, m.
+    """Velocities v_i = min(d_i, r/τ) q_i, (..., d), m/s, that lengthen no link, held over the step,
+    τ, s, too (theorem R b), of q_i, (..., d), without unit, in the robot's own frame, d_i = Σ_j
+    a_ij, (...), m/s, and r, m.
     """
     speed = np.minimum(degree, merge_radius / duration)
     return least_norm_point * np.asarray(speed)[..., np.newaxis]
@@ -82,14 +74,12 @@ _ALIKE = 1e-11
 
 @kernel
 def project_on_links(wanted, rows, neighbour_slots, radius, error):
-    """The velocity in B_i that is nearest to the desired one (theorem R c).
+    """The velocity in B_i, a triple, m/s, that is nearest to the desired one (theorem R c), of rows
+    a_ij g_ij, (rows, d), m/s, the first K neighbours; ρ, m/s; and η, rad.
 
     Found as an active set of at most three balls: while the point lies outside of some ball, the
     nearest point of that one and the active ones takes its place, and its distance grows. What
     rounding leaves outside is scaled into the set: ‖v‖ ≤ 2 ρ cos ∠(v, g) for all g.
-
-    Of a triple, m/s, no longer afterwards; a robot's rows a_ij g_ij, (rows, d), m/s, of which the
-    first K are neighbours; ρ, m/s; and η, rad, the largest error of a bearing.
     """
     point, active = wanted, (ORIGIN, ORIGIN, ORIGIN)
     for _ in range(_MOST_ROUNDS):
@@ -107,11 +97,8 @@ def project_on_links(wanted, rows, neighbour_slots, radius, error):
 
 @kernel
 def worst_bearing(direction, rows, neighbour_slots, error):
-    """Of all bearings within η of the seen ones the one that lies least along a direction v.
-
-        g cos α − u sin α,   α = min(η, π − ∠(g, v)),   u the part of v across g
-
-    A unit triple, zero where nobody is seen; arguments as ``project_on_links``.
+    """Of all bearings within η of the seen ones the one that lies least along a direction v, a unit
+    triple, zero where nobody is seen: g cos α − u sin α, α = min(η, π − ∠(g, v)), u ⟂ g along v.
     """
     g = least_along(rows, neighbour_slots, direction)
     if error == 0.0 or dot(g, g) == 0.0:
@@ -197,12 +184,10 @@ class LinkKeeping(SafetyFilter):
     bearings g within η of a seen one, ρ = r/(4τ). The first part is in B_i too, so v_i is.
 
     Args:
-        scenario, num_envs, frame, num_threads: as ``SafetyFilter``.
+        scenario, num_envs, frame, num_threads: as ``SafetyFilter``. A ValueError says why the
+            robots of a scenario cannot keep their links.
         share: λ, in (0, 1], how much of each velocity is the law's.
         bearing_error: η, rad, the largest angle by which a bearing may be wrong.
-
-    Raises:
-        ValueError: naming the argument, or why the robots of this scenario cannot keep their links.
     """
 
     state_key = "links"

@@ -1,7 +1,4 @@
-"""V, its rate, net bearings and alignment, of positions in the global frame.
-
-Everything here sees positions: it is for analysis, never for a law.
-"""
+"""V, its rate and net bearings, of positions in the global frame: for analysis, never for a law."""
 
 from __future__ import annotations
 
@@ -24,10 +21,7 @@ def lyapunov(positions: ArrayLike, weights: ArrayLike) -> Array:
 
 
 def net_bearings(positions: ArrayLike, weights: ArrayLike) -> Array:
-    """f_i = Σ_j a_ij g_ij of every robot in the global frame, (..., n, d), m/s.
-
-    Arguments as ``lyapunov``; neighbours do not coincide.
-    """
+    """f_i = Σ_j a_ij g_ij in the global frame, (..., n, d), m/s; arguments as ``lyapunov``."""
 
     def of_team(p: Array, a: Array) -> Array:
         net_bearings_of_links(p, _links(a), out := np.empty(p.shape))
@@ -41,15 +35,6 @@ def lyapunov_rate(velocities: ArrayLike, net_bearing: ArrayLike) -> Array:
     net bearings (..., n, d), m/s, in the same frame.
     """
     return np.asarray(-2.0 * np.sum(np.multiply(velocities, net_bearing), axis=(-2, -1)))
-
-
-def alignment(net_bearing: ArrayLike, headings: ArrayLike) -> Array:
-    """|h_iᵀ f_i| / ‖f_i‖, (...), in [0, 1], of unit headings h_i with f_i, m/s, both (..., d) and
-    in the same frame; NaN where f_i = 0.
-    """
-    f, h = np.asarray(net_bearing, dtype=np.float64), np.asarray(headings, dtype=np.float64)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.abs(np.sum(f * h, axis=-1)) / np.linalg.norm(f, axis=-1))
 
 
 def _links(weights: Array) -> tuple[Any, Any, Any]:

@@ -21,9 +21,9 @@ MAX_TURN_RATE = 3.0
 
 def check_margin(min_alignment: Any) -> float:
     """ε, a number without unit, if 10⁻⁶ ≤ ε ≤ 1, else a ValueError (theorem B)."""
-    if not SMALLEST_MARGIN <= real(min_alignment) <= 1:
+    if not SMALLEST_MARGIN <= (margin := real(min_alignment)) <= 1:
         refuse("min_alignment", min_alignment, f"in (0, 1], and at least {SMALLEST_MARGIN:g}")
-    return real(min_alignment)
+    return margin
 
 
 def check_gate_constants(min_alignment: float, dead_zone: float) -> None:

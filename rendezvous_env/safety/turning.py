@@ -1,8 +1,8 @@
 """Turn rates of nonholonomic robots: law (17), the gate around a policy, and mean axes of arcs.
 
-docs/theory.md sections 3 (the gate) and 4 (arcs). All vectors are in the body frame at the start of
-the step: x = heading h, y = horizontal left, z = up-ish. Turn rates are pairs (ω_α, ω_β), rad/s,
-the second 0 in the plane, where the pitch β, a number, rad, is 0 too.
+docs/theory.md sections 3 (the gate) and 4 (arcs). Vectors are triples in the body frame at the
+start of the step: x = heading h, y = horizontal left, z = up-ish. Turn rates are pairs (ω_α, ω_β),
+rad/s, the second 0 in the plane, where the pitch β, a number, rad, is 0 too.
 """
 
 from __future__ import annotations
@@ -26,9 +26,8 @@ TINY = 1e-300
 
 
 def yaw_rate_law(left: Any, pitch: Any) -> Any:
-    """Yaw rate of law (17), any shape, rad/s, huge but finite at β = ±π/2: α̇ = f_y / cos β.
-
-    f_y, m/s, is the net bearing's part along the body's left; the law's gain is 1 rad/m.
+    """Yaw rate of law (17), any shape, rad/s, huge but finite at β = ±π/2: α̇ = f_y / cos β, f_y,
+    m/s, the net bearing's part along the body's left.
     """
     cos_pitch = np.cos(pitch)
     return left / np.copysign(np.maximum(np.abs(cos_pitch), SMALLEST_COSINE), cos_pitch)
@@ -72,8 +71,8 @@ def robot_of(
     bearing_error: Any,
     most: float = math.inf,
 ) -> Robot:
-    """A scenario's robots with a margin ε and bearing errors η, numbers, rad (theorem N1'); else as
-    ``gate_of``. A ValueError names the margin or the error, and what would be right.
+    """A scenario's robots with a margin ε and bearing errors η, numbers, rad (theorem N1'), each
+    refused in a ValueError if it is none; else as ``gate_of``.
     """
     check_gate_constants(min_alignment, dead_zone)
     layout = scenario.observation_layout
@@ -90,12 +89,10 @@ def robot_of(
 def gated_rates(requested, net_bearing, pitch, gate):
     """Turn rates with which a nonholonomic robot cannot stay orthogonal to f, a triple, m/s.
 
-    They are free while they keep the margin (``keeps_margin``); otherwise they are replaced by some
-    that turn towards f and, held over the step, never past it (theory 3, the gate):
-
-    * in the plane by law (8), ω = f_y, clipped and at most |∠(h, f)|/τ;
-    * in 3-D by ``rates_onto_line``. Law (17) itself flips from step to step near β = ±π/2, where
-      its yaw rate is saturated, and a robot may then stay across f for ever.
+    They are free while they keep the margin; otherwise they are replaced by some that turn towards
+    f and, held over the step, never past it (theory 3, the gate): in the plane by law (8), ω = f_y,
+    clipped and at most |∠(h, f)|/τ; in 3-D by ``rates_onto_line``. Law (17) itself flips from step
+    to step near β = ±π/2, where its yaw rate is saturated: a robot may stay across f for ever.
     """
     rates = clip(requested[0], gate.yaw_limit), clip(requested[1], gate.pitch_limit)
     if keeps_margin(net_bearing, mean_axis(rates, pitch, gate), gate):
@@ -108,14 +105,11 @@ def gated_rates(requested, net_bearing, pitch, gate):
 
 @kernel
 def rates_onto_line(net_bearing, pitch, gate):
-    """Yaw and pitch rates, a pair, rad/s, that bring the body axis h onto the line of f, a triple,
-    m/s, in this step if they may.
-
-        ω_α = ψ/τ,   ω_β = (β* − β)/τ,   each within its limit                    (docs/proofs.md)
+    """Yaw and pitch rates, a pair, rad/s, that bring the body axis h onto the line of f, m/s, in
+    this step if they may: ω_α = ψ/τ, ω_β = (β* − β)/τ, each within its limit (docs/proofs.md, T).
 
     ψ ∈ [−π/2, π/2] is the yaw after which the meridian of h holds f, and β* the pitch of f or −f on
-    it, whichever is nearer: h and −h are the same line. Yaw and pitch are a robot's own coordinates
-    and have no pole, so both errors fall in every step by as much as the limits allow.
+    it, whichever is nearer: h and −h are the same line.
     """
     ahead, left, up = _levelled(net_bearing, pitch)
     side = -1.0 if ahead < 0.0 else 1.0
@@ -134,13 +128,12 @@ def _levelled(vector, pitch):
 
 @kernel
 def rates_towards(wanted, pitch, gate):
-    """Turn rates, a pair, rad/s, that bring the body axis h to a direction, a triple of any length
-    but 0: in this step if their limits allow it, and never past it.
+    """Turn rates, a pair, rad/s, that bring the body axis h to a direction, of any length but 0: in
+    this step if their limits allow it, and never past it.
 
         ω = ψ/τ;   in 3-D   (ω_α, ω_β) = (ψ, β* − β)/τ,   scaled together to their limits
 
-    (ψ, β*) are the yaw and pitch after which h points there: of the two ways over which they can be
-    reached, upright or upside down, the one that takes less time.
+    Of the two ways to the yaw ψ and pitch β*, upright or upside down, the one that takes less time.
     """
     if gate.planar:
         yaw = math.atan2(wanted[1], wanted[0])
@@ -164,26 +157,20 @@ def _in_one_go(yaw, rise, gate):
 
 @kernel
 def keeps_margin(net_bearing, mean_axis, gate):
-    """Whether |hᵀf| ≥ ε‖f‖ now and |mᵀf| ≥ ε‖f‖/2 over the step, or ‖f‖ ≤ δ; h is the x axis.
-
-    f, m/s, and m, without unit, are triples.
+    """Whether |hᵀf| ≥ ε‖f‖ now and |mᵀf| ≥ ε‖f‖/2 over the step, or ‖f‖ ≤ δ; h is the x axis. f,
+    m/s, and m, without unit, are triples.
     """
     f = net_bearing
     strength = math.sqrt(dot(f, f))
-    if strength <= gate.dead_zone:
-        return True
     needed = gate.min_alignment * strength
-    return abs(f[0]) >= needed and abs(dot(mean_axis, f)) >= 0.5 * needed
+    kept = abs(f[0]) >= needed and abs(dot(mean_axis, f)) >= 0.5 * needed
+    return kept or strength <= gate.dead_zone
 
 
 @kernel
 def mean_axis(rates, pitch, gate):
     """Mean of the body axis over a step with held turn rates, m = (1/τ) ∫ h dt (theory 4, arcs), a
-    triple without unit, ‖m‖ ≤ 1.
-
-        h = (cos β cos α, cos β sin α, sin β),  α̇ = ω_α,  β̇ = ω_β
-
-    The integral is exact: it is the displacement of eqs. (5) and (9) at unit speed.
+    triple without unit: exactly, the displacement of eqs. (5) and (9) at unit speed.
     """
     if gate.planar:
         mean_cos, mean_sin = mean_cos_sin(0.0, rates[0] * gate.duration)
@@ -203,13 +190,11 @@ def pitch_of(rows, gravity_row, gate):
 
 @kernel
 def rates_of(action, gate):
-    """The turn rates of an action that will be executed, as they are after rounding to float32, a
-    pair, rad/s: |ω| ≤ its limit.
+    """The turn rates of an action as they are executed, after rounding to float32, a pair, rad/s:
+    |ω| ≤ its limit.
     """
-    yaw_rate = clip(np.float64(action[1]), gate.yaw_limit)
-    if gate.planar:
-        return yaw_rate, 0.0
-    return yaw_rate, clip(np.float64(action[2]), gate.pitch_limit)
+    pitch_rate = 0.0 if gate.planar else clip(np.float64(action[2]), gate.pitch_limit)
+    return clip(np.float64(action[1]), gate.yaw_limit), pitch_rate
 
 
 @kernel
@@ -229,8 +214,6 @@ def send_rates(rates, action, gate):
 
 @kernel
 def turn(rates, pitch, action, gate):
-    """``send_rates``; the mean axis m of a step with them as they are after rounding, a triple
-    without unit (theory 4, arcs).
-    """
+    """``send_rates``; and m with them as they are rounded, a triple without unit (theory 4)."""
     send_rates(rates, action, gate)
     return mean_axis(rates_of(action, gate), pitch, gate)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from baselines.references.enclosing_ball import smallest_enclosing_ball
 from rendezvous_env import Simulator
-from rendezvous_env.safety.lyapunov import alignment, lyapunov, lyapunov_rate, net_bearings
+from rendezvous_env.safety.lyapunov import lyapunov, lyapunov_rate, net_bearings
 
 PLACES = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 0.0]])
 WEIGHTS = np.array([[0, 2.0, 0.5], [2.0, 0, 0], [0.5, 0, 0]])
@@ -32,10 +32,8 @@ def test_v_and_net_bearings_by_hand():
         lyapunov(PLACES, UNEQUAL)
 
 
-def test_the_rate_and_the_alignment_by_hand():
+def test_the_rate_by_hand():
     f = np.array([[3.0, 4.0], [0.0, 0.0], [1.0, 0.0]])
-    h = np.array([[1.0, 0.0], [1.0, 0.0], [-1.0, 0.0]])
-    np.testing.assert_array_equal(alignment(f, h), [0.6, np.nan, 1.0])
     assert lyapunov_rate([[1.0, 1.0], [5.0, 5.0], [2.0, 2.0]], f) == -2 * (7 + 2)
 
 

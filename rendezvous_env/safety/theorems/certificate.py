@@ -24,12 +24,10 @@ THEOREMS: tuple[Theorem, ...] = tuple(
     for theorem in file.THEOREMS
 )
 """All that certificates ask, in turn; the first that promises a rendezvous gives the words."""
-_APPLIES = 1000
-"""More than any theorem has assumptions."""
 _KEPT = {
-    "lyapunov": ("V never exceeds", "m²/s"),
-    "hull": ("L never exceeds", "m"),
-    "link_growth": ("a link never grows by more than", "m"),
+    "lyapunov": "V never exceeds {:.4g} m²/s",
+    "hull": "L never exceeds {:.4g} m",
+    "link_growth": "a link never grows by more than {:.4g} m",
 }
 
 
@@ -43,9 +41,8 @@ def _renamed(old: str, new: str) -> Any:
 
 @dataclass(frozen=True)
 class Certificate:
-    """What is guaranteed for a scenario, and why or why not; ``print`` gives it in three lines.
-
-    A bound is infinite where there is none.
+    """What is guaranteed for a scenario, and why or why not; ``print`` gives it in three lines. A
+    bound is infinite where there is none.
     """
 
     min_alignment: float
@@ -57,8 +54,8 @@ class Certificate:
     bottleneck_weight: float
     """a*, m/s."""
     time_bound: float
-    """Time in s by which all robots have met in the environment as it steps, inputs held, from any
-    start in the spawn area or from the given start."""
+    """s by which all robots have met in the environment as it steps, from the given start or any in
+    the spawn area."""
     guaranteed: bool
     """Whether rendezvous is guaranteed."""
     theorem: str
@@ -80,8 +77,7 @@ class Certificate:
     tolerated_bearing_error: float = 0.0
     """η, rad, inputs held, below which a theorem still promises a rendezvous."""
     expected_time_bound: float = math.inf
-    """What the mean time to rendezvous does not exceed under noise that is drawn anew for every
-    bearing and step, s."""
+    """What the mean time to rendezvous never exceeds under noise that each step draws anew, s."""
     scenario: str = "custom"
     """Its name."""
     time_limit: float = math.inf
@@ -104,19 +100,13 @@ class Certificate:
 
     def __str__(self) -> str:
         """What is promised, by when, and how that compares with the episode's limit."""
-        kept = [
-            f"{_KEPT[name][0]} {bound:.4g} {_KEPT[name][1]}"
-            for name, bound in self.promises.items()
-            if name in _KEPT
-        ]
+        numbers = self.promises.items()
+        kept = [_KEPT[name].format(bound) for name, bound in numbers if name in _KEPT]
         if self.tolerated_bearing_error > 0:
             kept.append(f"bearings may err by up to {self.tolerated_bearing_error:.3g} rad")
+        first = f"{self.scenario} under {CHOICES[self.by]}: {self.theorem}"
         return "\n".join(
-            (
-                f"{self.scenario} under {CHOICES[self.by]}: {self.theorem}",
-                "; ".join(kept) or "No other number is promised.",
-                self._by_when(),
-            )
+            (first, "; ".join(kept) or "No other number is promised.", self._by_when())
         )
 
     def _by_when(self) -> str:
@@ -186,17 +176,12 @@ def question(scenario: Scenario, by: Any, given: Mapping[str, Any], bearing_erro
     if by == "heading" and margin == 1:
         refuse("min_alignment", margin, 'less than 1 with by="heading"')
     asked = LAW._replace(by=by, **given)
-    if not 0 <= real(asked.budget) < math.inf:
+    if not 0 <= (budget := real(asked.budget)) < math.inf:
         refuse("budget", asked.budget, "finite and at least 0 m²/s")
-    asked = asked._replace(
-        min_alignment=margin,
-        budget=real(asked.budget),
-        share=check_share(asked.share),
-        error=max(
-            check_bearing_error(bearing_error), bounded_error(scenario.sensing, scenario.dim)
-        ),
-    )
-    if by != "tank" and asked.budget != 0:
+    share, own = check_share(asked.share), bounded_error(scenario.sensing, scenario.dim)
+    error = max(check_bearing_error(bearing_error), own)
+    asked = asked._replace(min_alignment=margin, budget=budget, share=share, error=error)
+    if by != "tank" and budget != 0:
         refuse("budget", asked.budget, f'0 with by="{by}": only a tank has one')
     for name, only in (("min_gain", "gains"), ("max_gain", "gains"), ("share", "links")):
         value, usual = getattr(asked, name), getattr(LAW, name)
@@ -211,17 +196,17 @@ def answer(scenario: Scenario, asked: Asked) -> tuple[Certificate, list[tuple[Th
     """The best of all that is promised, with the words of the first theorem that promises a
     rendezvous, or what the one that comes nearest lacks; and all theorems that apply.
     """
-    applies, nearest, words = [], -1, ""
+    applies, nearest, words = [], -1.0, ""
     for theorem in THEOREMS:
         if asked.by not in theorem.by:
             continue
-        met, lacking = theorem.unmet(scenario, asked)
-        if not lacking:
+        met: tuple[float, str] = theorem.unmet(scenario, asked)
+        if not met[1]:
             bounds = theorem.bounds(scenario, asked)
             applies.append((theorem, bounds))
-            met, lacking = _APPLIES, bounds.words if asked.error and not bounds.meets else ""
-        if lacking and theorem.rendezvous and met > nearest:
-            nearest, words = met, lacking
+            met = math.inf, bounds.words if asked.error and not bounds.meets else ""
+        if met[1] and theorem.rendezvous and met[0] > nearest:
+            nearest, words = met
     found = [bounds for _, bounds in applies]
     promised = [bounds for bounds in found if bounds.meets]
 

@@ -38,8 +38,8 @@ def gated_window(scenario: Scenario, min_alignment: float) -> tuple[int, float]:
     """K, a number of steps, and q, m²/s: V falls by q in K steps without a merge (theorem T)."""
     step, r = scenario.tau, scenario.merge_radius
     least = float((2.0 * known.least_degrees(scenario) / known.robots_left(scenario)).min())
-    turned = min(scenario.turn_limit, MAX_TURN_RATE) * step
     most = (0.7 * step * least, math.pi / 3.0) if scenario.dim == 2 else (math.pi / 2.0,)
+    turned = min(scenario.turn_limit, MAX_TURN_RATE) * step
     count, drift = turning_window(scenario.dim, min(turned, *most))
     strayed = (drift * least * r / scenario.max_degree) ** 2 / (2.5 * count * step)
     aligned = step * known.scale_bound(scenario) * (min_alignment * least) ** 2 / 5.0
@@ -49,17 +49,13 @@ def gated_window(scenario: Scenario, min_alignment: float) -> tuple[int, float]:
 def gate_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Theorem T."""
     count, fall = gated_window(scenario, asked.min_alignment)
-    most = known.lyapunov_bound(scenario)
-    turning = min(scenario.turn_limit, MAX_TURN_RATE)
-    return Bounds(
-        words=(
-            "theorem T: under the gate robots that turn meet in finite time, whatever turn rates "
-            f"are asked for; the bound is very loose and needs a wrapper that allows {turning:g} "
-            "rad/s"
-        ),
-        meets=True,
-        time=float(count * scenario.tau * (known.over_rate(most, fall) + scenario.n_robots)),
+    windows = known.over_rate(known.lyapunov_bound(scenario), fall) + scenario.n_robots
+    words = (
+        "theorem T: under the gate robots that turn meet in finite time, whatever turn rates are "
+        "asked for; the bound is very loose and needs a wrapper that allows "
+        f"{min(scenario.turn_limit, MAX_TURN_RATE):g} rad/s"
     )
+    return Bounds(words, meets=True, time=float(count * scenario.tau * windows))
 
 
 def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
