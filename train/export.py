@@ -41,7 +41,6 @@ _SLOTS = ((3, 12), (1, 0), (31, 24), (7, 1))
 _AT_ONCE = 512
 _CLOSE = 1e-4
 """Share of the largest preference by which the file may differ: sums are in another order."""
-Weights = dict[str, NDArray[np.float32]]
 
 EXAMPLES = (
     "--policy learned --out out/policy.onnx",
@@ -70,11 +69,7 @@ class Config:
 
 
 def run(config: Config) -> int:
-    """Read, write, compare.
-
-    Raises:
-        UserError: also for a file that does not do what the policy does.
-    """
+    """Read, write, compare; a UserError also for a file that does not do what the policy does."""
     flag, path, ending = "--out", config.out, SUFFIX
     if config.standalone is not None:
         flag, path, ending = "--standalone", config.standalone, ".py"
@@ -102,7 +97,7 @@ def _write_onnx(config: Config, path: Path) -> str:
     prepare_folder(path.parent, f"--out {path}")
     with atomic(path) as temporary:
         temporary.write_bytes(model_of(*network).SerializeToString())
-        apart = _compare(temporary, *network, config.checks)
+        apart = _compare(temporary, network, config.checks)
         _check_close(apart, _CLOSE, "of the largest preference")
         size = temporary.stat().st_size
     return (
@@ -147,7 +142,7 @@ def _check_close(apart: float, most: float, unit: str) -> None:
         )
 
 
-def _network_of(name: str, scenario: Scenario) -> tuple[Weights, PolicySettings] | None:
+def _network_of(name: str, scenario: Scenario) -> standalone.Network | None:
     """Weights and settings of a learned policy that is not exported yet; None of a scripted one."""
     path = policies.learned_path(name, scenario)
     if path is None:
@@ -158,8 +153,9 @@ def _network_of(name: str, scenario: Scenario) -> tuple[Weights, PolicySettings]
     return tables["network"], PolicySettings.from_plain(about["policy"])
 
 
-def _compare(path: Path, weights: Weights, settings: PolicySettings, checks: int) -> float:
+def _compare(path: Path, network: standalone.Network, checks: int) -> float:
     """The largest difference between file and policy, as a share of the largest preference."""
+    weights, settings = network
     random, written, worst = np.random.default_rng(0), OnnxNetwork(path), 0.0
     for first in range(0, checks, _AT_ONCE):
         robots = min(_AT_ONCE, checks - first)

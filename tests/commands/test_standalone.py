@@ -103,13 +103,14 @@ class TestAgreement:
             robot.act([[2.0, 0.0]])
 
     def test_a_difference_is_refused(self, monkeypatch, tmp_path, capsys):
-        written = standalone._learned
+        written = standalone.text_of
 
-        def wrong(weights, settings):
+        def wrong(policy, scenario, network):
+            weights, settings = network
             bias = weights["action_net.bias"] + 50.0 * np.arange(len(settings.angles))
-            return written({**weights, "action_net.bias": bias}, settings)
+            return written(policy, scenario, ({**weights, "action_net.bias": bias}, settings))
 
-        monkeypatch.setattr(standalone, "_learned", wrong)
+        monkeypatch.setattr(standalone, "text_of", wrong)
         path = tmp_path / "robot.py"
         assert cli.main(["export", "--standalone", str(path), "--checks", "60"]) == 2
         assert "the file differs from the policy by" in capsys.readouterr().err

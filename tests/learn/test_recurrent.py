@@ -86,19 +86,6 @@ def test_what_is_evaluated_is_what_was_done(collected):
     assert samples == kept.sum() < kept.size
 
 
-def test_an_episode_that_ends_is_forgotten_and_no_other(collected):
-    made, seen = collected
-    policy, (hidden, ended, _) = made.policy, seen[-1]
-    assert not ended.all()
-    np.testing.assert_array_equal(policy.hidden[~ended], hidden[~ended])
-    assert policy.hidden[0].any()
-    policy.forget(torch.arange(made.n_envs) == 0)
-    assert not policy.hidden[0].any()
-    np.testing.assert_array_equal(
-        policy.hidden[1:], hidden[1:].masked_fill(torch.as_tensor(ended)[1:, None], 0.0)
-    )
-
-
 def test_who_is_gone_remembers_nothing(collected):
     made, _ = collected
     policy, seen = made.policy, torch.as_tensor(made._last_obs).clone()

@@ -1,6 +1,5 @@
 """Training under sensors that are drawn: their ranges, their groups, and going on bit by bit."""
 
-import json
 import math
 
 import numpy as np
@@ -11,7 +10,6 @@ from baselines.learned import checkpoints
 from rendezvous_env.sensors.sensing import Sensing
 from train import cli
 from train.learn import ppo, trainer
-from train.learn.ppo import Config
 from train.learn.sensing_ranges import draw
 from train.learn.teams import make_teams
 
@@ -76,13 +74,6 @@ class TestRanges:
         said = capsys.readouterr().err
         assert message in said and said.count("\n") == 1
         assert not (tmp_path / "out").exists()
-
-    def test_as_plain_data(self):
-        given = Config(**DRAWN, sensing_occlusion=("both",))
-        plain = json.loads(json.dumps(given.to_plain()))
-        assert Config.from_plain(plain) == given
-        before = {k: v for k, v in Config().to_plain().items() if not k.startswith("sensing")}
-        assert Config.from_plain(before) == Config()  # a run of an earlier version
 
 
 class TestGroups:

@@ -34,13 +34,8 @@ Tables = Mapping[str, Mapping[str, NDArray[Any]]]
 
 
 def write(run: Path, step: int, description: Mapping[str, Any], tables: Tables) -> Path:
-    """Write a checkpoint in a run's folder and remove those that are no longer needed.
-
-    Args:
-        run: the folder.
-        step: gives the checkpoint its name.
-        description: plain data.
-        tables: named arrays for each file, without the suffix.
+    """Write a checkpoint in a run's folder, as ``step-…``, and remove those no longer needed: a
+    description as plain data, and named arrays for each file, without the suffix.
     """
     folder = run / checkpoints.FOLDER
     folder.mkdir(parents=True, exist_ok=True)

@@ -34,10 +34,8 @@ class Config(Settings, Workers):
 
 
 def run(config: Config) -> int:
-    """Train, or go on training; see ``ppo.run``.
-
-    Raises:
-        UserError: also for seeds that cannot be trained together.
+    """Train, or go on training, see ``ppo.run``; a UserError also for seeds that cannot be trained
+    together.
     """
     settings = Settings(**{field.name: getattr(config, field.name) for field in fields(Settings)})
     if not config.seeds:
@@ -59,11 +57,8 @@ def run(config: Config) -> int:
 
 
 def runs_of(settings: Settings, seeds: tuple[int, ...]) -> list[Settings]:
-    """The runs of several seeds; those that have begun are resumed.
-
-    Raises:
-        UserError: for a seed that is named twice, a flag that only a single run has, or a folder
-            with a run of other settings.
+    """The runs of several seeds; those that have begun are resumed. A UserError for a seed named
+    twice, a flag that only a single run has, or a folder with a run of other settings.
     """
     if len(set(seeds)) < len(seeds):
         raise UserError(f"--seeds {' '.join(map(str, seeds))}: name each once")

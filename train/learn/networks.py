@@ -66,10 +66,7 @@ def row_network(columns: int, width: int) -> nn.Sequential:
 class HeadingNetwork(ActorCriticPolicy):
     """Actor and critic over ``SetFeatures``; the action is one of the choices of ``guide``.
 
-    Training begins near the analytic rule: choice 0 is at first by far the most probable.
-
-    Args:
-        prior: logarithm of how much likelier choice 0 is than any other.
+    Choice 0, the analytic rule, is at first e^prior times as probable as any other.
     """
 
     def __init__(self, *arguments: Any, prior: float = 0.0, **settings: Any) -> None:

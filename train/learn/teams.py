@@ -29,11 +29,7 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
     The sensor of group g follows from its generation, which grows by one every ``period`` updates,
     for one group after the other. A group with a new sensor begins the next episodes of its teams'
     seeds. A robot that is shown nothing makes choice 0, as it does when the policy is served.
-
-    Args:
-        make: a group, from its number and its generation.
-        sizes: numbers of teams of the groups.
-        period: updates for which a group keeps its sensor.
+    ``make`` gives a group from its number and its generation, ``sizes`` are numbers of teams.
     """
 
     def __init__(

@@ -36,12 +36,8 @@ class Found(NamedTuple):
 
 
 class Detector:
-    """Finds lamps and obstacles in the pictures of a ring of cameras.
-
-    Args:
-        colours: of the lamps, (c, 3), 0 to 255.
-        height: of the cameras above the floor, m.
-        reach: obstacles whose nearest point is farther away are left out, m.
+    """Finds lamps of these colours, (c, 3), 0 to 255, and obstacles in the pictures of a ring of
+    cameras at this height above the floor, m. Obstacles beyond ``reach``, m, are left out.
     """
 
     def __init__(self, colours: NDArray[np.uint8], height: float, reach: float) -> None:

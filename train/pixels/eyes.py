@@ -55,13 +55,8 @@ _WORLD = f"""
 
 
 class Eyes:
-    """The cameras of one team, and one above it.
-
-    Args:
-        simulator: of single integrators among discs in the plane; its first team is drawn.
-
-    Raises:
-        ValueError: for more robots than there are colours of lamps.
+    """The cameras of a simulator's first team, and one above it: single integrators among discs in
+    the plane. A ValueError for more robots than there are colours of lamps.
     """
 
     def __init__(self, simulator: Simulator) -> None:

@@ -24,6 +24,8 @@ from rendezvous_env.scenario.scenario import Scenario
 
 from .bundle import Bundle, Name
 
+Network = tuple[Mapping[str, NDArray[Any]], PolicySettings]
+"""Weights and settings of a learned policy."""
 CLOSE = 1e-5
 """m/s by which a file may differ from the policy that it was made of."""
 _ACTOR = ("features_extractor.", "mlp_extractor.policy_net.", "action_net.", "memory.")
@@ -171,20 +173,9 @@ def check_unchanged(path, digest):
 '''
 
 
-def text_of(
-    policy: str,
-    scenario: Scenario,
-    network: tuple[Mapping[str, NDArray[Any]], PolicySettings] | None,
-) -> str:
-    """The file of a policy.
-
-    Args:
-        policy: its name; of a rule or law that of the registry.
-        scenario: whose robot it is for.
-        network: weights and settings of a learned policy.
-
-    Raises:
-        ValueError: for robots or a policy that ``RobotPolicy`` does not take either.
+def text_of(policy: str, scenario: Scenario, network: Network | None) -> str:
+    """The file of a policy, by name, for a robot of a scenario; without a network it is a law or a
+    rule. A ValueError for robots or a policy that ``RobotPolicy`` does not take either.
     """
     check_steerable(scenario, "a RobotPolicy steers")
     stand_ins, roots, extra = _STAND_INS | _OF_OTHER_DIMENSIONS[scenario.dim], list(_ROOTS), ""
@@ -251,7 +242,7 @@ def is_written(path: Path) -> bool:
 
 
 def load(path: Path) -> Any:
-    """A file as a module of its own, read again, which leaves nothing behind."""
+    """A file as a module of its own, read again."""
     return SimpleNamespace(**runpy.run_path(str(path), run_name="_robot"))
 
 

@@ -121,14 +121,8 @@ def _meaning(module: str, word: str) -> Name:
 
 
 class Bundle:
-    """Everything that some names lead to, as the text of one file.
-
-    Args:
-        roots: names that must be there.
-        stand_ins: text that takes the place of a definition.
-
-    Raises:
-        ValueError: naming what cannot stand in one file.
+    """Everything that some names lead to, as the text of one file; a ValueError names what cannot
+    stand in one. ``stand_ins`` are texts that take the place of a definition.
     """
 
     def __init__(self, roots: Iterable[Name], stand_ins: Mapping[Name, str]) -> None:
