@@ -9,12 +9,16 @@ from importlib import metadata
 
 import numpy as np
 import pytest
+import tyro
 
 import baselines
 from baselines import policy
+from rendezvous_env.obstacles.obstacle_set import distance_to, world_of
 from rendezvous_env.scenario import scenarios
 from train import cli, results
+from train.compare import Config
 from train.listing import columns_of
+from train.policies import resolve_scenario
 
 
 def run(*words):
@@ -67,21 +71,14 @@ class TestHelp:
         ):
             assert flags in said
 
-    def test_examples_are_right(self, capsys, monkeypatch):
-        import tyro
-
+    def test_examples_are_right(self):
         for name, (module, _) in cli.COMMANDS.items():
             config = importlib.import_module(f"train.{module}").Config
-            home = sys.modules[config.__module__]
-            for words in getattr(home, "EXAMPLES", ()):
+            for words in getattr(sys.modules[config.__module__], "EXAMPLES", ()):
                 assert tyro.cli(config, args=words.split()), (name, words)
 
 
 def test_flags_have_their_older_names_too():
-    import tyro
-
-    from train.compare import Config
-
     old = "--scenarios duo --policies zero --fresh --keep 2 --ceiling 3 --on ray"
     new = "--scenario duo --policy zero --overwrite --keep-trajectories 2 --oracle-runs 3 "
     new += "--backend ray"
@@ -89,8 +86,6 @@ def test_flags_have_their_older_names_too():
 
 
 def test_set_changes_fields_of_a_scenario():
-    from train.policies import resolve_scenario
-
     found = resolve_scenario("clutter-8", ("n_robots=3", "graph=cycle"))
     assert (found.n_robots, found.name) == (3, "clutter-8-n-robots-3-graph-cycle")
     assert found.sensing_graph.kind == "cycle"
@@ -163,8 +158,6 @@ class TestReproduce:
     @pytest.mark.parametrize(("figure", "through"), [("fig3", True), ("fig4", False)])
     def test_writes_picture_and_data(self, figure, through, tmp_path):
         """Figure 3 goes through obstacles, figure 4 round them."""
-        from rendezvous_env.obstacles.obstacle_set import distance_to, world_of
-
         assert run("reproduce", figure, "--out", str(tmp_path)) == 0
         written = {path.name for path in tmp_path.iterdir()}
         assert written == {f"{figure}.{suffix}" for suffix in ("png", "pdf", "npz", "csv")}

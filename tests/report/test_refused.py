@@ -139,15 +139,6 @@ class TestFiles:
             (folder / name).write_bytes(content[name])
         assert len(changed) >= len(content) - 1  # every pair may compare alike
 
-    def test_half_a_copy_is_refused(self, folder, tmp_path, refused):
-        names = sorted(path.name for path in folder.iterdir())
-        for count in range(len(names)):
-            half = tmp_path / f"half-{count}"
-            half.mkdir()
-            for name in names[:count]:
-                shutil.copyfile(folder / name, half / name)
-            refused(half)
-
     def test_a_figure_that_run_json_does_not_name(self, folder, refused):
         (folder / "against-robots.png").write_bytes(b"old")
         (folder / "my-notes.png").write_bytes(b"mine")
@@ -156,11 +147,6 @@ class TestFiles:
         (folder / "against-robots.png").unlink()
         assert cli.main(["report", str(folder)]) == 0
         assert "my-notes" not in (folder / "report.html").read_text(encoding="utf-8")
-
-    def test_a_picture_is_a_folder(self, folder, refused):
-        (folder / "success.png").unlink()
-        (folder / "success.png").mkdir()
-        assert "success.png: is no file" in refused(folder)
 
     def test_a_page_that_stood_there_stays(self, folder, monkeypatch):
         (folder / "report.html").write_text("old")
@@ -174,11 +160,14 @@ class TestFiles:
 
     @pytest.mark.parametrize(
         ("name", "kind"),
-        [*product(("run.json", "success.png"), ("pipe", "device")), ("episodes.csv", "large")],
-    )
-    def test_a_file_that_never_ends(self, name, kind, folder, refused):
+        [*product(("run.json", "success.png"), ("folder", "pipe", "device")),
+         ("episodes.csv", "large")],
+    )  # fmt: skip
+    def test_what_is_no_file_or_never_ends(self, name, kind, folder, refused):
         (folder / name).unlink()
-        if kind == "pipe":
+        if kind == "folder":
+            (folder / name).mkdir()
+        elif kind == "pipe":
             os.mkfifo(folder / name)
         elif kind == "device":
             (folder / name).symlink_to("/dev/zero")

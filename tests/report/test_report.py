@@ -9,7 +9,6 @@ import shutil
 import numpy as np
 import pytest
 
-from rendezvous_env import Scenario
 from train import cli, results
 from train import encoding as report_encoding
 from train.report import build as report
@@ -64,6 +63,12 @@ def rows_of(shown):
     return lengths[..., None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
+@pytest.fixture(scope="module")
+def text(compared):
+    """The page of what ``compared`` holds."""
+    return report.page(read(compared))
+
+
 class TestPage:
     def test_rows_are_those_of_the_files(self, folder):
         assert cli.main(["report", str(folder)]) == 0
@@ -73,9 +78,9 @@ class TestPage:
         assert len(data["results"]) == 5
         assert [p.name for p in folder.iterdir() if p.name.startswith(".")] == []
 
-    def test_recordings_are_those_of_the_file_to_the_stated_rounding(self, folder):
-        found = read(folder)
-        data, blobs = data_of(report.page(found))
+    def test_recordings_are_those_of_the_file_to_the_stated_rounding(self, compared, text):
+        found = read(compared)
+        data, blobs = data_of(text)
         assert len(data["recordings"]) == len(blobs) == 2 * 2 + 3  # fig4 has one start
         for entry, raw in zip(data["recordings"], blobs, strict=True):
             shown = decode(entry["fields"], raw)
@@ -92,79 +97,48 @@ class TestPage:
             assert (shown["observations"][(seen == 0).all(axis=-1)] == 0).all()
             assert scales["positions"] < 1e-3
 
-    def test_outcomes_and_obstacles_of_a_start(self, folder):
-        data, _ = data_of(report.page(read(folder)))
-        rows = results.read_csv(folder / "episodes.csv")
-        scenario = Scenario.from_plain(
-            json.loads((folder / "run.json").read_text())["scenarios"]["fig4"]
-        )
+    def test_outcomes_and_obstacles_of_a_start(self, compared, text):
+        data, _ = data_of(text)
+        rows = results.read_csv(compared / "episodes.csv")
         for entry in data["recordings"]:
             [row] = [row for row in rows if (row["scenario"], row["policy"], row["start"]) == (
                 entry["scenario"], entry["policy"], str(entry["start"]))]  # fmt: skip
             assert entry["outcome"].items() <= row.items() and "clean" in entry["outcome"]
-            obstacles = data["obstacles"][entry["obstacles"]]
-            if entry["scenario"] == "fig4":
-                corners = [len(obstacle["vertices"]) for obstacle in obstacles]
-                assert sorted(corners) == [0, 0, 4] and len(scenario.obstacles) == 3
-            else:
-                assert obstacles == []
+            corners = [len(one["vertices"]) for one in data["obstacles"][entry["obstacles"]]]
+            assert sorted(corners) == ([0, 0, 4] if entry["scenario"] == "fig4" else [])
 
-    def test_one_start_is_one_start(self, folder):
-        found = read(folder)
-        assert {row["scenario"]: row["episodes"] for row in found.rows} == {
-            "fig4": "1",
-            "uav-6": "4",
-        }
-        text = report.page(found)
+    def test_what_is_said_of_starts_and_rounding(self, compared, text):
         assert "4 starts each (seeds 3–6); one of fig4, whose start is given" in text
-
-    def test_the_rounding_is_stated(self, folder):
-        text = report.page(read(folder))
-        with np.load(folder / "trajectories.npz") as arrays:
+        with np.load(compared / "trajectories.npz") as arrays:
             reach = max(abs(arrays[n]).max() for n in arrays.files if n.endswith("/positions"))
         assert f"rounded to within {500 * reach / 32767:.2g} mm" in text
 
-    def test_nothing_is_loaded_from_elsewhere(self, folder):
-        text = report.page(read(folder))
+    def test_figures_are_those_of_the_folder_and_nothing_is_loaded(self, compared, text):
+        images = re.findall(r'src="data:image/png;base64,([^"]+)"', text)
+        files = sorted(compared.glob("*.png"))
+        assert [base64.b64decode(image) for image in images] == [f.read_bytes() for f in files]
+        assert len(files) >= 3
         assert "default-src 'none'" in text
         assert not re.findall(r'(?:src|href)="(?!data:|#)', text)
 
-    def test_figures_are_those_of_the_folder(self, folder):
-        text = report.page(read(folder))
-        images = re.findall(r'src="data:image/png;base64,([^"]+)"', text)
-        files = sorted(folder.glob("*.png"))
-        assert [base64.b64decode(image) for image in images] == [f.read_bytes() for f in files]
-        assert len(files) >= 3
-
-    def test_names_are_text(self, folder, reseal):
+    def test_names_are_text_and_without_trajectories_there_are_tables(self, folder, reseal, capsys):
         """A scenario called </script><b> stays a name."""
-        name = "<b>&</b>"
+        name = "</script><b>&</b>"
         for file in ("results.csv", "episodes.csv", "paired.csv", "run.json"):
             path = folder / file
-            text = path.read_text()
-            for place in ('"fig4"', "fig4,", '"name": "fig4"'):
-                text = text.replace(place, place.replace("fig4", "</script>" + name))
-            path.write_text(text)
+            path.write_text(re.sub(r'"fig4"|fig4(?=,)', lambda m: m[0].replace("fig4", name),
+                                   path.read_text()))  # fmt: skip
         (folder / "trajectories-fig4.png").unlink()
-        reseal(folder)
-        run = json.loads((folder / "run.json").read_text())
-        results.write_arrays(folder / "trajectories.npz", {}, run["run"])
-        reseal(folder)
-        text = report.page(read(folder))
-        assert name not in text
-        assert {row["scenario"] for row in data_of(text)[0]["results"]} == {
-            "</script>" + name,
-            "uav-6",
-        }
-
-    def test_without_trajectories_there_are_tables_and_a_word(self, folder, reseal, capsys):
         run = json.loads((folder / "run.json").read_text())
         results.write_arrays(folder / "trajectories.npz", {}, run["run"])
         reseal(folder)
         assert cli.main(["report", str(folder)]) == 0
         text = (folder / "report.html").read_text(encoding="utf-8")
+        assert "<b>&</b>" not in text
+        rows = data_of(text)[0]["results"]
+        assert len(rows) == 5 and {row["scenario"] for row in rows} == {name, "uav-6"}
         assert "--keep 0" in text and "--keep 0" in capsys.readouterr().out.replace("\n", " ")
-        assert 'id="player"' not in text and len(data_of(text)[0]["results"]) == 5
+        assert 'id="player"' not in text
 
     def test_a_policy_may_have_slashes_in_its_name(self, folder, reseal):
         run = json.loads((folder / "run.json").read_text())["run"]
@@ -175,39 +149,30 @@ class TestPage:
             path = folder / file
             path.write_text(path.read_text().replace("zero", "learned:a/b"))
         reseal(folder)
-        data, _ = data_of(report.page(read(folder)))
-        assert ("fig4", "learned:a/b", 0) in {
-            (r["scenario"], r["policy"], r["start"]) for r in data["recordings"]
-        }
+        assert ("fig4", "learned:a/b", 0) in read(folder).recordings
 
 
-class TestSize:
-    def test_what_exceeds_its_share_is_thinned_and_says_so(self, folder, monkeypatch):
-        whole = read(folder)
-        sizes = {k: len(report_encoding.encode(r).text) for k, r in whole.recordings.items()}
-        largest = max(sizes, key=sizes.get)
-        budget = sum(sizes.values()) // 2
-        monkeypatch.setattr(report_encoding, "BUDGET", budget)
-        text = report.page(whole)
-        data, blobs = data_of(text)
-        strides = {
-            (r["scenario"], r["policy"], r["start"]): r["stride"] for r in data["recordings"]
-        }
-        thin = [key for key, stride in strides.items() if stride > 1]
-        assert largest in thin and min(sizes, key=sizes.get) not in thin
-        assert min(sizes[key] for key in thin) > budget / len(sizes)
-        assert f"{sum(s > 1 for s in strides.values())} of 7 recordings are thinned out" in text
-        assert sum(map(len, re.findall(r'type="application/gzip">(.*?)<', text))) <= budget
-        for entry, raw in zip(data["recordings"], blobs, strict=True):
-            recording = whole.recordings[entry["scenario"], entry["policy"], entry["start"]]
-            times, recorded = decode(entry["fields"], raw)["times"], recording["times"]
-            merges = ~np.isnan(recording["lyapunov_before_merge"])
-            expected = {*recorded[:: entry["stride"]], *recorded[merges], recorded[-1]}
-            np.testing.assert_allclose(times, sorted(expected), rtol=1e-6)
+def test_what_exceeds_its_share_is_thinned_and_says_so(compared, monkeypatch):
+    whole = read(compared)
+    sizes = {k: len(report_encoding.encode(r).text) for k, r in whole.recordings.items()}
+    budget = sum(sizes.values()) // 2
+    monkeypatch.setattr(report_encoding, "BUDGET", budget)
+    text = report.page(whole)
+    data, blobs = data_of(text)
+    thin = [key for key, one in zip(sizes, data["recordings"], strict=True) if one["stride"] > 1]
+    assert max(sizes, key=sizes.get) in thin and min(sizes, key=sizes.get) not in thin
+    assert min(sizes[key] for key in thin) > budget / len(sizes)
+    assert f"{len(thin)} of 7 recordings are thinned out" in text
+    assert sum(map(len, re.findall(r'type="application/gzip">(.*?)<', text))) <= budget
+    for entry, raw in zip(data["recordings"], blobs, strict=True):
+        recording = whole.recordings[entry["scenario"], entry["policy"], entry["start"]]
+        times, recorded = decode(entry["fields"], raw)["times"], recording["times"]
+        merges = ~np.isnan(recording["lyapunov_before_merge"])
+        expected = {*recorded[:: entry["stride"]], *recorded[merges], recorded[-1]}
+        np.testing.assert_allclose(times, sorted(expected), rtol=1e-6)
 
 
-class TestRounding:
-    def test_by_hand(self):
-        assert report_encoding.rounding(np.array([-3.0, np.nan, 1.0])) == 3.0 / 32767
-        assert report_encoding.rounding(np.zeros((2, 2))) == 1.0
-        assert report_encoding.rounding(np.full(3, np.nan)) == 1.0
+def test_rounding_by_hand():
+    assert report_encoding.rounding(np.array([-3.0, np.nan, 1.0])) == 3.0 / 32767
+    assert report_encoding.rounding(np.zeros((2, 2))) == 1.0
+    assert report_encoding.rounding(np.full(3, np.nan)) == 1.0
