@@ -73,10 +73,8 @@ def _aim_in_plane(observations, constants, frames, first, stop, work):
 
 @inner_kernel(inline="code")
 def _aim_in_space(rows, constants, frame):
-    """A right-handed frame with x along f; columns are its axes in the local frame.
-
-    y is the part across x of the row for which that part is longest, the first one of equals, or of
-    the first local axis that is not along x.
+    """A right-handed frame, x along f, y the longest part across x of a row, the first of equals,
+    or of a local axis; columns are its axes in the local frame.
     """
     strength, towards = split(net_bearing_of(rows, constants.neighbour_slots))
     if strength < constants.dead_zone:

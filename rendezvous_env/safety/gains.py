@@ -60,10 +60,8 @@ class Gains(SafetyFilter):
 
         v_i = Σ_j c_ij g_ij,   c_ij ∝ w_j a_ij,   min_gain ≤ Σ_j c_ij ≤ max_gain
 
-    Weights are cut to [0, 1]; if all of those that count are zero, all are equal. Where ‖v_i‖ would
-    exceed v_max all gains of the robot are scaled down to that, and stay at least v_max in all.
-
-    Arguments as ``SafetyFilter`` and ``gain_range``.
+    Weights are cut to [0, 1]; if all that count are zero, all are equal. Where ‖v_i‖ would exceed
+    v_max all gains are scaled down to that. Arguments as ``SafetyFilter`` and ``gain_range``.
     """
 
     state_key = "gains"

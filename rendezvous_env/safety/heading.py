@@ -55,9 +55,8 @@ _NEARLY_ANTIPODAL = 1e-6
 def flexible_velocity(
     net_bearing: NDArray[np.float64], headings: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """ṗᵢ = hᵢ hᵢᵀ fᵢ (Zhao & Zheng, eq. 4), the net bearing projected onto the heading.
-
-    Of fᵢ = Σⱼ aᵢⱼ gᵢⱼ, (..., d), m/s, and unit vectors hᵢ, (..., d), in the robot's own frame.
+    """ṗᵢ = hᵢ hᵢᵀ fᵢ (Zhao & Zheng, eq. 4), of fᵢ = Σⱼ aᵢⱼ gᵢⱼ, (..., d), m/s, and unit vectors hᵢ,
+    (..., d), in the robot's own frame.
     """
     f, h = net_bearing, headings
     return h * np.sum(h * f, axis=-1, keepdims=True)
@@ -136,9 +135,7 @@ def certified_heading(
 
 @kernel
 def certify(raw, net_bearing, previous, min_alignment, dead_zone, max_turn, out):
-    """``certified_heading`` for N robots, unchecked: hᵀf ≥ ε_i ‖f‖ (theorem C). Arrays are (N, d),
-    float64; ``out``, unit vectors, may be ``previous`` itself.
-    """
+    """As ``certified_heading``, unchecked, of arrays (N, d); ``out`` may be ``previous``."""
     limit = turn_limit(max_turn)
     for i in range(out.shape[0]):
         if out.shape[1] == 2:
@@ -151,9 +148,7 @@ def certify(raw, net_bearing, previous, min_alignment, dead_zone, max_turn, out)
 
 @kernel(inline="code")
 def certify_one(raw, net_bearing, previous, min_alignment, dead_zone, limit):
-    """As ``certified_heading`` of one robot, hᵀf ≥ ε_i ‖f‖ (C): one implementation for pairs and
-    triples; ``limit`` is from ``turn_limit``.
-    """
+    """As ``certified_heading`` of one robot, pairs or triples; ``limit`` is from ``turn_limit``."""
     strength, towards = split(net_bearing)
     margin = min_alignment * min(max(strength / dead_zone - 1.0, 0.0), 1.0)
     if strength == 0.0:
@@ -229,10 +224,7 @@ class _Constants(NamedTuple):
 
 @kernel
 def _steer(robots, constants, arrays, work):
-    """Velocities of robots from one index to another, by law (4) with the certified heading.
-
-    v = min(1, r/(2Dτ)) h max(0, hᵀf − e),   e = 2 sin(η/2) D   (eq. 4, theorems C and N1')
-    """
+    """Actions min(1, r/(2Dτ)) h max(0, hᵀf − e), e = 2 sin(η/2) D (eq. 4, theorems C and N1')."""
     observations, held, headings, actions, alignment, lyapunov_rate = arrays
     lanes, robot = lanes_of(work), constants.robot
     weighs = constants.speed_scaled or robot.error_chord > 0.0
@@ -278,9 +270,7 @@ def _steer_lanes(space, constants, work):
 
 @kernel
 def _turn_bodies(teams, arguments):
-    """Gated turn rates, and the speed v = s mᵀf for the mean body axis m (theory 4, arcs); with
-    bearing errors less by e, so that V falls whatever f is.
-    """
+    """Gated turn rates, and the speed v = s mᵀf for the mean body axis m, less by e (theory 4)."""
     observations, constants, held, actions, alignment, lyapunov_rate = arguments
     robot, gate = constants.robot, constants.robot.gate
     for team in range(teams[0], teams[1]):
@@ -315,8 +305,7 @@ class HeadingFilter(SafetyFilter):
         min_alignment: ε, in (0, 1).
         max_turn_rate: of a heading or of a body axis, rad/s; the scenario's limit holds too.
         certified: False lets the raw vector through: law (4) bare, without margin or gate.
-        bearing_error: η, rad: a robot goes slower by what bearings that are wrong by no more than
-            that could feign (theorem N1').
+        bearing_error: η, rad: robots go slower by what errors no larger could feign (theorem N1').
     """
 
     state_key = "steering"

@@ -33,11 +33,11 @@ from .settings import check_bearing_error, check_vectors
 
 
 def least_norm_points(neighbour_rows: ArrayLike) -> NDArray[np.float64]:
-    """q_i = argmin ‖q‖, q ∈ conv{g_ij : j seen}, (..., d), without unit (guarantees, lemma 2).
+    """q_i = argmin ‖q‖, q ∈ conv{g_ij : j seen}, (..., d), without unit (guarantees, lemma 2), zero
+    where neighbours are all round, or nobody is seen.
 
-    All bearings lie along it, q_i·g_ij ≥ ‖q_i‖², and it is zero where neighbours are all round, or
-    nobody is seen. Of rows a_ij g_ij, (..., K, d), m/s, zero ones are absent, lengths do not count;
-    a ValueError says which shape is wrong, or that they are not finite.
+    Of rows a_ij g_ij, (..., K, d), m/s, zero ones are absent, lengths do not count; a ValueError
+    says which shape is wrong, or that they are not finite.
     """
     rows = check_vectors("neighbour_rows", neighbour_rows)
     if rows.ndim < 2:
@@ -56,9 +56,8 @@ def _least_norm_points(rows, out):
 def link_keeping_law(
     least_norm_point: NDArray[np.float64], degree: Any, *, merge_radius: float, duration: float
 ) -> NDArray[np.float64]:
-    """Velocities v_i = min(d_i, r/τ) q_i, (..., d), m/s, that lengthen no link, held over the step,
-    τ, s, too (theorem R b), of q_i, (..., d), without unit, in the robot's own frame, d_i = Σ_j
-    a_ij, (...), m/s, and r, m.
+    """Velocities v_i = min(d_i, r/τ) q_i, (..., d), m/s, that lengthen no link within τ, s (theorem
+    R b), of q_i, (..., d), in the robot's own frame, d_i = Σ_j a_ij, (...), m/s, and r, m.
     """
     speed = np.minimum(degree, merge_radius / duration)
     return least_norm_point * np.asarray(speed)[..., np.newaxis]
@@ -97,8 +96,8 @@ def project_on_links(wanted, rows, neighbour_slots, radius, error):
 
 @kernel
 def worst_bearing(direction, rows, neighbour_slots, error):
-    """Of all bearings within η of the seen ones the one that lies least along a direction v, a unit
-    triple, zero where nobody is seen: g cos α − u sin α, α = min(η, π − ∠(g, v)), u ⟂ g along v.
+    """Of all bearings within η, rad, of the seen ones the one that lies least along a direction v,
+    a triple, zero where nobody is seen: g cos α − u sin α, α = min(η, π − ∠(g, v)), u ⟂ g along v.
     """
     g = least_along(rows, neighbour_slots, direction)
     if error == 0.0 or dot(g, g) == 0.0:
@@ -118,8 +117,8 @@ def _excess(point, bearing, radius):
 
 @kernel
 def _nearest_on(wanted, bearing, active, radius):
-    """The point nearest to the desired one in the balls of a bearing and of up to three others,
-    zero for none, where it is on the first one's boundary; and the balls it is on.
+    """The point of some balls nearest to the desired one, on the first one's boundary; and the
+    balls it is on. ``active`` are up to three others, zero for none.
     """
     found, kept = ORIGIN, (ORIGIN, ORIGIN, ORIGIN)
     least = dot(wanted, wanted)
@@ -146,10 +145,7 @@ def _is(bearing):
 @kernel
 def _nearest_on_all(wanted, on, radius):
     """The point nearest to the desired one on the boundaries of one to three balls; the origin,
-    which they share, where there is no other.
-
-    Two spheres of the same radius through the origin meet in a circle, across the difference of
-    their bearings; three meet in one more point.
+    which they share, where there is no other. Two meet in a circle, three in one more point.
     """
     g, first, second = on
     centre, strides = g, wanted

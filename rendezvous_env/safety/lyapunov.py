@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 def lyapunov(positions: ArrayLike, weights: ArrayLike) -> Array:
     """V = Σ_i Σ_j a_ij ‖p_i − p_j‖ (paper, section III), (...), m²/s, of positions (..., n, d), m,
-    and symmetric weights (..., n, n), m/s; leading axes broadcast.
+    and symmetric weights (..., n, n), m/s.
     """
     return _of_teams(lambda p, a: lyapunov_of_links(p, _links(a)), "()", positions, weights)
 

@@ -43,8 +43,8 @@ def over_teams(
 
 @kernel
 def _hold(given, turns, frames, held):
-    """Hold choices, turned from the frames that robots look along: h = F q. −1; or the first robot
-    of all teams whose choice is not finite in float32, and none is held.
+    """Hold choices, turned by frames: h = F q. −1; or the first robot whose choice is not finite in
+    float32, and none is held.
     """
     size, numbers, wrong = held.shape[2], given.reshape(-1), 0
     for number in numbers:  # all of them, in lanes
@@ -155,8 +155,7 @@ class SafetyFilter(Remembering):
 
     def view(self, observations: Float32) -> Float32:
         """Observations (B, n, rows, d) as the policy sees them, with x along f where that is asked
-        for; brings the frames up to date. Another shape or type is refused in a ValueError, and
-        nothing has changed.
+        for; brings the frames up to date. Refuses another shape or type in a ValueError.
         """
         observations = check_observations(observations, self._seen)
         if (shown := self.new_view(observations.dtype)) is None:
@@ -179,9 +178,8 @@ class SafetyFilter(Remembering):
         return self._held
 
     def hold(self, raw: ArrayLike) -> None:
-        """Take new choices (B, n, k), fixed in the robots' local frames from now on: vectors (d,),
-        as the policy sees them, or numbers in the body frame. A ValueError for a wrong shape, or
-        naming the robot whose choice is not finite.
+        """Take new choices (B, n, k), fixed in the robots' local frames from now on. A ValueError
+        for a wrong shape, or naming the robot whose choice is not finite.
         """
         given: Any = raw if getattr(raw, "dtype", None) == np.float32 else floats("actions", raw)
         if given.shape != self._held.shape:
@@ -201,9 +199,7 @@ class SafetyFilter(Remembering):
     def act(self, observations: Float32, elapsed: float | None = None) -> Float32:
         """Actions for the base environment, (B, n, a) float32, from observations (B, n, rows, d) in
         the robots' own frames; zero for robots that see no neighbour. Sets what is ``told``.
-
-        Filters of ours use ``elapsed``, s since the actions before, in which a heading may have
-        turned; None is τ. Bodies turn for τ from now on, whatever it is.
+        ``elapsed``, s since the actions before, is how long a heading may have turned; None is τ.
         """
         observations = check_observations(observations, self._seen)
         actions = np.zeros(self._acted, dtype=np.float32)
@@ -227,13 +223,11 @@ class SafetyFilter(Remembering):
         resting: ArrayLike | None = None,
     ) -> None:
         """Learn how the step went in which the actions last given were held; see ``keeps_ledger``.
-        Another shape or type, or a robot that is none, is refused in a ValueError, and nothing has
-        changed.
+        What no step can have been is refused in a ValueError, and nothing has changed.
 
         Args:
             contact: (B, n) bool, whether the robot touched an obstacle; None is nobody.
-            merged_into: (B, n) int, the robot that each one is now part of, itself while it is on
-                its own; None: nobody knows.
+            merged_into: (B, n) int, the robot that each one is now part of; None: nobody knows.
             resting: (B,) bool, teams that the step passed by; None is no team.
         """
         team = self._held.shape[:2]
@@ -270,9 +264,8 @@ class SafetyFilter(Remembering):
 
 
 def register_filter(name: str, safety_filter: type[SafetyFilter]) -> None:
-    """Give a filter a name, for ``GuaranteeWrapper`` and ``training_env(guarantee=name)``.
-
-    A ValueError for a name that is no word or is another filter's, or what is no filter.
+    """Give a filter a name, for ``GuaranteeWrapper`` and ``training_env(guarantee=name)``; a
+    ValueError for a name that is no word or is another filter's, or what is no filter.
     """
     if not (isinstance(name, str) and name.isidentifier()):
         refuse("name", name, "a word")

@@ -37,8 +37,8 @@ def check_gate_constants(min_alignment: float, dead_zone: float) -> None:
 def check_vectors(
     name: str, value: ArrayLike, like: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
-    """Finite vectors (..., d) of any unit as float64, d = 2 or 3, in the shape of others; a
-    ValueError names the argument, and its shape or that it is not finite.
+    """Finite vectors (..., d) of any unit, d = 2 or 3, float64, in the shape of ``like``; others
+    are refused in a ValueError.
     """
     vectors = floats(name, value)
     if like is not None and vectors.shape != like.shape:

@@ -92,9 +92,7 @@ class _Constants(NamedTuple):
 
 @kernel
 def _spend(robots, constants, arrays, work):
-    """Actions of robots from one index to another, carried out where A + G(Δ) ≥ 0, and what is told
-    of them (theorem D).
-    """
+    """Actions of robots, carried out where A + G(Δ) ≥ 0, and what is told of them (theorem D)."""
     observations, held, levels, actions, linked, deposits, carried_out = arrays[:7]
     alignment, lyapunov_rate = arrays[7:]
     lanes = lanes_of(work)
@@ -221,9 +219,7 @@ def _book(teams, levels, deposits, linked, contact, merged_into, resting, follow
 
 @inner_kernel
 def _hand_over(levels, linked, merged_into, follow_v):
-    """A survivor takes all, (n,) each. Levels that follow V become (m' − 1)/(m − 1) of what they
-    were when m robots become m', as V does at most.
-    """
+    """A survivor takes all, (n,). Levels that follow V become (m' − 1)/(m − 1) of themselves."""
     before, gone = 0, 0
     for i in range(len(levels)):
         survivor = merged_into[i]
@@ -256,9 +252,8 @@ class EnergyTank(SafetyFilter):
 
     A desired velocity is carried out where A + G ≥ 0, else law (4) along it; G is that of actions
     as they are sent, in float32. Nonholonomic robots keep the account without the term ε²; with an
-    empty tank they drive with v = s mᵀf, and turn through the gate of theory 3. A policy, which
-    learns of neither contacts nor merges, calls ``book()`` bare after each ``act``: every step
-    books as commanded, and the tank of a robot that is gone is lost.
+    empty tank they turn through the gate and drive with v = s mᵀf. A policy, which learns of
+    neither contacts nor merges, calls ``book()`` bare after each ``act``.
 
     Args:
         scenario, num_envs, frame, num_threads: as ``SafetyFilter``.
@@ -350,9 +345,7 @@ class EnergyTank(SafetyFilter):
             in_lanes(_spend, teams, self._constants, observations, *memory, *told)
 
     def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> None:
-        """As ``SafetyFilter.book_of``; a step that a merge cuts short books as commanded, and where
-        everyone sees everyone, with equal weights, levels shrink as V does when robots merge.
-        """
+        """As ``SafetyFilter.book_of``; a step that a merge cuts short books as commanded."""
         account = self._levels, self._deposits, self._linked
         _book(teams, *account, contact, merged_into, resting, self._follow_v)
 

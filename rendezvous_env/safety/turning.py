@@ -71,8 +71,8 @@ def robot_of(
     bearing_error: Any,
     most: float = math.inf,
 ) -> Robot:
-    """A scenario's robots with a margin ε and bearing errors η, numbers, rad (theorem N1'), each
-    refused in a ValueError if it is none; else as ``gate_of``.
+    """A scenario's robots with a margin ε and bearing errors η, numbers, rad, each checked; else as
+    ``gate_of`` (theorem N1').
     """
     check_gate_constants(min_alignment, dead_zone)
     layout = scenario.observation_layout
@@ -106,10 +106,8 @@ def gated_rates(requested, net_bearing, pitch, gate):
 @kernel
 def rates_onto_line(net_bearing, pitch, gate):
     """Yaw and pitch rates, a pair, rad/s, that bring the body axis h onto the line of f, m/s, in
-    this step if they may: ω_α = ψ/τ, ω_β = (β* − β)/τ, each within its limit (docs/proofs.md, T).
-
-    ψ ∈ [−π/2, π/2] is the yaw after which the meridian of h holds f, and β* the pitch of f or −f on
-    it, whichever is nearer: h and −h are the same line.
+    this step if they may: ω_α = ψ/τ, ω_β = (β* − β)/τ (docs/proofs.md, T). The meridian of h holds
+    f after a yaw ψ ∈ [−π/2, π/2], and β* is the pitch of f or −f on it, whichever is nearer.
     """
     ahead, left, up = _levelled(net_bearing, pitch)
     side = -1.0 if ahead < 0.0 else 1.0
@@ -128,12 +126,9 @@ def _levelled(vector, pitch):
 
 @kernel
 def rates_towards(wanted, pitch, gate):
-    """Turn rates, a pair, rad/s, that bring the body axis h to a direction, of any length but 0: in
-    this step if their limits allow it, and never past it.
-
-        ω = ψ/τ;   in 3-D   (ω_α, ω_β) = (ψ, β* − β)/τ,   scaled together to their limits
-
-    Of the two ways to the yaw ψ and pitch β*, upright or upside down, the one that takes less time.
+    """Turn rates ω = ψ/τ, in 3-D (ψ, β* − β)/τ scaled together, a pair, rad/s, that bring the body
+    axis h to a direction, of any length but 0, in this step if their limits allow it, and never
+    past it: of the two ways there, upright or upside down, the one that takes less time.
     """
     if gate.planar:
         yaw = math.atan2(wanted[1], wanted[0])
@@ -190,8 +185,8 @@ def pitch_of(rows, gravity_row, gate):
 
 @kernel
 def rates_of(action, gate):
-    """The turn rates of an action as they are executed, after rounding to float32, a pair, rad/s:
-    |ω| ≤ its limit.
+    """The turn rates |ω| ≤ limit of an action, as executed after rounding to float32, a pair,
+    rad/s.
     """
     pitch_rate = 0.0 if gate.planar else clip(np.float64(action[2]), gate.pitch_limit)
     return clip(np.float64(action[1]), gate.yaw_limit), pitch_rate

@@ -275,6 +275,13 @@ def test_pursuit_by_hand():
     for wrong in (0.0, 0.4, math.nan):
         with pytest.raises(ValueError, match=r"speed is .*less than ω_max r/2 = 0\.4 m/s"):
             pursuit_bound(team, 9.0, wrong)
+    assert np.isfinite(pursuit_bound(team.replace(graph=graphs.directed_cycle()), 9.0, 0.3))
+    for none in (  # where a leader rests, or links change
+        team.replace(n_robots=2, graph=graphs.directed([(0, 1)], 2)),
+        team.replace(graph=graphs.switching([graphs.directed_cycle(), "path"])),
+        team.replace(graph=graphs.proximity(), sensing=Sensing(range=9.0)),
+    ):
+        assert np.isinf(pursuit_bound(none, 9.0, 0.3))
 
 
 def test_the_lower_bound_by_hand():

@@ -11,7 +11,6 @@ import baselines
 from rendezvous_env import Disc, Scenario, Sensing, Simulator, certificate, graphs, rollout
 from rendezvous_env.safety.gains import Gains
 from rendezvous_env.safety.links import LinkKeeping
-from research.time_bounds import pursuit_bound
 
 
 def unit(degrees):
@@ -110,33 +109,6 @@ def test_law_1_meets_as_it_steps_within_the_bound(kind, dim):
     assert found.guaranteed and found.continuous_time_bound < found.time_bound < math.inf
     law = rollout(team, baselines.make("bearing-only", team), 0, num_envs=6)
     assert (law.rendezvous_time <= found.time_bound).all()
-
-
-@pytest.mark.slow
-def test_no_bound_of_pursuit_where_a_leader_rests():
-    pair = Scenario(
-        n_robots=2, graph=graphs.directed([(0, 1)], 2), robot_model="unicycle", time_step=0.005,
-        max_speed=1.0, max_turn_rate=20.0, time_limit=60.0, allow_long_step=True,
-        start_positions=((0.0, 0.0), (30.0, 0.0)),
-    )  # fmt: skip
-    found = rollout(pair, baselines.make("pursuit", pair, speed=1.0), 0)
-    assert 29 < found.rendezvous_time[0] < math.inf  # where 15.63 s were promised
-    assert np.isinf(pursuit_bound(pair, 60.0, 1.0))
-
-
-def test_no_bound_of_pursuit_where_links_change():
-    cycles = [[(0, 1), (1, 2), (2, 0)], [(0, 2), (2, 1), (1, 0)]]
-    start = tuple(tuple(2.0 * unit(90 + 120 * i)) for i in range(3))
-    team = Scenario(
-        n_robots=3, robot_model="unicycle", max_speed=0.19, max_turn_rate=2.0, time_step=0.01,
-        allow_long_step=True, start_positions=start,
-        graph=graphs.switching([graphs.directed(edges, 3) for edges in cycles], dwell=0.1),
-    )  # fmt: skip
-    assert np.isinf(pursuit_bound(team, 10.0, 0.19))
-    fixed = team.replace(graph=graphs.directed_cycle())
-    assert np.isfinite(pursuit_bound(fixed, 10.0, 0.19))
-    near = team.replace(graph=graphs.proximity(), sensing=Sensing(range=9.0))
-    assert np.isinf(pursuit_bound(near, 10.0, 0.19))
 
 
 def test_a_speed_limit_does_not_keep_law_1_within_the_hull():

@@ -30,7 +30,7 @@ ERRING = NEAR.replace(sensing=Sensing(range=4.0, error=0.2))
 
 
 def played(scenario, by, *, frame="local", **arguments):
-    return play(Trial(scenario, by, arguments, frame, 1, 0))
+    return play(Trial(scenario, by, arguments, frame))
 
 
 def longer(scenario, factor, **changes):

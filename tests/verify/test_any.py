@@ -23,9 +23,8 @@ SQUARE = PAIR.replace(n_robots=4, start_positions=((0, 0), (1, 0), (1, 1), (0, 1
 
 
 def trial(scenario=SQUARE, by="law", seed=0, **arguments):
-    if by in ("heading", "tank"):
-        arguments = {"min_alignment": 0.7, **arguments}
-    return Trial(scenario, by, arguments, "local", 1, seed)
+    margin = {"min_alignment": 0.7} if by in ("heading", "tank") else {}
+    return Trial(scenario, by, margin | arguments, seed=seed)
 
 
 def promising(monkeypatch, **limits):

@@ -96,29 +96,22 @@ def test_so_it_is_with_any(tmp_path):
     assert printed.split(" of 24 teams")[0] in again and "72 random scenarios" in again
 
 
-@pytest.mark.parametrize(
-    ("changes", "field"),
-    [
+def test_another_command_or_program_is_refused(tmp_path, monkeypatch):
+    stopped(config(tmp_path), 1)
+    before = contents(tmp_path)
+    for changes, field in (
         ({"trials": 500}, r"trials \(85, here 500\)"),
         ({"seed": 1}, r"seed \(0, here 1\)"),
         ({"min_alignment": 0.5}, r"min_alignment \(0.3, here 0.5\)"),
         ({"only_batch": 0}, r"only_batch \(null, here 0\)"),
         ({"claims": NAMES[:1]}, "claims"),
-    ],
-)
-def test_another_command_is_refused(changes, field, tmp_path):
-    stopped(config(tmp_path), 1)
-    before = contents(tmp_path)
-    with pytest.raises(UserError, match=f"an unfinished verification of other {field}") as caught:
-        checked(config(tmp_path, **changes))
-    assert "--overwrite" in str(caught.value) and contents(tmp_path) == before
-
-
-def test_so_is_another_program(tmp_path, monkeypatch):
-    stopped(config(tmp_path), 1)
-    monkeypatch.setattr(resume, "_source", lambda: "changed")
-    with pytest.raises(UserError, match="of other source"):
-        checked(config(tmp_path))
+        ({}, "source"),
+    ):
+        if not changes:
+            monkeypatch.setattr(resume, "_source", lambda: "changed")
+        with pytest.raises(UserError, match=f"an unfinished verification of other {field}") as no:
+            checked(config(tmp_path, **changes))
+        assert "--overwrite" in str(no.value) and contents(tmp_path) == before
 
 
 @pytest.mark.parametrize("first", [None, 0, 2**40])

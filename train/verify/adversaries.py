@@ -56,11 +56,10 @@ DOWN = (0.0, 0.0, -1.0)
 
 
 class Adversary:
-    """Makes choices, (B, n, k), for robots that ``by`` stands before; ``max_turn_rate`` is of
-    headings, rad/s, and of robots that turn the unit of choices.
+    """Makes choices, (B, n, k), for robots that ``by`` stands before; ``max_turn_rate``, rad/s, is
+    of headings, and of robots that turn the unit of choices.
 
-    Half of the teams have one kind of desired input, which all their robots share; in the others
-    each robot has its own, and every fourth team draws anew now and then.
+    In half of the teams all robots want the same kind; every fourth team draws anew now and then.
     """
 
     def __init__(
@@ -115,8 +114,8 @@ class Adversary:
         return np.asarray(self.spin * teams.time[:, None, None])
 
     def controls(self, observations: Float32, teams: Moment) -> Array:
-        """Inputs of robots that turn, in units of their bounds: blind, held, to and fro, away from
-        f or keeping it abeam.
+        """Inputs of robots that turn, over their bounds: away from f or across it, held, blind, to
+        and fro.
         """
         scenario, layout = self.scenario, self.scenario.observation_layout
         f, gravity = layout.net_bearing(observations), layout.split(observations).gravity
@@ -136,12 +135,8 @@ class Adversary:
 
 
 def orthogonal_rates(f: Array, pitch: Array | None, duration: float) -> Array:
-    """Turn rates (..., d − 1), rad/s, that bring the heading h = x to h ⟂ f within a step, and keep
-    it there.
-
-        ω = −(f_x/τ) P_h f / ‖P_h f‖²,   the yaw rate divided by cos β
-
-    f, (..., d), m/s, is in the body frame; the pitch β, (...), rad, is None in the plane.
+    """ω = −(f_x/τ) P_h f / ‖P_h f‖², (..., d − 1), rad/s, the yaw rate divided by cos β: rates that
+    bring the heading h = x to h ⟂ f within a step, f in the body frame; β is None in the plane.
     """
     side = f[..., 1:]
     square = np.sum(side**2, axis=-1, keepdims=True)
@@ -179,8 +174,8 @@ def _desire(now, kinds_of, desired):
 
 @kernel
 def _lean(rows, desired, kinds, weights):
-    """Write weights of rows (B, n, K, d) over random ones in [0, 1), (B, n, K): the one that is
-    desired most alone, of some robots all that are desired or blindly; none for those that rest.
+    """Write weights of rows (B, n, K, d) over random ones in [0, 1), (B, n, K): of the row desired
+    most alone, for some robots of all that are desired or blindly, none for those that rest.
     """
     for b in range(weights.shape[0]):
         for i in range(weights.shape[1]):
@@ -202,9 +197,7 @@ def _lean(rows, desired, kinds, weights):
 
 @inner_kernel
 def _look_round(now, b, i):
-    """f_i, the offset of all others together, and those of the farthest and of the nearest robot
-    that robot i is linked to, triples; zero where there is nobody.
-    """
+    """f_i, the offset of all others together, of the farthest and of the nearest linked robot."""
     places, active, weights, _ = now
     f, others, far, near, most, least = ORIGIN, ORIGIN, ORIGIN, ORIGIN, 0.0, np.inf
     for j in range(places.shape[1]):
@@ -221,10 +214,9 @@ def _look_round(now, b, i):
 
 
 class Misled(gymnasium.vector.VectorWrapper):
-    """A vector environment of teams whose neighbour rows are turned by an error, rad, each robot's
-    in one of _ERRORS' ways, and in half of the teams all alike.
-
-    Team b draws from seed + b, so that it errs alone as it does among others.
+    """Teams whose neighbour rows are turned by an error, rad, each robot's in one of _ERRORS' ways,
+    in half of the teams all alike; team b draws from seed + b, so that it errs alone as among
+    others.
     """
 
     def __init__(self, env: Any, scenario: rv.Scenario, error: float, seed: int) -> None:
@@ -287,8 +279,8 @@ def _aim(rows, how, towards):
 
 @kernel
 def turn_rows(rows, towards, errors):
-    """Turn rows (B, n, K, d) towards directions of that shape by errors (B, n, K), rad; lengths
-    stay. One that already points there, or away, is turned across.
+    """Turn rows (B, n, K, d) towards directions of that shape by errors (B, n, K), rad, or across
+    where they are in line; lengths stay.
     """
     for b in range(rows.shape[0]):
         for i in range(rows.shape[1]):

@@ -50,8 +50,8 @@ def draw_team(
     step_factors: tuple[float, float] | None = None,
     turning: bool = False,
 ) -> Trial:
-    """Graph, weights, start, radius, frames, limits and ε of teams, whose sizes take turns; τ over
-    the certified step is in ``step_factors``. Robots that turn are of the paper's models.
+    """Teams that share all but start, weights and frames; sizes take turns, τ over the certified
+    step is in ``step_factors``. Robots that turn are of the paper's models.
     """
     n, dim = sizes[batch % len(sizes)], int(random.choice(dims))
     fields: dict[str, Any] = {}
@@ -226,8 +226,7 @@ CLAIMS = tuple(Claim(name, said, *_HOW[name]) for name, said in _STATEMENTS.item
 
 def check(claim: Claim, seed: int, batch: int, trials: int, least_margin: float) -> Tally:
     """Run one batch of a claim, by its number, with margins ε of ``least_margin`` or more, until
-    each team has met, is out of time or has broken one of the claim's numbers; and count ``trials``
-    of its teams. The same arguments give the same, but for the seconds.
+    each team has met, is out of time or has broken a number; and count ``trials`` of its teams.
     """
     began = time.perf_counter()
     random = np.random.default_rng([seed, zlib.crc32(claim.name.encode()), batch])

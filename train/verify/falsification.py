@@ -209,10 +209,8 @@ def guarded(env: Any, by: str, arguments: Mapping[str, Any]) -> Any:
 
 def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> Played:
     """Ask for the certificates, play with so many teams side by side, and hold every number against
-    what happens, until one is violated, or every team has met or its bound is reached.
-
-    Teams whose bound is out of reach do not count where there are others; ``choices``, (steps, n,
-    k), are of one team, instead of adversaries.
+    what happens, until one is violated, or every team has met or its bound is reached, unless that
+    is too late. ``choices``, (steps, n, k), are of one team, instead of adversaries.
     """
     among = trial.starts or (trial.scenario,)
     promised = [ask(one, trial.by, trial.arguments) for one in among]
@@ -256,9 +254,7 @@ def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> P
 
 
 def _last_steps(trial: Trial, limits: Mapping[str, Array]) -> Array:
-    """The step in which each team's bound is reached, (B,), 0 where that is too late; a few, drawn,
-    if it is for all.
-    """
+    """The step of each team's bound, (B,), 0 if too late; a few, drawn, where it is for all."""
     few = np.exp(np.random.default_rng([trial.seed, 4]).uniform(*np.log(FEW_STEPS))).round()
     last = np.full_like(next(iter(limits.values())), math.inf)
     for name in {"time", "expected_time"} & set(limits):
@@ -270,7 +266,7 @@ def _last_steps(trial: Trial, limits: Mapping[str, Array]) -> Array:
 def climb(trial: Trial) -> tuple[Trial, Played]:
     """Look for a start from which something is violated: play the trial from its own starts, and
     ``trial.generations`` times from changes of those that came nearest to break one of its numbers.
-    The trial, from the start of what was found; and what came of that, or of its own starts.
+    The trial, from the start of what was found, or as it was drawn; and what came of it.
     """
     drawn, played = trial, play(trial)
     first, random = played, np.random.default_rng([trial.seed, 2])

@@ -148,9 +148,7 @@ class Watch:
         return ALL[row], team, float(self.found[row, team]), float(self.most[row, team])
 
     def look_at_mean(self) -> Found | None:
-        """A start from which the mean time is surely above its bound; who has not met counts as if
-        they met now.
-        """
+        """A start from which the mean time is surely too long; who has not met counts as if now."""
         if "expected_time" not in self.limits or len(self.met) % REPEATED:
             return None
         times = np.minimum(self.met, self.teams.time).reshape(-1, REPEATED)
@@ -211,9 +209,7 @@ def _measure(before, after, reported, where, numbers, kept, found, errors):
 
 @inner_kernel
 def _spread(places, there, along, tops, found):
-    """Write L, in the plane that of the polygon around the hull with a side for each direction;
-    give by how much the hull has grown, m.
-    """
+    """Write L, in the plane that of the polygon around the hull; give the hull's growth, m."""
     total, spread, left, d = 0.0, -np.inf, there.sum(), places.shape[1]
     for m in range(len(along)):
         top, middle = -np.inf, 0.0
@@ -230,9 +226,7 @@ def _spread(places, there, along, tops, found):
 
 @inner_kernel
 def _stretch(present, start, lasts, sight):
-    """The shortest link in sight before the step; how much longer one has become in it, and a
-    lasting one since the start, m.
-    """
+    """The shortest link in sight; how much longer one, and since the start a lasting one, is, m."""
     places, was, weights, moved_to = present
     nearest, lengthened, grown = np.inf, -np.inf, -np.inf
     for i in range(len(places)):

@@ -88,9 +88,7 @@ def draw_kind(random: Random) -> Kind:
 
 
 def trials_of(seed: int, number: int, kind_number: int | None = None) -> list[Trial]:
-    """The scenarios of a draw, played under each of CHOICES; of the kind of their task if of no
-    other.
-    """
+    """The scenarios of a draw, under each of CHOICES; of their task's kind if of no other."""
     kind_number = number // DRAWS if kind_number is None else kind_number
     kind = draw_kind(np.random.default_rng([seed, _KINDS + kind_number]))
     random = np.random.default_rng([seed, number])
@@ -113,9 +111,7 @@ def trials_of(seed: int, number: int, kind_number: int | None = None) -> list[Tr
 def _draw(
     random: Random, kind: Kind
 ) -> tuple[rv.Scenario, dict[str, dict[str, float]], tuple[rv.Scenario, ...]]:
-    """A scenario that is possible, arguments for each of CHOICES, and its starts, its own first;
-    none if every episode draws them.
-    """
+    """A scenario that is possible, arguments for each of CHOICES, and its starts, if it has any."""
     for _ in range(_TRIES):
         try:
             scenario = _scenario(random, kind)
@@ -240,9 +236,8 @@ def _scenario(random: Random, kind: Kind) -> rv.Scenario:
 
 
 def _corner(random: Random, kind: Kind, fields: dict[str, Any], reach: float) -> rv.Scenario:
-    """Where a promise would break first: links at their longest and merges that move robots away;
-    heavy and light links of robots that hide each other; bearings that nearly cancel, in long steps
-    of slow robots.
+    """Where a promise would break first: links at their longest; heavy and light links of robots
+    that hide each other; bearings that nearly cancel, in long steps of slow robots.
     """
     n, dim, r, at = fields["n_robots"], kind.dim, fields["merge_radius"], places_of
     place = {"fixed": at.on_line, "changing": at.in_wedge, "proximity": at.in_tail}[kind.graphs]

@@ -144,9 +144,7 @@ def all_neighbours_seen(scenario: Scenario, asked: Asked) -> str:
 
 
 def nearest_hides(scenario: Scenario) -> bool:
-    """Whether robots miss neighbours behind others and only there: on a complete graph the nearest
-    is always seen (guarantees 13).
-    """
+    """Whether robots miss those behind others only: the nearest is always seen (guarantees 13)."""
     hidden = scenario.sensing.occlusion == "robots" and scenario.model.bounded
     alone = hidden and departs_in(scenario, "occlusion", "error")
     return alone and is_complete(scenario.sensing_graph, scenario.n_robots)

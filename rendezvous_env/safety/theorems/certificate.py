@@ -41,9 +41,7 @@ def _renamed(old: str, new: str) -> Any:
 
 @dataclass(frozen=True)
 class Certificate:
-    """What is guaranteed for a scenario, and why or why not; ``print`` gives it in three lines. A
-    bound is infinite where there is none.
-    """
+    """What is guaranteed for a scenario, and why or why not; a bound is infinite where none is."""
 
     min_alignment: float
     """ε: the least alignment |hᵀf|/‖f‖ that the guarantee builds on; 1 for law (1)."""
@@ -166,8 +164,8 @@ def certificate(
 
 
 def question(scenario: Scenario, by: Any, given: Mapping[str, Any], bearing_error: Any) -> Asked:
-    """What is asked, if the arguments of ``certificate`` go together; of its numbers those that are
-    not given are LAW's (theorem A), and η is a number, rad.
+    """What is asked, if the arguments of ``certificate`` go together (theorem A: LAW), η a number,
+    rad.
     """
     margin = check_margin(given.get("min_alignment", LAW.min_alignment))
     by = choice("by", ("law" if margin == 1 else "heading") if by is None else by, CHOICES)

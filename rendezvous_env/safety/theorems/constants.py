@@ -34,8 +34,7 @@ def kind_of_links(graph: Graph) -> str:
 
 def leaders(scenario: Scenario) -> list[list[int]]:
     """Groups of robots that see nobody outside, arrays of indices without unit, in the graph of the
-    moment that has most of them. One group: some robot can be reached from all at any time
-    (theorem G).
+    moment that has most. One group: some robot can be reached from all at any time (theorem G).
     """
     graph: Any = scenario.sensing_graph
     kind = kind_of_links(graph)
@@ -86,17 +85,15 @@ def least_bearing_square(scenario: Scenario) -> float:
 
 
 def degrees_stay_equal(scenario: Scenario) -> bool:
-    """Whether all robots that are left always have the same D_i: complete graphs and cycles of one
-    weight, directed cycles too.
-    """
+    """Whether all robots left always have one D_i: complete graphs, cycles, of one weight."""
     n, graph = scenario.n_robots, scenario.sensing_graph
     even = graph.kind == "directed_cycle" or is_complete(graph, n) or _is_cycle(graph, n)
     return even and has_one_weight(scenario)
 
 
 def merges_at_midpoints(scenario: Scenario) -> bool:
-    """Whether V/(m − 1) never rises at a merge: complete graphs of one weight, no obstacles, linked
-    robots r or more apart at the start (docs/proofs.md, A to C).
+    """Whether V/(m − 1) never rises at a merge: complete graphs of one weight, no obstacles, starts
+    apart (docs/proofs.md, A to C).
     """
     return uniform_complete(scenario) and not scenario.obstacles and starts_apart(scenario)
 
@@ -130,8 +127,7 @@ def lyapunov_bound(
     scenario: Scenario, initial_lyapunov: ArrayLike | None = None, *, reach: float | None = None
 ) -> Array:
     """V0⁺ = V(0) + (n − 1) r W, (...), m²/s: the most that V can be if it never rises between
-    merges; V(0) is ``largest_lyapunov`` if None. At obstacles, where merges may be at one robot's
-    place, they can raise it by twice as much (theory 5).
+    merges (theory 5), V(0) ``largest_lyapunov`` if None; twice the rise at obstacles.
 
     Where linked robots start within r of each other, two of them merge at once while others walk
     on, by r/2 or ``reach``, m: V rises by 4 W of it at most, once.
@@ -147,9 +143,7 @@ def lyapunov_bound(
 
 @_of_the_last
 def largest_lyapunov(scenario: Scenario) -> float:
-    """V(0) of the given start, or V ≤ 2 W s √d of all that can be drawn in a spawn area of side s,
-    a number, m²/s.
-    """
+    """V(0) of the given start, or V ≤ 2 W s √d for a spawn area of side s, a number, m²/s."""
     n, graph = scenario.n_robots, scenario.sensing_graph
     if scenario.start_positions is not None:
         weights = graph.base_weights(n) * graph.weight_range[1]
@@ -199,7 +193,7 @@ def directions(dim: int) -> float:
 
 def hull_growth(scenario: Scenario) -> float:
     """What L can grow by, a number, m, in steps that begin with linked robots closer than r: by r
-    in all directions, once for a given start, n − 1 times where links change (theorem D1).
+    all round, once for a given start, n − 1 times where links change (theorem D1).
     """
     grown = directions(scenario.dim) * scenario.merge_radius
     if kind_of_links(scenario.sensing_graph) in (SWITCHING, PROXIMITY):
@@ -224,7 +218,6 @@ def over_rate(above: ArrayLike, rate: ArrayLike) -> Array:
 
 def held_time(scenario: Scenario, most: ArrayLike, rates: ArrayLike) -> Array:
     """T ≤ most/min_m rate_m + (n − 1) τ, (...), s: what falls by a rate (n − 1,) in every step
-    without a merge has vanished, and all robots have met (theorems A, D, G); infinite for a rate ≤
-    0. ``most`` is of V, m²/s, or of L, m.
+    without a merge has vanished (theorems A, D, G). ``most`` is of V, m²/s, or of L, m.
     """
     return over_rate(most, np.min(rates)) + (scenario.n_robots - 1) * scenario.tau

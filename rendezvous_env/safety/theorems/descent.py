@@ -31,11 +31,9 @@ Array = NDArray[np.float64]
 def time_bound(
     scenario: Scenario, initial_lyapunov: ArrayLike, *, min_alignment: float = 1.0
 ) -> Array:
-    """Time by which all robots have met, inputs held over the step, (...), s, from V(0), (...),
-    m²/s (theorems A and C); infinite where nothing is guaranteed.
-
-    For the scenario's own graph, not for weights given to a reset. ValueError for an ε that is not
-    in (0, 1], or a V(0) that is none.
+    """Time by which all robots have met, inputs held, (...), s, from V(0), (...), m²/s, on the
+    scenario's own graph (theorems A and C); infinite where nothing is guaranteed. A ValueError for
+    an ε that is not in (0, 1], or a V(0) that is none.
     """
     check_margin(min_alignment)
     if not isinstance(scenario, Scenario):

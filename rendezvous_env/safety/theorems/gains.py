@@ -34,9 +34,8 @@ _WIDE = 5.0 * np.pi / 12.0  # so far from the direction of another robot a leade
 
 
 def kappa(n: ArrayLike) -> Array:
-    """κ(n) = min{Σ sin²x_i : Σx_i = π, 0 ≤ x_i ≤ π/2}, (...), without unit (proofs, G).
-
-    κ(n) = min( n sin²(π/n), 1 + (n − 1) sin²(π/(2(n − 1))) )
+    """min{Σ sin²x_i : Σx_i = π, 0 ≤ x_i ≤ π/2}, (...), without unit (proofs, G), which is min( n
+    sin²(π/n), 1 + (n − 1) sin²(π/(2(n − 1))) ).
     """
     m = np.asarray(n, dtype=np.float64)
     one_flat = 1.0 + (m - 1.0) * np.sin(np.pi / (2.0 * (m - 1.0))) ** 2

@@ -47,18 +47,15 @@ DEAD_ZONE = 0.5
 
 
 def largest_error(n: ArrayLike, dim: int) -> Array:
-    """η, rad, below which theorem N promises a rendezvous of n robots, (...): π/n, which is sharp;
-    in 3-D arctan(1/√(n(n − 2))) is enough.
-    """
+    """π/n, in 3-D arctan(1/√(n(n − 2))), (...), rad: any less, and n robots meet by theorem N."""
     m = np.asarray(n, dtype=np.float64)
     return np.asarray(np.pi / m if dim == 2 else np.arctan2(1.0, np.sqrt(m * (m - 2.0))))
 
 
 def held_error(gain: ArrayLike, duration: ArrayLike, merge_radius: float) -> Array:
-    """The error of a bearing that is held, or late, for a while, (...), rad: asin(2 c (τ +
-    delay)/r), π where a neighbour can be passed meanwhile.
-
-    It adds to other errors. No robot is faster than ``gain``, c, m/s; ``duration`` is τ + delay, s.
+    """The error of a bearing that is held or late for a ``duration``, s, (...), rad: asin(2 c
+    duration/r) (theorem N), π where a neighbour can be passed meanwhile; no robot is faster than c,
+    m/s.
     """
     sine = 2.0 * np.asarray(gain) * np.asarray(duration) / merge_radius
     return np.where(sine < 1.0, np.arcsin(np.minimum(sine, 1.0)), np.pi)
@@ -145,10 +142,7 @@ def certified_bounds(
     dead_zone: float,
     *words: str,
 ) -> Bounds:
-    """For velocities that are certified against what is seen (N1', D), if all q_m are positive.
-
-        T ≤ max_m m V0⁺/(s_min q_m²) + (n−1) τ
-        Σ_i (h·f̂_i − e_i)₊ ≥ q_m = 2ε c_m − ε β a* m/n − (1+ε) m 2 sin(η/2) D̄_m
+    """For velocities that are certified against what is seen, if all q_m > 0 (theorems N1', D).
 
     ``most`` is V0⁺, or what stands for it, m²/s; ``each`` what V/(m − 1) does not exceed, if known;
     ``words`` are those of ``bounds_with_errors``.
@@ -192,9 +186,7 @@ def noise_alone(scenario: Scenario, asked: Asked) -> str:
 
 
 def noisy_bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """The mean time, infinite if the step is too long for this noise, or robots can be slowed down;
-    in a single episode nothing is sure.
-    """
+    """The mean time, infinite if the step is too long for this noise, or robots slow down."""
     n, degree, graph = scenario.n_robots, scenario.max_degree, scenario.sensing_graph
     if scenario.speed_limit < degree:
         return Bounds()

@@ -90,9 +90,7 @@ class Theorem:
     apart), any link ("links"); empty where there is no such promise."""
 
     def unmet(self, scenario: Scenario, asked: Asked) -> tuple[int, str]:
-        """How many assumptions hold before the first that fails, and that one in words; the words
-        are empty if the theorem applies.
-        """
+        """How many assumptions hold before the first that fails, and that in words; else none."""
         if scenario.meeting == "pack":
             return 0, (
                 "none: theorems end with one robot left, and with meeting='pack' none merges; "
