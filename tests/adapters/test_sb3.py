@@ -125,12 +125,16 @@ def test_statistics_are_those_of_teams():
     env.seed(SEED)
     env.reset()
     rewards_of, episodes = np.zeros(4), []
-    for _, rewards, _, infos in random_steps(env, 60):
+    for _, rewards, dones, infos in random_steps(env, 60):
         rewards_of += rewards[::ROBOTS]
         for slot, info in enumerate(infos):
             if "episode" in info:
                 episode, team = info["episode"], slot // ROBOTS
                 assert info["is_success"] is episode["success"]
+                own = slice(team * ROBOTS, (team + 1) * ROBOTS)
+                cut = [one["TimeLimit.truncated"] for one in infos[own]]
+                assert dones[own].all()
+                assert cut[0] != episode["success"] and not (episode["success"] and any(cut))
                 assert episode["r"] == pytest.approx(rewards_of[team], abs=1e-5)
                 assert episode["time"] == pytest.approx(episode["l"] * SCENARIO.tau)
                 rewards_of[team] = 0.0

@@ -78,7 +78,7 @@ def test_training_environments_name_the_robot(form, bad):
     env = rv.training_env(CLUTTER, **form)
     env.reset(seed=0)
     actions, before = draw(env, np.random.default_rng(0)), env.get_state()
-    with pytest.raises(ValueError, match="action of robot_2"):
+    with pytest.raises(ValueError, match="action of robot_2 is"):
         env.step(actions | {"robot_2": bad})
     with pytest.raises(KeyError, match="robot_3 is alive but has no action"):
         env.step({name: actions[name] for name in env.agents[:3]})
