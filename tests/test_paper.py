@@ -113,10 +113,6 @@ class TestTheoremA:
         expected = np.maximum(length - pair.merge_radius, 0) / (2 * weight)
         assert (np.abs(result.times - expected) <= pair.tau * (1 + 1e-6)).all()
 
-    def test_the_bound_is_exact_for_two_robots_before_its_factors(self):
-        bound = time_bound(Scenario(n_robots=2, merge_radius=1e-3), 2 * 5.0)  # V = 2 a L
-        assert bound / 2 == pytest.approx(5.0 / 2)  # (L − r)/(2a); the factor 2 is for held inputs
-
     def test_no_team_is_faster_than_the_lower_bound(self):
         for dim in (2, 3):
             scenario = five(f"single_integrator-{dim}d", max_speed=0.8)

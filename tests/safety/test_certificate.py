@@ -11,6 +11,7 @@ import pytest
 
 import baselines
 from rendezvous_env import Disc, Scenario, Sensing, Simulator, certificate, graphs, rollout
+from rendezvous_env.safety.gains import Gains
 from rendezvous_env.safety.links import LinkKeeping
 from rendezvous_env.safety.theorems.constants import (
     kind_of_links,
@@ -78,6 +79,11 @@ def test_what_is_guaranteed(scenario, margin, finite, words):
         ("links", Scenario(sensing=Sensing(dropout=0.2)), "dropout is 0.2"),
         ("links", NEAR.replace(require_connected=False), ".*others are given or may be drawn"),
         ("law", NEAR, ".*lose sight of each other"),
+        (
+            "law",
+            PURSUIT.replace(time_step=0.3, max_speed=0.1, allow_long_step=True),
+            ".*beyond its",
+        ),
         ("gains", NEAR, ".*lose sight of each other"),
         ("law", Scenario(meeting="pack", body_radius=0.05), "theorems end with one robot left"),
         *[
@@ -191,6 +197,53 @@ def test_one_way_links_cannot_be_kept(scenario, kind):
         LinkKeeping(scenario, 1)
     assert not certificate(scenario, by="links").guaranteed
     LinkKeeping(NEAR, 1)
+
+
+def test_beside_obstacles_links_must_be_shorter_by_r_per_merge():
+    """tests/verify/test_mistakes.py plays what a certificate at midpoints would promise."""
+    start, discs = ((-0.402, 0.0), (-0.201, 0.0), (0.0, 0.0)), (-0.3015, -0.1005)
+    passed = Scenario(
+        n_robots=4, graph=graphs.proximity(), sensing=Sensing(range=3.0), obstacle_contact="ignore",
+        obstacles=tuple(Disc((x, 0.0), 0.06) for x in discs),
+    )  # fmt: skip
+    for longest, kept in ((2.699999, False), (2.399999, True)):
+        found = certificate(passed.replace(start_positions=(*start, (longest, 0.0))), by="links")
+        assert found.guaranteed == kept
+        assert kept or "range − (n − 1) r with obstacles" in found.theorem
+    drawn = passed.replace(obstacles=(Disc((0.0, 0.0), 0.5),))
+    assert not certificate(drawn, by="links").guaranteed
+    assert certificate(drawn.replace(obstacles=()), by="links").guaranteed
+
+
+def test_the_hull_may_grow_by_r_where_robots_start_within_r():
+    """Two of three merge at once and rest, the third walks on past them."""
+    near = [(0.0, 0.0), (0.0, 0.002), (0.002, 0.001)]
+    start = (*near, *((2.0 - x, y) for x, y in near))
+    team = Scenario(n_robots=6, graph="complete", start_positions=start, local_frames="global")
+    gains = Gains(team, 1, frame="local", min_gain=5.0)
+    simulator = Simulator(team, 1)
+    observations = simulator.reset(0)
+    near_mates = [[float(j // 3 == i // 3) for j in range(6) if j != i] for i in range(6)]
+    gains.hold([near_mates])
+    before = simulator.size()[0]
+    simulator.step(gains.act(observations))
+    grown = simulator.size()[0] - before
+    assert 0.05 < grown <= 2 * math.pi * team.merge_radius
+
+
+@pytest.mark.parametrize("model", ["unicycle", "nonholonomic_3d"])
+def test_robots_that_turn_are_certified_under_the_gate_only(model):
+    """Of the paper's laws nothing is said for held inputs; the gate cannot overshoot."""
+    scenario = Scenario(robot_model=model, dim=2 if model == "unicycle" else 3)
+    law = certificate(scenario)
+    assert law.continuous_time_only and "in continuous time" in law.theorem and not law.promises
+    gated = certificate(scenario, 0.3)
+    assert gated.guaranteed and gated.theorem.startswith("theorem T")
+    assert set(gated.promises) == {"time", "lyapunov"}
+    assert not certificate(scenario, 0.3, bearing_error=0.01).guaranteed
+    small = scenario.replace(n_robots=2, spawn_size=1.0)
+    slow = certificate(small.replace(max_turn_rate=0.1), 0.3).time_bound
+    assert certificate(small, 0.3).time_bound < slow < math.inf
 
 
 # ---- wrong bearings and late ones ----------------------------------------------------------------

@@ -183,9 +183,3 @@ def test_no_link_grows_longer_and_all_meet(dim, graph, steps):
         longest = max(longest, np.where(simulator.weights > 0, grown, -1.0)[whole].max(initial=-1))
         observations = outcome.observations
     assert longest < 1e-6 and (simulator.status == RENDEZVOUS).all()
-
-
-def test_it_is_a_law_of_single_integrators():
-    assert "link-keeping" in baselines.names(rv.Scenario())
-    assert "link-keeping" in baselines.names(rv.Scenario(dim=3))
-    assert "link-keeping" not in baselines.names(rv.Scenario(robot_model="unicycle"))

@@ -8,7 +8,6 @@ import math
 import numpy as np
 import pytest
 
-import baselines
 import rendezvous_env as rv
 from rendezvous_env import Scenario, graphs
 from rendezvous_env.compilation import kernel
@@ -82,16 +81,11 @@ def under_the_gate(scenario, kind, teams, steps, seed=0, side=4, margin=MARGIN):
             break
 
 
-def stuck_under_the_gate(*how, **options):
-    """How many teams have not met after so many steps."""
-    *_, teams = under_the_gate(*how, **options)
-    return int(np.sum(teams.status == 0))
-
-
 def test_the_deadlock_of_the_saturated_law_is_gone():
     """Slowest turns on a path of four, r = 4 m, ω_max = 0.2 rad/s, ε = 0.3: V stood still."""
     scenario = team("nonholonomic_3d", graphs.path(), 4.0, 0.2)
-    assert stuck_under_the_gate(scenario, "greedy", 16, 2500, side=8) == 0
+    *_, teams = under_the_gate(scenario, "greedy", 16, 2500, side=8)
+    assert (teams.status != 0).all()
 
 
 @kernel
@@ -157,18 +151,3 @@ def test_v_falls_by_q_in_every_window(model, kind, turn_rate):
     calm = (left[window:] == left[:-window]) & (left[window:] > 1)
     assert calm.sum() > 100 and 3 <= window <= 10
     assert (v[:-window] - v[window:])[calm].min() >= least > 1e-9
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("graph", ["path", "complete", "cycle"])
-def test_no_team_is_stuck(model, graph):
-    """Under the gate, and under laws (7)(8) or (12)(17)."""
-    law = {"unicycle": "unicycle", "nonholonomic_3d": "nonholonomic-3d"}[model]
-    for k, how in enumerate(itertools.product((0.2, 1.0, 4.0), (0.2, 1.0, 10.0))):
-        scenario = team(model, graph, *how)
-        for kind in KINDS:
-            assert stuck_under_the_gate(scenario, kind, 8, 20000, seed=k) == 0, (how, kind)
-        patient = scenario.replace(time_limit=20000 * scenario.tau)
-        met = rv.rollout(patient, baselines.make(law, patient), seed=k, num_envs=8)
-        assert met.success.all(), how
