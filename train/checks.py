@@ -13,7 +13,7 @@ _LONGEST_NAME = 255  # bytes of one part of a path, on every common file system
 
 
 class UserError(Exception):
-    """Ends a command with one line, which says what would be right, instead of a traceback."""
+    """The user's mistake: ends a command with one line, which says what would be right."""
 
 
 def installed(module: str) -> bool:

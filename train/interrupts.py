@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM end a command soon and with a word, whatever it is doing."""
+"""Ctrl-C and SIGTERM end a command soon, with one line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 GRACE = 4.0
-"""s that a command has to put its things in order; then its process ends all the same."""
+"""s that a command has to clean up before its process ends."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -29,7 +29,7 @@ def status_of(error: KeyboardInterrupt) -> int:
 
 
 def line_of(command: str, error: KeyboardInterrupt) -> str:
-    """The last line of a command, with the notes that were added on the way about resuming it."""
+    """The last line of a command, with the notes on resuming it that the error carries."""
     notes = getattr(error, "__notes__", ["no file is half written"])
     return f"rendezvous {command}: interrupted; {'; '.join(notes)}"
 
@@ -61,7 +61,7 @@ def raised(command: str) -> Iterator[None]:
 
 
 def leave_to_system() -> None:
-    """At the end of a program there is nothing left to put in order, nor to say."""
+    """Let Ctrl-C end the process at once: the program is at its end."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_DFL)
 

@@ -1,4 +1,4 @@
-"""``rendezvous list``: the scenarios and the policies, a line for each; who fits where."""
+"""``rendezvous list``: the scenarios and the policies, a line for each, and which fit which."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def run(config: Config) -> int:
 
 
 def _policies() -> Iterator[tuple[str, list[tuple[str, ...]]]]:
-    """Titles, and lines of every policy, by kinds, with a matrix of who fits where."""
+    """Titles and lines of the policies by kind, with a matrix of the scenarios that they fit."""
     fitting = {name: baselines.names(scenarios.get(name)) for name in scenarios.names()}
     columns = columns_of(fitting)
     for kind, title in KINDS.items():

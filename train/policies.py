@@ -38,7 +38,7 @@ _BEST = ("learned-tank", "tank-joined", "learned", "tangent-joined-tuned", "tang
 _ON_REQUEST = ("blind", "privileged")
 """Kinds of policies that are compared where they are named."""
 _WHERE_SENSORS_ERR = ("learned-tank-noise",)
-"""Policies that have nothing over others where sensors are exact."""
+"""Policies without an advantage where sensors are exact."""
 
 
 def kind_of(name: str) -> str:
@@ -49,7 +49,7 @@ def kind_of(name: str) -> str:
 
 
 def about(name: str) -> str:
-    """What a policy is, in a line; empty if nothing is said of it."""
+    """A policy in one line; empty if it has no description."""
     return "" if ":" in name else registry.about(name)
 
 
@@ -206,7 +206,7 @@ def _fits_own(name: str, scenario: Scenario) -> bool:
 
 @contextmanager
 def _code_of(name: str, where: str) -> Iterator[None]:
-    """Turn whatever a user's code raises into a line that says where."""
+    """Turn an error of a user's code into a UserError that names the place."""
     try:
         yield
     except UserError:

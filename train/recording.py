@@ -1,4 +1,4 @@
-"""Keep what one team of a batch does, in no more frames than a picture can show."""
+"""Recordings of single teams of a batch, in no more frames than a picture can show."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Snapshot:
         self._simulator = simulator
 
     def __getattr__(self, name: str) -> NDArray[Any]:
-        """The simulator's array of that name; it stands in the instance from then on."""
+        """The simulator's array of that name, kept in the instance."""
         value = getattr(self._simulator, name)
         self.__dict__[name] = value() if callable(value) else value
         return self.__dict__[name]
@@ -86,7 +86,7 @@ class Recorder:
         self._add(start, observations[team], np.full(len(self._active), np.nan))
 
     def see(self, step: Step, alignments: NDArray[np.float64], after: Snapshot) -> None:
-        """Take in one step, the alignments (B, n) of its robots, and the state after it."""
+        """Record a step, with the alignments (B, n) of its robots and the state after it."""
         team, outcome = self._team, step.outcome
         if not step.running[team]:
             return

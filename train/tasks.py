@@ -46,7 +46,7 @@ class Workers:
     """The flags that say who does the tasks of a command."""
 
     jobs: int | None = None
-    """How many processes work at once: one on each core if nothing is said, or all that a cluster
+    """How many processes work at once: one on each core by default, or all that a cluster
     has. Results are the same, bit for bit, whatever their number."""
     on: Annotated[Literal["here", "ray"], arg(name="backend", aliases=("--on",))] = "here"
     """Where they work: on this machine, or on a Ray cluster."""

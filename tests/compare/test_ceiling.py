@@ -8,7 +8,7 @@ import baselines
 from rendezvous_env import rollout
 from rendezvous_env.scenario import scenarios
 from train import cli, results
-from train.compare import Config, upper_bound
+from train.compare import Config, plan, upper_bound
 from train.compare.evaluation import play
 
 CLUTTER = scenarios.get("clutter-12").replace(time_limit=40.0)
@@ -62,16 +62,6 @@ def test_a_row_counts_the_starts():
     }  # fmt: skip
 
 
-def test_compare_writes_it(tmp_path, capsys):
-    words = ["--scenarios", "duo", "clutter-4", "--policies", "bearing-only", "--episodes", "3"]
-    words += ["--ceiling", "2", "--no-figures", "--out", str(tmp_path)]
-    assert cli.main(["compare", *words]) == 0
-    (row,) = results.read_csv(tmp_path / "ceiling.csv")
-    assert row["scenario"] == "clutter-4" and row["runs"] == "2" and row["episodes"] == "3"
-    assert row["clean_planner"] == "1.0"
-    assert "What can be reached" in capsys.readouterr().out
-
-
 def test_the_planner_is_the_ceiling():
     trap = scenarios.get("trap")
     found, row = runs(trap, 1, episodes=20, seed=1000)
@@ -80,15 +70,17 @@ def test_the_planner_is_the_ceiling():
     assert len(found) == 2 and row["clean_planner"] == 1.0
 
 
-def test_compare_plays_the_planner_where_it_is_named(tmp_path, capsys):
+def test_compare_writes_it_and_plays_the_planner_where_it_is_named(tmp_path, capsys):
     """It is a row of its own, and the table says what the row means."""
-    words = ["--scenarios", "duo", "--episodes", "3", "--no-figures"]
-    assert cli.main(["compare", *words, "--out", str(tmp_path / "all")]) == 0
-    rows = {row["policy"]: row for row in results.read_csv(tmp_path / "all" / "results.csv")}
-    assert "bearing-only" in rows and "privileged-planner" not in rows
-    assert "knows the map" not in capsys.readouterr().out
-    words += ["--policies", "bearing-only", "privileged-planner"]
-    assert cli.main(["compare", *words, "--out", str(tmp_path / "two")]) == 0
-    rows = {row["policy"]: row for row in results.read_csv(tmp_path / "two" / "results.csv")}
-    assert float(rows["privileged-planner"]["clean_success"]) == 1.0
-    assert "knows the map and all positions" in capsys.readouterr().out
+    names = {job.policy for job in plan(Config(("duo",), out=tmp_path))}
+    assert "bearing-only" in names and "privileged-planner" not in names
+    words = ["--scenarios", "duo", "clutter-4", "--policies", "bearing-only", "privileged-planner"]
+    words += ["--episodes", "3", "--ceiling", "2", "--no-figures", "--out", str(tmp_path)]
+    assert cli.main(["compare", *words]) == 0
+    (row,) = results.read_csv(tmp_path / "ceiling.csv")
+    assert row["scenario"] == "clutter-4" and row["runs"] == "2" and row["episodes"] == "3"
+    rows = {(r["scenario"], r["policy"]): r for r in results.read_csv(tmp_path / "results.csv")}
+    share = rows["clutter-4", "privileged-planner"]["clean_success"]
+    assert float(share) == float(row["clean_planner"]) == 1.0
+    said = capsys.readouterr().out
+    assert "What can be reached" in said and "knows the map and all positions" in said

@@ -129,19 +129,6 @@ class TestFiles:
         assert float(joined["clean_difference"]) == 1.0  # law (1) touches every obstacle
         assert float(rows["duo", "zero"]["probability_of_improvement"]) == 0.0
 
-    def test_an_interrupted_run_leaves_what_was_there(self, tmp_path, monkeypatch):
-        config = compare.Config(**QUICK, episodes=2, out=tmp_path, figures=False)
-        (tmp_path / "results.csv").write_text("old")
-
-        def interrupted(*rows):
-            raise KeyboardInterrupt
-
-        monkeypatch.setattr(results, "write_csv", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            compare.run(config)
-        assert [path.name for path in tmp_path.iterdir()] == ["results.csv"]
-        assert (tmp_path / "results.csv").read_text() == "old"
-
     def test_a_half_written_file_is_removed(self, tmp_path):
         def rows():
             yield {"a": 1}
@@ -183,9 +170,8 @@ class TestMeasures:
         assert (done.min_alignment >= 0.1 - 1e-6).all()
         assert np.isfinite(done.time_bound).all()
 
-    @pytest.mark.parametrize("name", ["tangent-joined", "random", "zero"])
-    def test_nothing_is_promised_for_others(self, name):
-        done, _ = run_play(scenarios.get("fig3").replace(time_limit=1.0), name, 2)
+    def test_nothing_is_promised_for_others(self):
+        done, _ = run_play(scenarios.get("fig3").replace(time_limit=1.0), "tangent-joined", 2)
         assert np.isnan(done.time_bound).all()
 
     def test_the_axis_counts_for_a_unicycle(self):

@@ -49,7 +49,7 @@ class Config:
     num_envs: int = 1024
     """How many environments step together."""
     num_threads: int | None = None
-    """The most threads a step may use: one for each core if nothing is said."""
+    """The most threads a step may use: one for each core by default."""
     repeats: int = 5
     """Of how many measurements the median is taken; cases that are compared take turns."""
     seconds: float = 0.3

@@ -63,7 +63,7 @@ Builds = Mapping[str, Callable[[], Running]]
 def in_turns(
     group: str, n_robots: int, count: int, builds: Builds, unit: str = "team steps"
 ) -> list[Case]:
-    """Cases of so many teams that are timed in turns, each against the first."""
+    """Cases that are timed in turns, each against the first."""
     first = next(iter(builds))
     return [
         Case(name, group, n_robots, count, count, unit, build, "" if name == first else first)

@@ -130,7 +130,7 @@ def heading_ppo(size: Size) -> list[Case]:
 
 
 def _free(teams: Any) -> Any:
-    """Robots whose steps cost nothing: always the same answer."""
+    """Robots whose steps cost nothing and always return the same."""
     from rendezvous_env.adapters.sb3 import RobotVecEnv
 
     robots: Any = RobotVecEnv(teams)

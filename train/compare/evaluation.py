@@ -136,7 +136,7 @@ def starts_of(scenario: Scenario, asked: int) -> int:
 
 
 def counts_contacts(scenario: Scenario) -> bool:
-    """Whether a contact counts; where robots pass through obstacles nothing is clean or not."""
+    """Whether contacts count: not where robots pass through obstacles."""
     return not scenario.obstacles or scenario.obstacle_contact != "ignore"
 
 
@@ -154,7 +154,7 @@ class _Meter:
         self._size = simulator.size() if sized else None
 
     def see(self, step: Step) -> NDArray[np.float64]:
-        """Take in one step; returns the alignments of its robots, (B, n)."""
+        """Measure a step; returns the alignments of its robots, (B, n)."""
 
         def keep(worst: NDArray[np.float64], found: NDArray[np.float64]) -> None:
             np.maximum(worst, found, out=worst, where=step.running)
@@ -171,7 +171,7 @@ class _Meter:
         return aligned
 
     def episodes(self, margin: float | None) -> Episodes:
-        """What came of it, once every team has finished."""
+        """The measures, once every team has finished."""
         simulator, scenario = self._simulator, self._simulator.scenario
         success = simulator.status == RENDEZVOUS
         contacts, start = simulator.contacts, simulator.initial_lyapunov

@@ -1,4 +1,4 @@
-"""Who wins: the best policy of each scenario, and those that the starts do not tell from it."""
+"""The best policy of each scenario, and those that are tied with it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Ranking:
     share: dict[str, float]  # collision-free success, 0 to 1; NaN where contacts do not count
     best: str | None  # of those that know no map
     tied: tuple[str, ...]
-    """Those that the starts do not tell from it: the paired interval holds 0."""
+    """The paired interval of their difference from the best contains 0."""
     references: tuple[str, ...]
     """Those that know the map: they are shown and do not compete."""
 
@@ -60,7 +60,7 @@ def rank(played: Sequence[Played]) -> list[Ranking]:
 
 
 def answer(rankings: Sequence[Ranking]) -> str:
-    """Who wins, in one sentence."""
+    """The leading policies, in one sentence."""
     contests = [ranking for ranking in rankings if ranking.is_contest]
     if not contests:
         return "Nothing to win: no scenario has two policies that can meet without a collision."

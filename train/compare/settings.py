@@ -56,7 +56,7 @@ class Config(Workers):
     fits is compared, but for those that see nothing and for references, which see everything. Where
     a policy does not fit it is left out."""
     episodes: int | None = None
-    """How many starts of each scenario are played: 100 if nothing is said, and fewer for more than
+    """How many starts of each scenario are played: 100 by default, and fewer for more than
     eight robots among obstacles, 800 over their number. A scenario whose start is given is played
     once."""
     seed: int = 0
@@ -67,7 +67,7 @@ class Config(Workers):
     fresh: Annotated[bool, arg(name="overwrite", aliases=("--fresh",))] = False
     """Throws away what another command has left unfinished in OUT.part."""
     keep: Annotated[int | None, arg(name="keep-trajectories", aliases=("--keep",))] = None
-    """Of how many starts the trajectories are kept: 3 if nothing is said, and fewer where there are
+    """Of how many starts the trajectories are kept: 3 by default, and fewer where there are
     fewer starts. Where a policy fails and none of these fails, its first failure is kept too."""
     sensing: tuple[str, ...] = ()
     """Fields of the sensor and levels of each, as in noise=0,0.1,0.2 range=none,4,2: each scenario

@@ -23,13 +23,13 @@ from .sweep import Sweep, rows_of
 _ROUNDING = 1e-9  # m²/s, of V
 
 WIDTH = 118
-"""Characters that the table needs; on a narrower terminal its lines wrap, and nothing is lost."""
+"""Characters that the table needs; on a narrower terminal its lines wrap."""
 
 Row = Mapping[str, Any]
 
 
 def _empty(*columns: str, **options: Any) -> Table:
-    """A table without lines; numbers stand to the right, and names in the first column."""
+    """A table without lines; numbers are aligned to the right, names in the first column."""
     table = Table(box=None, header_style="bold", pad_edge=False, caption_justify="left", **options)
     for number, column in enumerate(columns):
         table.add_column(column, justify="right" if number else "left")
@@ -37,7 +37,7 @@ def _empty(*columns: str, **options: Any) -> Table:
 
 
 def _by_scenario(rows: Sequence[Row]) -> Iterator[tuple[str, list[Row]]]:
-    """Rows that stand together, under the name of their scenario as a heading."""
+    """Groups of rows under the names of their scenarios as headings."""
     for name, own in groupby(rows, lambda row: row["scenario"]):
         yield f"[bold]{escape(name)}[/bold]", list(own)
 

@@ -33,7 +33,7 @@ MIN_ALIGNMENT = 0.05
 _LEAST_CLEARANCE, _MOST_CLEARANCE = 0.02, 0.4  # rad
 _SPREADS = (0.3, 0.6, 1.0)  # rad; of the bias that a robot keeps for an episode
 _WANDER = 0.3
-"""Spread of the bias that comes and goes, as a share of the one that stays."""
+"""Spread of the varying bias, as a share of the constant one."""
 _WANDER_TIME = 1.0  # s
 
 

@@ -87,7 +87,7 @@ def success_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
 
 @styled
 def time_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Median rendezvous times of the policies that meet, likewise."""
+    """Median rendezvous times of the policies that meet, a panel a scenario."""
 
     def draw(axes: Axes, panel: Sequence[Mapping[str, Any]]) -> None:
         met = [row for row in panel if row["success"] > 0.5]

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from importlib import import_module
 from itertools import chain, repeat
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,7 @@ from rendezvous_env.trajectory import Step, Trajectory, rollout
 from rendezvous_env.trajectory import run as steps_of
 
 from .. import policies
-from ..checks import UserError
+from ..checks import UserError, check_installed
 from ..results import atomic, prepare_folder
 from . import path_figures, style
 from .reproduce import one_team
@@ -109,8 +108,8 @@ def _check(config: Config) -> tuple[Scenario, str]:
     except (ValueError, OSError) as error:
         raise UserError(str(error)) from error
     if ending in VIDEOS:
-        _library("PIL.Image" if ending == ".gif" else "imageio_ffmpeg")
-        _library("pygame")
+        writer = "PIL" if ending == ".gif" else "imageio_ffmpeg"
+        check_installed(f"--out {config.out}", "render", writer, "pygame")
     return scenario, name
 
 
@@ -162,22 +161,12 @@ def video_rate(path: Path, fps: int) -> float:
     return 100 / max(2, round(100 / fps)) if path.suffix.lower() == ".gif" else float(fps)
 
 
-def _library(name: str) -> Any:
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise UserError(
-            f"{name.partition('.')[0]} is not installed; pip install rendezvous-env[render]"
-        ) from error
-
-
 def _write_gif(path: Path, frames: Iterable[Frame], fps: float) -> None:
-    image = _library("PIL.Image")
-    palette = image.new("P", (1, 1))
-    palette.putpalette(_palette())
+    from PIL import Image
 
-    none = image.Dither.NONE
-    pictures = (image.fromarray(one).quantize(palette=palette, dither=none) for one in frames)
+    palette, none = Image.new("P", (1, 1)), Image.Dither.NONE
+    palette.putpalette(_palette())
+    pictures = (Image.fromarray(one).quantize(palette=palette, dither=none) for one in frames)
     first = next(pictures)
     duration = round(1000 / fps)
     first.save(path, format="GIF", save_all=True, append_images=pictures, duration=duration, loop=0)
@@ -197,10 +186,12 @@ def _palette() -> list[int]:
 
 
 def _write_mp4(path: Path, frames: Iterable[Frame], fps: float) -> None:
+    from imageio_ffmpeg import write_frames
+
     pictures = iter(frames)
     first = next(pictures)
     height, width = first.shape[:2]
-    writer = _library("imageio_ffmpeg").write_frames(
+    writer = write_frames(
         str(path), (width, height), fps=fps, codec="libx264", quality=8, macro_block_size=2
     )
     writer.send(None)

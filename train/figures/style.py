@@ -1,4 +1,4 @@
-"""How figures look on paper, and how they are written; the drawing library is imported late."""
+"""The style of figures, and writing them; the drawing library is imported late."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """A figure of so many inches that no window system has to show."""
+    """A figure of a size in inches, without a window system."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")

@@ -63,7 +63,7 @@ def page(folder: Path) -> str:
 
 
 def _policy(card: cards.Card) -> str:
-    """Who plays in a replay; what learns nothing has no seed."""
+    """The policy of a replay; one that does not learn has no seed."""
     seed = f", seed {card['seed']}" if card["decisions"] else ""
     return f"{card['algorithm']}{seed}"
 

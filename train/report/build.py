@@ -117,7 +117,7 @@ def page(found: Comparison) -> str:
 
 
 def rankings(found: Comparison) -> list[Ranking]:
-    """Who wins on each scenario, as ``compare`` says it, from episodes.csv."""
+    """The rankings of ``compare``, from episodes.csv."""
     played = []
     for name, policies in found.run["policies"].items():
         for policy in policies:

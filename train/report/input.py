@@ -1,4 +1,4 @@
-"""What ``compare`` left in a folder, read once its digests say that it is whole."""
+"""The result folder of ``compare``, read if its digests are right."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..recording import Recording, whole
 Key = tuple[str, str, int]
 """Scenario, policy and start."""
 Row = dict[str, str]
-"""Cells of a line of a CSV file, as they stand there."""
+"""Cells of a line of a CSV file, as text."""
 
 _FILES = ("results.csv", "paired.csv", "episodes.csv", "trajectories.npz")
 

@@ -1,4 +1,4 @@
-"""What all pages have: one file that loads nothing, with its data, looks, scripts and replays."""
+"""What all pages share: one file with its data, style, scripts and replays."""
 
 from __future__ import annotations
 
