@@ -106,6 +106,17 @@ class TestEnclosingBall:
             assert (simulator.active.sum(axis=1) == 1).all()
             seen = simulator.reset()
 
+    def test_a_mask_starts_some_teams_afresh(self):
+        """Both teams are moved; the other one goes back to its old centre."""
+        simulator, policy = rv.Simulator(TEAM, 2), baselines.make(NAMES[2], TEAM)
+        seen = simulator.reset(0)
+        policy.watch(simulator)
+        before, state = policy(seen, 0.0), simulator.get_state()
+        simulator.set_state({**state, "positions": state["positions"] + 50.0})
+        policy.reset(np.array([True, False]))
+        change = np.abs(policy(seen, 0.0) - before).max(axis=(1, 2))
+        assert change[0] < 1e-5 < 0.1 < change[1]
+
 
 class TestCircumcentre:
     def test_of_each_company_by_hand(self):

@@ -7,11 +7,9 @@ import baselines
 from baselines.learned.feature_kernels import (
     CONTEXT_COLUMNS,
     LEVEL_COLUMNS,
-    NEIGHBOUR_COLUMNS,
-    OBSTACLE_COLUMNS,
     WALL_COLUMNS,
 )
-from baselines.learned.features import FeatureLayout, Features
+from baselines.learned.features import Features
 from rendezvous_env import Scenario, Simulator
 from rendezvous_env.scenario import scenarios
 
@@ -48,16 +46,6 @@ def cluttered(steps=40):
         law = baselines.make("bearing-only", CLUTTER)
         observations = simulator.step(law(observations, 0.0)).observations
     return observations
-
-
-def test_columns():
-    layout = FeatureLayout(3, 5)
-    assert layout.size == 3 * NEIGHBOUR_COLUMNS + 5 * OBSTACLE_COLUMNS + CONTEXT_COLUMNS
-    numbers = np.arange(2 * layout.size).reshape(2, layout.size)
-    parts = layout.split(numbers)
-    assert [part.shape[1:] for part in parts] == [(3, 3), (5, 6), (CONTEXT_COLUMNS,)]
-    joined = np.concatenate([part.reshape(2, -1) for part in parts], axis=1)
-    np.testing.assert_array_equal(joined, numbers)
 
 
 def test_a_robot_by_hand():
