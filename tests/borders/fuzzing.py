@@ -14,6 +14,7 @@ import traceback
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +46,29 @@ TEAMS = {
         graph={"kind": "random_tree", "weight_range": [0.5, 2.0]},
     ),
     "space": Scenario(n_robots=2, dim=3, obstacle_slots=1, time_limit=5.0),
-    "unicycle": Scenario(n_robots=3, robot_model="unicycle", obstacle_slots=1, time_limit=5.0),
+    "unicycle": Scenario(n_robots=3, robot_model="unicycle", time_limit=5.0),
     "flyer": Scenario(n_robots=2, dim=3, robot_model="nonholonomic_3d", time_limit=5.0),
 }
 teams = st.sampled_from(sorted(TEAMS))
+
+
+def guaranteed(name: str, scenario: Scenario, _: int) -> Any:
+    """A PettingZoo environment under a guarantee."""
+    return rv.GuaranteeWrapper(rv.parallel_env(scenario), name, **GUARANTEES[name])
+
+
+def teams_guaranteed(name: str, scenario: Scenario, num_envs: int) -> Any:
+    """A vector environment under a guarantee."""
+    env = rv.make_vec(scenario, num_envs, max_cycles=3)
+    return vector.GuaranteeWrapper(env, name, **GUARANTEES[name])
+
+
+GUARANTEES = {
+    "heading": {"decision_period": 2},
+    "tank": {"decision_period": 2, "budget": 1.0, "observe_level": True},
+    "gains": {},
+    "links": {},
+}
 DOORS: dict[str, tuple[int, Callable[[Scenario, int], Any]]] = {
     "simulator": (3, Simulator),
     "pettingzoo": (1, lambda scenario, _: rv.parallel_env(scenario)),
@@ -57,30 +77,8 @@ DOORS: dict[str, tuple[int, Callable[[Scenario, int], Any]]] = {
     "vector": (3, lambda scenario, b: rv.make_vec(scenario, b, max_cycles=2)),
     "same step": (2, lambda scenario, b: rv.make_vec(scenario, b, "SameStep", max_cycles=2)),
     "disabled": (2, lambda scenario, b: rv.make_vec(scenario, b, "Disabled", max_cycles=2)),
-    "heading": (
-        1,
-        lambda scenario, _: rv.HeadingVectorWrapper(rv.parallel_env(scenario), decision_period=2),
-    ),
-    "vector heading": (
-        2,
-        lambda scenario, b: vector.HeadingVectorWrapper(
-            rv.make_vec(scenario, b, max_cycles=3), decision_period=2
-        ),
-    ),
-    "tank": (
-        1,
-        lambda scenario, _: rv.EnergyTankWrapper(rv.parallel_env(scenario), decision_period=2),
-    ),
-    "vector tank": (
-        2,
-        lambda scenario, b: vector.EnergyTankWrapper(
-            rv.make_vec(scenario, b, max_cycles=3), budget=1.0, observe_level=True
-        ),
-    ),
-    "gains": (1, lambda scenario, _: rv.GainWrapper(rv.parallel_env(scenario))),
-    "vector gains": (2, lambda scenario, b: vector.GainWrapper(rv.make_vec(scenario, b))),
-    "links": (1, lambda scenario, _: rv.LinkKeepingWrapper(rv.parallel_env(scenario))),
-    "vector links": (2, lambda scenario, b: vector.LinkKeepingWrapper(rv.make_vec(scenario, b))),
+    **{name: (1, partial(guaranteed, name)) for name in GUARANTEES},
+    **{f"vector {name}": (2, partial(teams_guaranteed, name)) for name in GUARANTEES},
 }
 """How many teams stand behind each kind of environment, and how it is made."""
 

@@ -36,7 +36,9 @@ from rendezvous_env.scenario.start_options import OPTIONS
 
 
 @pytest.mark.parametrize("effort", EFFORTS)
-def test_scenarios(effort):
+def test_scenarios(effort, tmp_path):
+    path = tmp_path / "any.toml"
+
     def check(fields):
         plain = isinstance(fields.get("reward"), dict)
         scenario = attempt(lambda: Scenario.from_plain(fields) if plain else Scenario(**fields))
@@ -44,7 +46,8 @@ def test_scenarios(effort):
             return
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", TimeStepWarning)
-            assert Scenario.from_plain(scenario.to_plain()) == scenario
+            scenario.to_toml(path)
+            assert Scenario.from_toml(path) == scenario
         assert_finite(scenario.action_bounds, scenario.tau, scenario.max_steps)
         certificate = attempt(lambda: rv.certificate(scenario))
         assert not np.isnan(certificate.time_bound)
@@ -90,7 +93,7 @@ class Door:
         self.size, self.n = scenario.action_size, scenario.n_robots
         self.env = make(scenario, self.num_envs)
         if "heading" in name:
-            self.size = self.env.steering.action_size
+            self.size = self.env.filter.action_size
 
     @property
     def simulator(self) -> Simulator:
