@@ -12,7 +12,7 @@ from ..checks import is_whole, real, refuse, shown
 from ..limits import LARGEST, SMALLEST
 
 
-class Edges(Sequence[tuple[int, int, float]]):
+class Edges:
     """Edges (i, j, a_ij), m/s, sorted: three arrays (E,) that look like a tuple of triples."""
 
     def __init__(self, first: NDArray[Any], second: NDArray[Any], weight: NDArray[Any]) -> None:
@@ -26,9 +26,6 @@ class Edges(Sequence[tuple[int, int, float]]):
 
     def __len__(self) -> int:
         return len(self.first)
-
-    def __getitem__(self, index: Any) -> Any:
-        return tuple(self)[index]
 
     def __iter__(self) -> Iterator[tuple[int, int, float]]:
         return zip(*(column.tolist() for column in self._columns()), strict=True)

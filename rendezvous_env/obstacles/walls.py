@@ -99,18 +99,13 @@ def draw_walls(key, rules, starts, n_starts, world):
     for trial in range(_TRIES):
         clear(world)
         _draw_layout(key, trial * _NUMBERS, rules, world)
-        if _keeps_out(world, starts, n_starts, rules.keep_out):
+        for i in range(n_starts):
+            if not clear_of_obstacles(load(starts[i]), world, rules.keep_out):
+                break
+        else:
             return True
     clear(world)
     return False
-
-
-@inner_kernel
-def _keeps_out(world, starts, n_starts, keep_out):
-    for i in range(n_starts):
-        if not clear_of_obstacles(load(starts[i]), world, keep_out):
-            return False
-    return True
 
 
 @inner_kernel

@@ -12,7 +12,7 @@ from ..compilation import kernel
 from ..physics.random_streams import uniform
 from .motion import Motion, describe
 from .robot_models import RobotModel, register_robot_model
-from .unicycle import clip, mean_cos_sin
+from .unicycle import clip, mean_cos_sin, propose_along_axis
 
 _LARGEST_START_PITCH = math.pi / 4
 
@@ -54,12 +54,6 @@ def body_frame_3d(yaw, pitch):
     ca, sa = math.cos(yaw), math.sin(yaw)
     cb, sb = math.cos(pitch), math.sin(pitch)
     return cb * ca, -sa, -sb * ca, cb * sa, ca, -sb * sa, sb, 0.0, cb
-
-
-@kernel
-def _propose(model, action, frame, memory):
-    way = abs(clip(action[0], model.speed_limit)) * model.duration
-    return _displacement_at(model, action, frame, memory, model.duration), way
 
 
 @kernel
@@ -115,7 +109,7 @@ def _bounds(scenario):
 describe(
     Nonholonomic3D,
     Motion(
-        propose=_propose,
+        propose=propose_along_axis,
         displacement_at=_displacement_at,
         chord_error_bound=_chord_error_bound,
         update=_update,

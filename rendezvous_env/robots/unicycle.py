@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from ..compilation import kernel
 from ..physics.random_streams import uniform
-from .motion import Motion, describe
+from .motion import Motion, describe, displacement_at
 from .robot_models import RobotModel, register_robot_model
 
 
@@ -67,9 +67,10 @@ def clip(value, bound):
 
 
 @kernel
-def _propose(model, action, frame, memory):
+def propose_along_axis(model, action, frame, memory):
+    """``propose`` of a robot that moves along its own axis, whose way is |v| τ."""
     way = abs(clip(action[0], model.speed_limit)) * model.duration
-    return _displacement_at(model, action, frame, memory, model.duration), way
+    return displacement_at(model, action, frame, memory, model.duration), way
 
 
 @kernel
@@ -109,7 +110,7 @@ def _init(model, key, counter):
 describe(
     Unicycle,
     Motion(
-        propose=_propose,
+        propose=propose_along_axis,
         displacement_at=_displacement_at,
         chord_error_bound=_chord_error_bound,
         update=_update,

@@ -21,11 +21,10 @@ def read(path: _PathLike) -> dict[str, Any]:
         content = file.read_bytes()
     try:
         return tomllib.loads(content.decode("utf-8"))
-    except RecursionError as error:
-        reason = "its tables and lists are nested too deep"
-        raise ValueError(f"{shown(str(path))[1:-1]}: {reason}") from error
-    except ValueError as error:
+    except (RecursionError, ValueError) as error:
         reason = f"not a TOML file: {shown(str(error))[1:-1]}"
+        if isinstance(error, RecursionError):
+            reason = "its tables and lists are nested too deep"
         raise ValueError(f"{shown(str(path))[1:-1]}: {reason}") from error
 
 

@@ -24,7 +24,7 @@ from fuzzing import (
     teams,
 )
 from hypothesis import strategies as st
-from soup import absurd, any_table, nearly
+from soup import absurd, any_table
 
 import rendezvous_env as rv
 from rendezvous_env import Scenario, Simulator, TimeStepWarning
@@ -167,22 +167,6 @@ def test_options_of_a_reset(effort):
 
     explore(check, 60 * effort, names, teams, st.data())
     assert set(OPTIONS) <= {"positions", "headings", "frames", "weights", "obstacles"}
-
-
-@pytest.mark.parametrize("effort", EFFORTS)
-def test_seeds_and_masks(effort):
-    def check(name, team, seed, mask):
-        it = door(name, team)
-        it.env.reset(seed=1)
-        it.refuses_or_plays(lambda: it.env.reset(seed=seed))
-        if name == "simulator":
-            it.refuses_or_plays(lambda: it.env.reset(mask=mask))
-            it.refuses_or_plays(lambda: it.env.restart(mask))
-
-    some = st.integers(0, 2**63 - 1)
-    seeds = nearly(some | some.map(np.array) | some.map(np.uint64), -1, 2**63 - 1, 2**64, [None])
-    masks = st.lists(st.booleans(), min_size=2, max_size=3) | absurd
-    explore(check, 40 * effort, names, teams, seeds | st.lists(seeds, max_size=3), masks)
 
 
 # ---- actions ------------------------------------------------------------------------------------
