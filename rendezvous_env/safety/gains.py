@@ -28,14 +28,9 @@ class _Constants(NamedTuple):
     speed_limit: float
 
 
-class GainRange(NamedTuple):
-    """c ≤ Σ_j c_ij ≤ C of every robot that sees somebody, m/s; C ≤ r/τ keeps it within the hull."""
-
-    least: float
-    most: float
-
-
-def gain_range(scenario: Scenario, min_gain: Any = None, max_gain: Any = None) -> GainRange:
+def gain_range(
+    scenario: Scenario, min_gain: Any = None, max_gain: Any = None
+) -> tuple[float, float]:
     """The limits c and C of Σ_j c_ij in force, numbers, m/s (theorem G), neither above r/τ: a* and
     D̄ where none is given, or the other one if that is less, or more. A ValueError names the one
     that is not positive, too large for the step, or less than the other.
@@ -52,7 +47,7 @@ def gain_range(scenario: Scenario, min_gain: Any = None, max_gain: Any = None) -
     most = min(most, safe)
     if least is None:
         least = min(scenario.bottleneck_weight or most, most)
-    return GainRange(least, most)
+    return least, most
 
 
 class Gains(SafetyFilter):
@@ -81,9 +76,8 @@ class Gains(SafetyFilter):
         check_inputs(scenario, "theorem G")
         size = scenario.observation_layout.neighbour_slots
         super().__init__(scenario, num_envs, size, frame, num_threads)
-        self.range = gain_range(scenario, min_gain, max_gain)
-        limits = *map(float, self.range), float(scenario.speed_limit)
-        self._constants = _Constants(self._sight.neighbour_slots, *limits)
+        limits = *gain_range(scenario, min_gain, max_gain), scenario.speed_limit
+        self._constants = _Constants(self._sight.neighbour_slots, *map(float, limits))
         self.gain = np.zeros((num_envs, scenario.n_robots))
 
     @property

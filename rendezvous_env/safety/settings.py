@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import floats, number, real, refuse
-from ..graphs import Graph
 from ..scenario.scenario import Scenario
 from ..sensors.sensing import Sensing
 
@@ -74,21 +73,16 @@ def error_chord(bearing_error: float) -> float:
     return 2.0 * math.sin(0.5 * bearing_error)
 
 
-def is_complete(graph: Graph, n: int) -> bool:
-    """Whether every robot is always linked to every other, n (n − 1)/2 links (theory 2)."""
-    mutual = graph.fixed and not graph.directed
-    return mutual and graph.most_links(n) == n * (n - 1) // 2
+def is_complete(scenario: Scenario) -> bool:
+    """Whether every robot is always linked to every other (theory 2)."""
+    graph, n = scenario.sensing_graph, scenario.n_robots
+    return graph.fixed and not graph.directed and graph.most_links(n) == n * (n - 1) // 2
 
 
 def has_one_weight(scenario: Scenario) -> bool:
     """Whether all links have the same weight, in m/s."""
     least, largest = scenario.sensing_graph.extreme_weights(scenario.n_robots)
     return bool(least == largest)
-
-
-def uniform_complete(scenario: Scenario) -> bool:
-    """Whether everyone is linked to everyone with the same weight."""
-    return is_complete(scenario.sensing_graph, scenario.n_robots) and has_one_weight(scenario)
 
 
 def levels_follow_v(scenario: Scenario) -> bool:
@@ -98,4 +92,4 @@ def levels_follow_v(scenario: Scenario) -> bool:
     sensing = scenario.sensing
     sees_all = sensing == Sensing(error=sensing.error, sectors=sensing.sectors)
     free = scenario.model.bounded and not scenario.obstacles
-    return sees_all and free and uniform_complete(scenario)
+    return sees_all and free and is_complete(scenario) and has_one_weight(scenario)

@@ -147,7 +147,7 @@ def nearest_hides(scenario: Scenario) -> bool:
     """Whether robots miss those behind others only: the nearest is always seen (guarantees 13)."""
     hidden = scenario.sensing.occlusion == "robots" and scenario.model.bounded
     alone = hidden and departs_in(scenario, "occlusion", "error")
-    return alone and is_complete(scenario.sensing_graph, scenario.n_robots)
+    return alone and is_complete(scenario)
 
 
 def somebody_seen(scenario: Scenario, asked: Asked) -> str:

@@ -15,7 +15,7 @@ from ...graphs import Graph
 from ...physics.hull_perimeter import size
 from ...scenario.scenario import Scenario
 from ..lyapunov import lyapunov
-from ..settings import has_one_weight, is_complete, uniform_complete
+from ..settings import has_one_weight, is_complete
 
 Array = NDArray[np.float64]
 
@@ -64,12 +64,9 @@ def least_degrees(scenario: Scenario) -> Array:
     """c_m, the least D_i = Σ_j a_ij that a robot can have, an array (n − 1,), m/s: a complete graph
     stays complete and a cycle a cycle; elsewhere one link is sure, of at least a* (theory 3).
     """
-    n, graph, others = scenario.n_robots, scenario.sensing_graph, robots_left(scenario) - 1.0
-    links = np.ones(n - 1)
-    if is_complete(graph, n):
-        links = others
-    elif _is_cycle(graph, n):
-        links = np.minimum(others, 2.0)
+    others = robots_left(scenario) - 1.0
+    sure = np.inf if is_complete(scenario) else 1.0 + _is_cycle(scenario)
+    links = np.minimum(others, sure)
     return np.maximum(links * lightest_link(scenario), scenario.bottleneck_weight)
 
 
@@ -86,8 +83,8 @@ def least_bearing_square(scenario: Scenario) -> float:
 
 def degrees_stay_equal(scenario: Scenario) -> bool:
     """Whether all robots left always have one D_i: complete graphs, cycles, of one weight."""
-    n, graph = scenario.n_robots, scenario.sensing_graph
-    even = graph.kind == "directed_cycle" or is_complete(graph, n) or _is_cycle(graph, n)
+    directed = scenario.sensing_graph.kind == "directed_cycle"
+    even = directed or is_complete(scenario) or _is_cycle(scenario)
     return even and has_one_weight(scenario)
 
 
@@ -95,11 +92,13 @@ def merges_at_midpoints(scenario: Scenario) -> bool:
     """Whether V/(m − 1) never rises at a merge: complete graphs of one weight, no obstacles, starts
     apart (docs/proofs.md, A to C).
     """
-    return uniform_complete(scenario) and not scenario.obstacles and starts_apart(scenario)
+    even = is_complete(scenario) and has_one_weight(scenario)
+    return even and not scenario.obstacles and starts_apart(scenario)
 
 
-def _is_cycle(graph: Graph, n: int) -> bool:
+def _is_cycle(scenario: Scenario) -> bool:
     """Whether everyone has two neighbours; the graph is taken to be connected."""
+    graph, n = scenario.sensing_graph, scenario.n_robots
     if not graph.fixed or graph.directed or graph.most_links(n) != n:
         return False
     first, second, _ = graph.links(n)
@@ -184,18 +183,11 @@ def _largest_size_in_unit_cube(n: int, dim: int) -> float:
     return max(size(np.array(places)) for places in sets)
 
 
-def directions(dim: int) -> float:
-    """The measure of all unit vectors, a number without unit, 2π, in 3-D 4π: by so much times ρ L
-    grows if the hull does by ρ in all directions (guarantees, section 9).
-    """
-    return 2.0 * math.pi * (dim - 1)
-
-
 def hull_growth(scenario: Scenario) -> float:
     """What L can grow by, a number, m, in steps that begin with linked robots closer than r: by r
     all round, once for a given start, n − 1 times where links change (theorem D1).
     """
-    grown = directions(scenario.dim) * scenario.merge_radius
+    grown = 2.0 * math.pi * (scenario.dim - 1) * scenario.merge_radius
     if kind_of_links(scenario.sensing_graph) in (SWITCHING, PROXIMITY):
         return (scenario.n_robots - 1) * grown
     return 0.0 if starts_apart(scenario) else grown

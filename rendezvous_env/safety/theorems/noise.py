@@ -90,7 +90,7 @@ def equal_gain_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     left, dim, error = known.robots_left(scenario), scenario.dim, asked.error
     strayed = 2.0 * gains.max() * scenario.tau * math.sin(error / 2.0)
     extent = known.largest_size(scenario) + known.hull_growth(scenario)
-    extent += (scenario.n_robots - 1) * known.directions(dim) * strayed
+    extent += (scenario.n_robots - 1) * (2.0 * math.pi * (dim - 1)) * strayed
     late_by = held_error(gains, scenario.tau, scenario.merge_radius)
     tolerated = float((largest_error(left, dim) - late_by).min())
     if error == 0.0:  # two robots whose bearings are right move on one line
