@@ -214,13 +214,3 @@ class TestLyapunovRate:
             ahead = lyapunov(positions + dt * velocities, weights)
             behind = lyapunov(positions - dt * velocities, weights)
             assert (ahead - behind) / (2 * dt) == pytest.approx(rate, abs=1e-5 * scale)
-
-    @given(teams())
-    def test_net_bearing_is_minus_half_the_gradient_of_v(self, team):
-        positions, weights = team
-        step = 1e-6
-        nudges = step * np.eye(positions.size).reshape(-1, *positions.shape)
-        gradient = lyapunov(positions + nudges, weights) - lyapunov(positions - nudges, weights)
-        gradient = gradient.reshape(positions.shape) / (2 * step)
-        found = net_bearings(positions, weights)
-        np.testing.assert_allclose(found, -0.5 * gradient, atol=1e-4 * weights.sum())

@@ -103,17 +103,6 @@ def test_complete_graphs_of_one_weight_by_hand():
     assert time_bound(walled, 50.0) == close(twice)
 
 
-def test_v_per_other_robot_never_rises_at_a_merge_of_a_complete_graph():
-    """V/(m − 1), on which that bound rests, for any two robots that become one at their middle."""
-    random = np.random.default_rng(0)
-    for _ in range(300):
-        m, d = int(random.integers(3, 9)), int(random.integers(2, 4))
-        p = random.normal(size=(m, d)) * np.exp(random.normal(size=(m, 1)))
-        merged = np.concatenate([p[2:], p[:2].mean(axis=0, keepdims=True)])
-        before = lyapunov(p, 1.0 - np.eye(m)) / (m - 1)
-        assert lyapunov(merged, 1.0 - np.eye(m - 1)) / (m - 2) <= before * (1 + 1e-12)
-
-
 def contracted(weights, random):
     """The weights after one random link is contracted, by the max rule."""
     i, j = random.permutation(np.argwhere(weights > 0))[0]

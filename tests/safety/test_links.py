@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import five
 from tuples import triple
 
-from rendezvous_env import Scenario, Sensing, Simulator
+from rendezvous_env import Scenario, Sensing
 from rendezvous_env.safety.links import LinkKeeping, project_on_links
 
 
@@ -47,24 +46,6 @@ def test_nothing_that_is_allowed_is_nearer_to_a_desired_one(dim, error):
     assert inner > 50
 
 
-def test_in_the_plane_it_is_the_nearest_point_of_two_discs():
-    """The two outermost bearings count; the discs meet in 0 and in ρ (g + g')."""
-    random = np.random.default_rng(5)
-    for _ in range(500):
-        half, radius = random.uniform(0, 1.5), random.uniform(0.3, 2)
-        desired = random.normal(size=2)
-        angles = np.append(random.uniform(-half, half, 3), [half, -half])
-        g = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        found = project_on_links(triple(desired), g, 5, radius, 0.0)
-        outward = desired - radius * g[3:]
-        outward /= np.linalg.norm(outward, axis=-1, keepdims=True)
-        on_discs = radius * (g[3:] + outward)
-        points = np.array([desired, np.zeros(2), radius * (g[3] + g[4]), *on_discs])
-        points = points[allowed(points, g, radius, 0.0)]
-        nearest = points[np.argmin(np.linalg.norm(points - desired, axis=-1))]
-        np.testing.assert_allclose(found[:2], nearest, atol=1e-9)
-
-
 def test_velocities_by_hand():
     """λ d q + (1 − λ) P(w), ρ = r/(4τ) = 1.5, with v_max = 3 and desired ones in units of it."""
     scenario = Scenario(n_robots=3, merge_radius=0.6, time_step=0.1, max_speed=3.0)
@@ -80,21 +61,6 @@ def test_velocities_by_hand():
     assert not actions[2].any()  # between two robots nobody moves
     assert links.alignment[0, 0] == pytest.approx(1.0) and np.isnan(links.alignment[0, 2])
     assert links.lyapunov_rate[0, 1] == pytest.approx(-0.5)
-
-
-def test_velocities_that_are_allowed_are_carried_out_but_for_the_share():
-    scenario = five("single_integrator-2d")
-    links, simulator = LinkKeeping(scenario, 4, share=1e-9, frame="local"), Simulator(scenario, 4)
-    observations = simulator.reset(0)
-    f = scenario.observation_layout.net_bearing(observations)
-    desired = 1e-3 * f / scenario.speed_limit
-    links.hold(desired)
-    actions = links.act(observations)
-    rows = observations[:, :, : scenario.observation_layout.neighbour_slots]
-    along = np.where(np.any(rows, axis=-1), np.einsum("bnkd,bnd->bnk", rows, f), np.inf)
-    free = along.min(axis=-1) > 0.2
-    assert free.any() and not free.all()
-    np.testing.assert_allclose(actions[free], 1e-3 * f[free], rtol=1e-4)
 
 
 @pytest.mark.parametrize(

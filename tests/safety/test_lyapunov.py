@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from conftest import UNEQUAL, five
@@ -47,27 +45,6 @@ def test_the_simulator_agrees_with_these_formulas(kind):
         f = np.einsum("bnij,bnj->bni", sim.frames, f_local)
         np.testing.assert_allclose(f, net_bearings(sim.positions, sim.weights), atol=2e-6)
         observations = sim.step(np.ones((20, 5, sim.scenario.action_size))).observations
-
-
-CUBE = [[x, y, z] for x in (0.0, 2.0) for y in (0.0, 2.0) for z in (0.0, 2.0)]
-
-
-@pytest.mark.parametrize(
-    ("points", "centre", "radius"),
-    [
-        ([[2.0, 3.0]], [2, 3], 0),
-        ([[0.0, 0.0], [6.0, 8.0]], [3, 4], 5),
-        ([[0.0, 0.0], [6.0, 0.0], [3.0, 1.0]], [3, 0], 3),  # obtuse: the long side
-        ([[0, 0], [4, 0], [2, 2 * math.sqrt(3)]], [2, 2 / math.sqrt(3)], 4 / math.sqrt(3)),
-        ([[1.0, 1.0]] * 4, [1, 1], 0),
-        (CUBE, [1, 1, 1], 3**0.5),
-        ([[0.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0], [3.0, 0, 0]], [1.5, 0, 0], 1.5),
-    ],
-)
-def test_balls_by_hand(points, centre, radius):
-    found, size = smallest_enclosing_ball(points)
-    np.testing.assert_allclose(found, centre, atol=1e-12)
-    assert size == pytest.approx(radius, abs=1e-12)
 
 
 @given(st.integers(1, 12), st.integers(2, 3), st.integers(0, 10**6), st.booleans())
