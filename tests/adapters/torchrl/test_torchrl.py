@@ -85,9 +85,8 @@ def test_a_rollout_is_the_vector_environment_step_by_step():
     assert data["next", "contacts"].any()
 
 
-@pytest.mark.parametrize("return_state", [False, True])
-def test_a_partial_reset_leaves_the_other_teams_alone(return_state):
-    env = RendezvousEnv("fig3", 4, seed=0, return_state=return_state, **SHORT)
+def test_a_partial_reset_leaves_the_other_teams_alone():
+    env = RendezvousEnv("fig3", 4, seed=0, **SHORT)
     now = env.reset()
     for _ in range(3):
         now = env.step_mdp(env.step(env.rand_action(now)))
@@ -97,22 +96,6 @@ def test_a_partial_reset_leaves_the_other_teams_alone(return_state):
     torch.testing.assert_close(again[SEEN][others], now[SEEN][others], rtol=0, atol=0)
     assert not torch.equal(again[SEEN][~others], now[SEEN][~others])
     np.testing.assert_array_equal(env.simulator.steps, np.where(mask[:, 0], 0, steps))
-
-
-def test_a_reset_after_the_end_skips_no_episode():
-    """The start that is shown after a time-out is the second of the seed, whoever asks."""
-    starts = []
-    for whole in (False, True):
-        env = RendezvousEnv("fig3", 2, seed=7, **SHORT)
-        now = env.reset()
-        while not now["done"].any():
-            now = env.step_mdp(env.step(env.rand_action(now)))
-        assert now["truncated"].all() and not now["terminated"].any()
-        starts.append(env.reset() if whole else env.maybe_reset(now))
-    torch.testing.assert_close(starts[0][SEEN], starts[1][SEEN], rtol=0, atol=0)
-    teams = training_env("fig3", 2, **SHORT)
-    teams.reset(seed=7)
-    np.testing.assert_array_equal(starts[0][SEEN], teams.reset()[0])
 
 
 def test_seeds_are_the_teams_own():
@@ -168,11 +151,10 @@ def test_actions_of_other_kinds_are_refused_by_name():
 # ---- wrappers that change rewards, and the bench -------------------------------------------------
 
 
-@pytest.mark.parametrize("return_state", [False, True])
-def test_a_wrapper_of_the_teams_changes_the_rewards_of_robots(return_state):
+def test_a_wrapper_of_the_teams_changes_the_rewards_of_robots():
     found, more = [], lambda teams: TransformReward(teams, lambda rewards: rewards + 5.0)
     for options in ({}, {"wrap": more}):
-        env = RendezvousEnv("clutter-4", 3, seed=0, return_state=return_state, **options)
+        env = RendezvousEnv("clutter-4", 3, seed=0, **options)
         data = env.reset()
         data[GROUP, "action"] = env.action_spec[GROUP, "action"].zero()
         found.append(env.step(data)["next", GROUP, "reward"].numpy())
@@ -193,11 +175,10 @@ def test_torchrl_is_timed_over_what_it_adapts(tmp_path):
     assert "torchrl" in written["versions"]
 
 
-@pytest.mark.parametrize("return_state", [False, True])
-def test_costs_stand_beside_what_robots_see(return_state):
+def test_costs_stand_beside_what_robots_see():
     """Those of the vector environment; a team that begins anew has paid nothing."""
     costs = {"costs": ("contact", "rise"), "guarantee": None, "time_limit": 0.6}
-    env = RendezvousEnv("clutter-16", 3, seed=1, return_state=return_state, **costs)
+    env = RendezvousEnv("clutter-16", 3, seed=1, **costs)
     check_env_specs(env)
     env.set_seed(1)
     data, tape = drive(env, 24)
