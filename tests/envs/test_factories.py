@@ -133,18 +133,17 @@ def test_an_unknown_word_is_a_type_error_with_the_nearest_one(make, word, meant)
         make("fig3", **{word: 1})
 
 
-UNKNOWN = {
-    "HeadingVectorWrapper": ("min_alignmet", "min_alignment"),
-    "EnergyTankWrapper": ("bugdet", "budget"),
-    "GainWrapper": ("max_gains", "max_gain"),
-    "LinkKeepingWrapper": ("bearing_errors", "bearing_error"),
-}
-
-
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    ("name", "word", "meant"),
+    [
+        ("HeadingVectorWrapper", "min_alignmet", "min_alignment"),
+        ("EnergyTankWrapper", "bugdet", "budget"),
+        ("GainWrapper", "max_gains", "max_gain"),
+        ("LinkKeepingWrapper", "bearing_errors", "bearing_error"),
+    ],
+)
 @pytest.mark.parametrize("home", [rv, vector])
-def test_so_it_is_for_a_wrapper(home, name):
-    word, meant = UNKNOWN[name]
+def test_so_it_is_for_a_wrapper(home, name, word, meant):
     env = rv.parallel_env(SCENARIO) if home is rv else rv.make_vec(SCENARIO, 2)
     wrapper = getattr(home, name)
     with pytest.raises(TypeError, match=f"{name} has no argument '{word}'; did you mean '{meant}'"):

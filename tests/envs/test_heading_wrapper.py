@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from guarantees import constant, draw
 from guarantees import make as make_under
+from scipy.stats import special_ortho_group
 from tuples import mean_body_axis
 
 from rendezvous_env import HeadingVectorWrapper, Scenario, parallel_env
@@ -16,9 +17,7 @@ def make(kind="single_integrator-2d", **options):
 
 
 def rotation(dim, seed):
-    matrix, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(dim, dim)))
-    matrix[:, 0] *= np.linalg.det(matrix)  # 1 or −1
-    return matrix
+    return special_ortho_group.rvs(dim, random_state=seed)
 
 
 # ---- law (4) from the observation's own rows -----------------------------------------------------
