@@ -11,8 +11,6 @@ from soup import DEEP, HUGE, refusal
 
 import rendezvous_env as rv
 from baselines.learned.features import Features
-from baselines.learned.policy_settings import PolicySettings
-from baselines.learned.training_environment import FeatureVectorEnv
 from baselines.obstacle_rules import obstacle_avoidance
 from rendezvous_env import Scenario, Simulator
 from rendezvous_env.engine.memory import TIME_OUT
@@ -178,21 +176,6 @@ def test_alignments_refuse_a_step_of_other_robots(kind):
     ):
         with pytest.raises(ValueError, match="must be"):
             alignments(sim.scenario, wrong)
-
-
-def test_a_choice_that_there_is_not_is_refused():
-    scenario = rv.scenarios.get("clutter-16")
-    teams = rv.make_vec(scenario, 2, autoreset_mode="SameStep")
-    settings = PolicySettings(8, (16,), 0.1, 0.5, 0.1, 3.0, scenario.tau)
-    teams = FeatureVectorEnv(teams, settings)
-    teams.reset(seed=0)
-    before = teams.get_state()
-    for wrong in (-1, 9, 10_000):
-        choices = np.zeros((2, 4), np.int64)
-        choices[1, 2] = wrong
-        with pytest.raises(ValueError, match=f"robot_2 in team 1 is {wrong}; it must be a whole"):
-            teams.step(choices)
-    assert same(before, teams.get_state())
 
 
 # ---- memory -------------------------------------------------------------------------------------
