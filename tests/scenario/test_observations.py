@@ -30,17 +30,14 @@ def test_rows_by_hand_in_index_order():
 
 def test_the_frame_turns_the_rows():
     turn = np.array([[0.0, -1.0], [1.0, 0.0]])  # local x axis along global y
-    sim = Simulator(five("single_integrator-2d"))
-    seen = sim.reset(0, {"positions": START, "frames": np.tile(turn, (5, 1, 1))})[0]
-    np.testing.assert_allclose(seen[0, 0], [1.6, -1.2], rtol=1e-6)
-
-
-def test_the_body_frame_of_a_unicycle():
-    sim = Simulator(five("unicycle"))
-    headings = np.array([math.atan2(4, 3), 0.0, 1.0, 2.0, 3.0])
-    seen = sim.reset(0, {"positions": START, "headings": headings})[0]
-    np.testing.assert_allclose(seen[0, 0], [2.0, 0.0], atol=1e-6)  # straight ahead
-    np.testing.assert_allclose(seen[1, 0], [-1.2, -1.6], atol=1e-6)
+    ahead = np.array([math.atan2(4, 3), 0.0, 1.0, 2.0, 3.0])
+    for kind, given, rows in (
+        ("single_integrator-2d", {"frames": np.tile(turn, (5, 1, 1))}, {0: [1.6, -1.2]}),
+        ("unicycle", {"headings": ahead}, {0: [2.0, 0.0], 1: [-1.2, -1.6]}),
+    ):
+        seen = Simulator(five(kind)).reset(0, {"positions": START, **given})[0]
+        for robot, row in rows.items():
+            np.testing.assert_allclose(seen[robot, 0], row, atol=1e-6)
 
 
 def test_the_gravity_row():

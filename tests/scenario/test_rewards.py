@@ -27,36 +27,28 @@ def test_by_hand(progress, time_share, contacts, closeness, met, expected):
     assert found == pytest.approx(expected)
 
 
-def test_progress_telescopes_and_each_term_is_its_own(kind):
+@pytest.mark.parametrize("name", ["progress", "time", "bonus"])
+def test_progress_telescopes_and_each_term_is_its_own(kind, name):
     """Over an episode that ends in a rendezvous progress is 1, whatever happened on the way."""
-    terms = {
-        "progress": RewardWeights(1.0, 0.0, 0.0, 0.0),
-        "time": RewardWeights(0.0, 1.0, 0.0, 0.0),
-        "bonus": RewardWeights(0.0, 0.0, 0.0, 1.0),
-    }
-    for name, reward in terms.items():
-        scenario = five(kind, reward=reward, time_limit=100.0, spawn_size=5.0)
-        sim, policy = Simulator(scenario, 8), law_of(scenario)
-        observations, total = sim.reset(0), np.zeros(8)
-        before = sim.lyapunov()
-        while (running := sim.status == RUNNING).any():
-            outcome = sim.step(policy(observations, sim.time))
-            observations, now = outcome.observations, sim.lyapunov()
-            if name == "progress":
-                expected = (before - now) / sim.initial_lyapunov
-                np.testing.assert_allclose(outcome.rewards, expected * running, atol=1e-13)
-            if name == "time":
-                np.testing.assert_allclose(outcome.rewards, -1.0 * running / scenario.max_steps)
-            if name == "bonus":
-                np.testing.assert_array_equal(
-                    outcome.rewards, running & (outcome.status == RENDEZVOUS)
-                )
-            total, before = total + outcome.rewards, now
-        assert (sim.status == RENDEZVOUS).all()
-        if name == "time":
-            np.testing.assert_allclose(total, -sim.steps / scenario.max_steps)
-        else:
-            np.testing.assert_allclose(total, 1.0)
+    alone = {"progress": (1, 0, 0, 0), "time": (0, 1, 0, 0), "bonus": (0, 0, 0, 1)}
+    reward = RewardWeights(*alone[name])
+    scenario = five(kind, reward=reward, time_limit=100.0, spawn_size=5.0)
+    sim, policy = Simulator(scenario, 8), law_of(scenario)
+    observations, total = sim.reset(0), np.zeros(8)
+    before = sim.lyapunov()
+    while (running := sim.status == RUNNING).any():
+        outcome = sim.step(policy(observations, sim.time))
+        observations, now = outcome.observations, sim.lyapunov()
+        expected = {
+            "progress": (before - now) / sim.initial_lyapunov * running,
+            "time": -1.0 * running / scenario.max_steps,
+            "bonus": running & (outcome.status == RENDEZVOUS),
+        }
+        np.testing.assert_allclose(outcome.rewards, expected[name], atol=1e-13)
+        total, before = total + outcome.rewards, now
+    assert (sim.status == RENDEZVOUS).all()
+    expected = -sim.steps / scenario.max_steps if name == "time" else 1.0
+    np.testing.assert_allclose(total, expected)
 
 
 def test_each_robot_in_contact_costs_in_each_step():
