@@ -165,22 +165,13 @@ def test_the_tutorial_runs_and_shows_what_it_says(tmp_path):
         return sum("image/png" in output.get("data", {}) for output in outputs)
 
     def said(cells: list[dict]) -> str:
-        return "".join(
-            "".join(output["text"])
-            for cell in cells
-            for output in cell.get("outputs", ())
-            if output["output_type"] == "stream"
-        )
+        outputs = [output for cell in cells for output in cell.get("outputs", ())]
+        return "".join("".join(one["text"]) for one in outputs if one["output_type"] == "stream")
 
     assert pictures(new) == pictures(kept) == 2
     assert "tangent-joined collision-free 9" in said(new) and "report.html" in said(new)
-    for name in (
-        "shy",
-        "bearing-only",
-        "tangent-joined",
-    ):  # on another processor a start may differ
-        (before,), (now,) = (
-            re.findall(rf"^{name} +clean (\d+)%", said(cells), re.MULTILINE)
-            for cells in (kept, new)
-        )
+    for name in ("shy", "bearing-only", "tangent-joined"):
+        # on another processor a start may differ
+        share = re.compile(rf"^{name} +clean (\d+)%", re.MULTILINE)
+        (before,), (now,) = (share.findall(said(cells)) for cells in (kept, new))
         assert abs(int(before) - int(now)) <= 5, name

@@ -198,10 +198,7 @@ def test_links_hold_in_the_site(pages, link, expected):
 
 
 def test_versions_that_are_tested_are_those_of_the_files():
-    files = (
-        *ROOT.glob("constraints*.txt"),
-        *(ROOT / "tests/adapters").glob("*/requirements.txt"),
-    )
+    files = (*ROOT.glob("constraints*.txt"), *(ROOT / "tests/adapters").glob("*/requirements.txt"))
     pins = {line for file in files for line in file.read_text(encoding="utf-8").split()}
     page = (ROOT / "docs/install.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| ([a-z0-9, -]+)(?: \(.*?\))? \| ([\d., ]+)", page, re.MULTILINE)

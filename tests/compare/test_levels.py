@@ -1,11 +1,11 @@
 """``compare --sensing``: the same starts at every level of a sensor's field."""
 
 import pytest
+from matplotlib.image import imread
 
 import rendezvous_env as rv
 from rendezvous_env.scenario import scenarios
 from train import cli, results
-from train.compare import compare
 from train.compare import sweep as levels
 
 DUO = scenarios.get("duo")
@@ -59,15 +59,13 @@ def test_each_level_has_its_row(folder):
 
 
 def test_a_figure_for_each_field(folder):
-    from matplotlib.image import imread
-
     for field in ("range", "dropout"):
         assert imread(folder / f"levels-duo-{field}.png")[..., :3].std() > 0.05
         assert (folder / f"levels-duo-{field}.pdf").stat().st_size > 5000
 
 
 def test_the_tables_stand_for_the_matrix(tmp_path, capsys):
-    config = compare.Config(("duo",), ("bearing-only",), 3, sensing=("noise=0,0.2",), out=tmp_path)
-    assert compare.run(config) == 0
+    words = ["--scenarios", "duo", "--policies", "bearing-only", "--episodes", "3", "--no-figures"]
+    assert cli.main(["compare", *words, "--sensing", "noise=0,0.2", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert "duo: noise, 3 starts" in said and "100, " in said and "collision-free, %  " not in said

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable, Generator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from operator import attrgetter, methodcaller
@@ -121,6 +120,8 @@ class Task:
 def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
     """A job, cut into blocks of its starts; ``number`` is its place among all jobs."""
     starts, kept = config.starts(job.scenario), config.kept(job.scenario)
+    # a policy that was registered from outside is known to this process alone
+    typed_in = ":" not in job.policy and registry.kind_of(job.policy) == "own"
     return [
         Task(
             name=f"job-{number:04d}-{first:06d}",
@@ -128,17 +129,10 @@ def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
             scenario=job.scenario,
             count=(count := min(BLOCK, starts - first)),
             work=partial(play_block, job, first, count, config.seed, min(count, kept - first)),
-            stays=_is_typed_in(job.policy),
+            stays=typed_in,
         )
         for first in range(0, starts, BLOCK)
     ]
-
-
-def _is_typed_in(policy: str) -> bool:
-    """Whether only this process knows a policy: it was registered from outside."""
-    with suppress(KeyError):
-        return registry.kind_of(policy) == "own"
-    return False
 
 
 def play_block(job: Job, first: int, count: int, seed: int, keep: int) -> Played:
