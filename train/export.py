@@ -85,7 +85,7 @@ def run(config: Config) -> int:
 
 
 def _write_onnx(config: Config, path: Path) -> str:
-    """Write and check an ONNX file; what there is to say of it."""
+    """Write and check an ONNX file; returns its size and error in words."""
     check_installed("export", "export", "onnx", "onnxruntime")
     policies.check_names([config.policy])
     network = _network_of(config.policy, policies.resolve_scenario(config.scenario))

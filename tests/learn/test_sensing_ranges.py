@@ -80,7 +80,7 @@ class TestGroups:
     def test_each_has_a_sensor_that_is_renewed_in_turn_with_the_next_episodes(self, tmp_path):
         given = config(tmp_path, **DRAWN)
         groups, ranges, generations = make_teams(given, 0), given.sensing_ranges(), []
-        groups.reset(seed=5)
+        groups.reset(seed=list(range(5, 13)))
         assert [teams.num_envs for teams in groups.groups] == [3, 3, 2]
         for update in range(5):
             before = [teams.env.simulator.get_state() for teams in groups.groups]

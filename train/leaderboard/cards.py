@@ -1,4 +1,4 @@
-"""Results cards: what came of a cell, and all that it takes to do it again."""
+"""Results cards: the outcome of a cell, and all that is needed to repeat it."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ class Place(NamedTuple):
 
 
 def run_of(place: Place, record: bool) -> Run:
-    """Do a cell: its card has all that it takes to do it again, and the raw numbers of every start.
-    To ``record`` what two of them looked like may give None, see ``replay_of``.
+    """Train and play a cell; its card has all that is needed to repeat it, and the raw numbers of
+    every start. With ``record`` there may be a replay, see ``replay_of``.
     """
     algorithm, scenario = registry.find(place.algorithm), scenarios.get(place.field)
     began = time.perf_counter()

@@ -1,4 +1,4 @@
-"""``rendezvous leaderboard``: train, play, tell; cell by cell, so that it can be stopped."""
+"""``rendezvous leaderboard``: train, play and report, cell by cell, so that it can be resumed."""
 
 from __future__ import annotations
 
@@ -112,8 +112,8 @@ def plan(config: Config) -> list[Place]:
 
 
 def run(config: Config) -> int:
-    """Do all cells, write cards, tables and figures; or repeat one. The exit status: 1 if that
-    differs from its card.
+    """Do all cells and write cards, tables and figures, or repeat one. The exit status is 1 if a
+    repetition differs from its card.
     """
     console = Console()
     if config.repeat is not None:
@@ -177,7 +177,7 @@ def write(out: Path, runs: Sequence[Run], console: Console) -> None:
 
 
 def _repeat(path: Path, record: bool, console: Console) -> int:
-    """Do a card's cell again; where it differs, say whether collision-free success is within the
+    """Repeat the cell of a card; where it differs, say whether collision-free success is within the
     interval of a repetition.
     """
     card = read_card(path)

@@ -122,7 +122,7 @@ def text(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def markdown(rows: Sequence[Mapping[str, Any]], cards: Sequence[Card]) -> str:
-    """The page of the folder: the table, what it counts, how to do a cell again."""
+    """The page of the folder: the table, what it counts, how to repeat a cell."""
     seeds = len({card["seed"] for card in cards})
     fields = ", ".join(sorted({card["field"] for card in cards}))
     most = max(card["decisions"] for card in cards)

@@ -79,12 +79,12 @@ def runs_of(settings: Settings, seeds: tuple[int, ...]) -> list[Settings]:
 
 
 def _log_of(settings: Settings) -> Path:
-    """The file for what a run says."""
+    """The file for the output of a run."""
     return settings.out.with_name(f"{settings.out.name}.txt")
 
 
 def _train(settings: Settings) -> int:
-    """Train one run, which tells of itself in a file; its exit status."""
+    """Train one run, with its output in a file; its exit status."""
     scenario = settings.base_scenario()
     with _log_of(settings).open("a", encoding="utf-8") as log, redirect_stdout(log):
         for name in policies.fitting(scenario, shipped.NAMES):  # they need the same kernels

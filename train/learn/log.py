@@ -1,4 +1,4 @@
-"""What a training run tells: CSV files, and a result."""
+"""What a training run reports: CSV files, and a result."""
 
 from __future__ import annotations
 

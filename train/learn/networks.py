@@ -134,7 +134,7 @@ FAR = 5.0
 
 
 class Situation(NamedTuple):
-    """The parts of a global state, as views with columns last; rows of what is gone are zero."""
+    """The parts of a global state, as views with columns last; absent rows are zero."""
 
     robots: Any
     obstacles: Any
@@ -167,7 +167,7 @@ class GlobalStateLayout(NamedTuple):
         self, simulator: Simulator, towards: NDArray[Any], levels: Floats
     ) -> NDArray[np.float32]:
         """Global states (B, n, size) of teams in the plane, see ``GlobalState``: each from a
-        robot's position, in its frame with x along f; zeros for robots that are gone.
+        robot's position, in its frame with x along f; zeros for merged robots.
         """
         positions, active, table = simulator.positions, simulator.active, simulator.obstacles
         axes, (batch, n) = _axes(simulator.frames, towards), active.shape

@@ -1,4 +1,4 @@
-"""PPO over robots that may be gone: an explicit mask, and one value estimate for all time-outs.
+"""PPO over robots that may have merged: an explicit mask, and one value estimate for all time-outs.
 
 An update of a ``HeadingNetwork`` computes its loss in one pass and sums the gradient over parts of
 a batch that fit the processor's cache. Threads compute whole parts: none waits for another within
@@ -36,7 +36,7 @@ _MEASURED = ("policy_gradient_loss", "value_loss", "entropy_loss", "approx_kl", 
 
 
 class RobotRolloutBuffer(RolloutBuffer):
-    """A rollout buffer without samples of robots that were gone.
+    """A rollout buffer without samples of merged robots.
 
     At a time-out and at a merge it adds γ V(o) to the reward, with o the slot's
     ``bootstrap_observations``; one call of the network values all slots of a step.
@@ -77,7 +77,7 @@ class RobotRolloutBuffer(RolloutBuffer):
         self.full = self.pos == self.buffer_size
 
     def _value_of(self, seen: Tensor) -> Tensor:
-        """Values (k, 1) of what the slots that were cut off saw last, (k, size)."""
+        """Values (k, 1) of the last observations (k, size) of slots that were cut off."""
         return self._policy.predict_values(seen)
 
     def begin(self, normalise: bool = False) -> None:
@@ -119,7 +119,7 @@ class RobotRolloutBuffer(RolloutBuffer):
 
 
 class RobotPPO(PPO):
-    """PPO on a RobotVecEnv, which may be wrapped: samples of gone robots are left out, time-outs
+    """PPO on a RobotVecEnv, which may be wrapped: samples of merged robots are left out, time-outs
     valued in one call. Rewards may be normalised, observations not.
     """
 

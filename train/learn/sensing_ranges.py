@@ -15,7 +15,7 @@ Ranges = Mapping[str, tuple[Any, ...]]
 
 
 def check_ranges(ranges: Ranges, chance: float) -> None:
-    """Refuse ranges of what no sensor has with a ValueError that names the field."""
+    """Refuse impossible ranges with a ValueError that names the field."""
     for name, given in ranges.items():
         for value in given:
             Sensing(**{name: value})

@@ -1,4 +1,4 @@
-"""The teams that a run trains in: all alike, or groups whose sensors are drawn anew."""
+"""The teams that a run trains in: all alike, or groups whose sensors are resampled."""
 
 from __future__ import annotations
 
@@ -58,20 +58,12 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
         """(B, n), as ``FeatureVectorEnv.alignment``."""
         return np.concatenate([teams.alignment for teams in self.groups])
 
-    def reset(
-        self,
-        *,
-        seed: int | Sequence[int | None] | None = None,
-        options: Mapping[str, Any] | None = None,
-    ) -> tuple[NDArray[np.float32], Info]:
-        """Begin a new episode in all teams, as ``RendezvousVectorEnv.reset`` without options."""
-        if options:
-            raise ValueError(f"options are {dict(options)}; groups of teams take none")
-        seeds = [seed + team for team in range(self.num_envs)] if isinstance(seed, int) else seed
-        parts: Any = [None] * len(self.groups)
-        if seeds is not None:
-            parts = [own.tolist() for own in np.split(np.array(seeds), self._bounds)]
-        begun = [teams.reset(seed=own) for teams, own in zip(self.groups, parts, strict=True)]
+    def reset(self, *, seed: Any = None, options: Any = None) -> tuple[NDArray[np.float32], Info]:
+        """Begin a new episode in all teams, with a seed for each of them; there are no options."""
+        parts = np.split(np.array(seed), self._bounds)
+        begun = [
+            teams.reset(seed=own.tolist()) for teams, own in zip(self.groups, parts, strict=True)
+        ]
         observations = np.concatenate([seen for seen, _ in begun])
         self._note_blind(slice(None), observations)
         return observations, self._joined([infos for _, infos in begun])
@@ -138,8 +130,6 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
         """
         check_keys(state, tuple(str(g) for g in range(len(self.groups))))
         own = check_entries({"generations": self.generations, "blind": self._blind}, state)
-        if (own["generations"] < 0).any():
-            raise ValueError(f"generations are {own['generations']}; they must not be negative")
         groups = [self._make(g, int(k)) for g, k in enumerate(own["generations"])]
         for g, teams in enumerate(groups):
             teams.set_state(state[str(g)])

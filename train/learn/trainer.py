@@ -1,4 +1,4 @@
-"""A training run: what it consists of, from its beginning, or from a checkpoint, to its end."""
+"""A training run, from its beginning or from a checkpoint to its end."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ class Trainer:
                 self.events.add_scalar(f"{kind}/{name}", value, row["step"])
 
     def restore(self, place: Path) -> int:
-        """Take up the state of a checkpoint; the step it was written at."""
+        """Restore a checkpoint; returns its step."""
         about, tables = checkpoints.read(place, STATE_FILES)
         model = self.model
         try:
@@ -152,7 +152,7 @@ class Trainer:
         return int(about["step"])
 
     def save(self, state: Snapshot) -> Path:
-        """Write a checkpoint of a moment that was kept; one that fails leaves older ones."""
+        """Write a snapshot as a checkpoint; if that fails, older ones remain."""
         description, tables = state
         return checkpoint.write(self.config.out, description["step"], description, tables)
 
@@ -309,8 +309,8 @@ def _check_device(device: str) -> None:
 
 
 def _loop(training: Trainer, step: int, console: Console, on_update: OnUpdate | None) -> Result:
-    """Train to the end, until a signal, or until ``on_update`` ends it; what is kept then is the
-    state after the last update.
+    """Train to the end, until a signal, or until ``on_update`` ends it, and save the state after
+    the last update.
     """
     config, kept = training.config, training.snapshot()
     metrics: dict[str, Any] = {}

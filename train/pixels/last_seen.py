@@ -1,4 +1,4 @@
-"""Robots that see nobody: where obstacles hide the others, policies must remember, and search."""
+"""Robots that see no other: where obstacles hide neighbours, policies must remember and search."""
 
 from __future__ import annotations
 

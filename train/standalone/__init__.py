@@ -233,7 +233,7 @@ def _written(plain: Any) -> str:
 
 
 def is_written(path: Path) -> bool:
-    """Whether a file is one of this kind, of whatever version, and may be written anew."""
+    """Whether a file is one of this kind, of any version, and may be overwritten."""
     with path.open("rb") as file:
         return _MADE_BY.encode() in file.read(len(_HEAD) + 200)
 
