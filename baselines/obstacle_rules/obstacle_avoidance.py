@@ -189,7 +189,7 @@ class CertifiedHeadingPolicy(RememberingPolicy):
         f = layout.net_bearing(seen)
         self._previous = self._steering.turned(self._previous, self._sent, seen, elapsed)
         h = self._previous = certified_heading(
-            self._aim(f, layout.split(seen).obstacles),
+            self._aim(f, seen, elapsed),
             f,
             self._previous,
             min_alignment=self.min_alignment,
@@ -201,9 +201,9 @@ class CertifiedHeadingPolicy(RememberingPolicy):
         self._sent = steered(self._steering, velocity, seen, scenario)
         return self._as_given(self._sent)
 
-    def _aim(self, f: Array, silhouettes: NDArray[Any]) -> Array:
-        """Vectors (..., d) to certify."""
-        raw = self.rule(f, silhouettes)
+    def _aim(self, f: Array, seen: Float32, elapsed: float) -> Array:
+        """Vectors (B, n, d) to certify."""
+        raw = self.rule(f, self.scenario.observation_layout.split(seen).obstacles)
         return np.where(np.sum(raw * f, axis=-1, keepdims=True) < 0, -raw, raw)
 
     @property
@@ -301,16 +301,11 @@ class TunedJoinedPolicy(CertifiedHeadingPolicy):
         super()._forget(which)
         self._asides[which] = 0.0
 
-    def after(self, elapsed: float, observations: NDArray[Any], time: ArrayLike) -> Float32:
-        """As ``RealTimePolicy.after``."""
-        seen = self._teams_of(observations)
-        self._asides = self._steering.turned(self._asides, self._sent, seen, elapsed)
-        return super().after(elapsed, observations, time)
-
-    def _aim(self, f: Array, silhouettes: NDArray[Any]) -> Array:
-        d = f.shape[-1]
+    def _aim(self, f: Array, seen: Float32, elapsed: float) -> Array:
+        d, silhouettes = f.shape[-1], self.scenario.observation_layout.split(seen).obstacles
         rule = float(self._clearance), self._previous.reshape(-1, d), self._persistence
         if d == 2:
             return _over_robots(joined_headings_2d, f, silhouettes, *rule)
+        self._asides = self._steering.turned(self._asides, self._sent, seen, elapsed)
         asides = self._asides.reshape(-1, 3)
         return _over_robots(headings_in_planes, f, silhouettes, *rule, asides)

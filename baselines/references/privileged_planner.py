@@ -62,16 +62,14 @@ def plan(table: Array, positions: Array) -> WaysTo:
     """The ways on which a team at (n, d), m, meets soonest among the obstacles of a table; robots
     that cannot get there stay where they are.
     """
-    found: tuple[Roadmap, Meeting] | None = None
+    found: list[tuple[Roadmap, Meeting]] = []
     for clearance in _CLEARANCES:
         roadmap = Roadmap(table, clearance, positions.shape[1])
-        meeting = meeting_place(roadmap, positions)
-        if found is None or meeting.left_out < found[1].left_out:
-            found = roadmap, meeting
-        if meeting.left_out == 0:
+        found.append((roadmap, meeting_place(roadmap, positions)))
+        if found[-1][1].left_out == 0:
             break
-    assert found is not None
-    return WaysTo(found[0], found[1].place)
+    roadmap, meeting = min(found, key=lambda pair: pair[1].left_out)
+    return WaysTo(roadmap, meeting.place)
 
 
 @register(NAME, can_steer, kind="privileged")
