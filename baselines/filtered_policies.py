@@ -137,7 +137,7 @@ class HeadingPolicy(FilteredPolicy):
 
     Args:
         scenario: whose robots it steers.
-        choose: observations (..., n, rows, d), zero rows for robots that are gone, to raw vectors
+        choose: observations (..., n, rows, d), zero for robots that have merged away, to vectors
             (..., n, d) of any length in the same frames; for nonholonomic robots to turn rates
             (..., n, d − 1) in units of the highest (theory 3, the gate). It is called once in each
             period, for all teams together; if it has a method ``reset(mask)``, with the policy's.

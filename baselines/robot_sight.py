@@ -93,7 +93,7 @@ def least_cost_slots(cost: Array) -> NDArray[np.int64]:
     for row in range(len(cost)):
         slack, came_from = np.full(cost.shape[1], np.inf), np.full(cost.shape[1], -1)
         is_open, last, k = np.ones(cost.shape[1], dtype=bool), row, -1
-        while last >= 0:  # until a slot is reached that nobody has
+        while last >= 0:  # until it reaches a free slot
             reduced = cost[last] - row_price[last] - slot_price
             better = is_open & (reduced < slack)
             slack[better], came_from[better] = reduced[better], k

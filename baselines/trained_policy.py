@@ -40,8 +40,8 @@ class TrainedPolicy(TeamPolicy):
         predict: observations of robots, (N, size) float32, to their actions, (N, a), or (N,) where
             they are discrete. A pair is taken for actions and a state that is not used, and an
             argument ``deterministic`` is True, as stable-baselines3 has it.
-        by_team: whether ``predict`` takes (B, n, size) and gives (B, n, a); robots that are gone
-            observe zeros.
+        by_team: whether ``predict`` takes (B, n, size) and gives (B, n, a); robots that have merged
+            away observe zeros.
         arguments: of ``vector.training_env`` in training: ``guarantee="heading"``,
             ``learning_preset=True``, ``flatten=True``, ``discrete=False``, those of the guarantee's
             wrapper, and fields of the scenario. Errors are as there.

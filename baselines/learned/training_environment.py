@@ -115,8 +115,8 @@ class FeatureVectorEnv(GuaranteeWrapper):
             tank, nothing = self.guided.tank, np.zeros(self._touches.touched.shape)
             levels = nothing if tank is None else tank.normalised_levels
             state = self.global_state.states(base.simulator, towards, levels)
-            told = slice(None) if which is None else which
-            self._shown[told, :, size:] = state[told]
+            mine = slice(None) if which is None else which
+            self._shown[mine, :, size:] = state[mine]
         return self._shown.copy() if which is None else self._shown
 
     def reset(

@@ -115,9 +115,9 @@ def farthest_steps(towards: Array, ways: Array, linked: Mask, sight: float) -> A
 
         lᵢⱼ = (dⱼ/2) cos θⱼ + √((R/2)² − ((dⱼ/2) sin θⱼ)²),   minⱼ lᵢⱼ       (Ando et al., 1999)
 
-    Each of two neighbours stays in the ball of radius R/2 about the midpoint between them. Of unit
-    vectors along which they go, (n, d), p_j − p_i, (n, n, d), m, d_j long at θ_j from them, who is
-    whose neighbour, (n, n), and R, m; inf for a robot without one.
+    Each of two neighbours stays in the ball of radius R/2 about the midpoint between them. Of their
+    directions, unit vectors (n, d), p_j − p_i, (n, n, d), m, of lengths d_j and at angles θ_j from
+    these, a mask of neighbours, (n, n), and R, m; inf for a robot without neighbours.
     """
     along = 0.5 * np.sum(ways * towards[:, np.newaxis], axis=-1)
     aside = np.maximum(0.25 * np.sum(ways**2, axis=-1) - along**2, 0.0)

@@ -78,7 +78,7 @@ class PrivilegedPlanner(PrivilegedPolicy):
 
     It goes at full speed from turn to turn, and shortens the step before one so that it never
     leaves its way; robots that turn do so on the spot. After a merge, which moves the survivor,
-    ways are planned anew. It keeps some centimetres from obstacles where it can; its V may rise.
+    ways are planned again. It keeps some centimetres from obstacles where it can; its V may rise.
     """
 
     name = NAME
