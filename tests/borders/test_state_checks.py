@@ -171,24 +171,6 @@ def test_a_parallel_environment_takes_a_state_as_a_whole():
     assert same(env.get_state(), state)
 
 
-@pytest.mark.parametrize("entry", ["headings", "frames", "held"])
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [
-        (lambda array: "words", "must be an array"),
-        (lambda array: array[:1], "must be an array"),
-        (lambda array: array * np.nan, "must be"),
-        (lambda array: array + 1j, "must be float64"),
-    ],
-)
-def test_steering_takes_a_state_as_a_whole(entry, spoil, message):
-    steering = HeadingFilter(five("single_integrator-2d"), 2)
-    state = steering.get_state()
-    headings = state["headings"] + 1.0  # may not be taken over
-    steering_state = {**state, "headings": headings}
-    refused(steering, {**steering_state, entry: spoil(steering_state[entry])}, message)
-
-
 def begun(venv):
     venv.reset(seed=0)
     return venv
