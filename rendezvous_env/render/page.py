@@ -23,12 +23,8 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 64, 16, 16, 34  # margins within the strip, pixel
 
 
 class Page:
-    """Draws teams; keeps what does not change from frame to frame.
-
-    Args:
-        simulator: the teams.
-        size: width and height in pixels.
-        horizon: first length of the time axis, s; None is a tenth of the limit.
+    """Draws teams in ``size`` pixels; keeps what does not change from frame to frame. ``horizon``
+    is the first length of the time axis, s; None is a tenth of the limit.
     """
 
     def __init__(self, simulator: Simulator, size: tuple[int, int], horizon: float | None) -> None:
@@ -38,23 +34,25 @@ class Page:
         self._unit = _FINE * min(size) / _DESIGN
         self._fine = pygame.Surface((_FINE * size[0], _FINE * size[1]), depth=32)
         self._surface = pygame.Surface(size, depth=32)
-        self._pictures: list[TeamPicture] = []
-        self._strip: Strip | None = None
+        self._pictures: dict[int, TeamPicture] = {}  # by team
 
     def draw(self, histories: list[History]) -> pygame.Surface:
         """The present moment of the first teams; the next call draws over the surface."""
+        count = len(histories)
         self._fine.fill(ink.WHITE)
-        self._keep_pictures(histories)
         weights = self._simulator.weights
-        seen = self._simulator.observe()[: len(histories)].astype(np.float64)
-        frames = self._simulator.frames[: len(histories)]
+        seen = self._simulator.observe()[:count].astype(np.float64)
+        frames = self._simulator.frames[:count]
         bearings = np.einsum("bnij,bnrj->bnri", frames, seen)  # in the global frame
-        for team, picture in enumerate(self._pictures):
+        for team, history in enumerate(histories):
+            picture = self._pictures.get(team)
+            if picture is None or picture.history is not history:  # a view for every episode
+                picture = self._pictures[team] = self._new_picture(team, count, history)
             picture.draw(self._fine, weights[team], bearings[team])
-            if self._strip is None:
-                self._draw_caption(team, histories[team])
-        if self._strip is not None:
-            self._strip.draw(self._fine)
+            if count > 1:
+                self._draw_caption(team, history)
+        if count == 1:
+            self._draw_strip(histories[0])
             self._draw_header(histories[0])
         pygame.transform.smoothscale(self._fine, self._surface.get_size(), self._surface)
         return self._surface
@@ -65,22 +63,13 @@ class Page:
         places = picture.camera.project(positions) + np.array(picture.area[:2])
         return np.asarray(places / _FINE - 0.5)
 
-    def _keep_pictures(self, histories: list[History]) -> None:
-        """A new picture, with a view of its own, for every new episode."""
-        kept, count = {id(picture.history): picture for picture in self._pictures}, len(histories)
+    def _new_picture(self, team: int, count: int, history: History) -> TeamPicture:
+        left, top, width, height = cell(team, count, *self._fine.get_size())
         unit = self._unit * (max(0.5, 1.4 / columns_of(count)) if count > 1 else 1.0)
         below = round(_STRIP * self._unit) if count == 1 else 0
         above = round((_HEADER if count == 1 else _CAPTION) * self._unit)
-        self._pictures = []
-        for team, history in enumerate(histories):
-            left, top, width, height = cell(team, count, *self._fine.get_size())
-            area = Area(left, top + above, width, height - above - below)
-            if id(history) not in kept and count == 1:
-                strip = Area(0, area.top + area.height, width, below)
-                self._strip = Strip(history, strip, self._unit, self._horizon)
-            self._pictures.append(
-                kept.get(id(history)) or TeamPicture(self._simulator.scenario, history, area, unit)
-            )
+        area = Area(left, top + above, width, height - above - below)
+        return TeamPicture(self._simulator.scenario, history, area, unit)
 
     def _draw_header(self, history: History) -> None:
         """Scenario, time, number of robots left; what the marks mean; contacts."""
@@ -112,61 +101,46 @@ class Page:
         frame = (area.left, area.top - caption, area.width + 1, area.height + caption + 1)
         pygame.draw.rect(self._fine, ink.FRAME, frame, max(1, round(unit / 2)))
 
-
-class Strip:
-    """V(t) of one episode in a part of a page.
-
-    The time axis is first ``horizon`` long, s, up to a round number; when the episode goes on, one
-    at least twice as long takes its place. ``unit`` pixels of the page count as one.
-    """
-
-    def __init__(self, history: History, area: Area, unit: float, horizon: float) -> None:
-        self._history, self._area, self._unit = history, area, unit
-        self._highest = history.initial_lyapunov or 1.0
-        self._box = pygame.Rect(
+    def _draw_strip(self, history: History) -> None:
+        """V(t) below the picture. When the episode outlasts the time axis, one at least twice as
+        long takes its place.
+        """
+        sheet, unit, moments = self._fine, self._unit, history.moments
+        above = self._pictures[0].area
+        box = pygame.Rect(
             round(_LEFT * unit),
-            round(_TOP * unit),
-            area.width - round((_LEFT + _RIGHT) * unit),
-            area.height - round((_TOP + _BOTTOM) * unit),
+            above.top + above.height + round(_TOP * unit),
+            above.width - round((_LEFT + _RIGHT) * unit),
+            round(_STRIP * unit) - round((_TOP + _BOTTOM) * unit),
         )
-        self._sheet, self._drawn = pygame.Surface(area[2:], depth=32), 0
-        step = nice_step(max(horizon, 1e-6), 6)
-        self._draw_axes(step, math.ceil(horizon / step - 1e-9))
+        step = nice_step(max(self._horizon, 1e-6), 6)
+        end = step * math.ceil(self._horizon / step - 1e-9)
+        for moment in moments:
+            if moment.time > end * (1 + 1e-9):
+                step = nice_step(2 * moment.time, 6)
+                end = 6 * step
+        highest = history.initial_lyapunov or 1.0
 
-    def draw(self, page: pygame.Surface) -> None:
-        """Draw the curve up to the last moment of the history."""
-        moments, colour = self._history.moments, ROBOTS[0]
-        if moments[-1].time > self._end * (1 + 1e-9):
-            self._draw_axes(nice_step(2 * moments[-1].time, 6), 6)
-        points = [self._place(m.time, m.lyapunov) for m in moments[max(0, self._drawn - 1) :]]
-        for start, end in pairwise(points):
-            pygame.draw.line(self._sheet, colour, start, end, round(2 * self._unit))
-        self._drawn = len(moments)
-        page.blit(self._sheet, self._area[:2])
-        x, y = points[-1]
-        pygame.draw.circle(page, colour, (x + self._area.left, y + self._area.top), 4 * self._unit)
+        def place(time: float, lyapunov: float) -> tuple[float, float]:
+            """A pixel; V above its start stays at the upper edge."""
+            up = min(lyapunov / highest, 1.06)
+            return box.left + box.width * time / end, box.bottom - box.height * up
 
-    def _place(self, time: float, lyapunov: float) -> tuple[float, float]:
-        """Pixel of the strip; V above its start stays at the upper edge."""
-        up, box = min(lyapunov / self._highest, 1.06), self._box
-        return box.left + box.width * time / self._end, box.bottom - box.height * up
-
-    def _draw_axes(self, step: float, ticks: int) -> None:
-        """Empty axes with so many ticks, a step in s apart."""
-        self._end, self._drawn = step * ticks, 0
-        unit, box, sheet = self._unit, self._box, self._sheet
-        sheet.fill(ink.WHITE)
-        for number, text in ((0.0, "0"), (self._highest, f"{self._highest:.4g}")):
-            _, y = self._place(0.0, number)
+        for number, text in ((0.0, "0"), (highest, f"{highest:.4g}")):
+            _, y = place(0.0, number)
             pygame.draw.line(sheet, ink.GRID, (box.left, y), (box.right, y), round(unit))
             ink.write(sheet, text, (box.left - 6 * unit, y), 17 * unit, anchor="midright")
-        for time in np.linspace(0.0, self._end, ticks + 1).tolist():
-            x, _ = self._place(time, 0.0)
+        for time in np.linspace(0.0, end, round(end / step) + 1).tolist():
+            x, _ = place(time, 0.0)
             pygame.draw.line(sheet, ink.FRAME, (x, box.bottom), (x, box.bottom + 4 * unit))
             ink.write(sheet, f"{time:g}", (x, box.bottom + 7 * unit), 17 * unit, anchor="midtop")
         pygame.draw.line(sheet, ink.FRAME, box.bottomleft, box.bottomright, round(unit))
         for text, down in (("V", -9), ("m²/s", 9)):
-            place = box.left - 6 * unit, box.centery + down * unit
-            ink.write(sheet, text, place, 17 * unit, anchor="midright")
+            beside = box.left - 6 * unit, box.centery + down * unit
+            ink.write(sheet, text, beside, 17 * unit, anchor="midright")
         corner = box.right, box.bottom + 20 * unit
         ink.write(sheet, "time / s", corner, 17 * unit, anchor="topright")
+        curve = [place(moment.time, moment.lyapunov) for moment in moments]
+        for one, other in pairwise(curve):
+            pygame.draw.line(sheet, ROBOTS[0], one, other, round(2 * unit))
+        pygame.draw.circle(sheet, ROBOTS[0], curve[-1], 4 * unit)
