@@ -38,12 +38,8 @@ _ANGLES = ("yaw", "pitch")
 def xarray_dataset(trajectory: Any) -> xarray.Dataset:
     """An xarray Dataset with the arrays under their own names, shaped as ``DIMENSIONS`` says.
 
-    Returns:
-        Coordinates ``time`` (T + 1,), s, and ``step_end`` (T,), s, when each step ended; the
-        attribute ``scenario`` holds the scenario as JSON.
-
-    Raises:
-        ImportError: if xarray is not installed, saying how to get it.
+    Coordinates ``time`` (T + 1,), s, and ``step_end`` (T,), s, when each step ended; the attribute
+    ``scenario`` holds the scenario as JSON. An ImportError says how to get xarray.
     """
     library = _import("xarray", "to_xarray")
     scenario, times, arrays = trajectory.scenario, trajectory.times, _arrays(trajectory)
@@ -58,20 +54,15 @@ def xarray_dataset(trajectory: Any) -> xarray.Dataset:
         dimensions, unit = DIMENSIONS[name]
         variables[name] = (dimensions, array, {"units": unit} if unit else {})
     attributes = {"scenario": json.dumps(scenario.to_plain())}
-    made: xarray.Dataset = library.Dataset(variables, coordinates, attributes)
-    return made
+    return library.Dataset(variables, coordinates, attributes)
 
 
 def pandas_dataframe(trajectory: Any) -> pandas.DataFrame:
     """A pandas DataFrame with a row for each moment, team and robot.
 
-    Returns:
-        Index ``env``, ``robot``, ``step`` (0 is the start). Columns: ``time`` s; ``x``, ``y``,
-        ``z`` m; ``yaw``, ``pitch`` rad; ``active``; ``lyapunov`` m²/s, of the team; ``reward``
-        and ``contact`` of the step that led there, NaN and False at the start.
-
-    Raises:
-        ImportError: if pandas is not installed, saying how to get it.
+    Index ``env``, ``robot``, ``step`` (0 is the start). Columns: ``time`` s; ``x``, ``y``, ``z`` m;
+    ``yaw``, ``pitch`` rad; ``active``; ``lyapunov`` m²/s, of the team; ``reward`` and ``contact``
+    of the step that led there, NaN and False at the start. An ImportError says how to get pandas.
     """
     library = _import("pandas", "to_dataframe")
     arrays = _arrays(trajectory)
@@ -87,11 +78,10 @@ def pandas_dataframe(trajectory: Any) -> pandas.DataFrame:
         "contact": np.pad(arrays["contacts"], ((1, 0), (0, 0), (0, 0))),
     }
     steps, envs, robots = (index.ravel() for index in np.indices(shape))
-    made: pandas.DataFrame = library.DataFrame(
+    return library.DataFrame(
         {name: np.broadcast_to(column, shape).ravel() for name, column in columns.items()},
         index=library.MultiIndex.from_arrays([envs, robots, steps], names=["env", "robot", "step"]),
-    )
-    return made.sort_index()
+    ).sort_index()
 
 
 def minari_dataset(trajectory: Any, name: str, **about: Any) -> MinariDataset:
@@ -108,11 +98,8 @@ def minari_dataset(trajectory: Any, name: str, **about: Any) -> MinariDataset:
         about: further arguments of ``minari.create_dataset_from_buffers``, like ``author`` and
             ``algorithm_name``; Minari warns of those that it misses.
 
-    Returns:
-        The data set, on disk where Minari keeps its own.
-
     Raises:
-        ImportError: if Minari is not installed, saying how to get it.
+        ImportError: saying how to get Minari.
         ValueError: naming what was not recorded, or a name that is malformed or taken; nothing
             is written then.
     """
@@ -126,7 +113,14 @@ def minari_dataset(trajectory: Any, name: str, **about: Any) -> MinariDataset:
             f"to_minari() needs {' and '.join(missing)}, which were not kept; ask for them: "
             'rollout(…, record="all")'
         )
-    _check_name(minari, name)
+    try:  # before Minari makes a folder of the name
+        minari.dataset.minari_dataset.parse_dataset_id(name)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f'name is {name!r}; it must be like "rendezvous/ring-12-v0": {error}'
+        ) from error
+    if name in minari.list_local_datasets():
+        raise ValueError(f"name is {name!r}; it must be new: there is such a data set already")
     spec = EnvSpec(
         id="rendezvous/Rendezvous-v0",
         entry_point="rendezvous_env.envs.gymnasium_env:env_from_plain",
@@ -153,22 +147,7 @@ def minari_dataset(trajectory: Any, name: str, **about: Any) -> MinariDataset:
                 infos={"active": trajectory.active[: steps + 1, team]},
             )
         )
-    made: MinariDataset = minari.create_dataset_from_buffers(name, episodes, **about)
-    return made
-
-
-def _check_name(minari: Any, name: str) -> None:
-    """Refuse a name before Minari makes a folder of it."""
-    from minari.dataset.minari_dataset import parse_dataset_id
-
-    try:
-        parse_dataset_id(name)
-    except (TypeError, ValueError) as error:
-        raise ValueError(
-            f'name is {name!r}; it must be like "rendezvous/ring-12-v0": {error}'
-        ) from error
-    if name in minari.list_local_datasets():
-        raise ValueError(f"name is {name!r}; it must be new: there is such a data set already")
+    return minari.create_dataset_from_buffers(name, episodes, **about)
 
 
 def _arrays(trajectory: Any) -> dict[str, NDArray[Any]]:

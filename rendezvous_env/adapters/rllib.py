@@ -58,11 +58,11 @@ def configure(
 
     Args:
         config: of an algorithm, as ``PPOConfig()``; it is changed, and returned.
-        scenario: a Scenario, the name of one, or the path of a TOML file.
+        scenario: as the further arguments, and errors, see ``vector.training_env``.
         num_teams: B, teams in each environment runner.
         units: width of the network.
         wrap: wraps the teams in a ``VectorWrapper`` of your own that changes rewards, say.
-        **arguments: of ``rendezvous_env.vector.training_env``; errors are those, too.
+        **arguments: of the teams.
     """
     settings = {"scenario": scenario, **arguments}
     model = {"sets": sets_of(training_env(**settings).layout), "units": units}
@@ -78,21 +78,17 @@ def configure(
 class RobotEnvRunner(SingleAgentEnvRunner):
     """Collects episodes of single robots from B teams of n, all stepped at once.
 
-    ``config.env`` makes a vector environment of teams with SAME_STEP autoreset;
-    ``num_envs_per_env_runner`` is B. One step of one robot counts as one environment step. The
-    episode of a robot is truncated, and bootstrapped, at a time-out (from its own last observation)
-    and at a merge (from its survivor's), so that meeting early is not punished; it is terminated at
-    a rendezvous. Robots that are gone have no episodes. Episode returns and lengths in the results
-    are those of teams, beside the summary: success, time, contacts, path_length, lyapunov.
+    ``config.env`` makes a vector environment of teams with SAME_STEP autoreset, B =
+    ``num_envs_per_env_runner``. One step of one robot counts as one environment step. Its episode
+    is terminated at a rendezvous, and truncated and bootstrapped as ``RobotSlots`` says. Episode
+    returns and lengths in the results are those of teams, beside their summary.
 
     With the seed s, which ``config.debugging(seed=…)`` sets and RLlib makes different for every
     runner and for evaluation, team b has the seed s · B + b.
 
     RLlib's connectors between environment and module, and its callbacks for single steps and
-    episodes, are not called: they would be for every robot. Callbacks for samples are.
-
-    Raises:
-        ValueError: for a configuration with connectors of its own, or another autoreset mode.
+    episodes, are not called: they would be for every robot. Callbacks for samples are. A ValueError
+    for a configuration with connectors of its own.
     """
 
     env: RobotSlots | None
@@ -139,9 +135,13 @@ class RobotEnvRunner(SingleAgentEnvRunner):
         """Collect so many steps of robots, or so many episodes of teams."""
         assert self.env is not None
         if force_reset or num_episodes is not None or self._needs_initial_reset:
-            self._rollout = Rollout(self.env, self.env.reset(self._first_seed()))
+            seed = None  # of team 0: runners have consecutive seeds, B teams each
+            if self._seed is not None and self._needs_initial_reset:
+                seed = self._seed * self.num_envs
+            self._rollout = Rollout(self.env, self.env.reset(seed))
             self._needs_initial_reset = num_episodes is not None
         rollout, finished = self._rollout, 0
+        window = self.config.metrics_num_episodes_for_smoothing
         while (
             rollout.count < num_timesteps
             if num_timesteps is not None
@@ -152,17 +152,13 @@ class RobotEnvRunner(SingleAgentEnvRunner):
             step = rollout.add(slots, chosen, self._for_env(chosen[Columns.ACTIONS]))
             finished += len(step.finished)
             for episode in step.finished.values():
-                self._log_team(episode)
+                self._log_episode_metrics(episode["length"], episode["return"], episode["time"])
+                for name in STANDING:
+                    self.metrics.log_value(name, float(episode[name]), window=window)
         taken = rollout.count
         self._log_env_steps(metric=self._metrics_num_env_steps_sampled, num_steps=taken)
         self._increase_sampled_metrics(taken, finished)
         return list(rollout.cut(only_ended=num_timesteps is None))
-
-    def _first_seed(self) -> int | None:
-        """Seed of team 0: runners have seeds that follow on one another, B teams each."""
-        if self._seed is None or not self._needs_initial_reset:
-            return None
-        return self._seed * self.num_envs
 
     def _choose(
         self, seen: NDArray[np.float32], explore: bool, random_actions: bool
@@ -196,9 +192,3 @@ class RobotEnvRunner(SingleAgentEnvRunner):
         if isinstance(space, Box) and self.config.clip_actions:
             return clip_action(actions, space)
         return actions
-
-    def _log_team(self, episode: dict[str, Any]) -> None:
-        self._log_episode_metrics(episode["length"], episode["return"], episode["time"])
-        window = self.config.metrics_num_episodes_for_smoothing
-        for name in STANDING:
-            self.metrics.log_value(name, float(episode[name]), window=window)

@@ -121,7 +121,12 @@ class RobotVecEnv(VecEnv):
             for info, cost in zip(infos, costs.tolist(), strict=True):
                 info[key] = cost
         for team, episode in step.finished.items():
-            infos[team * n + n - 1 - self._told[team] % n] |= self._statistics(episode)
+            passed = round(time.time() - self._started, 6)
+            monitored = {"r": episode.pop("return"), "l": episode.pop("length"), "t": passed}
+            infos[team * n + n - 1 - self._told[team] % n] |= {
+                "episode": monitored | episode,
+                "is_success": episode["success"],
+            }
             self._told[team] += 1
             for robot in range(n) if self.tell_bootstraps else ():
                 infos[team * n + robot]["terminal_observation"] = step.last[team, robot].copy()
@@ -132,13 +137,6 @@ class RobotVecEnv(VecEnv):
                 infos[slot]["terminal_observation"] = observation.copy()
                 infos[slot]["TimeLimit.truncated"] = True
         return infos
-
-    def _statistics(self, episode: dict[str, Any]) -> dict[str, Any]:
-        """A team's episode in the form of a ``Monitor``."""
-        summary = {key: episode[key] for key in episode if key not in ("return", "length")}
-        counts = {"r": episode["return"], "l": episode["length"]}
-        passed = round(time.time() - self._started, 6)
-        return {"episode": counts | {"t": passed} | summary, "is_success": episode["success"]}
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seed team b with ``seed`` + b at the next reset; None draws one. Returns each slot's."""

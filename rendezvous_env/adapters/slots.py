@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
-from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from ..engine.state_checks import check_entries, check_keys
-from ..envs.spaces import of_one_robot
+from ..envs.spaces import of_all_teams, of_one_robot
 from ..envs.training import TrainingTeams
 from ..envs.vector_env import Info, RendezvousVectorEnv, Transition, at_the_end
 from ..envs.vector_wrappers import GuaranteeWrapper
@@ -55,6 +52,8 @@ class RobotSlots:
 
     active: NDArray[np.bool_]
     """(B, n), robots that exist on their own."""
+    observation_space = of_all_teams("single_observation_space")  # of all slots, for RLlib
+    action_space = of_all_teams("single_action_space")
 
     def __init__(self, teams: VectorEnv[Any, Any, Any]) -> None:
         mode = teams.metadata.get("autoreset_mode")
@@ -68,6 +67,7 @@ class RobotSlots:
         self.single_observation_space, self.single_action_space = map(of_one_robot, spaces)
         self.num_teams, self.n_robots = teams.num_envs, int(spaces[0].shape[0])
         self._acting: tuple[int, ...] = (teams.num_envs, *spaces[1].shape)
+        self.num_envs = self.num_teams * self.n_robots
         self.active = np.zeros((self.num_teams, self.n_robots), dtype=np.bool_)
         self._counts: dict[str, NDArray[Any]] = {
             "returns": np.zeros(self.num_teams),
@@ -75,16 +75,6 @@ class RobotSlots:
         }
         if self.simulator.costs:
             self._counts["costs"] = np.zeros(self.num_teams)
-
-    @cached_property
-    def observation_space(self) -> Space[Any]:
-        """Of all slots, which RLlib asks for; made on request."""
-        return batch_space(self.single_observation_space, self.active.size)
-
-    @cached_property
-    def action_space(self) -> Space[Any]:
-        """Of all slots."""
-        return batch_space(self.single_action_space, self.active.size)
 
     def reset(
         self,

@@ -32,8 +32,8 @@ def check_period(decision_period: int) -> int:
 
 
 def check_not_guaranteed(env: Any, wrapper: str, layers: type, guarantees: type) -> None:
-    """Refuse to put one guarantee upon another, naming both; ``layers`` is the class of all
-    wrappers of this API, ``guarantees`` that of ours.
+    """Refuse one guarantee upon another; ``layers`` are all wrappers of this API, ``guarantees``
+    ours.
     """
     while isinstance(env, layers):
         if isinstance(env, guarantees):
@@ -103,10 +103,8 @@ class HoldsFilter:
         }
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Put back what ``get_state`` took out.
-
-        Raises:
-            ValueError: naming what does not fit; nothing has changed then.
+        """Put back what ``get_state`` took out; a ValueError names what does not fit, and nothing
+        has changed then.
         """
         key = self.filter.state_key
         check_keys(state, ("env", key, "observed"))

@@ -37,18 +37,12 @@ from .vector_env import (
 
 
 class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
-    """Teams choose; for ``decision_period`` base steps a safety filter turns choices into actions.
+    """``rendezvous_env.GuaranteeWrapper`` in arrays: choices (B, n, k), infos (B, n), and
+    observations (B, n, rows, d) as the filter shows them.
 
-    Arguments, infos and errors are those of ``rendezvous_env.GuaranteeWrapper``, in arrays: choices
-    (B, n, k), observations (B, n, rows, d) as the filter shows them, infos (B, n). A team that ends
-    within a decision period stands still for the rest of it; a reset clears its memory.
-
-    Args:
-        env: a RendezvousVectorEnv in any autoreset mode, as ``make_vec`` makes one, or one in
-            wrappers of Gymnasium's that change neither observations nor actions.
-        safety_filter: a filter of its teams, its class, or its name (``register_filter``).
-        decision_period: base steps for which a choice is held; their rewards are summed.
-        **settings: of a filter given by class or name.
+    A team that ends within a decision period stands still for the rest of it; a reset clears its
+    memory. ``env`` is a RendezvousVectorEnv in any autoreset mode, as ``make_vec`` makes one, or
+    one in wrappers of Gymnasium's that change neither observations nor actions.
     """
 
     _base: RendezvousVectorEnv
@@ -98,11 +92,8 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         return self._see(which), infos | masked(self._told(), reset)
 
     def step(self, actions: ArrayLike) -> Transition:
-        """Hold the choices (B, n, k) for ``decision_period`` base steps; rewards are summed.
-
-        Raises:
-            ValueError: for a wrong shape, or naming the robot whose choice is not finite.
-            RuntimeError: before the first reset of the wrapper.
+        """Hold the choices (B, n, k) for ``decision_period`` base steps; rewards are summed. A
+        ValueError for a wrong shape, or naming the robot whose choice is not finite.
         """
         self._check_begun()
         base, mode = self._base, self._base.autoreset_mode

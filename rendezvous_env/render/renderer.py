@@ -14,7 +14,7 @@ from ..checks import refuse
 from ..engine.memory import RUNNING
 from ..simulator import Simulator
 from .camera import cell
-from .history import History, look
+from .history import History, Moment
 
 if TYPE_CHECKING:
     from .page import Page
@@ -47,12 +47,9 @@ class Renderer:
 
     Args:
         simulator: the teams.
-        render_mode: "human", "rgb_array" or None.
+        render_mode: "human", "rgb_array" or None; a ValueError for another.
         size: width and height in pixels.
         horizon: first length of the time axis, s; None is a tenth of the limit.
-
-    Raises:
-        ValueError: for another mode.
     """
 
     def __init__(
@@ -65,8 +62,7 @@ class Renderer:
         known = isinstance(render_mode, str) and render_mode in RENDER_MODES
         if render_mode is not None and not known:
             refuse("render_mode", render_mode, f"None or one of {RENDER_MODES}")
-        self.render_mode = render_mode
-        self.size = size
+        self.render_mode, self.size = render_mode, size
         self._simulator, self._horizon = simulator, horizon
         self._teams = min(simulator.num_envs, MOST_TEAMS)
         self._histories: list[History] = []
@@ -145,7 +141,36 @@ class Renderer:
             self.window = None
 
     def _look(self, contact: NDArray[np.bool_] | None = None) -> None:
-        self._histories = look(self._simulator, self._histories, self._teams, contact)
+        """Add the present moment to the histories; another episode begins another history."""
+        simulator, teams, histories = self._simulator, self._teams, self._histories
+        if contact is None:
+            contact = np.zeros(simulator.merged_into.shape, dtype=np.bool_)
+        columns = (
+            simulator.steps[:teams].tolist(),
+            simulator.time[:teams].tolist(),
+            simulator.positions[:teams].copy(),
+            simulator.headings[:teams],
+            simulator.merged_into[:teams],
+            contact[:teams].copy(),
+            simulator.lyapunov()[:teams].tolist(),
+        )
+        all_obstacles, initially = simulator.obstacles, simulator.initial_lyapunov.tolist()
+        self._histories = []
+        for team, moment in enumerate(map(Moment, *columns)):
+            obstacles, initial = all_obstacles[team], initially[team]
+            history = histories[team] if histories else None
+            if history is not None:
+                last = history.moments[-1]
+                seen_already = (
+                    moment.steps == last.steps
+                    and np.array_equal(moment.positions, last.positions)
+                    and np.array_equal(obstacles, history.obstacles)
+                )
+                if moment.steps == last.steps + 1 and initial == history.initial_lyapunov:
+                    history.moments.append(moment)
+                elif not seen_already:
+                    history = None
+            self._histories.append(history or History(obstacles.copy(), initial, [moment]))
 
     def _draw(self) -> Any:
         if self._page is None:
