@@ -15,15 +15,7 @@ from ..engine.batch_runner import Pilot, Show
 from ..engine.memory import RUNNING
 from ..rewards.costs import no_costs
 from ..scenario.start_options import as_options
-from .guarantee import (
-    AnyFilter,
-    GainSettings,
-    HeadingSettings,
-    HoldsFilter,
-    LinkSettings,
-    TankSettings,
-    check_not_guaranteed,
-)
+from .guarantee import AnyFilter, HoldsFilter, OneGuarantee, check_not_guaranteed
 from .spaces import as_told, choice_box, observation_box, of_all_teams, team_box
 from .vector_env import (
     Info,
@@ -233,20 +225,20 @@ def _base_of(env: Any, wrapper: str) -> RendezvousVectorEnv:
     return ours
 
 
-class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
+class HeadingVectorWrapper(OneGuarantee, GuaranteeWrapper, guarantee="heading"):
     """``rendezvous_env.HeadingVectorWrapper`` in arrays: raw vectors (B, n, k) in [−1, 1]."""
 
 
-class EnergyTankWrapper(TankSettings, GuaranteeWrapper):
+class EnergyTankWrapper(OneGuarantee, GuaranteeWrapper, guarantee="tank"):
     """``rendezvous_env.EnergyTankWrapper`` in arrays: desired velocities (B, n, a) in [−1, 1].
 
     The tank of a robot that is gone is 0; a team that is reset has its budget.
     """
 
 
-class GainWrapper(GainSettings, GuaranteeWrapper):
+class GainWrapper(OneGuarantee, GuaranteeWrapper, guarantee="gains"):
     """``rendezvous_env.GainWrapper`` in arrays: weights (B, n, K) in [0, 1]."""
 
 
-class LinkKeepingWrapper(LinkSettings, GuaranteeWrapper):
+class LinkKeepingWrapper(OneGuarantee, GuaranteeWrapper, guarantee="links"):
     """``rendezvous_env.LinkKeepingWrapper`` in arrays: desired velocities (B, n, d) in [−1, 1]."""
