@@ -132,14 +132,10 @@ class Evaluation:
 
 
 class HeldOut(Callback):
-    """Evaluates on the same starts every time, apart from those of training.
+    """Evaluates on the same starts every time, from ``seed`` on, apart from those of training.
 
     BenchMARL seeds the environments of training and of evaluation alike, so that both begin with
-    the same starts. This callback gives those of evaluation seeds of their own; leave
-    ``evaluation_static`` False, which would take them back.
-
-    Args:
-        seed: of the first team; those of training follow on the seed of the experiment.
+    the same starts. Leave ``evaluation_static`` False, which would bring that back.
     """
 
     def __init__(self, seed: int = 1_000_000) -> None:

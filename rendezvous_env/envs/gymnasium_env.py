@@ -68,12 +68,7 @@ class RendezvousEnv(OneTeam, gymnasium.Env[Any, Any]):
         return observations[0], of_first_team(infos)
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Info]:
-        """Advance by one step τ.
-
-        Raises:
-            ValueError: for an action of the wrong shape, or that is not finite, naming the robot.
-            RuntimeError: before the first reset.
-        """
+        """Advance by one step τ; errors as ``RendezvousVectorEnv.step``."""
         table = floats("action", action, np.float32)[None]
         observations, rewards, ends, cuts, infos = self.teams.step(table)
         ended = bool(ends[0]), bool(cuts[0])
@@ -90,22 +85,11 @@ def make_vec(
     flatten: bool = False,
     **overrides: Any,
 ) -> RendezvousVectorEnv:
-    """Many teams of one scenario as one vector environment.
+    """``num_envs`` teams of one scenario as one vector environment.
 
-    Args:
-        scenario: a Scenario, the name of one (``scenarios.names()``) or the path of a TOML file.
-        num_envs: B, number of teams.
-        autoreset_mode: when a team that has ended is reset; see ``RendezvousVectorEnv``.
-        num_threads: most threads a step may use; None is one for each core.
-        max_cycles: time limit in steps, instead of the scenario's.
-        render_mode: "human" for a window, "rgb_array" for pictures, None for neither.
-        flatten: whether observations are (B, n, rows·d), row by row, for libraries that take no
-            tables; ``scenario.observation_layout.split`` reads both.
-        **overrides: fields of the scenario to change.
-
-    Raises:
-        TypeError: for an unknown argument or field, with the nearest known one.
-        ValueError: for an unknown scenario or mode, or an impossible value.
+    A team that has ended is reset by ``autoreset_mode``, see ``RendezvousVectorEnv``. A step uses
+    ``num_threads`` at most; None is one for each core. All other arguments, and errors, are those
+    of ``rendezvous_env.parallel_env``; with ``flatten`` observations are (B, n, rows·d).
     """
     check_overrides(make_vec, overrides)
     mode = _autoreset_mode(autoreset_mode)

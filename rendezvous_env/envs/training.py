@@ -45,8 +45,8 @@ _presets: list[Callable[[], Any]] = []
 
 
 def hand_in_preset(load: Callable[[], Any]) -> None:
-    """Set what ``learning_preset`` loads, as the environment itself knows no policy: what teams
-    see, do and earn, with the methods of ``ShippedPreset``.
+    """Set what ``learning_preset`` loads, as the environment itself knows no policy: an object like
+    ``ShippedPreset``.
     """
     _presets[:] = [load]
 

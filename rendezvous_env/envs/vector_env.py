@@ -76,11 +76,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
     for vector environments wants it: parts of one picture (600, 600, 3) uint8 of the first 16 teams
     side by side, which ``renderer.render()`` gives as a whole. Further teams share one blank part.
 
-    Args:
-        simulator: the teams.
-        autoreset_mode: see above.
-        render_mode: "human", "rgb_array" or None, as in ``rendezvous_v0``.
-        flatten: whether a robot's rows stand one after another, as one vector.
+    ``flatten`` puts a robot's rows one after another, as one vector.
     """
 
     observation_space: Space[Any] = of_all_teams("single_observation_space")
@@ -113,10 +109,8 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         options: Mapping[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], Info]:
         """Begin a new episode in all teams, or in those of ``options["reset_mask"]``, (B,) bool;
-        observations of all teams, and infos masked to those that were reset.
-
-        Raises:
-            ValueError: for a bad option, seed or mask; nothing has changed then.
+        observations of all teams, and infos masked to those that were reset. A ValueError for a bad
+        option, seed or mask, and nothing has changed.
         """
         simulator, start = self.simulator, as_options(options)
         mask = start.pop("reset_mask", None)
@@ -135,12 +129,9 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         return as_told(observations, self.flatten), masked(infos, which)
 
     def step(self, actions: NDArray[np.float32]) -> Transition:
-        """Advance every team by one step τ with actions (B, n, a); see the class.
-
-        Raises:
-            ValueError: for actions of the wrong shape, or that are not finite, naming the robot;
-                nothing has changed then.
-            RuntimeError: before the first reset.
+        """Advance every team by one step τ with actions (B, n, a); see the class. A ValueError for
+        another shape, or naming the robot whose action is not finite, and nothing has changed; a
+        RuntimeError before the first reset.
         """
         simulator, mode = self.simulator, self.autoreset_mode if self.begins_anew else _DISABLED
         if mode is AutoresetMode.NEXT_STEP and not simulator.all_running:

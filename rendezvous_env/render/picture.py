@@ -27,9 +27,8 @@ _MOST_HEADS = 60  # arrows up to which each has a head
 class TeamPicture:
     """One team's episode in a part of a page; the view does not change.
 
-    Space is drawn in three layers: the ground with what spheres hide, the spheres, and the rest.
-    In the plane the ground is enough. ``unit`` pixels of the page count as one, so that a fine page
-    has no thinner lines.
+    Space has three layers: the ground with what spheres hide, the spheres, and the rest; the plane
+    has the ground. ``unit`` pixels of the page count as one, so that a fine page has no thin lines.
     """
 
     def __init__(self, scenario: Scenario, history: History, area: Area, unit: float) -> None:
@@ -159,7 +158,7 @@ class TeamPicture:
         order = order[np.argsort(self.camera.nearness(moment.positions[order]), kind="stable")]
         sizes = np.bincount(moment.merged_into, minlength=len(which)).tolist()
         noses = self.camera.directions(moment.positions, self._facing(moment))
-        self._draw_bearings(canvas, moment.positions, pixels, bearings, which)
+        self._draw_bearings(canvas, moment, pixels, bearings, which)
         for i in order.tolist():
             middle, place, radius = pixels[i], pixels[i].tolist(), self._radius(sizes[i])
             shade, length = robot_colour(i), radius + _NOSE * unit
@@ -187,19 +186,14 @@ class TeamPicture:
         return np.asarray(np.divide(motion, length, out=np.zeros_like(motion), where=length > 0))
 
     def _draw_bearings(
-        self,
-        canvas: pygame.Surface,
-        positions: Floats,
-        pixels: Floats,
-        bearings: Floats,
-        which: Bools,
+        self, canvas: pygame.Surface, moment: Moment, pixels: Floats, bearings: Floats, which: Bools
     ) -> None:
         """Short arrows along what robots see: neighbours in their colour, edges of obstacles."""
         layout, unit = self._scenario.observation_layout, self._unit
         lengths = np.linalg.norm(bearings[:, : layout.obstacles.stop], axis=-1)
         robots, rows = np.nonzero((lengths > 0) & which[:, None])
         seen = bearings[robots, rows] / lengths[robots, rows, None]
-        along = self.camera.directions(positions[robots], seen)
+        along = self.camera.directions(moment.positions[robots], seen)
         tips = pixels[robots] + along * (self._radius(1) + _ARROW * unit)
         shades = [
             robot_colour(i) if row < layout.neighbours.stop else OBSTACLE_EDGE

@@ -10,12 +10,7 @@ _LEAST_PAUSE = 1 / 60  # s between two pictures; steps that are shorter are not 
 
 
 class Window:
-    """A window of its own, in which time passes as in the simulation or more slowly.
-
-    Args:
-        title: of the window.
-        size: width and height in pixels.
-    """
+    """A window of its own, in which time passes as in the simulation or more slowly."""
 
     def __init__(self, title: str, size: tuple[int, int]) -> None:
         pygame.display.init()
