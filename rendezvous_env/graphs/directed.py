@@ -1,4 +1,4 @@
-"""Directed sensing graphs: a robot need not be seen by whom it sees (guarantees, section 10)."""
+"""Directed sensing graphs: sight need not be mutual (guarantees, section 10)."""
 
 from __future__ import annotations
 

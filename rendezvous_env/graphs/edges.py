@@ -37,7 +37,7 @@ class Changes(NamedTuple):
     highs: NDArray[np.float64]
     dwell: float  # how long a graph holds, s; inf for ever
     at_random: bool  # whether the next graph is drawn from the list rather than the next in it
-    by_sight: bool  # whether arcs are there only to whom a robot sees
+    by_sight: bool  # whether a robot has arcs only to robots that it sees
     reach: float  # range of sight, m
     half_field: float  # half the field of view, rad
     seeds: NDArray[np.uint64]  # (B,), of the teams

@@ -20,7 +20,7 @@ as_range = partial(number_range, "graph: weight_range", unit="m/s")
 
 @dataclass(frozen=True)
 class CompleteGraph(Graph, kinds=("complete",)):
-    """Everyone sees everyone, and goes on to whoever merges; in closed form."""
+    """All pairs, whatever has merged; in closed form."""
 
     def links(self, n: int) -> LinkArrays:
         """All pairs."""

@@ -18,7 +18,7 @@ from ..physics.vectors import load, subtract
 
 @kernel
 def merge_swept(positions, displacements, lengths, links, arcs, merged_into, world, radius, work):
-    """Move one team by its displacements and merge whom the motion brings together (theory 5).
+    """Move one team by its displacements and merge robots that come together (theory 5).
 
     Pairs merge at the first moment when their distance falls to r, earliest first and then by
     index; both rest for what is left of the step. Afterwards pairs that stand closer than r merge,

@@ -1,4 +1,4 @@
-"""Graphs whose links are there to whom a robot sees."""
+"""Graphs whose links follow sight."""
 
 from __future__ import annotations
 

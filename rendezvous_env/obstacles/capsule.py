@@ -20,7 +20,7 @@ from .disc import disc_edges
 from .shape import BOUND, COS_AZIMUTH, DETAILS, MIDDLE, OWN, SIN_AZIMUTH, Thickness, centre_of_row
 
 CAPSULE = 3
-"""Kind of a capsule; its row goes on with the half axis x, y, z and its own radius."""
+"""Kind of a capsule; after the bounding ball its row has the half axis x, y, z and its radius."""
 AXIS, THICKNESS = DETAILS, DETAILS + 3
 """Columns of these in a table."""
 _AXIS, _THICKNESS = OWN, OWN + 3

@@ -20,13 +20,13 @@ _KINDS: dict[str, Callable[..., Obstacle | Field]] = {
     "field": ObstacleField,
     "walls": WallField,
 }
-_TOLD_BY = {
+_KIND_BY_KEY = {
     "vertices": "polygon",
     "ends": "capsule",
     **dict.fromkeys(("layout", "size", "opening", "thickness"), "walls"),
     **dict.fromkeys(("count", "region", "keep_out", "overlap", "passage"), "field"),
 }
-"""Which key tells which kind, if none is given."""
+"""What a key says of the kind, if none is given."""
 
 
 def parse(value: Any, dim: int) -> Obstacles:
@@ -62,8 +62,8 @@ def _from_plain(plain: Mapping[str, Any], dim: int) -> Obstacle | Field:
     values = dict(plain)
     kind = values.pop("kind", None)
     if kind is None:
-        told = (told for key, told in _TOLD_BY.items() if key in values)
-        kind = next(told, "disc" if dim == 2 else "sphere")
+        kinds = (kind for key, kind in _KIND_BY_KEY.items() if key in values)
+        kind = next(kinds, "disc" if dim == 2 else "sphere")
     if not isinstance(kind, str) or kind not in _KINDS:
         raise ValueError(f"obstacles: kind {shown(kind)} must be one of {', '.join(_KINDS)}")
     keys = _keys(kind)

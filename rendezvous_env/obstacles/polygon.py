@@ -1,7 +1,4 @@
-"""Convex polygons of the plane: what a user sets, distance, way in, silhouette, picture.
-
-Its row goes on with the vertices x0, y0, x1, y1, … counter-clockwise.
-"""
+"""Convex polygons of the plane: what a user sets, distance, way in, silhouette, picture."""
 
 from __future__ import annotations
 
@@ -21,7 +18,8 @@ from . import shape
 from .shape import BOUND, LEAST_THICKNESS, MIDDLE, NEARLY_ZERO, OWN, centre_direction, centre_of_row
 
 POLYGON = 2
-"""Kind of a polygon; its row goes on with the vertices."""
+"""Kind of a polygon; after the bounding ball its row has the vertices x0, y0, x1, y1, … in
+counter-clockwise order."""
 # of coordinates that were computed, as a share of the largest; so deep is no vertex a dent
 _ROUNDING = 1e-12
 _VERTEX_TOLERANCE = 1e-9  # m; on a vertex are points that are no deeper behind either edge

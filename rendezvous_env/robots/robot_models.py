@@ -214,11 +214,11 @@ class _Asked(NamedTuple):
         return _called(what, getattr(self.motion, name), self.constants, *arguments)
 
     def numbers(self, name: str, count: int, *arguments: Any) -> tuple[float, ...]:
-        """What an equation gives, refused if that are not so many finite numbers."""
+        """What an equation gives, refused unless it is this many finite numbers."""
         return self.check(name, count, self.ask(name, *arguments))
 
     def check(self, name: str, count: int, found: Any) -> tuple[float, ...]:
-        """Likewise, of what it gave."""
+        """Refuse what is not this many finite numbers."""
         finite = isinstance(found, tuple) and all(math.isfinite(real(number)) for number in found)
         if not finite or len(found) != count:
             self.refuse(name, found, f"a tuple of {count} finite numbers")

@@ -101,8 +101,8 @@ class Scenario:
     None is a point, which hides others as a disc of r/2 where ``sensing`` lets robots hide."""
     meeting: Literal["merge", "pack"] = "merge"
     """merge, or pack: bodies stop where they would touch, and have met when they lie in one cluster
-    in which each is within r of two others; whom they touch they do not see, unless they touch all.
-    In the plane, without obstacles."""
+    in which each is within r of two others. Robots see none of those they touch, unless they touch
+    all. In the plane, without obstacles."""
     time_step: Seconds | None = None
     """τ in s; None is the certified step r/(2D̄), with which V cannot rise between merges."""
     allow_long_step: bool = False
@@ -143,7 +143,7 @@ class Scenario:
     )
     """Weights of the reward terms."""
     costs: Annotated[tuple[str, ...], as_costs] = ()
-    """What is told beside rewards for learners with constraints: "contact", "rise", "link_lost", or
+    """Costs beside rewards, for learners with constraints: "contact", "rise", "link_lost", or
     registered reward terms; see ``rewards.costs``."""
 
     def __post_init__(self) -> None:

@@ -56,7 +56,7 @@ class Sensing:
     delay: Annotated[int, partial(checks.whole, least=0, most=MOST_DELAY)] = 0
     """Steps by which what is seen is late; until then what is seen first is held."""
     sectors: Annotated[int, partial(checks.whole, least=2, most=MOST_SECTORS)] | None = None
-    """Bearings are rounded to so many directions from the x axis on, in 3-D in yaw and, as far as
+    """Bearings are rounded to this many directions from the x axis on, in 3-D in yaw and, as far as
     ± π/2, in elevation; None does not round."""
     occlusion: Literal["none", "obstacles", "robots", "both"] = "none"
     """What hides neighbours that are behind it: none, obstacles, robots (as discs or spheres of
