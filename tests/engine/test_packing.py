@@ -155,18 +155,6 @@ class TestScenario:
         with pytest.raises(ValueError, match=message):
             rv.Scenario(**fields)
 
-    def test_a_file_keeps_it(self, tmp_path):
-        FOUR.to_toml(tmp_path / "four.toml")
-        assert rv.Scenario.from_toml(tmp_path / "four.toml").replace(name=FOUR.name) == FOUR
-
-    @pytest.mark.parametrize(
-        "asked", [{"by": "law"}, {"min_alignment": 0.1}, {"by": "tank"}, {"by": "gains"}]
-    )
-    def test_nothing_is_promised_of_bodies_that_pack(self, asked):
-        found = rv.certificate(FOUR, **asked)
-        assert not found.guaranteed and not found.promises
-        assert "none merges; bodies do not overlap" in found.theorem
-
     def test_bodies_that_dock_lose_no_promise(self):
         docking = rv.Scenario(n_robots=4, body_radius=0.1)
         points = rv.certificate(rv.Scenario(n_robots=4))

@@ -205,7 +205,6 @@ def test_a_thousand_robots_through_every_face():
         ("second", (0, 0), 0, r"second\[0, 0\] is 0; it must be above the other robot"),
         ("first", (0, 3), 0, "in the order of the links, each once"),
         ("weights", (0, 3), 0.0, "it must be 0 after a 0"),
-        ("weights", (0, 3), -1.0, "it must be 0 or more"),
         ("merged_into", (0, 1), 0, "it must be 0 for pairs with a merged-away robot"),
     ],
 )

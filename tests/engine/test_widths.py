@@ -12,26 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT, UNEQUAL, five
+from test_sensing_engine import SHAPES, WORST
 
-from rendezvous_env import (
-    Capsule,
-    Disc,
-    ObstacleField,
-    Polygon,
-    Scenario,
-    Sensing,
-    Simulator,
-    Sphere,
-    WallField,
-)
+from rendezvous_env import Capsule, ObstacleField, Scenario, Simulator, Sphere, WallField
 from rendezvous_env.engine.memory import ManyTeams, OneTeam
 from rendezvous_env.engine.memory_layout import MemoryLayout
 
-SHAPES = (
-    Disc((0.3, 0.2), 0.5),
-    Polygon(((-1.5, -0.5), (-0.7, -0.8), (-0.9, 0.4))),
-    Capsule(((0.5, -1.2), (1.6, -0.6)), 0.25),
-)
 SOLIDS = (Sphere((0.3, 0.2, 0.0), 0.5), Capsule(((-1.0, -0.5, -0.5), (-0.4, 0.6, 0.4)), 0.3))
 TIGHT = {"spawn_size": 5.0, "merge_radius": 0.3, "obstacle_range": 2.0}
 FIELD = ObstacleField(count=(1, 3), radius=(0.2, 0.4), region=4.0, keep_out=0.1, passage=0.1)
@@ -53,17 +39,7 @@ SCENARIOS = {
     "errors": five(
         "single_integrator-2d",
         obstacles=SHAPES,
-        sensing=Sensing(
-            range=6.0,
-            field_of_view=5.0,
-            noise=0.1,
-            bias=0.2,
-            error=0.15,
-            dropout=0.2,
-            delay=3,
-            sectors=720,
-            occlusion="both",
-        ),
+        sensing=WORST,
         **TIGHT,
     ),
     "drawn graphs": Scenario(n_robots=6, graph="random_tree", on_merge="follow", **TIGHT),
@@ -74,19 +50,6 @@ COVERED = (
 )  # fmt: skip
 """By the others together, but for how they are compiled."""
 MEETS_NOTHING = ("nothing in the way", "two rows", "drawn graphs")
-KEPT = (
-    "observations",
-    "rewards",
-    "robot_rewards",
-    "contact",
-    "clearance",
-    "active",
-    "status",
-    "merge_rise",
-    "merge_excess",
-    "lyapunov_before_merge",
-    "lyapunov_after_merge",
-)
 
 
 def towards_neighbours(scenario: Scenario, observations: np.ndarray) -> np.ndarray:
@@ -107,9 +70,8 @@ def episode(scenario: Scenario, batch: int, seed: int, steps: int, **how) -> dic
     for _ in range(steps):
         outcome = sim.step(towards_neighbours(scenario, observations))
         observations = outcome.observations
-        one = {name: np.copy(getattr(outcome, name)) for name in KEPT}
-        one |= {"positions": sim.positions, "lyapunov": sim.lyapunov(), "length": sim.path_length}
-        found.append(one)
+        own = {"positions": sim.positions, "scores": outcome.scores.T}
+        found.append({name: a.copy() for name, a in (outcome._asdict() | own).items()})
     return {name: np.stack([one[name] for one in found]) for name in found[0]}
 
 

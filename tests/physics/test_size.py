@@ -98,12 +98,3 @@ def test_of_the_simulator_only_robots_that_are_left_count(dim):
     expected = [integral(p[a]) for p, a in zip(simulator.positions, simulator.active, strict=True)]
     np.testing.assert_allclose(simulator.size(), expected, rtol=2e-5)
     assert simulator.size().shape == (6,)
-
-
-def test_a_team_that_has_met_has_no_size():
-    scenario = Scenario(n_robots=2, start_positions=((0, 0), (0.1, 0)))
-    simulator = Simulator(scenario)
-    simulator.reset(0)
-    assert simulator.size() == pytest.approx(0.2)
-    simulator.step(np.zeros((1, 2, 2)))
-    assert simulator.size() == 0
