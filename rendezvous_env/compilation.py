@@ -7,9 +7,8 @@ import inspect
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import partial, wraps
+from collections.abc import Callable
+from functools import cache, partial, wraps
 from types import FunctionType
 from typing import Any, Literal
 
@@ -35,10 +34,9 @@ Inline = Literal["never", "code", "text"]
 """Whether a kernel becomes part of whoever calls it.
 
 "code": its machine code does, while that is optimised. "text": its text takes the place of its call
-before anything is compiled. That costs no compiling of its own, whereas other kernels are optimised
-by themselves, and again as part of each kernel above them; for long ones with a single caller. In
-it no branch may hang on whether an argument is None, nor on the length of a tuple: its types are
-not known yet.
+before anything is compiled, which costs no compiling of its own; for long ones with a single
+caller. In it no branch may hang on whether an argument is None, nor on the length of a tuple: its
+types are not known yet.
 """
 
 
@@ -50,40 +48,36 @@ def kernel(
 ) -> Any:
     """Compile a function on first use: nogil, IEEE division, no fastmath; cached on disk.
 
-    It counts no references to arrays: to hand tuples of arrays over, and to count who holds each
-    array and each view of it, takes longer than a small team's arithmetic, and counters that two
-    threads raise at the same time take longest. A kernel must therefore neither allocate arrays,
-    nor return any, which would be counted too seldom; the compiler refuses both.
+    It counts no references to arrays, which would take longer than a small team's arithmetic. So it
+    must neither allocate arrays nor return any; the compiler refuses both.
 
     Args:
         function: of numbers, arrays and tuples of these; None to give options first.
         inline: whether it becomes part of whoever calls it.
         allocates: whether it may allocate and return arrays after all, and counts references.
     """
-    if function is None:
-        return partial(kernel, inline=inline, allocates=allocates)
-    return (
-        _Kernel(function, None, _options(inline, allocates=allocates)) if compiled() else function
-    )
+    return _made(function, _options(inline, allocates=allocates))
 
 
 def inner_kernel(function: Callable[..., Any] | None = None, *, inline: Inline = "never") -> Any:
     """A kernel that only kernels call: no entry for Python is compiled, which takes tuples of
     arrays apart and is longer than many a kernel.
     """
+    return _made(function, _options(inline, within=True))
+
+
+def _made(function: Callable[..., Any] | None, options: dict[str, Any]) -> Any:
     if function is None:
-        return partial(inner_kernel, inline=inline)
-    options = _options(inline, within=True)
+        return partial(_made, options=options)
     return _Kernel(function, targetoptions=options) if compiled() else function
 
 
 def _options(inline: Inline, *, allocates: bool = False, within: bool = False) -> dict[str, Any]:
     """Options of numba; what is not said here would be as whoever calls first has it.
 
-    Three are not documented. ``_nrt`` leaves references uncounted; ``no_cfunc_wrapper`` leaves out
-    an entry for callers in C, of whom there are none, and ``no_cpython_wrapper`` that for Python
-    where only kernels call: the two take a third of all compiling. With a numba that knows them no
-    longer everything works, slower.
+    Three are not documented: ``_nrt`` (count references), and two that leave out entries for
+    callers in C and in Python, a third of all compiling. With a numba that knows them no longer
+    everything works, slower (decision 11).
     """
     undocumented = {"_nrt": allocates, "no_cfunc_wrapper": True, "no_cpython_wrapper": within}
     return {
@@ -103,22 +97,28 @@ class _Kernel(_DISPATCHER):
         self._within = targetoptions.get("no_cpython_wrapper", False)
 
     def compile(self, sig: Any) -> Any:
-        """The entry point for a signature, from disk or compiled anew."""
-        with _at_rest() as began:
-            entry = super().compile(sig)
-            if self._cache_misses and time.monotonic() - began > _PATIENCE and not _said:
-                _said.append(True)
-                print(
-                    "rendezvous_env: compiling for this kind of team, which is done once and kept "
-                    "on disk; `rendezvous warmup` does it beforehand",
-                    file=sys.stderr,
-                )
-        return entry
+        """The entry point for a signature, from disk or compiled anew.
+
+        Python's collector of cycles rests meanwhile: it would look, again and again, through a
+        million objects that are all still in use, for an eighth of the time.
+        """
+        with global_compiler_lock:
+            collects = gc.isenabled()
+            gc.disable()
+            _began.append(time.monotonic())
+            try:
+                entry = super().compile(sig)
+                if self._cache_misses and time.monotonic() - _began[0] > _PATIENCE:
+                    _say_once()
+                return entry
+            finally:
+                _began.pop()
+                if collects:  # not within another function's compiling
+                    gc.enable()
 
     def add_overload(self, cres: Any) -> None:
-        """Take compiled code in, with an entry for Python only if it has one. An array that it
-        returns is refused: nobody would have counted that reference, and it would be freed while in
-        use.
+        """Take compiled code in, with an entry for Python only if it has one; unless it returns an
+        array whose reference nobody counted, which would be freed while in use.
         """
         returned = cres.signature.return_type
         if not self.targetoptions.get("_nrt", True) and _holds_array(returned):
@@ -137,27 +137,17 @@ class _Kernel(_DISPATCHER):
         return super()._compile_for_args(*args, **kws)
 
 
-_said: list[bool] = []
 _began: list[float] = []
 """When each function that is being compiled was begun, s, the outermost first."""
 
 
-@contextmanager
-def _at_rest() -> Iterator[float]:
-    """Let Python's collector of cycles rest while a function is compiled: it would look, again and
-    again, through a million objects that are all still in use, for an eighth of the time. Yields
-    when the outermost function was begun, s.
-    """
-    with global_compiler_lock:
-        was_at_work = gc.isenabled()
-        gc.disable()
-        _began.append(time.monotonic())
-        try:
-            yield _began[0]
-        finally:
-            _began.pop()
-            if was_at_work:  # not within another function's compiling
-                gc.enable()
+@cache
+def _say_once() -> None:
+    print(
+        "rendezvous_env: compiling for this kind of team, which is done once and kept on disk; "
+        "`rendezvous warmup` does it beforehand",
+        file=sys.stderr,
+    )
 
 
 def _holds_array(kind: Any) -> bool:
@@ -204,11 +194,9 @@ def by_type(argument: str, choose: Callable[[type], Any]) -> Any:
 
 
 def entry_point(function: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:
-    """What a kernel runs for arguments of these types.
-
-    To call it leaves out numba's look at the types of all arguments, which takes as long as a small
-    team's step. So later arguments must have the same types, but for arrays that may not be written
-    to: compiled code for those would be the same again.
+    """What a kernel runs for arguments of these types, without numba's look at all types in each
+    call, which takes as long as a small team's step. Later arguments must have the same types, but
+    for arrays that may not be written to.
     """
     if not compiled():
         return function

@@ -2,9 +2,8 @@
 
 The compiled code of a kernel for one signature is a file, named after all that it was made from:
 what numba freezes of the kernel, which is its own code and what it names, in turn, in whatever
-module; how kernels are compiled; the types of the arguments; processor and versions. Edit one of
-these, and the name is another one. The file begins with a digest of what follows, since damaged
-machine code would end the process.
+module; how kernels are compiled; the types of the arguments; processor and versions. It begins with
+a digest of what follows, since damaged machine code would end the process.
 """
 
 from __future__ import annotations
@@ -46,8 +45,7 @@ class KernelCache:
     """Compiled code of one kernel, by signature: what numba asks of a dispatcher's cache."""
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
-        self._function = function
-        self._options = sorted(options.items())
+        self._function, self._options = function, sorted(options.items())
 
     @property
     def cache_path(self) -> str:
@@ -57,8 +55,8 @@ class KernelCache:
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled code for a signature; None if there is none that is whole."""
         target_context.refresh()
-        arguments, _ = sigutils.normalize_signature(sig)
-        if (path := self._path(arguments, target_context)) is None:
+        arguments, path = self._file(sig, target_context)
+        if path is None:
             return None
         try:
             content = path.read_bytes()
@@ -75,8 +73,7 @@ class KernelCache:
 
     def save_overload(self, sig: Any, compiled: Any) -> None:
         """Keep compiled code, unless the disk is full or the folder gone."""
-        arguments, _ = sigutils.normalize_signature(sig)
-        path = self._path(arguments, compiled.target_context)
+        _, path = self._file(sig, compiled.target_context)
         if path is None or compiled.lifted or compiled.library.has_dynamic_globals:
             return
         code = serialize.dumps(compiled._reduce())
@@ -88,16 +85,18 @@ class KernelCache:
             finally:
                 part.unlink(missing_ok=True)
 
-    def _path(self, arguments: tuple[Any, ...], target_context: Any) -> Path | None:
-        """The file for these types; None where no later process could find it."""
+    def _file(self, sig: Any, target_context: Any) -> tuple[tuple[Any, ...], Path | None]:
+        """Types of the arguments, and the file for them; None where no later process finds it."""
+        arguments, _ = sigutils.normalize_signature(sig)
         kinds = [kind for argument in arguments for kind in named_tuples(argument)]
         if (folder := _folder()) is None or any(kind.__module__ == "__main__" for kind in kinds):
-            return None
+            return arguments, None
         made_from = [_base(), target_context.codegen().magic_tuple(), self._options, arguments]
         digest = hashlib.sha256(repr(made_from).encode())
         for text in content(self._function, *kinds):
             digest.update(text.encode())
-        return folder / f"{self._function.__name__.strip('<>')}-{digest.hexdigest()[:32]}.code"
+        name = self._function.__name__.strip("<>")
+        return arguments, folder / f"{name}-{digest.hexdigest()[:32]}.code"
 
 
 # ---- what compiled code is made from ------------------------------------------------------------
@@ -134,24 +133,23 @@ def content(*values: Any) -> Iterator[str]:
     return _content(values, frozenset(), set())
 
 
-def _content(value: Any, names: frozenset[str], seen: set[int]) -> Iterator[str]:
-    """Of one value; ``names`` are the attributes of modules that are asked for, ``seen`` functions
-    that need not be followed again.
+def _content(values: Iterable[Any], names: frozenset[str], seen: set[int]) -> Iterator[str]:
+    """``names`` are the attributes of modules that are asked for, ``seen`` functions that need not
+    be followed again.
     """
-    if hasattr(value, "targetoptions"):  # a kernel, whose options hold for whoever inlines it
-        yield repr(sorted(value.targetoptions.items()))
-    value = getattr(value, "py_func", value)
-    if isinstance(value, FunctionType):
+    for value in values:
+        if hasattr(value, "targetoptions"):  # a kernel, whose options hold for whoever inlines it
+            yield repr(sorted(value.targetoptions.items()))
+        value = getattr(value, "py_func", value)
+        if not isinstance(value, FunctionType):
+            text, parts = _told(value, names)
+            yield text
+            yield from _content(parts, names, seen)
+            continue
         yield f"{value.__module__} {value.__qualname__}"
-        if id(value) in seen or not (value.__closure__ or _is_followed(value.__module__)):
-            return
-        seen.add(id(value))
-        names, parts = _names(value.__code__), _frozen(value)
-    else:
-        text, parts = _told(value, names)
-        yield text
-    for part in parts:
-        yield from _content(part, names, seen)
+        if id(value) not in seen and (value.__closure__ or _is_followed(value.__module__)):
+            seen.add(id(value))
+            yield from _content(_frozen(value), _names(value.__code__), seen)
 
 
 def _frozen(function: FunctionType) -> Iterable[Any]:
@@ -210,9 +208,8 @@ def _folder() -> Path | None:
     places = [Path(_CONFIG.CACHE_DIR or _BESIDE)]
     with suppress(RuntimeError):  # nobody's home
         places += [] if _CONFIG.CACHE_DIR else [Path.home() / ".cache" / "rendezvous-env"]
-    for place in places:
-        if found := _made(place):
-            return found
+    if found := next(filter(None, map(_made, places)), None):
+        return found
     found = _temporary()
     warnings.warn(
         "there is no place for compiled code: neither the package's folder nor ~/.cache, or else "
@@ -243,12 +240,12 @@ def _made(place: Path) -> Path | None:
 
 def _temporary() -> Path | None:
     """A folder of this user's own, the same for all processes: nobody else may leave code in it."""
-    user = os.getuid() if hasattr(os, "getuid") else 0
+    user = os.getuid()
     try:
         place = Path(tempfile.gettempdir()) / f"rendezvous-env-{user}"
         place.mkdir(mode=0o700, exist_ok=True)
         about = place.lstat()
-        if hasattr(os, "getuid") and (about.st_uid != user or about.st_mode & 0o77):
+        if about.st_uid != user or about.st_mode & 0o77:
             place = Path(tempfile.mkdtemp(prefix="rendezvous-env-"))
     except OSError:
         return None

@@ -47,11 +47,6 @@ class StepOutput(NamedTuple):
         return self.scores[_REWARD]
 
     @property
-    def so_far(self) -> NDArray[np.float64]:
-        """(3, B), of the episode: its time, s, the path length of all robots, m, and V, m²/s."""
-        return self.scores[ELAPSED:]
-
-    @property
     def lyapunov_before_merge(self) -> NDArray[np.float64]:
         """(B,), V just before the first merge of the step, m²/s; V at its end if there was none."""
         return self.scores[_BEFORE_MERGE]

@@ -63,7 +63,7 @@ class Simulator(StateView):
         self._state = State(MemoryLayout(scenario, self.num_envs))
         self._runner = runner = BatchRunner(self._state, self.num_threads, self.max_steps)
         self._episodes = Episodes(self._state, runner.layout, runner.robot, runner.team_scratch)
-        self._given_out = tuple((a.shape, a.dtype) for a in runner.buffers.new())
+        self._given_out = tuple((a.shape, a.dtype) for a in runner.new_output())
         self._all_running = True
         self._custom = bool(scenario.reward.custom or scenario.sensing.custom or scenario.costs)
         self.costs = no_costs(scenario.costs, self._acted[:2])

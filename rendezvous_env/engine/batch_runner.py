@@ -9,15 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import entry_point
-from ..outcome import StepOutput
+from ..outcome import SCORES, StepOutput
 from ..physics.random_streams import ignore_overflow
 from . import threads
 from .memory import RUNNING
-from .memory_layout import OutputBuffers, scratch
+from .memory_layout import scratch
 from .preparation import constants, layout, robot, sensor
 from .stages.step import step_blocks
 from .state import State
 
+_FLOAT32, _BOOL, _INT64 = np.dtype(np.float32), np.dtype(np.bool_), np.dtype(np.int64)
 _WORK_PER_THREAD = 32768
 """Rows computed below which another thread costs more than it saves: some 70 µs, as long as a
 sleeping thread takes to wake."""
@@ -71,8 +72,10 @@ class BatchRunner:
         self.team_scratch = self._scratch[0][1]
         """Working memory for one team."""
         self._blocks = np.arange(place.blocks)
-        self.buffers = OutputBuffers(place)
-        """Where it writes what it gives out."""
+        seen, robots = place.scenario.observation_layout.shape, (place.batch, n)
+        self._shapes = (*robots, *seen), (SCORES, place.batch), robots, (place.batch,)
+        self._everybody = np.ones(robots, np.bool_)  # to copy it is quicker than to fill
+        self._crowded = np.full(place.batch, -1)
         self._last: StepOutput | None = None
         self._may_crowd = place.scenario.observation_layout.neighbour_slots < n - 1
         self._no_actions = np.zeros((place.batch, n, place.scenario.action_size), np.float32)
@@ -91,9 +94,26 @@ class BatchRunner:
         """Let episodes end after so many steps."""
         self._setup = self.layout, constants(self._state.scenario, max_steps), self.robot
 
+    def new_output(self) -> StepOutput:
+        """Room for what a step gives out, fresh but for ``crowded``, in which nobody touches an
+        obstacle and no robot has merged, as in most steps; kernels write what is otherwise.
+        """
+        seen, scores, robots, teams = self._shapes
+        return StepOutput(
+            np.empty(seen, _FLOAT32),
+            np.empty(scores),
+            np.zeros(robots, _BOOL),
+            np.empty(robots),
+            self._everybody.copy(),
+            np.empty(teams, _INT64),
+            np.empty(robots),
+            np.empty(teams, _INT64),
+            self._crowded,
+        )
+
     def step(self, actions: NDArray[np.float32]) -> StepOutput:
         """Advance all teams under actions (B, n, a), checked."""
-        output = self.buffers.new()
+        output = self.new_output()
         threads.share(
             self._work(True, self._blocks, actions, output), len(self._blocks), self.width
         )
@@ -113,7 +133,7 @@ class BatchRunner:
         """``Simulator.drive``: each thread leads its own teams through all steps; those that are
         resting, (B,), pass the first one by.
         """
-        teams, output, actions = self._state.teams, self.buffers.new(), self._no_actions.copy()
+        teams, output, actions = self._state.teams, self.new_output(), self._no_actions.copy()
         earned, robots_earned, touched = output.rewards, output.robot_rewards, output.contact
         if count > 1:
             earned, robots_earned = np.zeros_like(earned), np.zeros_like(robots_earned)
@@ -147,7 +167,7 @@ class BatchRunner:
 
     def observe(self) -> StepOutput:
         """All teams as they are."""
-        output = self.buffers.new()
+        output = self.new_output()
         self._observe(self._blocks, output)
         return output
 

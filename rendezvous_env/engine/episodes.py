@@ -17,7 +17,7 @@ from ..scenario.start_options import StartOptions
 from .edge_tables import as_kept
 from .memory import AWAITING_RESET, RUNNING, Layout, Robot
 from .preparation import fixed_links, fixed_obstacles, start_rules
-from .reset.starts import TOO_MANY_LINKS, StartRules, reset_teams
+from .reset import TOO_MANY_LINKS, StartRules, reset_teams
 from .state import State
 
 

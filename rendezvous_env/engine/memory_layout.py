@@ -11,11 +11,9 @@ from typing import Any, TypeVar, get_args
 import numpy as np
 
 from ..obstacles import parsing
-from ..outcome import SCORES, StepOutput
 from ..scenario.scenario import Scenario
 from .memory import STATISTICS, BlockScratch, ManyTeams, OneTeam, Tally, Teams, TeamScratch
 
-_FLOAT32, _BOOL, _INT64 = np.dtype(np.float32), np.dtype(np.bool_), np.dtype(np.int64)
 _LINE = 64  # Bytes of a cache line
 _FEWEST_SIDE_BY_SIDE = 5
 """Teams from which a block of 32 lanes pays; a processor does four of them at once."""
@@ -88,34 +86,6 @@ def scratch(place: MemoryLayout) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     block.bounds.fill(np.nan)
     block.radii.fill(np.nan)
     return tuple(block), tuple(allocate(TeamScratch, place.sizes))
-
-
-class OutputBuffers:
-    """Room for what steps give out, in which nobody touches an obstacle and no robot has merged, as
-    in most steps; kernels write what is otherwise.
-    """
-
-    def __init__(self, place: MemoryLayout) -> None:
-        batch, n = place.batch, place.scenario.n_robots
-        self._observed = batch, n, *place.scenario.observation_layout.shape
-        self._scores, self._teams, self._robots = (SCORES, batch), (batch,), (batch, n)
-        self._everybody = np.ones((batch, n), np.bool_)  # to copy it is quicker than to fill
-        self._crowded = np.full(batch, -1)
-
-    def new(self) -> StepOutput:
-        """Fresh arrays, but for ``crowded``."""
-        empty, robots, teams = np.empty, self._robots, self._teams
-        return StepOutput(
-            empty(self._observed, _FLOAT32),
-            empty(self._scores),
-            np.zeros(robots, _BOOL),
-            empty(robots),
-            self._everybody.copy(),
-            empty(teams, _INT64),
-            empty(robots),
-            empty(teams, _INT64),
-            self._crowded,
-        )
 
 
 # ---- how much there is --------------------------------------------------------------------------

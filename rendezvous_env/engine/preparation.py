@@ -18,7 +18,7 @@ from ..sensors.imperfections import imperfections_of
 from .edge_tables import LinkList
 from .memory import Constants, Layout, Robot
 from .memory_layout import MemoryLayout
-from .reset.starts import StartRules
+from .reset import StartRules
 from .stages.sense_one_by_one import Sensor
 from .state import State
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from ..compilation import kernel
+from ..compilation import inner_kernel, kernel
 from .vectors import combine, dot, norm, subtract
 
 
@@ -31,14 +31,12 @@ def first_crossing(offset, velocity, radius):
     return s if s <= 1.0 else np.inf
 
 
-@kernel
+@inner_kernel
 def capsule_crossing(offset, velocity, half, radius):
-    """When a point that moves straight comes within a capsule: the smallest s in [0, 1] with
-    ‖offset + s velocity − q‖ ≤ radius for a q of its segment, a number; inf if there is none.
+    """As ``first_crossing``, of a capsule: ‖offset + s velocity − q‖ ≤ radius for a q of its
+    segment. Offset is from the middle of the segment, ``half`` from there to an end, triples, m.
 
-    It enters through the ball about one of the ends, or through the cylinder between them. Offset
-    (from the middle of the segment) and ``half`` (from there to an end), m, and velocity (m per
-    unit of s) are triples.
+    It enters through the ball about one of the ends, or through the cylinder between them.
     """
     first = min(
         first_crossing(subtract(offset, half), velocity, radius),

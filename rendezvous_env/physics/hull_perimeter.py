@@ -36,8 +36,7 @@ def _in_their_own_axes(points: Array) -> Array:
     offsets = points - points[0]
     _, extents, axes = np.linalg.svd(offsets, full_matrices=False)
     k = int(np.sum(extents > _FLAT * extents[0]))
-    coordinates: Array = offsets @ axes[:k].T
-    return coordinates
+    return np.asarray(offsets @ axes[:k].T)
 
 
 def _mean_width(points: Array) -> float:

@@ -7,7 +7,7 @@ Along q_i lie all bearings: q_i·g_ij ≥ ‖q_i‖². It is zero where neighbou
 
 import math
 
-from ..compilation import kernel
+from ..compilation import inner_kernel, kernel
 from .vectors import ORIGIN, add, combine, cross, dot, load, scaled, split, subtract
 
 _ROUNDING = 4e-16  # Of a scalar product of unit vectors
@@ -16,7 +16,7 @@ _MOST_ROUNDS = 64
 """A few do, however many bearings there are; each brings the point nearer to the origin."""
 
 
-@kernel
+@inner_kernel
 def least_norm_of(rows, neighbour_slots):
     """q_i, a triple without unit, ‖q_i‖ ≤ 1, of the first K of the rows (rows, d) of one robot,
     whose lengths do not count; zero where nobody is seen.
@@ -27,7 +27,7 @@ def least_norm_of(rows, neighbour_slots):
     return _least_in_space(rows, neighbour_slots)
 
 
-@kernel
+@inner_kernel
 def cone_of(rows, neighbour_slots):
     """The clockwise and the counter-clockwise end, unit triples, of the narrowest angle ≤ π of the
     plane that holds all bearings; q is halfway between. Both are zero where nobody is seen, or
@@ -61,7 +61,7 @@ def _turn(a, b):
     return a[0] * b[1] - a[1] * b[0]
 
 
-@kernel
+@inner_kernel
 def _least_in_space(rows, neighbour_slots):
     """``least_norm_of`` in 3-D: the nearest point of a triangle of bearings, exchanged for a
     nearer one while some bearing g lies on this side of it, q·g < ‖q‖² (Gilbert, Johnson and
@@ -87,7 +87,7 @@ def _least_in_space(rows, neighbour_slots):
     return q if dot(q, q) > _SURROUNDED * _SURROUNDED else ORIGIN
 
 
-@kernel
+@inner_kernel
 def least_along(rows, neighbour_slots, direction):
     """The bearing g, a unit triple, that lies least far along a triple u, argmin g·u; zero where
     nobody is seen. Rows as ``least_norm_of``.
@@ -100,7 +100,7 @@ def least_along(rows, neighbour_slots, direction):
     return bearing
 
 
-@kernel
+@inner_kernel
 def _nearest_of_triangle(a, b, c):
     """The point of a triangle, corners may coincide, that is nearest to the origin."""
     normal = cross(subtract(b, a), subtract(c, a))
@@ -116,7 +116,7 @@ def _nearest_of_triangle(a, b, c):
     return nearest
 
 
-@kernel
+@inner_kernel
 def _nearest_of_segment(a, b):
     """The point of a segment that is nearest to the origin."""
     along = subtract(b, a)
@@ -126,7 +126,7 @@ def _nearest_of_segment(a, b):
     return add(a, min(max(-dot(a, along) / length, 0.0), 1.0), along)
 
 
-@kernel
+@inner_kernel
 def _holds_origin(a, b, c, d):
     """Whether the origin lies inside a tetrahedron, and not only by rounding."""
     weights = (

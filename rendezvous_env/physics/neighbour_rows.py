@@ -1,10 +1,10 @@
 """What a robot makes of the neighbour rows a_ij g_ij of its observation; zero rows are absent."""
 
-from ..compilation import kernel
+from ..compilation import inner_kernel, kernel
 from .vectors import ORIGIN, combine, load, norm
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def net_bearing_of(rows, neighbour_slots):
     """f_i = Σ_j a_ij g_ij, a triple, m/s: the sum of the first K rows of one robot, (rows, d)."""
     f = ORIGIN

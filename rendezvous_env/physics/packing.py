@@ -19,15 +19,9 @@ def move_apart(positions, displacements, lengths, size, work):
 
         min ‖x_i − Δ_i‖²   subject to   x_i·g_ij ≤ (‖p_j − p_i‖ − D)/2   for all j
 
-    Each takes at most its half of every gap (buffered Voronoi cells, Zhou et al. 2017), so what one
-    does hangs on nobody else's displacement, and nobody is pushed.
-
-    Args:
-        positions: (n, 2), m; the start of the motion on entry, its end on return.
-        displacements: (n, 2), m; those that were executed on return.
-        lengths: (n,) of the ways, m; written where a displacement is cut.
-        size: D, m, of all discs.
-        work: working memory (normals (n, 2), rooms (≥ n − 1,)).
+    Each takes at most its half of every gap (buffered Voronoi cells, Zhou et al. 2017): nobody is
+    pushed. Positions and displacements, (n, 2), m, and lengths of the ways, (n,), m, are those that
+    were executed on return; ``size`` is D, m; working memory is (normals (n, 2), rooms (≥ n − 1,)).
     """
     normals, rooms = work
     for i in range(len(lengths)):

@@ -1,20 +1,49 @@
-"""V and the net bearings f of one team, from its places and links (paper, section III).
+"""What neighbours are to each other: bearing, gain, net bearing, and V (paper, sections II, III).
 
-V = Σ_i Σ_j a_ij ‖p_i − p_j‖,    f_i = Σ_j a_ij g_ij
+g_ij = (p_j − p_i)/‖p_j − p_i‖,    f_i = Σ_j a_ij g_ij,    V = Σ_i Σ_j a_ij ‖p_i − p_j‖
 """
 
 import math
 
-from ..compilation import kernel
+from ..compilation import inner_kernel, kernel
+from .vectors import difference, scaled, square, to_local
 
 
-@kernel
+@inner_kernel(inline="code")
+def sighting(position_i, position_j, gain):
+    """What robot i sees of its neighbour j: p_j − p_i (m), ‖p_j − p_i‖² (m²), ‖p_j − p_i‖ (m), and
+    the factor (1/s) with a_ij g_ij = factor · (p_j − p_i).
+
+    Positions are pairs or triples, m; the gain is a_ij, m/s, 0 without an edge.
+    """
+    offset = difference(position_i, position_j)
+    gap = square(offset)
+    distance = math.sqrt(gap)
+    return offset, gap, distance, bearing_factor(gain, distance)
+
+
+@inner_kernel(inline="code")
+def bearing_factor(gain, distance):
+    """a_ij/‖p_j − p_i‖, a number, 1/s; 0 where both stand in one place, without direction."""
+    return gain / distance if distance > 0.0 else 0.0
+
+
+@kernel(inline="code")
+def observed(frame, offset, factor):
+    """One row of an observation: factor · Rᵀ offset, a pair or triple of the robot's frame, m/s.
+
+    Of a frame R, see ``to_local``, an offset in the global frame, m, and a factor, 1/s.
+    """
+    return scaled(to_local(frame, offset), factor)
+
+
+@inner_kernel
 def distance_squared(positions, i, j):
     """‖p_i − p_j‖² of the robots with indices i and j of one team, m²; positions (n, d), m."""
-    square = 0.0
+    total = 0.0
     for k in range(positions.shape[1]):
-        square += (positions[j, k] - positions[i, k]) ** 2
-    return square
+        total += (positions[j, k] - positions[i, k]) ** 2
+    return total
 
 
 @kernel
@@ -42,9 +71,9 @@ def net_bearings_of_links(positions, links, out):
     for e in range(len(first)):
         if weight[e] > 0.0:
             i, j = first[e], second[e]
-            square = distance_squared(positions, i, j)
-            if square > 0.0:
-                gain = weight[e] / math.sqrt(square)
+            gap = distance_squared(positions, i, j)
+            if gap > 0.0:
+                gain = weight[e] / math.sqrt(gap)
                 for k in range(positions.shape[1]):
                     pull = gain * (positions[j, k] - positions[i, k])
                     out[i, k] += pull
@@ -60,8 +89,8 @@ def net_bearings_of_arcs(positions, arcs, out):
     for i in range(arcs.shape[0]):
         for j in range(arcs.shape[0]):
             if arcs[i, j] > 0.0:
-                square = distance_squared(positions, i, j)
-                if square > 0.0:
-                    gain = arcs[i, j] / math.sqrt(square)
+                gap = distance_squared(positions, i, j)
+                if gap > 0.0:
+                    gain = arcs[i, j] / math.sqrt(gap)
                     for k in range(positions.shape[1]):
                         out[i, k] += gain * (positions[j, k] - positions[i, k])

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..compilation import compiled, kernel
+from ..compilation import compiled, inner_kernel, kernel
 
 START, FRAMES, OBSTACLES, GRAPH, SENSING, ACTUATION, SWITCHING = range(7)
 """Purposes; a stream of its own for each, so that one never shifts another."""
@@ -44,7 +44,7 @@ def stream_key(seed, episode, purpose):
     return mix(key ^ (np.uint64(purpose) + _INCREMENT))
 
 
-@kernel
+@inner_kernel
 def word_of(key, counter):
     """Word of a stream at an index k, from 0 on: mix(key + (k + 1) γ), uint64, without unit."""
     return mix(key + np.uint64(counter + 1) * _INCREMENT)

@@ -1,22 +1,20 @@
 """Small vectors as tuples of numbers: nothing is allocated, and loops over teams become SIMD.
 
-Most functions take triples, in which a vector of the plane has z = 0 and keeps it. Those that every
-robot needs in every step take pairs or triples, so that the plane pays for two numbers only; which
-of their branches is compiled follows from the length of the argument.
+Most functions take triples, z = 0 in the plane. Those that every robot needs in every step take
+pairs too; which of their branches is compiled follows from the length of the argument.
 """
 
 import math
 
 import numpy as np
 
-from ..compilation import kernel
+from ..compilation import inner_kernel, kernel
 
 X_AXIS = (1.0, 0.0, 0.0)
 ORIGIN = (0.0, 0.0, 0.0)
 _MANY, _FEW = 2.0**600, 2.0**-600
 _VERTICAL = 1e-6
-"""A unit triple whose part in the xy plane is shorter than this says nothing about a direction
-there."""
+"""A unit triple whose part in the xy plane is shorter than this has no direction there."""
 
 
 @kernel
@@ -26,13 +24,13 @@ def load(row):
     return np.float64(row[0]), np.float64(row[1]), z
 
 
-@kernel
+@inner_kernel
 def load_pair(row):
     """A row (2,) of the plane as the pair v = (x, y), in its unit."""
     return np.float64(row[0]), np.float64(row[1])
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def x_axis(v):
     """The x axis e_x = (1, 0, …), without unit, a pair or triple as v is."""
     return (1.0, 0.0) if len(v) == 2 else X_AXIS
@@ -46,7 +44,7 @@ def triple(v):
     return v
 
 
-@kernel
+@inner_kernel
 def store(vector, out):
     """Write a triple v to the row ``out`` (d,), d = 2 or 3: out_k ← v_k, in the unit of v."""
     out[0], out[1] = vector[0], vector[1]
@@ -68,7 +66,7 @@ def cross(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def combine(p, a, q, b):
     """The pair or triple p a + q b of numbers p, q and two of them; unit of p times unit of a."""
     if len(a) == 2:
@@ -123,7 +121,7 @@ def without(a, h):
     return combine(1.0, once, -dot(once, h), h)
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def split_across(a, h):
     """Length and unit vector of the part a − (hᵀa) h across a unit vector h, as ``split``. In the
     plane there are but two directions across h, so nothing is divided; for a along h it is the one
@@ -136,7 +134,7 @@ def split_across(a, h):
     return split(without(a, h))
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def perpendicular(h):
     """A vector p ⊥ h of a unit pair or triple h, without unit: counter-clockwise in the xy plane,
     along x if h is vertical.
@@ -186,7 +184,7 @@ def exactly(v):
     return np.float64(v[0]), np.float64(v[1]), np.float64(v[2])
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def to_global(frame, v):
     """Turn a pair or triple from a local frame to the global one: w = R v, in the unit of v.
 
@@ -201,7 +199,7 @@ def to_global(frame, v):
     )
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def to_local(frame, v):
     """Turn a pair or triple from the global frame to a local one: w = Rᵀ v, as ``to_global``."""
     if len(v) == 2:
@@ -213,7 +211,7 @@ def to_local(frame, v):
     )
 
 
-@kernel
+@inner_kernel
 def local_axis(frame, k):
     """Axis k of a local frame in the global one: R e_k, a unit triple, with z = 0 in the plane."""
     if len(frame) == 4:

@@ -7,7 +7,7 @@ so that L' = Σ_i v_i·∂L/∂p_i: to turn a bearing towards this direction rai
 
 import math
 
-from ..compilation import kernel
+from ..compilation import inner_kernel, kernel
 from .vectors import ORIGIN, combine, cross, dot, load, norm, split, store, subtract
 
 _IN_LINE = 1e-9  # Sine of the angle between two directions below which they count as one
@@ -34,7 +34,7 @@ def outward_directions(positions, merged_into, out):
             store(split(gradient)[1], out[i])
 
 
-@kernel
+@inner_kernel
 def _gradient_in_plane(positions, merged_into, i):
     """Minus the sum of the bearings of both neighbours on the hull; zero inside it."""
     found, first, last = False, ORIGIN, ORIGIN
@@ -51,7 +51,7 @@ def _gradient_in_plane(positions, merged_into, i):
     return combine(-1.0, split(first)[1], -1.0, split(last)[1])
 
 
-@kernel
+@inner_kernel
 def _gradient_in_space(positions, merged_into, i):
     """½ Σ over the edges of the hull at p_i: exterior dihedral angle × bearing from the other end;
     zero inside the hull, and in a team on one line.
@@ -65,7 +65,7 @@ def _gradient_in_space(positions, merged_into, i):
     return gradient
 
 
-@kernel
+@inner_kernel
 def _exterior_angle(positions, merged_into, i, along):
     """π minus the angle of the wedge about the line from p_i along an offset that holds all robots;
     0 if that is no edge of the hull, rad.
@@ -96,7 +96,7 @@ def _exterior_angle(positions, merged_into, i, along):
     return math.pi - math.atan2(abs(cross(first, last)[2]), dot(first, last))
 
 
-@kernel
+@inner_kernel
 def _widened(first, last, new):
     """The wedge of the plane from ``first`` counter-clockwise to ``last``, at most π wide, with
     another direction in it; and whether there still is one.

@@ -22,7 +22,7 @@ def test_it_readies_the_scenarios_asked_for(capsys):
 def test_long_compilation_is_announced_once(seconds, said, monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(kernel_cache, "_folder", lambda: tmp_path)  # else it may be found there
     clock = iter(range(100))
-    monkeypatch.setattr(compilation, "_said", [])
+    compilation._say_once.cache_clear()
     monkeypatch.setattr(compilation.time, "monotonic", lambda: seconds * next(clock))
 
     @compilation.kernel

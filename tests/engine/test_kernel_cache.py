@@ -148,7 +148,7 @@ def test_the_step_is_made_from_nothing_else(tmp_path):
         from numba.core.bytecode import FunctionIdentity
         import rendezvous_env as rv
         from rendezvous_env import kernel_cache
-        from rendezvous_env.engine.reset.starts import reset_teams
+        from rendezvous_env.engine.reset import reset_teams
         from rendezvous_env.engine.stages.step import first_not_finite, step_blocks
 
         compiled, identify = set(), FunctionIdentity.from_function.__func__

@@ -47,22 +47,17 @@ def test_every_block_is_done_once(blocks, most):
         np.testing.assert_array_equal(marked(blocks, most), 1.0)
 
 
-def test_slices_are_done_at_the_same_time():
-    barrier = threading.Barrier(3, timeout=20)
-    threads.share(lambda _: barrier.wait(), 3, 3)
-    assert not barrier.broken
-
-
 def test_one_thread_is_the_callers():
     seen = set()
     threads.share(lambda _: seen.add(threading.current_thread()), 5, 1)
     assert seen == {threading.current_thread()}
 
 
-def test_a_caller_waits_for_the_slowest_slice():
-    done = []
+def test_slices_are_done_at_the_same_time_and_the_caller_waits_for_the_slowest():
+    barrier, done = threading.Barrier(2, timeout=20), []
 
     def run(part):
+        barrier.wait()
         time.sleep(0.05 * part[2])
         done.append(part[:2])
 

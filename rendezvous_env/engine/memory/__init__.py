@@ -6,10 +6,9 @@ becomes SIMD. The last axis of every array of a block is that of its lanes:
     positions[block, i, k, lane]    statistics.steps[lane]    tally.reward[lane]
 
 A block has L = 32 lanes (``ManyTeams``), or one where there are too few teams, or too large ones,
-for that to pay (``OneTeam``). Both are the same code; L is known while it is compiled. So that the
-compiler knows the lengths of the arrays too, ``step.step_blocks`` begins by asking whether they are
-as they must be: behind that question rows of one array lie a known distance apart, cannot overlap,
-and loops over them need no further checks to become SIMD.
+for that to pay (``OneTeam``). Both are the same code; L is known while it is compiled. So are the
+lengths of the arrays, since ``step.step_blocks`` begins by asking whether they are as they must be:
+behind that question rows cannot overlap, and loops over them become SIMD without further checks.
 
 The annotation of an array says its axes, by which ``memory_layout.allocate`` makes it.
 """
@@ -35,8 +34,8 @@ Flags = NDArray[np.bool_]
 
 
 class Statistics(NamedTuple):
-    """What is kept of the episodes of a block's teams, (L,) each. Whole numbers are float64, exact
-    up to 2⁵³, because reward and end are computed over lanes.
+    """What is kept of the episodes of a block's teams, (L,) each; whole numbers as float64, because
+    reward and end are computed over lanes.
     """
 
     status: Floats  # RUNNING, RENDEZVOUS, TIME_OUT or AWAITING_RESET
@@ -112,9 +111,8 @@ def lane_count(width):
 
 @inner_kernel(inline="code")
 def in_lanes(buffer, layout):
-    """Whether a buffer, (numbers, L), is as wide as a block. It is; a loop over lanes asks because
-    it is optimised by itself before it becomes part of others, and would be unrolled there instead
-    of becoming SIMD, as long as nothing says how far apart the rows lie.
+    """Whether a buffer, (numbers, L), is as wide as a block. It is; a loop over lanes, optimised by
+    itself before it becomes part of others, asks so as to know how far apart the rows lie.
     """
     return buffer.shape[1] == lane_count(layout.width)
 
@@ -138,9 +136,7 @@ class Robot(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """What else the kernels need to know of a scenario: the same types for all of them, so that
-    stages that need no more are compiled once.
-    """
+    """What else the kernels need to know of a scenario, of the same types for all."""
 
     duration: float
     merge_radius: float
@@ -170,8 +166,7 @@ class Block(NamedTuple):
     index: int  # type: ignore[assignment]  # a method of tuples, which nobody misses
     first: int  # Its first team
     count: int  # type: ignore[assignment]
-    """Its teams; lanes from there on belong to no team. Loops over what the user gets end with the
-    last team; those over lanes do all, to be SIMD."""
+    """Its teams. Loops over lanes do those of no team too, to be SIMD."""
 
 
 class Place(NamedTuple):
@@ -250,7 +245,7 @@ class SeenDisc(NamedTuple):
     """(2, L), bearing of the counter-clockwise edge in the global frame, zero if it is not seen."""
     right: Floats  # (2, L), of the clockwise edge
     nearest: Floats  # (L,), distance to the nearest disc so far, m
-    reach: Floats  # (L,), from how near the robot sees, m; −inf for one that has merged away
+    reach: Floats  # (L,), range of sight, m; −inf for a robot that has merged away
 
 
 class TeamScratch(NamedTuple):
@@ -258,8 +253,7 @@ class TeamScratch(NamedTuple):
 
     positions: Annotated[Floats, "n d"]
     displacements: Annotated[Floats, "n d"]
-    here: Annotated[Floats, "n d"]
-    """Places at the moment of a merge, m; or net bearings in the global frame, m/s."""
+    here: Annotated[Floats, "n d"]  # Places at a merge, m; or net bearings, global frame, m/s
     lengths: Annotated[Floats, "n"]
     resting: Annotated[Flags, "n"]
     first: Annotated[Whole, "E"]  # Its links, see ``edges.EdgeList``
@@ -278,6 +272,18 @@ class Scratch(NamedTuple):
 
     block: BlockScratch
     team: TeamScratch
+
+
+def _of_kind(kind: type) -> Any:
+    def of_team(obstacles, team):
+        return kind(obstacles.kinds[team], obstacles.corners[team], obstacles.shapes[team])
+
+    return None if kind is type(None) else of_team
+
+
+@by_type("obstacles", _of_kind)
+def obstacles_of(obstacles, team):
+    """The obstacles of one team, from those of all with a leading axis; None without any."""
 
 
 @inner_kernel(inline="code")

@@ -2,7 +2,7 @@
 
 import math
 
-from ...compilation import inner_kernel, kernel
+from ...compilation import inner_kernel
 from ...graphs.edges import load_links, pair_index
 from ...physics.potential import lyapunov_of_links
 from ...physics.random_streams import GRAPH, SWITCHING, stream_key, uniform
@@ -24,7 +24,7 @@ def update_links(block, setup, moves, state, changes):
         follow_changes(block, time, setup.layout, state.teams, arcs, changes)
 
 
-@kernel
+@inner_kernel
 def follow_changes(team, time, layout, teams, arcs, changes):
     """Write the arcs (n, n) of a team at a time (s) of its episode: those of the graph whose turn
     it is, led over to the robots that are left, and of these the ones in sight.

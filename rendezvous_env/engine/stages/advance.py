@@ -22,12 +22,12 @@ from ..memory import (
     in_lanes,
     lane_count,
     load_team,
+    obstacles_of,
     read,
     statistics_of,
     store_team,
     tally_of,
 )
-from ..memory.obstacles import obstacles_of
 
 _ROUNDING = 1.0 + 1e-9
 _CLEARANCE = 1e-9  # m; nearer than this to what it could reach, a robot is moved exactly

@@ -4,8 +4,8 @@ import numpy as np
 
 from ...compilation import by_type, inner_kernel
 from ...graphs.edges import DenseEdges, DirectedEdges, EdgeList, arcs_of
-from ...physics.bearings import bearing_factor, observed, sighting
 from ...physics.packing import apart
+from ...physics.potential import bearing_factor, observed, sighting
 from ...robots.motion import proprioception
 from ..memory import (
     in_lanes,

@@ -24,13 +24,13 @@ from ..memory import (
     in_lanes,
     lane_count,
     load_team,
+    obstacles_of,
     read,
     read_row,
     statistics_of,
     tally_of,
     write_row,
 )
-from ..memory.obstacles import obstacles_of
 
 
 @inner_kernel(inline="code")

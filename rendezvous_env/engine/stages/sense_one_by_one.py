@@ -12,8 +12,16 @@ from ...graphs.edges import arcs_of, load_links
 from ...physics.vectors import exactly
 from ...physics.worst_bias import outward_directions
 from ...sensors.imperfections import Imperfections, neighbour_seen
-from ..memory import Place, load_team, read, read_row, statistics_of, step_seen, write_row
-from ..memory.obstacles import obstacles_of
+from ..memory import (
+    Place,
+    load_team,
+    obstacles_of,
+    read,
+    read_row,
+    statistics_of,
+    step_seen,
+    write_row,
+)
 from .sense_by_chance import gain_of
 
 

@@ -31,19 +31,12 @@ _N_STATISTICS, _N_TALLY = len(STATISTICS), len(Tally._fields)
 
 @kernel
 def step_blocks(part, moves, blocks, setup, sensor, state, actions, output, scratch):
-    """One step of the blocks of a part; finished teams stand still and earn nothing.
+    """One step of the blocks of a thread's part; finished teams stand still and earn nothing. If
+    nothing ``moves``, teams are only observed, and frames and V brought up to date.
 
-    Args:
-        part: this thread's part, see threads.py.
-        moves: whether time passes; if not, the teams are only observed as they are, and frames and
-            V are brought up to date.
-        blocks: indices of the blocks to do.
-        setup: layout, constants (the fields of Constants) and robot.
-        sensor: one that is not exact, or None.
-        state: the fields of BatchState, those of Teams as a tuple.
-        actions: (B, n, a) finite float32, of all teams.
-        output: the fields of StepOutput.
-        scratch: the fields of BlockScratch and of TeamScratch, of this thread.
+    Blocks are indices; setup is layout, the fields of Constants, and robot; sensor is one that is
+    not exact, or None; state, output and scratch are the fields of BatchState (Teams as a tuple),
+    StepOutput, BlockScratch and TeamScratch; actions are (B, n, a) finite float32, of all teams.
     """
     # plain tuples cross the border from Python twice as fast as named ones
     setup = Setup(setup[0], Constants(*setup[1]), setup[2])

@@ -1,32 +1,47 @@
 """How an episode begins: graph, obstacles, places and attitudes, drawn from their own streams."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from ...compilation import inner_kernel, kernel
-from ...graphs.edges import arcs_of, load_links, store_links
-from ...graphs.random_graphs import GraphRules, draw_links
-from ...obstacles.fields import Rules, draw_obstacles, is_possible
-from ...physics.potential import lyapunov_of_links
-from ...physics.random_streams import FRAMES, GRAPH, OBSTACLES, START, draw_rotation, stream_key
-from ...robots.motion import frame_of, init_memory
-from ..memory import (
+from ..compilation import inner_kernel, kernel
+from ..graphs.edges import arcs_of, load_links, store_links
+from ..graphs.random_graphs import GraphRules, draw_links, is_linked, join
+from ..obstacles.fields import Rules, draw_obstacles, is_possible
+from ..obstacles.obstacle_set import clear_of_obstacles
+from ..physics.potential import distance_squared, lyapunov_of_links
+from ..physics.random_streams import (
+    FRAMES,
+    GRAPH,
+    OBSTACLES,
+    START,
+    draw_rotation,
+    mix,
+    stream_key,
+    uniform,
+)
+from ..physics.vectors import load
+from ..robots.motion import frame_of, init_memory
+from .memory import (
     BatchState,
     Place,
     Teams,
     TeamScratch,
     lane_count,
     load_team,
+    obstacles_of,
     read,
     statistics_of,
     store_team,
     write,
 )
-from ..memory.changing_edges import begin_arcs
-from ..memory.obstacles import obstacles_of
-from .places import TRIES_FOR_WAYS, draw_places, stream_of_try
+from .memory.changing_edges import begin_arcs
 
+_TRIES_FOR_START = 1000
+_TRIES_FOR_WAYS = 1000
+"""Starts that are drawn until no robot is walled in."""
+_TRIES_FOR_JOINED = 10_000
 FITS, NO_ROOM, TOO_MANY_LINKS = range(3)
 
 
@@ -52,21 +67,12 @@ class StartRules(NamedTuple):
 
 @kernel
 def reset_teams(indices, status, rules, streams, setup, state, scratch):
-    """Begin a new episode in the teams with these indices; what is given already stands in the
-    state.
+    """Begin a new episode with this status in the teams with these indices, (count,); what is given
+    already stands in the state. Index of the first team that found no room, or −1; and whether that
+    is FITS, NO_ROOM (for its start or obstacles) or TOO_MANY_LINKS.
 
-    Args:
-        indices: (count,), teams.
-        status: what they are to have.
-        rules: StartRules.
-        streams: seeds, (B,) uint64, and episodes, (B,).
-        setup: layout of the memory and robot.
-        state: the fields of BatchState, those of Teams as a tuple.
-        scratch: the fields of TeamScratch, of one thread.
-
-    Returns:
-        Index of the first team that found no room for its start, its obstacles or its links, or −1;
-        and which of them: FITS, NO_ROOM or TOO_MANY_LINKS.
+    Streams are seeds, (B,) uint64, and episodes, (B,); setup is Layout and Robot; state and scratch
+    are the fields of BatchState, those of Teams as a tuple, and of TeamScratch.
     """
     seeds, episodes = streams
     layout, robot = setup
@@ -103,10 +109,8 @@ def _draw_links(place, keys, rules, graph, links, scratch):
 
 @inner_kernel
 def _draw_room(keys, rules, field, reach, scene, scratch):
-    """What of one team's start may find no room: obstacles and places; whether it fits.
-
-    A start in which some robots are walled in, where the field promises none, is drawn again.
-    ``scene`` is links and obstacles.
+    """Obstacles and places of one team; whether they fit. A start in which some robots are walled
+    in, where the field promises none, is drawn again. ``scene`` is links and obstacles.
     """
     positions, world = scratch.positions, scene[1]
     key = stream_key(keys[0], keys[1], START)
@@ -115,16 +119,99 @@ def _draw_room(keys, rules, field, reach, scene, scratch):
             # obstacles keep clear of given places; places that are drawn keep clear of obstacles
             n_starts = 0 if rules.draw_positions else positions.shape[0]
             field_key = stream_key(keys[0], keys[1], OBSTACLES)
-            for trial in range(TRIES_FOR_WAYS):
-                own, of_field = stream_of_try(key, trial), stream_of_try(field_key, trial)
+            for trial in range(_TRIES_FOR_WAYS):
+                own, of_field = _stream_of_try(key, trial), _stream_of_try(field_key, trial)
                 if not draw_obstacles(of_field, field, positions, n_starts, world):
                     return False
-                if not draw_places(own, rules, reach, scene, positions, scratch.counts):
+                if not _draw_places(own, rules, reach, scene, positions, scratch.counts):
                     return False
                 if is_possible(field, world, positions, scratch.chains):
                     return True
             return False
-    return draw_places(key, rules, reach, scene, positions, scratch.counts)
+    return _draw_places(key, rules, reach, scene, positions, scratch.counts)
+
+
+@inner_kernel
+def _stream_of_try(key, trial):
+    """The stream itself at first, then one of its own for each further try."""
+    return key if trial == 0 else mix(key ^ np.uint64(trial))
+
+
+@inner_kernel
+def _draw_places(key, rules, reach, scene, positions, counts):
+    """Places, unless they are given; whether they fit. ``scene`` is links and obstacles.
+
+    Where links change they are drawn until those up to ``reach`` connect them.
+    """
+    if rules.draw_positions:
+        if reach is not None:
+            for trial in range(_TRIES_FOR_JOINED):
+                # beside the streams of further tries for ways
+                own = _stream_of_try(key, trial * _TRIES_FOR_WAYS)
+                if not _draw_positions(own, rules, reach, scene, positions):
+                    return False
+                if _is_joined(positions, reach, counts):
+                    return True
+            return False
+        return _draw_positions(key, rules, reach, scene, positions)
+    return True
+
+
+@inner_kernel
+def _draw_positions(key, rules, reach, scene, positions):
+    """Uniform in the spawn area, neighbours at least 2r apart, clear of obstacles; whether it
+    fits.
+    """
+    (n, d), (links, world) = positions.shape, scene
+    counter = 0
+    for i in range(n):
+        for _ in range(_TRIES_FOR_START):
+            for k in range(d):
+                positions[i, k] = rules.spawn_size * (uniform(key, counter) - 0.5)
+                counter += 1
+            if _apart(i, positions, reach, links, rules.least_distance) and _clear(
+                positions[i], world, rules.keep_out
+            ):
+                break
+        else:
+            return False
+    return True
+
+
+@inner_kernel
+def _clear(position, world, margin):
+    if world is not None:
+        return clear_of_obstacles(load(position), world, margin)
+    return True
+
+
+@inner_kernel
+def _apart(i, positions, reach, links, least_distance):
+    """Whether robot i is far enough from the neighbours that have a place already; where links
+    change, from everyone who has.
+    """
+    for j in range(i):
+        if distance_squared(positions, j, i) < least_distance * least_distance:
+            if reach is not None:
+                return False
+            if is_linked(j, i, links):
+                return False
+    return True
+
+
+@inner_kernel
+def _is_joined(positions, reach, places):
+    """Whether links up to a length (m) connect a team; ``places``, (n,), is working memory."""
+    if math.isinf(reach):
+        return True
+    for i in range(len(places)):
+        places[i] = i
+    groups = len(places)
+    for i in range(len(places)):
+        for j in range(i):
+            if distance_squared(positions, i, j) <= reach * reach:
+                groups -= join(i, j, places)
+    return groups == 1
 
 
 @inner_kernel(inline="text")

@@ -1,1 +1,0 @@
-"""How episodes begin: seeds, graphs, fields, places; drawn before anything is written."""
