@@ -29,7 +29,6 @@ from soup import absurd, any_table
 import rendezvous_env as rv
 from rendezvous_env import Scenario, Simulator, TimeStepWarning
 from rendezvous_env.engine.memory import RUNNING
-from rendezvous_env.scenario import scenarios
 from rendezvous_env.scenario.start_options import OPTIONS
 
 # ---- scenarios ----------------------------------------------------------------------------------
@@ -68,18 +67,6 @@ def test_toml(effort, tmp_path):
             scenario.to_toml(path)
 
     explore(check, 40 * effort, soup.toml_texts(keys))
-
-
-@pytest.mark.parametrize("effort", EFFORTS)
-def test_names_and_paths(effort, tmp_path):
-    def check(name, door):
-        if isinstance(name, str) and (name.endswith(".toml") or "/" in name):
-            name = str(tmp_path / name)
-        attempt(lambda: door(name), ValueError, OSError)
-
-    doors = [scenarios.get, scenarios.resolve, Scenario.from_toml, rv.parallel_env, rv.make_vec]
-    words = st.text(max_size=20) | st.sampled_from(["fig3", "x" * 300 + ".toml", "a\0.toml"])
-    explore(check, 15 * effort, words | absurd, st.sampled_from(doors))
 
 
 # ---- resets -------------------------------------------------------------------------------------
