@@ -197,16 +197,6 @@ def test_given_starts_and_seeds_reach_the_teams():
     np.testing.assert_array_equal(venv.simulator.positions[1], starts[1])
 
 
-def test_given_starts_within_reach_merge_in_the_first_step_and_not_before():
-    start = ((0.0, 0.0), (0.1, 0.0), (3.0, 0.0))
-    scenario = rv.Scenario(n_robots=3, start_positions=start, time_limit=1.0)
-    venv = rv.make_vec(scenario, 2, max_cycles=1)
-    venv.reset(seed=0)
-    rest = np.zeros((2, 3, 2), np.float32)
-    seen = [venv.step(rest)[4]["active"].sum(axis=1).tolist() for _ in range(4)]
-    assert seen == [[2, 2], [3, 3], [2, 2], [3, 3]]
-
-
 def test_every_step_gives_arrays_of_its_own():
     venv = rv.make_vec("clutter-4", 20, autoreset_mode=AutoresetMode.SAME_STEP, max_cycles=3)
     venv.reset(seed=0)

@@ -11,7 +11,6 @@ from guarantees import constant
 from gymnasium.vector import AutoresetMode
 
 import rendezvous_env as rv
-from rendezvous_env.envs.vector_env import RendezvousVectorEnv
 
 
 class HalfSpeed(rv.SafetyFilter):
@@ -96,18 +95,6 @@ def test_wrappers_of_gymnasium_stand_under_a_guarantee(mode, period):
         for key in ("tank", "merged_into", "time", "contact"):
             np.testing.assert_array_equal(one[4][key], two[4][key])
     assert ended >= 3
-
-
-def test_a_decision_is_told_of_once_and_wrappers_between_hear_of_each_base_step(monkeypatch):
-    told, tell = [], RendezvousVectorEnv.tell
-    monkeypatch.setattr(RendezvousVectorEnv, "tell", lambda env: told.append(env) or tell(env))
-    for between, times in ((lambda env: env, 1), (gymnasium.vector.VectorWrapper, 5)):
-        venv = between(rv.make_vec("fig3", num_envs=2))
-        env = rv.vector.HeadingVectorWrapper(venv, decision_period=5)
-        env.reset(seed=0)
-        told.clear()
-        env.step(np.zeros(env.action_space.shape))
-        assert len(told) == times
 
 
 def test_wrappers_that_change_what_robots_see_or_do_stand_upon_it():
