@@ -10,6 +10,7 @@ from rendezvous_env import Scenario, Simulator
 from rendezvous_env.safety.gains import Gains
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.safety.links import LinkKeeping
+from rendezvous_env.safety.safety_filter import SafetyFilter
 from rendezvous_env.safety.tank import EnergyTank
 
 ANYWHERE = ("single_integrator-2d", "single_integrator-3d")
@@ -122,3 +123,9 @@ def test_other_robots_are_refused(made, models, theorem):
         scenario = Scenario(robot_model=model, dim=3 if model == "nonholonomic_3d" else 2)
         with pytest.raises(ValueError, match=f"scenario has {model} robots.*{theorem} needs"):
             made(scenario, 1)
+
+
+def test_a_filter_must_say_what_the_robots_do():
+    bare = SafetyFilter(five("single_integrator-2d"), 1, 2, "local", None)
+    with pytest.raises(NotImplementedError, match="SafetyFilter needs act"):
+        bare.act(np.zeros((1, 5, *bare.scenario.observation_layout.shape), np.float32))
