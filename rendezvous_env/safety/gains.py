@@ -17,8 +17,7 @@ from ..scenario.scenario import Scenario
 from .links import alignment_of
 from .safety_filter import Float32, SafetyFilter, check_inputs, register_filter
 
-_NOTHING = 1e-30
-"""Weights that add up to less, m/s, are none."""
+_NOTHING = 1e-30  # weights that add up to less, m/s, are none
 
 
 class _Constants(NamedTuple):

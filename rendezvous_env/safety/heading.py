@@ -46,8 +46,7 @@ from .safety_filter import Float32, SafetyFilter, check_inputs, register_filter
 from .settings import MAX_TURN_RATE, check_gate_constants, check_vectors
 from .turning import Robot, desired_rates, gated_rates, pitch_of, robot_of, turn
 
-NO_CAP = -2.0
-"""A margin that every heading keeps."""
+NO_CAP = -2.0  # a margin that every heading keeps
 _NEARLY_PARALLEL = 1e-9
 _NEARLY_ANTIPODAL = 1e-6
 
@@ -69,8 +68,7 @@ def step_scale(row_lengths_sum: Any, merge_radius: float, duration: float) -> An
     return merge_radius / np.maximum(2.0 * duration * row_lengths_sum, merge_radius)
 
 
-scale_of_step = kernel(step_scale, inline="code")
-"""``step_scale`` of a number, for kernels."""
+scale_of_step = kernel(step_scale, inline="code")  # ``step_scale`` of a number, for kernels
 
 
 @kernel

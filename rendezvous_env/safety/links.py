@@ -63,12 +63,9 @@ def link_keeping_law(
     return least_norm_point * np.asarray(speed)[..., np.newaxis]
 
 
-_MOST_ROUNDS = 48
-"""A few do, however many links there are."""
-_SLACK = 1e-13
-"""So far outside of a ball, as a share of ρ², counts as on it."""
-_ALIKE = 1e-11
-"""Bearings whose difference is shorter than this are one bearing."""
+_MOST_ROUNDS = 48  # a few do, however many links there are
+_SLACK = 1e-13  # so far outside of a ball, as a share of ρ², counts as on it
+_ALIKE = 1e-11  # bearings whose difference is shorter than this are one bearing
 
 
 @kernel

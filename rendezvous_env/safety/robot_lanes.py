@@ -16,8 +16,7 @@ from ..engine.threads import Part
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import combine, norm
 
-LANES = 32 if compiled() else 1
-"""Robots that are worked on at a time."""
+LANES = 32 if compiled() else 1  # robots that are worked on at a time
 PLANE, SPACE = (0.0, 0.0), (0.0, 0.0, 0.0)
 """Vectors as long as those that a loop over lanes is compiled for."""
 _ROWS = 21

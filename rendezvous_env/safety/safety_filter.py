@@ -25,8 +25,7 @@ from .robot_lanes import in_lanes
 Float32 = NDArray[np.float32]
 _ROBOTS_PER_THREAD = 4096
 _LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
-_ROUNDING = 1e-6
-"""So far from a rotation may a frame be that was put back."""
+_ROUNDING = 1e-6  # so far from a rotation may a frame be that was put back
 FILTERS: dict[str, type[SafetyFilter]] = {}
 """By the name that wrappers and training environments know."""
 

@@ -234,8 +234,7 @@ def _hand_over(levels, linked, merged_into, follow_v):
 
 
 _LARGEST = float(np.finfo(np.float32).max)
-_FULLEST = 1e60
-"""Level that no episode can have, m²/s: sums of such levels are still finite."""
+_FULLEST = 1e60  # level that no episode can have, m²/s: sums of such levels are still finite
 
 
 def unit_of_tanks(scenario: Scenario) -> float:

@@ -21,8 +21,7 @@ from .settings import check_bearing_error, check_gate_constants, error_chord
 
 SMALLEST_COSINE = 1e-9
 """Law (17) takes |cos β| for no less than this: its rate is then far over any limit."""
-TINY = 1e-300
-"""rad/s; a limit of 0 counts as this."""
+TINY = 1e-300  # rad/s; a limit of 0 counts as this
 
 
 def yaw_rate_law(left: Any, pitch: Any) -> Any:

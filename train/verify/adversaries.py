@@ -40,19 +40,14 @@ KINDS = (
 """Against V; against its fall; against the hull; against links; to make merges; and blindly; of the
 frozen ones half spin."""
 _FROZEN, _REST = KINDS.index("frozen"), KINDS.index("rest")
-_FASTEST_SPIN = 20.0
-"""rad/s."""
+_FASTEST_SPIN = 20.0  # rad/s
 _ERRORS = ("against", "to one side", "anyhow", "to changing sides", "outward")
 """Where bearings are turned: away from f, …, away from the middle of what is seen."""
-_SWITCHING = 7
-"""Steps after which errors turn round."""
-_AT_ONCE = 16
-"""Steps for which random numbers are drawn at once."""
-_ROUNDED = 1.0 - 1e-6
-"""Share of an error that is still none too much after rounding to float32."""
+_SWITCHING = 7  # steps after which errors turn round
+_AT_ONCE = 16  # steps for which random numbers are drawn at once
+_ROUNDED = 1.0 - 1e-6  # share of an error that is still none too much after rounding to float32
 _TINY = 1e-12
-DOWN = (0.0, 0.0, -1.0)
-"""v × DOWN is v turned by 90° in the plane."""
+DOWN = (0.0, 0.0, -1.0)  # v × DOWN is v turned by 90° in the plane
 
 
 class Adversary:

@@ -29,8 +29,7 @@ from .random_starts import log_uniform
 Array = NDArray[np.float64]
 Random = np.random.Generator
 
-BATCH = 40
-"""Teams of one batch: they share everything but start, frames, weights and adversaries."""
+BATCH = 40  # teams of one batch: they share everything but start, frames, weights and adversaries
 SIZES = (2, 3, 5, 8)
 FAMILIES = ("complete", "path", "cycle", "star", "random_tree", "erdos_renyi")
 PATIENCE = 500.0

@@ -36,12 +36,10 @@ Policy = Callable[[Any, Moment], Any]
 
 TEAMS = 24
 """Teams of one trial, side by side: each start has as many, with adversaries of their own."""
-MOST_STEPS = 400
-"""Steps for which a time bound is waited for."""
+MOST_STEPS = 400  # steps for which a time bound is waited for
 FEW_STEPS = 8, 80
 """Least and most steps of trials whose time bound is out of reach, most of them short."""
-_PARENTS = 3
-"""Starts from which those of the next generation are made."""
+_PARENTS = 3  # starts from which those of the next generation are made
 _LAWS = {"unicycle": "unicycle", "nonholonomic_3d": "nonholonomic-3d"}
 _WRAPPERS: dict[str, Callable[..., Any]] = {
     "law": lambda env, **unused: env,

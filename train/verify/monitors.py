@@ -26,8 +26,7 @@ bounds; the mean time of many teams does. In every step without a merge or a con
 Σ f_i·Δ_i of the displacements (theory 4) where choices are held for one step, and V does not rise
 up to a merge; V + ΣA does not rise; the hull is nested while linked robots are r or more apart; no
 link grows longer."""
-REPEATED = 48
-"""Teams for each start of a trial whose mean time is promised."""
+REPEATED = 48  # teams for each start of a trial whose mean time is promised
 ALL = (*NUMBERS, "lemma", "law_descent", "merge_rise", "pieces")
 """And those of claims: Σ‖f_i‖ ≥ 2 max a; V falls as under law (1), by τ Σ‖f_i‖ min(‖f_i‖, v_max);
 it rises at a merge by no more than theory 5 allows; no fewer robots are left than the graph has
@@ -35,10 +34,8 @@ components."""
 _TIME, _LYAPUNOV, _HULL, _LINK_GROWTH, _, _DESCENT, _LEDGER, _NESTED, _LINKS = range(len(NUMBERS))
 _LEMMA, _LAW_DESCENT, _MERGE_RISE, _PIECES = range(len(NUMBERS), len(ALL))
 _FLOAT32 = 2.0**-20
-_CONFIDENCE = 5.0
-"""Standard errors by which a mean may lie above its bound."""
-_COUNT = 48
-"""Directions in which hulls are measured."""
+_CONFIDENCE = 5.0  # standard errors by which a mean may lie above its bound
+_COUNT = 48  # directions in which hulls are measured
 _NEARLY = 0.97
 """Share of the bound on L from which L is measured exactly in 3-D: so many directions miss no more
 of it than 1.5 %."""

@@ -26,17 +26,13 @@ Random = np.random.Generator
 
 STARTS = 6
 """Of a draw: scenarios that differ in where the robots start, and are played side by side."""
-DRAWS = 50
-"""Of a task: they are of one kind and share compiled code."""
-_KINDS = 10**9
-"""Where the random streams of kinds begin, beyond those of draws."""
+DRAWS = 50  # of a task: they are of one kind and share compiled code
+_KINDS = 10**9  # where the random streams of kinds begin, beyond those of draws
 _TRIES = 40
-_CORNERS = 0.25
-"""Share of scenarios that are drawn where promises would break first."""
+_CORNERS = 0.25  # share of scenarios that are drawn where promises would break first
 _TOLERABLE = 0.8
 """Share of scenarios with a sensor that is wrong in one way, so little that theorems bear it."""
-_CLIMBING = 0.15
-"""Share of trials whose starts are improved."""
+_CLIMBING = 0.15  # share of trials whose starts are improved
 _SIZES = (2, 3, 3, 3, 4, 4, 4, 5, 6)
 _MODELS = (
     *[("single_integrator", 2)] * 11,

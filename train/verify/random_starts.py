@@ -16,8 +16,7 @@ import rendezvous_env as rv
 Array = NDArray[np.float64]
 Random = np.random.Generator
 
-STRIDES = (1e-3, 3.0)
-"""By how much a start is changed, in units of r."""
+STRIDES = (1e-3, 3.0)  # by how much a start is changed, in units of r
 
 
 def log_uniform(random: Random, low: float, high: float) -> float:

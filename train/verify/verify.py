@@ -29,10 +29,8 @@ from .monitors import NUMBERS
 from .random_scenarios import DRAWS, STARTS, trials_of
 
 _BAR = TextColumn("{task.description:16}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-_MOST_TASKS = 256
-"""Of a claim."""
-_MOST_WRITTEN = 20
-"""Violations of a search that are made small and written."""
+_MOST_TASKS = 256  # of a claim
+_MOST_WRITTEN = 20  # violations of a search that are made small and written
 
 FLAG_GROUPS = {"Workers": ("jobs", "on", "address")}
 

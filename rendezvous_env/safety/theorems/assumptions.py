@@ -34,10 +34,8 @@ def on_graphs(*kinds: str) -> Assumption:
     return holds
 
 
-undirected = on_graphs(UNDIRECTED)
-"""Links are mutual and last but for merges."""
-without_range = on_graphs(UNDIRECTED, DIRECTED, SWITCHING)
-"""Links do not end with distance."""
+undirected = on_graphs(UNDIRECTED)  # links are mutual and last but for merges
+without_range = on_graphs(UNDIRECTED, DIRECTED, SWITCHING)  # links do not end with distance
 
 
 def connected(scenario: Scenario, asked: Asked) -> str:

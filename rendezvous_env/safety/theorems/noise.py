@@ -42,8 +42,7 @@ from .theorem import Asked, Bounds, Theorem, bounds_with_errors
 
 Array = NDArray[np.float64]
 
-DEAD_ZONE = 0.5
-"""β of the dead zone δ = βa*/n of certified headings."""
+DEAD_ZONE = 0.5  # β of the dead zone δ = βa*/n of certified headings
 
 
 def largest_error(n: ArrayLike, dim: int) -> Array:
