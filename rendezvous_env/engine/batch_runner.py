@@ -41,8 +41,8 @@ class Pilot(Protocol):
         ...
 
     def book_of(self, teams: threads.Part, contact: Any, merged_into: Any, resting: Any) -> None:
-        """Learn how their step went: who touched an obstacle, (B, n), and is now part of whom,
-        (B, n), and which teams it passed by, (B,).
+        """Learn of their step: who touched an obstacle, (B, n), who is part of whom, (B, n), and
+        which teams rested, (B,).
         """
         ...
 

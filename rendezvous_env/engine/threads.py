@@ -18,17 +18,12 @@ from typing import Any
 from ..compilation import compiled
 
 Part = tuple[int, int, int]
-"""One thread's part of a kernel's work: its first block, the one after its last, and which of the
-threads it is, from 0 on."""
+"""One thread's part of the work: its first block, the one after its last, and its own index."""
 
 
 def share(run_kernel: Callable[[Part], Any], blocks: int, most: int) -> None:
-    """Let a kernel do many blocks, cut into slices for up to ``most`` threads.
-
-    Args:
-        run_kernel: calls a kernel with the part that it is given.
-        blocks: how many.
-        most: threads; one is the caller's own.
+    """Let a kernel, called with each thread's part, do so many blocks on up to ``most`` threads;
+    one is the caller's own.
 
     Raises:
         BaseException: what the kernel raised, or what interrupted the caller (Ctrl-C). No thread
@@ -128,8 +123,8 @@ def most_threads(asked: int | None) -> int:
 
 
 def available_cores() -> int:
-    """Cores that this process may run on, and no more than its container's quota of processor time
-    or NUMBA_NUM_THREADS, by which a process that is one of many is told to keep to its share.
+    """Cores that this process may run on, within its container's quota of processor time and within
+    NUMBA_NUM_THREADS, the share of a process that is one of many.
     """
     share = os.environ.get("NUMBA_NUM_THREADS", "")
     return min(_cores(), int(share)) if share.isdecimal() and int(share) else _cores()

