@@ -19,10 +19,16 @@ def _with(name, value):
     return lambda actions, gone: {**actions, name: value(actions.get("robot_0"))}
 
 
-# numbers of any wrong kind: tests/borders/test_messages.py
 BAD_ACTIONS = {
     "nan": (_with("robot_0", lambda a: a * np.nan), ValueError, r"action of robot_0 .*nan"),
+    "inf": (_with("robot_0", lambda a: a + np.inf), ValueError, r"action of robot_0 .*inf"),
     "short": (_with("robot_0", lambda a: a[1:]), ValueError, "action of robot_0 .* finite numbers"),
+    "matrix": (_with("robot_0", lambda a: a[None]), ValueError, "action of robot_0 "),
+    "number": (_with("robot_0", lambda a: 1.0), ValueError, "action of robot_0 is 1.0"),
+    "text": (_with("robot_0", lambda a: "left"), ValueError, "action of robot_0 is 'left'"),
+    "none": (_with("robot_0", lambda a: None), ValueError, "action of robot_0 is None"),
+    "too large": (_with("robot_0", lambda a: [10**400] * len(a)), ValueError, "action of robot_0 "),
+    "no dict": (lambda a, gone: list(a.values()), ValueError, "it must be a dict with an action"),
     "missing": (lambda a, gone: {k: v for k, v in a.items() if k != "robot_0"}, KeyError,
         "robot_0 is alive but has no action"),
     "none at all": (lambda a, gone: {}, KeyError, "robot_0 is alive"),
