@@ -45,9 +45,7 @@ def parallel_env(
 def env(
     *arguments: Any, **options: Any
 ) -> AECEnv[str, NDArray[np.float32], NDArray[np.float32] | None]:
-    """The environment for one robot after another (PettingZoo's AEC), arguments and errors as
-    ``parallel_env``.
-    """
+    """One robot after another (PettingZoo's AEC); arguments and errors as ``parallel_env``."""
     return wrappers.OrderEnforcingWrapper(OneAfterAnother(parallel_env(*arguments, **options)))
 
 
@@ -56,9 +54,7 @@ raw_env = env
 
 
 def register() -> None:
-    """Register ``rendezvous/rendezvous-v0`` and every named scenario, such as
-    ``rendezvous/clutter-16-v1``, in PettingZoo, once.
-    """
+    """Register ``rendezvous/rendezvous-v0`` and scenarios, ``rendezvous/clutter-16-v1``, once."""
     try:
         from pettingzoo.env_registry import registration
     except ImportError:  # PettingZoo before 1.27 has no registry

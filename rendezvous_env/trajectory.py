@@ -171,9 +171,7 @@ def rollout(
         record: what to keep besides: "observations", "actions", both, or "all". A warning precedes
             a rollout that may keep more than 1 GB.
 
-    Raises:
-        ValueError: for a bad scenario, seed, number of teams, option, record or action.
-        TypeError: if the policy cannot be called.
+    A ValueError or TypeError names the argument, or the action, that is wrong.
     """
     if not callable(policy):
         raise TypeError(f"policy is {shown(policy)}; it must be callable: baselines.make makes one")

@@ -28,8 +28,7 @@ class SetModule(TorchRLModule, ValueFunctionAPI):
 
     Every element of a set, a neighbour or an obstacle, goes through the network of its set, as its
     direction and its length; absent ones, zero rows, are left out. The mean over a set, its size
-    and the rest of the observation go through two layers more. The order of the elements does not
-    matter, and no weight depends on their possible number.
+    and the rest of the observation go through two layers more.
 
     ``model_config``: ``sets`` (see ``sets_of``) and ``units``, the width of all layers (64).
     """

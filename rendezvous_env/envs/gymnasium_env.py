@@ -139,9 +139,8 @@ def env_from_plain(scenario: Mapping[str, Any], render_mode: str | None = None) 
 
 def register() -> None:
     """Register ``rendezvous/Rendezvous-v0``, with certified headings
-    ``rendezvous/RendezvousHeading-v0``, and every named scenario, such as
-    ``rendezvous/clutter-16-v1``, in Gymnasium, once; without ``max_episode_steps``, since the
-    environment has a time limit of its own.
+    ``rendezvous/RendezvousHeading-v0``, and scenarios as ``rendezvous/clutter-16-v1``, once;
+    without ``max_episode_steps``, since the environment has a time limit of its own.
     """
     ids: dict[str, tuple[str, dict[str, str]]] = {
         "rendezvous/Rendezvous-v0": ("", {}),
