@@ -64,12 +64,8 @@ class TrainingParallelEnv(TeamByName[Box | Discrete]):
     }
 
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
-        """Let all robots act, those that have merged away included.
-
-        Raises:
-            KeyError: for a missing or unknown robot; nothing has changed then.
-            ValueError: for a bad action, naming the robot; likewise.
-            RuntimeError: before the first reset.
+        """Let all robots act, those that have merged away included; errors as
+        ``RendezvousParallelEnv.step``.
         """
         if self._is_over(actions):
             return {}, {}, {}, {}, {}

@@ -80,10 +80,7 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
         """Hold the choices of the robots in ``agents`` for ``decision_period`` base steps.
 
-        Raises:
-            KeyError: for a missing, unknown or merged-away robot; nothing has changed then.
-            ValueError: for a choice of the wrong shape, or one that is not finite; likewise.
-            RuntimeError: before the first reset of the wrapper.
+        Errors are those of ``RendezvousParallelEnv.step``.
         """
         self._check_begun()
         if not self.agents and isinstance(actions, Mapping) and not actions:
