@@ -33,6 +33,7 @@ BAD_ACTIONS = {
         "robot_0 is alive but has no action"),
     "none at all": (lambda a, gone: {}, KeyError, "robot_0 is alive"),
     "unknown": (_with("robot_9", lambda a: a), KeyError, "'robot_9' is no robot of this team"),
+    "no name": (_with(5, lambda a: a), KeyError, "5 is no robot of this team"),
     "renamed": (lambda a, gone: {"robot_9" if k == "robot_0" else k: v for k, v in a.items()},
         KeyError, "'robot_9' is no robot"),
     "merged away": (lambda a, gone: {**a, gone: a["robot_0"]}, KeyError, "GONE has merged into"),
@@ -99,6 +100,11 @@ def test_training_environments_name_the_robot(form, bad):
         ({}, np.zeros((2, 4)), r"shape \(2, 4\); they must be \(B, n, 2\) = \(2, 4, 2\)"),
         ({}, "ahead", "actions is 'ahead'"),
         ({"discrete": True}, np.full((2, 4), 9), "robot_0 in team 0 is 9.*whole number below 9"),
+        (
+            {"discrete": True},
+            [[0, 0, 0, 0], [0, 0, -1, 0]],
+            "robot_2 in team 1 is -1",
+        ),
         ({"discrete": True}, np.zeros((2, 4, 2)), r"they must be \(B, n\) = \(2, 4\)"),
     ],
 )

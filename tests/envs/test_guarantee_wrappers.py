@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 
+import gymnasium
 import numpy as np
 import pytest
 from conftest import five
@@ -184,7 +185,7 @@ def test_a_period_is_that_many_base_steps_with_the_choice_held(which, kind):
     ("which", "field", "values"),
     [
         ("heading", "min_alignment", (0.0, 5e-324, 9e-7, 1.0)),
-        ("heading", "max_turn_rate", (0.0,)),
+        ("heading", "max_turn_rate", (0.0, np.inf, np.nan)),
         ("tank", "budget", (-1.0, np.nan, "1", None)),
         ("tank", "min_alignment", (0.0, 9e-7, 1.0)),
         ("tank", "observe_level", (1, "no")),
@@ -192,8 +193,8 @@ def test_a_period_is_that_many_base_steps_with_the_choice_held(which, kind):
         ("gains", "max_gain", (np.inf,)),
         ("links", "share", (0, "all")),
         ("links", "bearing_error", (2.0,)),
-        *((which, "frame", ("global", None)) for which in GUARANTEES),
-        *((which, "decision_period", (0, 1.5)) for which in GUARANTEES),
+        *((which, "frame", ("global", 5, None)) for which in GUARANTEES),
+        *((which, "decision_period", (0, 1.5, 2.0)) for which in GUARANTEES),
     ],
 )
 def test_arguments_are_checked(which, field, values):
@@ -210,6 +211,8 @@ def test_only_environments_of_ours_are_wrapped(which):
     for wrap, env, message in (
         (around, rv.make_vec("duo"), rf"RendezvousVectorEnv.*vector\.{name}"),
         (around_teams, rv.parallel_env("duo"), rf"take rendezvous_env\.{name}"),
+        (around, None, "env is a NoneType"),
+        (around_teams, gymnasium.make_vec("CartPole-v1", num_envs=1), "env is a CartPoleVectorEnv"),
         (around, make_env("duo"), "RendezvousEnv"),
         (around_teams, make_env("duo"), "RendezvousEnv"),
         (around, rv.training_env("duo"), "TrainingParallelEnv; it must be"),
