@@ -160,20 +160,25 @@ class RendezvousParallelEnv(TeamByName[Box]):
         status, statistics = outcome.status.item(0), simulator.first_episode_statistics(outcome)
         over, met = status != RUNNING, status == RENDEZVOUS
         table = as_told(outcome.observations[0], self.flatten)
-        robot_rewards, active = outcome.robot_rewards[0].tolist(), outcome.active[0].tolist()
-        own: dict[str, Any] = {"merged_into": simulator.merged_into, "contact": outcome.contact}
-        own |= {"clearance": outcome.clearance, **simulator.costs}
-        numbers = {key: values[0].tolist() for key, values in own.items()}
+        (earned,), (active,) = outcome.robot_rewards.tolist(), outcome.active.tolist()
+        (into,), (contact,) = simulator.merged_into.tolist(), outcome.contact.tolist()
+        (clearance,) = outcome.clearance.tolist()
+        costs = {key: values[0].tolist() for key, values in simulator.costs.items()}
         removed = self.scenario.on_merge == "remove"
         returned: StepReturn = {}, {}, {}, {}, {}
         observations, rewards, ends, cuts, infos = returned
         for name in alive:
             i = self._indices[name]
-            observations[name], rewards[name] = table[i], robot_rewards[i]
+            observations[name], rewards[name] = table[i], earned[i]
             ends[name] = ended = met or (removed and not active[i])
             cuts[name] = over and not ended
-            infos[name] = info = statistics.copy()
-            for key, values in numbers.items():
+            infos[name] = info = statistics.copy()  # then one by one: half as long as at once
+            info["merged_into"], info["contact"], info["clearance"] = (
+                into[i],
+                contact[i],
+                clearance[i],
+            )
+            for key, values in costs.items():
                 info[key] = values[i]
             if over:
                 info["summary"] = statistics.copy()
