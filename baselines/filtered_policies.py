@@ -1,7 +1,5 @@
 """Functions of observations as policies that keep a guarantee, as the wrappers do."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable
 from functools import partial

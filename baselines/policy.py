@@ -1,7 +1,5 @@
 """What a policy is, and the registry of all that come with the project."""
 
-from __future__ import annotations
-
 import inspect
 import math
 from abc import ABC, abstractmethod

@@ -1,7 +1,5 @@
 """A policy on board of one robot: what it measured since the last tick in, its velocity out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

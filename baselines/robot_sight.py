@@ -1,7 +1,5 @@
 """What one robot measures, as the rows of an observation: gains, slots, edges in their order."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

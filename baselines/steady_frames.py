@@ -6,8 +6,6 @@ then. A robot of space passes obstacles in a plane that holds f (``planes_in_spa
 same policy steers it.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

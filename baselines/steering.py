@@ -5,8 +5,6 @@ there, and drives once it nearly faces it. Its frame turns with it, and it has n
 remembers it turns by the rates it commands.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A model that was trained in a training environment, as a policy that can be compared."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

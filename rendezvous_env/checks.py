@@ -1,7 +1,5 @@
 """Checks that all borders share; a refusal names the field, its value and what would be right."""
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import functools

@@ -1,7 +1,5 @@
 """How every kernel of this project is compiled: serial, cached on disk, IEEE arithmetic."""
 
-from __future__ import annotations
-
 import gc
 import inspect
 import os

@@ -1,7 +1,5 @@
 """What the first starts of a scenario are, as a digest by which results can be told to compare."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 

@@ -6,8 +6,6 @@ module; how kernels are compiled; the types of the arguments; processor and vers
 a digest of what follows, since damaged machine code would end the process.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import pickle

@@ -1,7 +1,5 @@
 """What one step of the simulator gives out."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any, NamedTuple
 

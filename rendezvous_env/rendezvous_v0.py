@@ -1,7 +1,5 @@
 """PettingZoo: ``parallel_env``, ``env`` and ``raw_env``, one team by name."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ A user's own ``train.py`` or folder ``baselines`` hides these packages, but not 
 Where nothing hides them both names mean the same modules, loaded once.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from importlib import import_module, util

@@ -1,7 +1,5 @@
 """Simulator: many teams at once. Every environment of this project is one of these."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

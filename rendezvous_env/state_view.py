@@ -1,7 +1,5 @@
 """What can be read of the teams of a simulator."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rollouts: run a policy for one episode and keep what happened."""
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """The vector environment's wrappers with a guarantee, and teams to train in."""
 
-from __future__ import annotations
-
 from .envs.spaces import team_box
 from .envs.training import training_env
 from .envs.vector_wrappers import (

@@ -1,7 +1,5 @@
 """Everything that learns or compares: commands, evaluation, training, pictures."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

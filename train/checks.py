@@ -1,7 +1,5 @@
 """Settings that cannot be, refused before any work: by flag, value and what would be right."""
 
-from __future__ import annotations
-
 import importlib.util
 import math
 from collections.abc import Sequence

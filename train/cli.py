@@ -4,8 +4,6 @@ Each command is a module with a frozen dataclass ``Config``, whose fields are th
 function ``run(config)`` that returns the exit status. Only the module of the command is imported.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import dataclasses

@@ -5,8 +5,6 @@ row of an observation is kept as its length, which hardly ever changes, and its 
 neighbour's row relative to the neighbour's place, nearly 0 if sensors are exact.
 """
 
-from __future__ import annotations
-
 import base64
 import gzip
 import math

@@ -1,7 +1,5 @@
 """``rendezvous export``: a policy for robots, as one Python file or its network as an ONNX file."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Ctrl-C and SIGTERM end a command soon, with one line."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """``rendezvous list``: the scenarios and the policies, a line for each, and which fit which."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from string import ascii_uppercase

@@ -4,8 +4,6 @@ Policies: those of the registry; ``learned:PATH`` of a run, a checkpoint or an e
 ``module:function``, a user's own. Scenarios: by name or TOML file.
 """
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import os

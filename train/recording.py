@@ -1,7 +1,5 @@
 """Recordings of single teams of a batch, in no more frames than a picture can show."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The files that commands exchange, and how they are written: whole or not at all."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

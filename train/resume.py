@@ -5,8 +5,6 @@ plan.json says what was asked for, cells/ holds the results of finished tasks. A
 nothing but the plan, so a resumed command finds what an uninterrupted one would have found.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Independent tasks: one after the other, on all cores (joblib), or on a Ray cluster."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import queue

@@ -1,7 +1,5 @@
 """Laws from the literature for robots that can move in any direction, from bearings alone."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The laws of the paper, with its equation numbers."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass

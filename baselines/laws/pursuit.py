@@ -1,7 +1,5 @@
 """Pursuit by robots with a turn limit, which see bearings alone."""
 
-from __future__ import annotations
-
 import math
 from abc import abstractmethod
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ digests of its other files, and network.safetensors, optimizer.safetensors and s
 RUN/checkpoints/latest.json names the newest one.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path

@@ -3,8 +3,6 @@
 They are in the frame with x along f, so a policy that reads them is invariant to rotations.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any, NamedTuple
 

@@ -2,8 +2,6 @@
 the same in training and in use.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """A trained network as a policy: observations in, actions out, like the scripted ones."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Mapping
 from pathlib import Path

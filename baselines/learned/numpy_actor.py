@@ -1,7 +1,5 @@
 """The actor of a trained network in NumPy, without its learning library."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from itertools import pairwise

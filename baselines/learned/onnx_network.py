@@ -1,7 +1,5 @@
 """A trained network as an ONNX file, run by onnxruntime: what ``rendezvous export`` writes."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

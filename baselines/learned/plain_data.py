@@ -1,7 +1,5 @@
 """Plain data in files: JSON that is read, checked for its types, and identified by its digest."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping

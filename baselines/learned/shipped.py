@@ -2,8 +2,6 @@
 in, as their own files say.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """What a policy is trained in: guided teams, features, and the price of a contact."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any

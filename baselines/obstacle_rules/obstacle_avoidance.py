@@ -2,8 +2,6 @@
 law (4), h hᵀf, along the heading h of a rule, or along h made certified by theorem C.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

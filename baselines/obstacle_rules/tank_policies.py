@@ -2,8 +2,6 @@
 much; in space in a plane that holds f (``planes_in_space``).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Blind baselines: what any policy that sees must do better than."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The smallest ball that holds a set of points."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

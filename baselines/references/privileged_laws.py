@@ -1,7 +1,5 @@
 """Oracle baselines: laws of the literature that need the distances that bearings lack."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from typing import Any
 

@@ -2,8 +2,6 @@
 policies that see bearings alone.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

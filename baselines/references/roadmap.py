@@ -5,8 +5,6 @@ obstacles, inflated by a clearance. In space the nodes are points all over the i
 and ways are nearly as short as can be.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

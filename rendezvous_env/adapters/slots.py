@@ -1,7 +1,5 @@
 """Robots as single slots, for libraries that know no teams."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from typing import Any, NamedTuple

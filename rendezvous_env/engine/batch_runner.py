@@ -1,7 +1,5 @@
 """The compiled step, run over the blocks of a batch by several threads."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 

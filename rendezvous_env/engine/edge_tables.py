@@ -2,8 +2,6 @@
 kept and given.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Any

@@ -1,7 +1,5 @@
 """Which episode of which seed each team is in, and how it begins."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Memory for B teams of a scenario: how it is laid out, allocated, and how much there is."""
 
-from __future__ import annotations
-
 import math
 import os
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """From a scenario to what the kernels need to know of it: constants, robot model, rules."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The state of B teams: arrays by team outside, lane blocks inside."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What makes arrays from outside fit to be handed to compiled code, which checks nothing itself."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any
 

@@ -4,8 +4,6 @@ Python's signals reach the caller's thread alone. So it is other threads that do
 the caller waits: what Ctrl-C interrupts is that wait, and a step is one for all teams or for none.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 import time

@@ -1,7 +1,5 @@
 """The robots of one team by name, as PettingZoo has them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, Generic, TypeVar
 

@@ -1,7 +1,5 @@
 """What the guarantee wrappers of PettingZoo and of vector environments share."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Mapping
 from inspect import Parameter

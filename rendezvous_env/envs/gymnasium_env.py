@@ -1,7 +1,5 @@
 """Gymnasium: B teams as arrays, and one team as one agent, made from a scenario."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Keyword arguments of factories: of the scenario, of a guarantee's wrapper, and unknown ones."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields

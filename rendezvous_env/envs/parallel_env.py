@@ -1,7 +1,5 @@
 """PettingZoo's parallel environment: one team of a vector environment, its robots by name."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

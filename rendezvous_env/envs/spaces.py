@@ -1,7 +1,5 @@
 """Gymnasium spaces of a scenario, and the privileged global state, for every environment."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Any
 

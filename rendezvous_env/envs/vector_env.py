@@ -1,7 +1,5 @@
 """Many teams of one scenario as a vector environment of Gymnasium, and one team of it alone."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any

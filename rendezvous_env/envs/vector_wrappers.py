@@ -1,7 +1,5 @@
 """Guarantees for vector environments: the wrappers of ``wrappers.py`` for B teams at once."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

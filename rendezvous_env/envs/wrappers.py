@@ -1,7 +1,5 @@
 """Guarantees for PettingZoo: choices are held, and a safety filter makes actions of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Directed sensing graphs: sight need not be mutual (guarantees, section 10)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar
 

@@ -1,7 +1,5 @@
 """Undirected graphs whose edges are the same in every episode."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial

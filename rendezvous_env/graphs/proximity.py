@@ -1,7 +1,5 @@
 """Graphs whose links follow sight."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """Families of graphs, of which every episode draws one from the stream of its graph."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple

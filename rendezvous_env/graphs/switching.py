@@ -1,7 +1,5 @@
 """Graphs that take turns within an episode."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal

@@ -1,7 +1,5 @@
 """Edges and matrices of weights: how they are given and kept, and their numbers (theory 3, 4)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 

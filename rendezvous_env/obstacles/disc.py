@@ -1,7 +1,5 @@
 """Discs and spheres: what a user sets, distance, way in, silhouette, picture."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import partial

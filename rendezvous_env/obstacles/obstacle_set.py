@@ -4,8 +4,6 @@ Kernels take kinds, numbers of corners, and rows that begin with the bounding ba
 of obstacle m is chosen by its kind; code compiled for a set of balls contains no other shapes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 

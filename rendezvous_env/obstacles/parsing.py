@@ -1,7 +1,5 @@
 """Obstacles of a scenario from whatever describes them, and back as plain data for files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields
 from typing import Any

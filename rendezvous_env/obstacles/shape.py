@@ -7,8 +7,6 @@ themselves, and the rest as the row. A new shape is a file like ``capsule`` that
 ``ShapeKind``, and the name of that in ``obstacle_set.KINDS``.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from functools import partial

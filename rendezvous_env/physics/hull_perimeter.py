@@ -2,8 +2,6 @@
 width (guarantees, section 9).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

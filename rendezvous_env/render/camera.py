@@ -1,7 +1,5 @@
 """Where a point of the plane or of space stands in a picture: a fixed view, equal in every axis."""
 
-from __future__ import annotations
-
 import math
 from itertools import product
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """What a team has done so far, as far as a picture shows it; kept only where one is drawn."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

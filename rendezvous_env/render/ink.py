@@ -1,7 +1,5 @@
 """Letters, marks and greys of the pictures."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

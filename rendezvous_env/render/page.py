@@ -1,7 +1,5 @@
 """A whole picture: one team with a header and a strip of V(t), or a tile of teams."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

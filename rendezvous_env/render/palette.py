@@ -4,8 +4,6 @@ Those of Okabe and Ito, which colour-blind readers can tell apart; yellow, too f
 replaced by a dark red.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 Rgb = tuple[int, int, int]

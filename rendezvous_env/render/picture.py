@@ -1,7 +1,5 @@
 """One team as a picture: obstacles and paths, kept from frame to frame, and the robots."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

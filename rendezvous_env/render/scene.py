@@ -3,8 +3,6 @@
 Shapes of obstacles, paths, marks and extents, all in metres; their colours are in ``palette``.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

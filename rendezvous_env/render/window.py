@@ -1,7 +1,5 @@
 """A window that plays what happens: space pauses, the right arrow or s makes one step."""
 
-from __future__ import annotations
-
 import time
 
 import pygame

@@ -3,8 +3,6 @@
 As in Safety-Gymnasium's converters to Gymnasium, infos have ``cost_NAME`` and their sum, ``cost``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Reward terms of a user's own: functions of what happened in one step of a batch of teams."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple
 

@@ -16,8 +16,6 @@ The first keeps the direction of P, as x : y = v : l ω. With the second both wh
 wanted at the same time.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

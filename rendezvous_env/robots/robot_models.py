@@ -4,8 +4,6 @@ Its equations are named by the type of its constants, see ``motion``. Contacts a
 what they promise, so the equations of a user's model are tried before robots move by them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Gains: one weight per neighbour in, velocities within the hull of the team out (theorem G)."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -3,8 +3,6 @@
 docs/theory.md, section 3. The turn rates of nonholonomic robots are in ``turning.py``.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Theorem R: desired velocities in, velocities that lengthen no link out (guarantees, 12)."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """V, its rate and net bearings, of positions in the global frame: for analysis, never for a law."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Settings that filters share, and what is refused: margins ε, bearing errors η, vectors."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -4,8 +4,6 @@ docs/guarantees.md, section 8. Each robot keeps this account alone, from its own
 are pairs or triples in one frame. Bearing errors η make f wrong by e = 2 sin(η/2) D, m/s, at most.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

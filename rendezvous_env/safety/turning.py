@@ -5,8 +5,6 @@ start of the step: x = heading h, y = horizontal left, z = up-ish. Turn rates ar
 rad/s, the second 0 in the plane, where the pitch β, a number, rad, is 0 too.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Which row of an observation is what. Nobody else counts rows."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 

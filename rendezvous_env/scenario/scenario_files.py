@@ -1,7 +1,5 @@
 """TOML files of scenarios as plain data; paths that no file can have are refused in words."""
 
-from __future__ import annotations
-
 import errno
 import os
 import tomllib

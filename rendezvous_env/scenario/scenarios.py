@@ -1,7 +1,5 @@
 """The named scenarios."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """How a start can be given: seeds, and what ``reset(options=…)`` accepts, any part of a start."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 

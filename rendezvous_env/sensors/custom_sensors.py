@@ -1,7 +1,5 @@
 """Imperfections of a user's own: functions of what a batch of teams sees, applied last."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable
 from typing import Any

@@ -8,8 +8,6 @@ Rows are a_ij g_ij or unit bearings in the robot's own frame, pairs or triples; 
 keeps their length.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """``rendezvous bench``: how fast the environments are on this machine, as ratios of one run."""
 
-from __future__ import annotations
-
 import os
 import platform
 import re

@@ -1,7 +1,5 @@
 """What ``rendezvous bench`` times of the environments, beside a peer and a bare kernel."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping

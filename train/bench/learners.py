@@ -1,7 +1,5 @@
 """What ``rendezvous bench`` times of the learner's side: adapters and PPO."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any

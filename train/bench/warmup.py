@@ -1,7 +1,5 @@
 """``rendezvous warmup``: compile beforehand what the first use of a scenario would compile."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -3,8 +3,6 @@
 ``Config``, ``run``, ``plan`` and the other names of the command are loaded when they are asked for.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

@@ -6,8 +6,6 @@ kill strikes, OUT.part with a run.json is whole, OUT.part without one is resumed
 stays until then.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

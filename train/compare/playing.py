@@ -1,7 +1,5 @@
 """Play a comparison in independent tasks."""
 
-from __future__ import annotations
-
 import hashlib
 import time
 from collections.abc import Callable, Generator, Sequence

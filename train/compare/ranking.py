@@ -1,7 +1,5 @@
 """The best policy of each scenario, and those that are tied with it."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """From episodes to the numbers of a table: intervals, censored medians, paired comparisons."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

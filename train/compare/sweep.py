@@ -1,7 +1,5 @@
 """Scenarios at several levels of what a sensor gets wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any

@@ -5,8 +5,6 @@ least one of many randomised certified runs passed without a collision is an est
 of what any heading policy can reach.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from functools import partial

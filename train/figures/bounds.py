@@ -1,7 +1,5 @@
 """``rendezvous reproduce bounds``: what certificates promise, over what teams take."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``rendezvous render``: one episode as a video or as a figure."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Results cards: the outcome of a cell, and all that is needed to repeat it."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path

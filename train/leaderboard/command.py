@@ -1,7 +1,5 @@
 """``rendezvous leaderboard``: train, play and report, cell by cell, so that it can be resumed."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass

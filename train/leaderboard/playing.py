@@ -1,7 +1,5 @@
 """Play held-out starts with whatever came of an algorithm, and count."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """What an algorithm is; the files in ``algorithms`` have them."""
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 from collections.abc import Callable

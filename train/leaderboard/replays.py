@@ -1,7 +1,5 @@
 """Replays: what two starts of a run looked like, small enough to be kept beside its card."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Sequence

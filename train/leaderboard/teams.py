@@ -1,7 +1,5 @@
 """Teams that learners are compared in: all see, decide and are paid alike, under another safety."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

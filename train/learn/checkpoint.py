@@ -3,8 +3,6 @@
 ``baselines.learned.checkpoints`` reads them.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

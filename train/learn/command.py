@@ -1,7 +1,5 @@
 """``rendezvous train``: one run, or one for each of several seeds."""
 
-from __future__ import annotations
-
 from contextlib import closing, redirect_stdout
 from dataclasses import dataclass, fields, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a training run reports: CSV files, and a result."""
 
-from __future__ import annotations
-
 import csv
 import math
 import re

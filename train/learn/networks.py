@@ -4,8 +4,6 @@ Centralised training, decentralised execution: a critic may also read the global
 It has positions and distances that no robot can measure, and no policy that is served sees it.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """PPO learns headings; a run can be stopped at any moment and resumed."""
 
-from __future__ import annotations
-
 from ..checks import check_installed
 from .log import OnUpdate, Result
 from .settings import EVALUATION_SEEDS, Config, check

@@ -1,7 +1,5 @@
 """PPO for robots that remember: a gated recurrent unit, and whole sequences as samples."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 

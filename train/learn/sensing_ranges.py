@@ -1,7 +1,5 @@
 """Domain randomisation over ``Sensing``: a policy learns to trust no single sensor."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any

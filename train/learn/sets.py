@@ -4,8 +4,6 @@ Torch would pass over memory for every operation, and over as many rows as there
 24 obstacles of a field a robot sees two or three.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The teams that a run trains in: all alike, or groups whose sensors are resampled."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """A training run, from its beginning or from a checkpoint to its end."""
 
-from __future__ import annotations
-
 import copy
 import math
 import time

@@ -1,7 +1,5 @@
 """Robots that see no other: where obstacles hide neighbours, policies must remember and search."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

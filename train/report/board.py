@@ -1,7 +1,5 @@
 """The page of a leaderboard's folder: algorithms, replays, figures, and the card of every run."""
 
-from __future__ import annotations
-
 from itertools import chain
 from pathlib import Path
 from string import Template

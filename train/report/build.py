@@ -1,7 +1,5 @@
 """``rendezvous report``: one HTML page of what ``compare`` found, with an interactive replay."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from html import escape

@@ -1,7 +1,5 @@
 """The result folder of ``compare``, read if its digests are right."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What all pages share: one file with its data, style, scripts and replays."""
 
-from __future__ import annotations
-
 import base64
 import json
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """A policy as one Python file that needs NumPy alone: ``rendezvous export --standalone``."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import pprint

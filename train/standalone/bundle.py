@@ -4,8 +4,6 @@ The text is the project's own, word for word: the definitions of each module tha
 and of each class those methods whose names occur. Kernels are plain functions there.
 """
 
-from __future__ import annotations
-
 import ast
 import builtins
 import inspect

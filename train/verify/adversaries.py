@@ -2,8 +2,6 @@
 where bearings are wrong by a bounded angle.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -2,8 +2,6 @@
 and what is looked at in every step (``monitors``).
 """
 
-from __future__ import annotations
-
 import math
 import time
 import zlib

@@ -1,7 +1,5 @@
 """What a certificate promises, held against every step of the teams that are played."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

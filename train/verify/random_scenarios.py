@@ -5,8 +5,6 @@ opposite or nearly coincident; links just short enough; obstacles where robots w
 far apart; steps long and robots slow.
 """
 
-from __future__ import annotations
-
 import math
 from contextlib import suppress
 from dataclasses import dataclass

@@ -2,8 +2,6 @@
 each other and as far apart as links may be; balls where they will merge.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Any

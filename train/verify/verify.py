@@ -1,7 +1,5 @@
 """``rendezvous verify``: the theorems of docs/theory.md as a command that can fail."""
 
-from __future__ import annotations
-
 import math
 import sys
 import time

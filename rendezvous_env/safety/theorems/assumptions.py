@@ -1,7 +1,5 @@
 """What theorems assume of a scenario: one named predicate each, which says in words what fails."""
 
-from __future__ import annotations
-
 from ...scenario.scenario import Scenario
 from ...sensors.sensing import Sensing
 from ..settings import is_complete

@@ -1,7 +1,5 @@
 """The numbers of a scenario that theorems share: of its graph, its first step, its worst start."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from functools import cache, lru_cache

@@ -10,8 +10,6 @@ late, (k+1) τ ≤ r/(2D̄), at merges too; robots whose action is their velocit
 Proof, and other ages: docs/proofs.md, E1.
 """
 
-from __future__ import annotations
-
 from ...scenario.scenario import Scenario
 from . import assumptions as given
 from . import constants as known

@@ -13,8 +13,6 @@ T ≤ σ V(0)/(2 (n−1) ε² a²). Beside obstacles V alone is bounded, in moti
 likewise, under headings, V of robots that turn. Proof: docs/proofs.md, A to C.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

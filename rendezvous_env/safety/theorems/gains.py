@@ -15,8 +15,6 @@ For τ C ≤ r the hull does not grow in a step that begins with linked robots r
 holds what it grows by in others. Proof: docs/proofs.md, G and D1.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

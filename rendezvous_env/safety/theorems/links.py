@@ -16,8 +16,6 @@ a the heaviest and d the lightest link; without a limit of range V_tot = V0⁺, 
 Proof: docs/proofs.md, R.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -25,8 +25,6 @@ and q_m²/(m−1) in place of V0⁺ and q_m².
 Proofs: docs/proofs.md, N to E[T].
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -20,8 +20,6 @@ Where everyone sees everyone, all weights a, no obstacles, levels follow V at me
 Proof: docs/proofs.md, D.
 """
 
-from __future__ import annotations
-
 from ...scenario.scenario import Scenario
 from ..settings import levels_follow_v
 from . import assumptions as given

@@ -1,7 +1,5 @@
 """What a theorem is here: assumptions, as predicates that say what fails, and its numbers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

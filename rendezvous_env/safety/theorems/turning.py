@@ -14,8 +14,6 @@ V falls by q in every K steps without a merge: T ≤ Kτ (V0⁺/q + n). Proof: d
 **3 and 4.** The paper's laws (7)(8) and (12)(17) meet in continuous time, by no known time.
 """
 
-from __future__ import annotations
-
 import math
 
 from ...scenario.scenario import Scenario

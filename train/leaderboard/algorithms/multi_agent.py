@@ -6,8 +6,6 @@ learners here. QMIX: a team's value is a monotonic function of its robots' value
 2018).
 """
 
-from __future__ import annotations
-
 import io
 import logging
 import tempfile

@@ -1,7 +1,5 @@
 """PPO with one network for all ways of being safe: parameters shared, every robot a sample."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any, Literal

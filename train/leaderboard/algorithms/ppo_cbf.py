@@ -9,8 +9,6 @@ puts robots elsewhere, which it does not see. It is given the distances and dire
 which a sensor of bearings does not have. Nothing is said of V, so nobody is promised to meet.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

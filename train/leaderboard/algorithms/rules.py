@@ -1,7 +1,5 @@
 """Laws and rules, which learn nothing."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, Literal
 
