@@ -1,9 +1,9 @@
 """What the guarantee wrappers of PettingZoo and of vector environments share."""
 
+import functools
 import inspect
-from collections.abc import Mapping
-from inspect import Parameter
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,12 +14,14 @@ from ..safety.gains import Gains
 from ..safety.heading import HeadingFilter
 from ..safety.links import LinkKeeping
 from ..safety.safety_filter import FILTERS, SafetyFilter
+from ..safety.settings import MAX_TURN_RATE
 from ..safety.tank import EnergyTank
 from ..simulator import Simulator
 from .overrides import arguments_of
 
 AnyFilter = SafetyFilter | type[SafetyFilter] | str
 """A filter, or its class or name, from which settings make one."""
+_Constructor = TypeVar("_Constructor", bound=Callable[..., None])
 
 
 def check_period(decision_period: int) -> int:
@@ -113,42 +115,103 @@ class HoldsFilter:
         self._begun = True
 
 
-class OneGuarantee:
-    """A base beside a GuaranteeWrapper, for wrappers with one guarantee, the name of a filter.
+# ---- constructors of the four wrappers, the same for both APIs -----------------------------------
 
-    Arguments are the filter's settings, in their order and with their defaults, ``decision_period``
-    after ``frame``. An unknown keyword is refused with a TypeError that names the nearest one.
+
+class _Constructed:
+    """A base beside a GuaranteeWrapper, whose constructor comes from ``declared_for``."""
+
+    def _make(self, *arguments: Any, **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+
+
+def declared_for(kind: type[SafetyFilter]) -> Callable[[_Constructor], _Constructor]:
+    """Turns a declaration into a constructor: arguments given, and defaults, go to the filter.
+
+    Unknown keywords are refused with a TypeError that names the nearest argument.
     """
 
-    _guarantee: str
-    _arguments: inspect.Signature
-    _refusing: str  # the wrapper that messages name, also where a user's own stands on it
+    def fill(declared: _Constructor) -> _Constructor:
+        signature = inspect.signature(declared)
+        known = list(signature.parameters)[1:]
+
+        @functools.wraps(declared)
+        def make(self: Any, *arguments: Any, **given: Any) -> None:
+            ours = [c for c in type(self).__mro__ if c.__module__.startswith(__package__)]
+            known_fields(given, known, ours[0].__name__, "argument")
+            bound = signature.bind(self, *arguments, **given)
+            bound.apply_defaults()
+            settings = {name: bound.arguments[name] for name in known}
+            self._make(settings.pop("env"), kind, settings.pop("decision_period"), **settings)
+
+        return make  # type: ignore[return-value]
+
+    return fill
+
+
+class HeadingSettings(_Constructed):
+    """Theorem C: ``HeadingVectorWrapper``."""
+
     steering: HeadingFilter
+
+    @declared_for(HeadingFilter)
+    def __init__(
+        self,
+        env: Any,
+        min_alignment: float = 0.1,
+        max_turn_rate: float = MAX_TURN_RATE,
+        frame: str = "net_bearing",
+        decision_period: int = 1,
+        certified: bool = True,
+        bearing_error: float = 0.0,
+    ) -> None: ...
+
+
+class TankSettings(_Constructed):
+    """Theorem D: ``EnergyTankWrapper``."""
+
     tank: EnergyTank
+
+    @declared_for(EnergyTank)
+    def __init__(
+        self,
+        env: Any,
+        budget: float = 0.0,
+        min_alignment: float = 0.05,
+        frame: str = "net_bearing",
+        decision_period: int = 1,
+        observe_level: bool = False,
+        bearing_error: float = 0.0,
+    ) -> None: ...
+
+
+class GainSettings(_Constructed):
+    """Theorem G: ``GainWrapper``."""
+
     gains: Gains
+
+    @declared_for(Gains)
+    def __init__(
+        self,
+        env: Any,
+        min_gain: float | None = None,
+        max_gain: float | None = None,
+        frame: str = "net_bearing",
+        decision_period: int = 1,
+    ) -> None: ...
+
+
+class LinkSettings(_Constructed):
+    """Theorem R: ``LinkKeepingWrapper``."""
+
     links: LinkKeeping
 
-    def __init_subclass__(cls, guarantee: str | None = None, **rest: Any) -> None:
-        super().__init_subclass__(**rest)
-        shown: Any = cls
-        shown.__signature__ = None
-        if guarantee is None:  # a user's own
-            return
-        kind = FILTERS[guarantee]
-        declared, by_name = inspect.signature(kind).parameters, Parameter.POSITIONAL_OR_KEYWORD
-        parameters = [Parameter("env", by_name)]
-        for name in settings_of(kind):
-            parameters.append(declared[name].replace(kind=by_name))
-            if name == "frame":
-                period = Parameter("decision_period", by_name, default=1, annotation="int")
-                parameters.append(period)
-        shown.__signature__ = cls._arguments = inspect.Signature(parameters)
-        cls._guarantee, cls._refusing = guarantee, cls.__name__
-
-    def __init__(self, env: Any, *arguments: Any, **settings: Any) -> None:
-        known_fields(settings, self._arguments.parameters, self._refusing, "argument")
-        bound = self._arguments.bind(env, *arguments, **settings)
-        bound.apply_defaults()
-        _, *chosen = bound.arguments.items()
-        given: dict[str, Any] = {"safety_filter": self._guarantee, **dict(chosen)}
-        super().__init__(env, **given)  # type: ignore[call-arg]
+    @declared_for(LinkKeeping)
+    def __init__(
+        self,
+        env: Any,
+        share: float = 0.5,
+        bearing_error: float = 0.0,
+        frame: str = "net_bearing",
+        decision_period: int = 1,
+    ) -> None: ...

@@ -13,7 +13,15 @@ from ..engine.batch_runner import Pilot, Show
 from ..engine.memory import RUNNING
 from ..rewards.costs import no_costs
 from ..scenario.start_options import as_options
-from .guarantee import AnyFilter, HoldsFilter, OneGuarantee, check_not_guaranteed
+from .guarantee import (
+    AnyFilter,
+    GainSettings,
+    HeadingSettings,
+    HoldsFilter,
+    LinkSettings,
+    TankSettings,
+    check_not_guaranteed,
+)
 from .spaces import as_told, choice_box, observation_box, of_all_teams, team_box
 from .vector_env import (
     Info,
@@ -223,20 +231,20 @@ def _base_of(env: Any, wrapper: str) -> RendezvousVectorEnv:
     return ours
 
 
-class HeadingVectorWrapper(OneGuarantee, GuaranteeWrapper, guarantee="heading"):
+class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
     """``rendezvous_env.HeadingVectorWrapper`` in arrays: raw vectors (B, n, k) in [−1, 1]."""
 
 
-class EnergyTankWrapper(OneGuarantee, GuaranteeWrapper, guarantee="tank"):
+class EnergyTankWrapper(TankSettings, GuaranteeWrapper):
     """``rendezvous_env.EnergyTankWrapper`` in arrays: desired velocities (B, n, a) in [−1, 1].
 
     The tank of a robot that is gone is 0; a team that is reset has its budget.
     """
 
 
-class GainWrapper(OneGuarantee, GuaranteeWrapper, guarantee="gains"):
+class GainWrapper(GainSettings, GuaranteeWrapper):
     """``rendezvous_env.GainWrapper`` in arrays: weights (B, n, K) in [0, 1]."""
 
 
-class LinkKeepingWrapper(OneGuarantee, GuaranteeWrapper, guarantee="links"):
+class LinkKeepingWrapper(LinkSettings, GuaranteeWrapper):
     """``rendezvous_env.LinkKeepingWrapper`` in arrays: desired velocities (B, n, d) in [−1, 1]."""

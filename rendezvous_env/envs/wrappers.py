@@ -11,7 +11,15 @@ from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 from ..checks import check_action
 from .agents import Infos, Observations, SpacesByName, StepReturn, check_robots
-from .guarantee import AnyFilter, HoldsFilter, OneGuarantee, check_not_guaranteed
+from .guarantee import (
+    AnyFilter,
+    GainSettings,
+    HeadingSettings,
+    HoldsFilter,
+    LinkSettings,
+    TankSettings,
+    check_not_guaranteed,
+)
 from .parallel_env import RendezvousParallelEnv
 from .spaces import as_told, choice_box, observation_box
 
@@ -156,7 +164,7 @@ def _base_of(env: Any, wrapper: str) -> RendezvousParallelEnv:
     )
 
 
-class HeadingVectorWrapper(OneGuarantee, GuaranteeWrapper, guarantee="heading"):
+class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
     """Robots choose a heading vector h_i instead of an action; law (4) moves them.
 
         ṗ_i = h_i h_iᵀ f_i                                              (Zhao & Zheng, eq. 4)
@@ -186,7 +194,7 @@ class HeadingVectorWrapper(OneGuarantee, GuaranteeWrapper, guarantee="heading"):
     """
 
 
-class EnergyTankWrapper(OneGuarantee, GuaranteeWrapper, guarantee="tank"):
+class EnergyTankWrapper(TankSettings, GuaranteeWrapper):
     """Robots choose velocities; their energy tanks limit for how long V may rise.
 
         A_i ← A_i + G_i(Δ_i),   G_i(Δ) = 2 f_i·Δ − (2/r) D_i ‖Δ‖² − ε² τ s_i ‖f_i‖²  (guarantees 8)
@@ -223,7 +231,7 @@ class EnergyTankWrapper(OneGuarantee, GuaranteeWrapper, guarantee="tank"):
     """
 
 
-class GainWrapper(OneGuarantee, GuaranteeWrapper, guarantee="gains"):
+class GainWrapper(GainSettings, GuaranteeWrapper):
     """Robots weigh their neighbours; they move along the weighted bearings.
 
         v_i = Σ_j c_ij g_ij,   c_ij ∝ w_j a_ij,   min_gain ≤ Σ_j c_ij ≤ max_gain    (theorem G)
@@ -248,7 +256,7 @@ class GainWrapper(OneGuarantee, GuaranteeWrapper, guarantee="gains"):
     """
 
 
-class LinkKeepingWrapper(OneGuarantee, GuaranteeWrapper, guarantee="links"):
+class LinkKeepingWrapper(LinkSettings, GuaranteeWrapper):
     """Robots choose velocities; they move as close to them as their links allow.
 
         v_i = λ d_i q_i + (1 − λ) P(desired)                        (theorem R c, guarantees 12)
