@@ -5,11 +5,13 @@ and filters with a mistake in them, which that finds.
 from __future__ import annotations
 
 import functools
+import math
 
 import pytest
 from conftest import MODELS, five
 
-from rendezvous_env import Scenario, Sensing, graphs
+import baselines
+from rendezvous_env import Scenario, Sensing, certificate, graphs, rollout
 from rendezvous_env.safety.gains import Gains
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.safety.links import LinkKeeping
@@ -24,6 +26,12 @@ SIX = Scenario(n_robots=6, spawn_size=3.0)
 LONGEST = SIX.replace(max_speed=SIX.merge_radius / SIX.tau)
 MOST = {"min_gain": LONGEST.max_speed, "max_gain": LONGEST.max_speed}
 """Gains at which a robot may go by r in a step."""
+ANY = (
+    graphs.directed_cycle(),
+    graphs.directed([(i, i - 1, 0.5 + i) for i in range(1, 6)], 6),  # led by one
+    graphs.switching(["path", "cycle", graphs.directed_cycle()], dwell=1.0),
+    graphs.from_edges([*((i, (i + 1) % 6, 1.0 + i) for i in range(6)), (0, 3, 0.3)], 6),
+)
 RARELY = Sensing(range=2.5, field_of_view=2.0, dropout=0.3, occlusion="robots")
 NEAR = SIX.replace(spawn_size=2.0, sensing=Sensing(range=4.0))
 ERRING = NEAR.replace(sensing=Sensing(range=4.0, error=0.2))
@@ -80,6 +88,16 @@ CASES = [
 def test_what_is_promised_holds(scenario, by, arguments, number):
     found = played(scenario, by, **arguments)
     assert found.violation is None and number in checked(found)
+
+
+@pytest.mark.parametrize("graph", ANY)
+def test_law_1_meets_as_it_steps_within_the_bound(graph):
+    """Theorem D1 with nearly twice the certified step; the bound of continuous inputs is less."""
+    team = longer(SIX.replace(graph=graph, spawn_size=4.0, time_limit=400.0), 1.9)
+    found = certificate(team)
+    assert found.guaranteed and found.continuous_time_bound < found.time_bound < math.inf
+    law = rollout(team, baselines.make("bearing-only", team), 0, num_envs=6)
+    assert (law.rendezvous_time <= found.time_bound).all()
 
 
 MISTAKES = {

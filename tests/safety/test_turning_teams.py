@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+import baselines
 import rendezvous_env as rv
 from rendezvous_env import Scenario, graphs
 from rendezvous_env.compilation import kernel
@@ -151,3 +152,23 @@ def test_v_falls_by_q_in_every_window(model, kind, turn_rate):
     calm = (left[window:] == left[:-window]) & (left[window:] > 1)
     assert calm.sum() > 100 and 3 <= window <= 10
     assert (v[:-window] - v[window:])[calm].min() >= least > 1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", MODELS)
+def test_no_team_is_stuck(model):
+    name = "unicycle" if model == "unicycle" else "nonholonomic-3d"
+    kinds = graphs.path(), graphs.complete(), graphs.cycle()
+    for graph, radius, rate in itertools.product(kinds, (0.2, 1.0, 4.0), (0.2, 1.0, 10.0)):
+        scenario = team(model, graph, radius, rate)
+        for kind in KINDS:
+            *_, teams = under_the_gate(scenario, kind, 8, 20000)
+            assert (teams.status != 0).all(), (graph, radius, rate, kind)
+        law = baselines.make(name, scenario)
+        env = rv.make_vec(scenario, num_envs=8, autoreset_mode="Disabled", num_threads=1)
+        observations, _ = env.reset(seed=0)
+        for _ in range(20000):
+            observations, *_ = env.step(law(observations, env.simulator.time))
+            if not (env.simulator.status == 0).any():
+                break
+        assert (env.simulator.status != 0).all(), (graph, radius, rate, name)
