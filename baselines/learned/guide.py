@@ -269,7 +269,7 @@ class GuidedTeams:
 
     def act(self, observations: Float32, elapsed: float | None = None) -> Float32:
         """Actions (B, n, a) of robots that see (B, n, rows, d); ``elapsed`` as
-        ``KernelFilter.act``.
+        ``SafetyFilter.act``.
         """
         observations = check_observations(observations, self._seen)
         actions = np.zeros((*self._seen[:2], self._action_size), np.float32)
