@@ -58,8 +58,8 @@ def kernel(
 
 
 def inner_kernel(function: Callable[..., Any] | None = None, *, inline: Inline = "never") -> Any:
-    """A kernel that only kernels call: no entry for Python is compiled, which takes tuples of
-    arrays apart and is longer than many a kernel.
+    """A kernel for other kernels: no entry for Python is compiled, which takes tuples of arrays
+    apart and is longer than many a kernel. Called from Python it is the function that it was.
     """
     return _made(function, _options(inline, within=True))
 
@@ -130,8 +130,7 @@ class _Kernel(_DISPATCHER):
 
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
         if self._within:  # what there is no entry for would end the process
-            name = self.py_func.__qualname__
-            raise TypeError(f"kernel {name} can be called by other kernels only")
+            return self.py_func
         return super()._compile_for_args(*args, **kws)
 
 
