@@ -275,10 +275,11 @@ class Scratch(NamedTuple):
 
 
 def _of_kind(kind: type) -> Any:
-    def of_team(obstacles, team):
-        return kind(obstacles.kinds[team], obstacles.corners[team], obstacles.shapes[team])
-
-    return None if kind is type(None) else of_team
+    if kind is type(None):
+        return None
+    return lambda obstacles, team: kind(
+        obstacles.kinds[team], obstacles.corners[team], obstacles.shapes[team]
+    )
 
 
 @by_type("obstacles", _of_kind)
