@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from rendezvous_env.compilation import kernel
-from rendezvous_env.physics.vectors import X_AXIS, dot, load, store
+from rendezvous_env.physics.vectors import X_AXIS, cross_in_plane, dot, load, store
 from rendezvous_env.safety.turning import mean_axis
 
 from .silhouettes import STRAIGHT_AHEAD, direction_of, is_seen
@@ -45,7 +45,10 @@ def joined_heading_2d(towards, silhouettes, carried, rule, intervals):
         return towards
     kept, weight = 0.0, 0.0
     if carried[0] != 0.0 or carried[1] != 0.0:
-        kept, weight = math.atan2(_cross(towards, carried), dot(towards, carried)), persistence
+        kept, weight = (
+            math.atan2(cross_in_plane(towards, carried), dot(towards, carried)),
+            persistence,
+        )
     low, high, gap_below, gap_above = joined_interval_2d(towards, silhouettes, intervals)
     turn = 0.0
     if not (high - low >= TWO_PI or low >= clearance or high <= -clearance):
@@ -71,9 +74,9 @@ def is_clear(towards, silhouettes, clearance):
         if not is_seen(silhouettes[m]):
             continue
         last, first = load(silhouettes[m, 0]), load(silhouettes[m, 1])
-        if _cross(first, last) <= 0.0:  # half of all directions or more, or a point
+        if cross_in_plane(first, last) <= 0.0:  # half of all directions or more, or a point
             return False
-        if _cross(first, towards) >= 0.0 and _cross(towards, last) >= 0.0:
+        if cross_in_plane(first, towards) >= 0.0 and cross_in_plane(towards, last) >= 0.0:
             return False
         for edge in (first, last):
             ahead = dot(towards, edge)
@@ -90,11 +93,6 @@ def axis_is_clear(rates, silhouettes, gate):
 
 
 @kernel
-def _cross(a, b):
-    return a[0] * b[1] - a[1] * b[0]
-
-
-@kernel
 def joined_interval_2d(towards, silhouettes, intervals):
     """The angles that silhouettes (M, 2, 2) before a unit triple cover, overlapping ones joined.
 
@@ -107,8 +105,10 @@ def joined_interval_2d(towards, silhouettes, intervals):
     for m in range(silhouettes.shape[0]):  # (start, width): the clockwise edge from f, and on
         if is_seen(silhouettes[m]):
             last, first = load(silhouettes[m, 0]), load(silhouettes[m, 1])
-            intervals[count, 0] = math.atan2(_cross(u, first), dot(u, first))
-            intervals[count, 1] = max(math.atan2(_cross(first, last), dot(first, last)), 0.0)
+            intervals[count, 0] = math.atan2(cross_in_plane(u, first), dot(u, first))
+            intervals[count, 1] = max(
+                math.atan2(cross_in_plane(first, last), dot(first, last)), 0.0
+            )
             count += 1
     seen = intervals[:count]
     nearest = _nearest_interval(seen)

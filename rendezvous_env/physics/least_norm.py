@@ -7,8 +7,8 @@ Along q_i lie all bearings: q_i·g_ij ≥ ‖q_i‖². It is zero where neighbou
 
 import math
 
-from ..compilation import inner_kernel, kernel
-from .vectors import ORIGIN, add, combine, cross, dot, load, scaled, split, subtract
+from ..compilation import inner_kernel
+from .vectors import ORIGIN, add, combine, cross, cross_in_plane, dot, load, scaled, split, subtract
 
 _ROUNDING = 4e-16  # Of a scalar product of unit vectors
 _SURROUNDED = 1e-14  # Norm of a point that would be zero without rounding
@@ -42,7 +42,7 @@ def cone_of(rows, neighbour_slots):
         if nobody:
             right, left, nobody = g, g, False
             continue
-        from_right, to_left = _turn(right, g), _turn(g, left)
+        from_right, to_left = cross_in_plane(right, g), cross_in_plane(g, left)
         if from_right >= 0.0 and to_left >= 0.0:
             if dot(g, right) + dot(g, left) < 0.0:  # right = left = −g
                 return ORIGIN, ORIGIN
@@ -53,12 +53,6 @@ def cone_of(rows, neighbour_slots):
         else:
             return ORIGIN, ORIGIN
     return right, left
-
-
-@kernel(inline="code")
-def _turn(a, b):
-    """The sine of the angle from a to b in the plane, counter-clockwise."""
-    return a[0] * b[1] - a[1] * b[0]
 
 
 @inner_kernel

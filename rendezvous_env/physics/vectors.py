@@ -67,6 +67,14 @@ def cross(a, b):
 
 
 @inner_kernel(inline="code")
+def cross_in_plane(a, b):
+    """The number a_x b_y − a_y b_x of two pairs, or triples with z = 0; unit of a times unit of b.
+    It is positive where b is to the left of a.
+    """
+    return a[0] * b[1] - a[1] * b[0]
+
+
+@inner_kernel(inline="code")
 def combine(p, a, q, b):
     """The pair or triple p a + q b of numbers p, q and two of them; unit of p times unit of a."""
     if len(a) == 2:

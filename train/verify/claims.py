@@ -188,37 +188,33 @@ _turning = partial(draw_team, turning=True)
 _long_steps = partial(draw_team, step_factors=(4.0, 10.0))
 _trees = partial(draw_team, sizes=(8,), families=("random_tree",))  # whose merges make V rise
 
-_STATEMENTS = {
-    "lemma-1": "Σ‖f‖ ≥ 2 max a",
-    "theorem-1": "law (1): V falls by τ Σ‖f‖² in every step, connected teams meet",
-    "necessity": "law (1): a disconnected graph leaves one robot for each piece",
-    "theorem-2": "any policy under certified headings: V never rises between merges, all meet",
-    "theorem-3": "unicycles meet under (7) with (8) or ω = cos t",
-    "theorem-4": "3-D nonholonomic robots meet under (12), (17)",
-    "bound-A": "law (1): T ≤ A",
-    "bound-B": "headings at a fixed angle to f: T ≤ B",
-    "bound-C": "any policy under certified headings: T ≤ C",
-    "gate": "any turn rates through the gate: V never rises between merges, all meet",
-    "certified-step": "τ = r/(2D̄), law (4): V falls by τ Σ(hᵀf)² in every step",
-    "local-scaling": "4 to 10 times that step, scaled: V never rises between merges, all meet",
-    "merge-rise": "V rises at a merge by at most r max(0, D_i + D_j − 4 a_ij)",
-}
-_HOW: dict[str, tuple[Any, ...]] = {
-    "lemma-1": (_law_1, bound_a, ("lemma",)),
-    "theorem-1": (_law_1, bound_a, ("law_descent", "time")),
-    "necessity": (_pieces, bound_of_pieces, ("pieces", "time")),
-    "theorem-2": (draw_team, bound_c, ("descent", "time")),
-    "theorem-3": (_unicycles, patience, ("time",), cosine_or_not),
-    "theorem-4": (_space, patience, ("time",)),
-    "bound-A": (_law_1, bound_a, ("time",)),
-    "bound-B": (_law_1, bound_c, ("time", "descent"), at_fixed_angle),
-    "bound-C": (draw_team, bound_c, ("time",)),
-    "gate": (_turning, patience, ("time", "descent")),
-    "certified-step": (_law_1, bound_c, ("descent",), at_fixed_angle),
-    "local-scaling": (_long_steps, bound_c, ("descent", "time")),
-    "merge-rise": (_trees, bound_c, ("merge_rise",)),
-}
-CLAIMS = tuple(Claim(name, said, *_HOW[name]) for name, said in _STATEMENTS.items())
+CLAIMS = (
+    Claim("lemma-1", "Σ‖f‖ ≥ 2 max a", _law_1, bound_a, ("lemma",)),
+    Claim("theorem-1", "law (1): V falls by τ Σ‖f‖² in every step, connected teams meet",
+          _law_1, bound_a, ("law_descent", "time")),
+    Claim("necessity", "law (1): a disconnected graph leaves one robot for each piece",
+          _pieces, bound_of_pieces, ("pieces", "time")),
+    Claim("theorem-2",
+          "any policy under certified headings: V never rises between merges, all meet",
+          draw_team, bound_c, ("descent", "time")),
+    Claim("theorem-3", "unicycles meet under (7) with (8) or ω = cos t",
+          _unicycles, patience, ("time",), cosine_or_not),
+    Claim("theorem-4", "3-D nonholonomic robots meet under (12), (17)",
+          _space, patience, ("time",)),
+    Claim("bound-A", "law (1): T ≤ A", _law_1, bound_a, ("time",)),
+    Claim("bound-B", "headings at a fixed angle to f: T ≤ B",
+          _law_1, bound_c, ("time", "descent"), at_fixed_angle),
+    Claim("bound-C", "any policy under certified headings: T ≤ C", draw_team, bound_c, ("time",)),
+    Claim("gate", "any turn rates through the gate: V never rises between merges, all meet",
+          _turning, patience, ("time", "descent")),
+    Claim("certified-step", "τ = r/(2D̄), law (4): V falls by τ Σ(hᵀf)² in every step",
+          _law_1, bound_c, ("descent",), at_fixed_angle),
+    Claim("local-scaling",
+          "4 to 10 times that step, scaled: V never rises between merges, all meet",
+          _long_steps, bound_c, ("descent", "time")),
+    Claim("merge-rise", "V rises at a merge by at most r max(0, D_i + D_j − 4 a_ij)",
+          _trees, bound_c, ("merge_rise",)),
+)  # fmt: skip
 
 
 def check(claim: Claim, seed: int, batch: int, trials: int, least_margin: float) -> Tally:
