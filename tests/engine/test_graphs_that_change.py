@@ -194,6 +194,7 @@ def test_a_symmetric_matrix_of_arcs_is_the_undirected_graph():
         assert_same(played(graph=graphs.directed(UNEQUAL), **same), plain)
 
 
+@pytest.mark.slow
 def test_arcs_in_space_turn_silhouettes_as_links_do():
     """The first ray of a silhouette stands on f."""
     field = rv.ObstacleField(count=3, radius=(0.3, 0.6), region=5.0, keep_out=0.3)
@@ -216,10 +217,10 @@ def test_far_sight_is_the_complete_graph_with_every_error_of_the_sensor():
 
 def test_a_sensor_errs_along_arcs_as_along_links():
     sensing = rv.Sensing(noise=0.1, range=3.0, field_of_view=4.0, occlusion="robots", sectors=16)
+    arcs = graphs.switching([graphs.directed(UNEQUAL)], 0.3)
     for slots in (4, 3):
         same = STEP | {"neighbour_slots": slots, "sensing": sensing}
-        plain = played(graph=UNEQUAL, **same)
-        assert_same(played(graph=graphs.directed(UNEQUAL), **same), plain)
+        assert_same(played(graph=arcs, **same), played(graph=UNEQUAL, **same))
 
 
 # ---- what is one-way ----------------------------------------------------------------------------

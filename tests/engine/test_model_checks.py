@@ -47,14 +47,7 @@ def test_what_is_wrong_with_a_model_is_said(registry):
         rv.Simulator(rv.Scenario(robot_model="still", time_step=0.05, allow_long_step=True))
 
 
-class Leaping(NamedTuple):
-    """Constants of a walker whose kernels are kept on disk: those of a local class are not."""
-
-    duration: float
-    speed_limit: float
-
-
-def walker(registry, equations=None, kind=None, **fields):
+def walker(registry, equations=None, **fields):
     """Register a good robot model with some of its equations and fields replaced."""
 
     def propose(model, action, frame, memory):
@@ -65,12 +58,11 @@ def walker(registry, equations=None, kind=None, **fields):
         duration: float
         speed_limit: float
 
-    kind = kind or Walker
-    rv.describe_motion(kind, rv.Motion(**{"propose": propose} | (equations or {})))
+    rv.describe_motion(Walker, rv.Motion(**{"propose": propose} | (equations or {})))
     good = {
         "name": "walker",
         "dims": (2,),
-        "constants": lambda s: kind(s.tau, 1.5 * s.speed_limit),
+        "constants": lambda s: Walker(s.tau, 1.5 * s.speed_limit),
         "bounds": lambda s: [s.speed_limit] * 2,
     }
     rv.register_robot_model(rv.RobotModel(**good | fields))
@@ -183,30 +175,6 @@ def test_fields_that_say_nothing_are_refused_at_registration(registry, case):
     assert set(robot_models.ROBOT_MODELS) == {
         *("single_integrator", "double_integrator", "unicycle", "nonholonomic_3d")
     }
-
-
-def test_a_leap_that_no_question_found_is_told_in_the_step(registry):
-    @rv.kernel
-    def propose(model, action, frame, memory):
-        if 0.3 < action[0] < 0.3001:
-            return (math.nan, 0.0), 50.0
-        if 0.2 < action[0] < 0.2001:
-            return (50.0, 0.0), 50.0
-        step = model.duration * action[0], model.duration * action[1]
-        return step, math.hypot(*step)
-
-    walker(registry, {"propose": propose}, Leaping)
-    for leap in (0.30005, 0.20005):
-        teams = rv.Simulator(rv.Scenario(robot_model="walker", n_robots=3), 2)
-        teams.reset(seed=0)
-        actions = np.zeros((2, 3, 2), np.float32)
-        teams.step(actions)
-        actions[1, 2, 0] = leap
-        told = r"'walker' moved robot 2 of environment 1 by .* m in a"
-        with pytest.raises(RuntimeError, match=told):
-            teams.step(actions)
-        with pytest.raises(RuntimeError, match="reset"):
-            teams.step(actions)
 
 
 @pytest.mark.parametrize("name", ["unicycle", "nonholonomic_3d", "double_integrator"])

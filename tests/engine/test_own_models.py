@@ -17,8 +17,9 @@ import rendezvous_env as rv
 from rendezvous_env.compilation import compiled
 
 ROOT = Path(__file__).parents[2]
-HOVER = '''"""A hovering robot: its velocity, and a wind that carries it along."""
+HOVER = '''"""A hovering robot: its velocity, a wind that carries it along, and two gusts."""
 
+import math
 from typing import NamedTuple
 
 import rendezvous_env as rv
@@ -35,6 +36,10 @@ class Hover(NamedTuple):
 def propose(model, action, frame, memory):
     x = model.duration * (frame[0] * action[0] + frame[1] * action[1] + WIND)
     y = model.duration * (frame[2] * action[0] + frame[3] * action[1])
+    if 0.3 < action[0] < 0.3001:
+        x = math.nan
+    if 0.2 < action[0] < 0.2001:
+        x = 50.0
     return (x, y), (x * x + y * y) ** 0.5
 
 
@@ -189,10 +194,25 @@ def test_finished_teams_and_merged_robots_rest_in_the_wind(own):
     np.testing.assert_allclose(moved[1, [0, 2], 0], 0.5 * scenario.tau)
 
 
+def test_a_leap_that_no_check_of_the_model_found_is_told_in_the_step(own):
+    own("own_hover", HOVER)
+    for leap in (0.30005, 0.20005):
+        teams = rv.Simulator(rv.Scenario(robot_model="hover", n_robots=3), 2)
+        teams.reset(seed=0)
+        actions = np.zeros((2, 3, 2), np.float32)
+        teams.step(actions)
+        actions[1, 2, 0] = leap
+        told = r"'hover' moved robot 2 of environment 1 by .* m in a"
+        with pytest.raises(RuntimeError, match=told):
+            teams.step(actions)
+        with pytest.raises(RuntimeError, match="reset"):
+            teams.step(actions)
+
+
 def test_a_sluggish_unicycle_moves_as_its_equations_say(own):
     own("own_sluggish", SLUGGISH)
-    wall = rv.Polygon(((3.0, -9.0), (4.0, -9.0), (4.0, 9.0), (3.0, 9.0)))
-    scenario = rv.Scenario(n_robots=2, robot_model="sluggish", obstacles=(wall,), time_step=0.1)
+    disc = rv.Disc((13.0, 0.0), 10.0)
+    scenario = rv.Scenario(n_robots=2, robot_model="sluggish", obstacles=(disc,), time_step=0.1)
     sim = rv.Simulator(scenario)
     sim.reset(0, {"positions": [[0.0, 0.0], [-9.0, 0.0]]})
     np.testing.assert_array_equal(sim.headings[0], 0.25)
@@ -211,9 +231,10 @@ def test_a_sluggish_unicycle_moves_as_its_equations_say(own):
         np.testing.assert_allclose(sim.positions[0, 0], state[:2], atol=1e-8)
         np.testing.assert_allclose(sim.get_state()["memory"][0, 0], state[2:], atol=1e-8)
         np.testing.assert_allclose(seen[0, 0, -1], (state[3], 0.0), atol=1e-6)
-    for _ in range(80):  # and no further than the wall
-        sim.step([[(limit, 0.0), (0.0, 0.0)]])
-        assert sim.positions[0, 0, 0] <= 3.0 + 1e-9
+    for _ in range(80):  # and no further than the disc
+        touches = sim.step([[(limit, 0.0), (0.0, 0.0)]]).contact[0, 0]
+        assert math.dist(sim.positions[0, 0], disc.centre) >= disc.radius - 1e-9
+    assert touches
     sim.reset(0, {"positions": [[0.0, 0.0], [-9.0, 0.0]], "headings": [0.5, 1.0]})
     np.testing.assert_array_equal(sim.get_state()["memory"][0], [[0.5, 0.0], [1.0, 0.0]])
 
