@@ -11,10 +11,12 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
+KERNELS = ROOT / "rendezvous_env" / "__pycache__"  # what other tests compiled is the same code
 
 
 def call(*command: object, cwd: Path) -> str:
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
+    environment.setdefault("NUMBA_CACHE_DIR", str(KERNELS))
     done = subprocess.run(
         [str(part) for part in command],
         capture_output=True, text=True, cwd=cwd, env=environment, timeout=900,
