@@ -11,14 +11,15 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import rendezvous_env as rv
 from rendezvous_env.envs.gymnasium_env import make_env
+from rendezvous_env.rewards.costs import COSTS
 
 NAME = "rendezvous_env:rendezvous/Rendezvous-v0"
 TEAMS, STEPS, SEED = 21, 60, 3  # more teams than lanes in a block
 DISC = rv.Disc(centre=(0.3, 0.2), radius=0.2)
 SCENARIOS = {
     "2-D": {"n_robots": 3},
-    "follow": {"n_robots": 3, "on_merge": "follow"},
-    "discs": {"n_robots": 3, "obstacles": (DISC,), "max_speed": 1.0},
+    "follow": {"n_robots": 3, "on_merge": "follow", "costs": tuple(COSTS)},
+    "discs": {"n_robots": 3, "obstacles": (DISC,), "max_speed": 1.0, "costs": tuple(COSTS)},
     "unicycle": {"n_robots": 2, "robot_model": "unicycle"},
     "uav": {"n_robots": 2, "robot_model": "nonholonomic_3d", "dim": 3},
 }
@@ -47,6 +48,7 @@ def replay_pettingzoo(scenario, team, tape):
     env = rv.parallel_env(scenario)
     names, transitions = env.possible_agents, []
     start = np.stack(list(env.reset(seed=SEED + team)[0].values()))
+    costs = [(key, 0.0) for key in env.simulator.costs]
 
     def table(values, missing):
         return np.array([values.get(name, missing) for name in names])
@@ -58,7 +60,7 @@ def replay_pettingzoo(scenario, team, tape):
         over = not env.agents
         told = {
             key: table({name: info[key] for name, info in infos.items()}, missing)
-            for key, missing in (("contact", False), ("clearance", np.inf))
+            for key, missing in (("contact", False), ("clearance", np.inf), *costs)
         }
         told |= {"robot_rewards": table(rewards, 0.0), "active": env.simulator.active[0]}
         met, cut = over and all(ends.values()), over and any(cuts.values())
@@ -142,7 +144,8 @@ def test_infos_have_the_form_that_gymnasium_gives_single_environments(scenario, 
         *other, infos = theirs.step(actions)
         assert data_equivalence(tuple(mine), tuple(other), exact=True)
         if mode is AutoresetMode.SAME_STEP:  # ours stay those of the step, theirs start anew
-            del told["robot_rewards"], infos["robot_rewards"]
+            for key in ("robot_rewards", *ours.simulator.costs):
+                del told[key], infos[key]
             final, their_final = told.pop("final_info", {}), infos.pop("final_info", {})
             for key, values in final.items():  # theirs hold zeros where the mask is False
                 if isinstance(values, np.ndarray) and key[0] != "_":

@@ -233,23 +233,3 @@ def test_overrides_reach_the_wrapper_the_preset_and_the_scenario():
 def test_what_cannot_be_is_refused(arguments, error, message):
     with pytest.raises(error, match=message):
         rv.training_env(**({"scenario": SCENARIO} | arguments))
-
-
-def test_the_adapter_of_stable_baselines3_takes_training_teams():
-    """A merged robot's slot is valued by its survivor, and a team's statistics are its own."""
-    pytest.importorskip("stable_baselines3")
-    from rendezvous_env.adapters.sb3 import RobotVecEnv
-
-    teams = rv.vector.training_env("duo", 3, guarantee=None, n_robots=3, max_cycles=400)
-    robots, law = RobotVecEnv(teams), baselines.make("bearing-only", teams.scenario)
-    layout = teams.scenario.observation_layout
-    robots.seed(0)
-    seen, episodes, cut = robots.reset(), [], 0
-    while len(episodes) < 3:
-        rows = layout.unflattened(seen).reshape(3, 3, *layout.shape)
-        seen, _, _, infos = robots.step(law(rows, 0.0).reshape(9, 2))
-        cut += sum(info.get("TimeLimit.truncated", False) for info in infos)
-        episodes += [info["episode"] for info in infos if "episode" in info]
-    assert cut >= 3 and all(episode["success"] for episode in episodes)
-    for episode in episodes:
-        assert episode["time"] == pytest.approx(episode["l"] * teams.scenario.tau)

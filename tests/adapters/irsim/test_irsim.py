@@ -15,7 +15,6 @@ if util.find_spec("irsim") is None:
 @pytest.mark.slow
 @pytest.mark.parametrize("policy", ["tangent-joined-tuned", "learned"])
 def test_robots_meet_in_its_obstacles(policy):
-    *runs, last = run("13_ir_sim.py", "--policy", policy, "--episodes", "2").splitlines()
-    times = [float(re.fullmatch(r"\d: met True, touched False, (\S+) s", one)[1]) for one in runs]
-    assert len(times) == 2 and all(3.0 < time < 90.0 for time in times)
-    assert last == f"{policy}: 2 of 2 teams met without a touch"
+    told, last = run("13_ir_sim.py", "--policy", policy, "--episodes", "1").splitlines()
+    assert 3.0 < float(re.fullmatch(r"0: met True, touched False, (\S+) s", told)[1]) < 90.0
+    assert last == f"{policy}: 1 of 1 teams met without a touch"
