@@ -62,7 +62,10 @@ class TestTheorem1:
     @pytest.mark.parametrize("n", [2, 3, 5, 8, 12])
     @pytest.mark.parametrize("family", FAMILIES)
     def test_connected_graphs_meet_in_bounded_time_and_v_always_falls(self, family, n, dim):
-        scenario = Scenario(n_robots=n, dim=dim, graph=FAMILIES[family](n), time_limit=1000.0)
+        graph = FAMILIES[family](n)
+        scenario = Scenario(
+            n_robots=n, dim=dim, graph=graph, time_limit=1000.0, neighbour_slots=n - 1
+        )
         result = check_law_1(scenario, TEAMS, seed=1000 * n + dim)
         assert (result.simulator.merged_into == 0).all()
         assert result.simulator.lyapunov() == pytest.approx(0)
@@ -84,8 +87,11 @@ class TestTheorem1:
             (*pair, 0.6 + 0.2 * k) for piece in pieces for k, pair in enumerate(pairwise(piece))
         ]
         graph = graphs.from_edges(edges, n)
-        scenario = Scenario(n_robots=n, dim=dim, graph=graph, require_connected=False)
-        result = run_to_end(scenario.replace(time_limit=60.0), 50, seed=9)
+        scenario = Scenario(
+            n_robots=n, dim=dim, graph=graph, require_connected=False, time_limit=60.0,
+            neighbour_slots=n - 1,
+        )  # fmt: skip
+        result = run_to_end(scenario, 50, seed=9)
         assert not result.met.any()
         survivors = np.empty(n, dtype=int)
         for piece in pieces:

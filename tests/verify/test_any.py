@@ -185,7 +185,8 @@ def test_what_turned_bearings_break_is_repeated_alone(generations, monkeypatch, 
 def test_a_violation_is_made_small_and_repeats_itself(monkeypatch, tmp_path):
     promising(monkeypatch, lyapunov=(0.3,))
     large = SQUARE.replace(
-        max_speed=3.0, time_step=0.01, on_merge="follow", obstacles=(rv.Disc((9.0, 9.0), 0.1),),
+        max_speed=3.0, time_step=0.01, on_merge="follow",
+        obstacles=(rv.Capsule(((9.0, 9.0), (9.0, 9.1)), 0.1),),
         sensing=rv.Sensing(error=1e-4), start_positions=None, spawn_size=2.0,
     )  # fmt: skip
     large = trial(large, "tank", budget=1.0)
@@ -222,7 +223,7 @@ def one_kind(monkeypatch):
 
 
 def test_nothing_is_violated(tmp_path, one_kind):
-    status, rows, printed = command(tmp_path)
+    status, rows, printed = command(tmp_path, trials=120)
     assert status == 0 and printed.count("0 violations") == 1
     assert sum(int(row["granted"]) for row in rows) > 50
     for row in rows:

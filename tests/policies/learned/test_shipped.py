@@ -44,7 +44,7 @@ def test_it_steers_robots_whose_sensors_err(name):
     """Finite velocities within the limit whatever is seen, none from a robot that sees nothing."""
     sensing = Sensing(noise=0.2, dropout=0.5, delay=2, occlusion="both", field_of_view=4.0)
     scenario = scenarios.get("clutter-8").replace(sensing=sensing, time_limit=5.0)
-    policy, simulator = policies.make(name, scenario), Simulator(scenario, 10)
+    policy, simulator = policies.make(name, scenario), Simulator(scenario, 4)
     seen, blind = simulator.reset(0), 0
     while not simulator.ended.all():
         actions = policy(seen, simulator.time)
