@@ -6,7 +6,7 @@ import numpy as np
 from adversarial_graphs import Attention
 from continuous_time import Array, Law, Sights, Teams, outward
 
-from train.verify.adversaries import turn_rows
+from train.verify.adversaries import turned_rows
 from train.verify.claims import unit
 
 Random = np.random.Generator
@@ -16,11 +16,9 @@ def turned(bearings: Array, towards: Array, error: Array | float) -> Array:
     """Bearings (B, n, k, d) turned by an error, rad, of all, each team (B,) or each bearing (B, n,
     k, 1), towards directions of the same shape.
     """
-    rows = np.array(bearings, dtype=np.float64)
-    aims = np.broadcast_to(towards, rows.shape).astype(np.float64)
-    angles = np.reshape(error, (*np.shape(error), *[1] * (4 - np.ndim(error))))[..., 0]
-    turn_rows(rows, aims, np.broadcast_to(angles, rows.shape[:3]).astype(np.float64))
-    return rows
+    aims = np.broadcast_to(towards, bearings.shape)
+    angles = np.reshape(error, (*np.shape(error), *[1] * (4 - np.ndim(error))))
+    return turned_rows(bearings, aims, angles)
 
 
 def followed(bearings: Array, gains: Array) -> Array:

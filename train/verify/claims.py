@@ -20,7 +20,7 @@ from rendezvous_env.safety.theorems.constants import merge_rise_allowance
 from rendezvous_env.safety.theorems.descent import time_bound
 
 from .falsification import Policy, Tally, begin
-from .monitors import Watch
+from .monitors import Watch, across, unit
 from .random_scenarios import Trial
 from .random_starts import log_uniform
 
@@ -144,19 +144,6 @@ def at_fixed_angle(trial: Trial, random: Random) -> Policy:
     return policy
 
 
-def across(ahead: Array, axis: Array) -> Array:
-    """Vectors across others, (..., d): turned by 90° in the plane, ahead × axis in 3-D."""
-    if ahead.shape[-1] == 2:
-        return np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)
-    return np.cross(ahead, axis)
-
-
-def unit(vectors: Array) -> Array:
-    """Unit vectors (..., d); zero stays zero."""
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 1e-12)
-
-
 @dataclass(frozen=True)
 class Claim:
     """One row of the table."""
@@ -168,8 +155,8 @@ class Claim:
     bound: Callable[[Trial, Simulator], Array]
     """(trial, teams at their start) → time limits (B,), s."""
     numbers: tuple[str, ...]
-    """Of monitors.ALL; the first one's margin is reported, and a team that breaks any violates the
-    claim. "time" is ``bound``, all others are at most 0."""
+    """As in monitors.NUMBERS; the first one's margin is reported, and a team that breaks any
+    violates the claim. "time" is ``bound``, all others are at most 0."""
     law: Callable[[Trial, Random], Policy] | None = None
     """Who plays; None is law (1), or the paper's of robots that turn, and under certified headings
     adversaries."""
@@ -235,7 +222,7 @@ def check(claim: Claim, seed: int, batch: int, trials: int, least_margin: float)
     wrong = np.zeros(BATCH, dtype=np.bool_)
     while (np.isinf(watch.met) & ~teams.ended & ~wrong).any():
         seen, *_, infos = wrapped.step(np.asarray(policy(seen, watch.now), dtype=np.float32))
-        wrong |= watch.look(infos).any(axis=0)
+        wrong |= watch.look(infos)[0]
     if "time" in claim.numbers:
         wrong |= watch.met > limit
     late = watch.met / limit

@@ -103,16 +103,16 @@ class Tally:
 
     def add(self, number: int, trial: Trial, played: Played) -> None:
         """Count one trial."""
-        broken, ratio = played.violation, played.time_over_bound
-        own = Tally(steps=played.steps, violations=int(broken is not None))
+        broken = played.violation
+        self.steps += played.steps
         for name, checked in played.granted.items():
-            own.counts.update({(name, what): count for what, count in checked.items()})
-            own.counts[name, "violations"] += broken is not None and broken.number in checked
-            if "time" in checked and not np.isnan(ratio):
-                own.ratio[name] = ratio
+            self.counts.update({(name, what): count for what, count in checked.items()})
+            self.counts[name, "violations"] += broken is not None and broken.number in checked
+            if "time" in checked and not np.isnan(played.time_over_bound):
+                self.ratio[name] = max(self.ratio.get(name, 0.0), played.time_over_bound)
         if broken is not None:
-            own.found = [(number, trial, played)]
-        self.join(own)
+            self.violations += 1
+            self.found.append((number, trial, played))
 
     def join(self, other: Tally) -> None:
         """Take in what others say."""
@@ -235,8 +235,7 @@ def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> P
         chosen = policy(observations, watch.now) if choices is None else choices[None, len(kept)]
         kept.append(np.asarray(chosen, dtype=np.float32))
         observations, *_, infos = wrapped.step(kept[-1])
-        if (broken := watch.look(infos)).any():
-            wrong = watch.worst(broken)
+        _, wrong = watch.look(infos)
     violation = None
     if wrong := wrong or watch.look_at_mean():
         number, team, found, limit = wrong

@@ -2,15 +2,14 @@
 
 import math
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import rendezvous_env as rv
-from rendezvous_env.compilation import inner_kernel, kernel
 from rendezvous_env.physics.hull_perimeter import size
-from rendezvous_env.physics.vectors import ORIGIN, combine, dot, load, norm, split, subtract
 from rendezvous_env.safety.theorems.theorem import PROMISED
 
 Array = NDArray[np.float64]
@@ -23,14 +22,10 @@ NUMBERS = (*PROMISED, "descent", "ledger", "nested", "links")
 bounds; the mean time of many teams does. In every step without a merge or a contact V falls, by
 Σ f_i·Δ_i of the displacements (theory 4) where choices are held for one step, and V does not rise
 up to a merge; V + ΣA does not rise; the hull is nested while linked robots are r or more apart; no
-link grows longer."""
+link grows longer. Claims have four more: Σ‖f_i‖ ≥ 2 max a ("lemma"); V falls as under law (1), by
+τ Σ‖f_i‖ min(‖f_i‖, v_max) ("law_descent"); it rises at a merge by no more than theory 5 allows
+("merge_rise"); no fewer robots are left than the graph has components ("pieces")."""
 REPEATED = 48  # teams for each start of a trial whose mean time is promised
-ALL = (*NUMBERS, "lemma", "law_descent", "merge_rise", "pieces")
-"""And those of claims: Σ‖f_i‖ ≥ 2 max a; V falls as under law (1), by τ Σ‖f_i‖ min(‖f_i‖, v_max);
-it rises at a merge by no more than theory 5 allows; no fewer robots are left than the graph has
-components."""
-_TIME, _LYAPUNOV, _HULL, _LINK_GROWTH, _, _DESCENT, _LEDGER, _NESTED, _LINKS = range(len(NUMBERS))
-_LEMMA, _LAW_DESCENT, _MERGE_RISE, _PIECES = range(len(NUMBERS), len(ALL))
 _FLOAT32 = 2.0**-20
 _CONFIDENCE = 5.0  # standard errors by which a mean may lie above its bound
 _COUNT = 48  # directions in which hulls are measured
@@ -40,10 +35,13 @@ of it than 1.5 %."""
 
 
 class Moment:
-    """What is read of teams at one moment, each thing once and by its name in a simulator."""
+    """What is read of teams at one moment, each thing once and by its name in a simulator, and how
+    robots i lie to robots j.
+    """
 
     def __init__(self, teams: rv.Simulator) -> None:
         self._teams = teams
+        _ = self.positions, self.active, self.weights, self.lyapunov  # before the next step
 
     def __getattr__(self, name: str) -> Any:
         """Read it."""
@@ -51,11 +49,69 @@ class Moment:
         vars(self)[name] = found = found() if callable(found) else found
         return found
 
+    @cached_property
+    def both(self) -> Mask:
+        """Whether i and j are there, (B, n, n)."""
+        return np.asarray(self.active[:, :, None] & self.active[:, None])
+
+    @cached_property
+    def linked(self) -> Mask:
+        """Whether they are linked, (B, n, n)."""
+        return np.asarray(self.both & (self.weights > 0.0))
+
+    @cached_property
+    def offsets(self) -> Array:
+        """p_j − p_i, (B, n, n, d), m."""
+        return np.asarray(self.positions[:, None] - self.positions[:, :, None])
+
+    @cached_property
+    def distances(self) -> Array:
+        """‖p_j − p_i‖, (B, n, n), m."""
+        return lengths(self.offsets)[..., 0]
+
+    @cached_property
+    def tops(self) -> Array:
+        """How far the team reaches to each side, (B, M), m, see ``extents``."""
+        return extents(self.positions, self.active, directions(self.positions.shape[-1]))
+
+    @cached_property
+    def gains(self) -> Array:
+        """a_ij of robots that are there, (B, n, n), m/s."""
+        return np.where(self.linked, self.weights, 0.0)
+
+    @cached_property
+    def net_bearings(self) -> Array:
+        """f_i = Σ_j a_ij g_ij, (B, n, d), m/s."""
+        return np.asarray((self.gains[..., None] * unit(self.offsets)).sum(axis=2))
+
+
+def lengths(vectors: Array) -> Array:
+    """Of vectors (..., d), (..., 1)."""
+    return np.asarray(np.sqrt((vectors**2).sum(axis=-1, keepdims=True)))
+
+
+def unit(vectors: Array) -> Array:
+    """Unit vectors (..., d); zero stays zero."""
+    sizes = lengths(vectors)
+    return np.divide(vectors, sizes, out=np.zeros_like(vectors), where=sizes > 1e-12)
+
+
+def _most(values: Array, where: Mask) -> Array:
+    """The largest of each team's, (B,)."""
+    return np.asarray(np.where(where, values, -np.inf).max(axis=(1, 2)))
+
+
+def across(ahead: Array, axis: Array) -> Array:
+    """Vectors across others, (..., d): turned by 90° in the plane, ahead × axis in 3-D."""
+    if ahead.shape[-1] == 2:
+        return np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)
+    return np.cross(ahead, axis)
+
 
 class Watch:
     """Looks at teams of ours, at their start, after every step.
 
-    ``limits`` is the most that each of ALL may be, (B,); a step is ``period`` base steps; tanks
+    ``limits`` is the most that each number may be, (B,); a step is ``period`` base steps; tanks
     begin with a ``budget``, m²/s.
     """
 
@@ -64,36 +120,27 @@ class Watch:
         self.now = now = Moment(self.teams)
         scenario, count = self.scenario, self.teams.num_envs
         n, r, degree = scenario.n_robots, scenario.merge_radius, scenario.max_degree
-        self.held = period * scenario.tau
+        self.once, self.held = period == 1, period * scenario.tau
         fast = max(1.0, scenario.speed_limit / degree)
         self.length_error = _FLOAT32 * degree * fast * self.held
         self.length_error += 1e-11 * float(np.abs(now.positions).max())
-        sight = math.inf if scenario.sensing.range is None else scenario.sensing.range
-        rounding = _FLOAT32 * n * degree**2 * self.held
-        spent = fast**2 * max(1.0, 2.0 * degree * self.held / r)
-        pieces = len(scenario.sensing_graph.components(n))
-        steps = self.held, period == 1, scenario.speed_limit, sight, r, pieces
-        self.numbers = *steps, self.length_error, rounding, spent
-        self.growth_error, self.no_tanks = 0.0, np.zeros((count, n))
-        self.along, self.met = directions(scenario.dim), np.full(count, np.inf)
-        free, levels = np.ones(count, dtype=bool), np.full(count, n * budget)
-        tops, height_error = extents(now.positions, now.active, self.along), np.zeros(count)
-        self.kept = self.met, free, levels, height_error, tops
-        start = np.linalg.norm(now.positions[:, None] - now.positions[:, :, None], axis=-1)
-        growth = limits.get("link_growth", np.full(1, math.inf))[:, None, None]
-        self.lasting = start, (start + growth <= sight) & (now.weights > 0)
-        self.most = np.array([limits.get(name, np.full(count, np.inf)) for name in ALL])
-        self.most[[_TIME, _LYAPUNOV]] *= 1.0 + 1e-9
-        self.unit = np.where(np.isfinite(self.most), self.most, 1.0)
-        self.unit[len(PROMISED) :] = np.maximum(now.lyapunov, 1e-300)
-        self.unit[[_LEMMA, _PIECES]] = 1.0
-        self.nearest = np.full(self.most.shape, -np.inf)
-        self.found, self.errors = np.full(self.most.shape, -np.inf), np.zeros(self.most.shape)
-
-    @property
-    def closeness(self) -> dict[str, Array]:
+        self.rounding = _FLOAT32 * n * degree**2 * self.held
+        self.spent = fast**2 * max(1.0, 2.0 * degree * self.held / r)
+        self.growth_error, self.height_error = 0.0, np.zeros(count)
+        self.errors: dict[str, Any] = {"time": 0.0, "lemma": 1e-9, "pieces": 0.0}
+        self.errors |= {"nested": self.length_error, "links": 2.0 * self.length_error}
+        self.met, self.free = np.full(count, np.inf), np.ones(count, dtype=bool)
+        self.levels = np.full(count, n * budget)
+        self.sight = math.inf if scenario.sensing.range is None else scenario.sensing.range
+        self.pieces = len(scenario.sensing_graph.components(n))
+        growth = limits.get("link_growth", np.full(1, np.inf))[:, None, None]
+        self.lasting = now.linked & (now.distances + growth <= self.sight)
+        self.start = now.distances
+        self.closeness = {name: np.full(count, -np.inf) for name in limits}
         """How near each team came to break each number, (B,)."""
-        return {name: self.nearest[ALL.index(name)] for name in self.limits}
+        self.units = dict.fromkeys(limits, np.maximum(now.lyapunov, 1e-300))
+        self.units |= {"lemma": np.ones(count), "pieces": np.ones(count)}
+        self.units |= {name: limits[name] for name in PROMISED if name in limits}
 
     @property
     def time_over_bound(self) -> float:
@@ -112,35 +159,96 @@ class Watch:
             if name not in timed or (met | (now >= limit))[of].all()
         }
 
-    def look(self, infos: Mapping[str, Any]) -> Mask:
-        """Which of ALL this step violates, of which teams, (13, B)."""
-        last, self.now = self.now, Moment(self.teams)
-        now, found, outcome = self.now, self.found, self.env.outcome
-        self.growth_error += 2.0 * self.length_error
-        levels = infos.get("tank", self.no_tanks)
-        _measure(
-            (last.positions, last.active, last.weights, last.lyapunov),
-            (now.positions, now.active, now.lyapunov, now.time),
-            (infos["contact"], levels, outcome.lyapunov_before_merge, outcome.merge_excess),
-            (self.along, *self.lasting),
-            (*self.numbers, self.growth_error),
-            self.kept,
-            found,
-            self.errors,
-        )
-        if "hull" in self.limits:
-            near = 1.0 if self.scenario.dim == 2 else _NEARLY
-            for team in np.flatnonzero(found[_HULL] > near * self.most[_HULL]).tolist():
-                found[_HULL, team] = size(now.positions[team][now.active[team]])
-        near = np.divide(found, self.unit, out=np.zeros(found.shape), where=self.most < np.inf)
-        np.maximum(self.nearest, near, out=self.nearest)
-        return np.asarray(found > self.most + self.errors)
+    def look(self, infos: Mapping[str, Any]) -> tuple[Mask, Found | None]:
+        """Which teams break a number in this step, (B,); and the first number that is broken, by
+        the team that does so the most.
+        """
+        all_found, wrong, worst = self._measure(infos), np.zeros(len(self.met), dtype=bool), None
+        for name, limit in self.limits.items():
+            if (found := all_found.get(name)) is None:  # of many steps, as a mean is
+                continue
+            most = limit * (1.0 + 1e-9 * (name in ("time", "lyapunov")))
+            near = np.zeros(len(found))
+            np.divide(found, self.units[name], out=near, where=limit < np.inf)
+            np.maximum(self.closeness[name], near, out=self.closeness[name])
+            broken = found > most + self.errors[name]
+            if worst is None and broken.any():
+                team = int(np.argmax(np.where(broken, found, -np.inf)))
+                worst = name, team, float(found[team]), float(most[team])
+            wrong |= broken
+        return wrong, worst
 
-    def worst(self, wrong: Mask) -> Found:
-        """The first number that is violated, and the team by which it is the most."""
-        row = int(np.argmax(wrong.any(axis=1)))
-        team = int(np.argmax(np.where(wrong[row], self.found[row], -np.inf)))
-        return ALL[row], team, float(self.found[row, team]), float(self.most[row, team])
+    def _measure(self, infos: Mapping[str, Any]) -> dict[str, Array]:
+        """What numbers are of each team, (B,), all that are limited and some others; brings
+        ``errors`` up to date, by how much rounding may raise them.
+        """
+        last, self.now = self.now, Moment(self.teams)
+        now, outcome, touched = self.now, self.env.outcome, infos["contact"].any(axis=1)
+        alone, left = (last.active == now.active).all(axis=1), now.active.sum(axis=1)
+        calm = alone & ~touched & np.isinf(self.met)
+        self.free &= ~touched
+        self.met = np.where((left == self.pieces) & np.isinf(self.met), now.time, self.met)
+        before = self.levels
+        self.levels = levels = infos["tank"].sum(axis=1) if "tank" in infos else before
+        step = self.rounding + 1e-12 * last.lyapunov
+        self.height_error += step
+        self.growth_error += 2.0 * self.length_error
+        self.errors |= {
+            "lyapunov": self.height_error,
+            "hull": 8.0 * self.growth_error,
+            "link_growth": self.growth_error,
+            "descent": step,
+            "ledger": step * self.spent + 1e-12 * before,
+            "law_descent": step,
+            "merge_rise": 1e-12 * (1.0 + last.lyapunov),
+        }
+        risen, rises = now.lyapunov - last.lyapunov, outcome.lyapunov_before_merge - last.lyapunov
+        first = np.where(~alone & ~touched & self.once, rises, -np.inf)
+        seen = last.linked & (last.distances <= self.sight)
+        found: dict[str, Array] = {
+            # the step in which a bound falls may be finished
+            "time": np.minimum(self.met, now.time) - self.held,
+            "lyapunov": np.where(self.free, now.lyapunov, -np.inf),
+            "ledger": np.where(calm, risen + levels - before, -np.inf),
+            "merge_rise": outcome.merge_excess,
+            "pieces": self.pieces - left,
+        }
+        if "hull" in self.limits:
+            found["hull"] = self._size()
+        if "link_growth" in self.limits:
+            found["link_growth"] = _most(now.distances - self.start, self.lasting)
+        if "descent" in self.limits:
+            moved = now.positions - last.positions
+            work = (last.net_bearings * moved).sum(axis=(1, 2))
+            found["descent"] = np.where(calm, risen + np.maximum(work, 0.0) * self.once, first)
+        if "nested" in self.limits:
+            apart = -_most(-last.distances, seen) >= self.scenario.merge_radius
+            grown = (now.tops - last.tops).max(axis=1)
+            found["nested"] = np.where(calm & apart, grown, -np.inf)
+        if "links" in self.limits:
+            lengthened = _most(now.distances - last.distances, seen)
+            found["links"] = np.where(calm, lengthened, -np.inf)
+        if {"lemma", "law_descent"} & self.limits.keys():
+            pull, twice = lengths(last.net_bearings)[..., 0], 2.0 * last.gains.max(axis=(1, 2))
+            share = np.full(len(left), np.inf)
+            np.divide(pull.sum(axis=1), twice, out=share, where=twice > 0.0)
+            own = (pull * np.minimum(pull, self.scenario.speed_limit)).sum(axis=1)
+            found["lemma"] = 1.0 - share
+            found["law_descent"] = np.where(calm, risen + self.held * own, first)
+        return found
+
+    def _size(self) -> Array:
+        """L, (B,), m, in the plane that of a polygon around the hull; where that may be too large
+        it is measured exactly.
+        """
+        now, plane, most = self.now, self.scenario.dim == 2, self.limits["hull"]
+        there = now.active[..., None]
+        centre = (now.positions * there).sum(axis=1) / there.sum(axis=1)
+        sizes = 2.0 * (now.tops - centre @ directions(self.scenario.dim).T).mean(axis=1)
+        sizes *= _COUNT * math.tan(math.pi / _COUNT) if plane else 2.0 * math.pi
+        for team in np.flatnonzero(sizes > (1.0 if plane else _NEARLY) * most).tolist():
+            sizes[team] = size(now.positions[team][now.active[team]])
+        return np.asarray(sizes)
 
     def look_at_mean(self) -> Found | None:
         """A start from which the mean time is surely too long; who has not met counts as if now."""
@@ -153,108 +261,6 @@ class Watch:
             return None
         start = int(np.argmax(wrong))
         return "expected_time", start * REPEATED, float(mean[start]), float(limit[start])
-
-
-@kernel
-def _measure(before, after, reported, where, numbers, kept, found, errors):
-    """Write what each of ALL is of each team, and by how much rounding may raise it, (13, B);
-    what is kept from step to step is brought up to date. Tuples as ``Watch.look`` gives them.
-    """
-    (places, was, weights, higher), (moved_to, there, height, time) = before, after
-    contact, tanks, at_merge, excess = reported
-    met, free, levels, of_height, tops = kept
-    held, once, fastest, sight, r, last, of_length, rounding, spent, of_growth = numbers
-    for b in range(len(there)):
-        alone, touched, left, level = True, False, 0, 0.0
-        for i in range(there.shape[1]):
-            alone = alone and was[b, i] == there[b, i]
-            touched = touched or contact[b, i]
-            left += there[b, i]
-            level += tanks[b, i]
-        free[b] = free[b] and not touched
-        calm = alone and not touched and met[b] == np.inf
-        if left == last and met[b] == np.inf:
-            met[b] = time[b]
-        step = rounding + 1e-12 * higher[b]
-        of_height[b] += step
-        # the step in which a bound falls may be finished
-        found[_TIME, b] = min(met[b], time[b]) - held
-        found[_LYAPUNOV, b], errors[_LYAPUNOV, b] = height[b] if free[b] else -np.inf, of_height[b]
-        spread = _spread(moved_to[b], there[b], where[0], tops[b], found[_HULL, b : b + 1])
-        present = places[b], was[b], weights[b], moved_to[b]
-        nearest, lengthened, grown = _stretch(present, where[1][b], where[2][b], sight)
-        work, own, strength = _fall(present, fastest)
-        risen = height[b] - higher[b]
-        first = at_merge[b] - higher[b] if once and not alone and not touched else -np.inf
-        found[_LINK_GROWTH, b] = grown
-        found[_DESCENT, b] = risen + max(work, 0.0) * once if calm else first
-        found[_LEDGER, b] = risen + level - levels[b] if calm else -np.inf
-        found[_NESTED, b] = spread if calm and nearest >= r else -np.inf
-        found[_LINKS, b] = lengthened if calm else -np.inf
-        found[_LAW_DESCENT, b] = risen + held * own if calm else first
-        found[_LEMMA, b], found[_MERGE_RISE, b] = -strength, excess[b]
-        found[_PIECES, b] = last - left
-        errors[_DESCENT, b], errors[_LAW_DESCENT, b] = step, step
-        errors[_LEDGER, b] = step * spent + 1e-12 * levels[b]
-        errors[_HULL, b], errors[_LINK_GROWTH, b] = 8.0 * of_growth, of_growth
-        errors[_NESTED, b], errors[_LINKS, b] = of_length, 2.0 * of_length
-        errors[_LEMMA, b], errors[_MERGE_RISE, b] = 1e-9, 1e-12 * (1.0 + higher[b])
-        levels[b] = level
-
-
-@inner_kernel
-def _spread(places, there, along, tops, found):
-    """Write L, in the plane that of the polygon around the hull; give the hull's growth, m."""
-    total, spread, left, d = 0.0, -np.inf, there.sum(), places.shape[1]
-    for m in range(len(along)):
-        top, middle = -np.inf, 0.0
-        for i in range(len(places)):
-            if there[i]:
-                reach = dot(load(places[i]), load(along[m]))
-                top, middle = max(top, reach), middle + reach / left
-        spread, total, tops[m] = max(spread, top - tops[m]), total + top - middle, top
-    found[0] = 2.0 * math.pi * (d - 1.0) * total / len(along)
-    if d == 2:
-        found[0] *= _COUNT / math.pi * math.tan(math.pi / _COUNT)
-    return spread
-
-
-@inner_kernel
-def _stretch(present, start, lasts, sight):
-    """The shortest link in sight; how much longer one, and since the start a lasting one, is, m."""
-    places, was, weights, moved_to = present
-    nearest, lengthened, grown = np.inf, -np.inf, -np.inf
-    for i in range(len(places)):
-        for j in range(len(places)):
-            linked = weights[i, j] > 0.0 and was[i] and was[j]
-            if i == j or not (linked or lasts[i, j]):
-                continue
-            old = norm(subtract(load(places[j]), load(places[i])))
-            new = norm(subtract(load(moved_to[j]), load(moved_to[i])))
-            if lasts[i, j]:
-                grown = max(grown, new - start[i, j])
-            if linked and old <= sight:
-                nearest, lengthened = min(nearest, old), max(lengthened, new - old)
-    return nearest, lengthened, grown
-
-
-@inner_kernel
-def _fall(present, fastest):
-    """Σ f_i·Δ_i of what the robots are displaced by, m²/s; Σ‖f_i‖ min(‖f_i‖, v_max), (m/s)²; and
-    Σ‖f_i‖/(2 max a) − 1, without unit (lemma 1), infinite without links.
-    """
-    places, was, weights, moved_to = present
-    work, own, strength, heaviest = 0.0, 0.0, 0.0, 0.0
-    for i in range(len(places)):
-        f = ORIGIN
-        for j in range(len(places)):
-            if weights[i, j] > 0.0 and was[i] and was[j]:
-                _, bearing = split(subtract(load(places[j]), load(places[i])))
-                f, heaviest = combine(1.0, f, weights[i, j], bearing), max(heaviest, weights[i, j])
-        work += dot(f, subtract(load(moved_to[i]), load(places[i])))
-        strength += norm(f)
-        own += norm(f) * min(norm(f), fastest)
-    return work, own, strength / (2.0 * heaviest) - 1.0 if heaviest > 0.0 else np.inf
 
 
 def extents(places: Array, active: Mask, along: Array) -> Array:

@@ -3,7 +3,7 @@
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -108,9 +108,27 @@ def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | Non
             rows = [claim_row(claim, config, tallies[claim.name]) for claim in chosen]
         write_csv(path, list(rows[0]) if rows else ["theorem"], rows)
         part.discard()
+    total, steps = Tally(), ""
+    for tally in tallies.values():
+        total.join(tally)
     if config.any:
-        return _report_any(config, tallies["scenarios"], rows, path, console)
-    return _report(rows, chosen, path, console)
+        console.print(table_of(f"Certificates of {total.trials} random scenarios, tried", rows))
+        found, steps = _write_found(config, total), f", {total.steps} steps of {TEAMS} teams"
+    else:
+        shown = [_shown(*both) for both in zip(chosen, rows, strict=True)]
+        console.print(table_of("What was proved, measured", shown))
+        found = (
+            f"{row['claim']} is violated; to repeat the first time:\n  {row['first_violation']}"
+            for row in rows
+            if row["violations"]
+        )
+    for one in found:
+        console.print(one, soft_wrap=True)
+    console.print(
+        f"{total.violations} violations{steps} in {total.seconds:.0f} s of work; {path}",
+        soft_wrap=True,
+    )
+    return int(total.violations > 0)
 
 
 class Task(NamedTuple):
@@ -202,49 +220,25 @@ def theorem_rows(tally: Tally) -> list[dict[str, Any]]:
     ]
 
 
-def _report(
-    rows: Sequence[dict[str, Any]], claims: Sequence[Claim], path: Path, console: Console
-) -> int:
-    """Print the table and what is violated; the exit status."""
-    shown = [
-        {
-            "claim": row["claim"],
-            "what is checked": claim.statement,
-            "trials": row["trials"],
-            "worst margin": f"{row['worst_margin'] + 0.0:.2g}",
-            "worst T/bound": row["worst_time_over_bound"],
-            "violations": row["violations"],
-        }
-        for row, claim in zip(rows, claims, strict=True)
-    ]
-    console.print(table_of("What was proved, measured", shown))
-    for row in rows:
-        if row["violations"]:
-            console.print(f"{row['claim']} is violated; to repeat the first time:")
-            console.print(f"  {row['first_violation']}", soft_wrap=True)
-    seconds, total = (sum(row[name] for row in rows) for name in ("seconds", "violations"))
-    console.print(f"{total} violations in {seconds:.0f} s of work; {path}", soft_wrap=True)
-    return int(total > 0)
+def _shown(claim: Claim, row: dict[str, Any]) -> dict[str, Any]:
+    """A row of the table that is printed."""
+    return {
+        "claim": claim.name,
+        "what is checked": claim.statement,
+        "trials": row["trials"],
+        "worst margin": f"{row['worst_margin'] + 0.0:.2g}",
+        "worst T/bound": row["worst_time_over_bound"],
+        "violations": row["violations"],
+    }
 
 
-def _report_any(
-    config: Config, tally: Tally, rows: Sequence[dict[str, Any]], path: Path, console: Console
-) -> int:
-    """Print how often each theorem was granted and checked, make what is violated small and write
-    it; the exit status.
-    """
-    console.print(table_of(f"Certificates of {tally.trials} random scenarios, tried", rows))
+def _write_found(config: Config, tally: Tally) -> Iterator[str]:
+    """Make what is violated small and write it; the words for each."""
     tally.found.sort(key=lambda found: found[0])
     for number, trial, played in tally.found[:_MOST_WRITTEN]:
         small, played = shrink(trial, played)
         file = write(config.out, f"any-{config.seed}-{number}-{trial.by}", small, played)
-        console.print(f"scenario {number}: {played.violation}; {file}", soft_wrap=True)
-    console.print(
-        f"{tally.violations} violations, {tally.steps} steps of {TEAMS} teams in "
-        f"{tally.seconds:.0f} s of work; {path}",
-        soft_wrap=True,
-    )
-    return int(tally.violations > 0)
+        yield f"scenario {number}: {played.violation}; {file}"
 
 
 def table_of(title: str, rows: Sequence[dict[str, Any]]) -> Table:
