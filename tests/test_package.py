@@ -194,13 +194,6 @@ def test_arrays_need_no_pettingzoo(face):
     assert not [name for name in reached if "pettingzoo" in imports(name)]
 
 
-def test_an_import_pulls_in_nothing_heavy(tmp_path):
-    code = "import sys, rendezvous_env, baselines; print(*{m.split('.')[0] for m in sys.modules})"
-    loaded = set(run_python(tmp_path, "-W", "error", "-c", code).split())
-    assert {"numpy", "numba", "rendezvous_env", "baselines"} <= loaded
-    assert not loaded & LAZY
-
-
 def test_train_itself_is_light_and_knows_the_short_names(tmp_path):
     code = (
         "import sys, train; light = not {'torch', 'stable_baselines3', 'rich'} & set(sys.modules);"
@@ -215,13 +208,16 @@ def test_train_itself_is_light_and_knows_the_short_names(tmp_path):
         exec("from train import no_such_module")
 
 
-def test_a_rollout_needs_nothing_heavy_either(tmp_path):
+def test_neither_an_import_nor_a_rollout_pulls_in_what_is_heavy(tmp_path):
     code = (
         "import sys, rendezvous_env as rv, baselines;"
+        "print(*{m.split('.')[0] for m in sys.modules});"
         "s = rv.scenarios.get('duo'); t = rv.rollout(s, baselines.make('bearing-only', s));"
         "assert t.success.all(); print(*{m.split('.')[0] for m in sys.modules})"
     )
-    assert not set(run_python(tmp_path, "-c", code).split()) & (LAZY - {"tyro"})
+    imported, used = run_python(tmp_path, "-W", "error", "-c", code).splitlines()
+    assert {"numpy", "numba", "rendezvous_env", "baselines"} <= set(imported.split())
+    assert not set(imported.split()) & LAZY and not set(used.split()) & (LAZY - {"tyro"})
 
 
 BESIDE = {"PYTHONSAFEPATH": "", "PYTHONPATH": str(ROOT)}

@@ -165,24 +165,6 @@ class TestPolicy:
 
 
 class TestErrors:
-    @pytest.mark.parametrize(
-        ("words", "message"),
-        [
-            (["--policy", "tangent"], "--policy tangent: is scripted and has no network"),
-            (["--policy", "learnt"], "policy 'learnt' is unknown; did you mean 'learned'?"),
-            (["--policy", "learned:nowhere"], "nowhere: no such folder"),
-            (["--out", "policy.pt"], "--out policy.pt: unknown ending; it must be .onnx"),
-            (["--out", "file/x.onnx"], "--out file/x.onnx: cannot write there: "),
-            (["--checks", "0"], "--checks is 0; it must be from 1 to 10000000"),
-        ],
-    )
-    def test_they_are_one_line(self, words, message, capsys, tmp_path, monkeypatch):
-        monkeypatch.chdir(tmp_path)
-        (tmp_path / "file").touch()
-        assert cli.main(["export", *words]) == 2
-        assert message in capsys.readouterr().err
-        assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
     def test_a_file_is_not_exported_again_and_a_missing_extra_is_named(
         self, exported, capsys, monkeypatch
     ):

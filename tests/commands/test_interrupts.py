@@ -7,10 +7,8 @@ import sys
 import time
 from itertools import product
 
-import numpy as np
 import pytest
 
-from baselines.obstacle_rules import merged_silhouettes_2d as joined_plane
 from train import cli, interrupts
 
 COMMANDS = {
@@ -134,46 +132,3 @@ class TestInside:
         assert cli.main(["verify"]) == 2
         said = capsys.readouterr().err
         assert words in said and said.count("\n") == 1
-
-
-HOSTILE = (0.0, -1.0, 3.0, 99.0, -101.0, 1e9, 1e300, np.inf, -np.inf, np.nan)
-
-
-class TestKernels:
-    """Loops over angles end for any input."""
-
-    def test_every_number_ends(self):
-        """The kernels themselves: their callers refuse what is not finite. In a process of its own,
-        which can be killed: an endless kernel hears no signal.
-        """
-        code = (
-            "import itertools, numpy as np\n"
-            "from baselines.obstacle_rules import merged_silhouettes_2d, merged_silhouettes_3d\n"
-            "plane = merged_silhouettes_2d.joined_headings_2d\n"
-            "space = merged_silhouettes_3d.joined_headings_3d\n"
-            "from numpy import inf, nan\n"
-            f"hostile, random = {HOSTILE!r}, np.random.default_rng(0)\n"
-            "f, seen = random.normal(size=(2, 2)), random.normal(size=(2, 5, 2, 2))\n"
-            "seen /= np.linalg.norm(seen, axis=-1, keepdims=True)\n"
-            "for c, p in itertools.product(hostile, hostile):\n"
-            "    for shown in (seen, seen[:, :0], 0 * seen):\n"
-            "        plane(f, shown, c, f[::-1].copy(), p, np.empty((2, 2)))\n"
-            "for value in hostile:\n"
-            "    for part in range(4):\n"
-            "        g, s, k = f.copy(), seen.copy(), f[::-1].copy()\n"
-            "        (g if part == 0 else k if part == 1 else s).reshape(-1)[part] = value\n"
-            "        plane(g, s, 0.2, k, 0.5, np.empty((2, 2)))\n"
-            "        s3, g3 = random.normal(size=(2, 5, 8, 3)), random.normal(size=(2, 3))\n"
-            "        (g3 if part == 0 else s3).reshape(-1)[part] = value\n"
-            "        space(g3, s3, value, np.empty((2, 3)))\n"
-        )
-        subprocess.run([sys.executable, "-c", code], check=True, timeout=300)
-
-    @pytest.mark.parametrize("turns", [-40, -16, -3, -1, 0, 1, 2, 15.9, 16, 1e6])
-    def test_the_angle_is_the_same_direction(self, turns):
-        angle = 1.25 + turns * joined_plane.TWO_PI
-        found = joined_plane.counter_clockwise(angle)
-        assert 0 <= found < joined_plane.TWO_PI
-        expected = [np.cos(angle), np.sin(angle)]
-        np.testing.assert_allclose([np.cos(found), np.sin(found)], expected, atol=1e-9)
-        assert np.isnan(joined_plane.counter_clockwise(np.inf))

@@ -143,10 +143,11 @@ class TestResume:
         resumed(folder)
         assert_same_run(whole, folder)
 
-    def test_killed_twice_at_random_moments(self, whole, tmp_path):
-        folder, moments = tmp_path / "run", random.Random(0)
+    @pytest.mark.parametrize("kills", [2, pytest.param(6, marks=pytest.mark.slow)])
+    def test_killed_at_random_moments(self, kills, whole, tmp_path):
+        folder, moments = tmp_path / "run", random.Random(kills)
         words = flags(folder)
-        for _ in range(2):
+        for _ in range(kills):
             before, deadline = self.step_of(folder), time.monotonic() + 120
             process = subprocess.Popen(
                 [sys.executable, "-m", "train.cli", "train", *words],

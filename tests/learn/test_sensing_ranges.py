@@ -3,12 +3,10 @@
 import math
 
 import numpy as np
-import pytest
-from training_runs import UPDATE, assert_goes_on, config, flags
+from training_runs import UPDATE, assert_goes_on, config
 
 from baselines.learned import checkpoints
 from rendezvous_env.sensors.sensing import Sensing
-from train import cli
 from train.learn import ppo, trainer
 from train.learn.sensing_ranges import draw
 from train.learn.teams import make_teams
@@ -50,30 +48,6 @@ class TestRanges:
         expected = Sensing(noise=0.2, bias=0.1, occlusion="robots")
         assert draw(given, ranges, 1.0, (0,)) == expected
         assert draw(given, ranges, 0.0, (0,)) == given
-
-    @pytest.mark.parametrize(
-        ("words", "message"),
-        [
-            (["--sensing-noise", "-0.1", "0.2"], "sensing.noise is -0.1; it must be a finite"),
-            (["--sensing-noise", "0.2", "0.1"], "sensing.noise is from 0.2 to 0.1; it must be LOW"),
-            (["--sensing-bias", "0", "7"], "sensing.bias is 7.0; it must be"),
-            (["--sensing-dropout", "0.5", "1.5"], "sensing.dropout is 1.5; it must be"),
-            (["--sensing-range", "0", "3"], "sensing.range is 0.0; it must be a positive"),
-            (["--sensing-field-of-view", "0", "3"], "sensing.field_of_view is 0.0; it must be"),
-            (["--sensing-occlusion", "fog"], "sensing.occlusion is 'fog'; it must be one of"),
-            (["--sensing-delay", "0", "-1"], "sensing.delay is -1; it must be"),
-            (["--sensing-noise", "0", "1", "--sensing-chance", "2"], "chance is 2.0; it must be"),
-            (["--sensing-noise", "nan", "1"], "--sensing-noise is nan; it must be a finite"),
-            (["--sensing-noise", "0", "1", "--sensing-groups", "9"], "it must be 8 or less"),
-            (["--sensing-updates", "0"], "--sensing-updates is 0; it must be 1 or more"),
-            (["--sensing-updates", "3"], "--sensing-updates is 3; no sensors are drawn"),
-        ],
-    )
-    def test_what_no_sensor_can_have(self, words, message, capsys, tmp_path):
-        assert cli.main(["train", *flags(tmp_path / "out"), *words]) == 2
-        said = capsys.readouterr().err
-        assert message in said and said.count("\n") == 1
-        assert not (tmp_path / "out").exists()
 
 
 class TestGroups:

@@ -194,31 +194,6 @@ class TestResult:
 
 
 class TestSettings:
-    @pytest.mark.parametrize(
-        ("words", "message"),
-        [
-            (["--scenario", "clutter-5"], "did you mean 'clutter-"),
-            (["--set", "robot_model=double_integrator"], "train teaches single_integrator, unicyc"),
-            (["--scenario", "clutter-3d", "--critic", "global"], "the global state is written for"),
-            (["--scenario", "fig4", "--curriculum", "3"], "fig4 draws no obstacles"),
-            (["--curriculum", "-1"], "--curriculum is -1; it must be 0 or more"),
-            (["--num-teams", "0"], "--num-teams is 0; it must be 1 or more"),
-            (["--gamma", "1.5"], "--gamma is 1.5; it must be 1 or less"),
-            (["--seed", str(2**29)], "it must be 536870911 or less"),
-            (["--budget", "3"], "--budget is 3.0; headings have none: add --guarantee tank"),
-            (["--memory", "features"], "--memory is features; headings have none: add --guarantee"),
-            (["--memory-units", "9"], "--memory-units is 9; there are none without --memory"),
-            (["--guarantee", "tank", "--budget", "-1"], "--budget is -1.0; it must be 0 or more"),
-            (["--start-from", "nowhere"], "nowhere: no such folder"),
-            (["--set", "n_robots"], "--set n_robots: write FIELD=VALUE"),
-            (["--set", "robots=9"], "'robots'"),
-        ],
-    )
-    def test_one_line_and_status_2(self, words, message, capsys, tmp_path):
-        assert cli.main(["train", *flags(tmp_path / "out"), *words]) == 2
-        said = capsys.readouterr().err
-        assert message in said and said.count("\n") == 1 and "Traceback" not in said
-
     def test_evaluation_with_robots_that_are_not_taught_and_no_extra(
         self, tmp_path, capsys, monkeypatch
     ):

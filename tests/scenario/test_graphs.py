@@ -247,14 +247,6 @@ def test_no_sequence_of_merges_leaves_the_worst_cases_of_arcs(n, seed, most):
         assert (contracted > 0).sum(axis=1).max() <= graphs.directed(weights).most_neighbours(n)
 
 
-def test_the_heaviest_edge_can_vanish_but_not_the_bottleneck():
-    path = np.array([[0, 2, 0], [2, 0, 0.5], [0, 0.5, 0]])
-    assert bottleneck_weight(path) == 0.5
-    assert max_degree(path) == 2.5
-    assert components(path) == [[0, 1, 2]]
-    assert components(np.zeros((2, 2))) == [[0], [1]] and max_degree(np.zeros((2, 2))) == 0
-
-
 def test_a_list_has_the_worst_of_its_graphs_and_of_any_merges():
     graph = graphs.switching(["path", graphs.directed_cycle(1.5), graphs.from_edges([(0, 3)], 4)])
     # robots 0 and 3 may merge in one graph, and then have all edges of the path

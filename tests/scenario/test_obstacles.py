@@ -39,10 +39,6 @@ class TestValidation:
         assert Polygon(TRIANGLE[::-1]) == Polygon(((0, 3), (0, 0), (3, 0)))
         assert Polygon(((0, 0), (0, 3), (3, 0))) == Polygon(TRIANGLE)
 
-    def test_equal_obstacles_hash_equal(self):
-        assert hash(Disc([1, 2], 3)) == hash(Disc((1.0, 2.0), 3.0))
-        assert len({Polygon(TRIANGLE), Polygon([list(v) for v in TRIANGLE]), FIELD, FIELD}) == 2
-
     def test_rounding_makes_no_polygon_concave(self):
         """Long, thin and turned: the area of such a rectangle is known to fewer digits."""
         long = np.array([(-1000.0, -0.005), (1000.0, -0.005), (1000.0, 0.005), (-1000.0, 0.005)])

@@ -151,7 +151,7 @@ class TestLayouts:
 
 
 class TestNobodyIsWalledIn:
-    @pytest.mark.parametrize("name", ["trap", "corridor", "rooms", "clutter-32"])
+    @pytest.mark.parametrize("name", ["trap", "corridor", "rooms"])
     def test_in_a_thousand_starts(self, name):
         tables, positions = drawn(name, 1000)
         assert all(map(together, tables, positions))
