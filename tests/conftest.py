@@ -199,14 +199,12 @@ def kind(request: pytest.FixtureRequest) -> str:
 def assert_same_state(state: Simulator | dict, other: Simulator | dict) -> None:
     """Of simulators, or of what they gave as their states: bit for bit."""
     one, two = (s if isinstance(s, dict) else s.get_state() for s in (state, other))
-    assert one.keys() == two.keys()
-    for name, array in one.items():
-        np.testing.assert_array_equal(array, two[name], err_msg=name)
+    np.testing.assert_equal(one, two)
 
 
 @contextmanager
 def refusing(simulator: Simulator, message: str, error: type[Exception] = ValueError) -> Iterator:
-    """What is done here is refused, and leaves the simulator as it was."""
+    """What is done here is refused, and leaves the simulator, or a wrapper, as it was."""
     before = simulator.get_state()
     with pytest.raises(error, match=message):
         yield

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from conftest import actions_shape, five
+from conftest import actions_shape, five, refusing
 from soup import DEEP, HUGE, refusal
 
 import rendezvous_env as rv
@@ -24,13 +24,6 @@ TEAMS = 6
 PAIR = Scenario(n_robots=2)
 SQUARE = rv.Polygon(((4.0, 0.0), (6.0, 0.0), (6.0, 2.0), (4.0, 2.0)))
 AMONG = {"obstacles": (rv.Disc((0.0, 5.0), 1.0), SQUARE), "obstacle_slots": 3}
-
-
-def same(a, b):
-    """Whether two states, nested or not, are equal in every number."""
-    if isinstance(a, dict):
-        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
-    return np.array_equal(a, b, equal_nan=np.asarray(a).dtype.kind == "f")
 
 
 # ---- outcomes, masks ----------------------------------------------------------------------------
@@ -51,10 +44,8 @@ def test_an_outcome_of_other_teams_is_refused(other):
     for each in (sim, other):
         each.reset(0)
     outcome = other.step(np.zeros(actions_shape(other)))
-    before = sim.get_state()
-    with pytest.raises(ValueError, match=r"outcome: .+ a step of these"):
+    with refusing(sim, r"outcome: .+ a step of these"):
         sim.restart(np.ones(TEAMS, bool), outcome)
-    assert same(before, sim.get_state())
     own = sim.step(np.zeros(actions_shape(sim)))
     own.observations.flags.writeable = False
     with pytest.raises(ValueError, match="can be written to"):
@@ -87,12 +78,10 @@ def test_bad_actions_send_no_team_on_to_its_next_episode():
     actions = np.zeros(venv.action_space.shape, np.float32)
     for _ in range(2):
         venv.step(actions)
-    before = venv.get_state()
-    assert (before["status"] == TIME_OUT).all()
+    assert (venv.get_state()["status"] == TIME_OUT).all()
     for wrong in (actions * np.nan, actions[:1]):
-        with pytest.raises(ValueError, match="action"):
+        with refusing(venv, "action"):
             venv.step(wrong)
-        assert same(before, venv.get_state())
 
 
 # ---- what robots see ----------------------------------------------------------------------------
@@ -103,22 +92,18 @@ def test_observations_of_another_batch_are_refused(kind, batch):
     scenario = five(kind)
     steering = HeadingFilter(scenario, TEAMS)
     seen = np.zeros((batch, 5, *scenario.observation_layout.shape), np.float32)
-    before = steering.get_state()
     for refuse in (steering.view, steering.act):
-        with pytest.raises(
-            ValueError, match=r"observations have shape .*must be \(B, n, rows, d\)"
-        ):
+        with refusing(steering, r"observations have shape .*must be \(B, n, rows, d\)"):
             refuse(seen)
-        with pytest.raises(ValueError, match="observations are int64"):
+        with refusing(steering, "observations are int64"):
             refuse(np.zeros((TEAMS, 5, *scenario.observation_layout.shape), np.int64))
-    assert same(before, steering.get_state())
 
 
 def test_perception_refuses_other_teams():
     clutter = rv.scenarios.get("clutter-16")
     perception = Features(clutter, TEAMS, decision_time=0.2)
     seen = Simulator(clutter, TEAMS).reset(0)
-    headings, before = np.zeros((TEAMS, 4, 2)), perception.get_state()
+    headings = np.zeros((TEAMS, 4, 2))
     for wrong, carried, name in (
         (seen[:2], headings, "observations"),
         (seen[:, :2], headings, "observations"),
@@ -127,9 +112,8 @@ def test_perception_refuses_other_teams():
         (seen, headings[:2], "headings"),
         (seen, headings[..., :1], "headings"),
     ):
-        with pytest.raises(ValueError, match=f"{name} (have shape|are)"):
+        with refusing(perception, f"{name} (have shape|are)"):
             perception.see(wrong, carried)
-    assert same(before, perception.get_state())
 
 
 RULES = (

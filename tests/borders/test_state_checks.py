@@ -6,8 +6,8 @@ import re
 
 import numpy as np
 import pytest
-from conftest import five
-from test_borders import AMONG, TEAMS, same
+from conftest import assert_same_state, five, refusing
+from test_borders import AMONG, TEAMS
 
 import rendezvous_env as rv
 from baselines.learned.policy_settings import PolicySettings
@@ -39,11 +39,8 @@ def halfway(**changes: object) -> Simulator:
 
 
 def refused(target, state, message):
-    """It is refused with these words, and nothing has changed."""
-    before = target.get_state()
-    with pytest.raises(ValueError, match=message):
+    with refusing(target, message):
         target.set_state(state)
-    assert same(before, target.get_state())
 
 
 def changed(state, name, place, value):
@@ -109,7 +106,7 @@ def test_lists_are_taken_or_refused_as_a_whole(name):
     listed = {**state, "positions": state["positions"].tolist(), "steps": state["steps"].tolist()}
     sim.step(np.ones((TEAMS, 5, 2)))
     sim.set_state(listed)
-    assert same(sim.get_state(), state)
+    assert_same_state(sim, state)
 
 
 @pytest.mark.parametrize("wrong", [None, 3, [], "state"])
@@ -133,7 +130,7 @@ def test_states_of_all_moments_are_taken(kind):
     seen, merged = set(), False
     for step in range(400):
         other.set_state(sim.get_state())
-        assert same(other.get_state(), sim.get_state())
+        assert_same_state(other, sim)
         np.testing.assert_array_equal(other.observe(), sim.observe())
         seen |= set(sim.status.tolist())
         if step % 50 == 40:
@@ -168,7 +165,7 @@ def test_a_parallel_environment_takes_a_state_as_a_whole():
     for wrong in ([], None, "robot_0", ["robot_9"], state["agents"][::-1], state["agents"][:-1]):
         refused(env, {**state, "agents": wrong}, "agents is .*it must be")
     env.set_state(state)
-    assert same(env.get_state(), state)
+    assert_same_state(env, state)
 
 
 def begun(venv):

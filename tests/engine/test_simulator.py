@@ -97,32 +97,6 @@ def test_rotating_and_moving_the_world_changes_no_observation(kind):
     np.testing.assert_allclose(seen_turned[0], seen[0], atol=3e-7)
 
 
-def test_rotating_one_frame_rotates_that_observation_and_no_other():
-    scenario = five("single_integrator-3d", local_frames="global")
-    sim = Simulator(scenario, 32)
-    plain = sim.reset(5, {"positions": STARTS[3]})
-    frames = np.tile(np.eye(3), (5, 1, 1))
-    frames[2] = rotation(3)
-    turned = sim.reset(5, {"positions": STARTS[3], "frames": frames})
-    np.testing.assert_allclose(turned[:, 2], plain[:, 2] @ rotation(3), atol=3e-7)
-    others = [0, 1, 3, 4]
-    np.testing.assert_array_equal(turned[:, others], plain[:, others])
-
-
-def test_the_frame_of_an_action_is_the_robots_own():
-    scenario = five("single_integrator-2d", max_speed=5.0)
-    sim = Simulator(scenario)
-    frames = np.tile(rotation(2), (5, 1, 1))
-    sim.reset(0, {"positions": STARTS[2][0], "frames": frames})
-    before = sim.positions
-    action = np.zeros((1, 5, 2), np.float32)
-    action[0, 3] = (1.0, 2.0)
-    sim.step(action)
-    moved = (sim.positions - before)[0] / scenario.tau
-    np.testing.assert_allclose(moved[3], rotation(2) @ [1.0, 2.0], rtol=1e-6)
-    assert not moved[[0, 1, 2, 4]].any()
-
-
 def test_relabelling_the_robots_permutes_the_trajectories():
     """The others before anyone merges, for then the lower index keeps its heading."""
     order = np.array([3, 0, 4, 2, 1])
@@ -193,16 +167,6 @@ def test_the_place_in_the_batch_and_the_number_of_threads_do_not_matter(name, wi
     for x, y in zip(one[:2], two[:2], strict=True):
         np.testing.assert_array_equal(y, x[:, order])
     assert_same_state(two[2], {name: x[order] for name, x in one[2].get_state().items()})
-
-
-def test_a_bad_action_in_the_last_block_changes_none(monkeypatch):
-    monkeypatch.setattr(batch_runner, "_WORK_PER_THREAD", 1)
-    sim = Simulator(BATCHED["unicycle"], 40, num_threads=2)
-    sim.reset(3)
-    actions = np.ones((40, 5, 2), np.float32)
-    actions[39, 4, 1] = np.nan
-    with refusing(sim, r"robot_4 in team 39 is \[1\.0, nan\]"):
-        sim.step(actions)
 
 
 # ---- seeds and episodes -------------------------------------------------------------------------

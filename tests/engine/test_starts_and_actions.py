@@ -129,13 +129,12 @@ def test_bad_seeds_and_masks_are_refused_and_change_nothing():
             sim.reset(mask=mask)
 
 
-def test_a_start_without_room_is_refused_and_changes_nothing():
-    crowded = five("unicycle", spawn_size=0.3, graph=graphs.complete())
-    sim = Simulator(crowded, 3)
-    sim.reset(0, {"positions": STARTS[2][0]})
+def test_if_one_team_finds_no_room_none_starts_anew():
+    sim = Simulator(five("unicycle", spawn_size=0.8, graph=graphs.complete()), 3)
+    sim.reset([0, 1, 4])
     sim.step(np.ones((3, 5, 2)))
-    with refusing(sim, r"no room for the start of team 0.*spawn_size of 0\.3", RuntimeError):
-        sim.reset(5)
+    with refusing(sim, r"no room for the start of team 2.*spawn_size of 0\.8", RuntimeError):
+        sim.reset([4, 9, 2])
 
 
 def test_actions_that_may_not_be_written_to_are_taken_and_compile_nothing():
@@ -152,14 +151,6 @@ def test_actions_that_may_not_be_written_to_are_taken_and_compile_nothing():
     np.testing.assert_array_equal(outcomes[0].observations, outcomes[1].observations)
 
 
-def test_if_one_team_finds_no_room_none_begins_anew():
-    sim = Simulator(five("unicycle", spawn_size=0.8, graph=graphs.complete()), 3)
-    sim.reset([0, 1, 4])
-    sim.step(np.ones((3, 5, 2)))
-    with refusing(sim, "no room for the start of team 2", RuntimeError):
-        sim.reset([4, 9, 2])
-
-
 def test_a_step_before_the_first_reset():
     with pytest.raises(RuntimeError, match="call reset"):
         Simulator(five("unicycle")).step(np.zeros((1, 5, 2)))
@@ -167,10 +158,11 @@ def test_a_step_before_the_first_reset():
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_actions_that_are_not_finite_change_nothing(kind, value):
-    sim = halfway(kind)
-    actions = np.ones((20, 5, sim.scenario.action_size), np.float32)
-    actions[6, 3, 1] = value
-    with refusing(sim, r"action of robot_3 in team 6 is .* must be finite"):
+    sim = Simulator(five(kind), 40)  # two blocks
+    sim.reset(6)
+    actions = np.ones((40, 5, sim.scenario.action_size), np.float32)
+    actions[38, 3, 1] = value
+    with refusing(sim, r"action of robot_3 in team 38 is .* must be finite"):
         sim.step(actions)
     with refusing(sim, r"actions have shape \(5, 2\); they must be \(B, n, a\)"):
         sim.step(np.ones((5, 2)))

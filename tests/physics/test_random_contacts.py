@@ -28,37 +28,21 @@ def free_arcs(inputs, dim):
     return np.array([arc(dim, *row) for row in inputs])
 
 
-def signed_distances(obstacles, points):
-    """Distance (P, M) of points to the surfaces, negative inside, without this project's code."""
-    columns = []
-    for obstacle in obstacles:
-        if isinstance(obstacle, Polygon):
-            shape, at = shapely.Polygon(obstacle.vertices), shapely.points(points)
-            depth = shapely.distance(shape.boundary, at)
-            columns.append(np.where(shapely.contains(shape, at), -depth, depth))
-        else:
-            columns.append(np.linalg.norm(points - obstacle.centre, axis=1) - obstacle.radius)
-    return np.stack(columns, axis=1)
-
-
 def depths(obstacles, points):
-    """How deep inside the deepest obstacle points are, (P,); negative outside of all."""
+    """How deep inside the deepest obstacle points are, (P,), without this project's code; outside
+    of all minus the distance to the nearest, or less beyond a corner.
+    """
     deepest = np.full(len(points), -np.inf)
     for obstacle in obstacles:
         if isinstance(obstacle, Polygon):
-            corners, normals = polygon_edges(obstacle)
+            corners = np.array(obstacle.vertices)
+            edges = np.roll(corners, -1, axis=0) - corners
+            normals = np.c_[edges[:, 1], -edges[:, 0]] / np.linalg.norm(edges, axis=1)[:, None]
             depth = -(points @ normals.T - np.sum(corners * normals, axis=1)).max(axis=1)
         else:
             depth = obstacle.radius - np.linalg.norm(points - obstacle.centre, axis=1)
         deepest = np.maximum(deepest, depth)
     return deepest
-
-
-def polygon_edges(polygon):
-    """First corners and outward normals of all edges, each (V, 2)."""
-    corners = np.array(polygon.vertices)
-    edges = np.roll(corners, -1, axis=0) - corners
-    return corners, np.c_[edges[:, 1], -edges[:, 0]] / np.linalg.norm(edges, axis=1)[:, None]
 
 
 def goes_deeper(obstacles, starts, ends, depth):
@@ -149,7 +133,7 @@ class TestManyStraightMotions:
     def test_none_ends_inside(self, straight_motions, mode):
         scenes, _, starts, _, moved = straight_motions
         for scene, start, out in zip(scenes, starts, moved[mode][0], strict=True):
-            assert signed_distances(scene, start + out).min() > -1e-12
+            assert depths(scene, start + out).max() < 1e-12
 
     def test_contact_is_a_path_deeper_than_a_micron(self, straight_motions):
         scenes, _, starts, displacements, moved = straight_motions
@@ -167,8 +151,7 @@ class TestManyStraightMotions:
         for s, scene in enumerate(scenes):
             ends = starts[s] + stopped[s]
             assert not np.any(goes_deeper(scene, starts[s], ends, MICRON * 1.001))
-            distances = signed_distances(scene, ends).min(axis=1)
-            assert np.all(distances[contact[s]] < 1e-12)
+            assert np.all(depths(scene, ends)[contact[s]] > -1e-12)
         assert 0.2 < contact.mean() < 0.9
 
     def test_free_motion_is_exactly_what_was_asked(self, straight_motions):
@@ -213,7 +196,7 @@ class TestManyCurvedMotions:
     def test_none_ends_inside(self, curved_motions, mode):
         scenes, starts, _, moved = curved_motions
         for scene, start, out in zip(scenes, starts, moved[mode][0], strict=True):
-            assert signed_distances(scene, start + out).min() > -1e-12
+            assert depths(scene, start + out).max() < 1e-12
 
     def test_free_arcs_are_exact(self, curved_motions):
         _, starts, inputs, moved = curved_motions
@@ -236,7 +219,7 @@ class TestManyCurvedMotions:
                 end = starts[s, i] + stopped[s, i]
                 spacing = abs(inputs[s, i, 0]) * inputs[s, i, 5] / 2000
                 assert depth.max() > 0.7 * MICRON - spacing
-                assert signed_distances(scene, end[None]).min() < 2e-7
+                assert depths(scene, end[None]) > -2e-7
                 before = np.argmax(depth > MICRON * 1.001) if depth.max() > MICRON * 1.001 else -1
                 gaps = np.linalg.norm(path[:before] - end, axis=1)
                 assert gaps.min(initial=np.inf) < spacing + 2e-6
