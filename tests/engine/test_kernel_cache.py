@@ -80,7 +80,8 @@ def python(script: str, folder: Path, **environment: str) -> subprocess.Complete
     )
 
 
-def test_an_edit_of_an_inlined_kernel_is_noticed_and_one_of_its_docstring_is_not(tmp_path):
+def test_code_is_kept_apart_by_what_it_was_made_from_until_nobody_has_used_it_for_long(tmp_path):
+    """An edit of an inlined kernel is noticed, one of a docstring is not."""
     package(tmp_path, 0.5)
     assert call(tmp_path) == (6.0, 0, 1)
     text = OUTER.replace("    return", '    """Half and one."""  # more lines\n\n    return')
@@ -90,6 +91,11 @@ def test_an_edit_of_an_inlined_kernel_is_noticed_and_one_of_its_docstring_is_not
     assert call(tmp_path) == (3.5, 0, 1)
     package(tmp_path, 0.5)  # as another version beside this one, whose code is still there
     assert call(tmp_path) == (6.0, 1, 0)
+    assert call(tmp_path, NUMBA_BOUNDSCHECK="1") == (6.0, 0, 1)  # kept apart
+    (ancient, *_) = (tmp_path / "kernels").glob("half-*")
+    os.utime(ancient, (0, 0))  # nobody has used it for long
+    assert call(tmp_path) == (6.0, 1, 0)
+    assert not ancient.exists()
 
 
 def test_an_edit_of_whatever_a_kernel_freezes_is_noticed(tmp_path):
@@ -203,15 +209,6 @@ def test_code_for_a_type_is_made_from_the_functions_that_it_chooses(tmp_path, mo
     assert misses() == misses() == 1  # no later process finds a type of the script that is run
 
 
-def test_what_nobody_used_for_long_is_removed(tmp_path):
-    package(tmp_path, 0.5)
-    call(tmp_path)
-    (ancient,) = (tmp_path / "kernels").glob("half-*")
-    os.utime(ancient, (0, 0))
-    assert call(tmp_path) == (6.0, 1, 0)
-    assert not ancient.exists()
-
-
 @pytest.mark.parametrize("chosen", [False, True], ids=["folder and home", "NUMBA_CACHE_DIR"])
 def test_a_cache_that_cannot_be_written_to_gives_one_warning(tmp_path, chosen):
     package(tmp_path, 0.5)
@@ -256,10 +253,3 @@ def test_damaged_code_is_compiled_anew(tmp_path):
             file.write_bytes(kinds.get(damage, bytes(content)))
         assert call(tmp_path) == (6.0, 0, 1)
     assert call(tmp_path) == (6.0, 1, 0)  # and kept
-
-
-def test_bounds_checked_code_is_kept_apart(tmp_path):
-    package(tmp_path, 0.5)
-    call(tmp_path, NUMBA_BOUNDSCHECK="0")
-    assert call(tmp_path, NUMBA_BOUNDSCHECK="1") == (6.0, 0, 1)
-    assert call(tmp_path, NUMBA_BOUNDSCHECK="0") == (6.0, 1, 0)

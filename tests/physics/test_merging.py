@@ -12,7 +12,16 @@ from rendezvous_env import Disc, Scenario, Simulator
 from rendezvous_env.graphs.merging import merge_swept
 from rendezvous_env.safety.lyapunov import lyapunov
 
-CHAIN = np.array([[0, 2.0, 0, 0], [2.0, 0, 0.5, 0], [0, 0.5, 0, 1.0], [0, 0, 1.0, 0]])
+
+def linked(n, *links):
+    """Weights of links (i, j, a) among n robots."""
+    weights = np.zeros((n, n))
+    for i, j, a in links:
+        weights[i, j] = weights[j, i] = a
+    return weights
+
+
+CHAIN = linked(4, (0, 1, 2.0), (1, 2, 0.5), (2, 3, 1.0))
 
 
 class Moved:
@@ -63,7 +72,7 @@ def test_a_pair_merges_where_it_first_touches_and_rests():
     here = np.array([[2, 0], [3, 0], [50, 1.5], [60, 0]])
     assert moved.report[0] == pytest.approx(lyapunov(here, CHAIN))
     after = np.array([[2.5, 0], [2.5, 0], [50, 1.5], [60, 0]])
-    contracted = np.array([[0, 0, 0.5, 0], [0, 0, 0, 0], [0.5, 0, 0, 1], [0, 0, 1, 0]])
+    contracted = linked(4, (0, 2, 0.5), (2, 3, 1.0))
     np.testing.assert_array_equal(moved.weights, contracted)
     assert moved.report[1] == pytest.approx(lyapunov(after, contracted))
     assert moved.report[2] == 0 and moved.report[3] == 0
@@ -115,29 +124,15 @@ def test_chains_that_stand_within_r_collapse():
 
 
 def test_the_merged_robot_has_the_union_of_the_links_with_the_larger_weight():
-    weights = np.array(
-        [
-            [0, 1, 0.5, 0, 0],
-            [1, 0, 0.9, 0.3, 0],
-            [0.5, 0.9, 0, 0, 2],
-            [0, 0.3, 0, 0, 0],
-            [0, 0, 2, 0, 0],
-        ]
-    )  # fmt: skip
+    weights = linked(5, (0, 1, 1), (0, 2, 0.5), (1, 2, 0.9), (1, 3, 0.3), (2, 4, 2))
     moved = Moved([[0, 0], [0.5, 0], [20, 0], [0, 20], [-20, 0]], np.zeros((5, 2)), weights)
-    expected = np.zeros((5, 5))
-    expected[0, 2] = expected[2, 0] = 0.9
-    expected[0, 3] = expected[3, 0] = 0.3
-    expected[2, 4] = expected[4, 2] = 2
+    expected = linked(5, (0, 2, 0.9), (0, 3, 0.3), (2, 4, 2))
     np.testing.assert_array_equal(moved.weights, expected)
 
 
 def test_merged_into_follows_the_survivor_through_several_merges():
-    weights = np.zeros((4, 4))
-    for i, j in ((2, 3), (1, 2), (0, 1)):
-        weights[i, j] = weights[j, i] = 1
     apart = Scenario(
-        n_robots=4, graph=weights, merge_radius=1.0, local_frames="global", max_speed=9.0
+        n_robots=4, graph="path", merge_radius=1.0, local_frames="global", max_speed=9.0
     )
     sim = Simulator(apart)
     sim.reset(0, {"positions": [[0.0, 0], [4, 0], [8, 0], [8.5, 0]]})
@@ -161,15 +156,12 @@ def test_at_the_lower_index_if_the_midpoint_lies_in_an_obstacle():
 
 def test_a_merge_can_raise_v_and_the_bound_knows_by_how_much():
     """0 and 1 hang on far robots that pull both ways: joining them costs length."""
-    weights = np.zeros((6, 6))
-    for i, j, a in ((0, 1, 0.2), (0, 2, 1.0), (0, 3, 1.0), (1, 4, 1.0), (1, 5, 1.0)):
-        weights[i, j] = weights[j, i] = a
+    weights = linked(6, (0, 1, 0.2), (0, 2, 1.0), (0, 3, 1.0), (1, 4, 1.0), (1, 5, 1.0))
     positions = np.array([[-0.4, 0], [0.4, 0], [-0.4, 9], [-0.4, -9], [0.4, 9], [0.4, -9]])
     moved = Moved(positions, np.zeros((6, 2)), weights)
     rise = moved.report[1] - moved.report[0]
     by_hand = 2 * (4 * (np.hypot(0.4, 9) - 9) - 0.2 * 0.8)
     assert rise == pytest.approx(by_hand)
-    moved.report[2] = 0
     tight = Moved(positions * [1, 0.05], np.zeros((6, 2)), weights)
     assert tight.report[2] > 0.1  # a real rise …
     assert tight.report[3] <= 0  # … within r max(0, D_i + D_j − 4 a_ij) = 4.4 − 0.8
@@ -178,9 +170,7 @@ def test_a_merge_can_raise_v_and_the_bound_knows_by_how_much():
 @pytest.mark.parametrize("in_an_obstacle", [False, True])
 def test_the_bound_is_attained_by_four_robots_on_a_line(in_an_obstacle):
     """Midpoint: r (D_1 + D_2 − 4 a_12); the lower index's place: r (2 max D − 4 a_12)."""
-    weights = np.zeros((4, 4))
-    for i, j, a in ((0, 1, 0.2), (0, 2, 1.0), (1, 3, 1.5)):
-        weights[i, j] = weights[j, i] = a
+    weights = linked(4, (0, 1, 0.2), (0, 2, 1.0), (1, 3, 1.5))
     disc = world([Disc((0.5, 0.0), 0.05)]) if in_an_obstacle else None
     start = [[0, 0], [1, 0], [-9, 0], [9, 0]]
     moved = Moved(start, np.zeros((4, 2)), weights, disc)
