@@ -187,40 +187,34 @@ STEP = {"time_step": 0.015, "allow_long_step": True, "max_speed": 3.0, "neighbou
 """The same for graphs whose worst cases are known less well than an undirected one's."""
 
 
-def test_a_symmetric_matrix_of_arcs_is_the_undirected_graph():
-    for slots in (4, 3):  # a row for each robot, or those present first
-        same = STEP | {"neighbour_slots": slots}
-        plain = played(graph=UNEQUAL, **same)
-        assert_same(played(graph=graphs.directed(UNEQUAL), **same), plain)
+MATRIX = graphs.directed(UNEQUAL)
+SIGHTED = rv.Sensing(noise=0.1, range=3.0, field_of_view=4.0, occlusion="robots", sectors=16)
+FAR = rv.Sensing(range=1e3, noise=0.1, bias=0.05, dropout=0.1, delay=1)
+BALLS = rv.ObstacleField(count=3, radius=(0.3, 0.6), region=5.0, keep_out=0.3)
+DRAWN = graphs.path((0.5, 2.0))
+ALIKE = {
+    "arcs both ways": (UNEQUAL, MATRIX, {}),
+    "those present first": (UNEQUAL, MATRIX, {"neighbour_slots": 3}),
+    "a list of one": (DRAWN, graphs.switching([DRAWN], 0.3), {}),
+    "far sight": (graphs.complete((0.5, 2)), graphs.proximity((0.5, 2)), {"sensing": FAR}),
+    "a sensor": (UNEQUAL, graphs.switching([MATRIX], 0.3), {"sensing": SIGHTED}),
+    "a sensor, those present first": (
+        *(UNEQUAL, graphs.switching([MATRIX], 0.3)),
+        {"sensing": SIGHTED, "neighbour_slots": 3},
+    ),
+    # the first ray of a silhouette stands on f
+    "space": (UNEQUAL, MATRIX, {"dim": 3, "obstacles": BALLS}),
+}
+"""Undirected graphs, the same said in another way, and what of a scenario goes with them."""
 
 
-@pytest.mark.slow
-def test_arcs_in_space_turn_silhouettes_as_links_do():
-    """The first ray of a silhouette stands on f."""
-    field = rv.ObstacleField(count=3, radius=(0.3, 0.6), region=5.0, keep_out=0.3)
-    same = STEP | {"dim": 3, "obstacles": field}
-    plain = played(graph=UNEQUAL, **same)
-    assert_same(played(graph=graphs.directed(UNEQUAL), **same), plain)
-
-
-def test_a_list_of_one_graph_is_that_graph_with_weights_drawn_alike():
-    plain = graphs.path((0.5, 2.0))
-    alone = played(graph=plain, **STEP)
-    assert_same(played(graph=graphs.switching([plain], 0.3), **STEP), alone)
-
-
-def test_far_sight_is_the_complete_graph_with_every_error_of_the_sensor():
-    sensing = rv.Sensing(range=1e3, noise=0.1, bias=0.05, dropout=0.1, delay=1)
-    plain = played(graph=graphs.complete((0.5, 2.0)), sensing=sensing, **STEP)
-    assert_same(played(graph=graphs.proximity((0.5, 2.0)), sensing=sensing, **STEP), plain)
-
-
-def test_a_sensor_errs_along_arcs_as_along_links():
-    sensing = rv.Sensing(noise=0.1, range=3.0, field_of_view=4.0, occlusion="robots", sectors=16)
-    arcs = graphs.switching([graphs.directed(UNEQUAL)], 0.3)
-    for slots in (4, 3):
-        same = STEP | {"neighbour_slots": slots, "sensing": sensing}
-        assert_same(played(graph=arcs, **same), played(graph=UNEQUAL, **same))
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "space")) for n in ALIKE]
+)
+def test_an_undirected_graph_moves_alike_however_it_is_said(name):
+    undirected, same, fields = ALIKE[name]
+    fields = STEP | fields
+    assert_same(played(graph=same, **fields), played(graph=undirected, **fields))
 
 
 # ---- what is one-way ----------------------------------------------------------------------------

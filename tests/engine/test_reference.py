@@ -30,7 +30,6 @@ GRAPHS = {"unequal": UNEQUAL, "complete": np.ones((5, 5)) - np.eye(5)}
 RADIUS = 0.25
 TOLERANCE = {"single_integrator": 1e-3, "unicycle": 5e-3, "nonholonomic_3d": 5e-3}
 TIME_TOLERANCE = {"single_integrator": 0.01, "unicycle": 0.03, "nonholonomic_3d": 0.03}
-CASES = [(kind, graph) for kind in MODELS for graph in GRAPHS]
 
 
 class Reference(NamedTuple):
@@ -168,44 +167,23 @@ def rendezvous_time(scenario: Scenario) -> float:
     return float(simulator.time[0])
 
 
-@pytest.fixture(scope="module")
-def reference():
-    """The reference solution of a case, computed once."""
-    known: dict[tuple[str, str], Reference] = {}
-
-    def get(kind: str, graph: str) -> Reference:
-        if (kind, graph) not in known:
-            scenario = scenario_of(kind, graph, 1e-3)
-            start = start_of(scenario)
-            angles = start.get("headings", np.zeros((5, 0)))
-            known[kind, graph] = integrate(start["positions"], angles, GRAPHS[graph])
-        return known[kind, graph]
-
-    return get
-
-
-@pytest.mark.parametrize(("kind", "graph"), CASES)
-def test_positions_before_the_first_merge_and_order_of_convergence(kind, graph, reference):
-    expected = reference(kind, graph)
-    assert expected.first_merge > 0.5
-    assert expected.largest_pitch < 0.8
+@pytest.mark.parametrize("graph", GRAPHS)
+def test_positions_order_of_convergence_and_rendezvous_time(kind, graph):
+    scenario = scenario_of(kind, graph, 1e-3)
+    start = start_of(scenario)
+    angles = start.get("headings", np.zeros((5, 0)))
+    expected = integrate(start["positions"], angles, GRAPHS[graph])
+    assert expected.first_merge > 0.5 and expected.largest_pitch < 0.8
     errors = {}
     for tau in (2e-3, 1e-3):
-        scenario = scenario_of(kind, graph, tau)
         moment = math.floor(0.95 * expected.first_merge / 2e-3) * 2e-3 + 1e-9
-        time, places = positions_at(scenario, moment)
+        time, places = positions_at(scenario_of(kind, graph, tau), moment)
         assert time == pytest.approx(moment, abs=1e-6)
         errors[tau] = np.linalg.norm(places - expected.positions(time), axis=-1).max()
-    assert errors[1e-3] < TOLERANCE[MODELS[kind]["robot_model"]]
+    assert errors[1e-3] < TOLERANCE[scenario.robot_model]
     assert errors[2e-3] / errors[1e-3] == pytest.approx(2, rel=0.1)
-
-
-@pytest.mark.parametrize(("kind", "graph"), CASES)
-def test_rendezvous_time(kind, graph, reference):
-    expected = reference(kind, graph)
-    measured = rendezvous_time(scenario_of(kind, graph, 1e-3))
-    tolerance = TIME_TOLERANCE[MODELS[kind]["robot_model"]]
-    assert measured == pytest.approx(expected.rendezvous, rel=tolerance)
+    tolerance = TIME_TOLERANCE[scenario.robot_model]
+    assert rendezvous_time(scenario) == pytest.approx(expected.rendezvous, rel=tolerance)
 
 
 def test_the_reference_itself_on_a_case_in_closed_form():

@@ -19,7 +19,7 @@ from rendezvous_env.obstacles.polygon import Polygon
 from rendezvous_env.robots.nonholonomic_3d import Nonholonomic3D
 from rendezvous_env.robots.unicycle import Unicycle
 
-MICRON = 1e-6
+MICRON, HALF = 1e-6, math.sqrt(0.5)
 WALL = Polygon(((-20, 0), (20, 0), (20, 2), (-20, 2)))  # free below y = 0
 
 
@@ -65,33 +65,23 @@ class TestStraightByHand:
     DISC = Disc((3, 0), 1)
 
     @pytest.mark.parametrize(
-        ("mode", "end", "contact"),
-        [(SLIDE, (2, 0), True), (STOP, (2, 0), True), (IGNORE, (5, 0), False)],
-    )
-    def test_head_on_into_a_disc(self, mode, end, contact):
-        found, touched = straight((0, 0), (5, 0), [self.DISC], mode)
-        np.testing.assert_allclose(found, end, atol=1e-12)
-        assert touched == contact
-
-    def test_slide_on_a_disc_leaves_along_the_tangent(self):
-        # meets the disc at (3, 1) + (-s, -s), s = 0.5^0.5, moving right; tangent (1, 1)/√2
-        start = np.array([0.0, math.sqrt(0.5)])
-        touch = np.array([3 - math.sqrt(0.5), math.sqrt(0.5)])
-        end, contact = straight(start, (5, 0), [self.DISC])
-        left = 5 - touch[0]
-        np.testing.assert_allclose(end, touch + left * np.array([0.5, 0.5]), atol=1e-12)
-        assert contact
-
-    @pytest.mark.parametrize(
-        ("mode", "end", "contact"),
+        ("start", "displacement", "obstacle", "mode", "end", "contact"),
         [
-            (SLIDE, (4, 0), True),
-            (STOP, (1, 0), True),
-            (IGNORE, (4, 3), False),
+            ((0, 0), (5, 0), DISC, SLIDE, (2, 0), True),  # head on
+            ((0, 0), (5, 0), DISC, STOP, (2, 0), True),
+            ((0, 0), (5, 0), DISC, IGNORE, (5, 0), False),
+            # it meets the disc at (3, 1) + (−s, −s), s = √½, and leaves along (1, 1)/√2
+            ((0, HALF), (5, 0), DISC, SLIDE, (4 - HALF / 2, 1 + 1.5 * HALF), True),
+            ((0, -1), (4, 4), WALL, SLIDE, (4, 0), True),  # diagonally
+            ((0, -1), (4, 4), WALL, STOP, (1, 0), True),
+            ((0, -1), (4, 4), WALL, IGNORE, (4, 3), False),
+            ((0.1, 0), (1, 1), WALL, STOP, (0.1, 0), True),  # inward at the surface
+            ((0.1, 0), (1, 1), WALL, SLIDE, (1.1, 0), True),
+            ((14, -1), (10, 2), WALL, SLIDE, (24, 0), True),  # past the end of an edge
         ],
     )
-    def test_diagonally_into_a_wall(self, mode, end, contact):
-        found, touched = straight((0, -1), (4, 4), [WALL], mode)
+    def test_against_a_disc_and_a_wall(self, start, displacement, obstacle, mode, end, contact):
+        found, touched = straight(start, displacement, [obstacle], mode)
         np.testing.assert_allclose(found, end, atol=1e-12)
         assert touched == contact
 
@@ -105,19 +95,6 @@ class TestStraightByHand:
             end, contact = straight((2, 0), displacement, [self.DISC], mode)
             assert tuple(end) == (2 + displacement[0], displacement[1])
             assert not contact
-
-    def test_at_the_surface_inward_stops_or_slides(self):
-        end, contact = straight((0.1, 0), (1, 1), [WALL], STOP)
-        assert tuple(end) == (0.1, 0.0)
-        assert contact
-        end, contact = straight((0.1, 0), (1, 1), [WALL], SLIDE)
-        np.testing.assert_allclose(end, (1.1, 0), atol=1e-12)
-        assert contact
-
-    def test_past_the_end_of_an_edge_it_goes_straight_on(self):
-        end, contact = straight((14, -1), (10, 2), [WALL])
-        np.testing.assert_allclose(end, (24, 0), atol=1e-12)
-        assert contact
 
     @pytest.mark.parametrize(
         ("depth", "contact"), [(0.99e-6, False), (1.01e-6, True), (-1e-9, False)]
@@ -200,27 +177,24 @@ def half_plane(angle, left=True):
 
 
 class TestCurvedByHand:
-    DISC = Disc((0, 0), 1)
+    DISC, BLOCK = Disc((0, 0), 1), Polygon(((0, -0.5), (9, -0.5), (9, 5), (0, 5)))
 
-    def test_a_straight_arc_stops_where_the_line_does(self):
-        for mode in (SLIDE, STOP):
-            out, contact = curved((-3, 0), 2.0, 0.0, 0.0, 2.0, [self.DISC], mode)
-            np.testing.assert_allclose(out, (2, 0), atol=1e-12)
-            assert contact
-        out, contact = curved((-3, 0), 2.0, 0.0, 0.0, 2.0, [self.DISC], IGNORE)
-        assert tuple(out) == (4, 0)
-        assert not contact
-
-    def test_quarter_circle_into_a_wall(self):
-        # radius 2 about (0, -1): starts at (0, -3) to the right, meets y = -0.5 at sin φ = 1/4
-        wall = Polygon(((0, -0.5), (9, -0.5), (9, 5), (0, 5)))
-        out, contact = curved((0, -3), 2.0, 0.0, 1.0, math.pi, [wall], STOP)
-        np.testing.assert_allclose(out, (2 * math.sqrt(15 / 16), 2.5), atol=2e-7)
-        assert contact
-        # free end (0, 1): the chord from the contact to it is cut to its part along the wall
-        out, contact = curved((0, -3), 2.0, 0.0, 1.0, math.pi, [wall], SLIDE)
-        np.testing.assert_allclose(out, (0, 2.5), atol=4e-7)
-        assert contact
+    # a quarter circle of radius 2 about (0, −1) starts at (0, −3) to the right and meets y = −0.5
+    # at sin φ = 1/4; its free end is (0, 1), and the chord to it is cut to its part along the wall
+    @pytest.mark.parametrize(
+        ("start", "turn", "obstacle", "mode", "way", "contact"),
+        [
+            ((-3, 0), 0.0, DISC, SLIDE, (2, 0), True),
+            ((-3, 0), 0.0, DISC, STOP, (2, 0), True),
+            ((-3, 0), 0.0, DISC, IGNORE, (2 * math.pi, 0), False),
+            ((0, -3), 1.0, BLOCK, STOP, (2 * math.sqrt(15 / 16), 2.5), True),
+            ((0, -3), 1.0, BLOCK, SLIDE, (0, 2.5), True),
+        ],
+    )
+    def test_for_pi_seconds_at_2_metres_a_second(self, start, turn, obstacle, mode, way, contact):
+        out, touched = curved(start, 2.0, 0.0, turn, math.pi, [obstacle], mode)
+        np.testing.assert_allclose(out, way, atol=4e-7 if turn else 1e-12)
+        assert touched == contact
 
     @pytest.mark.parametrize("speed", [0.5, -0.5])
     @pytest.mark.parametrize("turn", [0.0, -3.0, 0.4])
