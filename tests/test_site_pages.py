@@ -165,15 +165,6 @@ def test_the_reference_begins_with_what_is_looked_for_first(pages):
     assert next(name for package, name in names if package == "baselines") == "make"
 
 
-WORDS = "install video epsilon centralised benchmark GPU reward shield".split()
-
-
-def test_the_words_of_others_are_told():
-    told = (ROOT / "docs/faq.md").read_text(encoding="utf-8")
-    assert [word for word in WORDS if word not in told] == []
-    assert 'PPO("MlpPolicy", make_vec(...))' in told
-
-
 def test_the_sample_of_a_scenario_file_is_read(tmp_path):
     (text,) = re.findall(
         r"```toml\n(.*?)```", (ROOT / "docs/faq.md").read_text(encoding="utf-8"), re.DOTALL

@@ -187,14 +187,12 @@ class TestErrors:
         assert "the file differs from the policy by" in capsys.readouterr().err
         assert path.read_bytes() == b"before" and len(list(tmp_path.iterdir())) == 1
 
-    @pytest.mark.parametrize("altered", [1, 20])
-    def test_a_damaged_file_drives_no_robot(self, exported, altered, tmp_path):
+    def test_a_damaged_file_drives_no_robot(self, exported, tmp_path):
         content = (exported / "learned.onnx").read_bytes()
-        random = np.random.default_rng(altered)
-        for _ in range(40):
+        random = np.random.default_rng(1)
+        for place in random.integers(0, len(content), 40):
             damaged = bytearray(content)
-            for place in random.integers(0, len(content), altered):
-                damaged[place] ^= 1 << int(random.integers(8))
+            damaged[place] ^= 1 << int(random.integers(8))
             refused(tmp_path / "x.onnx", damaged, r"x\.onnx: .*digest")
 
     def test_not_a_byte_of_the_digest_and_its_name_may_change(self, exported, tmp_path):

@@ -197,7 +197,7 @@ def seal(folder, *more):
         return
 
 
-@cases(60, 500)
+@cases(60, 250)
 def test_damaged_result_folders(count, compared_files, tmp_path, capsys):
     @tried(count, st.lists(damages(len(compared_files)), min_size=1, max_size=2))
     def _(found):
@@ -241,7 +241,7 @@ def sign(folder):
 
 
 class TestRuns:
-    @cases(25, 250)
+    @cases(25, 100)
     def test_damaged_files(self, count, run_files, tmp_path, capsys):
         folder = tmp_path / "run"
 
@@ -252,7 +252,7 @@ class TestRuns:
                 sign(folder)
             said_by(["train", "--resume", folder], tmp_path, capsys)
 
-    @cases(40, 400)
+    @cases(40, 200)
     def test_damaged_policies(self, count, run_files, tmp_path, capsys):
         """What ``learned:PATH`` reads."""
         place = checkpoints.find(lay(tmp_path / "run", run_files))
@@ -333,7 +333,7 @@ def no_work(monkeypatch):
     monkeypatch.setattr(leaderboard, "write", lambda *given: None)
 
 
-@cases(150, 500)
+@cases(150, 300)
 def test_command_lines(count, no_work, tmp_path, capsys, monkeypatch):
     work = tmp_path / "work"
     work.mkdir()

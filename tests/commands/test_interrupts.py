@@ -7,8 +7,10 @@ import sys
 import time
 from itertools import product
 
+import numpy as np
 import pytest
 
+from baselines.obstacle_rules.merged_silhouettes_2d import TWO_PI, counter_clockwise
 from train import cli, interrupts
 
 COMMANDS = {
@@ -132,3 +134,12 @@ class TestInside:
         assert cli.main(["verify"]) == 2
         said = capsys.readouterr().err
         assert words in said and said.count("\n") == 1
+
+
+def test_a_kernel_that_turns_an_angle_turn_by_turn_ends():
+    for turns in (-40, -16, -3, -1, 0, 1, 2, 15.9, 16, 1e6):
+        angle = 1.25 + turns * TWO_PI
+        found = counter_clockwise(angle)
+        assert 0 <= found < TWO_PI
+        assert np.exp(1j * found) == pytest.approx(np.exp(1j * angle), abs=1e-9)
+    assert np.isnan([counter_clockwise(x) for x in (np.inf, -np.inf, np.nan)]).all()

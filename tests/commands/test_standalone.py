@@ -82,14 +82,13 @@ class TestAgreement:
         ("policy", "name"),
         [
             *SPACE,
-            *product(POLICIES, ["clutter-8", "trap"]),
-            *product(["learned", "learned-tank", "bearing-only"], ["random-10", "robotarium-10"]),
+            *product(POLICIES, ["trap"]),
+            *product(["learned-tank", "bearing-only"], ["robotarium-10"]),
         ],
     )
     def test_whole_episodes(self, exported, policy, name):
         file, scenario = standalone.load(exported(policy, name)), rv.scenarios.get(name)
-        for seed in (1, 2):
-            assert act_along(file, scenario, policy, seed, 10_000) < 1e-5
+        assert act_along(file, scenario, policy, 1, 10_000) < 1e-5
 
     def test_reset_begins_anew_and_bad_measurements_are_named(self, exported):
         file = standalone.load(exported("learned-tank"))

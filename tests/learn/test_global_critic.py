@@ -8,7 +8,6 @@ import torch
 from gymnasium.vector import AutoresetMode
 
 import rendezvous_env as rv
-from baselines.learned.numpy_actor import NumpyActor
 from baselines.learned.training_environment import FeatureVectorEnv
 from rendezvous_env.adapters.slots import of_one_robot
 from train.learn.networks import FAR, GlobalStateLayout
@@ -111,13 +110,3 @@ def test_only_the_critic_reads_it(memory):
             made(each)
             kept.append(made.hidden)
         assert torch.equal(*kept) and kept[0].any()
-    critics = {"team_net", "field_net", "value_net"}
-    needed = {
-        name: value.detach().numpy()
-        for name, value in made.state_dict().items()
-        if not critics & set(name.split("."))
-    }
-    assert len(needed) < len(made.state_dict())
-    ours = NumpyActor(needed, config.policy_settings(), env.layout)
-    preferences = ours.preferences(seen[:, : env.layout.size].numpy())
-    np.testing.assert_allclose(preferences, before, atol=2e-5)

@@ -10,12 +10,10 @@ from rendezvous_env.safety.heading import flexible_velocity
 from rendezvous_env.safety.lyapunov import net_bearings
 
 SCENARIO = rv.scenarios.get("rotating-paths").replace(local_frames="global")
-MARGINS = np.array([0.1, 0.3, 0.26, 0.29, 0.1])
-SCALES = np.array([1.0, 1.0, 10.0, 10.0, 1.0])
+MARGINS = np.array([0.1, 0.3, 0.26, 0.29])
+SCALES = np.array([1.0, 1.0, 10.0, 10.0])
 """The effect of a held step falls with the size of the team: beside the threshold it must be
 large."""
-CONE = 4
-"""The team whose headings lie in the cone of their bearings."""
 
 
 class Growing:
@@ -37,8 +35,6 @@ class Growing:
                 dead_zone=SCENARIO.dead_zone,
                 max_turn=np.inf,
             )
-        rows = observations[CONE, :, SCENARIO.observation_layout.neighbours]
-        self.previous[CONE] = in_cone(rows.astype(float), f[CONE], MARGINS[CONE])
         return flexible_velocity(f, self.previous)
 
 
@@ -57,23 +53,12 @@ def growing_side(f, gradient, margin):
     return np.where(better, left, right)
 
 
-def in_cone(rows, f, margin):
-    """The first bearing of every robot that keeps the margin, else f: always in the cone (C4)."""
-    found = f / np.maximum(np.linalg.norm(f, axis=-1, keepdims=True), 1e-12)
-    for i, seen in enumerate(rows):
-        for g in seen[np.linalg.norm(seen, axis=-1) > 0]:
-            if g @ f[i] >= margin * np.linalg.norm(f[i]):
-                found[i] = g
-                break
-    return found
-
-
 @pytest.fixture(scope="module")
 def sizes():
     """L of each team over time, (T + 1, B), m."""
     starts = SCALES[:, None, None] * np.array(SCENARIO.start_positions)
     policy = Growing()
-    found = rv.rollout(SCENARIO, policy, 0, num_envs=5, options={"positions": starts})
+    found = rv.rollout(SCENARIO, policy, 0, num_envs=4, options={"positions": starts})
     sides = found.positions - np.roll(found.positions, 1, axis=2)
     return np.linalg.norm(sides, axis=-1).sum(axis=-1)
 
@@ -92,8 +77,3 @@ def test_above_the_threshold_it_does_not_grow(sizes):
     assert sizes[:, 1].max() == sizes[0, 1] and sizes[-1, 1] < 0.3 * sizes[0, 1]
     assert sizes[-1, 2] > 1.05 * sizes[0, 2], "just below it"
     assert sizes[-1, 3] < 0.95 * sizes[0, 3], "just above it"
-
-
-def test_headings_in_the_cone_of_what_is_seen_never_let_it_grow(sizes):
-    assert np.diff(sizes[:, CONE]).max() <= 1e-9
-    assert sizes[-1, CONE] == 0.0, "all have met"
