@@ -56,9 +56,8 @@ def stopped(settings, after, error=KeyboardInterrupt):
 
 
 class TestGoingOn:
-    @pytest.mark.parametrize("after", [1, 4])
-    def test_every_bit_is_that_of_an_uninterrupted_run(self, after, whole, tmp_path, capsys):
-        out = tmp_path / "out"
+    def test_every_bit_is_that_of_an_uninterrupted_run(self, whole, tmp_path, capsys):
+        out, after = tmp_path / "out", 4
         notes = stopped(config(out), after).__notes__
         assert f"{after} finished tasks lie in {part_of(out)}" in notes[0] and not out.exists()
         assert compare.run(config(out)) == 0
