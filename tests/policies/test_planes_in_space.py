@@ -1,7 +1,5 @@
 """Cones of space as intervals of a plane, and the tuned rule that goes by them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

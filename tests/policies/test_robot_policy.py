@@ -165,13 +165,6 @@ class TestTime:
 
 
 class TestSight:
-    def test_the_counter_clockwise_edge_is_worked_out(self):
-        sight = RobotSight(CLUTTER.observation_layout, 3.0)
-        for edges in (unit(170, -170), unit(-170, 170)):
-            rows = sight.rows(unit(0), [edges], None)
-            seen = CLUTTER.observation_layout.split(rows).obstacles
-            np.testing.assert_allclose(seen[seen.any(axis=(1, 2))][0], unit(-170, 170), atol=1e-6)
-
     def test_obstacles_keep_their_slots(self):
         layout = CLUTTER.observation_layout
         sight = RobotSight(layout, 3.0)

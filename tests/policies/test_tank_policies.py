@@ -1,7 +1,5 @@
 """The joined rule under a tank: its ledger, its memory, and walls that law (4) cannot round."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -57,8 +55,9 @@ def test_v_and_the_ledger_fall_together_where_nothing_is_touched(name, budget, t
         assert (policy.levels >= 0).all()
         before, checked = total, checked + int(active[calm].sum())
     assert checked > least and away > least / 100
-    if name == "uav-clutter-16":
-        assert np.mean((simulator.status == RENDEZVOUS) & (simulator.contacts == 0)) > 0.8
+    if scenario.dim == 3:  # a slab, too, which a heading does not round
+        clean = np.mean((simulator.status == RENDEZVOUS) & (simulator.contacts == 0))
+        assert clean > (0.9 if name == "slab-3d" else 0.8)
 
 
 @pytest.mark.parametrize("field", ["clutter-8", "unicycle-clutter-24-slow"])
@@ -73,16 +72,6 @@ def test_a_bay_is_left_by_the_tank_and_not_by_a_heading(field):
         assert (simulator.status[0] == RENDEZVOUS) == meets and simulator.contacts[0] == 0
     first = simulator.initial_lyapunov[0]
     assert first < highest <= first + 2 * 50.0 or bay.robot_model == "unicycle"
-
-
-def test_a_slab_is_rounded_by_the_tank_and_not_by_a_heading():
-    slab, met = rv.scenarios.get("slab-3d"), {}
-    for name in ("tangent-joined", "tank-joined"):
-        simulator = Simulator(slab, 24)
-        for _ in run(simulator, baselines.make(name, slab), simulator.reset(0)):
-            pass
-        met[name] = np.mean((simulator.status == RENDEZVOUS) & (simulator.contacts == 0))
-    assert met["tangent-joined"] < 0.5 and met["tank-joined"] > 0.9
 
 
 def test_without_anything_in_the_way_it_goes_along_f():

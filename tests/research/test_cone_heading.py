@@ -1,7 +1,5 @@
 """Headings among the bearings: the projection, the margin, and the hull under law (4)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

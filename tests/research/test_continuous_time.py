@@ -1,7 +1,5 @@
 """The free integrator does by hand what it should, and what the environment does."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from continuous_time import Teams, Trial, integrate, outward

@@ -1,7 +1,5 @@
 """Claims tried in the free integrator hold, and are violated where something is made wrong."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import continuous_time_claims

@@ -63,7 +63,8 @@ def test_the_sight_of_the_reward_is_that_of_the_scenario(monkeypatch):
         return reward(positions, actions, sight)
 
     monkeypatch.setattr(field_tables, "reward", watched)
-    team = rv.scenarios.get("huettenrauch-20-sight-40").replace(time_limit=0.2)
+    sensing = rv.Sensing(range=40.0)
+    team = rv.Scenario(sensing=sensing, time_step=0.1, time_limit=0.2, allow_long_step=True)
     mean_reward(played(team, "zero", 1))
     assert asked == [40.0, 40.0]
 

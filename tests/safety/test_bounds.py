@@ -1,7 +1,5 @@
 """Theorems A, C and G by hand, and the facts that they rest on."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Theorems N, N1, N1', E[T], D and R by hand."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,12 +1,10 @@
 """What all safety filters have in common: batches, memory, robots alone, refusals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import five
 
-from rendezvous_env import Scenario, Simulator
+from rendezvous_env import Scenario, Sensing, Simulator, graphs
 from rendezvous_env.safety.gains import Gains
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.safety.links import LinkKeeping
@@ -109,20 +107,54 @@ def test_a_state_is_taken_as_a_whole(spoil, message):
     assert not tank.get_state()["held"].any() and (tank.levels == 3.0).all()
 
 
+LAW_4, THEOREM_G, THEOREM_R = r"law \(4\)", "theorem G", "theorem R"
+OTHER_ROBOTS = [
+    (Gains, "unicycle", THEOREM_G),
+    (Gains, "double_integrator", THEOREM_G),
+    (LinkKeeping, "unicycle", THEOREM_R),
+    (LinkKeeping, "nonholonomic_3d", THEOREM_R),
+    (LinkKeeping, "double_integrator", THEOREM_R),
+    (EnergyTank, "double_integrator", LAW_4),
+    (HeadingFilter, "double_integrator", LAW_4),
+]
+ONE_WAY = graphs.directed_cycle()
+SIGHT_THAT_IS_NOT_MUTUAL = [
+    ({"field_of_view": 3.0}, "field_of_view is 3 rad"),
+    ({"dropout": 0.1}, "dropout is 0.1"),
+    ({"occlusion": "robots"}, "occlusion is 'robots'"),
+    ({"occlusion": "obstacles"}, "occlusion is 'obstacles'"),
+]
+
+
 @pytest.mark.parametrize(
-    ("made", "models", "theorem"),
+    ("made", "changes", "options", "message"),
     [
-        (Gains, ("unicycle", "double_integrator"), "theorem G"),
-        (LinkKeeping, ("unicycle", "nonholonomic_3d", "double_integrator"), "theorem R"),
-        (EnergyTank, ("double_integrator",), r"law \(4\)"),
-        (HeadingFilter, ("double_integrator",), r"law \(4\)"),
+        *(
+            (made, {"robot_model": model, "dim": 3 if model == "nonholonomic_3d" else 2}, {},
+             f"scenario has {model} robots.*{theorem} needs")
+            for made, model, theorem in OTHER_ROBOTS
+        ),
+        *(
+            (LinkKeeping, {"sensing": Sensing(range=3.0, **sensing)}, {},
+             rf"scenario: sensing\.{field}; theorem R needs")
+            for sensing, field in SIGHT_THAT_IS_NOT_MUTUAL
+        ),
+        (LinkKeeping, {"graph": ONE_WAY}, {}, "graph is a directed one; theorem R needs"),
+        (LinkKeeping, {"graph": graphs.switching([ONE_WAY, "path"])}, {},
+         "graph is a switching one; theorem R needs"),
+        (HeadingFilter, {}, {"certified": False, "bearing_error": 0.1},
+         r"bearing_error is 0\.1; it must be 0 with certified=False"),
+        (Gains, {}, {"min_gain": 0.0}, "min_gain is 0.0; it must be a positive"),
+        (Gains, {}, {"max_gain": np.nan}, "max_gain is nan; it must be"),
+        (Gains, {}, {"min_gain": "1"}, "min_gain is '1'; it must be"),
+        (Gains, {}, {"min_gain": 1e3}, r"min_gain is 1000.0; it must be at most r/τ"),
+        (Gains, {}, {"min_gain": 1.0, "max_gain": 0.5},
+         "max_gain is 0.5; it must be at least min_gain"),
     ],
-)
-def test_other_robots_are_refused(made, models, theorem):
-    for model in models:
-        scenario = Scenario(robot_model=model, dim=3 if model == "nonholonomic_3d" else 2)
-        with pytest.raises(ValueError, match=f"scenario has {model} robots.*{theorem} needs"):
-            made(scenario, 1)
+)  # fmt: skip
+def test_what_it_cannot_do_is_refused_when_it_is_made(made, changes, options, message):
+    with pytest.raises(ValueError, match=message):
+        made(Scenario(**changes), 1, **options)
 
 
 def test_a_filter_must_say_what_the_robots_do():

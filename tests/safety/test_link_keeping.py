@@ -1,7 +1,5 @@
 """The point of least norm against another solver, on random and on degenerate bearings; law R b."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,12 +1,10 @@
 """The projection on velocities that keep links, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from tuples import triple
 
-from rendezvous_env import Scenario, Sensing
+from rendezvous_env import Scenario
 from rendezvous_env.safety.links import LinkKeeping, project_on_links
 
 
@@ -61,17 +59,3 @@ def test_velocities_by_hand():
     assert not actions[2].any()  # between two robots nobody moves
     assert links.alignment[0, 0] == pytest.approx(1.0) and np.isnan(links.alignment[0, 2])
     assert links.lyapunov_rate[0, 1] == pytest.approx(-0.5)
-
-
-@pytest.mark.parametrize(
-    ("sensing", "field"),
-    [
-        ({"field_of_view": 3.0}, "field_of_view is 3 rad"),
-        ({"dropout": 0.1}, "dropout is 0.1"),
-        ({"occlusion": "robots"}, "occlusion is 'robots'"),
-        ({"occlusion": "obstacles"}, "occlusion is 'obstacles'"),
-    ],
-)
-def test_sight_that_is_not_mutual_is_refused(sensing, field):
-    with pytest.raises(ValueError, match=rf"scenario: sensing\.{field}; theorem R needs"):
-        LinkKeeping(Scenario(sensing=Sensing(range=3.0, **sensing)), 1)

@@ -1,7 +1,5 @@
 """V, its rate and gradient, and the enclosing ball."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import UNEQUAL, five

@@ -2,8 +2,6 @@
 and filters with a mistake in them, which that finds.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 

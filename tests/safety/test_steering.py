@@ -1,7 +1,5 @@
 """HeadingFilter: V beside obstacles under any raw vectors; frames, arcs, limits."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -105,10 +103,3 @@ def test_a_robot_goes_slower_by_what_errors_could_feign():
     np.testing.assert_allclose(actions[0], slower, atol=1e-6)
     np.testing.assert_allclose(actions[1], strength, atol=1e-6)
     np.testing.assert_allclose(wary.lyapunov_rate, -2 * strength * slower, atol=1e-5)
-
-
-def test_bare_headings_have_nothing_to_protect():
-    with pytest.raises(
-        ValueError, match=r"bearing_error is 0\.1; it must be 0 with certified=False"
-    ):
-        HeadingFilter(Scenario(), 1, certified=False, bearing_error=0.1)

@@ -1,7 +1,5 @@
 """The energy tank: how the ledger is kept, what is seen of it, refusals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import UNEQUAL, five

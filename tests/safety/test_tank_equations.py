@@ -1,7 +1,5 @@
 """The equations of the energy tank, by hand."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

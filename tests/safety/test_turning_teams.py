@@ -1,7 +1,5 @@
 """Teams of robots that turn: none stays across its net bearing, for any desired turn rates."""
 
-from __future__ import annotations
-
 import itertools
 import math
 
