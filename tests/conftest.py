@@ -311,6 +311,20 @@ def reseal():
 
 
 @pytest.fixture
+def one_line(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """A function: the one line that a command says when it refuses its words."""
+    from train import cli
+
+    def refused(*words: object) -> str:
+        assert cli.main([str(word) for word in words]) == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1 and "Traceback" not in said
+        return said
+
+    return refused
+
+
+@pytest.fixture
 def registry():
     """All policies by name; those and the models that a test registers are gone after it."""
     registries = robot_models.ROBOT_MODELS, policies._registry

@@ -19,21 +19,13 @@ FLOATS = [
 ]
 
 
-def refused(words, capsys):
-    """The one line that a command says."""
-    assert cli.main(words) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "Traceback" not in said
-    return said
-
-
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
 @pytest.mark.parametrize(("command", "field", "pair"), FLOATS)
-def test_numbers_are_finite(command, field, pair, value, capsys, monkeypatch, tmp_path):
+def test_numbers_are_finite(command, field, pair, value, one_line, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     flag = "--" + field.replace("_", "-")
     words = [flag, "0", value] if pair else [f"{flag}={value}"]
-    assert f"{flag} is {value}; it must be" in refused([command, *words], capsys)
+    assert f"{flag} is {value}; it must be" in one_line(command, *words)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -53,10 +45,10 @@ PATHS = {
     ("name", "message"),
     [("a" * 300, "has 300 bytes; a name may have 255"), ("a\0b", "NUL"), ("a\udcff", "UTF-8")],
 )
-def test_names_that_no_file_can_have(command, name, message, capsys, monkeypatch, tmp_path):
+def test_names_that_no_file_can_have(command, name, message, one_line, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     words = [command, *(["fig3"] if command == "reproduce" else []), PATHS[command], name]
-    assert message in refused([word for word in words if word], capsys)
+    assert message in one_line(*filter(None, words))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -142,9 +134,9 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("words", MISTAKES)
-def test_mistakes_are_one_line_and_change_nothing(words, capsys, monkeypatch, tmp_path):
+def test_mistakes_are_one_line_and_change_nothing(words, one_line, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    assert MISTAKES[words] in refused(words.split(), capsys)
+    assert MISTAKES[words] in one_line(*words.split())
     assert list(tmp_path.iterdir()) == []
 
 

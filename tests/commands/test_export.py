@@ -166,15 +166,15 @@ class TestPolicy:
 
 class TestErrors:
     def test_a_file_is_not_exported_again_and_a_missing_extra_is_named(
-        self, exported, capsys, monkeypatch
+        self, exported, one_line, monkeypatch
     ):
-        assert cli.main(["export", "--policy", f"learned:{exported / 'learned.onnx'}"]) == 2
-        assert "learned.onnx: is exported already" in capsys.readouterr().err
+        said = one_line("export", "--policy", f"learned:{exported / 'learned.onnx'}")
+        assert "learned.onnx: is exported already" in said
         monkeypatch.setattr(checks.importlib.util, "find_spec", lambda name: None)
-        assert cli.main(["export"]) == 2
-        assert "export needs onnx; pip install 'rendezvous-env[export]'" in capsys.readouterr().err
+        said = one_line("export")
+        assert "export needs onnx; pip install 'rendezvous-env[export]'" in said
 
-    def test_a_file_that_errs_does_not_take_its_place(self, monkeypatch, capsys, tmp_path):
+    def test_a_file_that_errs_does_not_take_its_place(self, monkeypatch, one_line, tmp_path):
         path, made = tmp_path / "policy.onnx", export.model_of
         path.write_bytes(b"before")
 
@@ -183,8 +183,8 @@ class TestErrors:
             return made({**weights, "action_net.bias": bias}, settings)
 
         monkeypatch.setattr(export, "model_of", wrong)
-        assert cli.main(["export", "--out", str(path), "--checks", "10"]) == 2
-        assert "the file differs from the policy by" in capsys.readouterr().err
+        said = one_line("export", "--out", path, "--checks", "10")
+        assert "the file differs from the policy by" in said
         assert path.read_bytes() == b"before" and len(list(tmp_path.iterdir())) == 1
 
     def test_a_damaged_file_drives_no_robot(self, exported, tmp_path):

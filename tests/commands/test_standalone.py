@@ -100,7 +100,7 @@ class TestAgreement:
         with pytest.raises(ValueError, match=r"bearings\[0\] is \[2\.0, 0\.0\]; .* a unit vector"):
             robot.act([[2.0, 0.0]])
 
-    def test_a_difference_is_refused(self, monkeypatch, tmp_path, capsys):
+    def test_a_difference_is_refused(self, monkeypatch, tmp_path, one_line):
         written = standalone.text_of
 
         def wrong(policy, scenario, network):
@@ -109,9 +109,8 @@ class TestAgreement:
             return written(policy, scenario, ({**weights, "action_net.bias": bias}, settings))
 
         monkeypatch.setattr(standalone, "text_of", wrong)
-        path = tmp_path / "robot.py"
-        assert cli.main(["export", "--standalone", str(path), "--checks", "60"]) == 2
-        assert "the file differs from the policy by" in capsys.readouterr().err
+        said = one_line("export", "--standalone", tmp_path / "robot.py", "--checks", "60")
+        assert "the file differs from the policy by" in said
         assert not list(tmp_path.iterdir())
 
 
@@ -200,13 +199,12 @@ def test_a_changed_file_drives_no_robot(exported, tmp_path, seed):
         (["--standalone", "own.py/x.py"], "--standalone own.py/x.py: cannot write there: "),
     ],
 )
-def test_what_cannot_be_written_is_said_in_a_line(words, message, capsys, tmp_path, monkeypatch):
+def test_what_cannot_be_written_is_said_in_a_line(words, message, one_line, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder.py").mkdir()
     (tmp_path / "own.py").write_text("print('mine')")
     (tmp_path / "double.toml").write_text('robot_model = "double_integrator"')
-    assert cli.main(["export", *words]) == 2
-    assert message in capsys.readouterr().err
+    assert message in one_line("export", *words)
     names = ["double.toml", "folder.py", "own.py"]
     assert sorted(path.name for path in tmp_path.rglob("*")) == names
     assert (tmp_path / "own.py").read_text() == "print('mine')"

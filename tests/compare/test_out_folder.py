@@ -214,10 +214,10 @@ class TestPlace:
         assert not list(finished.out.glob("*.p[nd][gf]"))
         assert not (finished.out / "report.html").exists()
 
-    def test_report_says_what_is_unfinished(self, tmp_path, capsys):
+    def test_report_says_what_is_unfinished(self, tmp_path, one_line):
         stopped(config(tmp_path / "out"), 2)
-        assert cli.main(["report", str(tmp_path / "out")]) == 2
-        assert f"{part_of(tmp_path / 'out')} is an unfinished one" in capsys.readouterr().err
+        said = one_line("report", tmp_path / "out")
+        assert f"{part_of(tmp_path / 'out')} is an unfinished one" in said
 
 
 class TestRefusals:
@@ -280,20 +280,19 @@ def hold():
 
 
 class TestLocks:
-    def test_two_compare_into_one_folder(self, hold, tmp_path, capsys):
+    def test_two_compare_into_one_folder(self, hold, tmp_path, one_line):
         out = tmp_path / "out"
         other = hold(tmp_path / ".out.lock")
         words = ["compare", "--scenarios", "duo", "--episodes", "1", "--no-figures"]
-        assert cli.main([*words, "--out", str(out)]) == 2
-        said = capsys.readouterr().err
-        assert f"--out {out} is in use by process {other.pid} on" in said and said.count("\n") == 1
+        said = one_line(*words, "--out", out)
+        assert f"--out {out} is in use by process {other.pid} on" in said
         assert not out.exists() and not part_of(out).exists()
         other.kill()
         other.wait()
         assert cli.main([*words, "--out", str(out)]) == 0
         assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
-    def test_two_train_on_one_folder(self, hold, tmp_path, capsys):
+    def test_two_train_on_one_folder(self, hold, tmp_path, one_line):
         from train.learn import ppo
 
         folder = tmp_path / "run"
@@ -302,13 +301,11 @@ class TestLocks:
         assert ppo.run(begun).status == 0
         other = hold(folder / ".lock")
         before = contents(folder)
-        assert cli.main(["train", "--resume", str(folder)]) == 2
-        said = capsys.readouterr().err
+        said = one_line("train", "--resume", folder)
         assert f"{folder} is in use by process {other.pid} on" in said
         assert contents(folder) == before
         shutil.rmtree(folder / "checkpoints")  # a run that has only just begun
-        assert cli.main(["train", "--out", str(folder)]) == 2
-        assert "is in use by process" in capsys.readouterr().err
+        assert "is in use by process" in one_line("train", "--out", folder)
 
     def test_the_lock_goes_in_the_end(self, tmp_path):
         path = tmp_path / ".lock"

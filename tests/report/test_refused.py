@@ -20,13 +20,11 @@ def folder(compared, tmp_path):
 
 
 @pytest.fixture
-def refused(capsys):
+def refused(one_line):
     """A function: the one line that the command says of a folder; no page is left."""
 
     def refuse(folder):
-        assert cli.main(["report", str(folder)]) == 2
-        said = capsys.readouterr().err
-        assert said.count("\n") == 1 and "Traceback" not in said
+        said = one_line("report", folder)
         assert not (folder / "report.html").exists()
         return said
 
