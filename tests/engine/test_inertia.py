@@ -17,7 +17,10 @@ FLAT = (
 )
 SOLID = (Sphere((0.0, 0.0, 0.0), 1.0), Capsule(((-1.0, -0.5, 0.2), (1.0, 0.5, -0.2)), 0.4))
 FAR = {2: Capsule(((90.0, 0.0), (91.0, 0.0)), 0.1), 3: Capsule(((90.0, 0, 0), (91.0, 0, 0)), 0.1)}
-"""Beside it any obstacle is one of several kinds: what is compiled stays the same."""
+"""Beside it any obstacle is one of several kinds: what is compiled stays the same, as it does for
+many teams.
+"""
+TEAMS = 6
 
 
 def two(dim: int = 2, obstacles: tuple = (), **changes: object) -> Scenario:
@@ -39,7 +42,7 @@ def two(dim: int = 2, obstacles: tuple = (), **changes: object) -> Scenario:
 
 def begin(scenario: Scenario, position, velocity=None) -> Simulator:
     """Robot 0 at a place with a velocity, robot 1 out of the way."""
-    d, sim = scenario.dim, Simulator(scenario, num_threads=1)
+    d, sim = scenario.dim, Simulator(scenario, TEAMS, num_threads=1)
     sim.reset(0, {"positions": [[*position], [50.0] * d]})
     if velocity is not None:
         state = sim.get_state()
@@ -91,7 +94,7 @@ def test_free_motion_against_its_own_sum(dim):
 @pytest.mark.parametrize("obstacle", [*FLAT, *SOLID], ids=lambda o: f"{type(o).__name__}{o.dim}")
 def test_nobody_gets_into_or_through_an_obstacle(obstacle, mode):
     """Robots that are driven at it from all sides, and then this way and that."""
-    dim, teams = obstacle.dim, 4
+    dim, teams = obstacle.dim, TEAMS
     scenario = two(dim, (obstacle,), obstacle_contact=mode, max_speed=30.0, max_acceleration=300.0)
     sim, random = Simulator(scenario, teams, num_threads=1), np.random.default_rng(1)
     sim.reset(3, {"positions": [[2.0] * dim, [50.0] * dim]})
@@ -162,9 +165,11 @@ def test_a_state_in_which_a_robot_is_too_fast_is_refused():
         sim.set_state(state)
 
 
-@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("dim", [2, 3])
 def test_teams_meet_under_the_damped_law(dim):
-    scenario = Scenario(n_robots=5, dim=dim, robot_model="double_integrator", graph=UNEQUAL)
+    scenario = Scenario(
+        n_robots=5, dim=dim, robot_model="double_integrator", graph=UNEQUAL, obstacles=(FAR[dim],)
+    )
     policy, sim = baselines.make("damped", scenario), Simulator(scenario, 64)
     seen = sim.reset(0)
     energies, one_by_one = [], np.ones(64, bool)

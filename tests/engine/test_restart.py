@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import MODELS, UNEQUAL, assert_same_state, refusing
+from test_inertia import FAR
 from test_widths import towards_neighbours
 
 from rendezvous_env import Scenario, Simulator
@@ -12,19 +13,19 @@ from rendezvous_env.engine.memory import AWAITING_RESET, RUNNING, TIME_OUT
 
 KINDS = {
     **MODELS,
-    "double_integrator-2d": {"robot_model": "double_integrator", "dim": 2},
-    "double_integrator-3d": {"robot_model": "double_integrator", "dim": 3},
+    **{
+        f"double_integrator-{d}d": {
+            **{"robot_model": "double_integrator", "dim": d},
+            "obstacles": (FAR[d],),  # as in ``test_inertia``: nothing else is compiled
+        }
+        for d in (2, 3)
+    },
 }
 TEAMS = 7
 SOME = np.array([False, True, False, False, True, True, False])
 
 
-@pytest.fixture(
-    params=[
-        pytest.param(name, marks=[pytest.mark.slow] * (name == "double_integrator-3d"))
-        for name in KINDS
-    ]
-)
+@pytest.fixture(params=KINDS)
 def scenario(request) -> Scenario:
     return Scenario(
         n_robots=5, graph=UNEQUAL, spawn_size=6.0, merge_radius=0.4, **KINDS[request.param]

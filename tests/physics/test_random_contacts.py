@@ -1,18 +1,20 @@
 """Motion among obstacles: properties of very many random contacts."""
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
 import shapely
 from test_contact import MICRON, move_one_curved, move_one_straight
-from tuples import arc, world
+from tuples import arc, body_frame, mean_body_axis, world
 
 from rendezvous_env.obstacles.contact import SLIDE, STOP
 from rendezvous_env.obstacles.disc import Disc, Sphere
 from rendezvous_env.obstacles.polygon import Polygon
 
 N_SCENES, N_STRAIGHT, N_CURVED = 50, 1000, 100
+MODES = SLIDE, STOP
 
 
 def move_all(move_one, worlds, starts, inputs, mode):
@@ -21,11 +23,6 @@ def move_all(move_one, worlds, starts, inputs, mode):
     for s, i in np.ndindex(*starts.shape[:2]):
         out[s, i], contact[s, i] = move_one(starts[s, i], inputs[s, i], worlds[s], mode)
     return out, contact
-
-
-def free_arcs(inputs, dim):
-    """Free displacements (N, d) for inputs (N, 6)."""
-    return np.array([arc(dim, *row) for row in inputs])
 
 
 def depths(obstacles, points):
@@ -112,62 +109,30 @@ def many(dim, count):
     return rng, scenes, worlds, starts
 
 
-@pytest.fixture(scope="module", params=[2, 3])
-def straight_motions(request):
-    """Random straight motions in both contact modes: 2 · 10⁵ in all."""
-    dim = request.param
+def sample_arc(start, inputs, count):
+    """Points (count, d) evenly along a free arc, the first at its start."""
+    speed, yaw, pitch, yaw_rate, pitch_rate, duration = inputs
+    times = duration * np.linspace(0, 1, count)
+    axes = mean_body_axis(yaw_rate, pitch_rate, pitch, times) @ body_frame(3, yaw, pitch).T
+    return start + speed * times[:, None] * axes[:, : len(start)]
+
+
+@cache
+def straight(dim):
+    """2 · 10⁵ motions in all: scenes, starts (S, N, d), inputs, displacements if nothing is in the
+    way, and by contact mode the displacements and contacts (S, N).
+    """
     rng, scenes, worlds, starts = many(dim, N_STRAIGHT)
     directions = rng.normal(size=starts.shape)
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
-    lengths = 10 ** rng.uniform(-3, 1, (*starts.shape[:2], 1))
-    displacements = lengths * directions
-    moved = {
-        mode: move_all(move_one_straight, worlds, starts, displacements, mode)
-        for mode in (SLIDE, STOP)
-    }
-    return scenes, worlds, starts, displacements, moved
+    ways = 10 ** rng.uniform(-3, 1, (*starts.shape[:2], 1)) * directions
+    moved = {mode: move_all(move_one_straight, worlds, starts, ways, mode) for mode in MODES}
+    return scenes, starts, ways, ways, moved
 
 
-class TestManyStraightMotions:
-    @pytest.mark.parametrize("mode", [SLIDE, STOP])
-    def test_none_ends_inside(self, straight_motions, mode):
-        scenes, _, starts, _, moved = straight_motions
-        for scene, start, out in zip(scenes, starts, moved[mode][0], strict=True):
-            assert depths(scene, start + out).max() < 1e-12
-
-    def test_contact_is_a_path_deeper_than_a_micron(self, straight_motions):
-        scenes, _, starts, displacements, moved = straight_motions
-        for s, scene in enumerate(scenes):
-            ends = starts[s] + displacements[s]
-            surely = goes_deeper(scene, starts[s], ends, MICRON * 1.001)
-            perhaps = goes_deeper(scene, starts[s], ends, MICRON * 0.999)
-            for _, contact in moved.values():
-                assert np.all(contact[s] >= surely)
-                assert np.all(contact[s] <= perhaps)
-
-    def test_a_robot_that_stops_stops_at_the_first_surface(self, straight_motions):
-        scenes, _, starts, _, moved = straight_motions
-        stopped, contact = moved[STOP]
-        for s, scene in enumerate(scenes):
-            ends = starts[s] + stopped[s]
-            assert not np.any(goes_deeper(scene, starts[s], ends, MICRON * 1.001))
-            assert np.all(depths(scene, ends)[contact[s]] > -1e-12)
-        assert 0.2 < contact.mean() < 0.9
-
-    def test_free_motion_is_exactly_what_was_asked(self, straight_motions):
-        _, _, _, displacements, moved = straight_motions
-        for out, contact in moved.values():
-            free = ~contact
-            exact = np.all(out == displacements, axis=2)
-            assert np.mean(exact[free]) > 0.999  # the rest grazed, and were put on the surface
-            shift = np.linalg.norm(out - displacements, axis=2)
-            assert shift[free].max() < 2e-3
-
-
-@pytest.fixture(scope="module", params=[2, 3])
-def curved_motions(request):
-    """Random arcs in both contact modes: 2 · 10⁴ in all."""
-    dim = request.param
+@cache
+def curved(dim):
+    """2 · 10⁴ motions, likewise."""
     rng, scenes, worlds, starts = many(dim, N_CURVED)
     shape = starts.shape[:2]
     inputs = np.zeros((*shape, 6))
@@ -178,48 +143,73 @@ def curved_motions(request):
     if dim == 3:
         inputs[..., 2] = rng.uniform(-1.5, 1.5, shape)
         inputs[..., 4] = rng.normal(0, 2, shape)
-    moved = {
-        mode: move_all(move_one_curved, worlds, starts, inputs, mode) for mode in (SLIDE, STOP)
-    }
-    return scenes, starts, inputs, moved
+    free = np.array([arc(dim, *row) for row in inputs.reshape(-1, 6)]).reshape(starts.shape)
+    moved = {mode: move_all(move_one_curved, worlds, starts, inputs, mode) for mode in MODES}
+    return scenes, starts, inputs, free, moved
 
 
-def sample_arc(start, inputs, count):
-    """Points (count, d) evenly along a free arc, the first at its start."""
-    repeated = np.repeat(inputs[None], count, axis=0)
-    repeated[:, 5] *= np.linspace(0, 1, count)
-    return start + free_arcs(repeated, len(start))
+in_both = pytest.mark.parametrize("dim", [2, 3])
+of_both = pytest.mark.parametrize("motions", [straight, curved])
 
 
-class TestManyCurvedMotions:
-    @pytest.mark.parametrize("mode", [SLIDE, STOP])
-    def test_none_ends_inside(self, curved_motions, mode):
-        scenes, starts, _, moved = curved_motions
-        for scene, start, out in zip(scenes, starts, moved[mode][0], strict=True):
+@in_both
+@of_both
+def test_none_ends_inside(motions, dim):
+    scenes, starts, _, _, moved = motions(dim)
+    for outs, _ in moved.values():
+        for scene, start, out in zip(scenes, starts, outs, strict=True):
             assert depths(scene, start + out).max() < 1e-12
 
-    def test_free_arcs_are_exact(self, curved_motions):
-        _, starts, inputs, moved = curved_motions
-        free_ends = free_arcs(inputs.reshape(-1, 6), starts.shape[2]).reshape(starts.shape)
-        for out, contact in moved.values():
-            exact = np.all(out == free_ends, axis=2)
-            assert np.mean(exact[~contact]) > 0.999
 
-    def test_contact_and_stop_agree_with_a_dense_sample_of_the_arc(self, curved_motions):
-        scenes, starts, inputs, moved = curved_motions
-        stopped, contact = moved[STOP]
-        for s, scene in enumerate(scenes):
-            for i in range(0, N_CURVED, 5):
-                path = sample_arc(starts[s, i], inputs[s, i], 2001)
-                depth = depths(scene, path)
-                if depth.max() > MICRON * 1.001:
-                    assert contact[s, i]
-                if not contact[s, i]:
-                    continue
-                end = starts[s, i] + stopped[s, i]
-                spacing = abs(inputs[s, i, 0]) * inputs[s, i, 5] / 2000
-                assert depth.max() > 0.7 * MICRON - spacing
-                assert depths(scene, end[None]) > -2e-7
-                before = np.argmax(depth > MICRON * 1.001) if depth.max() > MICRON * 1.001 else -1
-                gaps = np.linalg.norm(path[:before] - end, axis=1)
-                assert gaps.min(initial=np.inf) < spacing + 2e-6
+@in_both
+@of_both
+def test_free_motion_is_exactly_what_was_asked(motions, dim):
+    _, _, _, free, moved = motions(dim)
+    for out, contact in moved.values():
+        exact = np.all(out == free, axis=2)
+        assert np.mean(exact[~contact]) > 0.999  # the rest grazed, and were put on the surface
+        assert np.linalg.norm(out - free, axis=2)[~contact].max() < 2e-3
+
+
+@in_both
+def test_contact_is_a_path_deeper_than_a_micron(dim):
+    scenes, starts, ways, _, moved = straight(dim)
+    for s, scene in enumerate(scenes):
+        ends = starts[s] + ways[s]
+        surely = goes_deeper(scene, starts[s], ends, MICRON * 1.001)
+        perhaps = goes_deeper(scene, starts[s], ends, MICRON * 0.999)
+        for _, contact in moved.values():
+            assert np.all(contact[s] >= surely)
+            assert np.all(contact[s] <= perhaps)
+
+
+@in_both
+def test_a_robot_that_stops_stops_at_the_first_surface(dim):
+    scenes, starts, _, _, moved = straight(dim)
+    stopped, contact = moved[STOP]
+    for s, scene in enumerate(scenes):
+        ends = starts[s] + stopped[s]
+        assert not np.any(goes_deeper(scene, starts[s], ends, MICRON * 1.001))
+        assert np.all(depths(scene, ends)[contact[s]] > -1e-12)
+    assert 0.2 < contact.mean() < 0.9
+
+
+@in_both
+def test_contact_and_stop_agree_with_a_dense_sample_of_the_arc(dim):
+    scenes, starts, inputs, _, moved = curved(dim)
+    stopped, contact = moved[STOP]
+    for s, scene in enumerate(scenes):
+        for i in range(0, N_CURVED, 5):
+            path = sample_arc(starts[s, i], inputs[s, i], 2001)
+            depth = depths(scene, path)
+            if depth.max() > MICRON * 1.001:
+                assert contact[s, i]
+            if not contact[s, i]:
+                continue
+            end = starts[s, i] + stopped[s, i]
+            spacing = abs(inputs[s, i, 0]) * inputs[s, i, 5] / 2000
+            assert depth.max() > 0.7 * MICRON - spacing
+            assert depths(scene, end[None]) > -2e-7
+            before = np.argmax(depth > MICRON * 1.001) if depth.max() > MICRON * 1.001 else -1
+            gaps = np.linalg.norm(path[:before] - end, axis=1)
+            assert gaps.min(initial=np.inf) < spacing + 2e-6
