@@ -86,7 +86,7 @@ def fingerprint(kind):
 
 def test_whole_episodes_are_the_same_in_every_process():
     expected = [fingerprint(kind) for kind in MODELS]
-    assert expected == [fingerprint(kind) for kind in MODELS] and len(set(expected)) == len(MODELS)
+    assert len(set(expected)) == len(MODELS)
     found = run_python(ROOT, "-c", EPISODE, *MODELS, PYTHONHASHSEED="4711")
     assert found.split()[-len(MODELS) :] == expected
 

@@ -9,7 +9,6 @@ from gymnasium.vector import AutoresetMode
 
 import baselines
 import rendezvous_env as rv
-from baselines.learned.features import Features
 from baselines.learned.policy_settings import ALL_ROUND, ANGLES
 from baselines.learned.shipped import preset
 from train.learn.settings import Config
@@ -105,16 +104,6 @@ def test_each_robot_model_has_the_budget_of_the_policy_that_is_shipped_for_it(fi
     np.testing.assert_allclose(teams.env.guided.tank.normalised_levels, shipped.budget)
     everyone, own = preset("tank"), preset("tank", rv.scenarios.get(field))
     assert own.reward == everyone.reward and own.touch_penalty == everyone.touch_penalty
-
-
-def test_robots_are_shown_what_the_shipped_policy_is_shown():
-    teams = rv.vector.training_env(SCENARIO, 4)
-    shown, _ = teams.reset(seed=2)
-    simulator = rv.Simulator(teams.scenario, 4)
-    perception = Features(teams.scenario, 4, decision_time=0.6)
-    still = np.zeros((4, 4, 2))
-    np.testing.assert_array_equal(shown, perception.see(simulator.reset(2), still))
-    assert teams.layout.split(shown).neighbours.shape == (4, 4, 3, 3)
 
 
 @pytest.mark.parametrize(("guarantee", "angles"), [("heading", ANGLES), ("tank", ALL_ROUND)])

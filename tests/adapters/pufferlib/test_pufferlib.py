@@ -23,47 +23,35 @@ def actions_of(steps, agents):
     return random.uniform(-2, 2, (steps, agents, 2)).astype(np.float32)
 
 
-def test_buffers_hold_what_the_teams_give():
-    env, teams = make(SCENARIO, TEAMS, **BARE), training_env(SCENARIO, TEAMS, **BARE)
+def test_buffers_and_infos_hold_what_the_teams_give():
+    options = BARE | {"costs": ("rise",)}
+    env, teams = make(SCENARIO, TEAMS, **options), training_env(SCENARIO, TEAMS, **options)
     seen, infos = env.reset(SEED)
     np.testing.assert_array_equal(
         seen, teams.reset(seed=SEED * TEAMS)[0].reshape(TEAMS * ROBOTS, -1)
     )
     assert infos == [] and seen is env.observations
-    counts = np.zeros(3, dtype=int)
+    buffers = env.observations, env.rewards, env.terminals, env.truncations
+    counts, sums = np.zeros(4, dtype=int), np.zeros((TEAMS, 3))
     for actions in actions_of(60, TEAMS * ROBOTS):
-        found = env.step(actions)
-        seen, _, met, late, infos = teams.step(actions.reshape(TEAMS, ROBOTS, 2))
+        *found, told = env.step(actions)
+        assert all(array is own for array, own in zip(found, buffers, strict=True))
+        seen, rewards, met, late, infos = teams.step(actions.reshape(TEAMS, ROBOTS, 2))
         np.testing.assert_array_equal(found[0], seen.reshape(TEAMS * ROBOTS, -1))
         np.testing.assert_array_equal(found[1], infos["robot_rewards"].ravel().astype(np.float32))
         np.testing.assert_array_equal(found[2].reshape(TEAMS, ROBOTS), met[:, None] | [False] * 3)
         np.testing.assert_array_equal(found[3].reshape(TEAMS, ROBOTS), late[:, None] | [False] * 3)
         np.testing.assert_array_equal(env.masks, infos["active"].ravel())
-        assert all(array is own for array, own in zip(found[:4], buffers_of(env), strict=True))
-        assert len(found[4]) == (met | late).sum()
-        counts += (~env.masks).any(), met.sum(), late.sum()
+        for key in ("cost", "cost_rise"):
+            np.testing.assert_array_equal(env.costs[key], infos[key].ravel())
+        sums += np.stack([rewards, np.ones(TEAMS), infos["cost"].sum(axis=1)], axis=1)
+        for team, info in zip(np.flatnonzero(met | late), told, strict=True):
+            of_episode = [info[f"episode_{name}"] for name in ("return", "length", "cost")]
+            assert of_episode == pytest.approx(sums[team], abs=1e-5)
+            assert info["success"] is bool(met[team])
+        sums[met | late] = 0.0
+        counts += (~env.masks).any(), met.sum(), late.sum(), env.costs["cost"].any()
     assert counts.min() >= 3
-
-
-def buffers_of(env):
-    return env.observations, env.rewards, env.terminals, env.truncations
-
-
-def test_infos_count_what_the_agents_earned():
-    env = make(SCENARIO, TEAMS, **BARE)
-    env.reset(SEED)
-    earned, steps, told = np.zeros(TEAMS), np.zeros(TEAMS, dtype=int), []
-    for actions in actions_of(60, TEAMS * ROBOTS):
-        _, rewards, terminals, truncations, infos = env.step(actions)
-        earned, steps = earned + rewards.reshape(TEAMS, ROBOTS)[:, 1], steps + 1
-        over = (terminals | truncations).reshape(TEAMS, ROBOTS)[:, 0]
-        for team, info in zip(np.flatnonzero(over), infos, strict=True):
-            assert info["episode_return"] == pytest.approx(earned[team], abs=1e-5)
-            assert info["episode_length"] == steps[team]
-            assert info["success"] is bool(terminals[team * ROBOTS])
-            told.append(info["success"])
-        earned[over], steps[over] = 0.0, 0
-    assert 3 <= sum(told) <= len(told) - 3
 
 
 def test_two_environments_in_one_vectorisation_share_its_buffers():
@@ -101,17 +89,6 @@ def test_native_vectorisation_with_a_guarantee_and_angles():
     before = env.observations.copy()
     env.step(np.arange(env.num_agents) % choices)
     assert env.slots.simulator.time.min() > 0.0 and (env.observations != before).any()
-
-
-def test_costs_are_arrays_and_sums_of_episodes():
-    env = make(SCENARIO, TEAMS, costs=("rise",), **BARE)
-    env.reset(SEED)
-    paid, told = 0.0, 0.0
-    for actions in actions_of(60, TEAMS * ROBOTS):
-        *_, infos = env.step(actions)
-        paid += env.costs["cost"].sum()
-        told += sum(info["episode_cost"] for info in infos)
-    assert env.costs["cost_rise"].shape == (TEAMS * ROBOTS,) and 0 < told <= paid
 
 
 def test_seeds_and_what_is_refused():

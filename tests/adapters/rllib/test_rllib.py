@@ -198,7 +198,7 @@ def test_a_remote_runner_samples(local_ray):
 @pytest.mark.slow
 def test_the_example_learns():
     """Judged on starts that it never saw."""
-    told = run("08_rllib_ppo.py", "--updates", "40", "--held-out", "100")
+    told = run("08_rllib_ppo.py", "--updates", "28", "--held-out", "100")
     (_, met, clean), (_, met_after, clean_after) = JUDGED.findall(told)
     assert float(met_after) > float(met)
     assert float(clean_after) > float(clean) + 20

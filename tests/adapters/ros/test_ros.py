@@ -122,14 +122,10 @@ def test_a_ctrl_c_that_raises_nothing_ends_the_node(alone, handlers):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("parameters", [(), ("differential_drive",)])
-def test_four_nodes_meet_among_obstacles(tmp_path, parameters):
-    ticks = []
-    for seed in (0, 3):
-        (folder := tmp_path / str(seed)).mkdir()
-        ended, took = run(seed, folder, *parameters)  # a process that hangs is an error
-        assert not ended["missing"] and ended["met"] and ended["contacts"] == 0
-        ticks += took
+@pytest.mark.parametrize(("seed", "parameters"), [(0, ()), (3, ("differential_drive",))])
+def test_four_nodes_meet_among_obstacles(tmp_path, seed, parameters):
+    ended, ticks = run(seed, tmp_path, *parameters)  # a process that hangs is an error
+    assert not ended["missing"] and ended["met"] and ended["contacts"] == 0
     assert len(ticks) > 300
     assert not any(kernels for *_, kernels in ticks)  # all are there before the node is
     assert percentile([work for _, work, _ in ticks], 0.99) < TICK

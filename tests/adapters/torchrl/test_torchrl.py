@@ -20,6 +20,7 @@ from rendezvous_env.vector import training_env
 from train.bench import bench
 
 SHORT = {"guarantee": None, "learning_preset": False, "time_limit": 0.6}
+COSTS = ("cost", "cost_contact", "cost_rise")
 ACTION, ACTIVE, SEEN = (GROUP, "action"), (GROUP, "active"), (GROUP, "observation")
 
 
@@ -33,7 +34,7 @@ def _same_random_actions():
     [
         {},
         {"discrete": True},
-        {"guarantee": "tank"},
+        {"guarantee": "tank", "costs": ("rise",)},
         {"guarantee": None, "learning_preset": False, "flatten": False, "return_state": True},
     ],
 )
@@ -61,12 +62,14 @@ def test_a_rollout_is_the_vector_environment_step_by_step():
     episode's.
     """
     choices = {"learning_preset": False, "decision_period": 4, "time_limit": 12.0}
+    choices |= {"costs": ("contact", "rise")}
     env = RendezvousEnv("clutter-8", 6, seed=5, **choices)
     data, tape = drive(env, 130)
     teams = training_env("clutter-8", 6, autoreset_mode=AutoresetMode.DISABLED, **choices)
-    seen, _ = teams.reset(seed=5)
+    (seen, _), over = teams.reset(seed=5), np.ones(6, bool)
     for t, actions in enumerate(tape):
         np.testing.assert_array_equal(data[SEEN][:, t], seen)
+        assert not data[GROUP, "info", "cost"][:, t][over].any()  # who begins has paid nothing
         seen, _, met, cut, infos = teams.step(actions)
         after = data["next"][:, t]
         for key, expected in (
@@ -77,12 +80,13 @@ def test_a_rollout_is_the_vector_environment_step_by_step():
             ("terminated", met),
             ("truncated", cut),
             ("done", met | cut),
+            *(((GROUP, "info", key), infos[key].astype(np.float32)) for key in COSTS),
         ):
             np.testing.assert_array_equal(after[key], expected.reshape(after[key].shape))
         if (over := met | cut).any():
             seen, _ = teams.reset(options={"reset_mask": over})
     assert data["next", "terminated"].any() and data["next", "truncated"].any()
-    assert data["next", "contacts"].any()
+    assert data["next", "contacts"].any() and data["next", GROUP, "info", "cost"].any()
 
 
 def test_a_partial_reset_leaves_the_other_teams_alone():
@@ -173,21 +177,3 @@ def test_torchrl_is_timed_over_what_it_adapts(tmp_path):
         assert rows[f"TorchRL over {ours}"]["against"] == ours
         assert rows[f"TorchRL over {ours}"]["ratio"] > 0
     assert "torchrl" in written["versions"]
-
-
-def test_costs_stand_beside_what_robots_see():
-    """Those of the vector environment; a team that begins anew has paid nothing."""
-    costs = {"costs": ("contact", "rise"), "guarantee": None, "time_limit": 0.6}
-    env = RendezvousEnv("clutter-16", 3, seed=1, **costs)
-    check_env_specs(env)
-    env.set_seed(1)
-    data, tape = drive(env, 24)
-    teams = training_env("clutter-16", 3, **costs)
-    teams.reset(seed=1)
-    for t, actions in enumerate(tape):
-        told = teams.step(actions)[4]
-        for key in ("cost", "cost_contact", "cost_rise"):
-            found = data["next", GROUP, "info", key][:, t, :, 0].numpy()
-            np.testing.assert_array_equal(found, told[key].astype(np.float32))
-    assert (data["next", GROUP, "info", "cost"] > 0).any()
-    assert not data[GROUP, "info", "cost"][:, 12].any()  # the first of the second episodes

@@ -10,7 +10,7 @@ from test_examples import run
 pytest.importorskip("torchrl.envs")
 pytest.importorskip("benchmarl.experiment")
 
-SMALL = ("--teams", "64", "--held-out", "50")
+SMALL = ("--updates", "14", "--teams", "64", "--held-out", "50")
 
 
 def judged(told):
@@ -22,7 +22,7 @@ def judged(told):
 
 @pytest.mark.slow
 def test_torchrl_learns():
-    (before, _), after = judged(told := run("06_torchrl_ppo.py", "--updates", "25", *SMALL))
+    (before, _), after = judged(told := run("06_torchrl_ppo.py", *SMALL))
     assert after[0] > max(before, 90.0)
     (played,) = re.findall(r"^as a policy: (\S+)% met, (\S+)% cleanly$", told, re.M)
     assert tuple(map(float, played)) == pytest.approx(after, abs=2.0)  # of the same 50 starts
@@ -31,6 +31,6 @@ def test_torchrl_learns():
 @pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["mappo", "vdn"])
 def test_benchmarl_learns(algorithm, tmp_path):
-    choices = ("--algorithm", algorithm, "--updates", "25", "--out", str(tmp_path))
+    choices = ("--algorithm", algorithm, "--out", str(tmp_path))
     (before, _), (after, _) = judged(run("07_benchmarl.py", *choices, *SMALL))
     assert after > max(before, 90.0)
