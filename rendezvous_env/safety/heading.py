@@ -350,10 +350,6 @@ class HeadingFilter(SafetyFilter):
     def _memory(self) -> dict[str, NDArray[np.float64]]:
         return {"headings": self.carried, **super()._memory}
 
-    def _begin(self, which: Any) -> None:
-        super()._begin(which)
-        self.carried[which] = 0.0
-
     def act_of(
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> None:

@@ -149,8 +149,9 @@ class SafetyFilter(Remembering):
         return {"frames": self._frames, "held": self._held}
 
     def _begin(self, which: Any) -> None:
+        super()._begin(which)
         self._frames[which] = np.eye(self.scenario.dim)
-        self._held[which], self.alignment[which], self.lyapunov_rate[which] = 0.0, np.nan, 0.0
+        self.alignment[which], self.lyapunov_rate[which] = np.nan, 0.0
 
     def view(self, observations: Float32) -> Float32:
         """Observations (B, n, rows, d) as the policy sees them, with x along f where that is asked

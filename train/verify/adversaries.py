@@ -27,7 +27,6 @@ _FASTEST_SPIN = 20.0  # rad/s
 _ERRORS = ("against", "to one side", "anyhow", "to changing sides", "outward")
 """Where bearings are turned: away from f, …, away from the middle of what is seen."""
 _SWITCHING = 7  # steps after which errors turn round
-_AT_ONCE = 16  # steps for which random numbers are drawn at once
 _ROUNDED = 1.0 - 1e-6  # share of an error that is still none too much after rounding to float32
 _TINY = 1e-12
 
@@ -154,9 +153,8 @@ class Misled(gymnasium.vector.VectorWrapper):
 
     def __init__(self, env: Any, scenario: rv.Scenario, error: float, seed: int) -> None:
         super().__init__(env)
-        n, slots = scenario.n_robots, scenario.observation_layout.neighbour_slots
-        self._step, self._rows = 0, scenario.observation_layout.neighbours
-        self._errors = np.full((env.num_envs, n, slots, 1), error * _ROUNDED)
+        n, self._rows = scenario.n_robots, scenario.observation_layout.neighbours
+        self._step, self._error = 0, error * _ROUNDED
         self._randoms = [np.random.default_rng([seed + b, 3]) for b in range(env.num_envs)]
         kinds = [r.integers(len(_ERRORS), size=n if r.random() < 0.5 else 1) for r in self._randoms]
         self._kinds = np.array([np.resize(own, n) for own in kinds])[..., None, None]
@@ -174,21 +172,18 @@ class Misled(gymnasium.vector.VectorWrapper):
 
     def _turned(self, observations: Float32) -> Float32:
         """Observations (B, n, rows, d) with turned rows."""
-        seen, ahead = observations.copy(), self._step % _AT_ONCE
-        rows = observations[..., self._rows, :].astype(np.float64)
-        if ahead == 0:
-            shape = _AT_ONCE, *rows.shape[1:]
-            self._anyhow = np.array([random.normal(size=shape) for random in self._randoms])
+        seen, rows = observations.copy(), observations[..., self._rows, :].astype(np.float64)
+        anyhow = np.array([random.normal(size=rows.shape[1:]) for random in self._randoms])
         self._step += 1
         side = -1.0 if self._step // _SWITCHING % 2 else 1.0
         against, aside = -rows.sum(axis=2, keepdims=True), across(rows, self._axes)
         outward = -unit(rows).sum(axis=2, keepdims=True)
-        ways = (against, aside, self._anyhow[:, ahead], side * aside, outward)
-        seen[..., self._rows, :] = turned_rows(rows, np.choose(self._kinds, ways), self._errors)
+        ways = (against, aside, anyhow, side * aside, outward)
+        seen[..., self._rows, :] = turned_rows(rows, np.choose(self._kinds, ways), self._error)
         return seen
 
 
-def turned_rows(rows: Array, towards: Array, errors: Array) -> Array:
+def turned_rows(rows: Array, towards: Array, errors: Array | float) -> Array:
     """Rows (..., d) turned towards directions (..., d) by errors (..., 1), rad, or across where
     they are in line; lengths stay.
     """

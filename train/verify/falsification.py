@@ -41,13 +41,6 @@ FEW_STEPS = 8, 80
 """Least and most steps of trials whose time bound is out of reach, most of them short."""
 _PARENTS = 3  # starts from which those of the next generation are made
 _LAWS = {"unicycle": "unicycle", "nonholonomic_3d": "nonholonomic-3d"}
-_WRAPPERS: dict[str, Callable[..., Any]] = {
-    "law": lambda env, **unused: env,
-    "heading": vector.HeadingVectorWrapper,
-    "tank": vector.EnergyTankWrapper,
-    "gains": vector.GainWrapper,
-    "links": vector.LinkKeepingWrapper,
-}
 _HOW = ("by", "arguments", "frame", "period", "seed")
 """What of a trial is written besides its scenario."""
 
@@ -202,7 +195,7 @@ def _teams_of(scenario: rv.Scenario, count: int) -> Any:
 
 def guarded(env: Any, by: str, arguments: Mapping[str, Any]) -> Any:
     """A vector environment under what keeps a guarantee; law (1) needs nothing."""
-    return _WRAPPERS[by](env, **arguments)
+    return env if by == "law" else vector.GuaranteeWrapper(env, by, **arguments)
 
 
 def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> Played:

@@ -110,6 +110,18 @@ def departs_in(scenario: Scenario, *names: str) -> bool:
     return all(value == exact[name] for name, value in fields if name not in names)
 
 
+def flawed_by(flaw: str, otherwise: str) -> Assumption:
+    """This is all that is wrong with bearings."""
+
+    def holds(scenario: Scenario, asked: Asked) -> str:
+        alone = getattr(scenario.sensing, flaw) > 0 and departs_in(scenario, flaw)
+        if alone and asked.error == 0.0:
+            return ""
+        return f"none: {otherwise} ({scenario.sensing.departures()})"
+
+    return holds
+
+
 def bounded_errors(scenario: Scenario, asked: Asked) -> str:
     """Bearings are up to date, and wrong by a bounded angle if at all."""
     sensing = scenario.sensing

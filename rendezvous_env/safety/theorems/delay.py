@@ -16,17 +16,6 @@ from . import constants as known
 from .theorem import Asked, Bounds, Theorem
 
 
-def late_alone(scenario: Scenario, asked: Asked) -> str:
-    """That they are late is all that is wrong with bearings."""
-    late = scenario.sensing.delay > 0 and given.departs_in(scenario, "delay")
-    if late and asked.error == 0.0:
-        return ""
-    return (
-        "none: theorem E1 is for bearings that are late and nothing else "
-        f"({scenario.sensing.departures()})"
-    )
-
-
 def young(scenario: Scenario, asked: Asked) -> str:
     """(k+1) τ ≤ r/(2D̄): late and held, bearings are young enough."""
     age = (scenario.sensing.delay + 1) * scenario.tau
@@ -54,6 +43,5 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     )
 
 
-THEOREMS = (
-    Theorem("E1", ("law",), (*given.TEAM, late_alone, given.nothing_in_the_way, young), bounds),
-)
+_late = given.flawed_by("delay", "theorem E1 is for bearings that are late and nothing else")
+THEOREMS = (Theorem("E1", ("law",), (*given.TEAM, _late, given.nothing_in_the_way, young), bounds),)

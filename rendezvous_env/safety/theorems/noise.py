@@ -174,14 +174,6 @@ def heading_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     )
 
 
-def noise_alone(scenario: Scenario, asked: Asked) -> str:
-    """Noise that is drawn anew for every bearing and step is all that is wrong."""
-    noisy = scenario.sensing.noise > 0 and given.departs_in(scenario, "noise")
-    if noisy and asked.error == 0.0:
-        return ""
-    return "none: the mean time is known of noise alone, drawn anew for every bearing and step"
-
-
 def noisy_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """The mean time, infinite if the step is too long for this noise, or robots slow down."""
     n, degree, graph = scenario.n_robots, scenario.max_degree, scenario.sensing_graph
@@ -198,7 +190,8 @@ def noisy_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 
 
 _SEEN = given.bounded_errors, given.all_neighbours_seen, given.nothing_in_the_way
-_NOISY = *given.TEAM, noise_alone, given.nothing_in_the_way
+_noise = given.flawed_by("noise", "the mean time is known of noise alone")
+_NOISY = *given.TEAM, _noise, given.nothing_in_the_way
 THEOREMS = (
     Theorem("N", ("law", "gains"), (*given.JOINED, *_SEEN, gains_are_equal), equal_gain_bounds),
     Theorem("N1", ("law",), (*given.TEAM, *_SEEN, given.certified_or_scaled), law_bounds),
