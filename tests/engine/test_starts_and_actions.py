@@ -24,17 +24,11 @@ def test_a_given_start_is_taken(kind):
     np.testing.assert_array_equal(sim.weights, np.tile(weights, (32, 1, 1)))
     if scenario.model.nonholonomic:
         np.testing.assert_array_equal(sim.headings, attitudes(scenario))
+    sim.reset(0, {"positions": STARTS[scenario.dim][0]})  # one for all
+    np.testing.assert_array_equal(sim.positions, np.tile(STARTS[scenario.dim][0], (32, 1, 1)))
     sim.reset(0)
     np.testing.assert_array_equal(sim.weights[31], UNEQUAL)
     assert not np.array_equal(sim.positions, STARTS[scenario.dim])
-
-
-def test_one_start_for_all_teams_and_yaw_without_an_axis():
-    sim = Simulator(five("unicycle"), 3)
-    sim.reset(0, {"positions": STARTS[2][0], "headings": [0.1, 0.2, 0.3, 0.4, 0.5]})
-    for team in range(3):
-        np.testing.assert_array_equal(sim.positions[team], STARTS[2][0])
-        assert sim.headings[team, :, 0].tolist() == [0.1, 0.2, 0.3, 0.4, 0.5]
 
 
 def test_given_parts_leave_the_draws_of_the_others_as_they_were(kind):

@@ -47,9 +47,11 @@ def test_every_block_is_done_once(blocks, most):
         np.testing.assert_array_equal(marked(blocks, most), 1.0)
 
 
-def test_one_thread_is_the_callers():
+@pytest.mark.parametrize("compiled", [True, False])
+def test_one_thread_is_the_callers_and_without_compilation_there_is_no_other(compiled, monkeypatch):
+    monkeypatch.setattr(threads, "compiled", lambda: compiled)
     seen = set()
-    threads.share(lambda _: seen.add(threading.current_thread()), 5, 1)
+    threads.share(lambda _: seen.add(threading.current_thread()), 5, 1 if compiled else 4)
     assert seen == {threading.current_thread()}
 
 
@@ -184,15 +186,10 @@ def test_callers_do_not_get_into_each_others_way():
         np.testing.assert_array_equal(total, 50.0)
 
 
-def test_without_compilation_one_thread_does_all(monkeypatch):
-    monkeypatch.setattr(threads, "compiled", lambda: False)
-    monkeypatch.setattr(threads, "_ensure_workers", lambda _: pytest.fail("a thread was used"))
-    np.testing.assert_array_equal(marked(7, 4), 1.0)
-
-
-def test_threads_do_not_keep_the_process_alive_and_are_as_many_as_needed():
+def test_threads_are_as_many_as_needed_and_do_not_keep_the_process_alive():
     marked(10, 5)
-    assert len(threads._workers) >= 5 and all(worker.daemon for worker in threads._workers)
+    workers = [thread for thread in threading.enumerate() if thread.name == "rendezvous"]
+    assert len(workers) >= 5 and all(worker.daemon for worker in workers)
 
 
 def test_a_process_keeps_to_its_share_of_the_cores(monkeypatch):
