@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.sparse.csgraph import connected_components
 
 import baselines
 from baselines.obstacle_rules.obstacle_avoidance import (
@@ -144,27 +145,35 @@ def test_rules_in_space_by_hand():
         np.testing.assert_array_equal(rule(f, np.stack([beside, 0 * beside])), f)
 
 
-def test_joined_rule_in_space_stays_out_of_every_cone():
-    """Many overlap: the way out is beside all of them, not inside the next cone."""
+def test_joined_rule_in_space_takes_the_nearest_free_way_out_of_all_that_hang_together():
+    """Of rays around each cone that overlaps the one in the way, directly or through others."""
     random = np.random.default_rng(2)
-    left = 0
-    for _ in range(300):
-        f, count = random.normal(size=3), random.integers(1, 6)
+    left = through = 0
+    for _ in range(400):
+        f, count = random.normal(size=3), random.integers(1, 16)
         towards = f / np.linalg.norm(f)
-        centres = towards + 0.7 * random.normal(size=(count, 3))
+        centres = towards + 0.5 * random.normal(size=(count, 3))
         centres /= np.linalg.norm(centres, axis=-1, keepdims=True)
-        halves = random.uniform(0.1, 0.7, count)
+        halves = random.uniform(0.1, 0.5, count)
+        at_start = np.arccos(centres @ towards) - halves
+        overlap = np.arccos(np.clip(centres @ centres.T, -1, 1)) < halves + halves[:, None]
+        groups = connected_components(overlap)[1]
+        rays = np.stack([ring(c, a + CLEARANCE, towards)
+                         for c, a in zip(centres, halves, strict=True)])  # fmt: skip
+        others = ~np.eye(count, dtype=bool)[:, None]
+        free = ~((rays @ centres.T > np.cos(halves)) & others).any(axis=-1)
+        free &= (groups == groups[at_start.argmin()])[:, None]
+        nearest = np.where(free, rays @ towards, -2.0)
         points = np.stack([ring(c, a, towards) for c, a in zip(centres, halves, strict=True)])
         heading = tangent_joined_heading(f, points)
-        assert abs(np.linalg.norm(heading) - 1) < 1e-12
-        outside, at_start = (np.arccos(np.clip(centres @ v, -1, 1)) - halves
-                             for v in (heading, towards))  # fmt: skip
-        if at_start.min() >= CLEARANCE:
+        if at_start.min() >= CLEARANCE or not free.any():
             np.testing.assert_allclose(heading, towards, atol=1e-12)
-        elif not np.allclose(heading, towards):
-            left += 1
-            assert -1e-9 <= outside.min() <= CLEARANCE + 1e-9
-    assert left > 100
+            continue
+        assert heading @ towards == pytest.approx(nearest.max(), abs=1e-9)  # rays lie in pairs
+        assert np.linalg.norm(rays[free] - heading, axis=-1).min() < 1e-9
+        left += 1
+        through += not overlap[at_start.argmin(), nearest.argmax() // rays.shape[1]]
+    assert left > 100 and through > 5
 
 
 CLUTTER = Scenario(n_robots=4, obstacle_slots=6, time_step=0.05, allow_long_step=True)
