@@ -7,7 +7,8 @@ from __future__ import annotations
 import numpy as np
 from continuous_time import Array, Mask, Sights, Teams, outward
 
-from train.verify.claims import BATCH, unit
+from train.verify.claims import BATCH
+from train.verify.monitors import unit
 
 _EXACT = 1e6
 _SHARPNESS = (0.0, 3.0, 30.0, _EXACT, _EXACT)

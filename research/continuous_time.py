@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env.physics.hull_perimeter import size
-from train.verify.claims import unit
-from train.verify.monitors import directions
+from train.verify.monitors import directions, unit
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

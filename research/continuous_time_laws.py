@@ -7,7 +7,7 @@ from adversarial_graphs import Attention
 from continuous_time import Array, Law, Sights, Teams, outward
 
 from train.verify.adversaries import turned_rows
-from train.verify.claims import unit
+from train.verify.monitors import unit
 
 Random = np.random.Generator
 

@@ -11,7 +11,7 @@ from continuous_time_claims import ContinuousTimeClaim, stays_below
 from continuous_time_laws import Random, followed
 
 from rendezvous_env.graphs.weights import bottleneck_weight, max_degree
-from train.verify.claims import unit
+from train.verify.monitors import unit
 
 _KEPT = 8
 """Moments that are remembered; the oldest admissible one is nearly as old as is allowed."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env import Scenario
-from train.verify.claims import across, unit
+from train.verify.monitors import across, unit
 
 Array = NDArray[np.float64]
 Desired = Callable[[NDArray[Any], int], Array]

@@ -12,7 +12,8 @@ from time_bounds import gains_time, links_time
 
 from rendezvous_env import Scenario
 from rendezvous_env.safety.links import LinkKeeping, least_norm_points, link_keeping_law
-from train.verify.claims import BATCH, unit
+from train.verify.claims import BATCH
+from train.verify.monitors import unit
 
 _SIZES = (2, 3, 4, 5)
 _SIGHT = 1.0

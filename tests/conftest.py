@@ -86,6 +86,8 @@ KERNELS = tuple(
         "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[drawn graphs]",
         "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[flying among solids]",
         "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[two rows]",
+        "learn/test_networks.py::test_kernels_pool",
+        "learn/test_updates.py::test_slopes",
         "physics/test_arcs.py",
         "physics/test_capsules.py",
         "physics/test_chance.py",

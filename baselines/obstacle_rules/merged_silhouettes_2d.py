@@ -45,10 +45,8 @@ def joined_heading_2d(towards, silhouettes, carried, rule, intervals):
         return towards
     kept, weight = 0.0, 0.0
     if carried[0] != 0.0 or carried[1] != 0.0:
-        kept, weight = (
-            math.atan2(cross_in_plane(towards, carried), dot(towards, carried)),
-            persistence,
-        )
+        kept = math.atan2(cross_in_plane(towards, carried), dot(towards, carried))
+        weight = persistence
     low, high, gap_below, gap_above = joined_interval_2d(towards, silhouettes, intervals)
     turn = 0.0
     if not (high - low >= TWO_PI or low >= clearance or high <= -clearance):
@@ -106,9 +104,8 @@ def joined_interval_2d(towards, silhouettes, intervals):
         if is_seen(silhouettes[m]):
             last, first = load(silhouettes[m, 0]), load(silhouettes[m, 1])
             intervals[count, 0] = math.atan2(cross_in_plane(u, first), dot(u, first))
-            intervals[count, 1] = max(
-                math.atan2(cross_in_plane(first, last), dot(first, last)), 0.0
-            )
+            width = math.atan2(cross_in_plane(first, last), dot(first, last))
+            intervals[count, 1] = max(width, 0.0)
             count += 1
     seen = intervals[:count]
     nearest = _nearest_interval(seen)

@@ -90,7 +90,7 @@ MISTAKES = {
     "train --seeds 1 1": "--seeds 1 1: name each once",
     "train --seeds 0 3 --seed 2": "--seed is 2; --seeds says which runs there are",
     "train --seeds 0 -1": "--seed is -1",
-    "train --set robot_model=double_integrator": "train teaches single_integrator, unicyc",
+    "train --set robot_model=double_integrator": "training_env(scenario, guarantee=None)",
     "train --scenario clutter-3d --critic global": "the global state is written for",
     "train --scenario fig4 --curriculum 3": "fig4 draws no obstacles",
     "train --gamma 1.5": "--gamma is 1.5; it must be 1 or less",

@@ -12,8 +12,9 @@ from claims import CLAIMS, check, main
 from continuous_time import Teams
 from continuous_time_laws import away, followed, into_cone, turned
 
-from train.verify.claims import BATCH, across, unit
+from train.verify.claims import BATCH
 from train.verify.falsification import Tally
+from train.verify.monitors import across, unit
 
 FREE = (*continuous_time_claims.CONTINUOUS_TIME, *delay_claims.DELAY, *link_claims.LINKS)
 BY_NAME = {claim.name: claim for claim in FREE}
