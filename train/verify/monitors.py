@@ -35,8 +35,8 @@ of it than 1.5 %."""
 
 
 class Moment:
-    """What is read of teams at one moment, each thing once and by its name in a simulator, and how
-    robots i lie to robots j.
+    """State of the teams at one moment: attributes of the simulator, each read once when it is first
+    asked for, and the geometry of all pairs of robots (i, j).
     """
 
     def __init__(self, teams: rv.Simulator) -> None:
@@ -51,7 +51,7 @@ class Moment:
 
     @cached_property
     def both(self) -> Mask:
-        """Whether i and j are there, (B, n, n)."""
+        """Whether i and j are active, (B, n, n)."""
         return np.asarray(self.active[:, :, None] & self.active[:, None])
 
     @cached_property
@@ -71,12 +71,12 @@ class Moment:
 
     @cached_property
     def tops(self) -> Array:
-        """How far the team reaches to each side, (B, M), m, see ``extents``."""
+        """Support of the team in each of M directions, (B, M), m, see ``extents``."""
         return extents(self.positions, self.active, directions(self.positions.shape[-1]))
 
     @cached_property
     def gains(self) -> Array:
-        """a_ij of robots that are there, (B, n, n), m/s."""
+        """a_ij of active robots, (B, n, n), m/s."""
         return np.where(self.linked, self.weights, 0.0)
 
     @cached_property
@@ -86,7 +86,7 @@ class Moment:
 
 
 def lengths(vectors: Array) -> Array:
-    """Of vectors (..., d), (..., 1)."""
+    """Norms (..., 1) of vectors (..., d)."""
     return np.asarray(np.sqrt((vectors**2).sum(axis=-1, keepdims=True)))
 
 

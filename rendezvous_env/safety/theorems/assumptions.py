@@ -111,7 +111,7 @@ def departs_in(scenario: Scenario, *names: str) -> bool:
 
 
 def flawed_by(flaw: str, otherwise: str) -> Assumption:
-    """This is all that is wrong with bearings."""
+    """Bearings depart from the exact ones by this field of ``Sensing`` alone."""
 
     def holds(scenario: Scenario, asked: Asked) -> str:
         alone = getattr(scenario.sensing, flaw) > 0 and departs_in(scenario, flaw)
