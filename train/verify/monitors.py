@@ -35,7 +35,7 @@ of it than 1.5 %."""
 
 
 class Moment:
-    """State of the teams at one moment: attributes of the simulator, each read once when it is first
+    """State of the teams at one moment: attributes of the simulator, each read when it is first
     asked for, and the geometry of all pairs of robots (i, j).
     """
 
