@@ -43,6 +43,7 @@ def kernel(
     *,
     inline: Inline = "never",
     allocates: bool = False,
+    slp: bool = False,
 ) -> Any:
     """Compile a function on first use: nogil, IEEE division, no fastmath; cached on disk.
 
@@ -53,21 +54,29 @@ def kernel(
         function: of numbers, arrays and tuples of these; None to give options first.
         inline: whether it becomes part of whoever calls it.
         allocates: whether it may allocate and return arrays after all, and counts references.
+        slp: whether numbers that lie side by side become SIMD outside of loops over lanes too
+            (LLVM's superword-level parallelism): for rows of a robot; loops over lanes get slower.
     """
-    return _made(function, _options(inline, allocates=allocates))
+    return _made(function, _options(inline, allocates=allocates), slp)
 
 
-def inner_kernel(function: Callable[..., Any] | None = None, *, inline: Inline = "never") -> Any:
+def inner_kernel(
+    function: Callable[..., Any] | None = None, *, inline: Inline = "never", slp: bool = False
+) -> Any:
     """A kernel for other kernels: no entry for Python is compiled, which takes tuples of arrays
     apart and is longer than many a kernel. Called from Python it is the function that it was.
     """
-    return _made(function, _options(inline, within=True))
+    return _made(function, _options(inline, within=True), slp)
 
 
-def _made(function: Callable[..., Any] | None, options: dict[str, Any]) -> Any:
+def _made(function: Callable[..., Any] | None, options: dict[str, Any], slp: bool) -> Any:
     if function is None:
-        return partial(_made, options=options)
-    return _Kernel(function, targetoptions=options) if compiled() else function
+        return partial(_made, options=options, slp=slp)
+    if not compiled():
+        return function
+    made = _Kernel(function, targetoptions=options)
+    made.slp = slp
+    return made
 
 
 def _options(inline: Inline, *, allocates: bool = False, within: bool = False) -> dict[str, Any]:
@@ -89,6 +98,9 @@ def _options(inline: Inline, *, allocates: bool = False, within: bool = False) -
 class _Kernel(_DISPATCHER):
     """numba's dispatcher, with the rules of this project."""
 
+    slp = False
+    """Whether it is compiled with ``kernel(slp=True)``."""
+
     def __init__(self, py_func: Any, locals: Any = None, targetoptions: Any = None) -> None:
         super().__init__(py_func, locals, targetoptions)
         self._cache = KernelCache(py_func, targetoptions)
@@ -104,12 +116,14 @@ class _Kernel(_DISPATCHER):
             collects = gc.isenabled()
             gc.disable()
             _began.append(time.monotonic())
+            slp, _CONFIG.SLP_VECTORIZE = _CONFIG.SLP_VECTORIZE, self.slp
             try:
                 entry = super().compile(sig)
                 if self._cache_misses and time.monotonic() - _began[0] > _PATIENCE:
                     _say_once()
                 return entry
             finally:
+                _CONFIG.SLP_VECTORIZE = slp
                 _began.pop()
                 if collects:  # not within another function's compiling
                     gc.enable()

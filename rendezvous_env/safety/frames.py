@@ -35,11 +35,7 @@ def look_along_net_bearing(robots, constants, arrays, work):
         if observations.shape[2] == 2:  # behind this question the compiler leaves out z
             _aim_in_plane(observations, constants, frames, first, stop, work)
             for i in range(first, stop):
-                x, y = load_pair(frames[i, :, 0]), load_pair(frames[i, :, 1])
-                for row in range(observations.shape[1]):
-                    v = load_pair(observations[i, row])
-                    # 0.0: never −0.0
-                    seen[i, row, 0], seen[i, row, 1] = 0.0 + dot(x, v), 0.0 + dot(y, v)
+                _turn_in_plane(observations[i], frames[i], seen[i])
         else:
             for i in range(first, stop):
                 _aim_in_space(observations[i], constants, frames[i])
@@ -50,6 +46,15 @@ def look_along_net_bearing(robots, constants, arrays, work):
                     v = load(observations[i, row])
                     along = (0.0 + dot(x, v), 0.0 + dot(y, v), 0.0 + dot(z, v))
                     store(along, seen[i, row])
+
+
+@inner_kernel(slp=True)
+def _turn_in_plane(rows, frame, seen):
+    """Rows (rows, 2) ← Fᵀ row."""
+    x, y = load_pair(frame[:, 0]), load_pair(frame[:, 1])
+    for k in range(len(rows)):
+        v = load_pair(rows[k])
+        seen[k, 0], seen[k, 1] = 0.0 + dot(x, v), 0.0 + dot(y, v)  # 0.0: never −0.0
 
 
 @inner_kernel(inline="code")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..compilation import compiled, inner_kernel
 from ..engine.threads import Part
 from ..physics.neighbour_rows import net_bearing_of
-from ..physics.vectors import combine, norm
+from ..physics.vectors import combine, load_pair, norm
 
 LANES = 32 if compiled() else 1  # robots that are worked on at a time
 PLANE, SPACE = (0.0, 0.0), (0.0, 0.0, 0.0)
@@ -137,6 +137,18 @@ def read(observations, held, first, stop, robot, weighs, work):
     take_in(held, first, stop, lanes_of(work).choice)
 
 
+@inner_kernel(slp=True)
+def _sum_in_plane(observations, neighbour_slots, f):
+    """f_i = Σ_j a_ij g_ij, as ``net_bearing_of``, of robots with rows (N, rows, 2) into f (2, N)."""
+    for lane in range(len(observations)):
+        rows = observations[lane]
+        x, y = 0.0, 0.0
+        for k in range(neighbour_slots):
+            row = load_pair(rows[k])
+            x, y = x + row[0], y + row[1]
+        f[0, lane], f[1, lane] = x, y
+
+
 @inner_kernel(inline="code")
 def read_rows(space, observations, first, stop, neighbour_slots, weighs, work):
     """Of robots first ≤ i < stop, from their rows (N, rows, d), m/s: f_i, and D_i if ``weighs``."""
@@ -144,8 +156,11 @@ def read_rows(space, observations, first, stop, neighbour_slots, weighs, work):
         return
     lanes = lanes_of(work)
     if not weighs:
-        for lane in range(min(LANES, stop - first)):
-            put(net_bearing_of(observations[first + lane], neighbour_slots), lanes.f, lane)
+        if len(space) == 2:
+            _sum_in_plane(observations[first:stop], neighbour_slots, lanes.f)
+        else:
+            for lane in range(min(LANES, stop - first)):
+                put(net_bearing_of(observations[first + lane], neighbour_slots), lanes.f, lane)
         lanes.degree[:] = 0.0
         return
     lanes.f[:] = 0.0

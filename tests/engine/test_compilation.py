@@ -157,3 +157,34 @@ def test_the_collector_rests_while_compiling_and_no_longer(at_work, monkeypatch)
         assert gc.isenabled() == at_work
     finally:
         (gc.enable if was_at_work else gc.disable)()
+
+
+@pytest.mark.skipif(not compilation.compiled(), reason="nothing is compiled")
+def test_a_kernel_is_compiled_with_slp_where_it_asks_for_it_and_no_other(monkeypatch):
+    """However deep within each other they are compiled."""
+    seen = {}
+    monkeypatch.setattr(kernel_cache, "_folder", lambda: None)  # else it is found again
+
+    @compilation.inner_kernel
+    def loops(x):
+        return 2.0 * x
+
+    @compilation.inner_kernel(slp=True)
+    def rows(x):
+        return loops(x)
+
+    @compilation.kernel
+    def around(x):
+        return rows(x) + loops(x)
+
+    for kernel in (loops, rows, around):
+
+        def compiling(*a, real=kernel._compiler.compile, name=kernel.__name__):
+            made = real(*a)
+            seen[name] = numba.config.SLP_VECTORIZE
+            return made
+
+        monkeypatch.setattr(kernel._compiler, "compile", compiling)
+    assert around(3.0) == 12.0
+    assert seen == {"loops": False, "rows": True, "around": False}
+    assert numba.config.SLP_VECTORIZE == 0
