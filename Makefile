@@ -1,7 +1,8 @@
 # make compare: the main job.  make test: linters, types, fast tests.  Each sets up .venv by itself;
 # compare needs no extra, the others add all of them, as make install does.
 # make test-slow: the long tests, and those that together call every kernel (KERNELS in
-#   tests/conftest.py) once more with every index checked.
+#   tests/conftest.py) once more with every index checked, as plain Python and, where filters
+#   work in lanes, compiled.
 # make docs: the documentation as a site, in out/site.
 PYTHON ?= python3
 BIN := .venv/bin
@@ -39,7 +40,8 @@ again: .venv/installed
 
 test-slow: .venv/installed
 	$(BIN)/python -m pytest -q -m slow $(BY_TWO)
-	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 $(BIN)/python -m pytest -q -m 'kernels and not slow' $(BY_TWO)
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -m 'kernels and not slow' $(BY_TWO)
+	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 $(BIN)/python -m pytest -q -m 'kernels and not slow' -k safety
 	$(MAKE) test-adapter-ros  # goes by the clock, so alone
 	$(MAKE) --jobs=2 --output-sync=target $(filter-out %-ros,$(LEARNERS:%=test-adapter-%))
 
