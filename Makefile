@@ -40,7 +40,7 @@ again: .venv/installed
 
 test-slow: .venv/installed
 	$(BIN)/python -m pytest -q -m slow $(BY_TWO)
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -m 'kernels and not slow' $(BY_TWO)
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -m kernels $(BY_TWO)
 	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 $(BIN)/python -m pytest -q -m 'kernels and not slow' -k safety
 	$(MAKE) test-adapter-ros  # goes by the clock, so alone
 	$(MAKE) --jobs=2 --output-sync=target $(filter-out %-ros,$(LEARNERS:%=test-adapter-%))

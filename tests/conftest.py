@@ -71,9 +71,9 @@ them: the first two of the fast tests have hardly a kernel in common, which both
 KERNELS = tuple(
     f"tests/{name}"
     for name in (
-        "borders/test_fuzz_core.py::test_actions",
-        "borders/test_fuzz_core.py::test_options",
-        "borders/test_fuzz_core.py::test_states",
+        "borders/test_fuzz_core.py::test_actions[few]",
+        "borders/test_fuzz_core.py::test_options_of_a_reset[few]",
+        "borders/test_fuzz_core.py::test_states[few]",
         "engine/test_graphs_that_change.py::test_law_1",
         "engine/test_graphs_that_change.py::test_a_robot_that_comes_to_see_more",
         "engine/test_graphs_that_change.py::test_links_of_a_restart",
@@ -130,13 +130,38 @@ plain Python, in which every index is checked; but there lanes of filters are of
 """
 
 
+OF_THEIR_OWN_KIND = tuple(
+    f"tests/{name}"
+    for name in (
+        "commands/test_verify.py::test_a_graph_of_links_one_way",
+        "engine/test_own_models.py::test_a_sluggish_unicycle",
+        "engine/test_restart.py::test_both_ways_to_restart_show_the_same_start_and_leave_the_others"
+        "_alone[double",
+        "engine/test_sensing_engine.py::test_silhouettes_are_turned_point_by_point[space",
+        "policies/test_baselines.py::TestLargeSparseGraphs::test_all_meet",
+        "policies/test_every_policy.py::test_it_goes_on_bit_by_bit_from_a_pickle[damped]",
+        "policies/test_every_policy.py::test_a_batch_is_its_teams_one_by_one[damped]",
+        "test_docs.py::test_every_python_block_runs[docs/environment.md]",
+        "test_docs.py::test_every_python_block_runs[docs/graphs.md]",
+        "test_docs.py::test_every_python_block_runs[docs/robot-models.md]",
+        "test_docs.py::test_every_python_block_runs[docs/scenarios.md]",
+    )
+)
+"""Beginnings of the names of tests that compile a kind of team which no other fast test needs, so
+that they are slow ones.
+"""
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Long files first, then those of many tests: no worker is left with a long one at the end."""
     for item in items:
         if item.nodeid.startswith(KERNELS):
             item.add_marker("kernels")
+        if item.nodeid.startswith(OF_THEIR_OWN_KIND):
+            item.add_marker("slow")
     if "kernels" in config.option.markexpr:
-        gone = [name for name in KERNELS if not any(i.nodeid.startswith(name) for i in items)]
+        named = KERNELS + OF_THEIR_OWN_KIND
+        gone = [name for name in named if not any(i.nodeid.startswith(name) for i in items)]
         assert not gone, f"no such tests: {gone}"
     tests = Counter(item.path for item in items)
 
