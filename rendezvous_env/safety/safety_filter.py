@@ -40,7 +40,7 @@ def over_teams(
     threads.share(work, num_envs, max(1, most))
 
 
-@kernel(slp=True)
+@kernel
 def _hold(given, turns, frames, held):
     """Hold choices, turned by frames: h = F q. −1; or the first robot whose choice is not finite in
     float32, and none is held.
