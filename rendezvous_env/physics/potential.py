@@ -6,7 +6,7 @@ g_ij = (p_j − p_i)/‖p_j − p_i‖,    f_i = Σ_j a_ij g_ij,    V = Σ_i Σ_
 import math
 
 from ..compilation import inner_kernel, kernel
-from .vectors import difference, scaled, square, to_local
+from .vectors import dot, scaled, subtract, to_local
 
 
 @inner_kernel(inline="code")
@@ -16,8 +16,8 @@ def sighting(position_i, position_j, gain):
 
     Positions are pairs or triples, m; the gain is a_ij, m/s, 0 without an edge.
     """
-    offset = difference(position_i, position_j)
-    gap = square(offset)
+    offset = subtract(position_j, position_i)
+    gap = dot(offset, offset)
     distance = math.sqrt(gap)
     return offset, gap, distance, bearing_factor(gain, distance)
 

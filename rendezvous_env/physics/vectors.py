@@ -92,9 +92,11 @@ def add(a, factor, b):
     return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
 
 
-@kernel
+@kernel(inline="code")
 def subtract(a, b):
-    """The triple a − b of two triples, in their unit."""
+    """The pair or triple a − b of two of them, in their unit."""
+    if len(a) == 2:
+        return a[0] - b[0], a[1] - b[1]
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
@@ -151,20 +153,6 @@ def perpendicular(h):
         return -h[1], h[0]
     level = (-h[1], h[0], 0.0)
     return level if dot(level, level) >= _VERTICAL * _VERTICAL else without(X_AXIS, h)
-
-
-@kernel(inline="code")
-def difference(a, b):
-    """The offset b − a of two pairs or two triples, one like them, in their unit."""
-    if len(a) == 2:
-        return b[0] - a[0], b[1] - a[1]
-    return b[0] - a[0], b[1] - a[1], b[2] - a[2]
-
-
-@kernel(inline="code")
-def square(v):
-    """Squared length ‖v‖² of a pair or triple, a number; unit of v squared."""
-    return dot(v, v)
 
 
 @kernel(inline="code")

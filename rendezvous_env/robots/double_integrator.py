@@ -14,7 +14,7 @@ import math
 from typing import NamedTuple
 
 from ..compilation import kernel
-from ..physics.vectors import add, dot, scaled, square, to_global, to_local
+from ..physics.vectors import add, dot, norm, scaled, to_global, to_local
 from .motion import FREE, STOPPED, Motion, describe
 from .robot_models import RobotModel, register_robot_model
 from .single_integrator import speed_scale
@@ -38,9 +38,9 @@ def final_velocity(model, action, frame, velocity):
     """Velocity at the end of a step in the global frame, m/s: v + τ R a with ‖a‖ ≤ a_max, then
     ‖v‖ ≤ v_max, both with the direction kept.
     """
-    _, factor = speed_scale(square(action), model.acceleration_limit)
+    _, factor = speed_scale(dot(action, action), model.acceleration_limit)
     pushed = add(velocity, model.duration * factor, to_global(frame, action))
-    _, factor = speed_scale(square(pushed), model.speed_limit)
+    _, factor = speed_scale(dot(pushed, pushed), model.speed_limit)
     return scaled(pushed, factor)
 
 
@@ -59,14 +59,14 @@ def mean_speed(before, after):
     With u the part of the velocity along its change c, and h the part across it, it is
     [u √(u² + h²) + h² asinh(u/h)] / 2‖c‖ between the ends.
     """
-    start, end = math.sqrt(square(before)), math.sqrt(square(after))
+    start, end = norm(before), norm(after)
     change = add(after, -1.0, before)
-    size = math.sqrt(square(change))
+    size = norm(change)
     if size <= _NEARLY_STEADY * max(start, end):
-        middle = 0.5 * math.sqrt(square(add(before, 1.0, after)))
+        middle = 0.5 * norm(add(before, 1.0, after))
         return (start + 4.0 * middle + end) / 6.0
     along = dot(before, change) / size
-    across = math.sqrt(square(add(before, -along / size, change)))
+    across = norm(add(before, -along / size, change))
     length = (along + size) * end - along * start
     if across > 0.0:
         turned = math.asinh((along + size) / across) - math.asinh(along / across)
@@ -97,7 +97,7 @@ def _update(model, action, frame, memory, displacement, contact):
         return scaled(velocity, 0.0)
     way = scaled(add(memory, 1.0, velocity), 0.5 * model.duration)
     taken = add(way, -1.0, displacement)
-    into, size = dot(velocity, taken), square(taken)
+    into, size = dot(velocity, taken), dot(taken, taken)
     return add(velocity, -into / size, taken) if into > 0.0 and size > 0.0 else velocity
 
 

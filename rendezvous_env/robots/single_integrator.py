@@ -7,7 +7,7 @@ import math
 from typing import NamedTuple
 
 from ..compilation import kernel
-from ..physics.vectors import scaled, square, to_global
+from ..physics.vectors import dot, scaled, to_global
 from .motion import Motion, describe
 from .robot_models import RobotModel, register_robot_model
 
@@ -31,7 +31,7 @@ def speed_scale(square_speed, limit):
 @kernel(inline="code")
 def _propose(model, action, frame, memory):
     """τ R v, with ‖v‖ limited."""
-    speed, factor = speed_scale(square(action), model.speed_limit)
+    speed, factor = speed_scale(dot(action, action), model.speed_limit)
     scale = model.duration * factor
     return scaled(to_global(frame, action), scale), speed * scale
 

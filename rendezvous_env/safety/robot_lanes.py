@@ -139,7 +139,7 @@ def read(observations, held, first, stop, robot, weighs, work):
 
 @inner_kernel(slp=True)
 def _sum_in_plane(observations, neighbour_slots, f):
-    """f_i = Σ_j a_ij g_ij, as ``net_bearing_of``, of robots with rows (N, rows, 2) into f (2, N)."""
+    """f_i = Σ_j a_ij g_ij, as ``net_bearing_of``, from rows (N, rows, 2), m/s, into f (2, N)."""
     for lane in range(len(observations)):
         rows = observations[lane]
         x, y = 0.0, 0.0

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..compilation import kernel
 from ..physics.random_streams import mix
-from ..physics.vectors import combine, square
+from ..physics.vectors import combine, norm
 
 _STEP = np.uint64(0xD1B54A32D192ED03)
 _HALF, _ONE, _TWO = np.float32(0.5), np.float32(1.0), np.float32(2.0)
@@ -145,7 +145,7 @@ def _across(row, turn):
     orthonormal basis, revisited", 2017).
     """
     (x, y, z), (c, s) = row, cosine_and_sine(turn, False)
-    length = np.float32(math.sqrt(square(row)))
+    length = np.float32(norm(row))
     sign, height = _ONE if z >= 0 else -_ONE, abs(z) + length
     level = c * sign * x + s * y
     share = level / (height if height > 0 else _ONE)

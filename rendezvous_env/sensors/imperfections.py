@@ -23,7 +23,6 @@ from ..physics.vectors import (
     dot,
     load,
     norm,
-    square,
     subtract,
     to_local,
     triple,
@@ -130,7 +129,7 @@ def is_seen(offset, reach, half_field):
     ‖offset‖ ≤ range (inf without a limit)   and   ∠(offset, x) ≤ field of view/2 (π: all round)
     """
     x, y, z = triple(offset)
-    if square(offset) > reach * reach:
+    if dot(offset, offset) > reach * reach:
         return False
     # to find the angle takes as long as a step of a robot with an exact sensor
     return half_field >= math.pi or math.atan2(math.sqrt(y * y + z * z), x) <= half_field
@@ -203,7 +202,7 @@ def in_sectors(row, sectors):
     width = 2.0 * math.pi / sectors
     yaw = width * math.floor(math.atan2(row[1], row[0]) / width + 0.5)
     if len(row) == 2:
-        length = math.sqrt(square(row))
+        length = norm(row)
         return length * math.cos(yaw), length * math.sin(yaw)
     length, level = norm(row), math.sqrt(row[0] * row[0] + row[1] * row[1])
     highest = math.floor(0.5 * math.pi / width + 1e-9)
