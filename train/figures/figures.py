@@ -97,7 +97,7 @@ def time_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
                 style: Any = {"va": "center", "fontsize": SMALL - 1, "color": "0.4"}
                 # in the layout it would take all room of a panel of time-outs alone
                 style |= {"transform": axes.get_yaxis_transform(), "in_layout": False}
-                axes.text(0.02, row["place"], "more than half time out", **style)
+                axes.text(0.02, row["place"], "at most half met", **style)
         latest = (np.fmax(row["time_high"], row["median_time"]) for row in met)
         axes.set_xlim(0, 1.15 * max(latest, default=1.0))
 

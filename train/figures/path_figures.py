@@ -28,6 +28,8 @@ _PATHS, _VALUE = 3.1, 2.2
 """Heights of both parts of the picture of a team, inch."""
 _ARROWS = 4
 """Headings drawn along each path."""
+_NARROW = 0.6
+"""A panel whose sides have a smaller ratio has fewer ticks on the short one."""
 _LATE = 0.7
 """Share of an episode after which merges are so close together that they are shown enlarged."""
 
@@ -47,8 +49,10 @@ def trajectories_figure(scenario: Scenario, recordings: Mapping[str, Recording])
         contacts = int(recording["contacts"][-1].sum())
         touched = f"\n{in_contact(contacts)}" if contacts else ""
         axes.set_title(f"{name}\n{end}{touched}", fontsize=SMALL, color=policy_colour(name))
-        axes.locator_params(nbins=4)
         axes.tick_params(length=2)
+    wide, high = (np.ptp(limits) for limits in (axes.get_xlim(), axes.get_ylim()))
+    axes.locator_params(axis="x", nbins=4 if wide > _NARROW * high else 2)
+    axes.locator_params(axis="y", nbins=4 if high > _NARROW * wide else 2)
     for axes in panels.flat[len(recordings) :]:
         axes.set_axis_off()
     for axes in panels.flat[: len(recordings)][-columns:]:
