@@ -103,7 +103,9 @@ def _parser() -> argparse.ArgumentParser:
         description="Bearing-only multi-robot rendezvous.",
         epilog="rendezvous COMMAND --help lists the flags of a command.",
     )
-    version = f"rendezvous {metadata.version('rendezvous-env')}"
+    version = "rendezvous, not installed"
+    with suppress(metadata.PackageNotFoundError):
+        version = f"rendezvous {metadata.version('rendezvous-env')}"
     parser.add_argument(
         "--version", action="version", version=version, help="show the version and end"
     )

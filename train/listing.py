@@ -27,15 +27,19 @@ EXAMPLES = ("scenarios", "policies")
 class Config:
     """List the scenarios or the policies, a line for each, with which policies fit which."""
 
-    what: Positional[Literal["scenarios", "policies"]]
+    what: Positional[Literal["all", "scenarios", "policies"]] = "all"
     """What to list."""
 
 
 def run(config: Config) -> int:
     """Print the list."""
     console = Console()
-    lines = [(name, describe(scenarios.get(name))) for name in scenarios.names()]
-    for title, rows in [("", lines)] if config.what == "scenarios" else _policies():
+    listed: list[tuple[str, list[tuple[str, ...]]]] = []
+    if config.what != "policies":
+        listed.append(("", [(n, describe(scenarios.get(n))) for n in scenarios.names()]))
+    if config.what != "scenarios":
+        listed += _policies()
+    for title, rows in listed:
         table = Table.grid(padding=(0, 2, 0, 0))
         for _ in rows[0][:-1]:
             table.add_column(no_wrap=True)

@@ -157,6 +157,7 @@ class GuidedTeams:
     """
 
     keeps_ledger = False  # as ``CommandedTank``
+    of_actions = ()
 
     def __init__(
         self,

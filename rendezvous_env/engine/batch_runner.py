@@ -1,6 +1,6 @@
 """The compiled step, run over the blocks of a batch by several threads."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -32,6 +32,11 @@ class Pilot(Protocol):
     keeps_ledger: bool
     """Whether it wants to learn how a step went."""
 
+    @property
+    def of_actions(self) -> Sequence[NDArray[Any]]:
+        """What ``act_of`` tells of robots besides, (B, n) each; not copied."""
+        ...
+
     def act_of(
         self, teams: threads.Part, observations: NDArray[np.float32], actions: NDArray[np.float32]
     ) -> None:
@@ -52,6 +57,21 @@ class Driven(NamedTuple):
     rewards: NDArray[np.float64]  # (B,), of all of them
     robot_rewards: NDArray[np.float64]  # (B, n), likewise
     contact: NDArray[np.bool_]  # (B, n), whether the robot touched an obstacle in any of them
+
+
+class Kept:
+    """What is told of the last action of each robot of some teams: what steps that it takes no part
+    in would tell is undone.
+    """
+
+    def __init__(self, told: Sequence[NDArray[Any]], resting: NDArray[np.bool_], active: Any):
+        self._told, self._before = told, [one.copy() for one in told]
+        self._gone = ~active | resting[:, None]
+
+    def put_back(self) -> None:
+        """Undo what has been told since of robots that were gone."""
+        for values, before in zip(self._told, self._before, strict=True):
+            np.copyto(values, before, where=self._gone)
 
 
 class BatchRunner:
@@ -137,6 +157,7 @@ class BatchRunner:
             earned, robots_earned = np.zeros_like(earned), np.zeros_like(robots_earned)
             touched = np.zeros_like(touched)
         lanes, resting, width = self._state.lanes, resting.copy(), self._width(count)
+        follows = self._state.scenario.on_merge == "follow"
         while len(self._scratch) < width:
             self._scratch.append(scratch(self._state.place))
         advance = self._work(True, self._blocks, actions, output)
@@ -144,9 +165,14 @@ class BatchRunner:
         def lead(part: threads.Part) -> None:
             mine = part[0] * lanes, min(part[1] * lanes, len(actions)), part[2]
             rows, now = slice(*mine[:2]), seen
-            for _ in range(count):
+            told = [one[rows] for one in pilot.of_actions]
+            for number in range(count):
                 output.contact[rows] = False
+                if number:
+                    kept = Kept(told, resting[rows], follows | output.active[rows])
                 pilot.act_of(mine, now, actions)
+                if number:
+                    kept.put_back()
                 advance(part)
                 if pilot.keeps_ledger:
                     pilot.book_of(mine, output.contact, teams.merged_into, resting)

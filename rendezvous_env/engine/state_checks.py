@@ -29,13 +29,16 @@ _MOST = {
 _FLOATS = np.dtype(np.float32), np.dtype(np.float64)
 
 
-def check_keys(state: Any, names: tuple[str, ...]) -> None:
-    """Refuse, with a ValueError, what is no mapping with these entries."""
+def check_keys(state: Any, names: tuple[str, ...], *, exactly: bool = False) -> None:
+    """Refuse, with a ValueError, what is no mapping with these entries, ``exactly`` also others."""
     if not isinstance(state, Mapping):
         raise ValueError(f"state is {shown(state)}; it must be a mapping with {', '.join(names)}")
     for name in names:
         if name not in state:
-            raise ValueError(f"state: entry {name!r} is missing or unknown")
+            raise ValueError(f"state: entry {name!r} is missing")
+    if exactly and (unknown := sorted(map(str, set(state) - set(names)))):
+        known = ", ".join(names)
+        raise ValueError(f"state: entry {shown(unknown[0])} is unknown; it must be one of {known}")
 
 
 def check_entries(
@@ -47,9 +50,7 @@ def check_entries(
     Raises:
         ValueError: naming the entry, and what would be right.
     """
-    check_keys(state, tuple(own))
-    if exactly and (unknown := sorted(map(str, set(state) - set(own)))):
-        raise ValueError(f"state: entry {unknown[0]!r} is missing or unknown")
+    check_keys(state, tuple(own), exactly=exactly)
     return {name: _entry(name, state[name], array, exactly) for name, array in own.items()}
 
 

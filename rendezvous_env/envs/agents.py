@@ -58,7 +58,7 @@ class TeamByName(OneTeam, SpacesByName[_Space], ParallelEnv[str, NDArray[np.floa
         """Begin an episode: the first of a seed, or without one the next; options as in
         ``RendezvousParallelEnv``. A ValueError for a bad option or seed, and nothing has changed.
         """
-        observations, infos = self.teams.reset(seed=seed, options=options)
+        observations, infos = self._reset(seed, options)
         self.agents = self.possible_agents.copy()
         return dict(zip(self.agents, observations[0], strict=True)), self._by_name(infos)
 

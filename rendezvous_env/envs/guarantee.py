@@ -14,7 +14,7 @@ from ..safety.gains import Gains
 from ..safety.heading import HeadingFilter
 from ..safety.links import LinkKeeping
 from ..safety.safety_filter import FILTERS, SafetyFilter
-from ..safety.settings import MAX_TURN_RATE
+from ..safety.settings import MAX_TURN_RATE, TANK_MARGIN
 from ..safety.tank import EnergyTank
 from ..simulator import Simulator
 from .overrides import arguments_of
@@ -177,7 +177,7 @@ class TankSettings(_Constructed):
         self,
         env: Any,
         budget: float = 0.0,
-        min_alignment: float = 0.05,
+        min_alignment: float = TANK_MARGIN,
         frame: str = "net_bearing",
         decision_period: int = 1,
         observe_level: bool = False,

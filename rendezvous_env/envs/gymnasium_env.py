@@ -61,7 +61,7 @@ class RendezvousEnv(OneTeam, gymnasium.Env[Any, Any]):
         bad option or seed, and nothing has changed.
         """
         seeds = seeds_of_teams(seed, 1)
-        observations, infos = self.teams.reset(seed=seeds, options=options)
+        observations, infos = self._reset(seeds, options)
         super().reset(seed=None if seeds is None else seeds[0])
         return observations[0], of_first_team(infos)
 

@@ -193,7 +193,7 @@ class RendezvousParallelEnv(TeamByName[Box]):
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """As ``OneTeam.set_state``."""
-        check_keys(state, ("agents", "simulator"))
+        check_keys(state, ("agents", "simulator"), exactly=True)
         teams = self.simulator.check_state(state["simulator"])
         alive, given = alive_in(teams, self.scenario.on_merge), state["agents"]
         if not isinstance(given, list | tuple) or list(given) != alive:

@@ -9,7 +9,7 @@ from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
-from ..checks import flag
+from ..checks import bools, flag
 from ..engine.batch_runner import Driven, Pilot, Show
 from ..engine.memory import RENDEZVOUS, TIME_OUT
 from ..outcome import StepOutput
@@ -112,6 +112,8 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         """
         simulator, start = self.simulator, as_options(options)
         mask = start.pop("reset_mask", None)
+        if mask is not None:
+            mask = bools("reset_mask", mask, (self.num_envs,), "teams")
         observations = simulator.reset(seed, start, mask=mask)
         self.renderer.reset()
         active = simulator.active
@@ -123,7 +125,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
             "contact": np.zeros(active.shape, dtype=np.bool_),
             "clearance": simulator.clearance,
         }
-        which = np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask)
+        which = np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask
         return as_told(observations, self.flatten), masked(infos, which)
 
     def step(self, actions: NDArray[np.float32]) -> Transition:
@@ -241,6 +243,12 @@ class OneTeam:
         self.renderer, self.render_mode = base.renderer, base.render_mode
         own = {key: value for key, value in teams.metadata.items() if key != "autoreset_mode"}
         self.metadata = self.metadata | own
+
+    def _reset(self, seed: Any, options: Any) -> tuple[NDArray[np.float32], Info]:
+        """Begin an episode of the team; a mask of teams is none of its options."""
+        start = as_options(options)
+        start.pop("reset_mask", None)
+        return self.teams.reset(seed=seed, options=start)
 
     def state(self) -> NDArray[np.float32]:
         """The privileged global state, one float32 vector: positions (n·d, m), frames (n·d·d),

@@ -9,7 +9,7 @@ from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode, VectorActionWrapper, VectorObservationWrapper
 from numpy.typing import ArrayLike, NDArray
 
-from ..engine.batch_runner import Pilot, Show
+from ..engine.batch_runner import Kept, Pilot, Show
 from ..engine.memory import RUNNING
 from ..rewards.costs import no_costs
 from ..scenario.start_options import as_options
@@ -160,8 +160,12 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         rewards, robot_rewards = np.zeros(self.num_envs), np.zeros(shape[:2])
         contact, ends = np.zeros(shape[:2], dtype=np.bool_), list[Any]()
         costs = no_costs(base.scenario.costs, shape[:2])
-        for _ in range(self.decision_period):
+        follows = base.scenario.on_merge == "follow"
+        for number in range(self.decision_period):
             resting = None if simulator.all_running else simulator.status != RUNNING
+            if number:
+                rests = np.zeros(self.num_envs, np.bool_) if resting is None else resting
+                kept = Kept(self.filter.of_actions, rests, follows | simulator.active)
             if type(self.env) is RendezvousVectorEnv:
                 outcome = base.advance(self._act())
                 seen, earned = outcome.observations, outcome.rewards
@@ -172,6 +176,8 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
                 cost = ends[2]
                 robots_earned, touched = cost["robot_rewards"], cost["contact"]
             self._observed = seen.reshape(shape)
+            if number:
+                kept.put_back()
             if self.filter.keeps_ledger:
                 self.filter.book(touched, simulator.merged_into, resting)
             rewards += earned

@@ -262,7 +262,13 @@ def parse(value: Any) -> Graph:
     plain = {"kind": value} if isinstance(value, str) else value
     kind = plain.get("kind", "edges" if "edges" in plain else "complete")
     checks.known_fields(plain, class_of(kind).keys, "graph", "key")
-    return Graph(**{**plain, "kind": kind})
+    try:
+        return Graph(**{**plain, "kind": kind})
+    except ValueError as error:
+        if plain is value:
+            raise
+        made = f"more than its name, as rendezvous_env.graphs makes it: {error}"
+        raise ValueError(f"graph: {shown(value)} needs {made}") from error
 
 
 def from_matrix_of(kind: str, weights: Any, n: int | None = None) -> Graph:

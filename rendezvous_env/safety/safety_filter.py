@@ -144,6 +144,12 @@ class SafetyFilter(Remembering):
         return {"alignment": self.alignment, "lyapunov_rate": self.lyapunov_rate}
 
     @property
+    def of_actions(self) -> list[NDArray[Any]]:
+        """What is told of actions: all but what is remembered."""
+        remembered = list(map(id, self._memory.values()))
+        return [values for values in self.told.values() if id(values) not in remembered]
+
+    @property
     def _memory(self) -> dict[str, NDArray[np.float64]]:
         """What is remembered from step to step; not copied."""
         return {"frames": self._frames, "held": self._held}

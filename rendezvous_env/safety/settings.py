@@ -12,6 +12,8 @@ from ..sensors.sensing import Sensing
 
 SMALLEST_MARGIN = 1e-6
 """Margin ε below which nothing is promised: times grow with 1/ε², and soon overflow."""
+TANK_MARGIN = 0.05
+"""ε of tanks that are given no other."""
 MAX_TURN_RATE = 3.0
 """Of headings and of bodies under certified headings that are given no other, rad/s."""
 
@@ -43,7 +45,8 @@ def check_vectors(
     if vectors.shape[-1:] not in ((2,), (3,)):
         raise ValueError(f"{name} has shape {vectors.shape}; it must be (..., 2) or (..., 3)")
     if not np.isfinite(vectors).all():
-        raise ValueError(f"{name} must be finite")
+        wrong = vectors[~np.isfinite(vectors).all(axis=-1)][0]
+        refuse(name, wrong.tolist(), "finite")
     return np.ascontiguousarray(vectors)
 
 

@@ -33,7 +33,7 @@ from .robot_lanes import (
     vector_of,
 )
 from .safety_filter import Float32, SafetyFilter, check_inputs, register_filter
-from .settings import levels_follow_v
+from .settings import TANK_MARGIN, levels_follow_v
 from .turning import Robot, desired_rates, gated_rates, pitch_of, rates_of, robot_of, turn
 
 
@@ -269,7 +269,7 @@ class EnergyTank(SafetyFilter):
         num_envs: int,
         *,
         budget: float = 0.0,
-        min_alignment: float = 0.05,
+        min_alignment: float = TANK_MARGIN,
         frame: str = "net_bearing",
         observe_level: bool = False,
         bearing_error: float = 0.0,

@@ -277,7 +277,10 @@ class Scenario:
             ValueError: for text that is not TOML, an unknown key or an impossible value.
         """
         plain = scenario_files.read(path)
-        return cls.from_plain({"name": Path(path).stem, **plain})
+        try:
+            return cls.from_plain({"name": Path(path).stem, **plain})
+        except ValueError as error:
+            raise ValueError(f"{checks.shown(str(path))[1:-1]}: {error}") from error
 
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> Scenario:

@@ -132,8 +132,11 @@ class TestList:
             assert len({tuple(fitting[scenario]) for scenario in own}) == 1
         assert said.index("tangent ") < said.index("privileged-planner ") < said.index("zero ")
 
-    def test_what_else_there_is(self):
+    def test_what_else_there_is(self, capsys):
         assert run("list", "robots") == 2
+        both = self.lines("scenarios", capsys), self.lines("policies", capsys)
+        assert run("list") == 0
+        assert " ".join(capsys.readouterr().out.split()) == " ".join(both)
 
 
 def test_version(capsys):

@@ -270,8 +270,8 @@ def test_a_wrong_state_is_refused_and_changes_nothing():
     sim = halfway("unicycle")
     good = sim.get_state()
     for state, message in (
-        ({k: v for k, v in good.items() if k != "memory"}, "'memory' is missing or unknown"),
-        (good | {"speed": good["steps"]}, "'speed' is missing or unknown"),
+        ({k: v for k, v in good.items() if k != "memory"}, "'memory' is missing"),
+        (good | {"speed": good["steps"]}, "'speed' is unknown; it must be one of positions"),
         (good | {"positions": good["positions"][:3]}, r"is float64 of shape \(3, 5, 2\)"),
         (good | {"steps": good["steps"].astype(float)}, "steps is float64 .* must be int64"),
     ):

@@ -103,11 +103,8 @@ def test_every_transition_equals_the_pettingzoo_wrapper(which, name, period):
             step = env.step({agent: choices[team, int(agent[6:])] for agent in env.agents})
             for agent, told in step[4].items():
                 i = int(agent[6:])
-                # of who ends within a period arrays tell the last step, names the last one lived
-                lives = period == 1 or agent in env.agents
-                keys = guarantee.told if lives else guarantee.told & {"tank"}
-                assert same({key: infos[key][team, i].item() for key in keys},
-                            {key: told[key] for key in keys})  # fmt: skip
+                found = {key: infos[key][team, i].item() for key in guarantee.told}
+                assert same(found, {key: told[key] for key in guarantee.told})
                 assert same(step[0][agent], seen[team, i])
             assert rewards[team] == pytest.approx(step[1]["robot_0"], abs=1e-12)
             assert truncations[team] == any(step[3].values())

@@ -8,7 +8,7 @@ import hashlib
 import numpy as np
 import pettingzoo
 import pytest
-from conftest import MODELS, ROOT, five, law_of
+from conftest import MODELS, ROOT, assert_same_state, five, law_of
 from guarantees import constant, draw, same
 from test_package import run_python
 
@@ -119,6 +119,18 @@ def test_the_environment_is_the_simulator(kind):
 
 
 # ---- making one ---------------------------------------------------------------------------------
+
+
+def test_a_mask_of_teams_is_no_option_of_one_team():
+    """It would leave an episode half begun."""
+    env, other = parallel_env("swarm-20"), parallel_env("swarm-20")
+    env.reset(seed=1)
+    env.step({name: env.action_space(name).sample() for name in env.agents})
+    observations, _ = env.reset(seed=2, options={"reset_mask": [False]})
+    expected, _ = other.reset(seed=2)
+    assert_same_state(env.simulator, other.simulator)
+    np.testing.assert_equal(observations, expected)
+    env.set_state(env.get_state())
 
 
 def test_the_registry_of_pettingzoo():

@@ -1,5 +1,6 @@
 """What a certificate says: which theorem, which numbers, or in words why none."""
 
+import inspect
 import math
 import re
 import tracemalloc
@@ -20,6 +21,7 @@ from rendezvous_env.safety.theorems.constants import (
 from rendezvous_env.safety.theorems.gains import kappa
 from rendezvous_env.safety.theorems.theorem import CHOICES
 from rendezvous_env.scenario import scenarios
+from rendezvous_env.vector import EnergyTankWrapper
 
 WALL = (Disc((0.0, 0.0), 1.0),)
 LONG = Scenario(time_step=0.1, allow_long_step=True)
@@ -102,6 +104,15 @@ def test_what_is_not_guaranteed(by, scenario, words):
     found = certificate(scenario, MARGINS[by], by=by)
     assert not found.guaranteed and math.isinf(found.time_bound)
     assert re.match(f"none.*{words}", found.theorem)
+
+
+def test_a_tank_that_is_given_no_margin_has_that_of_its_wrapper():
+    """1 is the margin of the paper's laws, which no tank can have."""
+    scenario = Scenario(n_robots=3)
+    usual = inspect.signature(EnergyTankWrapper).parameters["min_alignment"].default
+    found = certificate(scenario, by="tank")
+    assert found == certificate(scenario, usual, by="tank") and found.min_alignment == usual
+    assert found.time_bound > 1000.0
 
 
 def test_a_tank_bounds_v_where_no_time_is_proven():

@@ -246,7 +246,7 @@ def test_lengths_far_from_one_are_safe(huge):
         ({"previous": np.zeros(3)}, r"previous has shape \(3,\)"),
         ({"net_bearing": np.zeros((4, 4))}, r"net_bearing has shape \(4, 4\)"),
         ({"net_bearing": 1.0}, r"net_bearing has shape \(\)"),
-        ({"raw": np.full((4, 2), np.nan)}, "raw must be finite"),
+        ({"raw": np.full((4, 2), np.nan)}, r"raw is \[nan, nan\]; it must be finite"),
     ],
 )
 def test_refusals_name_the_argument(change, message):

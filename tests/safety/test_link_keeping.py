@@ -139,7 +139,7 @@ def test_the_team_has_at_least_two_in_all(dim):
     [
         ([1.0, 2.0], "neighbour_rows has shape"),
         ([[1.0, 2.0, 3.0, 4.0]], "neighbour_rows has shape"),
-        ([[1.0, np.nan]], "neighbour_rows must be finite"),
+        ([[1.0, np.nan]], r"neighbour_rows is \[1\.0, nan\]; it must be finite"),
     ],
 )
 def test_other_rows_are_refused(rows, message):

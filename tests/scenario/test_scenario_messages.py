@@ -256,7 +256,8 @@ def test_numpy_numbers_become_pythons_own_in_fields_of_obstacles(drawn, tmp_path
 def test_toml_of_the_wrong_kind(text, message, tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(text)
-    assert re.search(message, refusal(Scenario.from_toml, path))
+    said = refusal(Scenario.from_toml, path)
+    assert re.search(message, said) and str(path) in said
     path.write_bytes(b"name = '\xff\xfe'")
     assert "mine.toml: not a TOML file" in refusal(Scenario.from_toml, path)
     assert "plain data is 5; it must be a mapping" in refusal(Scenario.from_plain, 5)

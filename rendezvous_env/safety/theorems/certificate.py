@@ -14,7 +14,7 @@ from ...scenario.scenario import Scenario
 from ...scenario.scenarios import resolve
 from ..gains import gain_range
 from ..links import check_share
-from ..settings import bounded_error, check_bearing_error, check_margin
+from ..settings import TANK_MARGIN, bounded_error, check_bearing_error, check_margin
 from . import delay, descent, gains, links, noise, tank, turning
 from .theorem import CHOICES, LAW, PROMISED, Asked, Bounds, Theorem
 
@@ -141,7 +141,8 @@ def certificate(
     Args:
         scenario: a Scenario, the name of one or the path of a TOML file.
         min_alignment: a number without unit: 1 for the paper's own laws, gains and links, ε in
-            [10⁻⁶, 1) for certified headings of that margin, ε in [10⁻⁶, 1] for a tank.
+            [10⁻⁶, 1) for certified headings of that margin and for a tank, where 1 stands for the
+            0.05 of a tank that is given no other.
         by: "law", "heading", "tank", "gains" or "links"; None is "law" if ``min_alignment`` is 1,
             else "heading".
         budget: B_i that each robot's tank begins with, m²/s.
@@ -171,6 +172,8 @@ def question(scenario: Scenario, by: Any, given: Mapping[str, Any], bearing_erro
     by = choice("by", ("law" if margin == 1 else "heading") if by is None else by, CHOICES)
     if by in ("law", "gains", "links") and margin != 1:
         refuse("min_alignment", margin, f'exactly 1 with by="{by}"')
+    if by == "tank" and margin == 1:
+        margin = TANK_MARGIN  # no tank has 1
     if by == "heading" and margin == 1:
         refuse("min_alignment", margin, 'less than 1 with by="heading"')
     asked = LAW._replace(by=by, **given)
