@@ -274,8 +274,8 @@ class LinkKeepingWrapper(LinkSettings, GuaranteeWrapper):
         env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``; its robots'
             action is their velocity, and sight is mutual and ends only with distance: no field of
             view, dropout or occlusion.
-        share: λ, in (0, 1]: how much of the velocity is the link-keeping law's. The promised time
-            is in inverse proportion to it.
+        share: λ, in [10⁻⁶, 1]: how much of the velocity is the link-keeping law's. The promised
+            time is in inverse proportion to it.
         bearing_error: η, rad: links are kept while no bearing is wrong by more. For η < π/(2n) all
             meet (theorem R d).
 

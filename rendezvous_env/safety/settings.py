@@ -25,6 +25,15 @@ def check_margin(min_alignment: Any) -> float:
     return margin
 
 
+def check_share(share: Any) -> float:
+    """λ, a number without unit, if 10⁻⁶ ≤ λ ≤ 1, else a ValueError: times grow with 1/λ, and a
+    step of less moves nobody (theorem R c).
+    """
+    if not SMALLEST_MARGIN <= (part := real(share)) <= 1.0:
+        refuse("share", share, f"in (0, 1], and at least {SMALLEST_MARGIN:g}")
+    return part
+
+
 def check_gate_constants(min_alignment: float, dead_zone: float) -> None:
     """Refuse numbers of theorem C's margin unless 10⁻⁶ ≤ ε < 1, 0 < δ < ∞, m/s: a ValueError."""
     if not SMALLEST_MARGIN <= real(min_alignment) < 1:

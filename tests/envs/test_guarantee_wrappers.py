@@ -188,7 +188,7 @@ def test_a_period_is_that_many_base_steps_with_the_choice_held(which, kind):
         ("tank", "observe_level", (1, "no")),
         ("gains", "min_gain", (-1.0,)),
         ("gains", "max_gain", (np.inf,)),
-        ("links", "share", (0, "all")),
+        ("links", "share", (0, 1e-18, 9e-7, "all")),
         ("links", "bearing_error", (2.0,)),
         *((which, "frame", ("global", 5, None)) for which in GUARANTEES),
         *((which, "decision_period", (0, 1.5, 2.0)) for which in GUARANTEES),

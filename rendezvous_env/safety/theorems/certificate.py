@@ -13,8 +13,13 @@ from ...checks import choice, real, refuse
 from ...scenario.scenario import Scenario
 from ...scenario.scenarios import resolve
 from ..gains import gain_range
-from ..links import check_share
-from ..settings import TANK_MARGIN, bounded_error, check_bearing_error, check_margin
+from ..settings import (
+    TANK_MARGIN,
+    bounded_error,
+    check_bearing_error,
+    check_margin,
+    check_share,
+)
 from . import delay, descent, gains, links, noise, tank, turning
 from .theorem import CHOICES, LAW, PROMISED, Asked, Bounds, Theorem
 
@@ -148,7 +153,7 @@ def certificate(
         budget: B_i that each robot's tank begins with, m²/s.
         min_gain: the least that a robot's gains add up to, m/s; None is a*.
         max_gain: the most, m/s; None is D̄.
-        share: λ in (0, 1], how much of a velocity is the link-keeping law's.
+        share: λ in [10⁻⁶, 1], how much of a velocity is the link-keeping law's.
         bearing_error: by how much bearings may be wrong, rad; η is the larger of it and of the
             bounded errors of the scenario's sensor.
 
