@@ -115,6 +115,16 @@ def test_a_tank_that_is_given_no_margin_has_that_of_its_wrapper():
     assert found.time_bound > 1000.0
 
 
+def test_a_bound_that_overflows_says_so():
+    for budget in (1e300, 1e308):  # two of 1e308 m²/s overflow themselves
+        found = certificate("duo", 1e-6, by="tank", budget=budget)
+        assert not found.guaranteed and math.isinf(found.time_bound)
+        assert re.match("none: the bound of a tank .* overflows.*no rendezvous", found.theorem)
+        assert "No rendezvous is guaranteed" in str(found)
+    wrong = certificate("duo", 0.1, by="tank", budget=1e308, bearing_error=1e-3)
+    assert "overflows" in wrong.theorem  # not the error's fault
+
+
 def test_a_tank_bounds_v_where_no_time_is_proven():
     v0, w = 20 * 10 * math.sqrt(2), 10
     for scenario, places, words in (

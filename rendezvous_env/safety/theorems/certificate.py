@@ -210,7 +210,7 @@ def answer(scenario: Scenario, asked: Asked) -> tuple[Certificate, list[tuple[Th
         if not met[1]:
             bounds = theorem.bounds(scenario, asked)
             applies.append((theorem, bounds))
-            met = math.inf, bounds.words if asked.error and not bounds.meets else ""
+            met = math.inf, "" if bounds.meets else bounds.words
         if met[1] and theorem.rendezvous and met[0] > nearest:
             nearest, words = met
     found = [bounds for _, bounds in applies]

@@ -1,6 +1,7 @@
 """What a theorem is here: assumptions, as predicates that say what fails, and its numbers."""
 
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -58,10 +59,20 @@ def bounds_with_errors(
     even_so: str = "",
     **others: Any,
 ) -> Bounds:
-    """A rendezvous if its time, s, is finite; else why errors η > ``tolerated``, rad, are too large
-    for ``who``. ``others`` are numbers that hold all the same (guarantees 11).
+    """A rendezvous if its time, s, is finite; else that it overflows, or why errors η ≥
+    ``tolerated``, rad, are too large for ``who``; of η = 0 nothing is to be said (guarantees 11).
+    ``others`` are numbers that hold all the same.
     """
-    if not (meets := math.isfinite(time)):
+    if meets := math.isfinite(time):
+        pass
+    elif asked.error < tolerated:
+        words = (
+            f"none: the bound of {who} on the time overflows, beyond {sys.float_info.max:.2g} s, "
+            "and no rendezvous is promised"
+        )
+    elif asked.error == 0.0:
+        words = ""
+    else:
         words = (
             f"none: bearings may err by {asked.error:.4g} rad, and {who} is known to tolerate less "
             f"than {tolerated:.4g} rad here (guarantees 11){even_so}"
