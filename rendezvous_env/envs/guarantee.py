@@ -2,6 +2,7 @@
 
 import functools
 import inspect
+import weakref
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
@@ -22,6 +23,8 @@ from .overrides import arguments_of
 AnyFilter = SafetyFilter | type[SafetyFilter] | str
 """A filter, or its class or name, from which settings make one."""
 _Constructor = TypeVar("_Constructor", bound=Callable[..., None])
+_holders: weakref.WeakValueDictionary[int, Any] = weakref.WeakValueDictionary()
+"""The wrapper that holds a filter, by the filter's id; not on filters, which are pickled."""
 
 
 def check_period(decision_period: int) -> int:
@@ -80,11 +83,22 @@ class HoldsFilter:
         self._base = base
         self.decision_period = check_period(decision_period)
         self.filter = made = make_filter(safety_filter, base.simulator, settings)
+        self._take_alone(made)
         setattr(self, made.state_key, made)
         scenario = base.scenario
         shape = base.simulator.num_envs, scenario.n_robots, *scenario.observation_layout.shape
         self._observed = np.zeros(shape, dtype=np.float32)
         self._begun = False
+
+    def _take_alone(self, made: SafetyFilter) -> None:
+        """Refuse a filter that another wrapper holds: it remembers one batch of teams."""
+        holder = _holders.get(id(made))
+        if holder is not None and holder.filter is made:
+            raise ValueError(
+                f"safety_filter: this {type(made).__name__} is held by another "
+                f"{type(holder).__name__}, whose teams it remembers; make one for each wrapper"
+            )
+        _holders[id(made)] = self
 
     def _check_begun(self) -> None:
         """Refuse a step before a reset: the filter has seen nothing then."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import copy
+import gc
 import logging
+import pickle
 
 import gymnasium
 import numpy as np
@@ -11,6 +14,7 @@ from guarantees import constant
 from gymnasium.vector import AutoresetMode
 
 import rendezvous_env as rv
+from rendezvous_env.safety.tank import EnergyTank
 
 
 class HalfSpeed(rv.SafetyFilter):
@@ -54,6 +58,26 @@ def test_a_filter_of_ones_own_serves_every_environment():
     assert teams.env.filter.least == 0.75
     teams.reset(seed=0)
     teams.step(np.zeros(teams.action_space.shape, np.float32))
+
+
+def test_a_filter_serves_one_wrapper():
+    scenario = rv.scenarios.get("duo")
+    for home, make in (
+        (rv, lambda: rv.parallel_env(scenario)),
+        (rv.vector, lambda: rv.make_vec(scenario)),
+    ):
+        made = EnergyTank(scenario, 1, budget=1.0)
+        env = home.GuaranteeWrapper(make(), made)
+        with pytest.raises(ValueError, match="this EnergyTank is held by another"):
+            home.GuaranteeWrapper(make(), made)
+        for again in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
+            again.reset(seed=0)
+            assert again.filter is not made
+        other = home.GuaranteeWrapper(make(), copy.deepcopy(made))
+        other.reset(seed=0)
+        del env
+        gc.collect()
+        assert home.GuaranteeWrapper(make(), made).filter is made  # nobody holds it any more
 
 
 def test_what_is_no_filter_is_refused_by_name():
