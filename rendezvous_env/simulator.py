@@ -52,6 +52,8 @@ class Simulator(StateView):
         self.num_threads = whole("num_threads", num_threads, 1, MOST_TEAMS) if given else None
         check_memory(scenario, self.num_envs)
         self.max_steps = scenario.max_steps
+        self.times_begun = 0
+        """How often episodes were reset or put back, but for ``restart``; wrappers compare it."""
         self._make()
 
     def _make(self) -> None:
@@ -101,6 +103,7 @@ class Simulator(StateView):
         """
         given = parse_options(self.scenario, self.num_envs, options)
         self._begin(self._which(mask), seeds_of_teams(seed, self.num_envs), given, resting)
+        self.times_begun += 1
         return self.observe()
 
     def restart(self, mask: NDArray[np.bool_], outcome: StepOutput | None = None) -> None:
@@ -330,7 +333,9 @@ class Simulator(StateView):
         """Put a state back that ``get_state`` took out of a simulator of the same scenario and
         batch. What ``check_state`` refuses changes nothing.
         """
-        self._put_state(self.check_state(state))
+        checked = self.check_state(state)
+        self.times_begun += 1
+        self._put_state(checked)
 
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
         """The arrays of a state that ``set_state`` would put back.
@@ -361,7 +366,7 @@ class Simulator(StateView):
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle and deepcopy keep the running episodes and leave the working memory behind."""
-        arguments = ("scenario", "num_envs", "num_threads", "max_steps")
+        arguments = ("scenario", "num_envs", "num_threads", "max_steps", "times_begun")
         return {name: getattr(self, name) for name in arguments} | {"_state": self.get_state()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -88,7 +88,7 @@ class HoldsFilter:
         scenario = base.scenario
         shape = base.simulator.num_envs, scenario.n_robots, *scenario.observation_layout.shape
         self._observed = np.zeros(shape, dtype=np.float32)
-        self._begun = False
+        self._seen_begun = -1
 
     def _take_alone(self, made: SafetyFilter) -> None:
         """Refuse a filter that another wrapper holds: it remembers one batch of teams."""
@@ -100,12 +100,17 @@ class HoldsFilter:
             )
         _holders[id(made)] = self
 
+    def _note_begun(self) -> None:
+        """Note that what is remembered is of the episodes that run now."""
+        self._seen_begun = self._base.simulator.times_begun
+
     def _check_begun(self) -> None:
-        """Refuse a step before a reset: the filter has seen nothing then."""
-        if not self._begun:
+        """Refuse a step before a reset: the filter has not seen these episodes then."""
+        if self._seen_begun != self._base.simulator.times_begun:
             raise RuntimeError(
                 f"call reset() of {type(self).__name__} before step(); an environment that was "
-                "reset before it was wrapped needs a new reset"
+                "reset, or given a state, before it was wrapped or beneath its wrapper needs a new "
+                "reset of the wrapper, or its set_state()"
             )
 
     def get_state(self) -> dict[str, Any]:
@@ -128,7 +133,7 @@ class HoldsFilter:
         self._base.set_state(state["env"])
         self.filter.set_state(remembered)
         self._observed = checked["observed"].copy()
-        self._begun = True
+        self._note_begun()
 
 
 # ---- constructors of the four wrappers, the same for both APIs -----------------------------------

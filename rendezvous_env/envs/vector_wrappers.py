@@ -82,7 +82,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         """As ``RendezvousVectorEnv.reset``; it clears the memory of the teams that are reset."""
         observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._observed = observations.reshape(self._observed.shape)
-        self._begun = True
+        self._note_begun()
         mask = as_options(options).get("reset_mask")
         which = None if mask is None else np.asarray(mask)
         self._forget(which)

@@ -79,7 +79,7 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
         observations, infos = self.env.reset(seed=seed, options=options)
         self.filter.forget()
         self._remember(observations)
-        self._begun = True
+        self._note_begun()
         self._add_told(infos)
         return self._view(observations), infos
 

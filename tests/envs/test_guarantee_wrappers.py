@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
+import pickle
 
 import gymnasium
 import numpy as np
@@ -247,6 +249,32 @@ def test_an_environment_that_was_reset_before_needs_a_new_reset(which):
         env = around(base)
         env.set_state(around(base).get_state())
         env.step(choices)
+
+
+def test_a_reset_beneath_a_wrapper_needs_one_of_the_wrapper(which):
+    """Its robots would act on what they saw in the episode before."""
+    for around, base in zip(
+        GUARANTEES[which].both, (rv.parallel_env("fig3"), rv.make_vec("fig3", 2)), strict=True
+    ):
+        env = around(base)
+        env.reset(seed=0)
+        choices, before, state = draw(env, np.random.default_rng(0)), base.get_state(), None
+        for disturb in (
+            lambda base=base: base.reset(seed=1),
+            lambda base=base: base.reset(),
+            lambda base=base, before=before: base.set_state(before),
+        ):
+            disturb()
+            with pytest.raises(RuntimeError, match=rf"{GUARANTEES[which].name}.*beneath its wrap"):
+                env.step(choices)
+            if state is None:
+                env.reset(seed=0)
+                state = env.get_state()
+            else:
+                env.set_state(state)
+            env.step(choices)
+        for again in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
+            again.step(choices)  # copies remember what is theirs
 
 
 @pytest.mark.parametrize("make", [rv.parallel_env, rv.training_env])
