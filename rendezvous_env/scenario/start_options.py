@@ -52,6 +52,8 @@ def parse_options(scenario: Any, num_envs: int, options: Mapping[str, Any] | Non
             check_positions(
                 "positions", scenario, team, of_team, standing if k < len(positions) else ()
             )
+            if scenario.body_radius is not None:
+                check_apart("positions", team, 2.0 * scenario.body_radius)
     return given
 
 
@@ -196,10 +198,12 @@ def check_positions(
 
 
 def check_apart(field: str, positions: NDArray[np.float64], least: float) -> None:
-    """Refuse robots that stand nearer to each other than a length, m: their bodies overlap."""
+    """Refuse robots that stand nearer to each other than a length, m, by more than rounding leaves
+    of bodies that touch: they overlap.
+    """
     offsets = positions[:, np.newaxis] - positions
     distances = np.linalg.norm(offsets, axis=-1) + np.diag(np.full(len(positions), np.inf))
-    if distances.min() < least:
+    if distances.min() < least * (1 - _ROUNDING):
         i, j = divmod(int(distances.argmin()), len(positions))
         apart = f"{distances[i, j]:.4g} m apart; it must be at least {least:g} m, two body_radius"
         raise ValueError(f"{field}: robot_{i} and robot_{j} stand {apart}")

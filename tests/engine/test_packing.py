@@ -155,6 +155,21 @@ class TestScenario:
         with pytest.raises(ValueError, match=message):
             rv.Scenario(**fields)
 
+    @pytest.mark.parametrize("meeting", ["merge", "pack"])
+    def test_bodies_that_overlap_are_refused_at_a_reset_too(self, meeting):
+        scenario = rv.Scenario(n_robots=3, body_radius=0.05, meeting=meeting)
+        simulator = rv.Simulator(scenario, num_envs=2)
+        places = np.array([[(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)]] * 2)
+        places[1, 2] = 1.0, 0.04
+        message = r"positions: robot_1 and robot_2 stand 0\.04 m apart; it must be at least 0\.1 m"
+        with pytest.raises(ValueError, match=message):
+            simulator.reset(0, {"positions": places})
+        assert not simulator.begun
+        with pytest.raises(ValueError, match=f"start_{message}"):
+            scenario.replace(start_positions=places[1])
+        places[1, 2] = 1.0, 0.1 * (1 - 1e-12)  # bodies that touch, as a step can leave them
+        simulator.reset(0, {"positions": places})
+
     def test_bodies_that_dock_lose_no_promise(self):
         docking = rv.Scenario(n_robots=4, body_radius=0.1)
         points = rv.certificate(rv.Scenario(n_robots=4))

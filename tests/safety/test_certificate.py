@@ -125,6 +125,17 @@ def test_a_bound_that_overflows_says_so():
     assert "overflows" in wrong.theorem  # not the error's fault
 
 
+def test_starts_of_options_are_asked_for_in_a_scenario():
+    """Far outside of the spawn area V and the time are beyond what the scenario is promised."""
+    scenario, far = Scenario(n_robots=2), ((0.0, 0.0), (90.0, 0.0))
+    own, given = certificate(scenario), certificate(scenario.replace(start_positions=far))
+    simulator = Simulator(scenario)
+    simulator.reset(0, {"positions": far})
+    assert own.lyapunov_bound < simulator.lyapunov()[0] <= given.lyapunov_bound
+    assert own.time_bound < 40.0 < given.time_bound  # each goes 1 m/s
+    assert "scenario.replace(start_positions=…" in certificate.__doc__
+
+
 def test_a_tank_bounds_v_where_no_time_is_proven():
     v0, w = 20 * 10 * math.sqrt(2), 10
     for scenario, places, words in (

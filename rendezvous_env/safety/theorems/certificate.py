@@ -57,8 +57,8 @@ class Certificate:
     bottleneck_weight: float
     """a*, m/s."""
     time_bound: float
-    """s by which all robots have met in the environment as it steps, from the given start or any in
-    the spawn area."""
+    """s by which all robots have met in the environment as it steps, from the start that the
+    scenario gives or any that its episodes draw."""
     guaranteed: bool
     """Whether rendezvous is guaranteed."""
     theorem: str
@@ -140,8 +140,12 @@ def certificate(
 ) -> Certificate:
     """What is guaranteed for a scenario under law (1), or whatever a policy does under a wrapper.
 
-    For the scenario's own graph, and starts in its spawn area; each number is the best that one of
-    the theorems gives. The wrapper is to be given the same numbers.
+    For the scenario's own graph and obstacles, and the start that it gives or those that episodes
+    draw: in its spawn area, linked robots 2r or more apart, connected on a proximity graph where
+    ``require_connected``. Of other starts, weights or obstacles, as ``reset(options=…)`` takes
+    them, nothing is said: ask for ``scenario.replace(start_positions=…, graph=…, obstacles=…)``.
+    Each number is the best that one of the theorems gives; the wrapper is to be given the same
+    numbers as ``certificate``.
 
     Args:
         scenario: a Scenario, the name of one or the path of a TOML file.
