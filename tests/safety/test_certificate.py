@@ -125,6 +125,30 @@ def test_a_bound_that_overflows_says_so():
     assert "overflows" in wrong.theorem  # not the error's fault
 
 
+@pytest.mark.parametrize("by", ["law", "heading", "tank", "gains"])
+def test_steps_that_rounding_swallows_are_promised_nothing(by):
+    """Two robots at 8 m that go 4e-16 m in a step stay where they are for ever."""
+    scenario = Scenario(
+        n_robots=2, graph=graphs.complete(4e-7), start_positions=((8.0, 8.0), (8.5, 8.0)),
+        time_step=1e-9, time_limit=1e6,
+    )  # fmt: skip
+    simulator, still = Simulator(scenario), scenario.start_positions
+    simulator.step(baselines.make("bearing-only", scenario)(simulator.reset(0), 0.0))
+    assert (simulator.positions[0] == still).all()
+    found = certificate(scenario, MARGINS[by], by=by)
+    assert not found.guaranteed and math.isinf(found.time_bound)
+    assert re.match("none: a step may move robots by as little as .*of 8.5 m; it", found.theorem)
+    assert certificate(scenario.replace(time_step=0.1), MARGINS[by], by=by).guaranteed
+
+
+def test_steps_that_rounding_swallows_are_told_of_turning_robots_and_margins():
+    slow = Scenario(robot_model="unicycle", graph=graphs.complete(1e-6), time_step=1e-7)
+    assert "rounding" in certificate(slow, 0.3).theorem
+    assert certificate(slow).continuous_time_only  # theorem 3 speaks of no steps
+    slow = Scenario(graph=graphs.complete(1e-3), time_step=1e-2)  # 2⁻⁵⁹ of 5 m for ε = 10⁻⁶
+    assert certificate(slow, 1e-3).guaranteed and not certificate(slow, 1e-6).guaranteed
+
+
 def test_starts_of_options_are_asked_for_in_a_scenario():
     """Far outside of the spawn area V and the time are beyond what the scenario is promised."""
     scenario, far = Scenario(n_robots=2), ((0.0, 0.0), (90.0, 0.0))

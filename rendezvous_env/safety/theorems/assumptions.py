@@ -1,11 +1,16 @@
 """What theorems assume of a scenario: one named predicate each, which says in words what fails."""
 
+import numpy as np
+
 from ...scenario.scenario import Scenario
 from ...sensors.sensing import Sensing
+from ..gains import gain_range
 from ..settings import is_complete
 from .constants import DIRECTED, PROXIMITY, SWITCHING, UNDIRECTED, kind_of_links, leaders, long_step
 from .theorem import Asked, Assumption
 
+_LEAST_MOVE, _LEAST_GAIN = 2.0**-40, 2.0**-52
+"""Of the largest coordinate at the start: float64 rounds positions by up to 2⁻⁵³ of it."""
 _WHY_NOT = {
     DIRECTED: "V counts links both ways, and here a robot need not be seen by whom it sees",
     SWITCHING: (
@@ -200,13 +205,34 @@ def within_neighbours(scenario: Scenario, asked: Asked) -> str:
     )
 
 
-JOINED = (without_range, connected, one_leader_at_most, velocity_inputs)
+def outlasts_rounding(scenario: Scenario, asked: Asked) -> str:
+    """A step at the least speed that is promised, τ a* λ ε or τ c, moves robots by 2⁻⁴⁰ of their
+    largest coordinate or more, and brings them nearer, by ε times that, by 2⁻⁵² or more.
+    """
+    starts, margin = scenario.start_positions, asked.min_alignment
+    largest = scenario.spawn_size / 2.0 if starts is None else float(np.abs(starts).max())
+    speed = scenario.bottleneck_weight
+    if asked.by == "gains":
+        speed = gain_range(scenario, asked.min_gain, asked.max_gain)[0]
+    speed = min(speed, scenario.speed_limit, scenario.merge_radius / (2.0 * scenario.tau))
+    moved = scenario.tau * speed * margin * (asked.share if asked.by == "links" else 1.0)
+    needed = largest * max(_LEAST_MOVE, _LEAST_GAIN / margin)
+    if moved >= needed:
+        return ""
+    return (
+        f"none: a step may move robots by as little as {moved:.3g} m, which rounding takes from "
+        f"coordinates of {largest:.4g} m; it must be {needed:.3g} m or more: make time_step, or "
+        "the weights of links, larger, or the world smaller"
+    )
+
+
+JOINED = (without_range, connected, one_leader_at_most, velocity_inputs, outlasts_rounding)
 """Robots of which all but a leader always see somebody; the theorems about L."""
-TEAM = (undirected, connected, velocity_inputs)
+TEAM = (undirected, connected, velocity_inputs, outlasts_rounding)
 """Robots that are linked for good, whatever they see."""
 LASTING_LINKS = (undirected, connected, known_bodies, bounded_errors, all_neighbours_seen)
 """The theorems about V."""
-UNHINDERED = (*LASTING_LINKS, nothing_in_the_way, velocity_inputs)
+UNHINDERED = (*LASTING_LINKS, nothing_in_the_way, velocity_inputs, outlasts_rounding)
 """Those of them that promise a time."""
 TURNING = (*LASTING_LINKS, nothing_in_the_way, robots_turn, exact_bearings)
 """Those of robots that turn."""

@@ -63,6 +63,6 @@ def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 
 
 THEOREMS = (
-    Theorem("T", ("heading",), given.TURNING, gate_bounds),
+    Theorem("T", ("heading",), (*given.TURNING, given.outlasts_rounding), gate_bounds),
     Theorem("3 and 4", ("law",), given.TURNING, law_bounds),
 )
