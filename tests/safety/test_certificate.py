@@ -1,6 +1,7 @@
 """What a certificate says: which theorem, which numbers, or in words why none."""
 
 import inspect
+import itertools
 import math
 import re
 import tracemalloc
@@ -17,6 +18,7 @@ from rendezvous_env.safety.theorems.constants import (
     largest_size,
     leaders,
     least_degrees,
+    most_neighbours,
 )
 from rendezvous_env.safety.theorems.gains import kappa
 from rendezvous_env.safety.theorems.theorem import CHOICES
@@ -139,6 +141,61 @@ def test_steps_that_rounding_swallows_are_promised_nothing(by):
     assert not found.guaranteed and math.isinf(found.time_bound)
     assert re.match("none: a step may move robots by as little as .*of 8.5 m; it", found.theorem)
     assert certificate(scenario.replace(time_step=0.1), MARGINS[by], by=by).guaranteed
+
+
+HUBS = Scenario(
+    n_robots=6, graph=graphs.from_edges([(0, 1), (0, 2), (0, 3), (1, 4), (1, 5)]),
+    start_positions=((0.0, 0.0), (0.5, 0.0), (0.0, 3.0), (0.0, -3.0), (0.5, 3.0), (0.5, -3.0)),
+)  # fmt: skip
+"""Two hubs of two leaves each, which merge first and then have four neighbours."""
+
+
+@pytest.mark.parametrize("by", ["law", "heading", "tank", "gains"])
+def test_merged_robots_need_a_row_for_each_neighbour(by):
+    few, enough = HUBS.replace(neighbour_slots=3), HUBS.replace(neighbour_slots=4)
+    with pytest.raises(RuntimeError, match="more than neighbour_slots = 3"):
+        rollout(few, baselines.make("bearing-only", few))
+    found = certificate(few, MARGINS[by], by=by)
+    assert not found.guaranteed and re.match("none: merged robots may have up to 4", found.theorem)
+    assert certificate(enough, MARGINS[by], by=by).guaranteed
+    assert rollout(enough, baselines.make("bearing-only", enough)).success
+    turning = few.replace(robot_model="unicycle")
+    assert "up to 4" in certificate(turning).theorem
+
+
+def test_how_many_neighbours_merged_robots_can_have():
+    """Against all connected groups of a few drawn trees and webs."""
+    random = np.random.default_rng(0)
+    for n in (2, 4, 6, 7):
+        for extra in (0, 2):
+            links = {(int(random.integers(i)), i) for i in range(1, n)}
+            links |= {tuple(sorted(map(int, random.permutation(n)[:2]))) for _ in range(extra)}
+            team = Scenario(n_robots=n, graph=graphs.from_edges(sorted(links)))
+            worst = max(
+                len(
+                    {
+                        i
+                        for link in links
+                        if len({*link} & {*group}) == 1
+                        for i in {*link} - {*group}
+                    }
+                )
+                for k in range(1, n)
+                for group in itertools.combinations(range(n), k)
+                if is_joined(group, links)
+            )
+            assert worst <= most_neighbours(team) <= team.sensing_graph.most_neighbours(n)
+    exact = {"path": 2, "cycle": 2, "star": 7, "complete": 7}
+    for kind, most in exact.items():
+        assert most_neighbours(Scenario(n_robots=8, graph=kind)) == most
+
+
+def is_joined(group, links):
+    """Whether links among them connect some robots."""
+    seen = {group[0]}
+    for _ in group:
+        seen |= {i for link in links if {*link} <= {*group} and {*link} & seen for i in link}
+    return seen == {*group}
 
 
 def test_steps_that_rounding_swallows_are_told_of_turning_robots_and_margins():

@@ -6,7 +6,16 @@ from ...scenario.scenario import Scenario
 from ...sensors.sensing import Sensing
 from ..gains import gain_range
 from ..settings import is_complete
-from .constants import DIRECTED, PROXIMITY, SWITCHING, UNDIRECTED, kind_of_links, leaders, long_step
+from .constants import (
+    DIRECTED,
+    PROXIMITY,
+    SWITCHING,
+    UNDIRECTED,
+    kind_of_links,
+    leaders,
+    long_step,
+    most_neighbours,
+)
 from .theorem import Asked, Assumption
 
 _LEAST_MOVE, _LEAST_GAIN = 2.0**-40, 2.0**-52
@@ -205,6 +214,19 @@ def within_neighbours(scenario: Scenario, asked: Asked) -> str:
     )
 
 
+def rows_for_all(scenario: Scenario, asked: Asked) -> str:
+    """No robot can come to have more neighbours than rows: the environment stops there."""
+    slots = scenario.observation_layout.neighbour_slots
+    if slots >= scenario.sensing_graph.most_neighbours(scenario.n_robots):
+        return ""  # as with rows that no one has given, and without a look at all links
+    if slots >= (most := most_neighbours(scenario)):
+        return ""
+    return (
+        f"none: merged robots may have up to {most} neighbours, and an episode ends with an error "
+        f"where one has more than neighbour_slots = {slots}; give the scenario {most}"
+    )
+
+
 def outlasts_rounding(scenario: Scenario, asked: Asked) -> str:
     """A step at the least speed that is promised, τ a* λ ε or τ c, moves robots by 2⁻⁴⁰ of their
     largest coordinate or more, and brings them nearer, by ε times that, by 2⁻⁵² or more.
@@ -226,13 +248,15 @@ def outlasts_rounding(scenario: Scenario, asked: Asked) -> str:
     )
 
 
-JOINED = (without_range, connected, one_leader_at_most, velocity_inputs, outlasts_rounding)
+IN_STEPS = (rows_for_all, outlasts_rounding)
+"""Whatever promises a rendezvous in the environment."""
+JOINED = (without_range, connected, one_leader_at_most, velocity_inputs, *IN_STEPS)
 """Robots of which all but a leader always see somebody; the theorems about L."""
-TEAM = (undirected, connected, velocity_inputs, outlasts_rounding)
+TEAM = (undirected, connected, velocity_inputs, *IN_STEPS)
 """Robots that are linked for good, whatever they see."""
 LASTING_LINKS = (undirected, connected, known_bodies, bounded_errors, all_neighbours_seen)
 """The theorems about V."""
-UNHINDERED = (*LASTING_LINKS, nothing_in_the_way, velocity_inputs, outlasts_rounding)
+UNHINDERED = (*LASTING_LINKS, nothing_in_the_way, velocity_inputs, *IN_STEPS)
 """Those of them that promise a time."""
-TURNING = (*LASTING_LINKS, nothing_in_the_way, robots_turn, exact_bearings)
+TURNING = (*LASTING_LINKS, nothing_in_the_way, robots_turn, exact_bearings, rows_for_all)
 """Those of robots that turn."""

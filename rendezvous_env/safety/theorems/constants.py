@@ -68,6 +68,22 @@ def least_degrees(scenario: Scenario) -> Array:
     return np.maximum(links * lightest_link(scenario), scenario.bottleneck_weight)
 
 
+def most_neighbours(scenario: Scenario) -> int:
+    """How many neighbours a robot can come to have, at most: k robots of a fixed graph that have
+    merged were joined by k − 1 links or more, which no neighbour is left of.
+
+        max_k min(n − k, d_1 + … + d_k − 2 (k − 1)),      d_1 ≥ d_2 ≥ … the numbers of neighbours
+    """
+    n, graph = scenario.n_robots, scenario.sensing_graph
+    most = graph.most_neighbours(n)
+    if not graph.fixed or graph.directed or is_complete(scenario):
+        return most
+    first, second, _ = graph.links(n)
+    counts = -np.sort(-np.bincount(np.concatenate([first, second]), minlength=n))[:-1]
+    merged = np.arange(1, n)
+    return min(most, int(np.minimum(n - merged, np.cumsum(counts) - 2 * (merged - 1)).max()))
+
+
 def most_degrees(scenario: Scenario) -> Array:
     """The most that D_i can be: min(D̄, (m − 1) max a_ij), an array (n − 1,), m/s (theory 3)."""
     heaviest = scenario.sensing_graph.extreme_weights(scenario.n_robots)[1]
