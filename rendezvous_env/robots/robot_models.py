@@ -152,6 +152,9 @@ def constants_of(scenario: Any, early: bool = False) -> Any:
                 return constants
             wanted = f"the step, {least:g} s" if field == "duration" else "a float of 0 m/s or more"
             refuse(f"{field} in the constants of {who}", value, wanted)
+    if model.bounded and constants.speed_limit != scenario.speed_limit:
+        wanted = f"the scenario's {scenario.speed_limit:g} m/s, since the model is bounded"
+        refuse(f"speed_limit in the constants of {who}", constants.speed_limit, wanted)
     bounds = floats(f"bounds of {who}", given)
     if bounds.ndim != 1 or not bounds.size:
         refuse(f"bounds of {who}", given, "a list of numbers")
@@ -251,6 +254,8 @@ class _Asked(NamedTuple):
         if far > limit * tau + slack:
             wanted = f"a displacement of speed_limit times {tau:g} s at most"
             self.refuse("propose", proposed, wanted)
+        if self.model.bounded:
+            self._check_velocity(rotation, displacement)
         self.numbers("update", size, action, frame, memory, (0.0,) * dim, STOPPED)
         kept = self.numbers("update", size, action, frame, memory, proposed[0], FREE)
         if size:
@@ -264,6 +269,15 @@ class _Asked(NamedTuple):
                 or self.ask("update", other, frame, memory, proposed[0], FREE) != kept
             )
         return looks
+
+    def _check_velocity(self, rotation: Any, displacement: NDArray[np.float64]) -> None:
+        """A ``bounded`` model's action is its velocity: τ R a, slowed down to the speed limit."""
+        tau, limit, action = self.constants.duration, self.constants.speed_limit, self.action
+        slowed = tau * min(1.0, limit / max(math.hypot(*action), 1e-300))
+        wanted = slowed * rotation @ action if len(action) == self.dim else np.inf
+        if np.abs(displacement - wanted).max() > _ROUNDING * (1.0 + limit * tau):
+            held = f"τ R a, of {self.dim} numbers, slowed down to {limit:g} m/s at most"
+            self.refuse("propose", displacement.tolist(), f"{held}, since the model is bounded")
 
     def _check_curve(self, frame: Any, memory: Any, displacement: NDArray[np.float64]) -> None:
         """``displacement_at`` ends where ``propose`` does, its chord within β τ² of it."""

@@ -155,6 +155,7 @@ BAD_FIELDS = {
     "name of lines": ({"name": "a\nb"}, "must be a word"),
     "name a number": ({"name": 3}, "must be a word"),
     "action": ({"action": None}, "action of .* is None; it must be a text"),
+    "bounded": ({"bounded": True}, r"speed_limit .* is 6\.0; it must be the scenario's 4 m/s, si"),
     "theorem": ({"theorem": 3}, "theorem of .* is 3; it must be a text"),
 }
 
@@ -177,7 +178,41 @@ def test_fields_that_say_nothing_are_refused_at_registration(registry, case):
     }
 
 
-@pytest.mark.parametrize("name", ["unicycle", "nonholonomic_3d", "double_integrator"])
+@pytest.mark.parametrize(
+    ("share", "turned", "size"), [(1.0, 1.0, 2), (0.5, 1.0, 2), (1.0, -1.0, 2), (1.0, 1.0, 3)]
+)
+def test_a_bounded_model_moves_by_its_action(registry, share, turned, size):
+    """By half of it, mirrored, or by three numbers in the plane: no theorem is for these."""
+
+    class Bounded(NamedTuple):
+        duration: float
+        speed_limit: float
+
+    def propose(model, action, frame, memory):
+        speed = math.hypot(*action)
+        scale = share * model.duration * min(1.0, model.speed_limit / speed if speed else 1.0)
+        along, aside = scale * action[0], scale * action[1] * turned
+        way = frame[0] * along + frame[1] * aside, frame[2] * along + frame[3] * aside
+        return way, math.hypot(*way)
+
+    rv.describe_motion(Bounded, rv.Motion(propose=propose))
+    model = rv.RobotModel(
+        "walker",
+        dims=(2,),
+        constants=lambda s: Bounded(s.tau, s.speed_limit),
+        bounds=lambda s: [s.speed_limit] * size,
+        bounded=True,
+    )
+    if (share, turned, size) == (1.0, 1.0, 2):
+        rv.register_robot_model(model)
+        assert rv.certificate(rv.Scenario(robot_model="walker")).guaranteed
+        return
+    message = "propose .* of 2 numbers, slowed down to 4 m/s at most, since the model is bounded"
+    with pytest.raises(ValueError, match=message):
+        rv.register_robot_model(model)
+
+
+@pytest.mark.parametrize("name", sorted(robot_models.ROBOT_MODELS))
 def test_the_packages_own_models_answer_the_same_questions(name):
     model = robot_models.ROBOT_MODELS[name]
     for dim in model.dims:
