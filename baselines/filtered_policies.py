@@ -129,7 +129,7 @@ class FilteredPolicy(DecidingPolicy):
 
 
 class HeadingPolicy(FilteredPolicy):
-    """A function that chooses vectors, guaranteed to meet (theorem C), as ``HeadingVectorWrapper``.
+    """A function that chooses vectors, kept to theorem C as by ``HeadingVectorWrapper``.
 
         ṗᵢ = hᵢ hᵢᵀ fᵢ,   hᵢ the certified heading of the chosen vector     (Zhao & Zheng, eq. 4)
 

@@ -28,7 +28,8 @@ def unit_mean_law(net_bearing: Array, *, speed: float) -> Array:
         ṗᵢ = v fᵢ/‖fᵢ‖,   0 where fᵢ = 0
 
     The circular mean of the bearings, which rendezvous code calls the average bearing. By lemma 1
-    (theory 3) V̇ = −2 v Σ‖fᵢ‖ ≤ −4 v a*, so all meet within V0⁺/(4 v a*) in continuous time.
+    (theory 3) V̇ = −2 v Σ‖fᵢ‖ ≤ −4 v a* on a fixed, connected, undirected graph, so all meet within
+    V0⁺/(4 v a*) in continuous time.
     """
     f = net_bearing
     length = np.linalg.norm(f, axis=-1, keepdims=True)

@@ -139,7 +139,7 @@ class _BearingOnly(Law):
 
 @register("link-keeping", fits=is_single_integrator, kind="law", on_request=True)
 class _LinkKeeping(Law):
-    """Law (R b): into the middle of all that is seen, so that no link grows longer."""
+    """Law (R b): into the middle of all that is seen, so that no link in sight grows longer."""
 
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         step = {"merge_radius": self.scenario.merge_radius, "duration": self.scenario.tau}

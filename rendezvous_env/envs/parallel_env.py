@@ -41,8 +41,9 @@ class RendezvousParallelEnv(TeamByName[Box]):
     | nonholonomic 3-D  | v, ω_α, ω_β    | m/s, rad/s | v_max, 10× turn limit, turn limit; clipped |
 
     v_max is ``max_speed``, the turn limit ``max_turn_rate``; None of either is D̄, the largest sum
-    of gains that a robot can have. a_max is ``max_acceleration``; None is v_max per 0.25 s. Inputs
-    are held over a step τ and integrated exactly.
+    of gains that a robot can have; v_max of 48 single integrators or more on a sparse graph is then
+    ``scenario.step_degree``, which is less. a_max is ``max_acceleration``; None is v_max per
+    0.25 s. Inputs are held over a step τ and integrated exactly.
 
     ## Observation space
 
@@ -71,8 +72,9 @@ class RendezvousParallelEnv(TeamByName[Box]):
     is 0 unless given), plus ``rendezvous_bonus`` when all have met. With the default weights an
     episode earns at most 2. On a graph that stays as it is, with A = Σ_ij a_ij, the weights w₁, w₂,
     w₃ in the order above and no ``clearance_penalty``, a step with m merges, of N in an episode,
-    earns at least −w₁ (2 v_max τ A + 2 r D̄ m)/V_0 − w₂/N − w₃ n (theory 5). Under
-    ``HeadingVectorWrapper`` and without contacts the terms of v_max and w₃ are 0.
+    earns at least −w₁ (2 v_max τ A + 2 r D̄ m)/V_0 − w₂/N − w₃ n (theory 5). The terms of v_max and
+    w₃ are 0 under ``HeadingVectorWrapper`` on undirected graphs, with exact bearings, linked robots
+    that start r or more apart, and no contacts.
 
     ## Start and end
 

@@ -31,7 +31,9 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
     numbers of the last base step.
 
     Args:
-        env: a rendezvous parallel environment, which other wrappers may have changed.
+        env: a rendezvous parallel environment, which other wrappers may have changed; promises hold
+            if these change neither observations nor actions (the vector form refuses Gymnasium's
+            observation and action wrappers).
         safety_filter: a filter of one team of this scenario, its class, or its name
             (``register_filter``): "heading", "tank", "gains", "links" or a user's own.
         decision_period: base steps for which a choice is held; the filter computes an action in
@@ -169,10 +171,13 @@ class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
 
         ṗ_i = h_i h_iᵀ f_i                                              (Zhao & Zheng, eq. 4)
 
-    The raw vector of any policy becomes h_i by ``certified_heading`` (theorem C), so that without
-    obstacles all robots meet within the certificate's time bound whatever the policy does.
-    Velocities are scaled by r/(2 D_i τ) where the step is longer than certified (theory 4).
-    Nonholonomic robots choose turn rates through the gate of theory 3 and drive with v = mᵀf.
+    The raw vector of any policy becomes h_i by ``certified_heading`` (theorem C). So on a fixed,
+    connected, undirected graph, with bearings of all neighbours within ``bearing_error`` and
+    without obstacles, all robots meet within the certificate's time bound whatever the policy does.
+    Other graphs and sensors are taken too, without that promise: ``certificate`` says what is
+    granted. Velocities are scaled by r/(2 D_i τ) where the step is longer than certified
+    (theory 4). Nonholonomic robots choose turn rates through the gate of theory 3 and drive with
+    v = mᵀf.
 
     * Actions: ``Box(−1, 1, (d,))``, a raw vector in the frame that is observed; its length does not
       count. For nonholonomic robots ``Box(−1, 1, (1,))`` or ``(2,)``: turn rates in units of
@@ -181,8 +186,8 @@ class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
       is along f_i, so that any network is rotation-equivariant: exactly in 2-D; in 3-D the second
       axis comes from the row with the longest part across f_i. While ‖f_i‖ < δ the last frame is
       kept.
-    * Infos: ``alignment`` = |h_iᵀf_i|/‖f_i‖ (NaN where f_i = 0) and ``lyapunov_rate`` =
-      −2 (h_iᵀf_i)², m²/s².
+    * Infos: ``alignment`` = |h_iᵀf_i|/‖f_i‖ (NaN where f_i = 0, and at a reset) and
+      ``lyapunov_rate`` = −2 (h_iᵀf_i)², m²/s².
 
     Args:
         env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``.
@@ -201,10 +206,13 @@ class EnergyTankWrapper(TankSettings, GuaranteeWrapper):
 
     The desired velocity is carried out while A_i + G_i ≥ 0, even straight away from f_i. Otherwise
     law (4) moves the robot along that direction, projected onto the cap |hᵀf_i| ≥ ε‖f_i‖, or along
-    f_i if it is zero, and that fills the tank. So V ≤ V(0) + n·budget until the first merge, and
-    without obstacles all robots meet in finite time whatever the policy does (theorem D). In a step
-    with contact a robot books min(0, G_i): the bound on V is claimed for motion without contacts. A
-    survivor's tank is the sum of both.
+    f_i if it is zero, and that fills the tank. So on a fixed, connected, undirected graph, with
+    bearings of all neighbours within ``bearing_error``, V ≤ V(0) + n·budget until the first merge,
+    and without obstacles all robots meet in finite time whatever the policy does (theorem D). Other
+    graphs and sensors are taken too, without that promise: ``certificate`` says what is granted. In
+    a step with contact a robot books min(0, G_i): the bound on V is claimed for motion without
+    contacts. A survivor's tank is the sum of both; where everyone sees everyone with one weight,
+    and there are no obstacles, all levels also shrink at a merge (guarantees 8).
 
     * Actions: ``Box(−1, 1, (d,))``, the desired velocity in units of v_max, in the frame that is
       observed; a longer one is scaled to v_max. For other robot models the base action in units of
@@ -236,9 +244,9 @@ class GainWrapper(GainSettings, GuaranteeWrapper):
 
         v_i = Σ_j c_ij g_ij,   c_ij ∝ w_j a_ij,   min_gain ≤ Σ_j c_ij ≤ max_gain    (theorem G)
 
-    While linked robots are r or more apart, the team's hull does not grow on any graph: directed,
-    switching, or never connected at once. While every robot sees somebody all meet in finite time.
-    V is not watched: it may rise.
+    With exact bearings, without obstacles and while linked robots are r or more apart, the team's
+    hull does not grow on any graph: directed, switching, or never connected at once. While every
+    robot sees somebody all meet in finite time. V is not watched: it may rise.
 
     * Actions: ``Box(0, 1, (K,))``, a weight for each neighbour row, in the order of the rows that
       are seen. Absent rows do not count; if the others are all zero, they count alike. Then all are
@@ -252,20 +260,22 @@ class GainWrapper(GainSettings, GuaranteeWrapper):
             action is their velocity.
         min_gain: m/s; None is a*. The promised time is in inverse proportion to it.
         max_gain: m/s; None is D̄. Never more than r/τ: a robot that goes farther in one step may
-            leave the hull.
+            leave the hull. At r/τ itself no time is promised.
     """
 
 
 class LinkKeepingWrapper(LinkSettings, GuaranteeWrapper):
     """Robots choose velocities; they move as close to them as their links allow.
 
-        v_i = λ d_i q_i + (1 − λ) P(desired)                        (theorem R c, guarantees 12)
+        v_i = λ min(d_i, r/(2τ), v_max) q_i + (1 − λ) P(desired)    (theorem R c, guarantees 12)
 
-    P is the projection onto the velocities with which no link grows longer whatever the others do,
-    as long as they do the same, and q_i the point of least norm of the robot's bearings. So with a
-    sensor of limited range a link that is shorter than range − (n − 1) r/2 is never lost but by a
-    merge, and if such links connect the team at the start, all meet in finite time whatever the
-    policy does. Claimed for motion without contacts: an obstacle turns robots aside.
+    P is the projection onto the velocities with which no link in sight grows longer whatever the
+    others do, as long as they do the same, and q_i the point of least norm of the robot's bearings.
+    So with a sensor of limited range, and linked robots that start r or more apart, a link of
+    range − (n − 1) r/2 or less is never lost but by a merge (range − (n − 1) r beside obstacles
+    that robots pass through), and if such links connect the team at the start, all meet in finite
+    time whatever the policy does. Claimed for motion without contacts: an obstacle turns robots
+    aside.
     Actions as under ``EnergyTankWrapper``, observations as under ``HeadingVectorWrapper``, infos
     ``alignment`` and ``lyapunov_rate`` as under ``GainWrapper``; the rate is never positive while
     no bearing errs by more than ``bearing_error``.

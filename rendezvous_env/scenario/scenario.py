@@ -104,13 +104,17 @@ class Scenario:
     in which each is within r of two others. Robots see none of those they touch, unless they touch
     all. In the plane, without obstacles."""
     time_step: Seconds | None = None
-    """τ in s; None is the certified step r/(2D̄), with which V cannot rise between merges."""
+    """τ in s; None is the certified step r/(2D̄), with which V cannot rise between merges under
+    laws (1) and (4) on fixed undirected graphs. From 48 single integrators on, where the graph is
+    sparse, it is r/(2D), D the ``step_degree``, for which law (1), heading policies and wrappers
+    scale velocities (docs/migration.md)."""
     allow_long_step: bool = False
     """Do not warn about a time step longer than the certified one: it is meant."""
     time_limit: Seconds = 30.0
     """Length of an episode in s; rounded up to whole steps."""
     max_speed: Annotated[float, partial(positive, unit="m/s")] | None = None
-    """v_max in m/s, direction kept; None is D̄, which law (1) never exceeds."""
+    """v_max in m/s, direction kept; None is D̄, which law (1) never exceeds; from 48 single
+    integrators on, where the graph is sparse, the ``step_degree``, to which it is then cut."""
     max_turn_rate: Annotated[float, partial(positive, unit="rad/s")] | None = None
     """Largest ω, ω_β in rad/s (ω_α may be ten times larger, see nonholonomic_3d); None is D̄."""
     max_acceleration: Annotated[float, partial(positive, unit="m/s²")] | None = None
@@ -192,8 +196,9 @@ class Scenario:
 
     @property
     def certified_step(self) -> float:
-        """τ = r/(2D̄), s: the longest step with which V cannot rise between merges (theory 4); on
-        graphs that are directed or change, half the longest with which the hull cannot grow.
+        """τ = r/(2D̄), s: the longest step for which it is proven that V cannot rise between merges
+        under laws (1) and (4) (theory 4); on graphs that are directed or change, half the longest
+        with which the hull cannot grow.
         """
         return self._step_for(self.max_degree)
 
