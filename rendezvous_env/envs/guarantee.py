@@ -15,7 +15,7 @@ from ..safety.gains import Gains
 from ..safety.heading import HeadingFilter
 from ..safety.links import LinkKeeping
 from ..safety.safety_filter import FILTERS, SafetyFilter
-from ..safety.settings import MAX_TURN_RATE, TANK_MARGIN, check_share
+from ..safety.settings import MAX_TURN_RATE, TANK_MARGIN
 from ..safety.tank import EnergyTank
 from ..simulator import Simulator
 from .overrides import arguments_of
@@ -64,8 +64,6 @@ def make_filter(
     if not isinstance(kind, type):
         kind = FILTERS[choice("safety_filter", kind, FILTERS)]
     known_fields(settings, settings_of(kind), kind.__name__, "setting")
-    if issubclass(kind, LinkKeeping) and "share" in settings:
-        check_share(settings["share"])
     made: SafetyFilter = kind(scenario, num_envs, num_threads=simulator.num_threads, **settings)
     return made
 

@@ -12,6 +12,7 @@ from .vectors import ORIGIN, add, combine, cross, cross_in_plane, dot, load, sca
 
 _ROUNDING = 4e-16  # Of a scalar product of unit vectors
 _SURROUNDED = 1e-14  # Norm of a point that would be zero without rounding
+_SURROUNDED_THINLY = 1e-10  # The same inside of a thin tetrahedron, whose weights are less exact
 _MOST_ROUNDS = 64
 """A few do, however many bearings there are; each brings the point nearer to the origin."""
 
@@ -59,7 +60,7 @@ def cone_of(rows, neighbour_slots):
 def _least_in_space(rows, neighbour_slots):
     """``least_norm_of`` in 3-D: the nearest point of a triangle of bearings, exchanged for a
     nearer one while some bearing g lies on this side of it, q·g < ‖q‖² (Gilbert, Johnson and
-    Keerthi, 1988).
+    Keerthi, 1988). Where rounding hides the nearer one q is shortened, until g does not any more.
     """
     a = least_along(rows, neighbour_slots, ORIGIN)
     b, c, q = a, a, a
@@ -70,14 +71,18 @@ def _least_in_space(rows, neighbour_slots):
             break
         if _holds_origin(g, a, b, c):
             return ORIGIN
-        q, kept = _nearest_of_triangle(g, a, b), (a, b)
+        nearer, kept = _nearest_of_triangle(g, a, b), (a, b)
         for first, second in ((b, c), (c, a)):
             point = _nearest_of_triangle(g, first, second)
-            if dot(point, point) < dot(q, q):
-                q, kept = point, (first, second)
-        if dot(q, q) >= square:
+            if dot(point, point) < dot(nearer, nearer):
+                nearer, kept = point, (first, second)
+        if dot(nearer, nearer) >= square:
+            q = scaled(q, max(dot(q, g), 0.0) / square)
             break
-        a, b, c = g, kept[0], kept[1]
+        q, a, b, c = nearer, g, kept[0], kept[1]
+    else:
+        g = least_along(rows, neighbour_slots, q)
+        q = scaled(q, min(max(dot(q, g), 0.0) / dot(q, q), 1.0))
     return q if dot(q, q) > _SURROUNDED * _SURROUNDED else ORIGIN
 
 
@@ -134,4 +139,4 @@ def _holds_origin(a, b, c, d):
         return False
     point = add(combine(weights[0], a, weights[1], b), weights[2], c)
     point = scaled(add(point, weights[3], d), 1.0 / total)
-    return dot(point, point) <= _SURROUNDED * _SURROUNDED
+    return dot(point, point) <= _SURROUNDED_THINLY * _SURROUNDED_THINLY

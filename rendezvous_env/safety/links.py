@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import real, refuse
 from ..compilation import inner_kernel, kernel
 from ..engine.threads import Part
 from ..physics.least_norm import least_along, least_norm_of
@@ -27,7 +26,7 @@ from ..physics.vectors import (
 from ..robots.single_integrator import speed_scale
 from ..scenario.scenario import Scenario
 from .safety_filter import Float32, SafetyFilter, check_inputs, register_filter
-from .settings import check_bearing_error, check_vectors
+from .settings import check_bearing_error, check_share, check_vectors
 
 
 def least_norm_points(neighbour_rows: ArrayLike) -> NDArray[np.float64]:
@@ -177,7 +176,7 @@ class LinkKeeping(SafetyFilter):
     Args:
         scenario, num_envs, frame, num_threads: as ``SafetyFilter``. A ValueError says why the
             robots of a scenario cannot keep their links.
-        share: λ, in (0, 1], how much of each velocity is the law's.
+        share: λ, in [10⁻⁶, 1], how much of each velocity is the law's.
         bearing_error: η, rad, the largest angle by which a bearing may be wrong.
     """
 
@@ -235,13 +234,6 @@ def asymmetric_sight(scenario: Scenario) -> str:
     if sensing.occlusion != "none":
         return f"sensing.occlusion is {sensing.occlusion!r}; {needs}: it must be 'none'"
     return ""
-
-
-def check_share(share: Any) -> float:
-    """λ, a number without unit, if it is in (0, 1], else a ValueError (theorem R c)."""
-    if not 0.0 < real(share) <= 1.0:
-        refuse("share", share, "in (0, 1]")
-    return real(share)
 
 
 @kernel

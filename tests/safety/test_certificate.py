@@ -127,7 +127,7 @@ def test_a_bound_that_overflows_says_so():
     assert "overflows" in wrong.theorem  # not the error's fault
 
 
-@pytest.mark.parametrize("by", ["law", "heading", "tank", "gains"])
+@pytest.mark.parametrize("by", list(CHOICES))
 def test_steps_that_rounding_swallows_are_promised_nothing(by):
     """Two robots at 8 m that go 4e-16 m in a step stay where they are for ever."""
     scenario = Scenario(
@@ -150,7 +150,7 @@ HUBS = Scenario(
 """Two hubs of two leaves each, which merge first and then have four neighbours."""
 
 
-@pytest.mark.parametrize("by", ["law", "heading", "tank", "gains"])
+@pytest.mark.parametrize("by", list(CHOICES))
 def test_merged_robots_need_a_row_for_each_neighbour(by):
     few, enough = HUBS.replace(neighbour_slots=3), HUBS.replace(neighbour_slots=4)
     with pytest.raises(RuntimeError, match="more than neighbour_slots = 3"):
@@ -318,6 +318,24 @@ def test_beside_obstacles_links_must_be_shorter_by_r_per_merge():
     drawn = passed.replace(obstacles=(Disc((0.0, 0.0), 0.5),))
     assert not certificate(drawn, by="links").guaranteed
     assert certificate(drawn.replace(obstacles=()), by="links").guaranteed
+
+
+@pytest.mark.parametrize("by", ["law", "heading", "tank", "gains", "links"])
+def test_a_family_that_need_not_connect_its_robots_promises_nothing(by):
+    graphs.family("two-pairs", lambda n, random: [(0, 1), (2, 3)])
+    scenario = Scenario(n_robots=4, graph="two-pairs", require_connected=False)
+    found = certificate(scenario, MARGINS[by], by=by)
+    assert not found.guaranteed and "need not connect" in found.theorem
+
+
+def test_links_that_may_be_drawn_must_all_be_in_sight():
+    """Of given starts: the tree that is drawn may hold any pair."""
+    places = ((0.0, 0.0), (2.0, 0.0), (4.0, 0.0))
+    for graph, far, near in (("path", True, True), (graphs.random_tree(), False, True)):
+        for reach, granted in ((3.0, far), (5.0, near)):
+            sensing = Sensing(range=reach)
+            scenario = Scenario(n_robots=3, graph=graph, sensing=sensing, start_positions=places)
+            assert certificate(scenario, by="links").guaranteed == granted
 
 
 def test_the_hull_may_grow_by_r_where_robots_start_within_r():

@@ -86,6 +86,59 @@ def test_degenerate_bearings(dim):
     assert len(sets) > 7 * SETS
 
 
+BALANCED = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / math.sqrt(3)
+THIN = np.array(
+    [
+        [0.9545404540927737, 0.23722064045039334, -0.18049623055528496],
+        [-0.180008142660658, 0.7021357452699972, -0.6889139741578814],
+        [-0.958632397305397, -0.2288284559396138, 0.16929697158779863],
+        [0.2986585891993691, -0.6885221466401442, 0.6608632995434761],
+        [-0.9586018066759435, -0.2274820186160025, 0.17127319534593205],
+    ]
+)
+"""Round the origin, which lies in a thin tetrahedron of them."""
+
+
+@pytest.mark.parametrize("kind", ["balanced", "flat", "opposite"])
+def test_all_bearings_lie_along_the_point_where_they_balance(kind):
+    """q·g ≥ ‖q‖² for all g: else a robot that moves along q lengthens a link."""
+    random, count = np.random.default_rng(0), 100_000
+    if kind == "balanced":
+        g = BALANCED + 10.0 ** random.uniform(-17, -1, (count, 1, 1)) * random.normal(size=(4, 3))
+    elif kind == "flat":
+        g = random.normal(size=(count, 4, 3))
+        g[..., 2] *= 10.0 ** random.uniform(-16, 0, (count, 1))
+    else:
+        pair, others = random.normal(size=(count, 1, 3)), random.normal(size=(count, 3, 3))
+        g = np.concatenate([pair, -pair, others], axis=1)
+        g += 10.0 ** random.uniform(-17, -1, (count, 1, 1)) * random.normal(size=(count, 5, 3))
+    g /= np.linalg.norm(g, axis=-1, keepdims=True)
+    q = least_norm_points(g)
+    least = np.einsum("nkd,nd->nk", g, q).min(axis=1)
+    assert (least >= (q**2).sum(axis=1) - 1e-14).all()
+
+
+def test_a_robot_in_a_thin_tetrahedron_of_neighbours_lengthens_no_link():
+    """The fourth neighbour is itself surrounded, so it stays."""
+    positions = np.vstack([np.zeros(3), THIN, THIN[3] + 2.0 * BALANCED])
+    links = [(0, k) for k in range(1, 6)] + [(4, k) for k in range(6, 10)]
+    scenario = rv.Scenario(
+        n_robots=10,
+        dim=3,
+        graph=rv.graphs.from_edges(links, 10),
+        start_positions=positions,
+        local_frames="global",
+    )
+    assert rv.certificate(scenario, by="links", share=1.0).guaranteed
+    env = rv.vector.LinkKeepingWrapper(rv.make_vec(scenario, 1), share=1.0, frame="local")
+    env.reset(seed=0)
+    env.step(np.zeros((1, 10, 3), np.float32))
+    simulator = env.unwrapped.simulator
+    assert simulator.active.all()
+    length = np.linalg.norm(simulator.positions[0, 4] - simulator.positions[0, 0])
+    assert length <= np.linalg.norm(THIN[3]) + 1e-12
+
+
 def test_points_by_hand():
     east, north, west = [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]
     slanted = [math.cos(2.5), math.sin(2.5)]

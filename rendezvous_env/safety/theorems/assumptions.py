@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ...graphs.random_graphs import CustomFamily
 from ...scenario.scenario import Scenario
 from ...sensors.sensing import Sensing
 from ..gains import gain_range
@@ -50,8 +51,17 @@ undirected = on_graphs(UNDIRECTED)  # links are mutual and last but for merges
 without_range = on_graphs(UNDIRECTED, DIRECTED, SWITCHING)  # links do not end with distance
 
 
+_ANY_LINKS = "none: with require_connected=False a family of one's own need not connect its robots"
+
+
+def _any_links(scenario: Scenario) -> bool:
+    return isinstance(scenario.sensing_graph, CustomFamily) and not scenario.require_connected
+
+
 def connected(scenario: Scenario, asked: Asked) -> str:
     """Every robot is linked to every other, directly or through others."""
+    if _any_links(scenario):
+        return _ANY_LINKS
     if len(scenario.sensing_graph.components(scenario.n_robots)) == 1:
         return ""
     return "none: the graph is not connected, at least one robot per component remains (theorem 1)"
@@ -59,6 +69,8 @@ def connected(scenario: Scenario, asked: Asked) -> str:
 
 def one_leader_at_most(scenario: Scenario, asked: Asked) -> str:
     """Some robot can be reached from all others at any time, along the links of the moment."""
+    if _any_links(scenario):
+        return _ANY_LINKS
     if len(groups := leaders(scenario)) == 1:
         return ""
     when = " at some time" if kind_of_links(scenario.sensing_graph) == SWITCHING else ""

@@ -32,7 +32,7 @@ THEOREMS: tuple[Theorem, ...] = tuple(
 _KEPT = {
     "lyapunov": "V never exceeds {:.4g} m²/s",
     "hull": "L never exceeds {:.4g} m",
-    "link_growth": "a link never grows by more than {:.4g} m",
+    "link_growth": "a link that merges cannot end never grows by more than {:.4g} m",
 }
 
 
@@ -74,7 +74,8 @@ class Certificate:
     hull_bound: float = math.inf
     """What L never exceeds, m."""
     link_growth_bound: float = math.inf
-    """By how much a link is never longer than at the start, m."""
+    """By how much a link is never longer than at the start, m, if it is in sight then, and would
+    be if it were so much longer."""
     bearing_error: float = 0.0
     """η, rad: by how much bearings may be wrong here. The wrapper must be given it too."""
     tolerated_bearing_error: float = 0.0
