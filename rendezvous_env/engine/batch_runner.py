@@ -17,9 +17,11 @@ from .stages.step import step_blocks
 from .state import State
 
 _FLOAT32, _BOOL, _INT64 = np.dtype(np.float32), np.dtype(np.bool_), np.dtype(np.int64)
-_WORK_PER_THREAD = 32768
-"""Rows computed below which another thread costs more than it saves: some 70 µs, as long as a
-sleeping thread takes to wake."""
+_WORK_PER_THREAD = 49152
+"""Rows computed below which another thread costs more than it saves: 50 to 100 µs, as long as it
+takes to wake two threads and then the one that waits for them."""
+_PILOTED = 2
+"""A pilot's part of a step takes at least as long as the step itself."""
 
 
 Show = Callable[[threads.Part, NDArray[np.float32]], None]
@@ -156,7 +158,7 @@ class BatchRunner:
         if count > 1:
             earned, robots_earned = np.zeros_like(earned), np.zeros_like(robots_earned)
             touched = np.zeros_like(touched)
-        lanes, resting, width = self._state.lanes, resting.copy(), self._width(count)
+        lanes, resting, width = self._state.lanes, resting.copy(), self._width(_PILOTED * count)
         follows = self._state.scenario.on_merge == "follow"
         while len(self._scratch) < width:
             self._scratch.append(scratch(self._state.place))
