@@ -105,9 +105,8 @@ class Scenario:
     all. In the plane, without obstacles."""
     time_step: Seconds | None = None
     """τ in s; None is the certified step r/(2D̄), with which V cannot rise between merges under
-    laws (1) and (4) on fixed undirected graphs. From 48 single integrators on, where the graph is
-    sparse, it is r/(2D), D the ``step_degree``, for which law (1), heading policies and wrappers
-    scale velocities (docs/migration.md)."""
+    laws (1) and (4) on fixed undirected graphs; for 48 single integrators or more on a sparse graph
+    r/(2D), D the ``step_degree``, to which laws and wrappers scale velocities."""
     allow_long_step: bool = False
     """Do not warn about a time step longer than the certified one: it is meant."""
     time_limit: Seconds = 30.0

@@ -1,0 +1,145 @@
+"""Corners in which certificates promise less: numbers without size, too few rows, starts and graphs
+that are not the scenario's own.
+"""
+
+import inspect
+import itertools
+import math
+import re
+
+import numpy as np
+import pytest
+from test_certificate import MARGINS
+
+import baselines
+from rendezvous_env import Scenario, Sensing, Simulator, certificate, graphs, rollout
+from rendezvous_env.safety.theorems.constants import most_neighbours
+from rendezvous_env.safety.theorems.theorem import CHOICES
+from rendezvous_env.vector import EnergyTankWrapper
+
+
+def test_a_tank_that_is_given_no_margin_has_that_of_its_wrapper():
+    """1 is the margin of the paper's laws, which no tank can have."""
+    scenario = Scenario(n_robots=3)
+    usual = inspect.signature(EnergyTankWrapper).parameters["min_alignment"].default
+    found = certificate(scenario, by="tank")
+    assert found == certificate(scenario, usual, by="tank") and found.min_alignment == usual
+    assert found.time_bound > 1000.0
+
+
+def test_a_bound_that_overflows_says_so():
+    for budget in (1e300, 1e308):  # two of 1e308 m²/s overflow themselves
+        found = certificate("duo", 1e-6, by="tank", budget=budget)
+        assert not found.guaranteed and math.isinf(found.time_bound)
+        assert re.match("none: the bound of a tank .* overflows.*no rendezvous", found.theorem)
+        assert "No rendezvous is guaranteed" in str(found)
+    wrong = certificate("duo", 0.1, by="tank", budget=1e308, bearing_error=1e-3)
+    assert "overflows" in wrong.theorem  # not the error's fault
+
+
+@pytest.mark.parametrize("by", list(CHOICES))
+def test_steps_that_rounding_swallows_are_promised_nothing(by):
+    """Two robots at 8 m that go 4e-16 m in a step stay where they are for ever."""
+    scenario = Scenario(
+        n_robots=2, graph=graphs.complete(4e-7), start_positions=((8.0, 8.0), (8.5, 8.0)),
+        time_step=1e-9, time_limit=1e6,
+    )  # fmt: skip
+    simulator, still = Simulator(scenario), scenario.start_positions
+    simulator.step(baselines.make("bearing-only", scenario)(simulator.reset(0), 0.0))
+    assert (simulator.positions[0] == still).all()
+    found = certificate(scenario, MARGINS[by], by=by)
+    assert not found.guaranteed and math.isinf(found.time_bound)
+    assert re.match("none: a step may move robots by as little as .*of 8.5 m; it", found.theorem)
+    assert certificate(scenario.replace(time_step=0.1), MARGINS[by], by=by).guaranteed
+
+
+HUBS = Scenario(
+    n_robots=6, graph=graphs.from_edges([(0, 1), (0, 2), (0, 3), (1, 4), (1, 5)]),
+    start_positions=((0.0, 0.0), (0.5, 0.0), (0.0, 3.0), (0.0, -3.0), (0.5, 3.0), (0.5, -3.0)),
+)  # fmt: skip
+"""Two hubs of two leaves each, which merge first and then have four neighbours."""
+
+
+@pytest.mark.parametrize("by", list(CHOICES))
+def test_merged_robots_need_a_row_for_each_neighbour(by):
+    few, enough = HUBS.replace(neighbour_slots=3), HUBS.replace(neighbour_slots=4)
+    with pytest.raises(RuntimeError, match="more than neighbour_slots = 3"):
+        rollout(few, baselines.make("bearing-only", few))
+    found = certificate(few, MARGINS[by], by=by)
+    assert not found.guaranteed and re.match("none: merged robots may have up to 4", found.theorem)
+    assert certificate(enough, MARGINS[by], by=by).guaranteed
+    assert rollout(enough, baselines.make("bearing-only", enough)).success
+    turning = few.replace(robot_model="unicycle")
+    assert "up to 4" in certificate(turning).theorem
+
+
+def test_how_many_neighbours_merged_robots_can_have():
+    """Against all connected groups of a few drawn trees and webs."""
+    random = np.random.default_rng(0)
+    for n in (2, 4, 6, 7):
+        for extra in (0, 2):
+            links = {(int(random.integers(i)), i) for i in range(1, n)}
+            links |= {tuple(sorted(map(int, random.permutation(n)[:2]))) for _ in range(extra)}
+            team = Scenario(n_robots=n, graph=graphs.from_edges(sorted(links)))
+            worst = max(
+                len(
+                    {
+                        i
+                        for link in links
+                        if len({*link} & {*group}) == 1
+                        for i in {*link} - {*group}
+                    }
+                )
+                for k in range(1, n)
+                for group in itertools.combinations(range(n), k)
+                if is_joined(group, links)
+            )
+            assert worst <= most_neighbours(team) <= team.sensing_graph.most_neighbours(n)
+    exact = {"path": 2, "cycle": 2, "star": 7, "complete": 7}
+    for kind, most in exact.items():
+        assert most_neighbours(Scenario(n_robots=8, graph=kind)) == most
+
+
+def is_joined(group, links):
+    """Whether links among them connect some robots."""
+    seen = {group[0]}
+    for _ in group:
+        seen |= {i for link in links if {*link} <= {*group} and {*link} & seen for i in link}
+    return seen == {*group}
+
+
+def test_steps_that_rounding_swallows_are_told_of_turning_robots_and_margins():
+    slow = Scenario(robot_model="unicycle", graph=graphs.complete(1e-6), time_step=1e-7)
+    assert "rounding" in certificate(slow, 0.3).theorem
+    assert certificate(slow).continuous_time_only  # theorem 3 speaks of no steps
+    slow = Scenario(graph=graphs.complete(1e-3), time_step=1e-2)  # 2⁻⁵⁹ of 5 m for ε = 10⁻⁶
+    assert certificate(slow, 1e-3).guaranteed and not certificate(slow, 1e-6).guaranteed
+
+
+def test_starts_of_options_are_asked_for_in_a_scenario():
+    """Far outside of the spawn area V and the time are beyond what the scenario is promised."""
+    scenario, far = Scenario(n_robots=2), ((0.0, 0.0), (90.0, 0.0))
+    own, given = certificate(scenario), certificate(scenario.replace(start_positions=far))
+    simulator = Simulator(scenario)
+    simulator.reset(0, {"positions": far})
+    assert own.lyapunov_bound < simulator.lyapunov()[0] <= given.lyapunov_bound
+    assert own.time_bound < 40.0 < given.time_bound  # each goes 1 m/s
+    assert "scenario.replace(start_positions=…" in certificate.__doc__
+
+
+@pytest.mark.parametrize("by", ["law", "heading", "tank", "gains", "links"])
+def test_a_family_that_need_not_connect_its_robots_promises_nothing(by):
+    graphs.family("two-pairs", lambda n, random: [(0, 1), (2, 3)])
+    scenario = Scenario(n_robots=4, graph="two-pairs", require_connected=False)
+    found = certificate(scenario, MARGINS[by], by=by)
+    assert not found.guaranteed and "need not connect" in found.theorem
+
+
+def test_links_that_may_be_drawn_must_all_be_in_sight():
+    """Of given starts: the tree that is drawn may hold any pair."""
+    places = ((0.0, 0.0), (2.0, 0.0), (4.0, 0.0))
+    for graph, far, near in (("path", True, True), (graphs.random_tree(), False, True)):
+        for reach, granted in ((3.0, far), (5.0, near)):
+            sensing = Sensing(range=reach)
+            scenario = Scenario(n_robots=3, graph=graph, sensing=sensing, start_positions=places)
+            assert certificate(scenario, by="links").guaranteed == granted
