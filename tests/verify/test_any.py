@@ -248,3 +248,12 @@ def test_thousands_of_scenarios_of_all_kinds(tmp_path):
     assert status == 0, printed
     granted = {row["theorem"]: int(row["granted"]) for row in rows}
     assert sum(granted.values()) > 8000 and len(granted) > 30
+
+
+@pytest.mark.slow
+def test_scenarios_of_larger_teams(tmp_path, monkeypatch):
+    """Among many neighbours those of a robot may be all round in ever thinner ways."""
+    monkeypatch.setattr(random_scenarios, "_SIZES", (8, 12, 16))
+    status, rows, printed = command(tmp_path, trials=300, kinds=3)
+    assert status == 0, printed
+    assert sum(int(row["granted"]) for row in rows) > 300
