@@ -1,4 +1,4 @@
-"""Theorem R: desired velocities in, velocities that lengthen no link out (guarantees, 12)."""
+"""Theorem R: velocities that lengthen no link in sight, made of desired ones (guarantees, 12)."""
 
 import math
 from typing import Any, NamedTuple
@@ -53,7 +53,7 @@ def _least_norm_points(rows, out):
 def link_keeping_law(
     least_norm_point: NDArray[np.float64], degree: Any, *, merge_radius: float, duration: float
 ) -> NDArray[np.float64]:
-    """Velocities v_i = min(d_i, r/τ) q_i, (..., d), m/s, that lengthen no link within τ, s (theorem
+    """Velocities v_i = min(d_i, r/τ) q_i, (..., d), m/s, that lengthen no link in sight, τ in s (theorem
     R b), of q_i, (..., d), in the robot's own frame, d_i = Σ_j a_ij, (...), m/s, and r, m.
     """
     speed = np.minimum(degree, merge_radius / duration)
@@ -166,7 +166,7 @@ class _Constants(NamedTuple):
 
 
 class LinkKeeping(SafetyFilter):
-    """Desired velocities and frames of the robots of B teams that lose no link (theorem R).
+    """Desired velocities, and frames, of B teams whose links in sight do not grow (theorem R).
 
         v_i = λ min(d_i, r/(2τ), v_max) sin(φ_i − η)₊ q_i/‖q_i‖ + (1 − λ) P(wanted)
 
