@@ -53,8 +53,8 @@ def _least_norm_points(rows, out):
 def link_keeping_law(
     least_norm_point: NDArray[np.float64], degree: Any, *, merge_radius: float, duration: float
 ) -> NDArray[np.float64]:
-    """Velocities v_i = min(d_i, r/τ) q_i, (..., d), m/s, that lengthen no link in sight, τ in s (theorem
-    R b), of q_i, (..., d), in the robot's own frame, d_i = Σ_j a_ij, (...), m/s, and r, m.
+    """Velocities v_i = min(d_i, r/τ) q_i, (..., d), m/s, that lengthen no link in sight for τ, s
+    (theorem R b), of q_i, (..., d), in the robot's own frame, d_i = Σ_j a_ij, (...), m/s, and r, m.
     """
     speed = np.minimum(degree, merge_radius / duration)
     return least_norm_point * np.asarray(speed)[..., np.newaxis]
