@@ -20,8 +20,8 @@ _FLOAT32, _BOOL, _INT64 = np.dtype(np.float32), np.dtype(np.bool_), np.dtype(np.
 _WORK_PER_THREAD = 49152
 """Rows computed below which another thread costs more than it saves: 50 to 100 µs, as long as it
 takes to wake two threads and then the one that waits for them."""
-_PILOTED = 2
-"""A pilot's part of a step takes at least as long as the step itself."""
+_OBSTACLES, _ERRING, _PILOTED = 4, 2, 2
+"""So many times as long take rows of obstacles, sensors that err, and steps with a pilot."""
 
 
 Show = Callable[[threads.Part, NDArray[np.float32]], None]
@@ -104,9 +104,10 @@ class BatchRunner:
 
     def _width(self, steps: int) -> int:
         """As many threads as have so much work each in so many steps."""
-        place = self._state.place
-        rows = steps * place.batch * place.scenario.n_robots * (place.rows + 1)
-        most = min(place.blocks, rows // _WORK_PER_THREAD)
+        place, scenario = self._state.place, self._state.scenario
+        rows = 1 + place.neighbours + _OBSTACLES * (place.rows - place.neighbours)
+        rows *= 1 if scenario.sensing.exact else _ERRING
+        most = min(place.blocks, steps * place.batch * scenario.n_robots * rows // _WORK_PER_THREAD)
         # to ask how many cores there are takes a while
         return 1 if most <= 1 else min(most, threads.most_threads(self._num_threads))
 
@@ -167,7 +168,7 @@ class BatchRunner:
         def lead(part: threads.Part) -> None:
             mine = part[0] * lanes, min(part[1] * lanes, len(actions)), part[2]
             rows, now = slice(*mine[:2]), seen
-            told = [one[rows] for one in pilot.of_actions]
+            told = [one[rows] for one in pilot.of_actions] if count > 1 else []
             for number in range(count):
                 output.contact[rows] = False
                 if number:
