@@ -62,13 +62,12 @@ class Driven(NamedTuple):
 
 
 class Kept:
-    """What is told of the last action of each robot of some teams: what steps that it takes no part
-    in would tell is undone.
+    """What is told of the last action of each robot of some teams: what a step would tell of those
+    that take no ``part`` in it, (B, n), is undone.
     """
 
-    def __init__(self, told: Sequence[NDArray[Any]], resting: NDArray[np.bool_], active: Any):
-        self._told, self._before = told, [one.copy() for one in told]
-        self._gone = ~active | resting[:, None]
+    def __init__(self, told: Sequence[NDArray[Any]], part: NDArray[np.bool_]) -> None:
+        self._told, self._before, self._gone = told, [one.copy() for one in told], ~part
 
     def put_back(self) -> None:
         """Undo what has been told since of robots that were gone."""
@@ -172,7 +171,7 @@ class BatchRunner:
             for number in range(count):
                 output.contact[rows] = False
                 if number:
-                    kept = Kept(told, resting[rows], follows | output.active[rows])
+                    kept = Kept(told, ~resting[rows, None] & (follows | output.active[rows]))
                 pilot.act_of(mine, now, actions)
                 if number:
                     kept.put_back()

@@ -164,8 +164,8 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         for number in range(self.decision_period):
             resting = None if simulator.all_running else simulator.status != RUNNING
             if number:
-                rests = np.zeros(self.num_envs, np.bool_) if resting is None else resting
-                kept = Kept(self.filter.of_actions, rests, follows | simulator.active)
+                running = (simulator.status == RUNNING)[:, None]
+                kept = Kept(self.filter.of_actions, running & (follows | simulator.active))
             if type(self.env) is RendezvousVectorEnv:
                 outcome = base.advance(self._act())
                 seen, earned = outcome.observations, outcome.rewards

@@ -63,16 +63,15 @@ def bounds_with_errors(
     ``tolerated``, rad, are too large for ``who``; of η = 0 nothing is to be said (guarantees 11).
     ``others`` are numbers that hold all the same.
     """
-    if meets := math.isfinite(time):
-        pass
-    elif asked.error < tolerated:
+    meets = math.isfinite(time)
+    if not meets and asked.error < tolerated:
         words = (
             f"none: the bound of {who} on the time overflows, beyond {sys.float_info.max:.2g} s, "
             "and no rendezvous is promised"
         )
-    elif asked.error == 0.0:
+    elif not meets and asked.error == 0.0:
         words = ""
-    else:
+    elif not meets:
         words = (
             f"none: bearings may err by {asked.error:.4g} rad, and {who} is known to tolerate less "
             f"than {tolerated:.4g} rad here (guarantees 11){even_so}"
