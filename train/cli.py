@@ -24,7 +24,7 @@ COMMANDS = {
     "compare": ("compare.compare", "compare policies on the same starts: table, files, figures"),
     "train": ("learn.command", "PPO learns headings that keep the guarantee; stop it, resume it"),
     "leaderboard": ("leaderboard.command", "algorithms × fields × seeds, and what is proven"),
-    "list": ("listing", "the scenarios or the policies, a line for each"),
+    "list": ("listing", "the scenarios and the policies, a line for each"),
     "report": ("report.build", "an HTML page of what compare found, with an interactive replay"),
     "export": ("export", "a policy for robots: one Python file, or its network as ONNX"),
     "bench": ("bench.bench", "how fast the environments are on this machine"),

@@ -25,7 +25,7 @@ EXAMPLES = ("scenarios", "policies")
 
 @dataclass(frozen=True)
 class Config:
-    """List the scenarios or the policies, a line for each, with which policies fit which."""
+    """List scenarios and policies, a line for each, with which policies fit which."""
 
     what: Positional[Literal["all", "scenarios", "policies"]] = "all"
     """What to list."""
