@@ -216,6 +216,11 @@ def entry_point(function: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]
     return function.overloads[types].entry_point
 
 
+def is_kernel(function: Any) -> bool:
+    """Whether this is a kernel, and compiled."""
+    return isinstance(function, _Kernel)
+
+
 def compiled() -> bool:
     """Whether kernels are compiled; ``NUMBA_DISABLE_JIT=1`` leaves them plain Python."""
     return not _CONFIG.DISABLE_JIT

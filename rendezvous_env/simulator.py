@@ -52,8 +52,9 @@ class Simulator(StateView):
         self.num_threads = whole("num_threads", num_threads, 1, MOST_TEAMS) if given else None
         check_memory(scenario, self.num_envs)
         self.max_steps = scenario.max_steps
-        self.times_begun = 0
-        """How often episodes were reset or put back, but for ``restart``; wrappers compare it."""
+        self.changes = 0
+        """How often teams were reset, put back or stepped, but for ``restart``; wrappers compare
+        it."""
         self._make()
 
     def _make(self) -> None:
@@ -103,7 +104,7 @@ class Simulator(StateView):
         """
         given = parse_options(self.scenario, self.num_envs, options)
         self._begin(self._which(mask), seeds_of_teams(seed, self.num_envs), given, resting)
-        self.times_begun += 1
+        self.changes += 1
         return self.observe()
 
     def restart(self, mask: NDArray[np.bool_], outcome: StepOutput | None = None) -> None:
@@ -162,6 +163,7 @@ class Simulator(StateView):
             raise RuntimeError("call reset() before step()")
         table = self.check_actions(actions)
         before = self.positions if self._own_model else None
+        self.changes += 1
         self._all_running = False  # not known, should an interrupt leave from here
         output = self._custom_step(table) if self._custom else self._runner.step(table)
         self._all_running = not np.count_nonzero(output.status)  # RUNNING is 0
@@ -191,6 +193,7 @@ class Simulator(StateView):
         step, by their thread.
         """
         resting = np.zeros(self.num_envs, np.bool_) if self._all_running else self.status != RUNNING
+        self.changes += 1
         self._all_running = False  # not known, should an interrupt leave from here
         driven = self._runner.drive(pilot, observations, resting, count, show)
         self._all_running = not np.count_nonzero(driven.output.status)
@@ -334,7 +337,7 @@ class Simulator(StateView):
         batch. What ``check_state`` refuses changes nothing.
         """
         checked = self.check_state(state)
-        self.times_begun += 1
+        self.changes += 1
         self._put_state(checked)
 
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
@@ -366,7 +369,7 @@ class Simulator(StateView):
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle and deepcopy keep the running episodes and leave the working memory behind."""
-        arguments = ("scenario", "num_envs", "num_threads", "max_steps", "times_begun")
+        arguments = ("scenario", "num_envs", "num_threads", "max_steps", "changes")
         return {name: getattr(self, name) for name in arguments} | {"_state": self.get_state()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -4,6 +4,7 @@ They are in the frame with x along f, so a policy that reads them is invariant t
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -166,16 +167,19 @@ class Features(Remembering):
         if shown is None:
             shown = np.zeros((*robots, self.layout.size), dtype=np.float32)
         over_teams(
-            lambda part: show(
-                part,
-                (teams, times),
-                observations,
-                (headings, velocities),
-                self._constants,
-                (self._kept, np.empty((slots, 2))),
-                (levels, self._walls),
-                shown,
-            ),
+            lambda part: [
+                partial(
+                    show,
+                    part,
+                    (teams, times),
+                    observations,
+                    (headings, velocities),
+                    self._constants,
+                    (self._kept, np.empty((slots, 2))),
+                    (levels, self._walls),
+                    shown,
+                )
+            ],
             len(teams),
             _WEIGHT * robots[1],
             self._num_threads,

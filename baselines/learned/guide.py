@@ -3,6 +3,7 @@ the same in training and in use.
 """
 
 import math
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from rendezvous_env.checks import floats, refuse
 from rendezvous_env.compilation import kernel
 from rendezvous_env.engine.state_checks import check_observations
-from rendezvous_env.engine.threads import Part
+from rendezvous_env.engine.threads import Calls, Part
 from rendezvous_env.physics.neighbour_rows import net_bearing_of
 from rendezvous_env.physics.vectors import X_AXIS, load, norm, scaled, split, store
 from rendezvous_env.safety.heading import HeadingFilter, scale_of_step
@@ -63,12 +64,12 @@ class CommandedTank(EnergyTank):
 
     def act_of(
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
-    ) -> None:
+    ) -> Calls:
         """As ``EnergyTank.act_of``; the step is booked at once, as one that lasts τ."""
-        super().act_of(teams, observations, actions)
         mine = slice(*teams[:2])
-        self._booked[mine] = self._deposits[mine]
-        self.book_of(teams, *self._alone)
+        note = partial(np.copyto, self._booked[mine], self._deposits[mine])
+        acted = super().act_of(teams, observations, actions)
+        return [*acted, note, *self.book_of(teams, *self._alone)]
 
 
 class HeadingTankFilter(CommandedTank):
@@ -98,12 +99,12 @@ class HeadingTankFilter(CommandedTank):
 
     def act_of(
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
-    ) -> None:
+    ) -> Calls:
         """As ``CommandedTank.act_of``."""
-        _desired_velocities(teams, observations, self._constants, self.carried, self._held)
-        super().act_of(teams, observations, actions)
-        mine = slice(*teams[:2])
-        self._velocities[mine] = actions[mine]
+        memory, mine = (self.carried, self._held), slice(*teams[:2])
+        desire = partial(_desired_velocities, teams, observations, self._constants, *memory)
+        note = partial(np.copyto, self._velocities[mine], actions[mine])
+        return [desire, *super().act_of(teams, observations, actions), note]
 
 
 @kernel
@@ -279,23 +280,25 @@ class GuidedTeams:
 
     def act_of(
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
-    ) -> None:
-        """As ``act``, of some teams and unchecked."""
+    ) -> Calls:
+        """What does as ``act``, of some teams and unchecked."""
         carried, intervals = self._carried, np.empty((self._obstacle_slots, 2))
         aim, bodies = (self._directions, self._rule), self.bodies
+        steer = self.steering.act_of(teams, observations, actions, elapsed)
         if bodies is None:
             raw = self.steering.held if self.tank is None else carried
-            _aim(teams, observations, *aim, carried, raw, intervals)
-            self.steering.act_of(teams, observations, actions, elapsed)
-            return
-        there = bodies.seen(observations, np.arange(*teams[:2]))
-        _aim(teams, there, *aim, carried, carried, intervals)
-        bodies.follow(teams, observations, self.steering.held)
-        self.steering.act_of(teams, observations, actions, elapsed)
-        bodies.turn(teams, actions)
+            return [partial(_aim, teams, observations, *aim, carried, raw, intervals), *steer]
 
-    def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> None:
+        def follow() -> None:
+            there = bodies.seen(observations, np.arange(*teams[:2]))
+            _aim(teams, there, *aim, carried, carried, intervals)
+            bodies.follow(teams, observations, self.steering.held)
+
+        return [follow, *steer, partial(bodies.turn, teams, actions)]
+
+    def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> Calls:
         """Nothing, see ``keeps_ledger``."""
+        return ()
 
     def forget(self, which: Mask | None = None) -> None:
         """Forget headings and what was seen, of all teams or of those of a mask (B,)."""

@@ -1,6 +1,7 @@
 """The compiled step, run over the blocks of a batch by several threads."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -15,16 +16,18 @@ from .memory_layout import scratch
 from .preparation import constants, layout, robot, sensor
 from .stages.step import step_blocks
 from .state import State
+from .threads import Calls, Part
 
 _FLOAT32, _BOOL, _INT64 = np.dtype(np.float32), np.dtype(np.bool_), np.dtype(np.int64)
 _WORK_PER_THREAD = 49152
-"""Rows computed below which another thread costs more than it saves: 50 to 100 µs, as long as it
-takes to wake two threads and then the one that waits for them."""
+"""Rows computed below which another thread costs more than it saves: 50 to 100 µs."""
+_WORK_AHEAD = 12288
+"""Rows that a thread computes while it takes another to wake up."""
 _OBSTACLES, _ERRING, _PILOTED = 4, 2, 2
 """So many times as long take rows of obstacles, sensors that err, and steps with a pilot."""
 
 
-Show = Callable[[threads.Part, NDArray[np.float32]], None]
+Show = Callable[[Part, NDArray[np.float32]], Calls]
 """What looks at observations (B, n, rows, d) of some teams."""
 
 
@@ -40,14 +43,14 @@ class Pilot(Protocol):
         ...
 
     def act_of(
-        self, teams: threads.Part, observations: NDArray[np.float32], actions: NDArray[np.float32]
-    ) -> None:
-        """Write the actions of teams from the first of a part to the one before its second."""
+        self, teams: Part, observations: NDArray[np.float32], actions: NDArray[np.float32]
+    ) -> Calls:
+        """What writes the actions of teams, from the first of a part to before its second."""
         ...
 
-    def book_of(self, teams: threads.Part, contact: Any, merged_into: Any, resting: Any) -> None:
-        """Learn of their step: who touched an obstacle, (B, n), who is part of whom, (B, n), and
-        which teams rested, (B,).
+    def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> Calls:
+        """What learns of their step: who touched an obstacle, (B, n), who is part of whom, (B, n),
+        and which teams rested, (B,).
         """
         ...
 
@@ -83,8 +86,7 @@ class BatchRunner:
     def __init__(self, state: State, num_threads: int | None, max_steps: int) -> None:
         place, n = state.place, state.place.scenario.n_robots
         self._state, self._parts, self._num_threads = state, state.parts(), num_threads
-        self.width = self._width(1)
-        """Threads of a step."""
+        self.width, self._ahead = self._threads(1)
         self.layout, self.robot = layout(place), robot(place.scenario)
         self._sensor = sensor(state)
         self._scratch = [scratch(place) for _ in range(self.width)]
@@ -101,14 +103,17 @@ class BatchRunner:
         self._run: Callable[..., Any] | None = None
         self.limit(max_steps)
 
-    def _width(self, steps: int) -> int:
-        """As many threads as have so much work each in so many steps."""
+    def _threads(self, steps: int) -> tuple[int, float]:
+        """As many threads as have enough work each in so many steps, and the share of it that the
+        first one does ahead of the others.
+        """
         place, scenario = self._state.place, self._state.scenario
         rows = 1 + place.neighbours + _OBSTACLES * (place.rows - place.neighbours)
         rows *= 1 if scenario.sensing.exact else _ERRING
-        most = min(place.blocks, steps * place.batch * scenario.n_robots * rows // _WORK_PER_THREAD)
-        # to ask how many cores there are takes a while
-        return 1 if most <= 1 else min(most, threads.most_threads(self._num_threads))
+        work = steps * place.batch * scenario.n_robots * rows
+        if (most := min(place.blocks, work // _WORK_PER_THREAD)) <= 1:
+            return 1, 0.0  # to ask how many cores there are takes a while
+        return min(most, threads.most_threads(self._num_threads)), min(_WORK_AHEAD / work, 1.0)
 
     def limit(self, max_steps: int) -> None:
         """Let episodes end after so many steps."""
@@ -134,9 +139,9 @@ class BatchRunner:
     def step(self, actions: NDArray[np.float32]) -> StepOutput:
         """Advance all teams under actions (B, n, a), checked."""
         output = self.new_output()
-        threads.share(
-            self._work(True, self._blocks, actions, output), len(self._blocks), self.width
-        )
+        advance = self._work(True, self._blocks, actions, output)
+        blocks = len(self._blocks)
+        threads.share(lambda part: [advance(part)], blocks, self.width, self._ahead)
         # the next step's arrays come from other memory: where both steps' were free at once, the
         # system would take it back, and clear it anew for every step of large teams
         self._last = output
@@ -158,36 +163,42 @@ class BatchRunner:
         if count > 1:
             earned, robots_earned = np.zeros_like(earned), np.zeros_like(robots_earned)
             touched = np.zeros_like(touched)
-        lanes, resting, width = self._state.lanes, resting.copy(), self._width(_PILOTED * count)
+        lanes, resting = self._state.lanes, resting.copy()
+        width, ahead = self._threads(_PILOTED * count)
         follows = self._state.scenario.on_merge == "follow"
         while len(self._scratch) < width:
             self._scratch.append(scratch(self._state.place))
         advance = self._work(True, self._blocks, actions, output)
 
-        def lead(part: threads.Part) -> None:
-            mine = part[0] * lanes, min(part[1] * lanes, len(actions)), part[2]
+        def step(part: Part, mine: Part, now: NDArray[np.float32]) -> Iterator[Callable[[], Any]]:
+            yield from pilot.act_of(mine, now, actions)
+            yield advance(part)
+            if pilot.keeps_ledger:
+                yield from pilot.book_of(mine, output.contact, teams.merged_into, resting)
+
+        def lead(part: Part, mine: Part) -> None:
             rows, now = slice(*mine[:2]), seen
-            told = [one[rows] for one in pilot.of_actions] if count > 1 else []
+            told = [one[rows] for one in pilot.of_actions]
             for number in range(count):
-                output.contact[rows] = False
                 if number:
+                    np.not_equal(output.status[rows], RUNNING, out=resting[rows])
+                    output.contact[rows] = False
                     kept = Kept(told, ~resting[rows, None] & (follows | output.active[rows]))
-                pilot.act_of(mine, now, actions)
+                for one in step(part, mine, now):
+                    one()
                 if number:
                     kept.put_back()
-                advance(part)
-                if pilot.keeps_ledger:
-                    pilot.book_of(mine, output.contact, teams.merged_into, resting)
-                np.not_equal(output.status[rows], RUNNING, out=resting[rows])
-                if count > 1:
-                    earned[rows] += output.rewards[rows]
-                    robots_earned[rows] += output.robot_rewards[rows]
-                    touched[rows] |= output.contact[rows]
+                earned[rows] += output.rewards[rows]
+                robots_earned[rows] += output.robot_rewards[rows]
+                touched[rows] |= output.contact[rows]
                 now = output.observations
-            if show is not None:
-                show(mine, now)
 
-        threads.share(lead, len(self._blocks), width)
+        def calls_of(part: Part) -> Calls:
+            mine = part[0] * lanes, min(part[1] * lanes, len(actions)), part[2]
+            led = step(part, mine, seen) if count == 1 else [partial(lead, part, mine)]
+            return [*led, *(show(mine, output.observations) if show is not None else ())]
+
+        threads.share(calls_of, len(self._blocks), width, ahead)
         self._last = output
         return Driven(output, earned, robots_earned, touched)
 
@@ -202,7 +213,7 @@ class BatchRunner:
         self._observe(np.unique(which // self._state.lanes), output)
 
     def _observe(self, blocks: NDArray[np.int64], output: StepOutput) -> None:
-        self._work(False, blocks, self._no_actions, output)((0, len(blocks), 0))
+        self._work(False, blocks, self._no_actions, output)((0, len(blocks), 0))()
 
     def _work(
         self,
@@ -210,7 +221,7 @@ class BatchRunner:
         blocks: NDArray[np.int64],
         actions: NDArray[np.float32],
         output: StepOutput,
-    ) -> Callable[[threads.Part], None]:
+    ) -> Callable[[Part], Callable[[], Any]]:
         """What steps or observes a part of some blocks; compiled here, which may be interrupted."""
         if self._may_crowd:
             output.crowded.fill(-1)
@@ -221,7 +232,4 @@ class BatchRunner:
             arguments = (0, 0, 0), *fixed, np.empty_like(actions), written, scratch[0]
             run = self._run = ignore_overflow(entry_point(step_blocks, arguments))
 
-        def work(part: threads.Part) -> None:
-            run(part, *fixed, actions, written, scratch[part[2]])
-
-        return work
+        return lambda part: partial(run, part, *fixed, actions, written, scratch[part[2]])

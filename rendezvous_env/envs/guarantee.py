@@ -86,7 +86,7 @@ class HoldsFilter:
         scenario = base.scenario
         shape = base.simulator.num_envs, scenario.n_robots, *scenario.observation_layout.shape
         self._observed = np.zeros(shape, dtype=np.float32)
-        self._seen_begun = -1
+        self._seen = -1
 
     def _take_alone(self, made: SafetyFilter) -> None:
         """Refuse a filter that another wrapper holds: it remembers one batch of teams."""
@@ -98,17 +98,20 @@ class HoldsFilter:
             )
         _holders[id(made)] = self
 
-    def _note_begun(self) -> None:
-        """Note that what is remembered is of the episodes that run now."""
-        self._seen_begun = self._base.simulator.times_begun
+    def _note_seen(self) -> None:
+        """Note that what is remembered is of the teams as they are now."""
+        self._seen = self._base.simulator.changes
 
-    def _check_begun(self) -> None:
-        """Refuse a step before a reset: the filter has not seen these episodes then."""
-        if self._seen_begun != self._base.simulator.times_begun:
+    def _check_seen(self) -> None:
+        """Refuse a step from what the filter has not seen: before a reset, or after a step that was
+        made beneath the wrapper or has failed.
+        """
+        if self._seen != self._base.simulator.changes:
             raise RuntimeError(
                 f"call reset() of {type(self).__name__} before step(); an environment that was "
-                "reset, or given a state, before it was wrapped or beneath its wrapper needs a new "
-                "reset of the wrapper, or its set_state()"
+                "reset, stepped or given a state before it was wrapped or beneath its wrapper, or "
+                "whose last step was interrupted, needs a new reset of the wrapper, or its "
+                "set_state()"
             )
 
     def get_state(self) -> dict[str, Any]:
@@ -131,7 +134,7 @@ class HoldsFilter:
         self._base.set_state(state["env"])
         self.filter.set_state(remembered)
         self._observed = checked["observed"].copy()
-        self._note_begun()
+        self._note_seen()
 
 
 # ---- constructors of the four wrappers, the same for both APIs -----------------------------------

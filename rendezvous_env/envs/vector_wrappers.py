@@ -82,7 +82,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         """As ``RendezvousVectorEnv.reset``; it clears the memory of the teams that are reset."""
         observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._observed = observations.reshape(self._observed.shape)
-        self._note_begun()
+        self._note_seen()
         mask = as_options(options).get("reset_mask")
         which = None if mask is None else np.asarray(mask)
         self._forget(which)
@@ -93,7 +93,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         """Hold the choices (B, n, k) for ``decision_period`` base steps; rewards are summed. A
         ValueError for a wrong shape, or naming the robot whose choice is not finite.
         """
-        self._check_begun()
+        self._check_seen()
         base, mode = self._base, self._base.autoreset_mode
         resting = None
         if mode is AutoresetMode.NEXT_STEP and not base.simulator.all_running:
@@ -104,6 +104,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
             shown, rewards, terminations, truncations, infos = self._drive()
         finally:
             base.begins_anew = True
+        self._note_seen()
         if resting is not None:
             self._begin_anew(resting, infos)
             terminations, truncations = terminations & ~resting, truncations & ~resting

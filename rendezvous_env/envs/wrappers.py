@@ -81,7 +81,7 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
         observations, infos = self.env.reset(seed=seed, options=options)
         self.filter.forget()
         self._remember(observations)
-        self._note_begun()
+        self._note_seen()
         self._add_told(infos)
         return self._view(observations), infos
 
@@ -90,7 +90,7 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
 
         Errors are those of ``RendezvousParallelEnv.step``.
         """
-        self._check_begun()
+        self._check_seen()
         if not self.agents and isinstance(actions, Mapping) and not actions:
             return {}, {}, {}, {}, {}
         simulator = self._base.simulator
@@ -124,6 +124,7 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
             self._remember(seen)
             if not self.agents:
                 break
+        self._note_seen()
         return self._view(observations), rewards, terminations, truncations, infos
 
     def _add_told(self, infos: Infos) -> None:

@@ -25,7 +25,13 @@ def speed_scale(square_speed, limit):
     direction; m/s, and of accelerations likewise.
     """
     speed = math.sqrt(square_speed)
-    return speed, limit / speed if speed > limit else 1.0
+    return speed, limit_factor(speed, limit)
+
+
+@kernel(inline="code")
+def limit_factor(speed, limit):
+    """Factor min(1, v_max/‖v‖) on a velocity, a number without unit, of ‖v‖ and v_max, m/s."""
+    return limit / speed if speed > limit else 1.0
 
 
 @kernel(inline="code")

@@ -1,5 +1,6 @@
 """Gains: one weight per neighbour in, velocities within the hull of the team out (theorem G)."""
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..checks import positive, refuse
 from ..compilation import kernel
-from ..engine.threads import Part
+from ..engine.threads import Calls, Part
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import combine, dot, load, norm, scaled, store
 from ..robots.single_integrator import speed_scale
@@ -88,10 +89,11 @@ class Gains(SafetyFilter):
 
     def act_of(
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
-    ) -> None:
+    ) -> Calls:
         """As ``SafetyFilter.act_of``."""
         told = self.gain, self.alignment, self.lyapunov_rate
-        _weigh(teams, (observations, self._constants, self._held, actions, *told))
+        arguments = observations, self._constants, self._held, actions, *told
+        return [partial(_weigh, teams, arguments)]
 
 
 register_filter("gains", Gains)

@@ -4,6 +4,7 @@ docs/theory.md, section 3. The turn rates of nonholonomic robots are in ``turnin
 """
 
 import math
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import flag, positive, real, refuse, shown
 from ..compilation import inner_kernel, kernel
-from ..engine.threads import Part
+from ..engine.threads import Calls, Part
 from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import (
     combine,
@@ -352,16 +353,16 @@ class HeadingFilter(SafetyFilter):
 
     def act_of(
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
-    ) -> None:
+    ) -> Calls:
         """As ``SafetyFilter.act_of``."""
         constants, told = self._constants, (self.alignment, self.lyapunov_rate)
         if elapsed is not None:
             constants = constants._replace(max_turn=self._heading_rate * elapsed)
         if self.turns_body:
-            _turn_bodies(teams, (observations, constants, self._held, actions, *told))
-        else:
-            memory = self._held, self.carried, actions
-            in_lanes(_steer, teams, constants, observations, *memory, *told)
+            arguments = observations, constants, self._held, actions, *told
+            return [partial(_turn_bodies, teams, arguments)]
+        memory = self._held, self.carried, actions
+        return in_lanes(_steer, teams, constants, observations, *memory, *told)
 
 
 register_filter("heading", HeadingFilter)

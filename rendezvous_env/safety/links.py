@@ -1,13 +1,14 @@
 """Theorem R: velocities that lengthen no link in sight, made of desired ones (guarantees, 12)."""
 
 import math
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..compilation import inner_kernel, kernel
-from ..engine.threads import Part
+from ..engine.threads import Calls, Part
 from ..physics.least_norm import least_along, least_norm_of
 from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import (
@@ -207,10 +208,11 @@ class LinkKeeping(SafetyFilter):
 
     def act_of(
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
-    ) -> None:
+    ) -> Calls:
         """As ``SafetyFilter.act_of``."""
         told = self.alignment, self.lyapunov_rate
-        _keep_links(teams, (observations, self._constants, self._held, actions, *told))
+        arguments = observations, self._constants, self._held, actions, *told
+        return [partial(_keep_links, teams, arguments)]
 
 
 register_filter("links", LinkKeeping)

@@ -6,13 +6,14 @@ copied out. All lanes are computed, those of no robot too, by the same code: so 
 robot does not hang on how many others there are.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import compiled, inner_kernel
-from ..engine.threads import Part
+from ..engine.threads import Calls, Part
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import combine, load_pair, norm
 
@@ -39,13 +40,14 @@ class Lanes(NamedTuple):
     lyapunov_rate: Numbers
 
 
-def in_lanes(kernel: Any, teams: Part, constants: Any, *arrays: NDArray[Any]) -> None:
-    """Run a kernel over the robots of some teams, b·n + i for robot i of team b: it is given which
-    ones, constants, arrays (B, n, ...), any unit, as (B·n, ...), and memory for ``lanes_of``.
+def in_lanes(kernel: Any, teams: Part, constants: Any, *arrays: NDArray[Any]) -> Calls:
+    """The call of a kernel for the robots of some teams, b·n + i for robot i of team b: it is given
+    which ones, constants, arrays (B, n, ...), any unit, as (B·n, ...), and memory for ``lanes_of``.
     """
     n = arrays[0].shape[1]
     robots = tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])  # not copied
-    kernel((teams[0] * n, teams[1] * n), constants, robots, np.zeros((_ROWS, LANES)))
+    which = teams[0] * n, teams[1] * n
+    return [partial(kernel, which, constants, robots, np.zeros((_ROWS, LANES)))]
 
 
 @inner_kernel(inline="text")

@@ -16,8 +16,9 @@ from ..checks import bools, choice, floats, refuse, shown, whole
 from ..compilation import kernel
 from ..engine import threads
 from ..engine.state_checks import Remembering, check_observations, check_rotations
+from ..engine.threads import Calls, Part
 from ..limits import MOST_TEAMS
-from ..physics.vectors import dot, load, load_pair
+from ..physics.vectors import dot, load
 from ..scenario.scenario import Scenario
 from .frames import FRAMES, Sight, look_along_net_bearing
 from .robot_lanes import in_lanes
@@ -25,19 +26,22 @@ from .robot_lanes import in_lanes
 Float32 = NDArray[np.float32]
 _ROBOTS_PER_THREAD = 4096
 _LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
+_NO, _YES = np.int32(0), np.int32(1)
 _ROUNDING = 1e-6  # so far from a rotation may a frame be that was put back
 FILTERS: dict[str, type[SafetyFilter]] = {}
 """By the name that wrappers and training environments know."""
 
 
 def over_teams(
-    work: Callable[[threads.Part], None], num_envs: int, n_robots: int, num_threads: int | None
+    calls_of: Callable[[Part], Calls], num_envs: int, n_robots: int, num_threads: int | None
 ) -> None:
-    """Let up to ``num_threads`` threads do the teams of a batch; None is one for each core."""
+    """Let up to ``num_threads`` threads make the calls for the teams of a batch; None is one for
+    each core.
+    """
     most = num_envs * n_robots // _ROBOTS_PER_THREAD
     if most > 1:  # to ask how many cores there are takes a while
         most = min(most, threads.most_threads(num_threads))
-    threads.share(work, num_envs, max(1, most))
+    threads.share(calls_of, num_envs, max(1, most))
 
 
 @kernel
@@ -45,12 +49,13 @@ def _hold(given, turns, frames, held):
     """Hold choices, turned by frames: h = F q. −1; or the first robot whose choice is not finite in
     float32, and none is held.
     """
-    size, numbers, wrong = held.shape[2], given.reshape(-1), 0
-    for number in numbers:  # all of them, in lanes
-        wrong += not abs(number) <= _LARGEST_FLOAT32
+    size, numbers, wrong = held.shape[2], given.reshape(-1), _NO
+    largest = numbers.dtype.type(_LARGEST_FLOAT32)
+    for k in range(len(numbers)):  # all of them: in numbers as narrow as theirs it is SIMD
+        wrong |= _NO if abs(numbers[k]) <= largest else _YES
     if wrong > 0:
         k = 0
-        while abs(numbers[k]) <= _LARGEST_FLOAT32:
+        while abs(numbers[k]) <= largest:
             k += 1
         return k // size
     into, chosen = held.reshape(-1, size), given.reshape(-1, size)
@@ -59,11 +64,11 @@ def _hold(given, turns, frames, held):
         for k in range(len(kept)):
             kept[k] = numbers[k]
     elif size == 2 and frames.shape[3] == 2:
-        turning = frames.reshape(-1, 2, 2)
-        for i in range(len(into)):
-            q = load_pair(chosen[i])
-            into[i, 0] = dot(load_pair(turning[i, 0]), q)
-            into[i, 1] = dot(load_pair(turning[i, 1]), q)
+        kept, turning = held.reshape(-1), frames.reshape(-1)
+        for i in range(len(into)):  # of rows that are cut out it would not become SIMD
+            q = numbers[2 * i], numbers[2 * i + 1]
+            kept[2 * i] = dot((turning[4 * i], turning[4 * i + 1]), q)
+            kept[2 * i + 1] = dot((turning[4 * i + 2], turning[4 * i + 3]), q)
     else:
         turning = frames.reshape(-1, size, size)
         for i in range(len(into)):
@@ -173,10 +178,10 @@ class SafetyFilter(Remembering):
         """Memory for ``view_of``; None if the policy is shown observations as they are."""
         return np.empty(self._seen, dtype) if self.along_net_bearing else None
 
-    def view_of(self, teams: threads.Part, observations: Float32, shown: Float32) -> None:
-        """As ``view``, of some teams and unchecked."""
+    def view_of(self, teams: Part, observations: Float32, shown: Float32) -> Calls:
+        """What does as ``view``, of some teams and unchecked."""
         arrays = observations, self._frames, shown
-        in_lanes(look_along_net_bearing, teams, self._sight, *arrays)
+        return in_lanes(look_along_net_bearing, teams, self._sight, *arrays)
 
     @property
     def held(self) -> NDArray[np.float64]:
@@ -214,12 +219,14 @@ class SafetyFilter(Remembering):
 
     def act_of(
         self,
-        teams: threads.Part,
+        teams: Part,
         observations: Float32,
         actions: Float32,
         elapsed: float | None = None,
-    ) -> None:
-        """As ``act``, written for some teams, from the first of a part to before its second."""
+    ) -> Calls:
+        """What does as ``act``, written for some teams, from the first of a part to before its
+        second.
+        """
         raise NotImplementedError(f"{type(self).__name__} needs act(observations) → actions")
 
     def book(
@@ -249,10 +256,13 @@ class SafetyFilter(Remembering):
             refuse("merged_into", merged_into, f"whole numbers of shape (B, n) = {team}")
         if robots.min() < 0 or robots.max() >= team[1]:
             refuse("merged_into", merged_into, f"indices of robots, from 0 to {team[1] - 1}")
-        self.book_of((0, *team), touched, np.ascontiguousarray(robots, np.int64), passed)
+        merged = np.ascontiguousarray(robots, np.int64)
+        for call in self.book_of((0, *team), touched, merged, passed):
+            call()
 
-    def book_of(self, teams: threads.Part, contact: Any, merged_into: Any, resting: Any) -> None:
-        """As ``book``, of some teams and unchecked."""
+    def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> Calls:
+        """What does as ``book``, of some teams and unchecked."""
+        return ()
 
     @cached_property
     def leads(self) -> bool:

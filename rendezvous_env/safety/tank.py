@@ -4,6 +4,7 @@ docs/guarantees.md, section 8. Each robot keeps this account alone, from its own
 are pairs or triples in one frame. Bearing errors η make f wrong by e = 2 sin(η/2) D, m/s, at most.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,10 +12,10 @@ from numpy.typing import DTypeLike, NDArray
 
 from ..checks import flag, number
 from ..compilation import inner_kernel, kernel
-from ..engine.threads import Part
+from ..engine.threads import Calls, Part
 from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import dot, norm, rounded, scaled, split
-from ..robots.single_integrator import speed_scale
+from ..robots.single_integrator import limit_factor, speed_scale
 from ..robots.unicycle import clip
 from ..scenario.scenario import Scenario
 from .heading import into_cap, scale_of_step, without_error
@@ -121,19 +122,19 @@ def _spend_lanes(space, constants, work):
         scale = descent_scale(strength, degree, radius, duration, limit)
         owed = promised_descent(strength, scale, margin, duration, error)
         desired = scaled(vector_of(space, lanes.choice, lane), limit)
-        _, within = speed_scale(dot(desired, desired), limit)
-        sent, moved = _sent(scaled(desired, within), limit, duration)
+        speed, _ = split(desired)
+        wanted = rounded(scaled(desired, limit_factor(speed, limit)))
+        moved, _ = _moved(wanted, limit, duration)
+        earned = certain_descent(f, degree, moved, radius, error) - owed
+        accepted = lanes.level[lane] + earned >= 0.0
+        law = rounded(descending_velocity(desired, f, scale, margin, error))
+        sent, sees = _either(accepted, wanted, law), degree > 0.0
+        moved, length = _moved(sent, limit, duration)
         deposit = certain_descent(f, degree, moved, radius, error) - owed
-        accepted = lanes.level[lane] + deposit >= 0.0
-        law = descending_velocity(desired, f, scale, margin, error)
-        law_sent, law_moved = _sent(law, limit, duration)
-        law_deposit = certain_descent(f, degree, law_moved, radius, error) - owed
-        sees = degree > 0.0
-        sent, moved = _either(accepted, sent, law_sent), _either(accepted, moved, law_moved)
         put(scaled(sent, 1.0 if sees else 0.0), lanes.sent, lane)
-        lanes.deposit[lane] = (deposit if accepted else law_deposit) if sees else 0.0
+        lanes.deposit[lane] = deposit if sees else 0.0
         lanes.accepted[lane] = 1.0 if accepted & sees else 0.0
-        length, along = norm(moved), dot(f, moved)
+        along = dot(f, moved)
         told = sees & (strength > 0.0) & (length > 0.0)
         lanes.alignment[lane] = abs(along) / (length * strength) if told else np.nan
         lanes.lyapunov_rate[lane] = -2.0 * along / duration if sees else 0.0
@@ -149,11 +150,10 @@ def _either(first, one, other):
 
 
 @inner_kernel(inline="code")
-def _sent(velocity, limit, duration):
-    """A velocity as it is sent, rounded to float32, and its displacement as it is executed."""
-    sent = rounded(velocity)
-    _, within = speed_scale(dot(sent, sent), limit)
-    return sent, scaled(sent, duration * within)
+def _moved(sent, limit, duration):
+    """The displacement of a velocity that is sent, as it is executed, and its length, m."""
+    speed, within = speed_scale(dot(sent, sent), limit)
+    return scaled(sent, duration * within), duration * within * speed
 
 
 @kernel
@@ -202,17 +202,23 @@ def _book(teams, levels, deposits, linked, contact, merged_into, resting, follow
     that presses against a wall along f would earn without end: in a step with contact only a loss
     is booked.
     """
-    for team in range(teams[0], teams[1]):
+    first, stop = teams[0], teams[1]
+    for team in range(first, stop):
+        if resting[team]:
+            deposits[team] = 0.0
+    level, deposit = levels[first:stop].reshape(-1), deposits[first:stop].reshape(-1)
+    touched = contact[first:stop].reshape(-1)
+    for i in range(len(level)):
+        lost = touched[i] & (deposit[i] > 0.0)
+        level[i] = max(level[i] + (0.0 if lost else deposit[i]), 0.0)
+    for team in range(first, stop):
         merged = 0
         for i in range(levels.shape[1]):
-            lost = contact[team, i] and deposits[team, i] > 0.0
-            deposit = 0.0 if resting[team] or lost else deposits[team, i]
-            levels[team, i] = max(levels[team, i] + deposit, 0.0)
             merged += merged_into[team, i] != i
         if merged > 0:
             _hand_over(levels[team], linked[team], merged_into[team], follow_v)
-    deposits[teams[0] : teams[1]] = 0.0
-    linked[teams[0] : teams[1]] = False
+    deposits[first:stop] = 0.0
+    linked[first:stop] = False
 
 
 @inner_kernel
@@ -319,32 +325,37 @@ class EnergyTank(SafetyFilter):
         num_envs, n, rows, d = self._seen
         return np.zeros((num_envs, n, rows + 1, d), dtype)
 
-    def view_of(self, teams: Part, observations: Float32, shown: Float32) -> None:
+    def view_of(self, teams: Part, observations: Float32, shown: Float32) -> Calls:
         """As ``SafetyFilter.view_of``; the row of the level last."""
+        if not self.observes_level:
+            return super().view_of(teams, observations, shown)
         mine = slice(*teams[:2])
         if self.along_net_bearing:
-            super().view_of(teams, observations, shown)
+            turn = super().view_of(teams, observations, shown)
         else:
-            shown[mine, :, :-1] = observations[mine]
-        if self.observes_level:
-            levels = self._levels[mine] / unit_of_tanks(self.scenario)
-            shown[mine, :, -1, 0] = np.minimum(levels, _LARGEST)
+            turn = [partial(np.copyto, shown[mine, :, :-1], observations[mine])]
+        return [*turn, partial(self._show_levels, mine, shown)]
+
+    def _show_levels(self, mine: slice, shown: Float32) -> None:
+        levels = self._levels[mine] / unit_of_tanks(self.scenario)
+        shown[mine, :, -1, 0] = np.minimum(levels, _LARGEST)
 
     def act_of(
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
-    ) -> None:
+    ) -> Calls:
         """As ``SafetyFilter.act_of``; what the step earns waits for ``book``."""
         told = (self._deposits, self.carried_out, self.alignment, self.lyapunov_rate)
         memory = self._held, self._levels, actions, self._linked
         if self.turns_body:
-            _spend_bodies(teams, (observations, self._constants, *memory, told))
-        else:
-            in_lanes(_spend, teams, self._constants, observations, *memory, *told)
+            arguments = observations, self._constants, *memory, told
+            return [partial(_spend_bodies, teams, arguments)]
+        return in_lanes(_spend, teams, self._constants, observations, *memory, *told)
 
-    def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> None:
+    def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> Calls:
         """As ``SafetyFilter.book_of``; a step that a merge cuts short books as commanded."""
         account = self._levels, self._deposits, self._linked
-        _book(teams, *account, contact, merged_into, resting, self._follow_v)
+        step = contact, merged_into, resting
+        return [partial(_book, teams, *account, *step, self._follow_v)]
 
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
         """As ``SafetyFilter.check_state``; no level is below zero."""

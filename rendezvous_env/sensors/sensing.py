@@ -77,7 +77,7 @@ class Sensing:
     @property
     def exact(self) -> bool:
         """Whether nothing is missed and no bearing is wrong."""
-        return self == Sensing()
+        return self == _EXACT  # not made anew: it is asked in every step
 
     @property
     def built_in_exact(self) -> bool:
@@ -86,7 +86,7 @@ class Sensing:
 
     def departures(self) -> str:
         """The fields that are not those of an exact sensor, in words."""
-        own, ideal = dataclasses.asdict(self), dataclasses.asdict(Sensing())
+        own, ideal = dataclasses.asdict(self), dataclasses.asdict(_EXACT)
         return ", ".join(f"{field} = {own[field]}" for field in own if own[field] != ideal[field])
 
     def to_plain(self) -> dict[str, Any]:
@@ -98,3 +98,6 @@ class Sensing:
     def from_plain(cls, plain: Any) -> Sensing:
         """A sensor from the plain data of ``to_plain``, some keys left out."""
         return cls(**checks.mapping("sensing", plain, "a table of its fields"))
+
+
+_EXACT = Sensing()

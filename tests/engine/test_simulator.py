@@ -137,9 +137,9 @@ def widths(monkeypatch):
     """How many threads each step was given to, from here on."""
     given, real_share = [], threads.share
 
-    def share(run_kernel, blocks, most):
+    def share(calls_of, blocks, most, ahead=0.0):
         given.append(most)
-        real_share(run_kernel, blocks, most)
+        real_share(calls_of, blocks, most, ahead)
 
     monkeypatch.setattr(threads, "share", share)
     return given

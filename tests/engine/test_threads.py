@@ -10,6 +10,7 @@ import threading
 import time
 import weakref
 from contextlib import contextmanager
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,7 +22,7 @@ from rendezvous_env import Simulator
 from rendezvous_env.compilation import kernel
 from rendezvous_env.engine import batch_runner, threads
 from rendezvous_env.safety import safety_filter as teams
-from rendezvous_env.vector import HeadingVectorWrapper
+from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper
 
 
 @kernel
@@ -34,24 +35,55 @@ def mark(part, marks, work):
         marks[block] += 1.0 + 0.0 * waste
 
 
-def marked(blocks, most, work=0):
+def kernels(marks, work=0):
+    """Calls that nothing interrupts: the caller makes some."""
+    return lambda part: [partial(mark, part, marks, work)]
+
+
+def python(marks, work=0):
+    """A call that Python makes: the caller leaves all to others."""
+    return lambda part: [lambda: mark(part, marks, work)]
+
+
+KINDS = pytest.mark.parametrize("kind", [kernels, python])
+
+
+def marked(blocks, most, work=0, kind=kernels, ahead=0.0):
     marks = np.zeros(blocks)
-    threads.share(lambda part: mark(part, marks, work), blocks, most)
+    threads.share(kind(marks, work), blocks, most, ahead)
     return marks
 
 
+@KINDS
 @pytest.mark.parametrize("most", [1, 2, 4])
 @pytest.mark.parametrize("blocks", [0, 1, 2, 7, 1000])
-def test_every_block_is_done_once(blocks, most):
-    for _ in range(50):
-        np.testing.assert_array_equal(marked(blocks, most), 1.0)
+def test_every_block_is_done_once(blocks, most, kind):
+    for ahead in (0.0, 0.1, 1.0):
+        for _ in range(20):
+            np.testing.assert_array_equal(marked(blocks, most, kind=kind, ahead=ahead), 1.0)
+
+
+def test_the_caller_takes_the_larger_part_of_what_are_calls_of_kernels_alone():
+    """Else it waits, since Python might interrupt it within its part."""
+    caller, taken = threading.current_thread(), {}
+
+    def calls_of(part):
+        taken[part[2]] = part[:2], threading.current_thread() is caller
+        return kernels(np.zeros(100))(part)
+
+    threads.share(calls_of, 100, 2, 0.2)
+    assert taken == {0: ((0, 60), True), 1: ((60, 100), False)}
+    done = []
+    threads.share(lambda _: [lambda: done.append(threading.current_thread())], 100, 2, 0.2)
+    assert len(done) == 2 and caller not in done
 
 
 @pytest.mark.parametrize("compiled", [True, False])
 def test_one_thread_is_the_callers_and_without_compilation_there_is_no_other(compiled, monkeypatch):
     monkeypatch.setattr(threads, "compiled", lambda: compiled)
     seen = set()
-    threads.share(lambda _: seen.add(threading.current_thread()), 5, 1 if compiled else 4)
+    most = 1 if compiled else 4
+    threads.share(lambda _: [lambda: seen.add(threading.current_thread())], 5, most)
     assert seen == {threading.current_thread()}
 
 
@@ -63,15 +95,16 @@ def test_slices_are_done_at_the_same_time_and_the_caller_waits_for_the_slowest()
         time.sleep(0.05 * part[2])
         done.append(part[:2])
 
-    threads.share(run, 8, 2)
+    threads.share(lambda part: [partial(run, part)], 8, 2)
     assert sorted(done) == [(0, 4), (4, 8)]
 
 
-def test_what_was_handed_over_is_let_go():
+@KINDS
+def test_what_was_handed_over_is_let_go(kind):
     """Though a thread that woke too late still has the job."""
     marks = np.zeros(9)
     gone = weakref.ref(marks)
-    threads.share(lambda part, marks=marks: mark(part, marks, 0), 9, 2)
+    threads.share(kind(marks), 9, 2)
     np.testing.assert_array_equal(marks, 1.0)
     del marks
     time.sleep(0.05)
@@ -79,14 +112,27 @@ def test_what_was_handed_over_is_let_go():
     assert gone() is None
 
 
-@pytest.mark.parametrize("most", [1, 2])
-def test_what_a_slice_raises_reaches_the_caller(most):
-    def run(part):
-        if part[0] == 0:
-            raise KeyError("a block")
+@kernel
+def fail(part, wrong):
+    if part[2] == wrong:
+        raise KeyError("a block")
 
-    with pytest.raises(KeyError, match="a block"):
-        threads.share(run, 8, most)
+
+@pytest.mark.parametrize("wrong", [0, 1])
+@pytest.mark.parametrize("most", [1, 2])
+def test_what_a_slice_raises_reaches_the_caller(most, wrong):
+    """The caller's own, or another's; and nobody writes any more."""
+    for call in (fail, fail.py_func if hasattr(fail, "py_func") else fail, partial(fail)):
+        marks = np.zeros(8)
+
+        def calls_of(part, call=call, marks=marks):
+            return [partial(call, part, wrong if most > 1 else 0), *kernels(marks, 2000)(part)]
+
+        with pytest.raises(KeyError, match="a block"):
+            threads.share(calls_of, 8, most)
+        seen = marks.copy()
+        time.sleep(1e-3)
+        np.testing.assert_array_equal(marks, seen)
     np.testing.assert_array_equal(marked(8, 2), 1.0)  # and the threads still work
 
 
@@ -109,8 +155,9 @@ def interrupts():
         gc.enable()
 
 
+@KINDS
 @pytest.mark.parametrize("most", [2, 4])
-def test_an_interrupted_job_is_done_or_was_never_begun(most):
+def test_an_interrupted_job_is_done_or_was_never_begun(most, kind):
     """Interrupts at all moments: all blocks are done, or none, and nobody writes any more when the
     caller leaves.
     """
@@ -120,7 +167,7 @@ def test_an_interrupted_job_is_done_or_was_never_begun(most):
             marks = np.zeros(64)
             try:
                 within(1e-5, 1e-3)
-                threads.share(lambda part, marks=marks: mark(part, marks, 2000), 64, most)
+                threads.share(kind(marks, 2000), 64, most)
                 time.sleep(0.01)
             except KeyboardInterrupt:
                 seen.append(marks.copy())
@@ -131,28 +178,42 @@ def test_an_interrupted_job_is_done_or_was_never_begun(most):
     np.testing.assert_array_equal(marked(9, most), 1.0)  # and the threads still work
 
 
-def test_an_interrupted_step_is_one_for_all_teams_or_none(monkeypatch):
-    """At all moments of a step of four threads."""
+@pytest.mark.parametrize("around", [None, HeadingVectorWrapper, EnergyTankWrapper])
+def test_an_interrupted_step_is_one_for_all_teams_or_none(around, monkeypatch):
+    """At all moments of a step of four threads; under a guarantee tanks are filled in all teams
+    that have stepped, and where the wrapper has not seen the step it takes none from what it saw.
+    """
     monkeypatch.setattr(batch_runner, "_WORK_PER_THREAD", 1)
-    sim = Simulator(rv.scenarios.get("swarm-20").replace(time_limit=1e4), 256, num_threads=4)
-    sim.reset(0)
-    actions, count = np.full((256, 20, 2), 1e-3, np.float32), 0
-    sim.step(actions)
+    scenario = rv.scenarios.get("swarm-20").replace(time_limit=1e4)
+    env = rv.make_vec(scenario, 256, num_threads=4)
+    env = env if around is None else around(env)
+    env.reset(seed=[0] * 256)  # so all teams are alike
+    sim, count, refused = env.unwrapped.simulator, 0, 0
+    actions = np.full((256, 20, 2), 1e-3, np.float32)
+    env.step(actions)
     assert sim._runner.width == 4
     with interrupts() as within:
         for _ in range(300):
             try:
                 within(1e-4, 5e-3)
                 for _ in range(100):
-                    sim.step(actions)
+                    env.step(actions)
             except KeyboardInterrupt:
                 count += 1
                 steps, positions = sim.steps, sim.positions
-                assert (steps == steps[0]).all()
+                assert (steps == steps[0]).all() and (positions == positions[0]).all()
+                if around is EnergyTankWrapper:
+                    assert (env.tank.levels == env.tank.levels[0]).all()
                 time.sleep(1e-3)
                 np.testing.assert_array_equal(sim.positions, positions)
-    assert count > 100
-    sim.step(actions)
+                try:
+                    env.step(actions)
+                except RuntimeError:
+                    refused += 1
+                    env.reset(seed=[0] * 256)
+    assert count > 100 and (refused > 0) == (around is not None)
+    env.reset(seed=1)
+    env.step(actions)
     assert sim.all_running
 
 
@@ -161,7 +222,7 @@ def test_steering_uses_no_more_threads_than_it_may(monkeypatch):
     monkeypatch.setattr(teams, "_ROBOTS_PER_THREAD", 1)
     monkeypatch.setattr(threads, "available_cores", lambda: 3)
     counted = SimpleNamespace(
-        share=lambda run, blocks, most: used.append(most), most_threads=threads.most_threads
+        share=lambda calls_of, blocks, most: used.append(most), most_threads=threads.most_threads
     )
     monkeypatch.setattr(teams, "threads", counted)
     for num_threads in (None, 1, 2):

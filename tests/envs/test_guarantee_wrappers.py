@@ -251,18 +251,20 @@ def test_an_environment_that_was_reset_before_needs_a_new_reset(which):
         env.step(choices)
 
 
-def test_a_reset_beneath_a_wrapper_needs_one_of_the_wrapper(which):
-    """Its robots would act on what they saw in the episode before."""
+def test_what_happens_beneath_a_wrapper_needs_a_reset_of_the_wrapper(which):
+    """Its robots would act on what they saw before it."""
     for around, base in zip(
         GUARANTEES[which].both, (rv.parallel_env("fig3"), rv.make_vec("fig3", 2)), strict=True
     ):
         env = around(base)
         env.reset(seed=0)
         choices, before, state = draw(env, np.random.default_rng(0)), base.get_state(), None
+        actions = draw(base, np.random.default_rng(0))
         for disturb in (
             lambda base=base: base.reset(seed=1),
             lambda base=base: base.reset(),
             lambda base=base, before=before: base.set_state(before),
+            lambda base=base, actions=actions: base.step(actions),
         ):
             disturb()
             with pytest.raises(RuntimeError, match=rf"{GUARANTEES[which].name}.*beneath its wrap"):

@@ -35,9 +35,10 @@ def kernel(function, inline="never"):
 ''',
     Name("rendezvous_env.safety.robot_lanes", "LANES"): "\nLANES = 1\n",
     Name("rendezvous_env.safety.safety_filter", "over_teams"): '''
-def over_teams(run_kernel, num_envs, n_robots, num_threads):
+def over_teams(calls_of, num_envs, n_robots, num_threads):
     """One team, one thread."""
-    run_kernel((0, 1, 0))
+    for call in calls_of((0, 1, 0)):
+        call()
 ''',
     Name("rendezvous_env.safety.settings", "levels_follow_v"): '''
 def levels_follow_v(scenario):
