@@ -66,11 +66,14 @@ class _Job:
         self._calls_of: Callable[[Part], Calls] | None = calls_of
         self._first, self._left = parts[0], deque(parts[1:])
         self._to_hand_over = iter(parts[:1])
-        self._count, self._ended = len(parts), list[None]()
-        self._own, self._made = list[Callable[[], Any]](), list[Any]()
+        self._count = len(parts)
+        self._ended: list[None] = []
+        self._own: list[Callable[[], Any]] = []
+        self._made: list[Any] = []  # what the caller's own calls have returned
         self._beginning = threading.Lock()
         self._begun = self._called_off = False
-        self._over, self._done = np.zeros(1, np.int64), SimpleQueue[None]()
+        self._over = np.zeros(1, np.int64)
+        self._done: SimpleQueue[None] = SimpleQueue()
         self.errors: list[BaseException] = []
 
     def help(self) -> None:
@@ -103,7 +106,7 @@ class _Job:
         self._see_to_own_part()
         if not self._all_ended:
             if self._own:
-                _watch(self._over, np.zeros_like(self._over), _PATIENCE)
+                _watch(self._over, np.zeros(1, np.int64), _PATIENCE)
             self._done.get()
 
     def _see_to_own_part(self) -> None:
