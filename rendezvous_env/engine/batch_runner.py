@@ -141,7 +141,10 @@ class BatchRunner:
         output = self.new_output()
         advance = self._work(True, self._blocks, actions, output)
         blocks = len(self._blocks)
-        threads.share(lambda part: [advance(part)], blocks, self.width, self._ahead)
+        if self.width == 1:  # what is left out here a single team would feel
+            advance((0, blocks, 0))()
+        else:
+            threads.share(lambda part: [advance(part)], blocks, self.width, self._ahead)
         # the next step's arrays come from other memory: where both steps' were free at once, the
         # system would take it back, and clear it anew for every step of large teams
         self._last = output
