@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..compilation import inner_kernel, kernel
+from ..compilation import kernel
 from ..engine.threads import Calls, Part
 from ..physics.least_norm import least_along, least_norm_of
 from ..physics.neighbour_rows import degree_of, net_bearing_of
@@ -124,17 +124,12 @@ def _nearest_on(wanted, bearing, active, radius):
             point = _nearest_on_all(wanted, on, radius)
             worst = -math.inf
             for other in active:
-                if _is(other):
+                if dot(other, other) > 0.0:
                     worst = max(worst, _excess(point, other, radius))
             gap = subtract(point, wanted)
             if worst <= _SLACK * radius * radius and dot(gap, gap) < least:
                 found, kept, least = point, on, dot(gap, gap)
     return found, kept
-
-
-@inner_kernel(inline="code")
-def _is(bearing):
-    return dot(bearing, bearing) > 0.0
 
 
 @kernel
@@ -144,11 +139,11 @@ def _nearest_on_all(wanted, on, radius):
     """
     g, first, second = on
     centre, strides = g, wanted
-    if _is(first):
+    if dot(first, first) > 0.0:
         size, normal = split(subtract(g, first))
         if size < _ALIKE:
             return ORIGIN
-        if _is(second):
+        if dot(second, second) > 0.0:
             size, line = split(cross(normal, subtract(g, second)))
             if size < _ALIKE:
                 return ORIGIN
@@ -196,13 +191,12 @@ class LinkKeeping(SafetyFilter):
         check_inputs(scenario, "theorem R")
         if reason := asymmetric_sight(scenario):
             raise ValueError(f"scenario: {reason}")
-        size = scenario.action_size
-        super().__init__(scenario, num_envs, size, frame, num_threads)
+        super().__init__(scenario, num_envs, scenario.action_size, frame, num_threads)
         self._constants = _Constants(
             neighbour_slots=self._sight.neighbour_slots,
             radius=scenario.merge_radius / (4.0 * scenario.tau),
             speed_limit=float(scenario.speed_limit),
-            share=check_share(share),
+            share=check_share("share", share),
             bearing_error=check_bearing_error(bearing_error),
         )
 

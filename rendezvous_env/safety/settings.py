@@ -11,27 +11,19 @@ from ..scenario.scenario import Scenario
 from ..sensors.sensing import Sensing
 
 SMALLEST_MARGIN = 1e-6
-"""Margin ε below which nothing is promised: times grow with 1/ε², and soon overflow."""
+"""Margin ε, or share λ, below which nothing is promised: times grow with 1/ε² and 1/λ, and soon
+overflow; a step of less moves nobody."""
 TANK_MARGIN = 0.05
 """ε of tanks that are given no other."""
 MAX_TURN_RATE = 3.0
 """Of headings and of bodies under certified headings that are given no other, rad/s."""
 
 
-def check_margin(min_alignment: Any) -> float:
-    """ε, a number without unit, if 10⁻⁶ ≤ ε ≤ 1, else a ValueError (theorem B)."""
-    if not SMALLEST_MARGIN <= (margin := real(min_alignment)) <= 1:
-        refuse("min_alignment", min_alignment, f"in (0, 1], and at least {SMALLEST_MARGIN:g}")
-    return margin
-
-
-def check_share(share: Any) -> float:
-    """λ, a number without unit, if 10⁻⁶ ≤ λ ≤ 1, else a ValueError: times grow with 1/λ, and a
-    step of less moves nobody (theorem R c).
-    """
-    if not SMALLEST_MARGIN <= (part := real(share)) <= 1.0:
-        refuse("share", share, f"in (0, 1], and at least {SMALLEST_MARGIN:g}")
-    return part
+def check_share(name: str, value: Any) -> float:
+    """ε or λ, a number without unit, if 10⁻⁶ ≤ ε ≤ 1, else a ValueError (theorems B and R c)."""
+    if not SMALLEST_MARGIN <= (share := real(value)) <= 1:
+        refuse(name, value, f"in (0, 1], and at least {SMALLEST_MARGIN:g}")
+    return share
 
 
 def check_gate_constants(min_alignment: float, dead_zone: float) -> None:

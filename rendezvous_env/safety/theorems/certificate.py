@@ -13,13 +13,7 @@ from ...checks import choice, real, refuse
 from ...scenario.scenario import Scenario
 from ...scenario.scenarios import resolve
 from ..gains import gain_range
-from ..settings import (
-    TANK_MARGIN,
-    bounded_error,
-    check_bearing_error,
-    check_margin,
-    check_share,
-)
+from ..settings import TANK_MARGIN, bounded_error, check_bearing_error, check_share
 from . import delay, descent, gains, links, noise, tank, turning
 from .theorem import CHOICES, LAW, PROMISED, Asked, Bounds, Theorem
 
@@ -104,14 +98,13 @@ class Certificate:
 
     def __str__(self) -> str:
         """What is promised, by when, and how that compares with the episode's limit."""
-        numbers = self.promises.items()
-        kept = [_KEPT[name].format(bound) for name, bound in numbers if name in _KEPT]
+        promises = self.promises.items()
+        kept = [_KEPT[name].format(bound) for name, bound in promises if name in _KEPT]
         if self.tolerated_bearing_error > 0:
             kept.append(f"bearings may err by up to {self.tolerated_bearing_error:.3g} rad")
         first = f"{self.scenario} under {CHOICES[self.by]}: {self.theorem}"
-        return "\n".join(
-            (first, "; ".join(kept) or "No other number is promised.", self._by_when())
-        )
+        numbers = "; ".join(kept) or "No other number is promised."
+        return f"{first}\n{numbers}\n{self._by_when()}"
 
     def _by_when(self) -> str:
         if not self.guaranteed:
@@ -178,7 +171,7 @@ def question(scenario: Scenario, by: Any, given: Mapping[str, Any], bearing_erro
     """What is asked, if the arguments of ``certificate`` go together (theorem A: LAW), η a number,
     rad.
     """
-    margin = check_margin(given.get("min_alignment", LAW.min_alignment))
+    margin = check_share("min_alignment", given.get("min_alignment", LAW.min_alignment))
     by = choice("by", ("law" if margin == 1 else "heading") if by is None else by, CHOICES)
     if by in ("law", "gains", "links") and margin != 1:
         refuse("min_alignment", margin, f'exactly 1 with by="{by}"')
@@ -189,7 +182,7 @@ def question(scenario: Scenario, by: Any, given: Mapping[str, Any], bearing_erro
     asked = LAW._replace(by=by, **given)
     if not 0 <= (budget := real(asked.budget)) < math.inf:
         refuse("budget", asked.budget, "finite and at least 0 m²/s")
-    share, own = check_share(asked.share), bounded_error(scenario.sensing, scenario.dim)
+    share, own = check_share("share", asked.share), bounded_error(scenario.sensing, scenario.dim)
     error = max(check_bearing_error(bearing_error), own)
     asked = asked._replace(min_alignment=margin, budget=budget, share=share, error=error)
     if by != "tank" and budget != 0:
@@ -219,27 +212,24 @@ def answer(scenario: Scenario, asked: Asked) -> tuple[Certificate, list[tuple[Th
         if met[1] and theorem.rendezvous and met[0] > nearest:
             nearest, words = met
     found = [bounds for _, bounds in applies]
-    promised = [bounds for bounds in found if bounds.meets]
-
-    def least(name: str, bounds: list[Bounds]) -> float:
-        return min((getattr(one, name) for one in bounds), default=math.inf)
-
-    time, kept = least("time", promised), ("lyapunov", "hull", "link_growth", "expected_time")
+    promised = [bounds.words for bounds in found if bounds.meets]
+    least = {
+        name: min((getattr(bounds, name) for bounds in found), default=math.inf)
+        for name in (*PROMISED, "continuous_time")
+    }
     certificate = Certificate(
         min_alignment=asked.min_alignment,
         dead_zone=scenario.dead_zone,
         certified_step=scenario.certified_step,
         bottleneck_weight=scenario.bottleneck_weight,
-        time_bound=time,
         guaranteed=bool(promised),
-        theorem=next((bounds.words for bounds in promised), words),
+        theorem=promised[0] if promised else words,
         by=asked.by,
-        continuous_time_bound=least("continuous_time", promised),
-        continuous_time_only=bool(promised) and math.isinf(time),
+        continuous_time_only=bool(promised) and math.isinf(least["time"]),
         bearing_error=asked.error,
         tolerated_bearing_error=max((one.tolerated_bearing_error for one in found), default=0.0),
         scenario=scenario.name,
         time_limit=scenario.time_limit,
-        **{f"{name}_bound": least(name, found) for name in kept},
+        **{f"{name}_bound": bound for name, bound in least.items()},
     )
     return certificate, applies

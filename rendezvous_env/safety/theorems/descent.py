@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...checks import refuse
 from ...scenario.scenario import Scenario
-from ..settings import bounded_error, check_margin
+from ..settings import bounded_error, check_share
 from . import assumptions as given
 from . import constants as known
 from .theorem import Asked, Bounds, Theorem
@@ -33,7 +33,7 @@ def time_bound(
     scenario's own graph (theorems A and C); infinite where nothing is guaranteed. A ValueError for
     an ε that is not in (0, 1], or a V(0) that is none.
     """
-    check_margin(min_alignment)
+    check_share("min_alignment", min_alignment)
     if not isinstance(scenario, Scenario):
         refuse("scenario", scenario, "a Scenario; scenarios.resolve() takes names and files")
     initial = known.checked("initial_lyapunov", initial_lyapunov, "m²/s")
