@@ -108,9 +108,7 @@ def _weigh(teams, arguments):
             total, towards = _weighted(rows, weights, constants.neighbour_slots, 0.0)
             if total < _NOTHING:  # all count alike
                 total, towards = _weighted(rows, weights, constants.neighbour_slots, 1.0)
-            sought = 0.0
-            if total > 0.0:
-                sought = min(max(total, constants.min_gain), constants.max_gain)
+            sought = min(max(total, constants.min_gain), constants.max_gain) if total > 0.0 else 0.0
             velocity = scaled(scaled(towards, 1.0 / total if total > 0.0 else 0.0), sought)
             _, within = speed_scale(dot(velocity, velocity), constants.speed_limit)
             velocity = scaled(velocity, within)

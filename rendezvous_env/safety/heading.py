@@ -270,6 +270,7 @@ def _turn_bodies(teams, arguments):
     """Gated turn rates, and the speed v = s mᵀf for the mean body axis m, less by e (theory 4)."""
     observations, constants, held, actions, alignment, lyapunov_rate = arguments
     robot, gate = constants.robot, constants.robot.gate
+    duration = gate.duration if constants.speed_scaled else 0.0  # of 0 the scale is 1
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
             rows, action = observations[team, i], actions[team, i]
@@ -284,10 +285,7 @@ def _turn_bodies(teams, arguments):
                 rates = gated_rates(rates, f, pitch, gate)
             along = dot(turn(rates, pitch, action, gate), f)
             sure = without_error(along, robot.error_chord * degree)
-            scale = 1.0
-            if constants.speed_scaled:
-                scale = scale_of_step(degree, robot.merge_radius, gate.duration)
-            action[0] = scale * sure
+            action[0] = scale_of_step(degree, robot.merge_radius, duration) * sure
             strength, _ = split(f)
             if strength > 0.0:
                 alignment[team, i] = abs(f[0]) / strength
@@ -323,15 +321,13 @@ class HeadingFilter(SafetyFilter):
         turns_body = scenario.model.nonholonomic
         size = scenario.model.n_angles if turns_body else scenario.dim
         super().__init__(scenario, num_envs, size, frame, num_threads)
-        max_turn_rate = positive("max_turn_rate", max_turn_rate, "rad/s")
-        robot = robot_of(
-            scenario, self._sight.dead_zone, min_alignment, bearing_error, max_turn_rate
-        )
+        most = positive("max_turn_rate", max_turn_rate, "rad/s")
+        robot = robot_of(scenario, self._sight.dead_zone, min_alignment, bearing_error, most)
         certified = flag("certified", certified)
         if robot.error_chord > 0.0 and not certified:
             refuse("bearing_error", bearing_error, "0 with certified=False: nothing is promised")
         given = scenario.max_turn_rate
-        self._heading_rate = max_turn_rate if given is None else min(max_turn_rate, given)
+        self._heading_rate = most if given is None else min(most, given)
         long_step = scenario.tau > scenario.certified_step
         self._constants = _Constants(
             robot,

@@ -218,11 +218,7 @@ class SafetyFilter(Remembering):
         return actions
 
     def act_of(
-        self,
-        teams: Part,
-        observations: Float32,
-        actions: Float32,
-        elapsed: float | None = None,
+        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
         """What does as ``act``, written for some teams, from the first of a part to before its
         second.

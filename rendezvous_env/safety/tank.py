@@ -12,6 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from ..checks import flag, number
 from ..compilation import inner_kernel, kernel
+from ..engine.state_checks import refuse_first
 from ..engine.threads import Calls, Part
 from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import dot, norm, rounded, scaled, split
@@ -282,8 +283,7 @@ class EnergyTank(SafetyFilter):
         num_threads: int | None = None,
     ) -> None:
         check_inputs(scenario, "law (4)", bodies=True)
-        size = scenario.action_size
-        super().__init__(scenario, num_envs, size, frame, num_threads)
+        super().__init__(scenario, num_envs, scenario.action_size, frame, num_threads)
         robot = robot_of(scenario, self._sight.dead_zone, min_alignment, bearing_error)
         self.budget = number("budget", budget, 0.0, unit="m²/s")
         self.observes_level = flag("observe_level", observe_level)
@@ -360,12 +360,9 @@ class EnergyTank(SafetyFilter):
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
         """As ``SafetyFilter.check_state``; no level is below zero."""
         checked = super().check_state(state)
-        if (wrong := (checked["levels"] < 0) | (checked["levels"] > _FULLEST)).any():
-            team, robot = np.argwhere(wrong)[0].tolist()
-            raise ValueError(
-                f"state: levels of robot_{robot} in team {team} is "
-                f"{checked['levels'][team, robot]}; it must be from 0 to {_FULLEST:g} m²/s"
-            )
+        levels = checked["levels"]
+        wrong = (levels < 0) | (levels > _FULLEST)
+        refuse_first("levels", wrong, levels, f"from 0 to {_FULLEST:g} m²/s")
         return checked
 
 
