@@ -132,12 +132,7 @@ def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 
 
 def certified_bounds(
-    scenario: Scenario,
-    asked: Asked,
-    most: float,
-    each: float | None,
-    dead_zone: float,
-    *words: str,
+    scenario: Scenario, asked: Asked, most: float, each: float | None, dead_zone: float, *words: str
 ) -> Bounds:
     """For velocities that are certified against what is seen, if all q_m > 0 (theorems N1', D).
 
@@ -158,20 +153,15 @@ def certified_bounds(
 
 def heading_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Theorem N1'."""
-    start = known.largest_lyapunov(scenario)
-    return certified_bounds(
-        scenario,
-        asked,
-        float(known.lyapunov_bound(scenario)),
-        start / (scenario.n_robots - 1) if known.merges_at_midpoints(scenario) else None,
-        DEAD_ZONE,
+    most, each, long = float(known.lyapunov_bound(scenario)), None, known.long_step(scenario)
+    if known.merges_at_midpoints(scenario):
+        each = known.largest_lyapunov(scenario) / (scenario.n_robots - 1)
+    words = (
         "theorem N1': every policy under certified headings that allow for errors of "
         f"{asked.error:.4g} rad meets in finite time"
-        + " with velocities scaled to the long step"
-        * known.long_step(scenario),
-        "a heading of this margin",
-        "; V still never rises between merges",
-    )
+    ) + " with velocities scaled to the long step" * long
+    who, even_so = "a heading of this margin", "; V still never rises between merges"
+    return certified_bounds(scenario, asked, most, each, DEAD_ZONE, words, who, even_so)
 
 
 def noisy_bounds(scenario: Scenario, asked: Asked) -> Bounds:

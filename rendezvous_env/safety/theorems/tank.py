@@ -42,17 +42,11 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     if levels_follow_v(scenario) and known.merges_at_midpoints(scenario):
         each = (known.largest_lyapunov(scenario) + n * asked.budget) / (n - 1)
         each += (n - 1) * scenario.merge_radius * scenario.bottleneck_weight
-    return certified_bounds(
-        scenario,
-        asked,
-        lyapunov_bounds(scenario, asked).lyapunov,
-        each,
-        0.0,
-        "theorem D: whatever is wanted, all robots meet in finite time while a tank keeps count"
-        + f" and charges errors of {asked.error:.4g} rad" * (asked.error > 0),
-        "a tank of this margin",
-        "; V stays bounded even so",
-    )
+    words = "theorem D: whatever is wanted, all robots meet in finite time while a tank keeps count"
+    words += f" and charges errors of {asked.error:.4g} rad" * (asked.error > 0)
+    who, even_so = "a tank of this margin", "; V stays bounded even so"
+    most = lyapunov_bounds(scenario, asked).lyapunov
+    return certified_bounds(scenario, asked, most, each, 0.0, words, who, even_so)
 
 
 THEOREMS = (
