@@ -132,9 +132,7 @@ def other_starts(
     n, dim, r = scenario.n_robots, scenario.dim, scenario.merge_radius
     reach, found = _reach(scenario.sensing.range, n, r), list[rv.Scenario]()
     for k in range(4 * STARTS):
-        start = None
-        if random.random() < anew:
-            start = places_of.starts(random, n, dim, r, reach)
+        start = places_of.starts(random, n, dim, r, reach) if random.random() < anew else None
         if start is None:
             start = places_of.changed(random, places[k % len(places)], r)
         with suppress(ValueError):  # robots would stand in an obstacle, or in one place

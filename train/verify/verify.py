@@ -1,5 +1,6 @@
 """``rendezvous verify``: the theorems of docs/theory.md as a command that can fail."""
 
+import itertools
 import math
 import sys
 import time
@@ -14,9 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from tyro.conf import arg
 
-from rendezvous_env.checks import nearest_word
-
-from ..checks import UserError, check_least, check_most
+from ..checks import UserError, check_least, check_most, meant
 from ..results import write_csv
 from ..resume import Part, claimed, program
 from ..tasks import Workers, each
@@ -73,9 +72,8 @@ def check_config(config: Config) -> None:
     known = [claim.name for claim in CLAIMS]
     for name in config.claims:
         if name not in known:
-            near = nearest_word(name, known)
-            hint = f"did you mean {near!r}? " if near else ""
-            raise UserError(f"claim {name!r} is unknown; {hint}known are {', '.join(known)}")
+            words = f"{meant(name, known)}known are {', '.join(known)}"
+            raise UserError(f"claim {name!r} is unknown; {words}")
 
 
 def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | None = None) -> int:
@@ -136,12 +134,15 @@ class Task(NamedTuple):
 
     name: str  # of its cell
     group: str  # the claim, or "scenarios"
-    look: Callable[[], Tally]
+    looks: tuple[Callable[[], Tally], ...]
 
 
 def look(task: Task) -> Tally:
     """Do a task."""
-    return task.look()
+    tally = Tally()
+    for one in task.looks:
+        tally.join(one())
+    return tally
 
 
 def _tasks_of_claims(config: Config, claims: Sequence[Claim]) -> list[Task]:
@@ -152,38 +153,30 @@ def _tasks_of_claims(config: Config, claims: Sequence[Claim]) -> list[Task]:
         batches = [(config.only_batch, min(config.trials, BATCH))]
     size = math.ceil(len(batches) / _MOST_TASKS)
     parts = [batches[k : k + size] for k in range(0, len(batches), size)]
-    given = config.seed, config.min_alignment
-    return [
-        Task(f"{claim.name}-{part[0][0]:07d}", claim.name, partial(_check_all, claim, part, *given))
-        for claim in claims
-        for part in parts
-    ]
-
-
-def _check_all(
-    claim: Claim, batches: Sequence[tuple[int, int]], seed: int, least_margin: float
-) -> Tally:
-    tally = Tally()
-    for number, count in batches:
-        tally.join(cases.check(claim, seed, number, count, least_margin))
-    return tally
+    tasks = []
+    for claim, part in itertools.product(claims, parts):
+        check = partial(cases.check, claim, config.seed, least_margin=config.min_alignment)
+        looks = tuple(partial(check, number, count) for number, count in part)
+        tasks.append(Task(f"{claim.name}-{part[0][0]:07d}", claim.name, looks))
+    return tasks
 
 
 def _tasks_of_any(config: Config) -> list[Task]:
     """So many scenarios, or a few more, of so many kinds at most, cut into tasks of one kind."""
     draws = math.ceil(config.trials / STARTS)
     parts = [range(k, min(k + DRAWS, draws)) for k in range(0, draws, DRAWS)]
-    kinds = config.kinds or len(parts)
-    looks = [partial(_try_all, part, config.seed, k % kinds) for k, part in enumerate(parts)]
-    return [Task(f"any-{k:07d}", "scenarios", look_at) for k, look_at in enumerate(looks)]
+    kinds, tasks = config.kinds or len(parts), []
+    for k, part in enumerate(parts):
+        looks = tuple(partial(_try_all, config.seed, number, k % kinds) for number in part)
+        tasks.append(Task(f"any-{k:07d}", "scenarios", looks))
+    return tasks
 
 
-def _try_all(numbers: range, seed: int, kind: int) -> Tally:
-    """Play the trials of these draws, all of one kind."""
-    began, tally = time.perf_counter(), Tally(trials=len(numbers) * STARTS)
-    for number in numbers:
-        for trial in trials_of(seed, number, kind):
-            tally.add(number, *climb(trial))
+def _try_all(seed: int, number: int, kind: int) -> Tally:
+    """Play the trials of a draw."""
+    began, tally = time.perf_counter(), Tally(trials=STARTS)
+    for trial in trials_of(seed, number, kind):
+        tally.add(number, *climb(trial))
     tally.seconds = time.perf_counter() - began
     return tally
 
