@@ -88,27 +88,13 @@ def give_out(lanes, first, stop, values):
 
 
 @inner_kernel(inline="code")
-def take_numbers(values, first, stop, lanes):
-    """Copy numbers, any unit, of robots first ≤ i < stop, (N,), into lanes (LANES,)."""
-    taken = values[first:stop]
-    for lane in range(len(taken)):
-        lanes[lane] = taken[lane]
-
-
-@inner_kernel(inline="code")
 def tell(lanes, first, stop, values):
-    """Copy numbers, any unit, from lanes (LANES,) to robots first ≤ i < stop, (N,)."""
+    """Copy numbers, any unit, from lanes (LANES,) to robots first ≤ i < stop, (N,); where those are
+    bool, whether they are ≠ 0.
+    """
     told = values[first:stop]
     for lane in range(len(told)):
         told[lane] = lanes[lane]
-
-
-@inner_kernel(inline="code")
-def tell_whether(lanes, first, stop, values):
-    """Write which numbers in lanes (LANES,) are positive to robots first ≤ i < stop, (N,)."""
-    told = values[first:stop]
-    for lane in range(len(told)):
-        told[lane] = lanes[lane] > 0.0
 
 
 @inner_kernel(inline="code")

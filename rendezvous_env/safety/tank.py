@@ -29,9 +29,7 @@ from .robot_lanes import (
     put,
     read,
     report,
-    take_numbers,
     tell,
-    tell_whether,
     vector_of,
 )
 from .safety_filter import Float32, SafetyFilter, check_inputs, register_filter
@@ -99,13 +97,15 @@ def _spend(robots, constants, arrays, work):
     for first in range(robots[0], robots[1], LANES):
         stop = min(first + LANES, robots[1])
         read(observations, held, first, stop, constants.robot, True, work)
-        take_numbers(levels, first, stop, lanes.level)
+        level = levels[first:stop]
+        for lane in range(len(level)):
+            lanes.level[lane] = level[lane]
         if observations.shape[2] == 2:
             _spend_lanes(PLANE, constants, work)
         else:
             _spend_lanes(SPACE, constants, work)
-        tell_whether(lanes.degree, first, stop, linked)
-        tell_whether(lanes.accepted, first, stop, carried_out)
+        tell(lanes.degree, first, stop, linked)
+        tell(lanes.accepted, first, stop, carried_out)
         tell(lanes.deposit, first, stop, deposits)
         report(lanes, first, stop, actions, alignment, lyapunov_rate)
 
