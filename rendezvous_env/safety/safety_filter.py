@@ -6,7 +6,7 @@ Everything here comes from the robots' own observations: no position, no global 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -176,12 +176,18 @@ class SafetyFilter(Remembering):
 
     def new_view(self, dtype: DTypeLike = np.float32) -> Float32 | None:
         """Memory for ``view_of``; None if the policy is shown observations as they are."""
-        return np.empty(self._seen, dtype) if self.along_net_bearing else None
+        if not (self.along_net_bearing or self.observes_level):
+            return None
+        num_envs, n, rows, d = self._seen
+        return np.empty((num_envs, n, rows + self.observes_level, d), dtype)
 
     def view_of(self, teams: Part, observations: Float32, shown: Float32) -> Calls:
         """What does as ``view``, of some teams and unchecked."""
-        arrays = observations, self._frames, shown
-        return in_lanes(look_along_net_bearing, teams, self._sight, *arrays)
+        if self.along_net_bearing:
+            arrays = observations, self._frames, shown
+            return in_lanes(look_along_net_bearing, teams, self._sight, *arrays)
+        mine = slice(*teams[:2])
+        return [partial(np.copyto, shown[mine, :, : self._seen[2]], observations[mine])]
 
     @property
     def held(self) -> NDArray[np.float64]:

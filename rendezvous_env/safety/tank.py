@@ -4,11 +4,12 @@ docs/guarantees.md, section 8. Each robot keeps this account alone, from its own
 are pairs or triples in one frame. Bearing errors η make f wrong by e = 2 sin(η/2) D, m/s, at most.
 """
 
+import math
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from ..checks import flag, number
 from ..compilation import inner_kernel, kernel
@@ -284,7 +285,7 @@ class EnergyTank(SafetyFilter):
     ) -> None:
         check_inputs(scenario, "law (4)", bodies=True)
         super().__init__(scenario, num_envs, scenario.action_size, frame, num_threads)
-        robot = robot_of(scenario, self._sight.dead_zone, min_alignment, bearing_error)
+        robot = robot_of(scenario, self._sight.dead_zone, min_alignment, bearing_error, math.inf)
         self.budget = number("budget", budget, 0.0, unit="m²/s")
         self.observes_level = flag("observe_level", observe_level)
         self._constants = _Constants(robot, float(scenario.action_bounds[0]))
@@ -318,26 +319,14 @@ class EnergyTank(SafetyFilter):
         self._levels[which], self._deposits[which] = self.budget, 0.0
         self._linked[which] = self.carried_out[which] = False
 
-    def new_view(self, dtype: DTypeLike = np.float32) -> Float32 | None:
-        """As ``SafetyFilter.new_view``; (B, n, rows + 1, d) with ``observe_level``."""
-        if not self.observes_level:
-            return super().new_view(dtype)
-        num_envs, n, rows, d = self._seen
-        return np.zeros((num_envs, n, rows + 1, d), dtype)
-
     def view_of(self, teams: Part, observations: Float32, shown: Float32) -> Calls:
         """As ``SafetyFilter.view_of``; the row of the level last."""
-        if not self.observes_level:
-            return super().view_of(teams, observations, shown)
-        mine = slice(*teams[:2])
-        if self.along_net_bearing:
-            turn = super().view_of(teams, observations, shown)
-        else:
-            turn = [partial(np.copyto, shown[mine, :, :-1], observations[mine])]
-        return [*turn, partial(self._show_levels, mine, shown)]
+        calls, mine = super().view_of(teams, observations, shown), slice(*teams[:2])
+        return [*calls, partial(self._show_levels, mine, shown)] if self.observes_level else calls
 
     def _show_levels(self, mine: slice, shown: Float32) -> None:
         levels = self._levels[mine] / unit_of_tanks(self.scenario)
+        shown[mine, :, -1] = 0.0
         shown[mine, :, -1, 0] = np.minimum(levels, _LARGEST)
 
     def act_of(

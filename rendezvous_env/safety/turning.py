@@ -62,11 +62,7 @@ class Robot(NamedTuple):
 
 
 def robot_of(
-    scenario: Scenario,
-    dead_zone: float,
-    min_alignment: Any,
-    bearing_error: Any,
-    most: float = math.inf,
+    scenario: Scenario, dead_zone: float, min_alignment: Any, bearing_error: Any, most: float
 ) -> Robot:
     """A scenario's robots with a margin ε and bearing errors η, numbers, rad, each checked; else as
     ``gate_of`` (theorem N1').
