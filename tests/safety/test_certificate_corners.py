@@ -127,7 +127,7 @@ def test_starts_of_options_are_asked_for_in_a_scenario():
     assert "scenario.replace(start_positions=…" in certificate.__doc__
 
 
-@pytest.mark.parametrize("by", ["law", "heading", "tank", "gains", "links"])
+@pytest.mark.parametrize("by", CHOICES)
 def test_a_family_that_need_not_connect_its_robots_promises_nothing(by):
     graphs.family("two-pairs", lambda n, random: [(0, 1), (2, 3)])
     scenario = Scenario(n_robots=4, graph="two-pairs", require_connected=False)
