@@ -82,13 +82,17 @@ def robot_of(
 def gated_rates(requested, net_bearing, pitch, gate):
     """Turn rates with which a nonholonomic robot cannot stay orthogonal to f, a triple, m/s.
 
-    They are free while they keep the margin; otherwise they are replaced by some that turn towards
-    f and, held over the step, never past it (theory 3, the gate): in the plane by law (8), ω = f_y,
-    clipped and at most |∠(h, f)|/τ; in 3-D by ``rates_onto_line``. Law (17) itself flips from step
-    to step near β = ±π/2, where its yaw rate is saturated: a robot may stay across f for ever.
+    They are free while they keep the margin, |hᵀf| ≥ ε‖f‖ now and |mᵀf| ≥ ε‖f‖/2 over the step, or
+    ‖f‖ ≤ δ; otherwise they are replaced by some that turn towards f and, held over the step, never
+    past it (theory 3, the gate): in the plane by law (8), ω = f_y, clipped and at most |∠(h, f)|/τ;
+    in 3-D by ``rates_onto_line``. Law (17) itself flips from step to step near β = ±π/2, where its
+    yaw rate is saturated: a robot may stay across f for ever.
     """
     rates = clip(requested[0], gate.yaw_limit), clip(requested[1], gate.pitch_limit)
-    if keeps_margin(net_bearing, mean_axis(rates, pitch, gate), gate):
+    m, strength = mean_axis(rates, pitch, gate), math.sqrt(dot(net_bearing, net_bearing))
+    needed = gate.min_alignment * strength
+    kept = abs(net_bearing[0]) >= needed and abs(dot(m, net_bearing)) >= 0.5 * needed
+    if kept or strength <= gate.dead_zone:
         return rates
     if not gate.planar:
         return rates_onto_line(net_bearing, pitch, gate)
@@ -141,18 +145,6 @@ def _in_one_go(yaw, rise, gate):
     yaw_rate, pitch_rate = yaw / gate.duration, rise / gate.duration
     yaw_limit, pitch_limit = max(gate.yaw_limit, TINY), max(gate.pitch_limit, TINY)
     return yaw_rate, pitch_rate, max(abs(yaw_rate) / yaw_limit, abs(pitch_rate) / pitch_limit)
-
-
-@kernel
-def keeps_margin(net_bearing, mean_axis, gate):
-    """Whether |hᵀf| ≥ ε‖f‖ now and |mᵀf| ≥ ε‖f‖/2 over the step, or ‖f‖ ≤ δ; h is the x axis. f,
-    m/s, and m, without unit, are triples.
-    """
-    f = net_bearing
-    strength = math.sqrt(dot(f, f))
-    needed = gate.min_alignment * strength
-    kept = abs(f[0]) >= needed and abs(dot(mean_axis, f)) >= 0.5 * needed
-    return kept or strength <= gate.dead_zone
 
 
 @kernel
