@@ -31,7 +31,7 @@ def test_v_never_rises_beside_obstacles_but_while_a_robot_slides(name, contact):
     vectors. What certificates promise holds without obstacles, see test_promises.
     """
     scenario = CLUTTERS[name].replace(obstacle_contact=contact, time_limit=15.0)
-    adversary = Adversary(scenario, TEAMS, "heading", np.random.default_rng(3))
+    adversary = Adversary(scenario, TEAMS, "heading", np.random.default_rng(3), 3.0)
     steering, simulator = HeadingFilter(scenario, TEAMS, frame="local"), Simulator(scenario, TEAMS)
 
     def policy(seen, time):

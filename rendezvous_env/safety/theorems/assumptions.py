@@ -7,27 +7,18 @@ from ...scenario.scenario import Scenario
 from ...sensors.sensing import Sensing
 from ..gains import gain_range
 from ..settings import is_complete
-from .constants import (
-    DIRECTED,
-    PROXIMITY,
-    SWITCHING,
-    UNDIRECTED,
-    kind_of_links,
-    leaders,
-    long_step,
-    most_neighbours,
-)
+from . import constants as known
 from .theorem import Asked, Assumption
 
 _LEAST_MOVE, _LEAST_GAIN = 2.0**-40, 2.0**-52
 """Of the largest coordinate at the start: float64 rounds positions by up to 2⁻⁵³ of it."""
 _WHY_NOT = {
-    DIRECTED: "V counts links both ways, and here a robot need not be seen by whom it sees",
-    SWITCHING: (
+    known.DIRECTED: "V counts links both ways, and here a robot need not be seen by whom it sees",
+    known.SWITCHING: (
         "what lets V fall in one graph lets it rise in the next: three robots on paths that take "
         "turns grow without end under law (4) for ε < 0.277"
     ),
-    PROXIMITY: "robots that are moved by it may lose sight of each other for ever",
+    known.PROXIMITY: "robots that are moved by it may lose sight of each other for ever",
 }
 
 
@@ -35,11 +26,11 @@ def on_graphs(*kinds: str) -> Assumption:
     """Links are of one of these kinds."""
 
     def holds(scenario: Scenario, asked: Asked) -> str:
-        kind = kind_of_links(scenario.sensing_graph)
+        kind = known.kind_of_links(scenario.sensing_graph)
         if kind in kinds:
             return ""
         why = _WHY_NOT[kind] if asked.by != "links" else "theorem R needs that both see each other"
-        instead = "links" if kind == PROXIMITY else "gains"
+        instead = "links" if kind == known.PROXIMITY else "gains"
         return (
             f'none: by="{asked.by}" has no theorem on {kind} graphs: {why}; by="{instead}" has one'
         )
@@ -47,10 +38,9 @@ def on_graphs(*kinds: str) -> Assumption:
     return holds
 
 
-undirected = on_graphs(UNDIRECTED)  # links are mutual and last but for merges
-without_range = on_graphs(UNDIRECTED, DIRECTED, SWITCHING)  # links do not end with distance
-
-
+undirected = on_graphs(known.UNDIRECTED)  # links are mutual and last but for merges
+without_range = on_graphs(known.UNDIRECTED, known.DIRECTED, known.SWITCHING)
+"""Links do not end with distance."""
 _ANY_LINKS = "none: with require_connected=False a family of one's own need not connect its robots"
 
 
@@ -71,9 +61,9 @@ def one_leader_at_most(scenario: Scenario, asked: Asked) -> str:
     """Some robot can be reached from all others at any time, along the links of the moment."""
     if _any_links(scenario):
         return _ANY_LINKS
-    if len(groups := leaders(scenario)) == 1:
+    if len(groups := known.leaders(scenario)) == 1:
         return ""
-    when = " at some time" if kind_of_links(scenario.sensing_graph) == SWITCHING else ""
+    when = " at some time" if known.kind_of_links(scenario.sensing_graph) == known.SWITCHING else ""
     return (
         f"none: robots {' and '.join(map(str, groups))} see nobody outside their own group{when}; "
         "theorem G needs one that can be reached from all, always"
@@ -204,7 +194,7 @@ def exact_bearings(scenario: Scenario, asked: Asked) -> str:
 
 def certified_or_scaled(scenario: Scenario, asked: Asked) -> str:
     """τ ≤ r/(2D̄), or velocities are scaled by r/(2 D_i τ) (theory 4)."""
-    if not long_step(scenario) or scenario.scales_velocity:
+    if not known.long_step(scenario) or scenario.scales_velocity:
         return ""
     return (
         f"none for law (1) as it stands: the step {scenario.tau:.4g} s is longer than the "
@@ -231,7 +221,7 @@ def rows_for_all(scenario: Scenario, asked: Asked) -> str:
     slots = scenario.observation_layout.neighbour_slots
     if slots >= scenario.sensing_graph.most_neighbours(scenario.n_robots):
         return ""  # as with rows that no one has given, and without a look at all links
-    if slots >= (most := most_neighbours(scenario)):
+    if slots >= (most := known.most_neighbours(scenario)):
         return ""
     return (
         f"none: merged robots may have up to {most} neighbours, and an episode ends with an error "

@@ -35,12 +35,9 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     most = float(known.lyapunov_bound(scenario))
     most += 2.0 * known.merge_rise_allowance(scenario) + meanwhile
     slowest = min(1.0, scenario.speed_limit / degree) * known.least_bearing_square(scenario)
-    return Bounds(
-        words=f"theorem E1: law (1) meets in finite time on bearings that are {late} steps late",
-        meets=True,
-        time=float(known.over_rate(most, slowest) + (n - 1) * (late + 1) * scenario.tau),
-        lyapunov=most,
-    )
+    time = float(known.over_rate(most, slowest) + (n - 1) * (late + 1) * scenario.tau)
+    words = f"theorem E1: law (1) meets in finite time on bearings that are {late} steps late"
+    return Bounds(words, meets=True, time=time, lyapunov=most)
 
 
 _late = given.flawed_by("delay", "theorem E1 is for bearings that are late and nothing else")

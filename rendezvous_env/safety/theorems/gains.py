@@ -101,22 +101,19 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     measure = psi if dim == 2 else 2.0 * np.pi * (1.0 - np.cos(psi / 2.0))
     spare = max(scenario.merge_radius - scenario.tau * most, 0.0)
     held = gains * np.sin(psi / 2.0) * measure * spare / (spare + 2.0 * scenario.tau * gains)
-    followed = (shrinking_to_leader if led else shrinking)(m, dim, gains)
+    followed = (shrinking_to_leader if led else shrinking)(m, dim, gains).min()
     who, first = "every policy that weighs neighbours", "theorem G"
     if asked.by == "law":
         mutual = known.kind_of_links(scenario.sensing_graph) == known.UNDIRECTED
         first = "theorems 1 and G" if mutual and not given.nearest_hides(scenario) else first
         who = "law (1)" + ", with velocities scaled to the step," * scenario.scales_velocity
-    return Bounds(
-        words=(
-            f"{first}: {who} meets in finite time, and the hull does not grow while linked "
-            "robots are r or more apart"
-        ),
-        meets=True,
-        time=float(known.held_time(scenario, hull, held)),
-        continuous_time=float(known.over_rate(known.largest_size(scenario), followed.min())),
-        hull=hull,
+    words = (
+        f"{first}: {who} meets in finite time, and the hull does not grow while linked robots are "
+        "r or more apart"
     )
+    time = float(known.held_time(scenario, hull, held))
+    continuous = float(known.over_rate(known.largest_size(scenario), followed))
+    return Bounds(words, meets=True, time=time, continuous_time=continuous, hull=hull)
 
 
 _HULL = given.velocity_inputs, given.bounded_errors, given.nothing_in_the_way

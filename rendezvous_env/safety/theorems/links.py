@@ -97,17 +97,14 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     sure = np.maximum(1.0 - 2.0 * left * asked.error / np.pi, 0.0)
     rates = 4.0 * asked.share * degrees * speeds * sure**2 / left
     counted = reach is None or known.kind_of_links(scenario.sensing_graph) == known.PROXIMITY
-    return bounds_with_errors(
-        asked,
-        known.held_time(scenario, most, rates),
-        math.pi / (2.0 * n),
+    time, tolerated = known.held_time(scenario, most, rates), math.pi / (2.0 * n)
+    words = (
         "theorem R: whatever is wanted, no link in sight grows longer between merges, and all "
-        "robots meet in finite time",
-        "theorem R",
-        "; no link in sight grows longer between merges even so",
-        lyapunov=most if counted else math.inf,
-        link_growth=merge_growth(scenario),
+        "robots meet in finite time"
     )
+    even_so = "; no link in sight grows longer between merges even so"
+    kept = {"lyapunov": most if counted else math.inf, "link_growth": merge_growth(scenario)}
+    return bounds_with_errors(asked, time, tolerated, words, "theorem R", even_so, **kept)
 
 
 _SIGHT = sight_is_mutual, given.nothing_in_the_way, starts_linked, neighbours_apart

@@ -51,17 +51,11 @@ class Bounds:
 
 
 def bounds_with_errors(
-    asked: Asked,
-    time: Any,
-    tolerated: float,
-    words: str,
-    who: str,
-    even_so: str = "",
-    **others: Any,
+    asked: Asked, time: Any, tolerated: float, words: str, who: str, even_so: str = "", **rest: Any
 ) -> Bounds:
     """A rendezvous if its time, s, is finite; else that it overflows, or why errors η ≥
     ``tolerated``, rad, are too large for ``who``; of η = 0 nothing is to be said (guarantees 11).
-    ``others`` are numbers that hold all the same.
+    ``rest`` are numbers that hold all the same.
     """
     meets = math.isfinite(time)
     if not meets and asked.error < tolerated:
@@ -76,7 +70,7 @@ def bounds_with_errors(
             f"none: bearings may err by {asked.error:.4g} rad, and {who} is known to tolerate less "
             f"than {tolerated:.4g} rad here (guarantees 11){even_so}"
         )
-    return Bounds(words, meets, float(time), tolerated_bearing_error=tolerated, **others)
+    return Bounds(words, meets, float(time), tolerated_bearing_error=tolerated, **rest)
 
 
 Assumption = Callable[[Scenario, Asked], str]
