@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 import rendezvous_env as rv
 from baselines.laws.paper_laws import pitch_of
-from rendezvous_env.safety.settings import MAX_TURN_RATE
 
 from .monitors import Moment, across, lengths, unit
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
+Random = np.random.Generator
 KINDS = (
     *("flee", "across", "outward", "from_farthest", "from_nearest", "to_nearest"),
     *("frozen", "random", "rest"),
@@ -39,12 +39,7 @@ class Adversary:
     """
 
     def __init__(
-        self,
-        scenario: rv.Scenario,
-        num_envs: int,
-        by: str,
-        random: np.random.Generator,
-        max_turn_rate: float = MAX_TURN_RATE,
+        self, scenario: rv.Scenario, num_envs: int, by: str, random: Random, max_turn_rate: float
     ) -> None:
         self.scenario, self.by, self.random = scenario, by, random
         self.size = num_envs, scenario.n_robots

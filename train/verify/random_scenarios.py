@@ -21,6 +21,8 @@ from .random_starts import log_uniform, pick
 
 Array = NDArray[np.float64]
 Random = np.random.Generator
+Given = dict[str, dict[str, float]]  # arguments for each of CHOICES
+Starts = tuple[rv.Scenario, ...]
 
 STARTS = 6
 """Of a draw: scenarios that differ in where the robots start, and are played side by side."""
@@ -60,7 +62,7 @@ class Trial:
     period: int = 1  # base steps for which a choice is held
     seed: int = 0  # team b has this seed + b; adversaries are drawn from it
     generations: int = 0  # how often starts are improved, see ``climb``
-    starts: tuple[rv.Scenario, ...] = ()  # in place of its own; they divide the teams among them
+    starts: Starts = ()  # in place of its own; they divide the teams among them
 
 
 class Kind(NamedTuple):
@@ -102,10 +104,8 @@ def trials_of(seed: int, number: int, kind_number: int | None = None) -> list[Tr
     ]
 
 
-def _draw(
-    random: Random, kind: Kind
-) -> tuple[rv.Scenario, dict[str, dict[str, float]], tuple[rv.Scenario, ...]]:
-    """A scenario that is possible, arguments for each of CHOICES, and its starts, if it has any."""
+def _draw(random: Random, kind: Kind) -> tuple[rv.Scenario, Given, Starts]:
+    """A scenario that is possible, what is given, and its starts, if it has any."""
     for _ in range(_TRIES):
         try:
             scenario = _scenario(random, kind)
@@ -123,9 +123,7 @@ def _draw(
     return rv.Scenario(), {by: _arguments(random, rv.Scenario(), by) for by in CHOICES}, ()
 
 
-def other_starts(
-    random: Random, scenario: rv.Scenario, places: Array, anew: float = 0.0
-) -> tuple[rv.Scenario, ...]:
+def other_starts(random: Random, scenario: rv.Scenario, places: Array, anew: float = 0.0) -> Starts:
     """The scenario from STARTS other starts, if as many are possible: changes of places (k, n, d),
     m, in turn, or with a chance of any kind.
     """
@@ -162,9 +160,7 @@ def _arguments(random: Random, scenario: rv.Scenario, by: str) -> dict[str, floa
     return {}
 
 
-def _tolerable(
-    random: Random, scenario: rv.Scenario, given: dict[str, dict[str, float]]
-) -> rv.Scenario:
+def _tolerable(random: Random, scenario: rv.Scenario, given: Given) -> rv.Scenario:
     """The same with bearings that err, are noisy or are late by what some theorem bears, and with
     gains that are the same for all where it needs them.
     """
