@@ -328,13 +328,9 @@ class HeadingFilter(SafetyFilter):
             refuse("bearing_error", bearing_error, "0 with certified=False: nothing is promised")
         given = scenario.max_turn_rate
         self._heading_rate = most if given is None else min(most, given)
-        long_step = scenario.tau > scenario.certified_step
-        self._constants = _Constants(
-            robot,
-            speed_scaled=certified and (turns_body or long_step),
-            certified=certified,
-            max_turn=self._heading_rate * scenario.tau,
-        )
+        scaled_speed = certified and (turns_body or scenario.tau > scenario.certified_step)
+        max_turn = self._heading_rate * scenario.tau
+        self._constants = _Constants(robot, scaled_speed, certified, max_turn)
         self.carried = np.zeros((num_envs, scenario.n_robots, scenario.dim))
         """h_i, (B, n, d), in the robots' own frames; zero for a robot that has none yet."""
 
