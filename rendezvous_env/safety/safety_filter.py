@@ -246,14 +246,12 @@ class SafetyFilter(Remembering):
             resting: (B,) bool, teams that the step passed by; None is no team.
         """
         team = self._held.shape[:2]
-        touched, passed = np.zeros(team, np.bool_), np.zeros(team[0], np.bool_)
-        if contact is not None:
-            touched = np.ascontiguousarray(bools("contact", contact, team, "robots"))
-        if resting is not None:
-            passed = np.ascontiguousarray(bools("resting", resting, team[:1], "teams"))
-        if merged_into is None:
-            merged_into = np.tile(np.arange(team[1]), (team[0], 1))
-        robots = np.asarray(merged_into)
+        contact = np.zeros(team, np.bool_) if contact is None else contact
+        resting = np.zeros(team[0], np.bool_) if resting is None else resting
+        touched = np.ascontiguousarray(bools("contact", contact, team, "robots"))
+        passed = np.ascontiguousarray(bools("resting", resting, team[:1], "teams"))
+        alone = np.tile(np.arange(team[1]), (team[0], 1))
+        robots = np.asarray(alone if merged_into is None else merged_into)
         if robots.shape != team or robots.dtype.kind not in "iu":
             refuse("merged_into", merged_into, f"whole numbers of shape (B, n) = {team}")
         if robots.min() < 0 or robots.max() >= team[1]:

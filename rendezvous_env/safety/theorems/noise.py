@@ -119,10 +119,8 @@ def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Theorem N1; without a time for a long step, or if robots can be slowed down."""
     n, left, chord = scenario.n_robots, known.robots_left(scenario), error_chord(asked.error)
     as_it_is = scenario.speed_limit >= scenario.max_degree and not known.long_step(scenario)
-    most = (
-        known.lyapunov_bound(scenario)
-        + (n - 1) * scenario.tau * n * (chord * scenario.max_degree) ** 2
-    )
+    most = known.lyapunov_bound(scenario)
+    most += (n - 1) * scenario.tau * n * (chord * scenario.max_degree) ** 2
     feigned = left * (chord * known.most_degrees(scenario)) ** 2
     rates = 4.0 * known.least_degrees(scenario) ** 2 / left - feigned
     time = known.held_time(scenario, most, rates) if as_it_is else math.inf
