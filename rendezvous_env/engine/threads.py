@@ -135,8 +135,9 @@ class _Job:
                 return
             except KeyboardInterrupt:  # the first one leaves soon
                 continue
-            except Exception:  # one of the caller's own calls fails: its part has ended
-                self._own, self._made = [partial(self._ended.append, None)], []
+            except Exception:  # a signal's, or one of the caller's own calls fails
+                if len(self._made) < len(self._own):  # its part has ended
+                    self._own, self._made = [partial(self._ended.append, None)], []
 
     def let_go(self) -> None:
         """Keep no arrays alive, though a thread that wakes late still has the job."""
