@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import cache, partial
+from itertools import count
 from operator import call
 from queue import SimpleQueue
 from types import BuiltinFunctionType
@@ -28,11 +29,13 @@ Calls = Sequence[Callable[[], Any]]
 _PATIENCE = 200_000
 """Turns, some 60 µs, for which the caller watches the others before it sleeps: to be woken takes
 half as long, and nobody else would use its core."""
+_MOST_SIGNALS = 20  # that raise something else than KeyboardInterrupt, while a job is seen through
 
 
 def share(calls_of: Callable[[Part], Calls], blocks: int, most: int, ahead: float = 0.0) -> None:
     """Let up to ``most`` threads, one of them the caller's, do so many blocks: each makes the calls
-    for its part. The caller's part is larger by a share that it does while the others wake up.
+    for its part, which ``calls_of`` says and does not begin. The caller's part is larger by a share
+    that it does while the others wake up.
 
     Raises:
         BaseException: what a call raised, or what interrupted the caller (Ctrl-C). No thread works
@@ -123,7 +126,7 @@ class _Job:
 
     def settle(self) -> None:
         """Call the job off, or see it through if it has begun; interrupts are put off."""
-        while True:
+        for tries in count():
             try:
                 self._called_off = not self._made
                 while self._beginning.locked():  # from here on nobody begins it
@@ -135,8 +138,8 @@ class _Job:
                 return
             except KeyboardInterrupt:  # the first one leaves soon
                 continue
-            except Exception:  # a signal's, or one of the caller's own calls fails
-                if len(self._made) < len(self._own):  # its part has ended
+            except Exception:  # a signal's; or one of the caller's own calls fails, ever again
+                if tries > _MOST_SIGNALS and len(self._made) < len(self._own):
                     self._own, self._made = [partial(self._ended.append, None)], []
 
     def let_go(self) -> None:
