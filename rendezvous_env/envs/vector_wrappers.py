@@ -80,11 +80,14 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         options: Mapping[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], Info]:
         """As ``RendezvousVectorEnv.reset``; it clears the memory of the teams that are reset."""
+        simulator = self._base.simulator
+        knows_others = self._seen == simulator.changes or not simulator.begun
         observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._observed = observations.reshape(self._observed.shape)
-        self._note_seen()
         mask = as_options(options).get("reset_mask")
         which = None if mask is None else np.asarray(mask)
+        if which is None or which.all() or knows_others:
+            self._note_seen()
         self._forget(which)
         reset = np.ones(self.num_envs, dtype=np.bool_) if which is None else which
         return self._see(which), infos | masked(self._told(), reset)

@@ -279,6 +279,26 @@ def test_what_happens_beneath_a_wrapper_needs_a_reset_of_the_wrapper(which):
             again.step(choices)  # copies remember what is theirs
 
 
+def test_a_reset_of_some_teams_does_not_excuse_what_happened_to_the_others(which):
+    base = rv.make_vec("fig3", 2, autoreset_mode="Disabled")
+    env = GUARANTEES[which].around_teams(base)
+    choices, only_first = (
+        draw(env, np.random.default_rng(0)),
+        {"reset_mask": np.array([True, False])},
+    )
+    env.reset(seed=0, options=only_first)
+    env.step(choices)
+    for disturb in (base.reset, lambda: base.step(draw(base, np.random.default_rng(0)))):
+        disturb()
+        env.reset(seed=0, options=only_first)
+        with pytest.raises(RuntimeError, match=r"call reset\(\)"):
+            env.step(choices)
+        env.reset(seed=0, options={"reset_mask": np.array([True, True])})
+        env.step(choices)
+        env.reset(options=only_first)
+        env.step(choices)
+
+
 @pytest.mark.parametrize("make", [rv.parallel_env, rv.training_env])
 def test_a_step_before_the_reset_says_so(make):
     env = make("duo")
