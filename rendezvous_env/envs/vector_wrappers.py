@@ -211,8 +211,12 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         return self.filter.act(self._observed)
 
     def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
-        """The policy's observations, (B, n, ...); only teams of the mask, None is all, are new."""
-        return as_told(self.filter.view(self._observed), self._base.flatten)
+        """The policy's observations, (B, n, ...), which it may write to, not what the filter acts
+        on; only teams of the mask, None is all, are new.
+        """
+        seen = self.filter.view(self._observed)
+        own = seen.copy() if np.may_share_memory(seen, self._observed) else seen
+        return as_told(own, self._base.flatten)
 
     def _forget(self, which: NDArray[np.bool_] | None) -> None:
         """Clear the memory of these teams, None is all."""

@@ -279,6 +279,18 @@ def test_what_happens_beneath_a_wrapper_needs_a_reset_of_the_wrapper(which):
             again.step(choices)  # copies remember what is theirs
 
 
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_who_writes_to_observations_does_not_change_what_the_filter_acts_on(which, mode):
+    kept, spoilt = (make_vec(which, "fig3", mode, 9, frame="local") for _ in range(2))
+    random = np.random.default_rng(0)
+    seen = [env.reset(seed=0)[0] for env in (kept, spoilt)]
+    for _ in range(24):
+        np.testing.assert_array_equal(*seen)
+        seen[1] *= -1.0
+        choices = draw(kept, random)
+        seen = [env.step(choices)[0] for env in (kept, spoilt)]
+
+
 def test_a_reset_of_some_teams_does_not_excuse_what_happened_to_the_others(which):
     base = rv.make_vec("fig3", 2, autoreset_mode="Disabled")
     env = GUARANTEES[which].around_teams(base)
