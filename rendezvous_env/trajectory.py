@@ -84,7 +84,8 @@ class Trajectory:
     @property
     def running(self) -> NDArray[np.bool_]:
         """(T, B), whether the team took part in the step."""
-        return np.asarray(self.active[:-1].sum(axis=-1) > 1)
+        begun = self.times[:-1, np.newaxis] + 0.5 * self.scenario.tau
+        return np.asarray(begun < self.rendezvous_time)
 
     @property
     def merges(self) -> list[Merge]:

@@ -77,6 +77,15 @@ def test_the_largest_rise_is_that_of_each_team_while_it_runs():
     np.testing.assert_allclose(away.largest_rise_between_merges, 0.2, atol=1e-6)  # 2 · τ · 1 m/s
 
 
+def test_packed_teams_take_part_until_they_have_met():
+    """None of their robots merges."""
+    packing = rv.Scenario(n_robots=3, body_radius=0.1, meeting="pack", merge_radius=0.4)
+    found = rollout(packing, law_of(packing), num_envs=3)
+    steps = np.rint(found.rendezvous_time / packing.tau)
+    assert found.success.all() and found.running.sum(axis=0).tolist() == steps.tolist()
+    assert len(set(steps)) > 1 and (found.largest_rise_between_merges < 0.0).all()
+
+
 class Still:
     """A policy with memory, which says what it was shown since it was reset."""
 
