@@ -181,7 +181,7 @@ def rollout(
     def keep(**arrays: NDArray[Any]) -> None:
         for name, array in arrays.items():
             if name not in ON_REQUEST or name in asked:
-                kept[name].append(array)
+                kept[name].append(array.copy() if name in asked else array)  # the policy's own
 
     def keep_state(observations: NDArray[np.float32]) -> None:
         keep(

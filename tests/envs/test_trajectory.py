@@ -131,6 +131,18 @@ def test_observations_and_actions_only_on_request():
     assert list(rollout(DUO, policy, record="actions").recorded) == ["actions"]
 
 
+def test_a_policy_may_write_to_what_it_is_shown_and_give_the_same_array_again():
+    law, given = law_of(DUO), np.zeros((1, 2, 2), np.float32)
+
+    def frugal(seen, time):
+        given[...] = law(seen, time)
+        seen[...] = np.nan
+        return given
+
+    whole, again = (rollout(DUO, policy, record="all") for policy in (law, frugal))
+    assert same(vars(whole), vars(again))
+
+
 @pytest.mark.parametrize("record", ["everything", 3, ("actions", "rewards"), [["actions"]]])
 def test_what_cannot_be_recorded_is_refused(record):
     with pytest.raises(ValueError, match=r"record is .*'observations', 'actions', or \"all\""):
