@@ -128,8 +128,7 @@ class Simulator(StateView):
         if outcome is not None:
             outcome.contact[which], outcome.active[which] = False, True
             outcome.status[which], outcome.contacts[which] = RUNNING, 0
-            self._runner.observe_again(which, outcome)
-            self._sense_custom(outcome, which)
+            self._sense_custom(outcome, self._runner.observe_again(which, outcome))
             outcome.scores[ELAPSED:, which] = 0.0
             outcome.scores[LYAPUNOV, which] = self.lyapunov()[which]
             self._refuse_crowds(outcome)

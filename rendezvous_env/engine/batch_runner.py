@@ -211,9 +211,15 @@ class BatchRunner:
         self._observe(self._blocks, output)
         return output
 
-    def observe_again(self, which: NDArray[np.int64], output: StepOutput) -> None:
-        """Write anew what some teams see, and those of their blocks, which see the same."""
-        self._observe(np.unique(which // self._state.lanes), output)
+    def observe_again(self, which: NDArray[np.int64], output: StepOutput) -> NDArray[np.int64]:
+        """Write anew what some teams see, and those of their blocks, which see the same: all these
+        teams.
+        """
+        lanes, (batch,) = self._state.lanes, self._shapes[3]
+        blocks = np.unique(which // lanes)
+        self._observe(blocks, output)
+        teams = (blocks[:, np.newaxis] * lanes + np.arange(lanes)).reshape(-1)
+        return teams[teams < batch]
 
     def _observe(self, blocks: NDArray[np.int64], output: StepOutput) -> None:
         self._work(False, blocks, self._no_actions, output)((0, len(blocks), 0))()

@@ -158,16 +158,17 @@ def test_batches_see_and_earn_what_single_teams_do():
             np.testing.assert_array_equal(many[:, team], one[:, 0])
 
 
-def test_what_is_seen_follows_from_the_state():
-    simulator = Simulator(Scenario(n_robots=4, sensing=Sensing(custom=("half-lost",))), 2)
+@pytest.mark.parametrize("teams", [2, 7])  # 5 and more stand side by side, in blocks
+def test_what_is_seen_follows_from_the_state(teams):
+    simulator = Simulator(Scenario(n_robots=4, sensing=Sensing(custom=("half-lost",))), teams)
     first = simulator.reset(0)
     np.testing.assert_array_equal(first, simulator.observe())
-    zero = np.zeros((2, 4, 2), np.float32)
+    zero = np.zeros((teams, 4, 2), np.float32)
     assert not np.array_equal(simulator.step(zero).observations == 0, first == 0)
     outcome = simulator.step(zero)
-    kept = outcome.observations[1].copy()
-    simulator.restart(np.array([True, False]), outcome)
-    np.testing.assert_array_equal(outcome.observations[1], kept)
+    kept = outcome.observations[1:].copy()
+    simulator.restart(np.arange(teams) < 1, outcome)
+    np.testing.assert_array_equal(outcome.observations[1:], kept)
     np.testing.assert_array_equal(outcome.observations, simulator.observe())
 
 
