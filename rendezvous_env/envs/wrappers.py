@@ -28,7 +28,7 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
     """Robots choose; for ``decision_period`` base steps a safety filter turns choices into actions.
 
     Observations are the filter's view of the rows, actions its choices; infos add the filter's
-    numbers of the last base step.
+    numbers of the last base step; ``contact`` and costs are those of the whole decision.
 
     Args:
         env: a rendezvous parallel environment, which other wrappers may have changed; promises hold
@@ -114,6 +114,8 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
             self._add_told(told)
             for name, info in told.items():
                 rewards[name] += earned[name]
+                before = infos.get(name, info)  # a wrapper between may tell nothing
+                info["contact"] = info.get("contact", False) or before.get("contact", False)
                 for key in costs[name]:
                     costs[name][key] += info[key]
                 info.update(costs[name])

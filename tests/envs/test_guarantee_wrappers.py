@@ -105,8 +105,9 @@ def test_every_transition_equals_the_pettingzoo_wrapper(which, name, period):
             step = env.step({agent: choices[team, int(agent[6:])] for agent in env.agents})
             for agent, told in step[4].items():
                 i = int(agent[6:])
-                found = {key: infos[key][team, i].item() for key in guarantee.told}
-                assert same(found, {key: told[key] for key in guarantee.told})
+                keys = {*guarantee.told, "contact"}
+                found = {key: infos[key][team, i].item() for key in keys}
+                assert same(found, {key: told[key] for key in keys})
                 assert same(step[0][agent], seen[team, i])
             assert rewards[team] == pytest.approx(step[1]["robot_0"], abs=1e-12)
             assert truncations[team] == any(step[3].values())
