@@ -98,6 +98,11 @@ class HoldsFilter:
             )
         _holders[id(made)] = self
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """A copy holds the copy of its filter alone, too."""
+        self.__dict__.update(state)
+        _holders[id(self.filter)] = self
+
     def _note_seen(self) -> None:
         """Note that what is remembered is of the teams as they are now."""
         self._seen = self._base.simulator.changes

@@ -73,6 +73,8 @@ def test_a_filter_serves_one_wrapper():
         for again in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
             again.reset(seed=0)
             assert again.filter is not made
+            with pytest.raises(ValueError, match="this EnergyTank is held by another"):
+                home.GuaranteeWrapper(make(), again.filter)
         other = home.GuaranteeWrapper(make(), copy.deepcopy(made))
         other.reset(seed=0)
         del env
