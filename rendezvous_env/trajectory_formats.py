@@ -32,7 +32,7 @@ DIMENSIONS = {
 }
 """Dimensions and unit of every array of a trajectory."""
 _AXES = ("x", "y", "z")
-_ANGLES = ("yaw", "pitch")
+_ANGLES = ("yaw", "pitch", "roll", "angle_3")  # as many as a robot model may keep
 
 
 def xarray_dataset(trajectory: Any) -> xarray.Dataset:
@@ -61,8 +61,9 @@ def pandas_dataframe(trajectory: Any) -> pandas.DataFrame:
     """A pandas DataFrame with a row for each moment, team and robot.
 
     Index ``env``, ``robot``, ``step`` (0 is the start). Columns: ``time`` s; ``x``, ``y``, ``z`` m;
-    ``yaw``, ``pitch`` rad; ``active``; ``lyapunov`` m²/s, of the team; ``reward`` and ``contact``
-    of the step that led there, NaN and False at the start. An ImportError says how to get pandas.
+    ``yaw``, ``pitch``, and a custom model's ``roll``, ``angle_3``, rad; ``active``; ``lyapunov``
+    m²/s, of the team; ``reward`` and ``contact`` of the step that led there, NaN and False at the
+    start. An ImportError says how to get pandas.
     """
     library = _import("pandas", "to_dataframe")
     arrays = _arrays(trajectory)

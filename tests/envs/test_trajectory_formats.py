@@ -1,5 +1,6 @@
 """Trajectories as pandas, xarray and Minari have them, against the arrays they are made of."""
 
+import dataclasses
 import json
 import sys
 
@@ -11,6 +12,7 @@ from gymnasium.utils.env_checker import data_equivalence
 import baselines
 import rendezvous_env as rv
 from rendezvous_env import trajectory_formats
+from rendezvous_env.robots.robot_models import MOST_KEPT
 
 ABOUT = {
     "author": "A. Nyone",
@@ -54,6 +56,14 @@ def test_a_row_holds_what_its_moment_team_and_robot_had(fig4):
             assert row["contact"] == fig4.contacts[step - 1, env, robot]
     assert "z" not in table and "yaw" not in table
     assert table["contact"].sum() == fig4.contacts.sum()
+
+
+def test_all_angles_have_names_that_a_robot_model_can_keep(fig4):
+    angles = np.random.default_rng(0).normal(size=(*fig4.active.shape, MOST_KEPT))
+    turned = dataclasses.replace(fig4, headings=angles)
+    names = ["yaw", "pitch", "roll", "angle_3"]
+    np.testing.assert_array_equal(turned.to_dataframe().loc[1, 2][names], angles[:, 1, 2])
+    np.testing.assert_array_equal(turned.to_xarray().headings.sel(angle=names), angles)
 
 
 def test_a_dataset_holds_every_array_with_dimensions_and_units(fig4):
