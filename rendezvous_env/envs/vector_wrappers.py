@@ -82,9 +82,10 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         """As ``RendezvousVectorEnv.reset``; it clears the memory of the teams that are reset."""
         simulator = self._base.simulator
         knows_others = self._seen == simulator.changes or not simulator.begun
-        observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
+        given = as_options(options)
+        mask = given.get("reset_mask")  # before Gymnasium's recorder of statistics takes it out
+        observations, infos = self.env.reset(seed=seed, options=given)  # type: ignore[arg-type]
         self._observed = observations.reshape(self._observed.shape)
-        mask = as_options(options).get("reset_mask")
         which = None if mask is None else np.asarray(mask)
         if which is None or which.all() or knows_others:
             self._note_seen()

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from guarantees import constant
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import rendezvous_env as rv
 from rendezvous_env.safety.tank import EnergyTank
@@ -121,6 +122,20 @@ def test_wrappers_of_gymnasium_stand_under_a_guarantee(mode, period):
         for key in ("tank", "merged_into", "time", "contact"):
             np.testing.assert_array_equal(one[4][key], two[4][key])
     assert ended >= 3
+
+
+def test_a_recorder_of_statistics_beneath_leaves_the_others_their_tanks():
+    """It takes the mask of teams out of the options that it is given."""
+    venv = RecordEpisodeStatistics(rv.make_vec("fig3", num_envs=2, autoreset_mode="Disabled"))
+    env = rv.vector.EnergyTankWrapper(venv, budget=1.0)
+    env.reset(seed=4)
+    away = np.broadcast_to(np.float32([-1.0, 0.0]), env.action_space.shape)
+    env.step(away)
+    before, options = env.tank.levels, {"reset_mask": np.array([True, False])}
+    _, infos = env.reset(options=options)
+    assert (env.tank.levels[0] == 1.0).all() and (before[1] < 1.0).all()
+    np.testing.assert_array_equal(env.tank.levels[1], before[1])
+    assert infos["_tank"].tolist() == [True, False] and "reset_mask" in options
 
 
 def test_wrappers_that_change_what_robots_see_or_do_stand_upon_it():
