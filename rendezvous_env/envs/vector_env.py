@@ -137,8 +137,11 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         if mode is AutoresetMode.NEXT_STEP and not simulator.all_running:
             actions = simulator.check_actions(actions)  # before any team is reset
             simulator.restart(simulator.ended)
+        told_before = None if self.begins_anew or simulator.all_running else simulator.ended
         self.advance(actions)
         observations, rewards, terminations, truncations, infos = self.tell()
+        if told_before is not None:  # wrappers beneath a guarantee hear of an end once
+            terminations, truncations = terminations & ~told_before, truncations & ~told_before
         if not simulator.all_running:
             ended = terminations | truncations
             if tell_ends(observations, ended, infos, mode):

@@ -137,13 +137,14 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
             shown, show = self._viewing()
             driven = base.drive(pilot, self._observed, self.decision_period, show)
             self._observed = driven.output.observations
-            costs: Info = {}
             rewards, robot_rewards, contact = driven[1:]
+            costs: Info = {}
         else:
-            rewards, robot_rewards, contact, costs, ends = self._drive_by_steps()
-        if alone:
-            _, _, *ends = base.tell()
-        terminations, truncations, infos = ends
+            rewards, robot_rewards, contact, costs, between, ends = self._drive_by_steps()
+        _, _, terminations, truncations, infos = base.tell()
+        if not alone:
+            terminations, truncations = ends | (terminations, truncations)
+            infos |= between
         leave_out_summary(infos)
         infos |= {"robot_rewards": robot_rewards, "contact": contact, **costs}
         infos |= of_all(self._told(), self.num_envs)
@@ -159,11 +160,14 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
             return None, None
         return shown, lambda teams, observations: made.view_of(teams, observations, shown)
 
-    def _drive_by_steps(self) -> tuple[Any, Any, Any, Info, Any]:
-        """The same step by step: rewards, robot rewards, contacts, costs, ends of the last step."""
+    def _drive_by_steps(self) -> tuple[Any, Any, Any, Info, Info, NDArray[np.bool_]]:
+        """The same step by step: rewards, robot rewards, contacts, costs, and the infos and ends of
+        which wrappers between told in any step.
+        """
         base, simulator, shape = self._base, self._base.simulator, self._observed.shape
         rewards, robot_rewards = np.zeros(self.num_envs), np.zeros(shape[:2])
-        contact, ends = np.zeros(shape[:2], dtype=np.bool_), list[Any]()
+        contact, between = np.zeros(shape[:2], dtype=np.bool_), Info()
+        ends = np.zeros((2, self.num_envs), np.bool_)
         costs = no_costs(base.scenario.costs, shape[:2])
         follows = base.scenario.on_merge == "follow"
         for number in range(self.decision_period):
@@ -177,8 +181,9 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
                 robots_earned, touched = outcome.robot_rewards, outcome.contact
                 cost: Info = simulator.costs
             else:
-                seen, earned, *ends = self.env.step(self._act())
-                cost = ends[2]
+                seen, earned, *ended, cost = self.env.step(self._act())
+                between |= cost
+                ends |= ended
                 robots_earned, touched = cost["robot_rewards"], cost["contact"]
             self._observed = seen.reshape(shape)
             if number:
@@ -190,7 +195,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
             contact |= touched
             for key, total in costs.items():
                 total += cost[key]
-        return rewards, robot_rewards, contact, costs, ends
+        return rewards, robot_rewards, contact, costs, between, ends
 
     def _begin_anew(self, which: NDArray[np.bool_], infos: Info) -> None:
         """Reset these teams, and bring observations and infos up to date."""

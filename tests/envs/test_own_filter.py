@@ -124,6 +124,42 @@ def test_wrappers_of_gymnasium_stand_under_a_guarantee(mode, period):
     assert ended >= 3
 
 
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+@pytest.mark.parametrize("period", [1, 3])
+def test_a_recorder_of_statistics_beneath_hears_of_each_end_once(mode, period):
+    """Also of those within a decision, for the rest of which the team stands still."""
+
+    def episodes(beneath, above):
+        venv = beneath(rv.make_vec("fig3", num_envs=3, autoreset_mode=mode, max_cycles=11))
+        env = above(rv.vector.HeadingVectorWrapper(venv, decision_period=period))
+        env.reset(seed=4)
+        random, found = np.random.default_rng(0), []
+        for _ in range(40):
+            *_, met, late, infos = env.step(random.uniform(-1, 1, env.action_space.shape))
+            if "episode" in infos:
+                found.append(infos["episode"]["r"])
+            if mode is AutoresetMode.DISABLED and (met | late).any():
+                env.reset(options={"reset_mask": met | late})
+        return np.array(found)
+
+    above = episodes(lambda env: env, RecordEpisodeStatistics)
+    assert len(above) >= 3 and above.all()
+    np.testing.assert_allclose(episodes(RecordEpisodeStatistics, lambda env: env), above)
+
+
+def test_a_wrapper_beneath_may_end_an_episode_within_a_decision():
+    class Stops(gymnasium.vector.VectorWrapper):
+        def step(self, actions):
+            *told, late, infos = super().step(actions)
+            return *told, late | (np.rint(infos["time"] / self.env.scenario.tau) == 4), infos
+
+    base = rv.make_vec("fig3", num_envs=3, autoreset_mode="SameStep")
+    env = rv.vector.HeadingVectorWrapper(Stops(base), decision_period=3)
+    env.reset(seed=4)
+    ended = [env.step(np.ones(env.action_space.shape))[3].tolist() for _ in range(4)]
+    assert ended == [[False] * 3, [True] * 3] * 2 and not base.simulator.time.any()
+
+
 def test_a_recorder_of_statistics_beneath_leaves_the_others_their_tanks():
     """It takes the mask of teams out of the options that it is given."""
     venv = RecordEpisodeStatistics(rv.make_vec("fig3", num_envs=2, autoreset_mode="Disabled"))
