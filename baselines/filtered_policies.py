@@ -100,7 +100,7 @@ class FilteredPolicy(DecidingPolicy):
 
     def _decide(self, teams: Float32, due: Mask) -> None:
         before = None if due.all() else self._filter.get_state()
-        seen = self._as_given(self._filter.view(teams))
+        seen = self._as_given(self._filter.view(teams)).copy()  # not what the filter acts on
         choices = np.asarray(self.choose(seen))
         wanted = *seen.shape[:-2], self._filter.action_size
         if choices.shape != wanted:

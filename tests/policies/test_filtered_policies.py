@@ -83,6 +83,17 @@ class TestFunctions:
         assert simulator.active.all() and (policy.levels != 0.5).any()
         np.testing.assert_array_equal(policy.levels, wrapper.tank.levels)
 
+    @pytest.mark.parametrize("make", [HeadingPolicy, TankPolicy])
+    def test_what_chooses_may_write_to_what_it_is_shown(self, make):
+        def spoils(observations):
+            chosen = Sideways(2)(observations)
+            observations[...] *= -1.0
+            return chosen
+
+        policies = (make(CLUTTER, choose, frame="local") for choose in (Sideways(2), spoils))
+        usual, spoilt = (places_under(policy, CLUTTER, 10, 1)[0] for policy in policies)
+        np.testing.assert_array_equal(spoilt, usual)
+
     def test_a_margin_is_promised_where_headings_are_certified(self):
         assert HeadingPolicy(CLUTTER, Sideways(2)).min_alignment == 0.1
         assert HeadingPolicy(CLUTTER, Sideways(2), certified=False).min_alignment is None
