@@ -144,7 +144,8 @@ def run(simulator: Simulator, policy: Policy, observations: NDArray[np.float32])
     """
     begin(policy, simulator)
     while (running := simulator.status == RUNNING).any():
-        actions = floats("actions", policy(observations, simulator.time), np.float32)
+        chosen = policy(observations.copy(), simulator.time)  # its own, to write to
+        actions = floats("actions", chosen, np.float32)
         before = simulator.lyapunov()
         outcome = simulator.step(actions)
         yield Step(running, observations, actions, before, outcome)
@@ -181,7 +182,7 @@ def rollout(
     def keep(**arrays: NDArray[Any]) -> None:
         for name, array in arrays.items():
             if name not in ON_REQUEST or name in asked:
-                kept[name].append(array.copy() if name in asked else array)  # the policy's own
+                kept[name].append(array)
 
     def keep_state(observations: NDArray[np.float32]) -> None:
         keep(
@@ -203,7 +204,7 @@ def rollout(
             lyapunov_after_merge=outcome.lyapunov_after_merge.copy(),
             rewards=outcome.rewards.copy(),
             contacts=outcome.contact,
-            actions=step.actions,
+            actions=step.actions.copy(),  # a policy may give the same array again
         )
         keep_state(outcome.observations)
         met = step.running & (simulator.status == RENDEZVOUS)

@@ -147,6 +147,18 @@ class TestMeasures:
         stopped, _ = run_play(scenarios.get("fig4"), "bearing-only", 3)
         assert stopped.clean.tolist() == [0.0]
 
+    def test_a_policy_may_write_to_what_it_is_shown(self):
+        def turned(seen, time):
+            seen[..., 0] *= 0.1
+            return 5.0 * seen.sum(axis=-2)
+
+        usual, spoilt = (
+            play(scenarios.get("duo"), lambda law=law: law, margin=None, episodes=2, seed=0)[0]
+            for law in (lambda seen, time: turned(seen.copy(), time), turned)
+        )
+        assert (usual.min_alignment < 0.9).all()
+        np.testing.assert_array_equal(spoilt.min_alignment, usual.min_alignment)
+
     def test_law_1_is_aligned_falls_and_keeps_its_bound(self):
         scenario = scenarios.get("random-10")
         done, _ = run_play(scenario, "bearing-only", 5)
