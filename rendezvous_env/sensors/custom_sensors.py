@@ -46,7 +46,7 @@ class Seen:
         salt = np.uint64(zlib.crc32(self._name.encode()))
         with np.errstate(over="ignore"):  # of kernels that are left plain Python
             _fill(*self._keys, salt, numbers)
-        return numbers.reshape(-1, *shape)
+        return numbers.reshape(len(numbers), *shape)
 
 
 @kernel

@@ -172,6 +172,16 @@ def test_what_is_seen_follows_from_the_state(teams):
     np.testing.assert_array_equal(outcome.observations, simulator.observe())
 
 
+def test_numbers_are_drawn_of_as_many_obstacles_as_there_are():
+    shapes = []
+    rv.sensor_imperfection(
+        "counts", lambda seen: shapes.append(seen.uniform(*seen.obstacles.shape[1:4]).shape)
+    )
+    for obstacles in ((), rv.Disc((0.0, 0.0), 1.0)):
+        Simulator(Scenario(sensing=Sensing(custom=("counts",)), obstacles=obstacles), 2).reset(0)
+    assert shapes == [(2, 5, 0, 2), (2, 5, 1, 2)]
+
+
 def test_no_theorem_covers_a_custom_sensor():
     scenario = Scenario(sensing=Sensing(custom=("blind-behind",)))
     for by in ("law", "heading", "tank", "gains", "links"):
