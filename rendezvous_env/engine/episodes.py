@@ -114,7 +114,7 @@ class Episodes:
         n, d = scenario.n_robots, scenario.dim
         positions = _or(given.positions, scenario.start_positions)
         angles, frames = _or(given.angles, scenario.start_headings), given.frames
-        if frames is None and not scenario.model.nonholonomic and scenario.local_frames == "global":
+        if frames is None and not scenario.model.n_angles and scenario.local_frames == "global":
             frames = np.broadcast_to(np.eye(d), (1, n, d, d))
         if positions is not None:
             state.give(which, positions=_for_each(positions, which))

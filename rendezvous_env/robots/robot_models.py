@@ -81,8 +81,8 @@ class RobotModel:
 
     @property
     def nonholonomic(self) -> bool:
-        """Whether the robot can only move along its body axis."""
-        return self.n_angles > 0
+        """Whether the robot can only move along its body axis; a ``bounded`` one moves any way."""
+        return self.n_angles > 0 and not self.bounded
 
 
 ROBOT_MODELS: dict[str, RobotModel] = {}

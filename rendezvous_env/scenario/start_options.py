@@ -88,7 +88,7 @@ def _angles(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
 
 
 def _frames(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
-    if scenario.model.nonholonomic:
+    if scenario.model.n_angles:
         raise ValueError('frames: those of this model are the body axes; give "headings" instead')
     d = scenario.dim
     frames = _table("frames", value, (scenario.n_robots, d, d), num_envs)

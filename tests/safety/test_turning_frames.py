@@ -1,0 +1,76 @@
+"""Robots of a user's own that go any way, in frames that turn: guarantees of headings and tanks."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+import rendezvous_env as rv
+from rendezvous_env import vector
+
+
+class Omni(NamedTuple):
+    duration: float
+    speed_limit: float
+
+
+@rv.kernel
+def propose(model, action, frame, memory):
+    speed = math.hypot(action[0], action[1])
+    scale = model.duration * min(1.0, model.speed_limit / max(speed, 1e-300))
+    x = scale * (frame[0] * action[0] + frame[1] * action[1])
+    y = scale * (frame[2] * action[0] + frame[3] * action[1])
+    return (x, y), math.hypot(x, y)
+
+
+@rv.kernel
+def update(model, action, frame, memory, displacement, contact):
+    return (memory[0] + 0.5,)
+
+
+@rv.kernel
+def body_frame(model, frame, memory):
+    c, s = math.cos(memory[0]), math.sin(memory[0])
+    return c, -s, s, c
+
+
+@rv.kernel
+def init(model, key, counter):
+    return (0.0,)
+
+
+rv.describe_motion(Omni, rv.Motion(propose, update=update, frame=body_frame, init=init))
+
+
+@pytest.fixture
+def team(registry):
+    """Four robots that turn by half a radian in every step."""
+    rv.register_robot_model(
+        rv.RobotModel(
+            "omni",
+            dims=(2,),
+            constants=lambda scenario: Omni(scenario.tau, scenario.speed_limit),
+            bounds=lambda scenario: [scenario.speed_limit] * 2,
+            n_angles=1,
+            bounded=True,
+        )
+    )
+    return rv.Scenario(n_robots=4, robot_model="omni")
+
+
+@pytest.mark.parametrize("by", ["heading", "tank"])
+def test_robots_that_go_any_way_choose_directions_although_they_have_angles(team, by):
+    """They were taken for robots that drive along an axis: speed and turn rate, and V rose."""
+    assert rv.certificate(team, 0.3, by=by).guaranteed
+    env = vector.GuaranteeWrapper(rv.make_vec(team, num_envs=4), by, min_alignment=0.3)
+    env.reset(seed=0)
+    assert env.action_space.shape == (4, 4, 2)
+    simulator, random = env.unwrapped.simulator, np.random.default_rng(0)
+    for _ in range(30):
+        before, left = simulator.lyapunov(), simulator.active.sum(axis=1)
+        levels = env.tank.levels.sum(axis=1) if by == "tank" else 0.0
+        env.step(random.uniform(-1.0, 1.0, env.action_space.shape))
+        levels = env.tank.levels.sum(axis=1) - levels if by == "tank" else 0.0
+        same = simulator.active.sum(axis=1) == left
+        assert ((simulator.lyapunov() - before + levels)[same] < 1e-5).all()
