@@ -146,6 +146,11 @@ def motion_of(model: type) -> Motion | None:
     return _MOTIONS.get(model)
 
 
+def frame_turns(model: type) -> bool:
+    """Whether frames of robots whose constants are of this type may turn: ``Motion.frame``."""
+    return _MOTIONS[model].frame is not _fixed
+
+
 @by_type("model", lambda kind: _MOTIONS[kind].drifts)
 def drifts(model):
     """Whether a robot may move while its action is zero, ‖Δ‖ > 0 m: ``Motion.drifts``."""

@@ -1,4 +1,4 @@
-"""Robots of a user's own that go any way, in frames that turn: guarantees of headings and tanks."""
+"""Robots of a user's own that go any way, in frames that turn: headings, tanks, late bearings."""
 
 import math
 from typing import NamedTuple
@@ -74,3 +74,17 @@ def test_robots_that_go_any_way_choose_directions_although_they_have_angles(team
         levels = env.tank.levels.sum(axis=1) - levels if by == "tank" else 0.0
         same = simulator.active.sum(axis=1) == left
         assert ((simulator.lyapunov() - before + levels)[same] < 1e-5).all()
+
+
+def test_late_bearings_in_frames_that_turn_are_certified_nothing(team):
+    """Each bearing is turned by 2.5 rad on the way: robots part, V is soon beyond E1's bound."""
+    pair = team.replace(n_robots=2, spawn_size=2.0, sensing=rv.Sensing(delay=5))
+    late = pair.replace(time_step=pair.certified_step / 6.0)
+    simulator, rows = rv.Simulator(late), late.observation_layout.neighbours
+    seen = simulator.reset(0)
+    for _ in range(150):
+        seen = simulator.step(seen[..., rows, :].sum(axis=-2)).observations
+    found = rv.certificate(late)
+    assert "frames of omni robots turn" in found.theorem and not found.promises
+    fixed = rv.certificate(late.replace(robot_model="single_integrator"))
+    assert fixed.guaranteed and simulator.lyapunov()[0] > fixed.lyapunov_bound

@@ -3,6 +3,8 @@
 import numpy as np
 
 from ...graphs.random_graphs import CustomFamily
+from ...robots.motion import frame_turns
+from ...robots.robot_models import constants_of
 from ...scenario.scenario import Scenario
 from ...sensors.sensing import Sensing
 from ..gains import gain_range
@@ -94,6 +96,16 @@ def velocity_inputs(scenario: Scenario, asked: Asked) -> str:
     return (
         f"none: theorems G and R are for robots whose action is their velocity, and that of "
         f"{model.name} robots is {model.action}"
+    )
+
+
+def frames_stay(scenario: Scenario, asked: Asked) -> str:
+    """A robot's frame is fixed: what is seen late is seen in the frame in which it moves."""
+    if not frame_turns(type(constants_of(scenario))):
+        return ""
+    return (
+        f"none: frames of {scenario.model.name} robots turn, and late bearings are those of the "
+        "frame in which they were seen"
     )
 
 

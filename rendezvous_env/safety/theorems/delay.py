@@ -1,7 +1,8 @@
 """Theorem E1: law (1) on bearings that are late.
 
 **Assumptions.** Fixed, undirected, connected graph; law (1) on exact bearings that are k steps
-late, (k+1) τ ≤ r/(2D̄), at merges too; robots whose action is their velocity, nothing in the way.
+late, (k+1) τ ≤ r/(2D̄), at merges too; robots whose action is their velocity, in frames that do not
+turn, nothing in the way.
 
 **Promise**, s = min(1, v_max/D̄):
 
@@ -41,4 +42,5 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
 
 
 _late = given.flawed_by("delay", "theorem E1 is for bearings that are late and nothing else")
-THEOREMS = (Theorem("E1", ("law",), (*given.TEAM, _late, given.nothing_in_the_way, young), bounds),)
+_LATE = *given.TEAM, _late, given.nothing_in_the_way, young, given.frames_stay
+THEOREMS = (Theorem("E1", ("law",), _LATE, bounds),)
