@@ -12,7 +12,7 @@ import pytest
 from test_certificate import MARGINS
 
 import baselines
-from rendezvous_env import Scenario, Sensing, Simulator, certificate, graphs, rollout
+from rendezvous_env import Scenario, Sensing, Simulator, certificate, graphs, make_vec, rollout
 from rendezvous_env.safety.theorems.constants import most_neighbours
 from rendezvous_env.safety.theorems.theorem import CHOICES
 from rendezvous_env.vector import EnergyTankWrapper
@@ -28,8 +28,8 @@ def test_a_tank_that_is_given_no_margin_has_that_of_its_wrapper():
 
 
 def test_a_bound_that_overflows_says_so():
-    for budget in (1e300, 1e308):  # two of 1e308 m²/s overflow themselves
-        found = certificate("duo", 1e-6, by="tank", budget=budget)
+    for budget in (1e307, 1e308):  # two of 1e308 m²/s overflow themselves
+        found = certificate("duo", 0.1, by="tank", budget=budget)
         assert not found.guaranteed and math.isinf(found.time_bound)
         assert re.match("none: the bound of a tank .* overflows.*no rendezvous", found.theorem)
         assert "No rendezvous is guaranteed" in str(found)
@@ -51,6 +51,30 @@ def test_steps_that_rounding_swallows_are_promised_nothing(by):
     assert not found.guaranteed and math.isinf(found.time_bound)
     assert re.match("none: a step may move robots by as little as .*of 8.5 m; it", found.theorem)
     assert certificate(scenario.replace(time_step=0.1), MARGINS[by], by=by).guaranteed
+
+
+def test_steps_that_rounding_swallows_where_a_tank_has_carried_robots():
+    """Law (4) moves them by 10⁻⁷ m, nearly across f: what it brings them nearer is rounded away."""
+    start = {"n_robots": 2, "start_positions": ((0.0, 0.0), (1.0, 0.0)), "local_frames": "global"}
+    scenario = Scenario(**start, graph=graphs.complete(1e-9), max_speed=1.0)
+    found = certificate(scenario, 1e-6, by="tank", budget=1e9)
+    assert not found.guaranteed and "which rounding takes from" in found.theorem
+    assert certificate(scenario, 1e-6, by="tank").guaranteed
+    env = make_vec(scenario, num_envs=1)
+    env = EnergyTankWrapper(env, budget=1e9, min_alignment=1e-6, frame="local")
+    env.reset(seed=0)
+    env.unwrapped.simulator.set_max_steps(200)
+    for _ in range(112):
+        env.step([[[-0.3, 0.0], [0.3, 0.0]]])
+    before = env.get_state()
+    for side in (1.0, -1.0):
+        env.step([[[0.0, side], [0.0, -side]]])
+    after = env.get_state()
+    assert (
+        not env.tank.carried_out.any()
+        and (before["tank"]["levels"] == after["tank"]["levels"]).all()
+    )
+    assert (before["env"]["positions"] == after["env"]["positions"]).all()  # and so for ever
 
 
 HUBS = Scenario(

@@ -3,6 +3,7 @@
 import numpy as np
 
 from ...graphs.random_graphs import CustomFamily
+from ...limits import LARGEST
 from ...robots.motion import frame_turns
 from ...robots.robot_models import constants_of
 from ...scenario.scenario import Scenario
@@ -13,7 +14,7 @@ from . import constants as known
 from .theorem import Asked, Assumption
 
 _LEAST_MOVE, _LEAST_GAIN = 2.0**-40, 2.0**-52
-"""Of the largest coordinate at the start: float64 rounds positions by up to 2⁻⁵³ of it."""
+"""Of the largest coordinate: float64 rounds positions by up to 2⁻⁵³ of it."""
 _WHY_NOT = {
     known.DIRECTED: "V counts links both ways, and here a robot need not be seen by whom it sees",
     known.SWITCHING: (
@@ -243,11 +244,13 @@ def rows_for_all(scenario: Scenario, asked: Asked) -> str:
 
 def outlasts_rounding(scenario: Scenario, asked: Asked) -> str:
     """A step at the least speed that is promised, τ a* λ ε or τ c, moves robots by 2⁻⁴⁰ of their
-    largest coordinate or more, and brings them nearer, by ε times that, by 2⁻⁵² or more.
+    largest coordinate or more, and brings them nearer, by ε times that, by 2⁻⁵² or more. Tanks may
+    carry robots ΣB_i/(2a*) apart, as V grows with that.
     """
     starts, margin = scenario.start_positions, asked.min_alignment
     largest = scenario.spawn_size / 2.0 if starts is None else float(np.abs(starts).max())
     speed = scenario.bottleneck_weight
+    largest += min(asked.budget, LARGEST) * scenario.n_robots / (2.0 * speed)
     if asked.by == "gains":
         speed = gain_range(scenario, asked.min_gain, asked.max_gain)[0]
     speed = min(speed, scenario.speed_limit, scenario.merge_radius / (2.0 * scenario.tau))
