@@ -77,6 +77,24 @@ def test_steps_that_rounding_swallows_where_a_tank_has_carried_robots():
     assert (before["env"]["positions"] == after["env"]["positions"]).all()  # and so for ever
 
 
+@pytest.mark.parametrize("by", ["heading", "tank", "links"])
+def test_errors_of_which_no_wrapper_can_be_told_are_promised_nothing(by):
+    """A tank that charges for π/2 rad alone lets V rise by more than it holds."""
+    places, budget = ((0.0, 0.0), (1.0, 0.0)), 4.0 * (by == "tank")
+    scenario = Scenario(n_robots=2, start_positions=places, sensing=Sensing(error=2.2))
+    found = certificate(scenario, MARGINS[by], by=by, budget=budget)
+    assert not found.promises and "no wrapper can be told" in found.theorem
+    right = certificate(scenario.replace(sensing=Sensing(error=1.5)), MARGINS[by], by=by)
+    assert right.lyapunov_bound < 3.0
+    if by == "tank":
+        env = make_vec(scenario.replace(local_frames="global"), num_envs=1)
+        tank = EnergyTankWrapper(env, budget=budget, bearing_error=math.pi / 2.0, frame="local")
+        tank.reset(seed=0)
+        for _ in range(225):
+            tank.step([[[-0.1, 0.0], [0.1, 0.0]]])
+        assert env.simulator.lyapunov()[0] > right.lyapunov_bound + 2.0 * budget
+
+
 HUBS = Scenario(
     n_robots=6, graph=graphs.from_edges([(0, 1), (0, 2), (0, 3), (1, 4), (1, 5)]),
     start_positions=((0.0, 0.0), (0.5, 0.0), (0.0, 3.0), (0.0, -3.0), (0.5, 3.0), (0.5, -3.0)),

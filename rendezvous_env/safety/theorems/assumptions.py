@@ -1,5 +1,7 @@
 """What theorems assume of a scenario: one named predicate each, which says in words what fails."""
 
+import math
+
 import numpy as np
 
 from ...graphs.random_graphs import CustomFamily
@@ -166,6 +168,11 @@ def bounded_errors(scenario: Scenario, asked: Asked) -> str:
         return (
             "none: this theorem holds for bearings of the moment, and this sensor's are late "
             f"({sensing.departures()}); theorem E1 covers law (1) on late ones that are exact"
+        )
+    if asked.by in ("heading", "tank", "links") and asked.error > math.pi / 2.0:
+        return (
+            f"none: bearings may err by {asked.error:.4g} rad, and no wrapper can be told of more "
+            "than π/2 rad"
         )
     return ""
 
