@@ -1,4 +1,4 @@
-"""Robots of a user's own that go any way, in frames that turn: headings, tanks, late bearings."""
+"""Robots of a user's own whose frames turn: headings, tanks, late bearings."""
 
 import math
 from typing import NamedTuple
@@ -8,6 +8,7 @@ import pytest
 
 import rendezvous_env as rv
 from rendezvous_env import vector
+from rendezvous_env.robots.unicycle import arc_2d
 
 
 class Omni(NamedTuple):
@@ -41,6 +42,38 @@ def init(model, key, counter):
 
 
 rv.describe_motion(Omni, rv.Motion(propose, update=update, frame=body_frame, init=init))
+
+
+class Mirrored(NamedTuple):
+    duration: float
+    speed_limit: float
+    turn_limit: float
+
+
+@rv.kernel
+def arc(model, action, frame, memory, time):
+    return arc_2d(action[0], memory[0], -action[1], time)
+
+
+@rv.kernel
+def propose_arc(model, action, frame, memory):
+    return arc(model, action, frame, memory, model.duration), abs(action[0]) * model.duration
+
+
+@rv.kernel
+def bend(model, action, memory):
+    return abs(action[0] * action[1])
+
+
+@rv.kernel
+def turn(model, action, frame, memory, displacement, contact):
+    return (memory[0] - action[1] * model.duration,)
+
+
+rv.describe_motion(
+    Mirrored,
+    rv.Motion(propose_arc, arc, bend, update=turn, frame=body_frame, init=init),
+)
 
 
 @pytest.fixture
@@ -88,3 +121,31 @@ def test_late_bearings_in_frames_that_turn_are_certified_nothing(team):
     assert "frames of omni robots turn" in found.theorem and not found.promises
     fixed = rv.certificate(late.replace(robot_model="single_integrator"))
     assert fixed.guaranteed and simulator.lyapunov()[0] > fixed.lyapunov_bound
+
+
+def test_arcs_of_a_users_own_are_certified_nothing_but_their_law(registry):
+    """A unicycle whose turn rates count clockwise: theorem 3 is true of it, of the gate nothing."""
+    rv.register_robot_model(
+        rv.RobotModel(
+            "mirrored",
+            dims=(2,),
+            constants=lambda given: Mirrored(given.tau, given.speed_limit, given.turn_limit),
+            bounds=lambda given: [given.speed_limit, given.turn_limit],
+            n_angles=1,
+            action="v, −ω",
+            theorem="theorem 3",
+        )
+    )
+    team = rv.Scenario(n_robots=3, robot_model="mirrored", max_turn_rate=20.0)
+    assert rv.certificate(team).continuous_time_only
+    for by in ("heading", "tank"):
+        found = rv.certificate(team, 0.3, by=by)
+        assert not found.promises and "no theorem covers mirrored robots" in found.theorem
+    env = vector.HeadingVectorWrapper(rv.make_vec(team, num_envs=4), 0.3, 20.0)
+    env.reset(seed=0)
+    simulator, random, rises = env.unwrapped.simulator, np.random.default_rng(0), []
+    for _ in range(40):
+        before = simulator.lyapunov()
+        env.step(random.uniform(-1.0, 1.0, env.action_space.shape))
+        rises.append((simulator.lyapunov() - before).max())
+    assert max(rises) > 0.01

@@ -7,7 +7,7 @@ import numpy as np
 from ...graphs.random_graphs import CustomFamily
 from ...limits import LARGEST
 from ...robots.motion import frame_turns
-from ...robots.robot_models import constants_of
+from ...robots.robot_models import constants_of, is_custom
 from ...scenario.scenario import Scenario
 from ...sensors.sensing import Sensing
 from ..gains import gain_range
@@ -76,9 +76,11 @@ def one_leader_at_most(scenario: Scenario, asked: Asked) -> str:
 
 
 def known_bodies(scenario: Scenario, asked: Asked) -> str:
-    """A robot's action is its velocity, or the paper has a theorem on its model."""
+    """A robot's action is its velocity, or the paper has a theorem on its model; the gate and tanks
+    know how far the package's own robots turn in a step, and no others.
+    """
     model = scenario.model
-    if model.bounded or model.theorem is not None:
+    if model.bounded or (model.theorem is not None and (asked.by == "law" or not is_custom(model))):
         return ""
     return (
         f"none: no theorem covers {model.name} robots, whose action ({model.action}) is not "
