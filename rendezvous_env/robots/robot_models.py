@@ -161,7 +161,8 @@ def constants_of(scenario: Any, early: bool = False) -> Any:
     for k, bound in enumerate(bounds.tolist()):
         if not 0.0 <= bound < math.inf:  # 0: robots without links that have no speed given
             refuse(f"bounds[{k}] of {who}", bound, "finite, and 0 or more")
-    if not kind.__module__.startswith(f"{__package__}."):  # the package's own are tested
+    # the package's own equations are tested, but not as those of another model
+    if (early and model.bounded) or not kind.__module__.startswith(f"{__package__}."):
         try_equations(model, motion, constants, bounds, scenario.dim)
     return constants
 

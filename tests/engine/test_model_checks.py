@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import NamedTuple
 
@@ -210,6 +211,16 @@ def test_a_bounded_model_moves_by_its_action(registry, share, turned, size):
     message = "propose .* of 2 numbers, slowed down to 4 m/s at most, since the model is bounded"
     with pytest.raises(ValueError, match=message):
         rv.register_robot_model(model)
+
+
+@pytest.mark.parametrize("name", ["unicycle", "double_integrator"])
+def test_the_packages_own_equations_are_none_of_a_bounded_model(registry, name):
+    model = dataclasses.replace(robot_models.ROBOT_MODELS[name], name="walker", bounded=True)
+    with pytest.raises(ValueError, match="since the model is bounded"):
+        rv.register_robot_model(model)
+    free = dataclasses.replace(robot_models.ROBOT_MODELS["single_integrator"], name="walker")
+    rv.register_robot_model(free)
+    assert rv.certificate(rv.Scenario(robot_model="walker")).guaranteed
 
 
 @pytest.mark.parametrize("name", sorted(robot_models.ROBOT_MODELS))
