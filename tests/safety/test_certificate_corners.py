@@ -15,7 +15,7 @@ import baselines
 from rendezvous_env import Scenario, Sensing, Simulator, certificate, graphs, make_vec, rollout
 from rendezvous_env.safety.theorems.constants import most_neighbours
 from rendezvous_env.safety.theorems.theorem import CHOICES
-from rendezvous_env.vector import EnergyTankWrapper
+from rendezvous_env.vector import EnergyTankWrapper, GainWrapper
 
 
 def test_a_tank_that_is_given_no_margin_has_that_of_its_wrapper():
@@ -167,6 +167,22 @@ def test_starts_of_options_are_asked_for_in_a_scenario():
     assert own.lyapunov_bound < simulator.lyapunov()[0] <= given.lyapunov_bound
     assert own.time_bound < 40.0 < given.time_bound  # each goes 1 m/s
     assert "scenario.replace(start_positions=…" in certificate.__doc__
+
+
+def test_weights_of_options_are_asked_for_in_an_environment_of_their_own():
+    """The wrapper's least gain is a* of its own scenario, a hundred times less than theirs."""
+    light = Scenario(n_robots=2, graph=graphs.complete((0.01, 1.0)), spawn_size=2.0)
+    heavy = light.replace(graph=graphs.complete(1.0))
+    found, met = certificate(heavy, by="gains"), []
+    for scenario in (light, heavy):
+        env = GainWrapper(make_vec(scenario, num_envs=1))
+        env.reset(seed=0, options={"weights": 1.0 - np.eye(2)})
+        while env.unwrapped.simulator.time[0] < found.time_bound:
+            if env.step([[[1e-6], [1e-6]]])[2].any():
+                break
+        met.append(env.unwrapped.simulator.active.sum() == 1)
+    assert met == [False, True]
+    assert "made of that scenario" in certificate.__doc__
 
 
 @pytest.mark.parametrize("by", CHOICES)
