@@ -121,6 +121,8 @@ def _check_within(scenario: Any, weights: NDArray[np.float64]) -> None:
     given = graphs.directed(weights) if directed else graphs.from_matrix(weights)
     if scenario.require_connected and (why := given.why_not_joined(n)) is not None:
         raise ValueError(f"weights are not connected: {why}")
+    if scenario.body_radius is not None and given.most_links(n) < n * (n - 1) // 2:
+        raise ValueError("weights must link all robots with a body_radius: others would not stop")
     degree = given.max_degree(n)
     if degree > scenario.max_degree * (1 + _ROUNDING):
         raise ValueError(

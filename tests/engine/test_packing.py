@@ -170,6 +170,14 @@ class TestScenario:
         places[1, 2] = 1.0, 0.1 * (1 - 1e-12)  # bodies that touch, as a step can leave them
         simulator.reset(0, {"positions": places})
 
+    def test_weights_that_leave_bodies_unlinked_are_refused_at_a_reset(self):
+        """Two that do not see each other would pass through each other."""
+        simulator = rv.Simulator(rv.Scenario(n_robots=3, body_radius=0.1))
+        path = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+        with pytest.raises(ValueError, match="weights must link all robots with a body_radius"):
+            simulator.reset(0, {"weights": path})
+        simulator.reset(0, {"weights": 1.0 - np.eye(3)})
+
     def test_bodies_that_dock_lose_no_promise(self):
         docking = rv.Scenario(n_robots=4, body_radius=0.1)
         points = rv.certificate(rv.Scenario(n_robots=4))
