@@ -15,7 +15,7 @@ import baselines
 from rendezvous_env import Scenario, Sensing, Simulator, certificate, graphs, make_vec, rollout
 from rendezvous_env.safety.theorems.constants import most_neighbours
 from rendezvous_env.safety.theorems.theorem import CHOICES
-from rendezvous_env.vector import EnergyTankWrapper, GainWrapper
+from rendezvous_env.vector import EnergyTankWrapper, GainWrapper, HeadingVectorWrapper
 
 
 def test_a_tank_that_is_given_no_margin_has_that_of_its_wrapper():
@@ -156,6 +156,22 @@ def test_steps_that_rounding_swallows_are_told_of_turning_robots_and_margins():
     assert certificate(slow).continuous_time_only  # theorem 3 speaks of no steps
     slow = Scenario(graph=graphs.complete(1e-3), time_step=1e-2)  # 2⁻⁵⁹ of 5 m for ε = 10⁻⁶
     assert certificate(slow, 1e-3).guaranteed and not certificate(slow, 1e-6).guaranteed
+
+
+def test_turns_that_rounding_swallows_are_promised_nothing():
+    """Two unicycles across f that turn by 10⁻¹⁶ rad in a step point there for ever."""
+    team = {"n_robots": 2, "robot_model": "unicycle", "start_headings": [[math.pi / 2.0]] * 2}
+    scenario = Scenario(**team, start_positions=((1.0, 1.0), (2.0, 1.0)), time_step=1e-7)
+    slow = scenario.replace(max_turn_rate=1e-9)
+    env = HeadingVectorWrapper(make_vec(slow, num_envs=1), 0.3)
+    env.reset(seed=0)
+    before = env.get_state()["env"]
+    env.step([[[1.0], [1.0]]])
+    after = env.get_state()["env"]
+    assert all((before[name] == after[name]).all() for name in ("positions", "memory"))
+    found = certificate(slow, 0.3)
+    assert not found.guaranteed and "rounding takes from their angles" in found.theorem
+    assert certificate(scenario, 0.3).guaranteed
 
 
 def test_starts_of_options_are_asked_for_in_a_scenario():

@@ -22,6 +22,8 @@ from . import assumptions as given
 from . import constants as known
 from .theorem import Asked, Bounds, Theorem
 
+_LEAST_TURN = 2.0**-40  # rad
+
 
 def turning_window(dim: int, turned: float) -> tuple[int, float]:
     """K, a number of steps, and θ, rad: of K steps in each of which a robot may turn by p =
@@ -32,13 +34,30 @@ def turning_window(dim: int, turned: float) -> tuple[int, float]:
     return math.ceil(math.pi / (2.0 * turned)) + 2, min(1.0, turned**2) / 10.0
 
 
+def _pull_and_turn(scenario: Scenario) -> tuple[float, float]:
+    """F, m/s, and p, rad (theorem T)."""
+    least = float((2.0 * known.least_degrees(scenario) / known.robots_left(scenario)).min())
+    most = (0.7 * scenario.tau * least, math.pi / 3.0) if scenario.dim == 2 else (math.pi / 2.0,)
+    return least, min(min(scenario.turn_limit, MAX_TURN_RATE) * scenario.tau, *most)
+
+
+def turns_outlast_rounding(scenario: Scenario, asked: Asked) -> str:
+    """A step turns by p ≥ 2⁻⁴⁰ rad: float64 rounds angles by up to 2⁻⁵² rad."""
+    _, turned = _pull_and_turn(scenario)
+    if turned >= _LEAST_TURN:
+        return ""
+    return (
+        f"none: a step may turn robots by as little as {turned:.3g} rad, which rounding takes from "
+        f"their angles; it must be {_LEAST_TURN:.3g} rad or more: make time_step or max_turn_rate "
+        "larger"
+    )
+
+
 def gated_window(scenario: Scenario, min_alignment: float) -> tuple[int, float]:
     """K, a number of steps, and q, m²/s: V falls by q in K steps without a merge (theorem T)."""
     step, r = scenario.tau, scenario.merge_radius
-    least = float((2.0 * known.least_degrees(scenario) / known.robots_left(scenario)).min())
-    most = (0.7 * step * least, math.pi / 3.0) if scenario.dim == 2 else (math.pi / 2.0,)
-    turned = min(scenario.turn_limit, MAX_TURN_RATE) * step
-    count, drift = turning_window(scenario.dim, min(turned, *most))
+    least, turned = _pull_and_turn(scenario)
+    count, drift = turning_window(scenario.dim, turned)
     strayed = (drift * least * r / scenario.max_degree) ** 2 / (2.5 * count * step)
     aligned = step * known.scale_bound(scenario) * (min_alignment * least) ** 2 / 5.0
     return count, min(aligned, strayed)
@@ -62,7 +81,8 @@ def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     return Bounds(words, meets=True)
 
 
+_LASTS = given.outlasts_rounding, turns_outlast_rounding
 THEOREMS = (
-    Theorem("T", ("heading",), (*given.TURNING, given.outlasts_rounding), gate_bounds),
+    Theorem("T", ("heading",), (*given.TURNING, *_LASTS), gate_bounds),
     Theorem("3 and 4", ("law",), given.TURNING, law_bounds),
 )
