@@ -15,7 +15,12 @@ import baselines
 from rendezvous_env import Scenario, Sensing, Simulator, certificate, graphs, make_vec, rollout
 from rendezvous_env.safety.theorems.constants import most_neighbours
 from rendezvous_env.safety.theorems.theorem import CHOICES
-from rendezvous_env.vector import EnergyTankWrapper, GainWrapper, HeadingVectorWrapper
+from rendezvous_env.vector import (
+    EnergyTankWrapper,
+    GainWrapper,
+    HeadingVectorWrapper,
+    LinkKeepingWrapper,
+)
 
 
 def test_a_tank_that_is_given_no_margin_has_that_of_its_wrapper():
@@ -93,6 +98,23 @@ def test_errors_of_which_no_wrapper_can_be_told_are_promised_nothing(by):
         for _ in range(225):
             tank.step([[[-0.1, 0.0], [0.1, 0.0]]])
         assert env.simulator.lyapunov()[0] > right.lyapunov_bound + 2.0 * budget
+
+
+def test_errors_that_rounding_may_make_too_large_are_promised_nothing():
+    """Four in a square whose cones of bearings, so widened, leave a speed that float32 makes 0."""
+    angles = 0.3 + np.pi / 2.0 * np.arange(4)
+    places = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    error = math.pi / 8.0 * (1.0 - 1e-9)  # π/(2n) is too much
+    start = {"n_robots": 4, "start_positions": places, "local_frames": "global"}
+    scenario = Scenario(**start, sensing=Sensing(error=error))
+    env = LinkKeepingWrapper(make_vec(scenario, num_envs=1), 1.0, error, "local")
+    env.reset(seed=0)
+    env.step(np.zeros((1, 4, 2)))
+    assert (env.unwrapped.simulator.positions[0] == places).all()  # and so for ever
+    found = certificate(scenario, by="links", share=1.0)
+    assert not found.guaranteed and "known to tolerate less" in found.theorem
+    better = scenario.replace(sensing=Sensing(error=error - 1e-6))
+    assert certificate(better, by="links", share=1.0).guaranteed
 
 
 HUBS = Scenario(

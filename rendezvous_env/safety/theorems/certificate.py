@@ -73,7 +73,8 @@ class Certificate:
     bearing_error: float = 0.0
     """η, rad: by how much bearings may be wrong here. The wrapper must be given it too."""
     tolerated_bearing_error: float = 0.0
-    """η, rad, inputs held, below which a theorem still promises a rendezvous."""
+    """η, rad, inputs held, below which a theorem still promises a rendezvous, but for 2⁻²² rad that
+    rounding may add."""
     expected_time_bound: float = math.inf
     """What the mean time to rendezvous never exceeds under noise that each step draws anew, s."""
     scenario: str = "custom"

@@ -16,6 +16,8 @@ CHOICES = {
     "links": "link-keeping",
 }
 """What keeps the guarantee, by the name that ``certificate`` knows, in words."""
+_ROUNDED = 2.0**-22
+"""By so much, rad, float32 may turn a bearing, and some more."""
 PROMISED = ("time", "lyapunov", "hull", "link_growth", "expected_time")
 """The fields of Bounds that are promised of the environment as it steps."""
 
@@ -53,12 +55,13 @@ class Bounds:
 def bounds_with_errors(
     asked: Asked, time: Any, tolerated: float, words: str, who: str, even_so: str = "", **rest: Any
 ) -> Bounds:
-    """A rendezvous if its time, s, is finite; else that it overflows, or why errors η ≥
-    ``tolerated``, rad, are too large for ``who``; of η = 0 nothing is to be said (guarantees 11).
-    ``rest`` are numbers that hold all the same.
+    """A rendezvous if its time, s, is finite and rounding cannot make an error η of one that is
+    ``tolerated``, rad; else that the time overflows, or why η is too large for ``who``; of η = 0
+    nothing is to be said (guarantees 11). ``rest`` are numbers that hold all the same.
     """
-    meets = math.isfinite(time)
-    if not meets and asked.error < tolerated:
+    borne = asked.error < tolerated - (_ROUNDED if asked.error > 0.0 else 0.0)
+    meets = math.isfinite(time) and (borne or asked.error == 0.0)
+    if not meets and borne:
         words = (
             f"none: the bound of {who} on the time overflows, beyond {sys.float_info.max:.2g} s, "
             "and no rendezvous is promised"
