@@ -190,7 +190,8 @@ class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
       axis comes from the row with the longest part across f_i. While ‖f_i‖ < δ the last frame is
       kept.
     * Infos: ``alignment`` = |h_iᵀf_i|/‖f_i‖ (NaN where f_i = 0, and at a reset) and
-      ``lyapunov_rate`` = −2 (h_iᵀf_i)², m²/s².
+      ``lyapunov_rate`` = −2 (h_iᵀf_i)², m²/s², with a ``bearing_error`` −2 h_iᵀf_i max(0, h_iᵀf_i −
+      e_i): of velocities as they are before they are scaled to the step or the speed limit.
 
     Args:
         env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``.
