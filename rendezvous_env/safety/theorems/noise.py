@@ -165,7 +165,8 @@ def heading_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 def noisy_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """The mean time, infinite if the step is too long for this noise, or robots slow down."""
     n, degree, graph = scenario.n_robots, scenario.max_degree, scenario.sensing_graph
-    if scenario.speed_limit < degree:
+    scaled = known.long_step(scenario) and scenario.scales_velocity
+    if scaled or scenario.speed_limit < degree:
         return Bounds()
     theta = 2.0 * degree * scenario.tau / scenario.merge_radius
     gamma, weights = math.exp(-0.5 * scenario.sensing.noise**2), graph.links(n)[2]
