@@ -45,7 +45,9 @@ class Pilot(Protocol):
     def act_of(
         self, teams: Part, observations: NDArray[np.float32], actions: NDArray[np.float32]
     ) -> Calls:
-        """What writes the actions of teams, from the first of a part to before its second."""
+        """What writes the actions of all robots of teams, from the first of a part to before its
+        second.
+        """
         ...
 
     def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> Calls:
@@ -99,7 +101,7 @@ class BatchRunner:
         self._crowded = np.full(place.batch, -1)
         self._last: StepOutput | None = None
         self._may_crowd = place.scenario.observation_layout.neighbour_slots < n - 1
-        self._no_actions = np.zeros((place.batch, n, place.scenario.action_size), np.float32)
+        self._actions = np.zeros((place.batch, n, place.scenario.action_size), np.float32)
         self._run: Callable[..., Any] | None = None
         self.limit(max_steps)
 
@@ -161,7 +163,7 @@ class BatchRunner:
         """``Simulator.drive``: each thread leads its own teams through all steps; those that are
         resting, (B,), pass the first one by.
         """
-        teams, output, actions = self._state.teams, self.new_output(), self._no_actions.copy()
+        teams, output, actions = self._state.teams, self.new_output(), self._actions
         earned, robots_earned, touched = output.rewards, output.robot_rewards, output.contact
         if count > 1:
             earned, robots_earned = np.zeros_like(earned), np.zeros_like(robots_earned)
@@ -222,7 +224,7 @@ class BatchRunner:
         return teams[teams < batch]
 
     def _observe(self, blocks: NDArray[np.int64], output: StepOutput) -> None:
-        self._work(False, blocks, self._no_actions, output)((0, len(blocks), 0))()
+        self._work(False, blocks, self._actions, output)((0, len(blocks), 0))()
 
     def _work(
         self,

@@ -274,6 +274,7 @@ def _turn_bodies(teams, arguments):
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
             rows, action = observations[team, i], actions[team, i]
+            action[:] = 0.0
             alignment[team, i], lyapunov_rate[team, i] = np.nan, 0.0
             degree = degree_of(rows, robot.neighbour_slots)
             if degree == 0.0:

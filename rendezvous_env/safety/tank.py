@@ -170,6 +170,7 @@ def _spend_bodies(teams, arguments):
             deposits[team, i], carried_out[team, i] = 0.0, False
             alignment[team, i], lyapunov_rate[team, i] = np.nan, 0.0
             rows, action = observations[team, i], actions[team, i]
+            action[:] = 0.0
             degree = degree_of(rows, robot.neighbour_slots)
             linked[team, i] = degree > 0.0
             if degree == 0.0:

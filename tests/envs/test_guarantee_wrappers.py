@@ -312,6 +312,20 @@ def test_a_reset_of_some_teams_does_not_excuse_what_happened_to_the_others(which
         env.step(choices)
 
 
+@pytest.mark.parametrize("around", [rv.vector.HeadingVectorWrapper, rv.vector.EnergyTankWrapper])
+def test_turning_robots_rest_in_each_base_step_in_which_they_see_nobody(around):
+    """Whether a thread leads its teams through a decision, or a wrapper between hears of steps."""
+    scenario, ends = five("unicycle", sensing=rv.Sensing(dropout=0.7)), []
+    for between in (lambda env: env, gymnasium.vector.VectorWrapper):
+        env = around(between(rv.make_vec(scenario, 8)), decision_period=4)
+        env.reset(seed=0)
+        random = np.random.default_rng(0)
+        for _ in range(10):
+            env.step(draw(env, random))
+        ends.append(env.unwrapped.simulator.positions)
+    np.testing.assert_array_equal(*ends)
+
+
 @pytest.mark.parametrize("make", [rv.parallel_env, rv.training_env])
 def test_a_step_before_the_reset_says_so(make):
     env = make("duo")
