@@ -111,9 +111,9 @@ def check_weights(
     """Refuse weights that are not (n, n), non-negative, finite, zero on the diagonal and, unless
     ``directed``, symmetric; the first wrong entry is named.
     """
-    size = n if n is not None else (weights.shape[0] if weights.ndim else 0)
+    size = n if n is not None else max((2, *weights.shape[:1]))
     if weights.shape != (size, size):
-        wanted = f"they must be ({size}, {size})"
+        wanted = f"they must be ({size}, {size})" + ", a row for each robot" * (n is None)
         raise ValueError(f"{field}: weights have shape {weights.shape}; {wanted}")
     out_of_limits = (weights != 0) & ((weights < SMALLEST) | (weights > LARGEST))
     reasons = (

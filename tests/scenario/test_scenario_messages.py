@@ -87,6 +87,7 @@ REFUSED = [
     ({"graph": "directed"}, r"graph: 'directed' needs more than its name, as rend"),
     ({"graph": "switching"}, r"graph: 'switching' needs more than its name"),
     ({"graph": "ring"}, r"graph: 'ring' is not a graph; choose one of complete, path, .*'cycle'\?"),
+    ({"graph": []}, r"graph: weights have shape \(0,\); they must be \(2, 2\), a row for each"),
     ({"graph": matrix(a01=1.0)}, r"graph: weight a\[0, 1\] = 1\.0 must equal its mirror image"),
     ({"graph": -UNEQUAL}, r"graph: weight a\[0, 1\] = -2\.0 must not be negative"),
     ({"graph": matrix(a12=np.nan)}, r"a\[1, 2\] = nan must be finite"),
