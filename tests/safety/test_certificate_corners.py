@@ -58,6 +58,26 @@ def test_steps_that_rounding_swallows_are_promised_nothing(by):
     assert certificate(scenario.replace(time_step=0.1), MARGINS[by], by=by).guaranteed
 
 
+@pytest.mark.parametrize(
+    ("by", "sensing"), [("law", Sensing(occlusion="robots")), ("links", Sensing(range=3.0))]
+)
+def test_steps_that_rounding_swallows_where_only_the_lightest_links_are_in_sight(by, sensing):
+    """Each of four robots sees those next to it alone, and goes 3e-14 m in a step, at 1 km."""
+    weights = np.where(abs(np.subtract.outer(range(4), range(4))) > 1, 1e3, 1e-9) * (1 - np.eye(4))
+    places = tuple((1e3 + x, 1e3) for x in (-3.0, -1.0, 1.0, 3.0))
+    scenario = Scenario(n_robots=4, graph=weights, start_positions=places, sensing=sensing)
+    env = make_vec(scenario, num_envs=1)
+    env = LinkKeepingWrapper(env) if by == "links" else env
+    law, seen = baselines.make("bearing-only", scenario), env.reset(seed=0)[0]
+    for _ in range(3):
+        seen = env.step(law(seen, 0.0) if by == "law" else np.zeros((1, 4, 2)))[0]
+    assert (env.unwrapped.simulator.positions[0] == places).all()
+    found = certificate(scenario, by=by)
+    assert not found.guaranteed and "which rounding takes from" in found.theorem
+    near = {"start_positions": np.array(places) - 1e3, "graph": np.minimum(weights, 1.0)}
+    assert certificate(scenario.replace(**near), by=by).guaranteed
+
+
 def test_steps_that_rounding_swallows_where_a_tank_has_carried_robots():
     """Law (4) moves them by 10⁻⁷ m, nearly across f: what it brings them nearer is rounded away."""
     start = {"n_robots": 2, "start_positions": ((0.0, 0.0), (1.0, 0.0)), "local_frames": "global"}

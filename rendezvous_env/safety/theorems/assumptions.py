@@ -253,12 +253,14 @@ def rows_for_all(scenario: Scenario, asked: Asked) -> str:
 
 def outlasts_rounding(scenario: Scenario, asked: Asked) -> str:
     """A step at the least speed that is promised, τ a* λ ε or τ c, moves robots by 2⁻⁴⁰ of their
-    largest coordinate or more, and brings them nearer, by ε times that, by 2⁻⁵² or more. Tanks may
-    carry robots ΣB_i/(2a*) apart, as V grows with that.
+    largest coordinate or more, and brings them nearer, by ε times that, by 2⁻⁵² or more. Where the
+    heaviest links may be out of sight, the lightest takes the place of a*. Tanks may carry robots
+    ΣB_i/(2a*) apart, as V grows with that.
     """
     starts, margin = scenario.start_positions, asked.min_alignment
     largest = scenario.spawn_size / 2.0 if starts is None else float(np.abs(starts).max())
-    speed = scenario.bottleneck_weight
+    unseen = nearest_hides(scenario) or (asked.by == "links" and scenario.sensing.range is not None)
+    speed = known.lightest_link(scenario) if unseen else scenario.bottleneck_weight
     largest += min(asked.budget, LARGEST) * scenario.n_robots / (2.0 * speed)
     if asked.by == "gains":
         speed = gain_range(scenario, asked.min_gain, asked.max_gain)[0]
