@@ -38,7 +38,8 @@ def time_bound(
         refuse("scenario", scenario, "a Scenario; scenarios.resolve() takes names and files")
     initial = known.checked("initial_lyapunov", initial_lyapunov, "m²/s")
     theorem = _A if min_alignment == 1 else _C
-    asked = Asked(theorem.by[0], error=bounded_error(scenario.sensing, scenario.dim))
+    error = bounded_error(scenario.sensing, scenario.dim)
+    asked = Asked(theorem.by[0], min_alignment=min_alignment, error=error)
     if theorem.unmet(scenario, asked)[1]:
         return np.full(initial.shape, np.inf)
     n, a = scenario.n_robots, scenario.bottleneck_weight
