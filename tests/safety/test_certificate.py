@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 
 import baselines
-from rendezvous_env import Disc, Scenario, Sensing, Simulator, certificate, graphs, rollout
+from rendezvous_env import (
+    Capsule,
+    Disc,
+    Scenario,
+    Sensing,
+    Simulator,
+    certificate,
+    graphs,
+    make_vec,
+    rollout,
+)
 from rendezvous_env.safety.gains import Gains
 from rendezvous_env.safety.theorems.constants import (
     kind_of_links,
@@ -20,6 +30,7 @@ from rendezvous_env.safety.theorems.constants import (
 from rendezvous_env.safety.theorems.gains import kappa
 from rendezvous_env.safety.theorems.theorem import CHOICES
 from rendezvous_env.scenario import scenarios
+from rendezvous_env.vector import HeadingVectorWrapper
 
 WALL = (Disc((0.0, 0.0), 1.0),)
 LONG = Scenario(time_step=0.1, allow_long_step=True)
@@ -339,6 +350,23 @@ def test_what_a_user_reads_first():
     assert "within the limit" in str(certificate("duo"))
     assert "No rendezvous" in str(certificate("fig4")) and "none:" in str(certificate("fig4"))
     assert "in continuous time only, without a bound" in str(certificate("unicycle-6"))
+
+
+def test_what_is_said_of_v_beside_obstacles_leaves_contacts_out():
+    """Headings within the margin of f slide two robots outward along two slanted walls."""
+    walls = [Capsule(((1.0, -1.0), (-3.0, 5.0)), 0.1), Capsule(((3.0, 1.0), (7.0, -5.0)), 0.1)]
+    start = {"n_robots": 2, "start_positions": ((0.0, 0.0), (4.0, 0.0)), "local_frames": "global"}
+    scenario = Scenario(**start, obstacles=walls)
+    env = HeadingVectorWrapper(make_vec(scenario, num_envs=1), min_alignment=0.3, frame="local")
+    env.reset(seed=0)
+    for _ in range(100):
+        x, y = np.diff(env.unwrapped.simulator.positions[0], axis=0)[0]
+        env.step([[[-y, x], [y, -x]]])
+    found = certificate(scenario, 0.3)
+    assert env.unwrapped.simulator.lyapunov()[0] > found.lyapunov_bound
+    assert found.touches_obstacles and "m²/s in motion without a contact\n" in str(found)
+    through = certificate(scenario.replace(obstacle_contact="ignore"), 0.3)
+    assert not through.touches_obstacles and "without a contact" not in str(through)
 
 
 def test_old_names_of_fields_still_work():

@@ -81,11 +81,14 @@ class Certificate:
     """Its name."""
     time_limit: float = math.inf
     """Of its episodes, s."""
+    touches_obstacles: bool = False
+    """Whether robots may touch some: ``lyapunov_bound`` is for motion without a contact then."""
 
     @property
     def promises(self) -> dict[str, float]:
         """Every number that is promised of the environment as it steps, by what it bounds: time, s;
-        V ("lyapunov"), m²/s, and L ("hull"), m, at any time; "link_growth", m; "expected_time", s.
+        V ("lyapunov"), m²/s, but for contacts, and L ("hull"), m, at any time; "link_growth", m;
+        "expected_time", s.
         """
         found = {name: getattr(self, f"{name}_bound") for name in PROMISED}
         return {name: bound for name, bound in found.items() if math.isfinite(bound)}
@@ -101,6 +104,8 @@ class Certificate:
         """What is promised, by when, and how that compares with the episode's limit."""
         promises = self.promises.items()
         kept = [_KEPT[name].format(bound) for name, bound in promises if name in _KEPT]
+        if self.touches_obstacles and math.isfinite(self.lyapunov_bound):
+            kept[0] += " in motion without a contact"  # V is first
         if self.tolerated_bearing_error > 0:
             kept.append(f"bearings may err by up to {self.tolerated_bearing_error:.3g} rad")
         first = f"{self.scenario} under {CHOICES[self.by]}: {self.theorem}"
@@ -232,6 +237,7 @@ def answer(scenario: Scenario, asked: Asked) -> tuple[Certificate, list[tuple[Th
         tolerated_bearing_error=max((one.tolerated_bearing_error for one in found), default=0.0),
         scenario=scenario.name,
         time_limit=scenario.time_limit,
+        touches_obstacles=bool(scenario.obstacles) and scenario.obstacle_contact != "ignore",
         **{f"{name}_bound": bound for name, bound in least.items()},
     )
     return certificate, applies
