@@ -369,6 +369,12 @@ def test_what_is_said_of_v_beside_obstacles_leaves_contacts_out():
     assert not through.touches_obstacles and "without a contact" not in str(through)
 
 
+def test_the_mean_time_under_noise_is_said():
+    found = certificate(Scenario(sensing=Sensing(noise=0.1)))
+    assert f"mean time to rendezvous never exceeds {found.expected_time_bound:.4g} s" in str(found)
+    assert "No other number" not in str(found)
+
+
 def test_old_names_of_fields_still_work():
     found = certificate(Scenario())
     for old, new in (

@@ -27,6 +27,7 @@ _KEPT = {
     "lyapunov": "V never exceeds {:.4g} m²/s",
     "hull": "L never exceeds {:.4g} m",
     "link_growth": "a link that merges cannot end never grows by more than {:.4g} m",
+    "expected_time": "the mean time to rendezvous never exceeds {:.4g} s",
 }
 
 
