@@ -108,7 +108,8 @@ class Certificate:
         if self.touches_obstacles and math.isfinite(self.lyapunov_bound):
             kept[0] += " in motion without a contact"  # V is first
         if self.tolerated_bearing_error > 0:
-            kept.append(f"bearings may err by up to {self.tolerated_bearing_error:.3g} rad")
+            told = " if the wrapper is told so" * (self.by in ("heading", "tank", "links"))
+            kept.append(f"bearings may err by up to {self.tolerated_bearing_error:.3g} rad{told}")
         first = f"{self.scenario} under {CHOICES[self.by]}: {self.theorem}"
         numbers = "; ".join(kept) or "No other number is promised."
         return f"{first}\n{numbers}\n{self._by_when()}"
