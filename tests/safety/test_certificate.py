@@ -142,7 +142,7 @@ def test_a_certificates_bound_covers_every_start(name):
 @pytest.mark.parametrize("graph", ["cycle", "complete"])
 def test_certificates_of_ten_thousand_robots_follow_the_edges(graph):
     """They took 31 s and 4.8 GB; a matrix of the robots alone is 0.8 GB."""
-    team = Scenario(n_robots=10_000, graph=graph, spawn_size=1000.0)
+    team = Scenario(n_robots=10_000, graph=graph, spawn_size=100.0)
     tracemalloc.start()
     for by in ("law", "heading", "tank", "gains"):
         assert certificate(team, MARGINS[by], by=by).guaranteed
