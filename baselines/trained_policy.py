@@ -1,6 +1,8 @@
 """A model that was trained in a training environment, as a policy that can be compared."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from contextlib import suppress
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -59,8 +61,9 @@ class TrainedPolicy(TeamPolicy):
         self.scenario = chosen = resolve(scenario)
         self._predict, self._by_team = predict, flag("by_team", by_team)
         # stable-baselines3 draws unless it is told not to
-        code = getattr(getattr(predict, "__func__", predict), "__code__", None)
-        takes = () if code is None else code.co_varnames[: code.co_argcount]
+        takes: Collection[str] = ()
+        with suppress(TypeError, ValueError):  # what is compiled need not say
+            takes = signature(predict).parameters
         self._told = {"deterministic": True} if "deterministic" in takes else {}
         self._arguments = {"on_merge": "follow", **arguments, "autoreset_mode": "Disabled"}
         env = training_env(chosen, 1, **self._arguments)

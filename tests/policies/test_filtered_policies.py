@@ -1,5 +1,8 @@
 """Functions and models as policies: they do and keep what wrappers and training environments do."""
 
+from functools import partial
+from operator import itemgetter
+
 import numpy as np
 import pytest
 
@@ -223,6 +226,23 @@ class TestModels:
         found = rv.rollout("clutter-4", policy, seed=0, num_envs=3)
         assert {shape[:2] for shape in asked} == {(3, 4)}
         assert found.success.any()  # no direction at all is the rule itself
+
+    def test_a_model_is_told_not_to_draw_however_it_takes_the_word(self):
+        told = []
+
+        def predict(seen, *, deterministic=False):
+            told.append(deterministic)
+            return np.zeros((len(seen), 2))
+
+        class Caller:
+            def __call__(self, seen, deterministic=False):
+                return predict(seen, deterministic=deterministic)
+
+        seen = rv.Simulator(rv.scenarios.get("duo"), 1).reset(0)
+        for model in (predict, partial(predict), Caller()):
+            TrainedPolicy("duo", model)(seen, 0.0)
+        TrainedPolicy("duo", itemgetter((slice(None), slice(2))))(seen, 0.0)  # says nothing
+        assert told == [True] * 3
 
     def test_what_is_no_model_is_refused(self):
         with pytest.raises(ValueError, match="predict is 3; it must be a function of observations"):
