@@ -12,7 +12,7 @@ from rendezvous_env.checks import flag, refuse
 from rendezvous_env.envs.vector_wrappers import GuaranteeWrapper
 from rendezvous_env.safety.safety_filter import SafetyFilter
 from rendezvous_env.scenario.scenario import Scenario
-from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
+from rendezvous_env.scenario.scenarios import ScenarioLike
 from rendezvous_env.vector import training_env
 
 from .filtered_policies import DecidingPolicy, FilteredPolicy
@@ -36,7 +36,8 @@ class TrainedPolicy(TeamPolicy):
     as it was commanded.
 
     Args:
-        scenario: whose robots it steers: any that the model can read, not only that of training.
+        scenario: whose robots it steers: any that the model can read, not only that of training;
+            with the fields of it that stand among ``arguments``.
         predict: observations of robots, (N, size) float32, to their actions, (N, a), or (N,) where
             they are discrete. A pair is taken for actions and a state that is not used, and an
             argument ``deterministic`` is True, as stable-baselines3 has it.
@@ -58,7 +59,6 @@ class TrainedPolicy(TeamPolicy):
         predict = getattr(predict, "predict", predict)
         if not callable(predict):
             refuse("predict", predict, "a function of observations, or a model with predict()")
-        self.scenario = chosen = resolve(scenario)
         self._predict, self._by_team = predict, flag("by_team", by_team)
         # stable-baselines3 draws unless it is told not to
         takes: Collection[str] = ()
@@ -66,7 +66,8 @@ class TrainedPolicy(TeamPolicy):
             takes = signature(predict).parameters
         self._told = {"deterministic": True} if "deterministic" in takes else {}
         self._arguments = {"on_merge": "follow", **arguments, "autoreset_mode": "Disabled"}
-        env = training_env(chosen, 1, **self._arguments)
+        env = training_env(scenario, 1, **self._arguments)
+        self.scenario = chosen = env.scenario
         self._sees: Any = env.single_observation_space
         self._chooses: Any = env.single_action_space
         inner: Any = env.env
