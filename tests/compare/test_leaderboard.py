@@ -54,6 +54,20 @@ class TestStatistics:
         profile = statistics.performance_profile(scores, levels)
         np.testing.assert_array_equal(profile, [1.0, 0.5, 0.25, 0.0])
 
+    def test_fields_with_other_seeds_make_one_table(self):
+        about = {key: "none" for key in ("safety", "guarantee", "given")}
+        own = [
+            about | {"algorithm": name, "field": field, "seed": seed, "results": {
+                "clean": [clean], "time": [1.0], "steps": [1], "touches": [0], "risen": [0],
+                "rise": [0.0],
+            }}
+            for name in ("one", "two")
+            for field, seed, clean in (("a", 0, 0.0), ("a", 4, 0.5), ("b", 2, 1.0))
+        ]  # fmt: skip
+        assert tables.scores_of(own[:3], "clean").tolist() == [[0.0, 1.0]]
+        assert tables.rows_of(own)[0].items() >= {"runs": 2, "clean": 0.5, "robot_steps": 3}.items()
+        assert tables.improvements(own)[0]["probability"] == 0.5
+
 
 class TestBarrier:
     def test_nobody_is_sent_more_than_half_way_to_a_disc(self):

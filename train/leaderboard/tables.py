@@ -39,15 +39,13 @@ def _by_algorithm(cards: Sequence[Card]) -> dict[str, list[Card]]:
 
 
 def scores_of(cards: Sequence[Card], name: str) -> NDArray[np.float64]:
-    """Mean over starts of "clean" or "time", (S, F), of the cards of one algorithm, with the seeds
-    that all its fields have.
+    """Mean over starts of "clean" or "time", (S, F), of the cards of one algorithm by field and
+    seed: of each field the first S runs, as many as all have, whatever their seeds.
     """
-    fields: dict[str, dict[int, float]] = {}
+    fields: dict[str, list[float]] = {}
     for card in cards:
-        found = float(np.mean(card["results"][name]))
-        fields.setdefault(card["field"], {})[card["seed"]] = found
-    seeds = sorted(set.intersection(*map(set, fields.values())))
-    return np.array([[own[seed] for own in fields.values()] for seed in seeds])
+        fields.setdefault(card["field"], []).append(float(np.mean(card["results"][name])))
+    return np.array(list(zip(*fields.values(), strict=False)))
 
 
 def rows_of(cards: Sequence[Card]) -> list[dict[str, Any]]:
@@ -55,7 +53,7 @@ def rows_of(cards: Sequence[Card]) -> list[dict[str, Any]]:
     rows = []
     for name, own in _by_algorithm(cards).items():
         about = {key: own[0][key] for key in ("safety", "guarantee", "given")}
-        row = {"algorithm": name, **about, "runs": len(own)}
+        row = {"algorithm": name, **about, "runs": scores_of(own, "clean").size}
         for key in ("clean", "time"):
             scores = scores_of(own, key)
             low, high = statistics.stratified_interval((scores,), statistics.interquartile_mean)
