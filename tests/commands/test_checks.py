@@ -78,6 +78,7 @@ MISTAKES = {
     "compare --scenario duo --sensing noise": "name two or more levels, as in noise=0,0.1",
     "compare --scenario duo --sensing noise=0,0": "name two or more levels",
     "compare --scenario duo --sensing noise=0,1 noise=0,2": "noise is named twice",
+    "compare --scenario duo --sensing noise=0.10001,0.10002": "two scenarios are called 'duo-no",
     "compare --scenario duo --sensing noise=0,-1": "--sensing noise=-1: sensing.noise is -1",
     "compare --scenario duo --sensing delay=0,1.5": "--sensing delay=1.5: sensing.delay is 1.5",
     "compare --scenario duo --sensing occlusion=none,fog": "--sensing occlusion=fog",

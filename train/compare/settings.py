@@ -128,6 +128,7 @@ def plan(config: Config) -> list[Job]:
     scenarios = _resolve(config)
     if swept := levels.sweeps(scenarios, config.sensing):
         scenarios = list(dict.fromkeys(one for sweep in swept for one in sweep.scenarios))
+        _check_names(scenarios)
     jobs: list[Job] = []
     for scenario in scenarios:
         fitting = policies.fitting(scenario, config.policies)
@@ -155,10 +156,14 @@ def _resolve(config: Config) -> list[Scenario]:
     if not config.scenarios:
         raise UserError("--scenarios names none; known are " + ", ".join(named_scenarios.names()))
     resolved = [policies.resolve_scenario(name, config.set) for name in config.scenarios]
-    names = [scenario.name for scenario in resolved]
+    _check_names(resolved)
+    return resolved
+
+
+def _check_names(scenarios: list[Scenario]) -> None:
+    names = [scenario.name for scenario in scenarios]
     for name in names:
         if "/" in name or os.sep in name:
             raise UserError(f"scenario name {name!r} would name a folder; leave out the slash")
         if names.count(name) > 1:
             raise UserError(f"two scenarios are called {name!r}; their results would mix")
-    return resolved
