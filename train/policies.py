@@ -139,6 +139,8 @@ def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
             field, equals, value = change.partition("=")
             if not equals:
                 raise UserError(f"--set {change}: write FIELD=VALUE, as in n_robots=9")
+            if field in given:
+                raise UserError(f"--set {change}: {field} is named twice; give one value")
             try:
                 given[field] = tomllib.loads(f"value = {value}")["value"]
             except tomllib.TOMLDecodeError:

@@ -63,6 +63,7 @@ MISTAKES = {
     f"compare --seed {2**63}": "too large",
     "compare --oracle-runs -1": "--oracle-runs is -1",
     "compare --scenario duo --set n_robots": "--set n_robots: write FIELD=VALUE",
+    "compare --scenario duo --set n_robots=3 n_robots=4": "n_robots is named twice",
     "compare --scenario duo --set robots=9": "--set robots=9: scenario has no field 'robots'; did",
     "compare --scenario duo --set n_robots=0": "--set n_robots=0: n_robots",
     f"compare --scenarios {'a' * 300}.toml": "it is too long for a file",
