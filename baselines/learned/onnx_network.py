@@ -48,6 +48,7 @@ class OnnxNetwork(Network):
             )
         if digest[1].decode() != digest_of(content):
             raise CheckpointError(f"{path}: its content was changed: the digest in it does not fit")
+        self._file = path, content
         self._session = _session(path, content)
         found = self._session.get_modelmeta().custom_metadata_map.get(SETTINGS_KEY)
         if found is None:
@@ -59,6 +60,12 @@ class OnnxNetwork(Network):
         except (TypeError, ValueError) as error:
             raise CheckpointError(f"{path}: is no policy of this version: {error}") from error
         self.layout = self.settings.layout(0, 0)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"_session": None}  # which does not pickle, and is made anew
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, _session=_session(*state["_file"]))
 
     def preferences(self, shown: Array, hidden: Array | None = None) -> Array:
         """As ``Network.preferences``."""

@@ -1,6 +1,7 @@
 """``rendezvous export``: the file does what the policy does, for any number of rows."""
 
 import json
+import pickle
 import sys
 
 import numpy as np
@@ -162,6 +163,13 @@ class TestPolicy:
         assert known(copy) == one
         copy.write_bytes((exported / "learned-tank.onnx").read_bytes())
         assert known(copy) != one
+
+    def test_it_goes_on_bit_by_bit_from_a_pickle(self, exported):
+        robot, seen = RobotPolicy(CLUTTER, exported / "learned.onnx"), [[0.6, 0.8], [0.8, -0.6]]
+        robot.act(seen, [[[0.0, 1.0], [0.6, 0.8]]])
+        other = pickle.loads(pickle.dumps(robot))
+        for _ in range(20):
+            np.testing.assert_array_equal(robot.act(seen), other.act(seen))
 
 
 class TestErrors:
