@@ -125,7 +125,7 @@ class _PresetPolicy(GuidedPolicy):
 
     def _start(self, teams: int) -> None:
         super()._start(teams)
-        self._held = np.zeros((teams, *(self._one.shape or ())), self._one.dtype)
+        self._held = np.zeros((teams, *(self._one.shape or ())), np.float32)
 
     def _choose(self, shown: Float32, due: Mask) -> None:
         self._held[due] = self._ask(shown)[due]

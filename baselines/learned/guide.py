@@ -246,7 +246,7 @@ class GuidedTeams:
             raise ValueError(
                 f"actions have shape {given.shape}; they must be (B, n) = {self.choices.shape}"
             )
-        for team, robot in np.argwhere(~((given >= 0) & (given < count))):
+        for team, robot in np.argwhere(~((given >= 0) & (given < count) & (given == given // 1))):
             raise ValueError(
                 f"action of robot_{robot} in team {team} is {given[team, robot]}; it must be a "
                 f"whole number below {count}"

@@ -102,6 +102,11 @@ def test_training_environments_name_the_robot(form, bad):
         ({"discrete": True}, np.full((2, 4), 9), "robot_0 in team 0 is 9.*whole number below 9"),
         (
             {"discrete": True},
+            np.full((2, 4), 1.5),
+            "robot_0 in team 0 is 1.5.*whole number below 9",
+        ),
+        (
+            {"discrete": True},
             [[0, 0, 0, 0], [0, 0, -1, 0]],
             "robot_2 in team 1 is -1",
         ),

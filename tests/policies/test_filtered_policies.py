@@ -255,6 +255,11 @@ class TestModels:
         policy = TrainedPolicy("duo", lambda seen: seen)
         with pytest.raises(ValueError, match=r"predict gave an array of .* it must be \(2, 2\)"):
             policy(rv.Simulator(rv.scenarios.get("duo"), 1).reset(0), 0.0)
+        policy = TrainedPolicy("duo", lambda seen: np.full(len(seen), 1.5), discrete=True)
+        with pytest.raises(
+            ValueError, match=r"robot_0 in team 0 is 1.5; it must be a whole number"
+        ):
+            policy(rv.Simulator(rv.scenarios.get("duo"), 1).reset(0), 0.0)
 
 
 class TestDicts:
