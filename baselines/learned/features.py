@@ -15,6 +15,7 @@ from rendezvous_env.engine.state_checks import (
     check_numbers,
     check_observations,
 )
+from rendezvous_env.engine.threads import Calls, Part
 from rendezvous_env.safety.safety_filter import over_teams
 from rendezvous_env.scenario.scenario import Scenario
 
@@ -166,24 +167,14 @@ class Features(Remembering):
             times[:] = check_numbers("elapsed", elapsed, robots[:1], "(B,)")
         if shown is None:
             shown = np.zeros((*robots, self.layout.size), dtype=np.float32)
-        over_teams(
-            lambda part: [
-                partial(
-                    show,
-                    part,
-                    (teams, times),
-                    observations,
-                    (headings, velocities),
-                    self._constants,
-                    (self._kept, np.empty((slots, 2))),
-                    (levels, self._walls),
-                    shown,
-                )
-            ],
-            len(teams),
-            _WEIGHT * robots[1],
-            self._num_threads,
-        )
+        given = (teams, times), observations, (headings, velocities), self._constants
+        remembered, weight = (levels, self._walls), _WEIGHT * robots[1]
+
+        def calls_of(part: Part) -> Calls:
+            memory = self._kept, np.empty((slots, 2))
+            return [partial(show, part, *given, memory, remembered, shown)]
+
+        over_teams(calls_of, len(teams), weight, self._num_threads)
         return shown
 
     def note(self, angles: Array) -> None:

@@ -88,6 +88,9 @@ class BatchRunner:
     def __init__(self, state: State, num_threads: int | None, max_steps: int) -> None:
         place, n = state.place, state.place.scenario.n_robots
         self._state, self._parts, self._num_threads = state, state.parts(), num_threads
+        rows = 1 + place.neighbours + _OBSTACLES * (place.rows - place.neighbours)
+        rows *= 1 if place.scenario.sensing.exact else _ERRING
+        self._work_of_step = place.batch * n * rows
         self.width, self._ahead = self._threads(1)
         self.layout, self.robot = layout(place), robot(place.scenario)
         self._sensor = sensor(state)
@@ -109,11 +112,8 @@ class BatchRunner:
         """As many threads as have enough work each in so many steps, and the share of it that the
         first one does ahead of the others.
         """
-        place, scenario = self._state.place, self._state.scenario
-        rows = 1 + place.neighbours + _OBSTACLES * (place.rows - place.neighbours)
-        rows *= 1 if scenario.sensing.exact else _ERRING
-        work = steps * place.batch * scenario.n_robots * rows
-        if (most := min(place.blocks, work // _WORK_PER_THREAD)) <= 1:
+        work = steps * self._work_of_step
+        if (most := min(self._state.place.blocks, work // _WORK_PER_THREAD)) <= 1:
             return 1, 0.0  # to ask how many cores there are takes a while
         return min(most, threads.most_threads(self._num_threads)), min(_WORK_AHEAD / work, 1.0)
 

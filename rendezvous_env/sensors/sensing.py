@@ -77,7 +77,7 @@ class Sensing:
     @property
     def exact(self) -> bool:
         """Whether nothing is missed and no bearing is wrong."""
-        return self == _EXACT  # not made anew: it is asked in every step
+        return self == _EXACT
 
     @property
     def built_in_exact(self) -> bool:

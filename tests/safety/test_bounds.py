@@ -220,6 +220,14 @@ def test_law_1_is_certified_by_g_and_a_and_held_by_d1_too():
     assert found.promises == close(expected) and not found.continuous_time_only
 
 
+def test_a_pair_is_certified_by_the_closed_form_and_a_step():
+    """Two robots close at 2a: T = d/(2a), held or not."""
+    pair = Scenario(n_robots=2, start_positions=[[0, 0], [3, 4]], graph=graphs.path(0.5))
+    found = certificate(pair)
+    assert found.continuous_time_bound == close(5 / (2 * 0.5))
+    assert found.time_bound == close(5 / (2 * 0.5) + pair.tau)
+
+
 def test_g_is_never_above_a():
     """Of clusters, lines and clouds, on all graphs, with and without a speed limit."""
     random = np.random.default_rng(0)

@@ -11,11 +11,11 @@ from ...robots.robot_models import constants_of, is_custom
 from ...scenario.scenario import Scenario
 from ...sensors.sensing import Sensing
 from ..gains import gain_range
-from ..settings import is_complete, levels_follow_v
+from ..settings import is_complete
 from . import constants as known
 from .theorem import Asked, Assumption
 
-_LEAST_MOVE, _LEAST_GAIN = 2.0**-40, 2.0**-52
+_LEAST_MOVE, _LEAST_FAR_OUT, _LEAST_GAIN = 2.0**-40, 2.0**-46, 2.0**-52
 """Of the largest coordinate: float64 rounds positions by up to 2⁻⁵³ of it."""
 _WHY_NOT = {
     known.DIRECTED: "V counts links both ways, and here a robot need not be seen by whom it sees",
@@ -251,38 +251,26 @@ def rows_for_all(scenario: Scenario, asked: Asked) -> str:
     )
 
 
-def _carried(scenario: Scenario, asked: Asked) -> float:
-    """How far apart tanks may carry robots, m: V ≥ 2a* of it, and where levels follow V, 2(m−1)a*,
-    is no more than V0⁺ + (n−1) r W + ΣB_i, or (m−1) ((V(0) + ΣB_i)/(n−1) + (n−1) r a) (theorem D).
-    """
-    n, least = scenario.n_robots, scenario.bottleneck_weight
-    budgets = n * min(asked.budget, LARGEST)
-    if levels_follow_v(scenario) and known.merges_at_midpoints(scenario):
-        most = (known.largest_lyapunov(scenario) + budgets) / (n - 1)
-        most += (n - 1) * scenario.merge_radius * least
-    else:
-        reach = scenario.speed_limit * scenario.tau
-        most = float(known.lyapunov_bound(scenario, reach=reach)) + budgets
-        most += known.merge_rise_allowance(scenario)
-    return most / (2.0 * least)
-
-
 def outlasts_rounding(scenario: Scenario, asked: Asked) -> str:
     """A step at the least speed that is promised, τ a* λ ε or τ c, moves robots by 2⁻⁴⁰ of their
     largest coordinate or more, and brings them nearer, by ε times that, by 2⁻⁵² or more. Where the
     heaviest links may be out of sight, the lightest takes the place of a*. Tanks may carry robots
-    as far apart as V allows.
+    as far apart as V allows, V ≥ 2a* of it, or where levels follow V, 2(m−1)a*; there 2⁻⁴⁶ will do.
     """
     starts, margin = scenario.start_positions, asked.min_alignment
     largest = scenario.spawn_size / 2.0 if starts is None else float(np.abs(starts).max())
     unseen = nearest_hides(scenario) or (asked.by == "links" and scenario.sensing.range is not None)
     speed = known.lightest_link(scenario) if unseen else scenario.bottleneck_weight
-    largest += _carried(scenario, asked) if asked.by == "tank" else 0.0
+    needed = largest * max(_LEAST_MOVE, _LEAST_GAIN / margin)
+    if asked.by == "tank":
+        most, each = known.tank_bounds(scenario, min(asked.budget, LARGEST))
+        far = largest + (most if each is None else each) / (2.0 * speed)
+        if (there := far * max(_LEAST_FAR_OUT, _LEAST_GAIN / margin)) > needed:
+            largest, needed = far, there
     if asked.by == "gains":
         speed = gain_range(scenario, asked.min_gain, asked.max_gain)[0]
     speed = min(speed, scenario.speed_limit, scenario.merge_radius / (2.0 * scenario.tau))
     moved = scenario.tau * speed * margin * (asked.share if asked.by == "links" else 1.0)
-    needed = largest * max(_LEAST_MOVE, _LEAST_GAIN / margin)
     if moved >= needed:
         return ""
     return (

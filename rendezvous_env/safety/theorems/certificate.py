@@ -24,7 +24,7 @@ THEOREMS: tuple[Theorem, ...] = tuple(
 )
 """All that certificates ask, in turn; the first that promises a rendezvous gives the words."""
 _KEPT = {
-    "lyapunov": "V never exceeds {:.4g} m²/s",
+    "lyapunov": "V never exceeds {:.4g} m²/s{}",
     "hull": "L never exceeds {:.4g} m",
     "link_growth": "a link that merges cannot end never grows by more than {:.4g} m",
     "expected_time": "the mean time to rendezvous never exceeds {:.4g} s",
@@ -103,10 +103,9 @@ class Certificate:
 
     def __str__(self) -> str:
         """What is promised, by when, and how that compares with the episode's limit."""
-        promises = self.promises.items()
-        kept = [_KEPT[name].format(bound) for name, bound in promises if name in _KEPT]
-        if self.touches_obstacles and math.isfinite(self.lyapunov_bound):
-            kept[0] += " in motion without a contact"  # V is first
+        promises, free = self.promises.items(), " in motion without a contact"
+        free *= self.touches_obstacles
+        kept = [_KEPT[name].format(bound, free) for name, bound in promises if name in _KEPT]
         if self.tolerated_bearing_error > 0:
             told = " if the wrapper is told so" * (self.by in ("heading", "tank", "links"))
             kept.append(f"bearings may err by up to {self.tolerated_bearing_error:.3g} rad{told}")

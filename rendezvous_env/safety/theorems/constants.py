@@ -13,7 +13,7 @@ from ...graphs import Graph
 from ...physics.hull_perimeter import size
 from ...scenario.scenario import Scenario
 from ..lyapunov import lyapunov
-from ..settings import has_one_weight, is_complete
+from ..settings import has_one_weight, is_complete, levels_follow_v
 
 Array = NDArray[np.float64]
 
@@ -152,6 +152,19 @@ def lyapunov_bound(
         return most
     total = scenario.sensing_graph.weight_sum(scenario.n_robots)
     return most + 4.0 * total * (scenario.merge_radius / 2.0 if reach is None else reach)
+
+
+def tank_bounds(scenario: Scenario, budget: float) -> tuple[float, float | None]:
+    """The most that V with all tanks can be, V0⁺ + (n−1) r W + ΣB_i, m²/s; and where levels follow
+    V, what it is m − 1 times of at most while m are left, (V(0) + ΣB_i)/(n−1) + (n−1) r a; else
+    None (theorem D).
+    """
+    n, reach, each = scenario.n_robots, scenario.speed_limit * scenario.tau, None
+    most = float(lyapunov_bound(scenario, reach=reach)) + merge_rise_allowance(scenario)
+    if levels_follow_v(scenario) and merges_at_midpoints(scenario):
+        each = (largest_lyapunov(scenario) + n * budget) / (n - 1)
+        each += (n - 1) * scenario.merge_radius * scenario.bottleneck_weight
+    return most + n * budget, each
 
 
 @_of_the_last

@@ -21,7 +21,6 @@ Proof: docs/proofs.md, D.
 """
 
 from ...scenario.scenario import Scenario
-from ..settings import levels_follow_v
 from . import assumptions as given
 from . import constants as known
 from .noise import certified_bounds
@@ -30,22 +29,15 @@ from .theorem import Asked, Bounds, Theorem
 
 def lyapunov_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """V alone: with walls, and for robots that turn."""
-    reach = scenario.speed_limit * scenario.tau
-    most = known.lyapunov_bound(scenario, reach=reach)
-    most += known.merge_rise_allowance(scenario) + scenario.n_robots * asked.budget
-    return Bounds(lyapunov=float(most))
+    return Bounds(lyapunov=known.tank_bounds(scenario, asked.budget)[0])
 
 
 def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """The time."""
-    n, each = scenario.n_robots, None
-    if levels_follow_v(scenario) and known.merges_at_midpoints(scenario):
-        each = (known.largest_lyapunov(scenario) + n * asked.budget) / (n - 1)
-        each += (n - 1) * scenario.merge_radius * scenario.bottleneck_weight
+    most, each = known.tank_bounds(scenario, asked.budget)
     words = "theorem D: whatever is wanted, all robots meet in finite time while a tank keeps count"
     words += f" and charges errors of {asked.error:.4g} rad" * (asked.error > 0)
     who, even_so = "a tank of this margin", "; V stays bounded even so"
-    most = lyapunov_bounds(scenario, asked).lyapunov
     return certified_bounds(scenario, asked, most, each, 0.0, words, who, even_so)
 
 
