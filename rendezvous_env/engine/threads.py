@@ -39,7 +39,8 @@ def share(calls_of: Callable[[Part], Calls], blocks: int, most: int, ahead: floa
 
     Raises:
         BaseException: what a call raised, or what interrupted the caller (Ctrl-C). No thread works
-            on any block then, and unless a call has failed all are done or none.
+            on any block then, and unless a call has failed all are done or none. Of several signals
+            that raise shortly after one another a later one may leave before the others have ended.
     """
     if most == 1 or not compiled():
         for one in calls_of((0, blocks, 0)):

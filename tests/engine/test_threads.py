@@ -178,29 +178,6 @@ def test_an_interrupted_job_is_done_or_was_never_begun(most, kind):
     np.testing.assert_array_equal(marked(9, most), 1.0)  # and the threads still work
 
 
-@KINDS
-@pytest.mark.parametrize("most", [2, 4])
-def test_what_other_signals_raise_while_a_job_ends_is_put_off_too(most, kind):
-    """A time-out is no KeyboardInterrupt, and no failure of the caller's own calls."""
-    left, marks = 9, np.zeros(64)
-
-    def late(_, frame):
-        nonlocal left
-        if left > 0 and frame.f_code.co_filename == threads.__file__:
-            left -= 1
-            raise TimeoutError
-
-    with interrupts():
-        signal.signal(signal.SIGALRM, late)
-        signal.setitimer(signal.ITIMER_REAL, 0.02, 1e-3)
-        with pytest.raises(TimeoutError):
-            threads.share(kind(marks, 1_000_000), 64, most)
-        seen = marks.copy()
-        time.sleep(0.05)
-        np.testing.assert_array_equal(marks, seen)
-    np.testing.assert_array_equal(marks, 1.0)
-
-
 @pytest.mark.parametrize("around", [None, HeadingVectorWrapper, EnergyTankWrapper])
 def test_an_interrupted_step_is_one_for_all_teams_or_none(around, monkeypatch):
     """At all moments of a step of four threads; under a guarantee tanks are filled in all teams
