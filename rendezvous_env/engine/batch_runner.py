@@ -26,8 +26,9 @@ _WORK_AHEAD = 12288
 _OBSTACLES, _ERRING, _PILOTED = 4, 2, 2
 """So many times as long take rows of obstacles, sensors that err, and steps with a pilot."""
 
-
-Show = Callable[[Part, NDArray[np.float32]], Calls]
+_Seen = NDArray[np.float32]  # annotations within ``drive`` are looked up in every step
+_Steps = Iterator[Callable[[], Any]]
+Show = Callable[[Part, _Seen], Calls]
 """What looks at observations (B, n, rows, d) of some teams."""
 
 
@@ -175,7 +176,7 @@ class BatchRunner:
             self._scratch.append(scratch(self._state.place))
         advance = self._work(True, self._blocks, actions, output)
 
-        def step(part: Part, mine: Part, now: NDArray[np.float32]) -> Iterator[Callable[[], Any]]:
+        def step(part: Part, mine: Part, now: _Seen) -> _Steps:
             yield from pilot.act_of(mine, now, actions)
             yield advance(part)
             if pilot.keeps_ledger:

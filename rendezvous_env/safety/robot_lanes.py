@@ -13,14 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import compiled, inner_kernel
+from ..engine.memory import read_row
 from ..engine.threads import Calls, Part
 from ..physics.neighbour_rows import net_bearing_of
-from ..physics.vectors import combine, load_pair, norm
+from ..physics.vectors import combine, exactly, load_pair, norm
 
 LANES = 32 if compiled() else 1  # robots that are worked on at a time
 PLANE, SPACE = (0.0, 0.0), (0.0, 0.0, 0.0)
 """Vectors as long as those that a loop over lanes is compiled for."""
-_ROWS = 21
+_ROWS = 18
 Numbers = NDArray[np.float64]
 
 
@@ -28,7 +29,6 @@ class Lanes(NamedTuple):
     """Robots in lanes: vectors (3, LANES), z = 0 in the plane, and numbers (LANES,)."""
 
     f: Numbers  # net bearings, m/s
-    row: Numbers  # one of what is seen, m/s
     choice: Numbers  # that is held
     heading: Numbers
     sent: Numbers  # velocities of actions, m/s
@@ -42,19 +42,20 @@ class Lanes(NamedTuple):
 
 def in_lanes(kernel: Any, teams: Part, constants: Any, *arrays: NDArray[Any]) -> Calls:
     """The call of a kernel for the robots of some teams, b·n + i for robot i of team b: it is given
-    which ones, constants, arrays (B, n, ...), any unit, as (B·n, ...), and memory for ``lanes_of``.
+    which ones, constants, arrays (B, n, ...), any unit, the first of which is observations, as
+    (B·n, ...), and memory for ``lanes_of`` and rows.
     """
-    n = arrays[0].shape[1]
+    n, rows = arrays[0].shape[1:3]
     robots = tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])  # not copied
     which = teams[0] * n, teams[1] * n
-    return [partial(kernel, which, constants, robots, np.zeros((_ROWS, LANES)))]
+    return [partial(kernel, which, constants, robots, np.zeros((_ROWS + 2 * rows, LANES)))]
 
 
 @inner_kernel(inline="text")
 def lanes_of(work):
     """The Lanes whose rows these are."""
-    vectors = work[0:3], work[3:6], work[6:9], work[9:12], work[12:15]
-    return Lanes(*vectors, work[15], work[16], work[17], work[18], work[19], work[20])
+    vectors = work[0:3], work[3:6], work[6:9], work[9:12]
+    return Lanes(*vectors, work[12], work[13], work[14], work[15], work[16], work[17])
 
 
 # Robots are cut out of arrays first: of ``values[first + lane]`` the compiler cannot know that the
@@ -143,22 +144,42 @@ def read_rows(space, observations, first, stop, neighbour_slots, weighs, work):
     if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
         return
     lanes = lanes_of(work)
-    if not weighs:
+    if weighs:
+        room = work[_ROWS:].reshape(-1).view(np.float32)[: neighbour_slots * LANES * len(space)]
+        rows = room.reshape(neighbour_slots, LANES * len(space))
+        _weigh_rows(space, observations[first:stop], rows, lanes)
+    else:
         if len(space) == 2:
             _sum_in_plane(observations[first:stop], neighbour_slots, lanes.f)
         else:
             for lane in range(min(LANES, stop - first)):
                 put(net_bearing_of(observations[first + lane], neighbour_slots), lanes.f, lane)
         lanes.degree[:] = 0.0
-        return
+
+
+@inner_kernel(inline="code")
+def _weigh_rows(space, observations, rows, lanes):
+    """f_i and D_i by way of neighbour rows (K, LANES·d) side by side, where roots are quicker."""
+    if len(space) == 2:  # both numbers of a row in one piece
+        _bring(observations.view(np.float64), rows.view(np.float64), 1)
+    else:
+        _bring(observations, rows, 3)
     lanes.f[:] = 0.0
     lanes.degree[:] = 0.0
-    for k in range(neighbour_slots):  # roots are quicker side by side
-        take_in(observations[:, k], first, stop, lanes.row)
+    for k in range(len(rows)):
         for lane in range(LANES):
-            row = vector_of(space, lanes.row, lane)
+            row = exactly(read_row(rows[k], lane, space))
             put(combine(1.0, vector_of(space, lanes.f, lane), 1.0, row), lanes.f, lane)
             lanes.degree[lane] += norm(row)
+
+
+@inner_kernel(inline="code")
+def _bring(observations, rows, parts):
+    """Copy rows (N, K, parts) into those of lanes, (K, LANES·parts)."""
+    for lane in range(len(observations)):
+        for k in range(len(rows)):
+            for part in range(parts):
+                rows[k, lane * parts + part] = observations[lane, k, part]
 
 
 @inner_kernel(inline="code")

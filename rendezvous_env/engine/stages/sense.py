@@ -23,6 +23,9 @@ from .sense_obstacles import sense_obstacles
 from .sense_one_by_one import sense_one_by_one
 
 
+_MANY_ROWS = 256  # which with those of the other lanes no longer fit into the nearest cache
+
+
 @inner_kernel(inline="text")
 def sense_block(block, setup, sensor, moves, state, output, scratch):
     """Write a block's observations and clearances, and who is closest; half of V is left in
@@ -226,10 +229,25 @@ def _copy_rows(block, layout, rows, observations):
     source = rows.reshape(n_rows, rows.shape[2])
     everybody = observations.reshape(observations.shape[0], n_rows * parts)
     target = everybody[block.first : block.first + block.count]
-    for k in range(n_rows):
-        for lane in range(target.shape[0]):
+    if n_rows < _MANY_ROWS:
+        _copy_together(source, target, parts, 4)
+    else:
+        _copy_together(source, target, parts, 32)
+
+
+@inner_kernel(inline="code")
+def _copy_together(source, target, parts, count):
+    """So many rows of a lane at a time, since they lie side by side, and the last few one by one."""
+    whole = len(source) - len(source) % count
+    for k in range(0, whole, count):
+        for lane in range(len(target)):
+            for row in range(k, k + count):
+                for part in range(parts):
+                    target[lane, row * parts + part] = source[row, lane * parts + part]
+    for row in range(whole, len(source)):
+        for lane in range(len(target)):
             for part in range(parts):
-                target[lane, k * parts + part] = source[k, lane * parts + part]
+                target[lane, row * parts + part] = source[row, lane * parts + part]
 
 
 @inner_kernel
