@@ -1,5 +1,6 @@
 """The state of B teams: arrays by team outside, lane blocks inside."""
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -78,20 +79,26 @@ class State:
 
     def of_teams(self, name: str, which: NDArray[np.int64] | None = None) -> NDArray[Any]:
         """An array of these teams or all, (count, …), as a copy."""
-        return self._arrays[name][self._index(name, self._everybody if which is None else which)]
+        return self._copies([name], self._everybody if which is None else which)[name]
 
     def give(self, which: NDArray[np.int64], **arrays: NDArray[Any]) -> None:
         """Write arrays of these teams, (count or 1, …)."""
+        places = self._places(which)
         for name, values in arrays.items():
-            self._arrays[name][self._index(name, which)] = values
-
-    def _index(self, name: str, which: NDArray[np.int64]) -> Any:
-        lanes = self.lanes
-        return (which // lanes, ..., which % lanes) if name in self._in_blocks else which
+            self._arrays[name][places[name in self._in_blocks]] = values
 
     def copy_of(self, which: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
         """All that a reset of these teams may change, for ``give``."""
-        return {name: self.of_teams(name, which) for name in self._arrays if name != "past"}
+        return self._copies([name for name in self._arrays if name != "past"], which)
+
+    def _copies(self, names: Iterable[str], which: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        places = self._places(which)
+        return {name: self._arrays[name][places[name in self._in_blocks]] for name in names}
+
+    def _places(self, which: NDArray[np.int64]) -> tuple[Any, Any]:
+        """Where these teams stand in arrays (B, …), and in those of blocks."""
+        block, lane = np.divmod(which, self.lanes)
+        return which, (block, ..., lane)
 
     def statistic(self, name: str) -> NDArray[np.float64]:
         """One of STATISTICS of every team, (B,), as a copy."""
@@ -109,7 +116,7 @@ class State:
 
     def as_dict(self) -> dict[str, NDArray[Any]]:
         """All that is neither constant nor follows from the rest, as copies with leading axis B."""
-        state = {name: self.of_teams(name) for name in self._told}
+        state = self._copies(self._told, self._everybody)
         state |= {name: self.statistic(name).astype(kind) for name, kind in KEPT.items()}
         return state | {"obstacles": self.obstacle_table().copy()}
 
