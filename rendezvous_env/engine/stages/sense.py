@@ -22,7 +22,6 @@ from .sense_by_chance import gain_of, sense_by_chance
 from .sense_obstacles import sense_obstacles
 from .sense_one_by_one import sense_one_by_one
 
-
 _MANY_ROWS = 256  # which with those of the other lanes no longer fit into the nearest cache
 
 
