@@ -7,11 +7,9 @@ waits. A step that Ctrl-C interrupts is one for all teams or for none.
 
 import os
 import threading
-import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
-from itertools import count
 from operator import call
 from queue import SimpleQueue
 from types import BuiltinFunctionType
@@ -19,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..compilation import compiled, is_kernel, kernel
+from ..compilation import compiled, entry_point, is_kernel, kernel
 
 Part = tuple[int, int, int]
 """One thread's part of the work: its first block, the one after its last, and its own index."""
@@ -29,7 +27,7 @@ Calls = Sequence[Callable[[], Any]]
 _PATIENCE = 200_000
 """Turns, some 60 µs, for which the caller watches the others before it sleeps: to be woken takes
 half as long, and nobody else would use its core."""
-_MOST_SIGNALS = 20  # that raise something else than KeyboardInterrupt, while a job is seen through
+_FOR_EVER = 2**62
 
 
 def share(calls_of: Callable[[Part], Calls], blocks: int, most: int, ahead: float = 0.0) -> None:
@@ -39,8 +37,7 @@ def share(calls_of: Callable[[Part], Calls], blocks: int, most: int, ahead: floa
 
     Raises:
         BaseException: what a call raised, or what interrupted the caller (Ctrl-C). No thread works
-            on any block then, and unless a call has failed all are done or none. Of several signals
-            that raise shortly after one another a later one may leave before the others have ended.
+            on any block then, and unless a call has failed all are done or none.
     """
     if most == 1 or not compiled():
         for one in calls_of((0, blocks, 0)):
@@ -49,13 +46,14 @@ def share(calls_of: Callable[[Part], Calls], blocks: int, most: int, ahead: floa
     ends = [round(blocks * (ahead + (1.0 - ahead) * k / most)) for k in range(1, most + 1)]
     cuts = [0, *ends]
     job = _Job(calls_of, list(zip(cuts, cuts[1:], range(most), strict=False)))
+    see_through = job.calls_to_see_it_through()
     _ensure_workers(most)
     try:
         for _ in range(most - 1):
             _jobs.put(job)
         job.take_part()
     except BaseException:
-        job.settle()
+        deque(see_through, 0)  # from what is raised to here, and within, no signal is heard
         raise
     finally:
         job.let_go()
@@ -70,78 +68,58 @@ class _Job:
         self._calls_of: Callable[[Part], Calls] | None = calls_of
         self._first, self._left = parts[0], deque(parts[1:])
         self._to_hand_over = iter(parts[:1])
-        self._count = len(parts)
-        self._ended: list[None] = []
-        self._own: list[Callable[[], Any]] = []
+        self._own: list[Callable[[], Any]] | None = None
         self._made: list[Any] = []  # what the caller's own calls have returned
-        self._beginning = threading.Lock()
-        self._begun = self._called_off = False
-        self._over = np.zeros(1, np.int64)
-        self._done: SimpleQueue[None] = SimpleQueue()
+        self._ended = np.zeros(len(parts), np.int64)  # 1 for each part that has
+        self._over: SimpleQueue[None] = SimpleQueue()
         self.errors: list[BaseException] = []
 
     def help(self) -> None:
-        """Do parts that nobody has taken yet, unless the job was called off before it began."""
-        with self._beginning:
-            self._begun = not self._called_off or self._begun
-        while self._begun and self._left:
+        """Do parts that nobody has taken yet."""
+        while self._left:
             try:
                 part = self._left.popleft()
             except IndexError:  # another thread was faster
                 return
             try:
-                assert self._calls_of is not None
-                for one in self._calls_of(part):
+                for one in self._calls(part):
                     one()
             except BaseException as error:
                 self.errors.append(error)
-            self._ended.append(None)
-            if self._all_ended:
-                self._over[0] = 1
-                self._done.put(None)
+            self._ended[part[2]] = 1
+            if self._ended.all():
+                self._over.put(None)
+
+    def _calls(self, part: Part) -> Calls:
+        """What there is to do for a part; of the caller's own, what it has left over."""
+        if part is self._first and self._own is not None:
+            return self._own[len(self._made) :]
+        assert self._calls_of is not None
+        return self._calls_of(part)
 
     def take_part(self) -> None:
         """Do the caller's part, or leave it to the others, and wait for them."""
         assert self._calls_of is not None
         own: list[Callable[[], Any]] = [*self._calls_of(self._first)]
-        own.append(partial(self._ended.append, None))
+        own.append(partial(self._ended[:1].fill, 1))
+        patience = 0
         if all(map(_is_uninterrupted, own)):
-            self._own = own
-        self._see_to_own_part()
-        if not self._all_ended:
-            if self._own:
-                _watch(self._over, np.zeros(1, np.int64), _PATIENCE)
-            self._done.get()
-
-    def _see_to_own_part(self) -> None:
-        """Each line does all that it can or nothing, and once only, however often it is tried."""
-        if self._own:
-            self._made.extend(map(call, self._own[len(self._made) :]))
+            self._own, patience = own, _PATIENCE
+            self._made.extend(map(call, own))
         else:
             self._left.extend(self._to_hand_over)
             _jobs.put(self)
+        if not _watch(self._ended, np.zeros(1, np.int64), patience):
+            self._over.get()
 
-    @property
-    def _all_ended(self) -> bool:
-        return len(self._ended) == self._count
-
-    def settle(self) -> None:
-        """Call the job off, or see it through if it has begun; interrupts are put off."""
-        for tries in count():
-            try:
-                self._called_off = not self._made
-                while self._beginning.locked():  # from here on nobody begins it
-                    time.sleep(0)
-                if self._begun or self._made:
-                    self._see_to_own_part()
-                    while not self._all_ended:
-                        time.sleep(1e-4)
-                return
-            except KeyboardInterrupt:  # the first one leaves soon
-                continue
-            except Exception:  # a signal's; or one of the caller's own calls fails, ever again
-                if tries > _MOST_SIGNALS and len(self._made) < len(self._own):
-                    self._own, self._made = [partial(self._ended.append, None)], []
+    def calls_to_see_it_through(self) -> Iterator[Any]:
+        """Hands over what the caller has left, and waits for all: each by a call in which Python
+        executes no instruction of its own, when the iterator is asked.
+        """
+        watch = _compiled_watch()
+        hand_over, put = partial(self._left.extend, self._to_hand_over), partial(_jobs.put, self)
+        wait = partial(watch, self._ended, np.zeros(1, np.int64), _FOR_EVER)
+        return map(call, (hand_over, put, wait))
 
     def let_go(self) -> None:
         """Keep no arrays alive, though a thread that wakes late still has the job."""
@@ -156,12 +134,22 @@ def _is_uninterrupted(one: Any) -> bool:
 
 
 @kernel
-def _watch(over, turns, most):
-    """Wait until it is over, for so many turns at most; they are counted in an array, which might
-    be the same one, so that the compiler looks each time.
+def _watch(ended, turns, most):
+    """Wait for all to be 1, for so many turns at most; whether they are. Turns are counted in an
+    array, which might be the same one, so that the compiler looks each time.
     """
-    while over[0] == 0 and turns[0] < most:
-        turns[0] += 1
+    for k in range(len(ended)):
+        while ended[k] == 0 and turns[0] < most:
+            turns[0] += 1
+    for k in range(len(ended)):
+        if ended[k] == 0:
+            return False
+    return True
+
+
+@cache
+def _compiled_watch() -> Callable[..., Any]:
+    return entry_point(_watch, (np.zeros(1, np.int64), np.zeros(1, np.int64), 0))
 
 
 _jobs: SimpleQueue[_Job] = SimpleQueue()

@@ -236,7 +236,7 @@ def _copy_rows(block, layout, rows, observations):
 
 @inner_kernel(inline="code")
 def _copy_together(source, target, parts, count):
-    """So many rows of a lane at a time, since they lie side by side, and the last few one by one."""
+    """So many rows of a lane at a time, which lie side by side, and the last few one by one."""
     whole = len(source) - len(source) % count
     for k in range(0, whole, count):
         for lane in range(len(target)):
