@@ -39,7 +39,8 @@ def share(calls_of: Callable[[Part], Calls], blocks: int, most: int, ahead: floa
         BaseException: what a call raised, or what interrupted the caller (Ctrl-C). No thread works
             on any block then, and unless a call has failed all are done or none.
     """
-    if most == 1 or not compiled():
+    # a helper that shares waits for the others, and they might for it
+    if most == 1 or not compiled() or threading.current_thread() in _workers:
         for one in calls_of((0, blocks, 0)):
             one()
         return

@@ -87,6 +87,17 @@ def test_one_thread_is_the_callers_and_without_compilation_there_is_no_other(com
     assert seen == {threading.current_thread()}
 
 
+def test_what_is_shared_within_a_part_is_done_by_the_thread_that_has_the_part():
+    """All threads might wait for each other else."""
+    caller, done = threading.current_thread(), []
+
+    def within(part):
+        return [lambda: done.append((part, threading.current_thread() is caller))]
+
+    threads.share(lambda _: [lambda: threads.share(within, 8, 2)], 8, 2)
+    assert done == [((0, 8, 0), False)] * 2
+
+
 def test_slices_are_done_at_the_same_time_and_the_caller_waits_for_the_slowest():
     barrier, done = threading.Barrier(2, timeout=20), []
 
