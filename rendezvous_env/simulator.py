@@ -98,7 +98,8 @@ class Simulator(StateView):
             Observations of all teams, (B, n, rows, d) float32.
 
         Raises:
-            ValueError: for a bad option, seed or mask; nothing has changed then.
+            ValueError: for a bad option, seed or mask; nothing has changed then. Or for what an
+                imperfection of one's own made of the start: the episodes have begun.
             RuntimeError: if no room was found for a start or an obstacle; nothing has changed then.
                 Or if the graph drawn gives a robot more neighbours than the observation has rows.
         """
@@ -154,20 +155,21 @@ class Simulator(StateView):
 
         Raises:
             ValueError: for a wrong shape or a number that is not finite, naming the robot; nothing
-                has changed then.
+                has changed then. Or for what a reward term or imperfection of one's own made of the
+                step, which has been made.
             RuntimeError: before the first reset; or if a custom robot model moved a robot farther
                 than its speed limit allows, naming the robot: these teams need a reset then.
         """
         if not self._ready:
             raise RuntimeError("call reset() before step()")
         table = self.check_actions(actions)
-        before = self.positions if self._own_model else None
+        before = (self.positions, self.active) if self._own_model else None
         self.changes += 1
         self._all_running = False  # not known, should an interrupt leave from here
         output = self._custom_step(table) if self._custom else self._runner.step(table)
         self._all_running = not np.count_nonzero(output.status)  # RUNNING is 0
         if before is not None:
-            self._refuse_leaps(before)
+            self._refuse_leaps(*before)
         self._refuse_crowds(output)
         return output
 
@@ -198,12 +200,13 @@ class Simulator(StateView):
         self._all_running = not np.count_nonzero(driven.output.status)
         return driven
 
-    def _refuse_leaps(self, before: NDArray[np.float64]) -> None:
+    def _refuse_leaps(self, before: NDArray[np.float64], active: NDArray[np.bool_]) -> None:
         """Contact and merging rest on the speed limit, which a custom model may not keep."""
         scenario = self.scenario
         limit = float(constants_of(scenario).speed_limit)
         # each merge may put a robot half a merge radius aside
-        most = 1.000001 * limit * scenario.tau + scenario.n_robots * scenario.merge_radius
+        merged = (self.active != active).sum(axis=1, keepdims=True)
+        most = 1.000001 * limit * scenario.tau + merged * scenario.merge_radius
         moved = np.linalg.norm(self.positions - before, axis=-1)
         wrong = np.argwhere(~(moved <= most))  # NaN is wrong, too
         if len(wrong):
@@ -344,7 +347,7 @@ class Simulator(StateView):
 
         Raises:
             ValueError: naming an entry that is missing, unknown, of another shape or type, or that
-                no episode can have, its value and what would be right.
+                the engine cannot go on from, its value and what would be right.
         """
         entries = check_entries(self.get_state(), state, exactly=True)
         check_teams(self.scenario, entries)

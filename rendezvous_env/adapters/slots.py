@@ -150,15 +150,23 @@ class RobotSlots:
     def _memory(self) -> dict[str, NDArray[Any]]:
         return {"active": self.active, **self._counts}
 
+    @property
+    def _stateful(self) -> Any:
+        """The outermost layer that has a state, as wrappers of Gymnasium's have not."""
+        layer = self.teams
+        while not hasattr(layer, "get_state"):
+            layer = layer.env
+        return layer
+
     def get_state(self) -> dict[str, Any]:
         """The running episodes, as copies: nested arrays."""
-        return {"teams": self.teams.get_state(), **deepcopy(self._memory)}
+        return {"teams": self._stateful.get_state(), **deepcopy(self._memory)}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """As ``Simulator.set_state``."""
         check_keys(state, ("teams",))
         checked = check_entries(self._memory, state)
-        self.teams.set_state(state["teams"])
+        self._stateful.set_state(state["teams"])
         for name, array in self._memory.items():
             array[...] = checked[name]
 

@@ -10,6 +10,7 @@ from ..checks import bools, shown
 from ..obstacles.obstacle_set import faults
 from ..obstacles.parsing import only_balls
 from ..outcome import StepOutput
+from ..robots.robot_models import constants_of
 from ..scenario.scenario import Scenario
 from .memory import AWAITING_RESET, RENDEZVOUS
 
@@ -162,7 +163,8 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
     if "frames" in state:  # those of teams that have not begun are not drawn yet
         check_rotations(state, state["episode"] >= 0, _ROUNDING)
     if scenario.model.keeps_velocity:  # how far a robot may come in a step stands on its limit
-        velocities, limit = state["memory"][..., scenario.model.n_angles :], scenario.speed_limit
+        velocities = state["memory"][..., scenario.model.n_angles :]
+        limit = constants_of(scenario).speed_limit
         too_fast = np.linalg.norm(velocities, axis=-1) > limit * (1 + _ROUNDING)
         refuse("memory", too_fast, f"a velocity of at most {limit:g} m/s")
     if "first" in state:

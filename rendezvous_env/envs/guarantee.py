@@ -119,6 +119,14 @@ class HoldsFilter:
                 "set_state()"
             )
 
+    def _check_one_step(self, before: int) -> None:
+        """Refuse what a wrapper between has made of one step, since ``before``: others, a reset."""
+        if self._base.simulator.changes != before + 1:
+            raise RuntimeError(
+                f"a wrapper beneath {type(self).__name__} has stepped or reset the teams itself, "
+                "or kept a step from them; put it around the guarantee, and reset()"
+            )
+
     def get_state(self) -> dict[str, Any]:
         """The running episodes and the wrapper's memory, as copies."""
         return {

@@ -9,6 +9,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from ..obstacles.parsing import row_width
+from ..robots.robot_models import constants_of
 from ..safety.safety_filter import SafetyFilter
 from ..scenario.scenario import Scenario
 from ..simulator import Simulator
@@ -31,7 +32,7 @@ def observation_box(
     layout = scenario.observation_layout
     lengths = np.ones(layout.shape)
     lengths[layout.neighbours] = max(scenario.max_degree, 1e-6)
-    lengths[layout.velocity] = scenario.speed_limit
+    lengths[layout.velocity] = constants_of(scenario).speed_limit
     high: Any = np.nextafter(lengths.astype(np.float32), np.float32(np.inf))
     if action_filter is not None and action_filter.along_net_bearing:
         high = high * np.float32(1.0 + 1e-6)

@@ -168,8 +168,9 @@ def _say_what_is_not_covered(
 class TrainingTeams(gymnasium.vector.VectorWrapper):
     """B teams whose robots all act and earn until their episode ends; see ``training_env``.
 
-    ``infos["robot_rewards"]``, (B, n), are the team's reward, less ``touch_penalty`` in the step of
-    a robot's first touch in an episode; ``rewards``, (B,), are their mean. The other infos are
+    ``infos["robot_rewards"]``, (B, n), are what robots earn, less ``touch_penalty`` in the step of
+    a robot's first touch in an episode; ``rewards``, (B,), the team's reward, less the mean of
+    that: the mean of theirs, but for terms of one's own (docs/rewards.md). The other infos are
     those of ``RendezvousVectorEnv`` and of the guarantee's wrapper, under the same keys in every
     step. ``final_obs`` and ``final_info`` come only with SAME_STEP.
 
@@ -210,7 +211,7 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         first = self._touches.note(infos, ends | cuts)
         if first.any():
             infos["robot_rewards"] -= self.touch_penalty * first
-            rewards = infos["robot_rewards"].mean(axis=1)
+            rewards = rewards - self.touch_penalty * first.mean(axis=1)
         if "final_info" in infos:
             infos["final_info"]["robot_rewards"] = infos["robot_rewards"].copy()
             leave_out_summary(infos["final_info"])

@@ -40,7 +40,8 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
 
     A team that ends within a decision period stands still for the rest of it; a reset clears its
     memory. ``env`` is a RendezvousVectorEnv in any autoreset mode, as ``make_vec`` makes one, or
-    one in wrappers of Gymnasium's that change neither observations nor actions.
+    one in wrappers of Gymnasium's that change neither observations nor actions nor the form of
+    infos, step once a step and do not reset.
     """
 
     _base: RendezvousVectorEnv
@@ -181,7 +182,9 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
                 robots_earned, touched = outcome.robot_rewards, outcome.contact
                 cost: Info = simulator.costs
             else:
+                before = simulator.changes
                 seen, earned, *ended, cost = self.env.step(self._act())
+                self._check_one_step(before)
                 between |= cost
                 ends |= ended
                 robots_earned, touched = cost["robot_rewards"], cost["contact"]

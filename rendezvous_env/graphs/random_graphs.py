@@ -91,6 +91,8 @@ class CustomFamily(DrawnGraph):
         random = np.random.default_rng((int(seed), int(episode), GRAPH))
         try:
             drawn = read_edges(_DRAW[self.kind](n, random))
+            if any(weight != 1.0 for *_, weight in drawn):
+                raise ValueError("graph: weights are drawn from weight_range; give edges as (i, j)")
             edges = checked_edges(drawn, n, directed=False)
         except ValueError as error:
             raise ValueError(f"family {self.kind!r} drew for {n} robots: {error}") from error

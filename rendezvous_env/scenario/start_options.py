@@ -43,7 +43,11 @@ def parse_options(scenario: Any, num_envs: int, options: Mapping[str, Any] | Non
     given = StartOptions(
         *(None if value is None else read(scenario, num_envs, value) for value, read in values)
     )
-    if (positions := given.positions) is not None:
+    positions = given.positions
+    if positions is None and not (given.weights is None and given.obstacles is None):
+        positions = scenario.start_positions
+        positions = None if positions is None else np.array([positions])
+    if positions is not None:
         graph = scenario.sensing_graph
         weights = [graph.sparse_weights] if given.weights is None else given.weights
         standing = obstacles.parse(options.get("obstacles", scenario.obstacles), scenario.dim)
@@ -144,6 +148,8 @@ def _check_within(scenario: Any, weights: NDArray[np.float64]) -> None:
 
 def _obstacles(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
     parsed = obstacles.parse(value, scenario.dim)
+    if scenario.meeting == "pack" and parsed != ():
+        raise ValueError('obstacles: meeting="pack" is for teams without obstacles')
     if not isinstance(parsed, tuple):
         raise ValueError("obstacles: give them one by one; a field belongs into the scenario")
     slots = scenario.observation_layout.obstacle_slots

@@ -89,8 +89,8 @@ def as_custom(field: str, value: Any) -> tuple[str, ...]:
 def apply_custom(seen: Seen) -> None:
     """Let the custom imperfections of a scenario change what is seen."""
     tables = seen.neighbours, seen.obstacles
-    absent = [~table.any(axis=-1) for table in tables]
     for name in seen.scenario.sensing.custom:
+        absent = [~table.any(axis=-1) for table in tables]
         seen._name = name
         _IMPERFECTIONS[name](seen)
         for table, gone in zip(tables, absent, strict=True):

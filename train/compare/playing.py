@@ -14,6 +14,9 @@ from rendezvous_env.baselines.learned import checkpoints
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from rendezvous_env.graphs.random_graphs import CustomFamily
+from rendezvous_env.rewards.costs import COSTS
+from rendezvous_env.robots.robot_models import is_custom
 from rendezvous_env.scenario.scenario import Scenario
 
 from .. import policies
@@ -118,7 +121,7 @@ class Task:
 def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
     """A job, cut into blocks of its starts; ``number`` is its place among all jobs."""
     starts, kept = config.starts(job.scenario), config.kept(job.scenario)
-    # a policy that was registered from outside is known to this process alone
+    # what was registered from outside is known to this process alone
     typed_in = ":" not in job.policy and registry.kind_of(job.policy) == "own"
     return [
         Task(
@@ -127,10 +130,17 @@ def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
             scenario=job.scenario,
             count=(count := min(BLOCK, starts - first)),
             work=partial(play_block, job, first, count, config.seed, min(count, kept - first)),
-            stays=typed_in,
+            stays=typed_in or _is_of_ones_own(job.scenario),
         )
         for first in range(0, starts, BLOCK)
     ]
+
+
+def _is_of_ones_own(scenario: Scenario) -> bool:
+    """Whether a scenario speaks of what somebody has registered."""
+    named = scenario.sensing.custom or scenario.reward.custom or {*scenario.costs} - {*COSTS}
+    family = isinstance(scenario.sensing_graph, CustomFamily)
+    return bool(named) or family or is_custom(scenario.model)
 
 
 def play_block(job: Job, first: int, count: int, seed: int, keep: int) -> Played:
