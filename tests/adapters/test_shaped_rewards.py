@@ -98,3 +98,14 @@ def test_robots_that_are_gone_are_paid_nothing_more():
     usual = infos["robot_rewards"]
     found = shaping.robot_rewards(rewards, infos, acted)
     np.testing.assert_allclose(found - usual, acted.astype(float))
+
+
+def test_a_wrapper_between_does_not_hide_the_state():
+    robots = RobotVecEnv(TransformReward(training_env("duo", 3), lambda paid: 2.0 * paid))
+    robots.seed(0)
+    robots.reset()
+    state, ahead = robots.get_state(), np.ones((6, *robots.action_space.shape), np.float32)
+    once = robots.step(ahead)[:2]
+    robots.set_state(state)
+    for found, again in zip(once, robots.step(ahead)[:2], strict=True):
+        np.testing.assert_array_equal(found, again)

@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+import rendezvous_env as rv
 from baselines.policy import kind_of
 from train import cli, policies, resume, tasks
 from train.checks import UserError
@@ -130,3 +131,17 @@ def test_no_file_of_a_user_stands_in_for_a_module_of_others(mine, tmp_path):
     assert colorsys.hsv_to_rgb(0.0, 0.0, 1.0) == (1.0, 1.0, 1.0)
     with pytest.raises(KeyError):
         kind_of(f"{mine}:law")
+
+
+def test_a_scenario_of_ones_own_is_played_where_it_is_known():
+    """Other processes import nothing that registers a sensor, a term, a graph or a model."""
+
+    @rv.sensor_imperfection("of this process")
+    def blank(seen):
+        seen.neighbours[:] = 0.0
+
+    own = rv.Scenario(n_robots=2, sensing=rv.Sensing(custom=("of this process",)))
+    for scenario, stays in ((own, True), (rv.Scenario(n_robots=2, costs=("contact",)), False)):
+        config = compare.Config(scenarios=(scenario,), policies=("bearing-only",), episodes=3)
+        job = playing.Job(scenario, "bearing-only")
+        assert {task.stays for task in playing.blocks_of(0, job, config)} == {stays}

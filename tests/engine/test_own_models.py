@@ -53,6 +53,68 @@ rv.register_robot_model(
     )
 )
 '''
+BOAT = '''"""A double integrator in a current along x: v ← v + a τ, |v| ≤ v_max."""
+
+from typing import NamedTuple
+
+import rendezvous_env as rv
+
+
+class Boat(NamedTuple):
+    duration: float
+    speed_limit: float  # over ground
+    own: float
+
+
+@rv.kernel
+def update(model, action, frame, memory, displacement, contact):
+    drift = model.speed_limit - model.own
+    x = memory[0] - drift + model.duration * (frame[0] * action[0] + frame[1] * action[1])
+    y = memory[1] + model.duration * (frame[2] * action[0] + frame[3] * action[1])
+    share = min(1.0, model.own / max((x * x + y * y) ** 0.5, 1e-9))
+    return share * x + drift, share * y
+
+
+@rv.kernel
+def propose(model, action, frame, memory):
+    x, y = update(model, action, frame, memory, (0.0, 0.0), rv.FREE)
+    x, y = model.duration * x, model.duration * y
+    return (x, y), (x * x + y * y) ** 0.5
+
+
+@rv.kernel
+def displacement_at(model, action, frame, memory, time):
+    x, y = update(model, action, frame, memory, (0.0, 0.0), rv.FREE)
+    return time * x, time * y
+
+
+@rv.kernel
+def sense(model, frame, memory):
+    return (
+        frame[0] * memory[0] + frame[2] * memory[1],
+        frame[1] * memory[0] + frame[3] * memory[1],
+    )
+
+
+@rv.kernel
+def init(model, key, counter):
+    return model.speed_limit - model.own, 0.0
+
+
+rv.describe_motion(Boat, rv.Motion(propose, displacement_at, update=update, sense=sense, init=init))
+rv.register_robot_model(
+    rv.RobotModel(
+        "boat",
+        dims=(2,),
+        constants=lambda of: Boat(of.tau, of.speed_limit + 0.8, of.speed_limit),
+        bounds=lambda scenario: [scenario.acceleration_limit] * 2,
+        n_kept=lambda dim: 2,
+        keeps_velocity=True,
+        senses="velocity",
+        action="acceleration, m/s²",
+    )
+)
+'''
 SLUGGISH = '''"""A unicycle whose speed lags behind the one asked for; it keeps (θ, speed)."""
 
 import cmath
@@ -196,7 +258,7 @@ def test_finished_teams_and_merged_robots_rest_in_the_wind(own):
 
 def test_a_leap_that_no_check_of_the_model_found_is_told_in_the_step(own):
     own("own_hover", HOVER)
-    for leap in (0.30005, 0.20005):
+    for leap in (0.30005, 0.20005, 12.0):  # the last is beyond the bounds
         teams = rv.Simulator(rv.Scenario(robot_model="hover", n_robots=3), 2)
         teams.reset(seed=0)
         actions = np.zeros((2, 3, 2), np.float32)
@@ -207,6 +269,21 @@ def test_a_leap_that_no_check_of_the_model_found_is_told_in_the_step(own):
             teams.step(actions)
         with pytest.raises(RuntimeError, match="reset"):
             teams.step(actions)
+
+
+def test_a_boat_that_a_current_carries_faster_than_v_max_takes_its_own_state(own):
+    own("own_boat", BOAT)
+    env = rv.make_vec(rv.Scenario(n_robots=3, robot_model="boat", local_frames="global"), 2)
+    env.reset(seed=0)
+    for _ in range(30):
+        seen, *_ = env.step(env.action_space.high)
+        assert env.observation_space.contains(seen)
+    state = env.get_state()
+    assert np.linalg.norm(state["memory"], axis=-1).max() > 2.5
+    env.set_state(state)
+    state["memory"][1, 2] = 3.0
+    with pytest.raises(ValueError, match=r"memory\[1, 2\] is .* at most 2.8 m/s"):
+        env.set_state(state)
 
 
 def test_a_sluggish_unicycle_moves_as_its_equations_say(own):

@@ -9,7 +9,7 @@ import pytest
 from conftest import UNEQUAL, assert_same_state, five, refusing
 from test_simulator import STARTS, attitudes, halfway, start
 
-from rendezvous_env import Disc, Simulator, graphs
+from rendezvous_env import Disc, Scenario, Simulator, graphs
 from rendezvous_env.engine.stages.step import step_blocks
 
 
@@ -106,6 +106,25 @@ def test_given_obstacles_and_robots_inside_them():
     assert sim.obstacles.shape[1] == 2 and (sim.obstacles[:, 0, 0] >= 0).all()
     with pytest.raises(ValueError, match=r"positions: robot.0 at .* inside Disc"):
         sim.reset(0, {"obstacles": [Disc((0.0, 0.0), 9.0)], "positions": STARTS[2][0]})
+    sim = Simulator(scenario.replace(start_positions=STARTS[2][0]), 2)  # of the scenario, likewise
+    sim.reset(0, {"obstacles": [disc]})
+    with pytest.raises(ValueError, match=r"positions: robot.0 at .* inside Disc"):
+        sim.reset(0, {"obstacles": [Disc((0.0, 0.0), 9.0)]})
+
+
+def test_given_links_join_no_robots_that_stand_in_one_place():
+    places = [[-1.0, 0.0], [1.0, 0.0], [-1.0, 0.0]]
+    sim = Simulator(Scenario(n_robots=3, graph="path", start_positions=places))
+    sim.reset(0, {"weights": [[0, 1, 0], [1, 0, 1], [0, 1, 0]]})
+    with pytest.raises(ValueError, match="neighbours robot_0 and robot_2 both stand at"):
+        sim.reset(0, {"weights": [[0, 1, 1], [1, 0, 0], [1, 0, 0]]})
+
+
+def test_bodies_take_no_obstacles():
+    sim = Simulator(Scenario(n_robots=3, body_radius=0.1, meeting="pack", obstacle_slots=2))
+    sim.reset(0, {"obstacles": []})
+    with pytest.raises(ValueError, match=r"pack.* is for teams without obstacles"):
+        sim.reset(0, {"obstacles": [Disc((9.0, 9.0), 0.5)]})
 
 
 def test_bad_seeds_and_masks_are_refused_and_change_nothing():

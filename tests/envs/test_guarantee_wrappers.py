@@ -326,6 +326,43 @@ def test_turning_robots_rest_in_each_base_step_in_which_they_see_nobody(around):
     np.testing.assert_array_equal(*ends)
 
 
+class TwiceTeams(gymnasium.vector.VectorWrapper):
+    """Steps that are made twice, beneath a guarantee."""
+
+    def step(self, actions):
+        self.env.step(actions)
+        return self.env.step(actions)
+
+
+class TwiceRobots(BaseParallelWrapper):
+    def step(self, actions):
+        self.env.step(actions)
+        return self.env.step(actions)
+
+
+class AnewTeams(gymnasium.vector.VectorWrapper):
+    """Episodes that begin again within a step."""
+
+    def step(self, actions):
+        ended = self.env.step(actions)[1:]
+        return (self.env.reset()[0], *ended)
+
+
+@pytest.mark.parametrize("between", [TwiceTeams, AnewTeams, TwiceRobots])
+def test_a_wrapper_between_that_steps_twice_or_resets_is_refused(which, between):
+    """The filter would not see it: with frames skipped V rose above its bound."""
+    if between is TwiceRobots:
+        env = GUARANTEES[which].around(between(rv.parallel_env("duo")))
+    else:
+        env = GUARANTEES[which].around_teams(between(rv.make_vec("duo", 1)))
+    env.reset(seed=0)
+    choices = draw(env, np.random.default_rng(0))
+    with pytest.raises(RuntimeError, match=r"beneath .* has stepped or reset the teams itself"):
+        env.step(choices)
+    with pytest.raises(RuntimeError, match=r"call reset\(\)"):
+        env.step(choices)
+
+
 @pytest.mark.parametrize("make", [rv.parallel_env, rv.training_env])
 def test_a_step_before_the_reset_says_so(make):
     env = make("duo")

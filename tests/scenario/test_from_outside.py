@@ -98,6 +98,7 @@ def test_a_family_is_a_graph_like_any_other(tmp_path):
         (lambda n, random: [(0, 1)], "drew a graph that is not connected: it falls into"),
         (lambda n, random: [(0, n)], r"drew for 6 robots: graph: edge \(0, 6\) must join"),
         (lambda n, random: 5, "graph: edges is 5; it must be a sequence"),
+        (lambda n, random: [(k, k + 1, 2.0) for k in range(n - 1)], "weights are drawn from"),
     ],
 )
 def test_a_bad_family_is_told_before_any_episode(draw, said):
@@ -180,6 +181,13 @@ def test_numbers_are_drawn_of_as_many_obstacles_as_there_are():
     for obstacles in ((), rv.Disc((0.0, 0.0), 1.0)):
         Simulator(Scenario(sensing=Sensing(custom=("counts",)), obstacles=obstacles), 2).reset(0)
     assert shapes == [(2, 5, 0, 2), (2, 5, 1, 2)]
+
+
+def test_what_one_imperfection_hides_the_next_does_not_bring_back():
+    rv.sensor_imperfection("sees nobody", lambda seen: seen.neighbours.fill(0.0))
+    rv.sensor_imperfection("sees all", lambda seen: seen.neighbours.fill(0.5))
+    for names, rows in ((("sees nobody", "sees all"), 0.0), (("sees all",), 0.5)):
+        assert (Simulator(Scenario(sensing=Sensing(custom=names))).reset(0) == rows).all()
 
 
 def test_no_theorem_covers_a_custom_sensor():

@@ -13,7 +13,7 @@ from baselines.learned.policy_settings import ALL_ROUND, ANGLES, CHOICES, Policy
 from baselines.learned.training_environment import FeatureVectorEnv
 from baselines.obstacle_rules.obstacle_avoidance import tangent_joined_heading
 from rendezvous_env.adapters.sb3 import RobotVecEnv
-from rendezvous_env.vector import HeadingVectorWrapper
+from rendezvous_env.vector import HeadingVectorWrapper, training_env
 from train.learn.checkpoint import flatten, unflatten
 
 TEAMS, PERIOD = 5, 3
@@ -169,3 +169,28 @@ def test_autoreset_modes_differ_only_after_an_end():
     begun, _ = held.reset(options={"reset_mask": one})
     np.testing.assert_array_equal(begun[one], shown[one])
     np.testing.assert_array_equal(begun[~one], rested[~one])
+
+
+def test_what_a_team_earns_hangs_on_no_other_team():
+    """Who touched something elsewhere in the batch made all rewards a mean of robots'."""
+
+    @rv.reward_term("effort of some")
+    def effort(step):
+        return np.abs(step.actions[..., 0]) * np.arange(step.actions.shape[1])
+
+    near = rv.Disc((0.0, 0.0), 0.8)
+    scenario = SCENARIO.replace(
+        n_robots=4, spawn_size=6.0, obstacles=(near,), merge_radius=0.3, local_frames="global",
+        reward=rv.RewardWeights(custom={"effort of some": -1.0}),
+    )  # fmt: skip
+    choices = {"guarantee": None, "touch_penalty": 1.0, "learning_preset": False}
+    teams = [training_env(scenario, count, **choices) for count in (12, 1)]
+    for env in teams:
+        env.reset(seed=0)
+    touched = 0
+    for _ in range(40):
+        actions = -teams[0].simulator.positions.astype(np.float32)
+        (_, many, *_, infos), (_, alone, *_) = (env.step(actions[: env.num_envs]) for env in teams)
+        assert many[0] == alone[0]
+        touched += infos["contact"][1:].any()
+    assert touched > 5
