@@ -34,7 +34,7 @@ class Merge(NamedTuple):
     lyapunov_after: float  # V just after the last, m²/s
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trajectory:
     """What B teams did over T steps; a team that has finished stays as it is to the end."""
 
