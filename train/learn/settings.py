@@ -38,7 +38,10 @@ EXAMPLES = (
     "--guarantee tank --budget 20 --memory features --out runs/tank",
     "--resume runs/heading",
 )
-_REWARDS = ("progress", "time_penalty", "collision_penalty", "rendezvous_bonus")
+_REWARDS = {
+    "progress": 0.5, "time_penalty": 0.1, "collision_penalty": 0.0, "rendezvous_bonus": 1.0
+}  # fmt: skip
+"""What teams are paid where neither flags nor the scenario say it."""
 _POLICY = tuple(
     field.name for field in fields(PolicySettings) if field.name not in ("decision_time", "budget")
 )
@@ -156,15 +159,16 @@ class Config:
     sensing_updates: int = 8
     """For how many updates a group keeps its sensor; with the next one it begins new episodes."""
 
-    progress: float = 0.5
-    """The reward for V falling from its first value to 0."""
-    time_penalty: float = 0.1
+    progress: float | None = None
+    """The reward for V falling from its first value to 0; without this weight, or one of those
+    below, the scenario's if its reward is not the default, else 0.5, 0.1, 0 and 1."""
+    time_penalty: float | None = None
     """What an episode costs that lasts to the time limit, paid evenly."""
-    collision_penalty: float = 0.0
+    collision_penalty: float | None = None
     """What the team pays for each robot in contact, in each base step."""
     touch_penalty: float = 1.0
     """What a robot pays for its first contact."""
-    rendezvous_bonus: float = 1.0
+    rendezvous_bonus: float | None = None
     """What the team earns when all have met."""
 
     eval_every: int = 500_000
@@ -214,9 +218,14 @@ class Config:
         return self.num_teams * self.base_scenario().n_robots * self.n_steps
 
     def base_scenario(self) -> Scenario:
-        """The scenario with this configuration's rewards."""
-        rewards = RewardWeights(**{name: getattr(self, name) for name in _REWARDS})
-        return self.plain_scenario().replace(reward=rewards)
+        """The scenario with this configuration's rewards: the weights that are given, and its own
+        for the others, or ``_REWARDS`` where nobody said what its own are.
+        """
+        scenario, set_here = self.plain_scenario(), any(x.startswith("reward=") for x in self.set)
+        own = set_here or scenario.reward != RewardWeights()
+        given = {name: value for name in _REWARDS if (value := getattr(self, name)) is not None}
+        weights = ({} if own else _REWARDS) | given
+        return scenario.replace(reward=replace(scenario.reward, **weights))
 
     def plain_scenario(self) -> Scenario:
         """The scenario as it is named, with what --set says."""
