@@ -8,6 +8,7 @@ from copy import deepcopy
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 from stable_baselines3.common.monitor import Monitor
@@ -104,7 +105,8 @@ class RobotVecEnv(VecEnv):
         wanted = self.num_envs, *(self.action_space.shape or ())
         if given.shape != wanted:
             raise ValueError(f"actions have shape {given.shape}; they must be {wanted}, by slot")
-        self._actions = given.astype(self.action_space.dtype)
+        is_box = isinstance(self.action_space, Box)
+        self._actions = given.astype(np.float32) if is_box else np.asarray(actions)
 
     def step_wait(self) -> VecEnvStepReturn:
         """Advance every team; observations, rewards, dones and infos of the slots."""

@@ -245,6 +245,15 @@ def test_actions_that_are_none_are_refused_in_words(actions, message):
         env.step(actions)
 
 
+@pytest.mark.parametrize("wrong", [1.5, np.nan, -1, 9])
+def test_a_choice_that_is_none_is_not_rounded_to_one(wrong):
+    robots = RobotVecEnv(rv.vector.training_env("clutter-8", 1, discrete=True))
+    robots.reset()
+    robots.step(np.full(4, 8))
+    with pytest.raises(ValueError, match=f"robot_0 in team 0 is {wrong}; .* whole number below 9"):
+        robots.step(np.full(4, wrong))
+
+
 def test_bad_seeds_options_and_slots_are_refused():
     env = make_robots(SCENARIO, 2)
     for seed in ("x", -1, 1.5, 10**400):
