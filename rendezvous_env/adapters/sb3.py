@@ -78,6 +78,7 @@ class RobotVecEnv(VecEnv):
         super().__init__(
             slots.active.size, slots.single_observation_space, slots.single_action_space
         )
+        self.metadata["render_fps"] = self.teams.metadata["render_fps"]
 
     def reset(self) -> NDArray[np.float32]:
         """Begin a new episode in all teams; observations (slots, rows, d)."""
@@ -159,6 +160,10 @@ class RobotVecEnv(VecEnv):
         for each in listed:
             mapping("options", each, "a dict of start options")
         self._options = deepcopy(listed)
+
+    def get_images(self) -> Sequence[NDArray[np.uint8]]:
+        """A picture for each team, with ``render_mode="rgb_array"``."""
+        return list(self.teams.render() or ())
 
     def get_state(self) -> dict[str, Any]:
         """The running episodes, as copies: nested arrays."""
