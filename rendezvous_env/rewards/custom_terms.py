@@ -38,6 +38,13 @@ class RewardStep(NamedTuple):
     """(B, n), links of each robot that were lost other than by merging; 0 but on proximity
     graphs."""
 
+    def read_only(self) -> "RewardStep":
+        """The same, with arrays that refuse to be written to."""
+        views = {k: v.view() for k, v in self._asdict().items() if isinstance(v, np.ndarray)}
+        for view in views.values():
+            view.flags.writeable = False
+        return self._replace(**views)
+
 
 Term = Callable[[RewardStep], Any]
 TERMS = Registry("reward term", "rv.reward_term")

@@ -9,6 +9,7 @@ from conftest import refusing
 import rendezvous_env as rv
 from rendezvous_env import Scenario, Sensing, Simulator, graphs
 from rendezvous_env.checks import Registry
+from rendezvous_env.rewards.custom_terms import RewardStep
 
 
 @graphs.family("hexagon-and-chords")
@@ -259,6 +260,21 @@ def test_a_term_of_the_wrong_shape_is_named():
         simulator.reset(0)
         with pytest.raises(ValueError, match=f"reward term '{name}' .*{said}"):
             simulator.step(np.zeros((1, 5, 2)))
+
+
+@pytest.mark.parametrize("field", [name for name in RewardStep._fields if name != "scenario"])
+@pytest.mark.parametrize("role", ["reward", "costs"])
+def test_a_term_may_change_nothing(field, role):
+    @rv.reward_term("meddler")
+    def meddler(step):
+        getattr(step, field)[...] = 1
+        return step.time
+
+    paid = {"reward": {"custom": {"meddler": 1.0}}, "costs": ("meddler",)}
+    simulator = Simulator(Scenario(**{role: paid[role]}))
+    simulator.reset(0)
+    with pytest.raises(ValueError, match="read-only"):
+        simulator.step(np.zeros((1, 5, 2), np.float32))
 
 
 def test_weights_and_names_are_written_to_files(tmp_path):
