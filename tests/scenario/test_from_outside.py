@@ -243,6 +243,7 @@ def test_terms_reach_every_interface():
         (lambda: Sensing(custom=("nothing",)), "'nothing' is unknown; register it with rv.sensor"),
         (lambda: Sensing(custom="blind-behind"), "it must be a list of names"),
         (lambda: rv.reward_term("x", 5), "term 'x' is 5; it must be a function"),
+        (lambda: rv.reward_term("rise"), "is 'rise'; it must be none of the costs contact"),
         (lambda: rv.reward_term(""), "name of a reward term is ''"),
         (lambda: rv.sensor_imperfection("x", 5), "imperfection 'x' is 5; it must be a function"),
     ],
