@@ -34,12 +34,10 @@ def typed(config: _Settings) -> _Settings:
     """
     from rendezvous_env.baselines.learned.plain_data import check_field_types  # not for --help
 
-    hints, changed = get_type_hints(type(config)), dict[str, Any]()
-    for name, value in vars(config).items():
-        is_path = isinstance(value, str) and Path in (hints[name], *get_args(hints[name]))
-        changed[name] = (
-            tuple(value) if isinstance(value, list) else Path(value) if is_path else value
-        )
+    given, hints = vars(config), get_type_hints(type(config))
+    paths = [name for name, hint in hints.items() if Path in (hint, *get_args(hint))]
+    changed: dict[str, Any] = {k: tuple(v) for k, v in given.items() if isinstance(v, list)}
+    changed |= {name: Path(given[name]) for name in paths if isinstance(given[name], str)}
     config = replace(config, **changed)
     try:
         check_field_types(config)

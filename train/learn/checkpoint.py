@@ -176,7 +176,7 @@ def where_to_begin(config: Config, console: Console) -> tuple[Config, Path | Non
         check_types(about, _DESCRIPTION)
         own = Config.from_plain(about["config"])
         trained = Scenario.from_plain(about["scenario"])
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, UserError) as error:
         raise CheckpointError(f"{place}: is no checkpoint of a run: {error}") from error
     if not same_run(config, own):
         raise UserError(f"--resume {folder}: {place} is of another run than {CONFIG} tells of")

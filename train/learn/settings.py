@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_type_hints
 
-from rendezvous_env.baselines.learned.plain_data import check_types, read_json
+from rendezvous_env.baselines.learned.plain_data import read_json
 from rendezvous_env.baselines.learned.policy_settings import PolicySettings, memory_of
 from rendezvous_env.baselines.steering import can_steer, check_steerable
 from tyro.conf import arg
@@ -18,7 +18,7 @@ from rendezvous_env.safety.settings import SMALLEST_MARGIN
 from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..checks import UserError, check_fields, check_least, check_most, flag
+from ..checks import UserError, check_fields, check_least, check_most, flag, typed
 from ..policies import resolve_scenario
 from .sensing_ranges import Ranges, check_ranges
 
@@ -194,18 +194,15 @@ class Config:
 
     @classmethod
     def from_plain(cls, plain: dict[str, Any]) -> Config:
-        """What ``to_plain`` gave, in an older version too; a ValueError for anything else."""
+        """What ``to_plain`` gave, in an older version too; a ValueError or UserError for anything
+        else.
+        """
         if not isinstance(plain, dict):
             raise ValueError(f"the configuration is a {type(plain).__name__}, not named fields")
-        hints = get_type_hints(cls)
-        if unknown := sorted(set(plain) - set(hints)):
+        if unknown := sorted(set(plain) - {field.name for field in fields(cls)}):
             raise ValueError(f"field {unknown[0]!r} of the configuration is unknown")
-        read: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in plain.items()}
-        read |= {name: Path(read[name]) for name in _PATHS if isinstance(read.get(name), str)}
-        if "memory" in read:
-            read["memory"] = memory_of(read["memory"])
-        check_types(read, {name: hints[name] for name in read})
-        return cls(**read)
+        memory = {"memory": memory_of(plain["memory"])} if "memory" in plain else {}
+        return typed(cls(**plain | memory))
 
     @property
     def first_seed(self) -> int:
@@ -364,7 +361,7 @@ def read_config(folder: Path) -> Config:
     path = folder / CONFIG
     try:
         return Config.from_plain(read_json(path))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, UserError) as error:
         what = f"{path}: {getattr(error, 'strerror', None) or error}"
         raise UserError(f"--resume {folder}: it holds no run that can go on: {what}") from error
 
