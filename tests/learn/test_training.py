@@ -223,8 +223,8 @@ class TestSettings:
 
     @pytest.mark.parametrize("name", ["guarantee", "memory", "critic"])
     def test_words_that_are_none(self, name, tmp_path):
-        with pytest.raises(UserError, match=f"--{name} is 'oracle'; it must be one of "):
-            ppo.check(config(tmp_path, **{name: "oracle"}))
+        with pytest.raises(UserError, match=f"{name} is 'oracle'; it must be of type "):
+            ppo.run(config(tmp_path, **{name: "oracle"}))
 
     @pytest.mark.parametrize(
         ("given", "said", "weights"),
