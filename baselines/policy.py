@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar, overload, runtime_checkab
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import bools, nearest_word, shown
+from rendezvous_env.checks import Registry, bools, choice, nearest_word, refuse, shown
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
@@ -151,6 +151,7 @@ class _Entry(NamedTuple):
 
 
 _registry: dict[str, _Entry] = {}
+_builders = Registry("policy", "baselines.policy.register")
 _Builder = TypeVar("_Builder", bound=Callable[..., Policy])
 
 
@@ -162,14 +163,19 @@ def register(
     Args:
         name: what ``make`` calls it.
         fits: whether the policy can steer the robots of a scenario.
-        kind: one of KINDS, else a ValueError; policies of a kind keep the order of registration.
+        kind: one of KINDS; policies of a kind keep the order of registration.
         on_request: whether a comparison takes it only if it is named.
+
+    Raises:
+        ValueError: for another kind, what is no name, or a function that cannot be called.
     """
-    if kind not in KINDS:
-        raise ValueError(f"kind is {shown(kind)}; it must be one of {', '.join(KINDS)}")
+    choice("kind", kind, KINDS)
+    checked = _builders.add(name, None)
+    if not callable(fits):
+        refuse(f"fits of policy {name!r}", fits, "a function of a scenario")
 
     def enter(build: _Builder) -> _Builder:
-        _registry[name] = _Entry(build, fits, kind, on_request)
+        _registry[name] = _Entry(checked(build), fits, kind, on_request)
         return build
 
     return enter

@@ -243,7 +243,7 @@ class Simulator(StateView):
             met=running & (output.status == RENDEZVOUS),
             rise=np.divide(rise, start, out=np.zeros_like(rise), where=start > 0.0),
             links_lost=lost,
-        )
+        ).read_only()
         if self.scenario.costs:
             self.costs = costs_of(self.scenario.costs, step, running)
         add_custom_terms(step, running, output.rewards, output.robot_rewards)

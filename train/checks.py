@@ -3,10 +3,11 @@
 import importlib.util
 import math
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, get_args, get_type_hints
 
+_Settings = TypeVar("_Settings", bound=Any)
 _LONGEST_NAME = 255  # bytes of one part of a path, on every common file system
 
 
@@ -25,6 +26,24 @@ def check_installed(what: str, extra: str, *packages: str) -> None:
     for package in packages:
         if not installed(package):
             raise UserError(f"{what} needs {package}; pip install 'rendezvous-env[{extra}]'")
+
+
+def typed(config: _Settings) -> _Settings:
+    """Settings that were made in Python, with tuples and paths where lists and text stand for them;
+    a UserError names a field of another type.
+    """
+    from rendezvous_env.baselines.learned.plain_data import check_field_types  # not for --help
+
+    given, hints = vars(config), get_type_hints(type(config))
+    paths = [name for name, hint in hints.items() if Path in (hint, *get_args(hint))]
+    changed: dict[str, Any] = {k: tuple(v) for k, v in given.items() if isinstance(v, list)}
+    changed |= {name: Path(given[name]) for name in paths if isinstance(given[name], str)}
+    config = replace(config, **changed)
+    try:
+        check_field_types(config)
+    except ValueError as error:
+        raise UserError(str(error)) from error
+    return config
 
 
 def check_fields(config: Any) -> None:

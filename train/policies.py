@@ -149,7 +149,9 @@ def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
         said = [re.sub(r"[^\w.+-]+", "-", change.replace("_", "-")) for change in changes]
         own_name = {"name": "-".join([scenario.name, *said])}
         return scenario.replace(**(own_name | given)) if changes else scenario
-    except (ValueError, TypeError, OSError) as error:
+    except OSError as error:
+        raise UserError(f"scenario {name} cannot be read: {error.strerror or error}") from error
+    except (ValueError, TypeError) as error:
         what = f"--set {' '.join(changes)}: " if changes else ""
         raise UserError(f"{what}{error}") from error
 

@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 
 def read_json(path: Path) -> Any:
@@ -26,13 +26,17 @@ def entry(content: bytes) -> dict[str, Any]:
 
 
 def check_types(values: Mapping[str, Any], hints: Mapping[str, Any]) -> None:
-    """Refuse values of other types than these, both by name; a ValueError names field and type."""
+    """Refuse values of other types than these, both by name; a ValueError names field and type. No
+    bool is a number.
+    """
     from typeguard import CollectionCheckStrategy, TypeCheckError, check_type  # not for imports
 
     every = CollectionCheckStrategy.ALL_ITEMS
     for name, hint in hints.items():
         try:
             check_type(values[name], hint, collection_check_strategy=every)
+            if isinstance(values[name], bool) and bool not in (hint, *get_args(hint)):
+                raise TypeCheckError(name)
         except TypeCheckError:
             wanted = getattr(hint, "__name__", "") if isinstance(hint, type) else str(hint)
             text = repr(values[name])

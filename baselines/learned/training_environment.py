@@ -140,10 +140,10 @@ class FeatureVectorEnv(GuaranteeWrapper):
         """Put back what ``get_state`` gave; a ValueError names what does not fit, and nothing has
         changed.
         """
-        check_keys(state, tuple(self._parts))
+        check_keys(state, own := (*self._parts, "touched"))
         touched = check_entries({"touched": self._touches.touched}, state)["touched"]
         checked = {name: part.check_state(state[name]) for name, part in self._parts.items()}
-        super().set_state(state)
+        super().set_state({key: value for key, value in state.items() if key not in own})
         for name, part in self._parts.items():
             part.set_state(checked[name])
         self._touches.touched[...] = touched

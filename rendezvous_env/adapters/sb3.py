@@ -8,6 +8,7 @@ from copy import deepcopy
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 from stable_baselines3.common.monitor import Monitor
@@ -77,6 +78,7 @@ class RobotVecEnv(VecEnv):
         super().__init__(
             slots.active.size, slots.single_observation_space, slots.single_action_space
         )
+        self.metadata["render_fps"] = self.teams.metadata["render_fps"]
 
     def reset(self) -> NDArray[np.float32]:
         """Begin a new episode in all teams; observations (slots, rows, d)."""
@@ -104,7 +106,8 @@ class RobotVecEnv(VecEnv):
         wanted = self.num_envs, *(self.action_space.shape or ())
         if given.shape != wanted:
             raise ValueError(f"actions have shape {given.shape}; they must be {wanted}, by slot")
-        self._actions = given.astype(self.action_space.dtype)
+        is_box = isinstance(self.action_space, Box)
+        self._actions = given.astype(np.float32) if is_box else np.asarray(actions)
 
     def step_wait(self) -> VecEnvStepReturn:
         """Advance every team; observations, rewards, dones and infos of the slots."""
@@ -157,6 +160,10 @@ class RobotVecEnv(VecEnv):
         for each in listed:
             mapping("options", each, "a dict of start options")
         self._options = deepcopy(listed)
+
+    def get_images(self) -> Sequence[NDArray[np.uint8]]:
+        """A picture for each team, with ``render_mode="rgb_array"``."""
+        return list(self.teams.render() or ())
 
     def get_state(self) -> dict[str, Any]:
         """The running episodes, as copies: nested arrays."""

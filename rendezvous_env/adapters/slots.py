@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
-from ..engine.state_checks import check_entries, check_keys
+from ..engine.state_checks import check_entries, check_finite, check_keys, refuse_first
 from ..envs.spaces import of_all_teams, of_one_robot
 from ..envs.training import TrainingTeams
 from ..envs.vector_env import Info, RendezvousVectorEnv, Transition, at_the_end
@@ -164,8 +164,10 @@ class RobotSlots:
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """As ``Simulator.set_state``."""
-        check_keys(state, ("teams",))
+        check_keys(state, ("teams", *self._memory), exactly=True)
         checked = check_entries(self._memory, state)
+        check_finite(checked, checked)
+        refuse_first("lengths", checked["lengths"] < 0, checked["lengths"], "0 or more")
         self._stateful.set_state(state["teams"])
         for name, array in self._memory.items():
             array[...] = checked[name]

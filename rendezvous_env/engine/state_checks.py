@@ -130,8 +130,9 @@ class Remembering:
         """The arrays of a state that ``set_state`` would put back.
 
         Raises:
-            ValueError: naming an entry that is missing, of another shape or not finite.
+            ValueError: naming an entry that is missing, unknown, of another shape or not finite.
         """
+        check_keys(state, tuple(self._memory), exactly=True)
         checked = check_entries(self._memory, state)
         check_finite(checked, checked)
         return checked

@@ -140,7 +140,7 @@ class HoldsFilter:
         has changed then.
         """
         key = self.filter.state_key
-        check_keys(state, ("env", key, "observed"))
+        check_keys(state, ("env", key, "observed"), exactly=True)
         checked = check_entries({"observed": self._observed}, state)
         check_finite(checked, ("observed",))
         remembered = self.filter.check_state(state[key])

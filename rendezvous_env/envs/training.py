@@ -228,7 +228,7 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """As ``Simulator.set_state``."""
-        check_keys(state, ("env", "touched"))
+        check_keys(state, ("env", "touched"), exactly=True)
         touched = check_entries({"touched": self._touches.touched}, state)["touched"]
         self.env.set_state(state["env"])
         self._touches.touched[...] = touched

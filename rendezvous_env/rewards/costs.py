@@ -3,22 +3,13 @@
 As in Safety-Gymnasium's converters to Gymnasium, infos have ``cost_NAME`` and their sum, ``cost``.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import nearest_word, refuse, shown
-from .custom_terms import TERMS, RewardStep, of_step
-
-COSTS: dict[str, Callable[[RewardStep], Any]] = {
-    "contact": lambda step: step.contact,
-    "rise": lambda step: step.rise,
-    "link_lost": lambda step: step.links_lost,
-}
-"""Of a robot in a step: whether it touched an obstacle; by how much V of its team rose before any
-merge, as a share of V at the start; how many of its links were lost other than by merging."""
+from .custom_terms import COSTS, TERMS, RewardStep, of_step
 
 Costs = dict[str, NDArray[np.float64]]
 """By key of infos, (B, n) each."""

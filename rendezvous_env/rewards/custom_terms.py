@@ -38,8 +38,23 @@ class RewardStep(NamedTuple):
     """(B, n), links of each robot that were lost other than by merging; 0 but on proximity
     graphs."""
 
+    def read_only(self) -> "RewardStep":
+        """The same, with arrays that refuse to be written to."""
+        views = {k: v.view() for k, v in self._asdict().items() if isinstance(v, np.ndarray)}
+        for view in views.values():
+            view.flags.writeable = False
+        return self._replace(**views)
+
 
 Term = Callable[[RewardStep], Any]
+COSTS: dict[str, Term] = {
+    "contact": lambda step: step.contact,
+    "rise": lambda step: step.rise,
+    "link_lost": lambda step: step.links_lost,
+}
+"""Costs of a robot in a step: whether it touched an obstacle; by how much V of its team rose before
+any merge, as a share of V at the start; how many of its links were lost other than by merging."""
+
 TERMS = Registry("reward term", "rv.reward_term")
 """By name."""
 
@@ -53,8 +68,10 @@ def reward_term(name: str, term: Term | None = None) -> Any:
     without ``term`` a decorator is returned.
 
     Raises:
-        ValueError: for what is no name or cannot be called.
+        ValueError: for what is no name, or that of a built-in cost, or cannot be called.
     """
+    if name in list(COSTS):
+        refuse("name of a reward term", name, f"none of the costs {', '.join(COSTS)}")
     return TERMS.add(name, term)
 
 

@@ -24,9 +24,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import floats, positive, real, refuse
+from ..limits import LARGEST
 from ..physics.half_planes import nearest_within
 
 Pair = tuple[float, float]
+_OFF_UNIT = 1e-3  # of a direction's length, as float32 and messages round
 _BELOW = 1.0 - 1e-9  # of a wheel's speed: whoever works it out from v and ω finds no more
 
 
@@ -62,16 +64,25 @@ def keep_apart(velocity: Sequence[float], near: ArrayLike, rooms: ArrayLike = 0.
         rooms: c_k, (k,) or one for all, m/s; less than 0 counts as 0.
 
     Raises:
-        ValueError: naming the argument that has another shape or is not finite.
+        ValueError: naming the argument that has another shape, is not finite or not of unit length.
     """
-    normals = floats("near", near).reshape(-1, 2)
-    most = np.maximum(np.broadcast_to(floats("rooms", rooms), len(normals)), 0.0)
-    for name, values in (("velocity", floats("velocity", velocity)), ("near", normals)):
-        if not np.isfinite(values).all():
-            refuse(name, values.tolist(), "finite")
-    wanted = float(velocity[0]), float(velocity[1])
-    x, y = nearest_within(wanted, normals, most, len(normals))
+    wanted, normals = _velocity(velocity), np.atleast_2d(floats("near", near))
+    normals, most = normals if normals.size else normals.reshape(0, 2), floats("rooms", rooms)
+    off, count = abs(np.linalg.norm(normals, axis=-1) - 1.0), len(normals)
+    if normals.shape != (count, 2) or not (off <= _OFF_UNIT).all():
+        refuse("near", normals.tolist(), "unit vectors, (k, 2)")
+    if most.shape not in ((), (1,), (count,)) or np.isnan(most).any():
+        refuse("rooms", most.tolist(), f"one number (m/s), or one for each of {count} directions")
+    most = np.maximum(np.broadcast_to(most, count), 0.0)
+    x, y = nearest_within(wanted, normals, most, count)
     return float(x), float(y)
+
+
+def _velocity(given: ArrayLike) -> Pair:
+    pair = floats("velocity", given)
+    if pair.shape != (2,) or not (abs(pair) <= LARGEST).all():
+        refuse("velocity", pair.tolist(), f"two finite numbers of at most {LARGEST:g} (m/s)")
+    return float(pair[0]), float(pair[1])
 
 
 class DifferentialDrive:
@@ -102,12 +113,10 @@ class DifferentialDrive:
         Raises:
             ValueError: naming the argument; nothing has changed then.
         """
-        if len(velocity) != 2 or not all(math.isfinite(real(part)) for part in velocity):
-            refuse("velocity", list(velocity), "two finite numbers (m/s)")
+        machine, (x, y) = self.machine, _velocity(velocity)
         if not math.isfinite(real(yaw)):
             refuse("yaw", yaw, "a finite number (rad)")
         positive("dt", dt, "s")
-        machine, x, y = self.machine, float(velocity[0]), float(velocity[1])
         c, s = math.cos(yaw), math.sin(yaw)
         ahead, turn = c * x + s * y, 0.5 * machine.base_length * ((c * y - s * x) / machine.lead)
         left, right = (ahead - turn) / machine.wheel_radius, (ahead + turn) / machine.wheel_radius

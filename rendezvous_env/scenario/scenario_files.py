@@ -33,12 +33,11 @@ def write(path: _PathLike, plain: dict[str, Any]) -> None:
     text = tomli_w.dumps(plain)
     with _possible(path) as target:
         temporary = Path(f"{target}.part")
-        temporary.write_text(text, encoding="utf-8")
         try:
+            temporary.write_text(text, encoding="utf-8")
             temporary.replace(target)
-        except OSError:
+        finally:
             temporary.unlink(missing_ok=True)
-            raise
 
 
 @contextmanager

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 from small_world import ROBOTS, SCENARIO, SEED, Lives
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import VecMonitor, VecNormalize, VecVideoRecorder
 
 import rendezvous_env as rv
 from rendezvous_env.adapters.sb3 import RobotVecEnv, make_robots
@@ -243,6 +245,29 @@ def test_actions_that_are_none_are_refused_in_words(actions, message):
     env.reset()
     with pytest.raises(ValueError, match=message):
         env.step(actions)
+
+
+@pytest.mark.parametrize("wrong", [1.5, np.nan, -1, 9])
+def test_a_choice_that_is_none_is_not_rounded_to_one(wrong):
+    robots = RobotVecEnv(rv.vector.training_env("clutter-8", 1, discrete=True))
+    robots.reset()
+    robots.step(np.full(4, 8))
+    with pytest.raises(ValueError, match=f"robot_0 in team 0 is {wrong}; .* whole number below 9"):
+        robots.step(np.full(4, wrong))
+
+
+def test_teams_can_be_filmed(tmp_path, monkeypatch):
+    """``moviepy`` only writes what was recorded."""
+    monkeypatch.setitem(sys.modules, "moviepy", ModuleType("moviepy"))
+    robots = make_robots(SCENARIO, 2, render_mode="rgb_array")
+    film = VecVideoRecorder(robots, str(tmp_path), lambda step: step == 0, video_length=9)
+    film.reset()
+    film.step(np.zeros((6, 2), np.float32))
+    (first, second), film.recorded_frames = film.recorded_frames, []
+    assert film.frames_per_sec == robots.teams.metadata["render_fps"]
+    pictures = robots.get_images()
+    np.testing.assert_array_equal(pictures, robots.teams.render())
+    assert first.dtype == np.uint8 and second.size >= pictures[0].size + pictures[1].size
 
 
 def test_bad_seeds_options_and_slots_are_refused():

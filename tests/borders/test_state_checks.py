@@ -191,8 +191,14 @@ NESTED = {
     "heading": lambda: begun(HeadingVectorWrapper(rv.make_vec("clutter-16", 2))),
     "tank": lambda: begun(EnergyTankWrapper(rv.make_vec("clutter-16", 2), budget=1.0)),
     "features": perceiving,
+    "training": lambda: begun(rv.vector.training_env("clutter-16", 2, guarantee="tank")),
     "robots": robots,
 }
+
+
+def more(at, key):
+    """An entry that nobody knows, beside one that all know."""
+    at[f"{key}, more"] = at[key]
 
 
 def leaves(state, path=()):
@@ -208,10 +214,22 @@ def test_every_entry_of_a_nested_state_is_checked_before_any_is_taken(make):
     paths = list(leaves(target.get_state()))
     assert len(paths) > 10
     for path in paths:
-        for spoil in (lambda at, key: at.pop(key), lambda at, key: at.update({key: "words"})):
+        for spoil in (lambda at, key: at.pop(key), lambda at, key: at.update({key: "words"}), more):
             state = other.get_state()
             at = state
             for key in path[:-1]:
                 at = at[key]
             spoil(at, path[-1])
             refused(target, state, path[-1])
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("returns", np.nan, "returns[1] is nan; it must be finite"),
+        ("lengths", -1, "lengths[1] is -1; it must be 0 or more"),
+    ],
+)
+def test_no_episode_of_robots_as_slots_has_these_counts(name, value, message):
+    target = robots()
+    refused(target, changed(target.get_state(), name, 1, value), re.escape(message))

@@ -4,11 +4,14 @@ import dataclasses
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from baselines.learned.plain_data import check_types
 from train import cli
-from train.checks import UserError, check_fields
+from train.checks import UserError, check_fields, typed
+from train.compare import compare
+from train.learn import ppo
 
 MODULES = {name: import_module(f"train.{module}") for name, (module, _) in cli.COMMANDS.items()}
 FLOATS = [
@@ -158,3 +161,31 @@ def test_types_of_plain_data():
     check_types({"a": [1, 2], "b": 3}, {"a": list[int], "b": float})
     with pytest.raises(ValueError, match=r"a is \[1, '2'\]; it must be of type list\[int\]"):
         check_types({"a": [1, "2"]}, {"a": list[int]})
+    with pytest.raises(ValueError, match="a is True; it must be of type"):
+        check_types({"a": True}, {"a": int | None})
+
+
+def test_text_and_lists_stand_for_paths_and_tuples():
+    made = typed(compare.Config(out="a/b", json="c.json", scenarios=["duo"]))
+    assert made == compare.Config(out=Path("a/b"), json=Path("c.json"), scenarios=("duo",))
+    made = typed(ppo.Config(out="a", resume="b", start_from=None, curriculum=[1, 2]))
+    assert made == ppo.Config(out=Path("a"), resume=Path("b"), curriculum=(1, 2))
+
+
+@pytest.mark.parametrize(
+    ("run", "settings", "message"),
+    [
+        (compare.run, compare.Config(on="nope"), "on is 'nope'; it must be of type"),
+        (compare.run, compare.Config(ceiling=1.5), "ceiling is 1.5; it must be of type int"),
+        (compare.run, compare.Config(episodes=np.int64(2)), "episodes is .*2.*; it must be of"),
+        (compare.run, compare.Config(out=5), "out is 5; it must be of type Path"),
+        (ppo.run, ppo.Config(total_steps=True), "total_steps is True; it must be of type int"),
+        (ppo.run, ppo.Config(out="a", resume=7), "resume is 7; it must be of type"),
+        (ppo.run, ppo.Config(hidden=(64, "64")), r"hidden is \(64, '64'\); it must be of type"),
+    ],
+)
+def test_settings_made_in_python_have_their_types(run, settings, message, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UserError, match=message):
+        run(settings)
+    assert list(tmp_path.iterdir()) == []

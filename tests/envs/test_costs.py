@@ -8,7 +8,7 @@ import pytest
 import baselines
 import rendezvous_env as rv
 from rendezvous_env import graphs
-from rendezvous_env.rewards.costs import COSTS
+from rendezvous_env.rewards.custom_terms import COSTS
 from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper, training_env
 
 ALL = tuple(COSTS)

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import rendezvous_env as rv
 from rendezvous_env.envs.gymnasium_env import make_env
-from rendezvous_env.rewards.costs import COSTS
+from rendezvous_env.rewards.custom_terms import COSTS
 
 NAME = "rendezvous_env:rendezvous/Rendezvous-v0"
 TEAMS, STEPS, SEED = 21, 60, 3  # more teams than lanes in a block

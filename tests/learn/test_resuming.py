@@ -198,6 +198,18 @@ class TestRefusals:
         refused("was trained with clutter-4: leave it out", whole, *words)
         refused("--num-threads is 0; it must be 1", whole, "--num-threads", "0")
 
+    def test_another_scenario_under_the_same_name(self, tmp_path, refused):
+        file, folder = tmp_path / "own.toml", tmp_path / "run"
+        scenarios.get("clutter-4").to_toml(file)
+        said = {"scenario": str(file), "total_steps": UPDATE, "eval_every": 0}
+        assert ppo.run(config(folder, **said)).status == 0
+        assert resumed(folder).steps == UPDATE
+        scenarios.get("clutter-4").replace(time_limit=5.0, max_speed=0.5).to_toml(file)
+        refused("is no longer what it was at", folder)
+        refused("other time_limit, max_speed; put that back, or begin a new run", folder)
+        file.unlink()
+        refused(f"scenario {file} cannot be read: No such file or directory", folder)
+
     def test_no_good_checkpoint(self, copied, refused):
         for place in (copied / "checkpoints").glob("step-*"):
             (place / "state.safetensors").unlink()

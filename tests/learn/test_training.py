@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from training_runs import UPDATE, assert_goes_on, assert_same_run, config, flags, network, resumed
 
+import rendezvous_env as rv
 from baselines.learned import checkpoints, learned_policy
 from baselines.learned.policy_settings import CHOICES
 from rendezvous_env.safety.safety_filter import FILTERS
@@ -222,8 +223,35 @@ class TestSettings:
 
     @pytest.mark.parametrize("name", ["guarantee", "memory", "critic"])
     def test_words_that_are_none(self, name, tmp_path):
-        with pytest.raises(UserError, match=f"--{name} is 'oracle'; it must be one of "):
-            ppo.check(config(tmp_path, **{name: "oracle"}))
+        with pytest.raises(UserError, match=f"{name} is 'oracle'; it must be of type "):
+            ppo.run(config(tmp_path, **{name: "oracle"}))
+
+    @pytest.mark.parametrize(
+        ("given", "said", "weights"),
+        [
+            ("", {}, (0.5, 0.1, 0.0, 1.0, 0.0)),
+            ("", {"time_penalty": 0.3}, (0.5, 0.3, 0.0, 1.0, 0.0)),
+            ("progress=5.0, clearance_penalty=2.0", {}, (5.0, 0.1, 0.1, 1.0, 2.0)),
+            ("progress=5.0", {"progress": 0.5, "rendezvous_bonus": 3.0}, (0.5, 0.1, 0.1, 3.0, 0.0)),
+        ],
+    )
+    def test_the_reward_is_the_scenarios_where_flags_say_nothing(
+        self, given, said, weights, tmp_path
+    ):
+        file = tmp_path / "own.toml"
+        file.write_text(f"n_robots = 3\nreward = {{ {given} }}\n")
+        assert Config(scenario=str(file), **said).base_scenario().reward.built_in == weights
+        if given:
+            set_here = Config(scenario="fig4", set=(f"reward={{{given}}}",), **said)
+            assert set_here.base_scenario().reward.built_in == weights
+        same = Config(scenario="fig4", set=("reward={progress=1.0}",))  # the default, but said
+        assert same.base_scenario().reward == rv.RewardWeights()
+
+    def test_a_custom_term_is_learned_from(self, tmp_path):
+        rv.reward_term("none", lambda step: np.zeros(len(step.time)))
+        file = tmp_path / "own.toml"
+        file.write_text("n_robots = 3\n[reward.custom]\nnone = 2.0\n")
+        assert Config(scenario=str(file)).base_scenario().reward.custom == (("none", 2.0),)
 
     def test_as_plain_data(self):
         given = Config(

@@ -151,9 +151,23 @@ class TestRegistry:
     def test_a_wrong_observation_and_another_kind_are_refused(self):
         with pytest.raises(ValueError, match=r"needs \(..., 2, 2\)"):
             baselines.make("bearing-only", POINT)(np.zeros((3, 5, 2), np.float32), 0.0)
-        with pytest.raises(ValueError, match="kind is 'best'; it must be one of law, field, rule"):
-            policy.register("mine", fits=lambda scenario: True, kind="best")
-        assert "mine" not in baselines.names()
+
+    @pytest.mark.parametrize(
+        ("name", "fits", "kind", "build", "message"),
+        [
+            ("mine", bool, "best", POINT, "kind is 'best'; it must be one of 'law', 'field'"),
+            ("mine", bool, ["own"], POINT, r"kind is \['own'\]; it must be one of 'law'"),
+            ("", bool, "own", POINT, "name of a policy is ''; it must be a word"),
+            (5, bool, "own", POINT, "name of a policy is 5; it must be a word"),
+            ("mine", None, "own", POINT, "fits of policy 'mine' is None; it must be a function of"),
+            ("mine", bool, "own", POINT, "policy 'mine' is Scenario"),
+        ],
+    )
+    def test_what_cannot_be_registered_is_named(self, name, fits, kind, build, message):
+        before = baselines.names()
+        with pytest.raises(ValueError, match=message):
+            policy.register(name, fits=fits, kind=kind)(build)
+        assert baselines.names() == before
 
 
 class TestLargeSparseGraphs:

@@ -65,6 +65,7 @@ def test_machines_that_cannot_be_are_named():
     ("told", "message"),
     [
         (((np.nan, 0.0), 0.0, 0.1), r"velocity is \[nan, 0\.0\]; it must be two finite numbers"),
+        (((1e308, 1e308), 0.0, 0.1), r"velocity is \[1e\+308, 1e\+308\]; it must be two finite"),
         (((1.0,), 0.0, 0.1), r"velocity is \[1\.0\]; it must be two finite numbers"),
         (((1.0, 0.0), np.inf, 0.1), "yaw is inf; it must be a finite number"),
         (((1.0, 0.0), 0.0, 0.0), r"dt is 0\.0; it must be a positive"),
@@ -121,6 +122,27 @@ class TestKeepApart:
             assert apart.min() > size - 1e-9
         assert np.linalg.norm(places, axis=-1).max() < 1.2  # from 2.5 m
 
-    def test_what_is_not_finite_is_named(self):
-        with pytest.raises(ValueError, match=r"near is \[\[nan, 0\.0\]\]; it must be finite"):
-            keep_apart((1.0, 0.0), [(np.nan, 0.0)])
+    @pytest.mark.parametrize(
+        ("given", "message"),
+        [
+            (((np.nan, 0.0), [(1.0, 0.0)]), r"velocity is \[nan, 0\.0\]; it must be two finite"),
+            (((1.0,), [(1.0, 0.0)]), r"velocity is \[1\.0\]; it must be two finite numbers"),
+            (((1.0, 2.0, 3.0), []), r"velocity is \[1\.0, 2\.0, 3\.0\]; it must be two finite"),
+            (((1e300, 0.0), []), r"velocity is \[1e\+300, 0\.0\]; it must be two finite numbers"),
+            (((1.0, 0.0), [(np.nan, 0.0)]), r"near is \[\[nan, 0\.0\]\]; it must be unit vectors"),
+            (((1.0, 0.5), [(5.0, 0.0)]), r"near is \[\[5\.0, 0\.0\]\]; it must be unit vectors"),
+            (((0.2, 0.1), [(0.1, 0.0)]), r"near is \[\[0\.1, 0\.0\]\]; it must be unit vectors"),
+            (((1.0, 0.5), [1, 0, 0]), r"near is \[\[1\.0, 0\.0, 0\.0\]\]; it must be unit vectors"),
+            (((1.0, 0.5), 1.0), r"near is \[\[1\.0\]\]; it must be unit vectors, \(k, 2\)"),
+            (((0.2, 0.1), [(1.0, 0.0)], np.nan), "rooms is nan; it must be one number"),
+            (((0.2, 0.1), [(1.0, 0.0)], (0.1, 0.2)), r"rooms is \[0\.1, 0\.2\]; .* each of 1 dir"),
+        ],
+    )
+    def test_what_cannot_be_is_named(self, given, message):
+        with pytest.raises(ValueError, match=message):
+            keep_apart(*given)
+
+    def test_what_is_nearly_a_unit_vector_or_without_bound_is_taken(self):
+        ahead = np.float32([[1.0005, 0.0]])
+        assert keep_apart((1.0, 2.0), ahead, np.inf) == (1.0, 2.0)
+        assert keep_apart((1.0, 2.0), ahead, [0.0]) == pytest.approx((0.0, 2.0), abs=3e-3)

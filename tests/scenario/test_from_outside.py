@@ -9,6 +9,7 @@ from conftest import refusing
 import rendezvous_env as rv
 from rendezvous_env import Scenario, Sensing, Simulator, graphs
 from rendezvous_env.checks import Registry
+from rendezvous_env.rewards.custom_terms import RewardStep
 
 
 @graphs.family("hexagon-and-chords")
@@ -250,6 +251,7 @@ def test_terms_reach_every_interface():
         (lambda: Sensing(custom=("nothing",)), "'nothing' is unknown; register it with rv.sensor"),
         (lambda: Sensing(custom="blind-behind"), "it must be a list of names"),
         (lambda: rv.reward_term("x", 5), "term 'x' is 5; it must be a function"),
+        (lambda: rv.reward_term("rise"), "is 'rise'; it must be none of the costs contact"),
         (lambda: rv.reward_term(""), "name of a reward term is ''"),
         (lambda: rv.sensor_imperfection("x", 5), "imperfection 'x' is 5; it must be a function"),
     ],
@@ -267,6 +269,21 @@ def test_a_term_of_the_wrong_shape_is_named():
         simulator.reset(0)
         with pytest.raises(ValueError, match=f"reward term '{name}' .*{said}"):
             simulator.step(np.zeros((1, 5, 2)))
+
+
+@pytest.mark.parametrize("field", [name for name in RewardStep._fields if name != "scenario"])
+@pytest.mark.parametrize("role", ["reward", "costs"])
+def test_a_term_may_change_nothing(field, role):
+    @rv.reward_term("meddler")
+    def meddler(step):
+        getattr(step, field)[...] = 1
+        return step.time
+
+    paid = {"reward": {"custom": {"meddler": 1.0}}, "costs": ("meddler",)}
+    simulator = Simulator(Scenario(**{role: paid[role]}))
+    simulator.reset(0)
+    with pytest.raises(ValueError, match="read-only"):
+        simulator.step(np.zeros((1, 5, 2), np.float32))
 
 
 def test_weights_and_names_are_written_to_files(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import resource
 
 import numpy as np
 import pytest
@@ -282,6 +283,19 @@ def test_names_and_paths_that_no_file_can_have(tmp_path):
         assert "path is" in refusal(Scenario.from_toml, path)
     with pytest.raises(FileNotFoundError):
         Scenario().to_toml(tmp_path / "absent" / "x.toml")
+
+
+def test_a_full_disk_leaves_what_was_there(tmp_path):
+    Scenario(n_robots=2).to_toml(tmp_path / "x.toml")
+    free = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, free[1]))
+    try:
+        with pytest.raises(OSError, match="too large"):
+            Scenario().to_toml(tmp_path / "x.toml")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, free)
+    assert [path.name for path in tmp_path.iterdir()] == ["x.toml"]
+    assert Scenario.from_toml(tmp_path / "x.toml").n_robots == 2
 
 
 def test_a_file_that_cannot_be_replaced_leaves_nothing_behind(tmp_path):

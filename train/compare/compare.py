@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from .. import results
+from ..checks import typed
 from ..resume import Part, claimed
 from ..tasks import Workers, each
 from . import out_folder, statistics, sweep, tables, upper_bound
@@ -56,7 +57,7 @@ def run(config: Config) -> int:
     """Compare, print the answer, write all files; exit status 1 if a merge raised V above its
     proven bound, else 0.
     """
-    console, clock = Console(), _Clock()
+    config, console, clock = typed(config), Console(), _Clock()
     jobs = plan(config)
     out = out_folder.destination(config.out)
     with claimed(out.parent, f".{out.name}.lock", f"--out {config.out}"):

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from rendezvous_env.graphs.random_graphs import CustomFamily
-from rendezvous_env.rewards.costs import COSTS
+from rendezvous_env.rewards.custom_terms import COSTS
 from rendezvous_env.robots.robot_models import is_custom
 from rendezvous_env.scenario.scenario import Scenario
 

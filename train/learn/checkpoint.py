@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from rendezvous_env.baselines.learned import checkpoints
 from rendezvous_env.baselines.learned.checkpoints import CheckpointError
 from rendezvous_env.baselines.learned.plain_data import check_types, entry
 from rich.console import Console
+
+from rendezvous_env.scenario.scenario import Scenario
 
 from .. import results
 from ..checks import UserError
@@ -172,10 +175,17 @@ def where_to_begin(config: Config, console: Console) -> tuple[Config, Path | Non
     try:
         check_types(about, _DESCRIPTION)
         own = Config.from_plain(about["config"])
-    except (KeyError, TypeError, ValueError) as error:
+        trained = Scenario.from_plain(about["scenario"])
+    except (KeyError, TypeError, ValueError, UserError) as error:
         raise CheckpointError(f"{place}: is no checkpoint of a run: {error}") from error
     if not same_run(config, own):
         raise UserError(f"--resume {folder}: {place} is of another run than {CONFIG} tells of")
+    now, names = config.base_scenario(), [field.name for field in fields(Scenario)]
+    if other := [name for name in names if getattr(now, name) != getattr(trained, name)]:
+        raise UserError(
+            f"--resume {folder}: scenario {config.scenario} is no longer what it was at {place}: "
+            f"other {', '.join(other)}; put that back, or begin a new run"
+        )
     console.print(f"resumes {place} at step {about['step']:,}, written {about['written']}")
     return config, place
 

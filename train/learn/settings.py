@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_type_hints
+from typing import Annotated, Any, Literal
 
-from rendezvous_env.baselines.learned.plain_data import check_types, read_json
+from rendezvous_env.baselines.learned.plain_data import read_json
 from rendezvous_env.baselines.learned.policy_settings import PolicySettings, memory_of
 from rendezvous_env.baselines.steering import can_steer, check_steerable
 from tyro.conf import arg
@@ -18,7 +18,7 @@ from rendezvous_env.safety.settings import SMALLEST_MARGIN
 from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..checks import UserError, check_fields, check_least, check_most, flag
+from ..checks import UserError, check_fields, check_least, check_most, flag, typed
 from ..policies import resolve_scenario
 from .sensing_ranges import Ranges, check_ranges
 
@@ -38,7 +38,10 @@ EXAMPLES = (
     "--guarantee tank --budget 20 --memory features --out runs/tank",
     "--resume runs/heading",
 )
-_REWARDS = ("progress", "time_penalty", "collision_penalty", "rendezvous_bonus")
+_REWARDS = {
+    "progress": 0.5, "time_penalty": 0.1, "collision_penalty": 0.0, "rendezvous_bonus": 1.0
+}  # fmt: skip
+"""What teams are paid where neither flags nor the scenario say it."""
 _POLICY = tuple(
     field.name for field in fields(PolicySettings) if field.name not in ("decision_time", "budget")
 )
@@ -156,15 +159,16 @@ class Config:
     sensing_updates: int = 8
     """For how many updates a group keeps its sensor; with the next one it begins new episodes."""
 
-    progress: float = 0.5
-    """The reward for V falling from its first value to 0."""
-    time_penalty: float = 0.1
+    progress: float | None = None
+    """The reward for V falling from its first value to 0; without this weight, or one of those
+    below, the scenario's if its reward is not the default, else 0.5, 0.1, 0 and 1."""
+    time_penalty: float | None = None
     """What an episode costs that lasts to the time limit, paid evenly."""
-    collision_penalty: float = 0.0
+    collision_penalty: float | None = None
     """What the team pays for each robot in contact, in each base step."""
     touch_penalty: float = 1.0
     """What a robot pays for its first contact."""
-    rendezvous_bonus: float = 1.0
+    rendezvous_bonus: float | None = None
     """What the team earns when all have met."""
 
     eval_every: int = 500_000
@@ -190,18 +194,15 @@ class Config:
 
     @classmethod
     def from_plain(cls, plain: dict[str, Any]) -> Config:
-        """What ``to_plain`` gave, in an older version too; a ValueError for anything else."""
+        """What ``to_plain`` gave, in an older version too; a ValueError or UserError for anything
+        else.
+        """
         if not isinstance(plain, dict):
             raise ValueError(f"the configuration is a {type(plain).__name__}, not named fields")
-        hints = get_type_hints(cls)
-        if unknown := sorted(set(plain) - set(hints)):
+        if unknown := sorted(set(plain) - {field.name for field in fields(cls)}):
             raise ValueError(f"field {unknown[0]!r} of the configuration is unknown")
-        read: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in plain.items()}
-        read |= {name: Path(read[name]) for name in _PATHS if isinstance(read.get(name), str)}
-        if "memory" in read:
-            read["memory"] = memory_of(read["memory"])
-        check_types(read, {name: hints[name] for name in read})
-        return cls(**read)
+        memory = {"memory": memory_of(plain["memory"])} if "memory" in plain else {}
+        return typed(cls(**plain | memory))
 
     @property
     def first_seed(self) -> int:
@@ -214,9 +215,14 @@ class Config:
         return self.num_teams * self.base_scenario().n_robots * self.n_steps
 
     def base_scenario(self) -> Scenario:
-        """The scenario with this configuration's rewards."""
-        rewards = RewardWeights(**{name: getattr(self, name) for name in _REWARDS})
-        return self.plain_scenario().replace(reward=rewards)
+        """The scenario with this configuration's rewards: the weights that are given, and its own
+        for the others, or ``_REWARDS`` where nobody said what its own are.
+        """
+        scenario, set_here = self.plain_scenario(), any(x.startswith("reward=") for x in self.set)
+        own = set_here or scenario.reward != RewardWeights()
+        given = {name: value for name in _REWARDS if (value := getattr(self, name)) is not None}
+        weights = ({} if own else _REWARDS) | given
+        return scenario.replace(reward=replace(scenario.reward, **weights))
 
     def plain_scenario(self) -> Scenario:
         """The scenario as it is named, with what --set says."""
@@ -276,15 +282,13 @@ MAY_CHANGE = ("total_steps", "eval_every", "eval_starts", "checkpoint_every", "n
 
 
 def check(config: Config) -> None:
-    """Refuse impossible settings with a UserError that names the flag and what would be right."""
+    """Refuse impossible settings with a UserError that names the flag and what would be right;
+    types are those that ``typed`` has let through.
+    """
     check_fields(config)
     check_least(config, **{name: least for name, (least, _) in _BOUNDS.items()})
     check_most(config, **{name: most for name, (_, most) in _BOUNDS.items()})
-    hints = get_type_hints(Config)
     rules: dict[str, tuple[bool, str]] = {}
-    for name in ("guarantee", "memory", "critic"):
-        words = get_args(hints[name])
-        rules[name] = getattr(config, name) in words, f"one of {', '.join(words)}"
     for name in ("learning_rate", "clip_range", "max_turn_rate"):
         rules[name] = getattr(config, name) > 0, "positive"
     rules["clearance"] = 0 <= config.clearance < math.pi, "an angle in [0, π) rad"
@@ -355,7 +359,7 @@ def read_config(folder: Path) -> Config:
     path = folder / CONFIG
     try:
         return Config.from_plain(read_json(path))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, UserError) as error:
         what = f"{path}: {getattr(error, 'strerror', None) or error}"
         raise UserError(f"--resume {folder}: it holds no run that can go on: {what}") from error
 

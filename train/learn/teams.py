@@ -126,8 +126,9 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
         """Put back what ``get_state`` took out, with the sensors that belong to it; a ValueError
         names what does not fit, and nothing has changed then.
         """
-        check_keys(state, tuple(str(g) for g in range(len(self.groups))))
-        own = check_entries({"generations": self.generations, "blind": self._blind}, state)
+        memory = {"generations": self.generations, "blind": self._blind}
+        check_keys(state, (*map(str, range(len(self.groups))), *memory), exactly=True)
+        own = check_entries(memory, state)
         groups = [self._make(g, int(k)) for g, k in enumerate(own["generations"])]
         for g, teams in enumerate(groups):
             teams.set_state(state[str(g)])
