@@ -232,7 +232,7 @@ def tank_tradeoff_figure(rows: Sequence[dict[str, Any]]) -> Figure:
     left.set(ylim=(0, 103), ylabel="met without a contact / %")
     left.set(title=f"What is reached: {TANK_SCENARIO}, {starts} starts")
     right.set(yscale="log", ylabel="time bound / s")
-    right.set(title="What theorem D promises wrapped robots with nothing in the way")
+    right.set(title="Theorem D under its wrapper, nothing in the way")
     for axes in (left, right):
         axes.set(xscale="log", xlabel="alignment margin ε")
         axes.set_xticks(MARGINS, [f"{margin:g}" for margin in MARGINS])
