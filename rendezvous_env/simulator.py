@@ -105,7 +105,6 @@ class Simulator(StateView):
         """
         given = parse_options(self.scenario, self.num_envs, options)
         self._begin(self._which(mask), seeds_of_teams(seed, self.num_envs), given, resting)
-        self.changes += 1
         return self.observe()
 
     def restart(self, mask: NDArray[np.bool_], outcome: StepOutput | None = None) -> None:
@@ -143,6 +142,7 @@ class Simulator(StateView):
     ) -> None:
         self._all_running = False  # not known, should an interrupt leave from here
         self._episodes.begin(which, seeds, given, resting)
+        self.changes += 2  # so that none is taken for a step
         self._all_running = not (resting and len(which)) and not self.status.any()
         self._ready = True
 
@@ -206,7 +206,8 @@ class Simulator(StateView):
         limit = float(constants_of(scenario).speed_limit)
         # each merge may put a robot half a merge radius aside
         merged = (self.active != active).sum(axis=1, keepdims=True)
-        most = 1.000001 * limit * scenario.tau + merged * scenario.merge_radius
+        rounding = 4.0 * np.spacing(np.abs(before).max())
+        most = 1.000001 * limit * scenario.tau + merged * scenario.merge_radius + rounding
         moved = np.linalg.norm(self.positions - before, axis=-1)
         wrong = np.argwhere(~(moved <= most))  # NaN is wrong, too
         if len(wrong):

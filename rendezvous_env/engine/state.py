@@ -124,7 +124,7 @@ class State:
         """Put back what ``as_dict`` gave; unchecked."""
         self.give(self._everybody, **{name: state[name] for name in self._told})
         active = (self.teams.merged_into == np.arange(self.scenario.n_robots)).sum(axis=1)
-        block, lane = self._everybody // self.lanes, self._everybody % self.lanes
+        block, _, lane = self._places(self._everybody)[1]
         for name, values in {**{name: state[name] for name in KEPT}, "active": active}.items():
             self.teams.statistics[block, STATISTICS.index(name), lane] = values
         if self.obstacles is not None:

@@ -37,7 +37,8 @@ def share(calls_of: Callable[[Part], Calls], blocks: int, most: int, ahead: floa
 
     Raises:
         BaseException: what a call raised, or what interrupted the caller (Ctrl-C). No thread works
-            on any block then, and unless a call has failed all are done or none.
+            on any block then, and unless a call has failed all are done or none; a call of the
+            caller's that has failed may be made twice.
     """
     # a helper that shares waits for the others, and they might for it
     if most == 1 or not compiled() or threading.current_thread() in _workers:
@@ -139,13 +140,13 @@ def _watch(ended, turns, most):
     """Wait for all to be 1, for so many turns at most; whether they are. Turns are counted in an
     array, which might be the same one, so that the compiler looks each time.
     """
-    for k in range(len(ended)):
-        while ended[k] == 0 and turns[0] < most:
+    k = 0
+    while k < len(ended) and (ended[k] == 1 or turns[0] < most):
+        if ended[k] == 1:
+            k += 1
+        else:
             turns[0] += 1
-    for k in range(len(ended)):
-        if ended[k] == 0:
-            return False
-    return True
+    return k == len(ended)
 
 
 @cache

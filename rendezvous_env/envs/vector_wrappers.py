@@ -207,6 +207,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         self._forget(which)
         for key, values in self.filter.told.items():
             infos[key][which] = values[which]
+        self._note_seen()
 
     def _told(self) -> Info:
         return {key: values.copy() for key, values in self.filter.told.items()}

@@ -43,10 +43,9 @@ def parse_options(scenario: Any, num_envs: int, options: Mapping[str, Any] | Non
     given = StartOptions(
         *(None if value is None else read(scenario, num_envs, value) for value, read in values)
     )
-    positions = given.positions
-    if positions is None and not (given.weights is None and given.obstacles is None):
-        positions = scenario.start_positions
-        positions = None if positions is None else np.array([positions])
+    positions, start = given.positions, scenario.start_positions
+    if start is not None and (given.weights is not None or given.obstacles is not None):
+        positions = np.array([start]) if positions is None else positions
     if positions is not None:
         graph = scenario.sensing_graph
         weights = [graph.sparse_weights] if given.weights is None else given.weights

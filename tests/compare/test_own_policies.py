@@ -144,4 +144,4 @@ def test_a_scenario_of_ones_own_is_played_where_it_is_known():
     for scenario, stays in ((own, True), (rv.Scenario(n_robots=2, costs=("contact",)), False)):
         config = compare.Config(scenarios=(scenario,), policies=("bearing-only",), episodes=3)
         job = playing.Job(scenario, "bearing-only")
-        assert {task.stays for task in playing.blocks_of(0, job, config)} == {stays}
+        assert {*map(playing.stays_here, playing.blocks_of(0, job, config))} == {stays}

@@ -348,7 +348,23 @@ class AnewTeams(gymnasium.vector.VectorWrapper):
         return (self.env.reset()[0], *ended)
 
 
-@pytest.mark.parametrize("between", [TwiceTeams, AnewTeams, TwiceRobots])
+class AnewInstead(gymnasium.vector.VectorWrapper):
+    """A reset in place of a step, as wrappers of other libraries have it at the end."""
+
+    def step(self, actions):
+        seen, infos = self.env.reset()
+        nothing = np.zeros(self.num_envs)
+        return seen, nothing, nothing > 0, nothing > 0, infos
+
+
+class RestartTeams(gymnasium.vector.VectorWrapper):
+    def step(self, actions):
+        told = self.env.step(actions)
+        self.unwrapped.simulator.restart(np.ones(self.num_envs, bool))
+        return told
+
+
+@pytest.mark.parametrize("between", [TwiceTeams, AnewTeams, AnewInstead, RestartTeams, TwiceRobots])
 def test_a_wrapper_between_that_steps_twice_or_resets_is_refused(which, between):
     """The filter would not see it: with frames skipped V rose above its bound."""
     if between is TwiceRobots:

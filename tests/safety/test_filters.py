@@ -161,3 +161,21 @@ def test_a_filter_must_say_what_the_robots_do():
     bare = SafetyFilter(five("single_integrator-2d"), 1, 2, "local", None)
     with pytest.raises(NotImplementedError, match="SafetyFilter needs act"):
         bare.act(np.zeros((1, 5, *bare.scenario.observation_layout.shape), np.float32))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("made", [EnergyTank, HeadingFilter])
+def test_observations_of_other_types_and_strides_are_taken_as_float32(made, dim):
+    """Kernels that take rows in pairwise must not read the bytes of others."""
+    scenario = Scenario(n_robots=5, dim=dim)
+    simulator, random = Simulator(scenario, 3), np.random.default_rng(0)
+    seen, found = simulator.reset(0), []
+    choices = random.uniform(-1, 1, (3, 5, dim)).astype(np.float32)
+    for given in (seen, seen.astype(np.float64), np.repeat(seen, 2, axis=-1)[..., ::2]):
+        error = {"bearing_error": 0.1} if made is HeadingFilter else {}
+        safe = made(scenario, 3, **error)
+        safe.hold(choices)
+        found.append(safe.act(given))
+    assert np.abs(found[0]).max() > 0.1
+    np.testing.assert_array_equal(found[1], found[0])
+    np.testing.assert_array_equal(found[2], found[0])

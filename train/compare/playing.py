@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
-from operator import attrgetter, methodcaller
+from operator import methodcaller
 from typing import Any
 
 import numpy as np
@@ -130,17 +130,20 @@ def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
             scenario=job.scenario,
             count=(count := min(BLOCK, starts - first)),
             work=partial(play_block, job, first, count, config.seed, min(count, kept - first)),
-            stays=typed_in or _is_of_ones_own(job.scenario),
+            stays=typed_in,
         )
         for first in range(0, starts, BLOCK)
     ]
 
 
-def _is_of_ones_own(scenario: Scenario) -> bool:
-    """Whether a scenario speaks of what somebody has registered."""
+def stays_here(task: Task) -> bool:
+    """Whether only this process can do a task, as where its scenario speaks of what somebody has
+    registered here.
+    """
+    scenario = task.scenario
     named = scenario.sensing.custom or scenario.reward.custom or {*scenario.costs} - {*COSTS}
     family = isinstance(scenario.sensing_graph, CustomFamily)
-    return bool(named) or family or is_custom(scenario.model)
+    return task.stays or bool(named) or family or is_custom(scenario.model)
 
 
 def play_block(job: Job, first: int, count: int, seed: int, keep: int) -> Played:
@@ -184,8 +187,8 @@ def play_all(
 
     def do(left: list[Task]) -> Generator[tuple[int, Any], None, None]:
         left[:] = _one_of_each_first(left)
-        stays = attrgetter("stays")
-        return each(methodcaller("work"), left, workers, stays, long=len(left) >= _MANY)
+        long = len(left) >= _MANY
+        return each(methodcaller("work"), left, workers, stays_here, long=long)
 
     found, ready = {}, 0.0
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
