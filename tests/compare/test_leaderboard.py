@@ -220,6 +220,25 @@ def test_cells_are_added_to_those_of_a_folder(board, tmp_path, monkeypatch, caps
         command.run(more)
 
 
+def test_no_file_of_the_user_is_written_over(board, tmp_path, monkeypatch):
+    """And nothing is played for a folder that cannot be written to."""
+    monkeypatch.setattr(command, "play_all", lambda *given: 1 / 0)
+    for name in ("README.md", "price.png"):
+        folder = tmp_path / name.partition(".")[0]
+        folder.mkdir()
+        (folder / name).write_text("mine")
+        with pytest.raises(UserError, match=f"holds '{name}', which leaderboard has not written"):
+            command.run(replace(SMALL, out=folder))
+        with pytest.raises(UserError, match=f"{name}: cannot write there: Not a directory"):
+            command.run(replace(SMALL, out=folder / name))
+        assert (folder / name).read_text() == "mine" and len(list(folder.iterdir())) == 1
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UserError, match=r"--out \.: cannot be replaced as a whole"):
+        command.run(replace(SMALL, out=command.Path(".")))
+    with pytest.raises(ZeroDivisionError):
+        command.run(replace(SMALL, out=board))
+
+
 def test_what_is_not_installed_is_left_out_or_said(monkeypatch, capsys, tmp_path):
     """None of it where all names are meant; asked for by name it is an error."""
     monkeypatch.setattr(registry.Algorithm, "missing", property(lambda own: list(own.packages)))
