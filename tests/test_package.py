@@ -134,6 +134,10 @@ def test_nothing_points_back():
     assert wrong == []
 
 
+def test_all_commands_print_to_a_console_without_markup():
+    assert {m for m in MODULES if "rich.console.Console" in imported_names(m)} == set()
+
+
 def test_no_file_uses_the_short_names():
     """Which mean files of a user where there are such; the safe names never do."""
     for module in MODULES:

@@ -20,13 +20,13 @@ from typing import Any, TypeVar
 
 from filelock import FileLock, Timeout
 from rendezvous_env.baselines.learned import plain_data
-from rich.console import Console
 
 import rendezvous_env
 from rendezvous_env import baselines
 
 from . import results
 from .checks import UserError
+from .console import Console
 
 PLAN = "plan.json"
 Task = TypeVar("Task", bound=Any)

@@ -9,7 +9,6 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 from rich.progress import Progress
 from tyro.conf import arg
 
@@ -22,6 +21,7 @@ from rendezvous_env.trajectory import run as steps_of
 
 from .. import policies
 from ..checks import UserError, check_installed
+from ..console import Console
 from ..results import atomic, prepare_folder
 from . import path_figures, style
 from .reproduce import one_team

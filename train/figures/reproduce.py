@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from rich.console import Console
 from tyro.conf import Positional
 
 from rendezvous_env import baselines
@@ -22,6 +21,7 @@ from rendezvous_env.trajectory import Trajectory, rollout
 
 from .. import policies, results
 from ..checks import UserError, check_installed, check_least, check_most
+from ..console import Console
 from ..recording import Recording
 from . import bounds, path_figures, style
 from .figures import BLUE, VERMILLION

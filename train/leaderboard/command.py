@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-from rich.console import Console
 from tyro.conf import arg
 
 from rendezvous_env.scenario import scenarios
@@ -18,6 +17,7 @@ from .. import results
 from ..checks import UserError, check_least
 from ..compare import out_folder, statistics
 from ..compare.playing import Task, play_all
+from ..console import Console
 from ..policies import resolve_scenario
 from ..resume import Part, claimed, program
 from ..tasks import Workers

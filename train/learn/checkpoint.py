@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from rendezvous_env.baselines.learned import checkpoints
 from rendezvous_env.baselines.learned.checkpoints import CheckpointError
 from rendezvous_env.baselines.learned.plain_data import check_types, entry
-from rich.console import Console
 
 from .. import results
 from ..checks import UserError
+from ..console import Console
 from .settings import CONFIG, Config, check, read_config, resumed, same_run
 
 STATE_FILES = ("network", "optimizer", "state")
