@@ -232,7 +232,8 @@ def tank_tradeoff_figure(rows: Sequence[dict[str, Any]]) -> Figure:
     left.set(ylim=(0, 103), ylabel="met without a contact / %")
     left.set(title=f"What is reached: {TANK_SCENARIO}, {starts} starts")
     right.set(yscale="log", ylabel="time bound / s")
-    right.set(title="What theorem D promises wrapped robots with nothing in the way")
+    right.yaxis.set_major_formatter("{x:,.0f}")
+    right.set(title="What theorem D promises with nothing in the way")
     for axes in (left, right):
         axes.set(xscale="log", xlabel="alignment margin ε")
         axes.set_xticks(MARGINS, [f"{margin:g}" for margin in MARGINS])
