@@ -173,8 +173,9 @@ def test_a_card_is_repeated_bit_by_bit_or_said_to_differ(board, capsys):
         assert command.run(replace(SMALL, repeat=other)) == 1
         said = capsys.readouterr().err
         assert "results differ" in said and f"{where} the 95 % interval of the difference" in said
-    changed["starts"] = 7
-    for text in ("{}", "[1]", "no card", json.dumps(changed)):
+    wrong = [changed | {"starts": 7}, changed | {"decisions": "64"}]
+    wrong += [changed | {"seed": seed} for seed in ("a", True, 1.0, -1, 2**29)]
+    for text in ("{}", "[1]", "no card", *map(json.dumps, wrong)):
         other.write_text(text)
         with pytest.raises(UserError, match=r"other\.json: no results card"):
             command.run(replace(SMALL, repeat=other))
@@ -259,6 +260,7 @@ def test_what_is_refused(monkeypatch):
         ({"fields": ("uav-6",), "algorithms": ("ppo-tank",)}, "none of these algorithms fits"),
         ({"seeds": (1, 1)}, "named twice"),
         ({"starts": 0}, "--starts is 0"),
+        ({"seeds": (3_000_000_000,)}, "--seeds is 3000000000; it must be 536870911 or less"),
     ):
         with pytest.raises(UserError, match=said):
             command.plan(replace(SMALL, **changes))

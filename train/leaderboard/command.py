@@ -14,10 +14,11 @@ from tyro.conf import arg
 from rendezvous_env.scenario import scenarios
 
 from .. import results
-from ..checks import UserError, check_least
+from ..checks import UserError, check_least, check_most
 from ..compare import out_folder, statistics
 from ..compare.playing import Task, play_all
 from ..console import Console
+from ..learn.settings import MOST_SEED
 from ..policies import resolve_scenario
 from ..resume import Part, claimed, program
 from ..tasks import Workers
@@ -89,6 +90,7 @@ class Config(Workers):
 def plan(config: Config) -> list[Place]:
     """The cells that a configuration asks for, those that fit; a UserError if there are none."""
     check_least(config, seeds=0, decisions=1, starts=1)
+    check_most(config, seeds=MOST_SEED)
     tier = TIERS[config.tier]
     able = tuple(name for name, one in registry.known().items() if not one.missing)
     decisions, starts = config.decisions or tier.decisions, config.starts or tier.starts
