@@ -221,6 +221,17 @@ def test_cells_are_added_to_those_of_a_folder(board, tmp_path, monkeypatch, caps
         command.run(more)
 
 
+def test_cells_without_a_replay_are_done_again_for_one(board, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(board, out)
+    cards = [card["results"] for card in cards_of.read_cards(out)]
+    before = (out / "cells/bearing-only/clutter-8-v1-seed-0.json").read_bytes()
+    assert command.run(replace(SMALL, out=out, record=True)) == 0
+    assert [cards_of.has_replay(out, card) for card in cards_of.read_cards(out)] == [True] * 3
+    assert [card["results"] for card in cards_of.read_cards(out)] == cards
+    assert (out / "cells/bearing-only/clutter-8-v1-seed-0.json").read_bytes() == before
+
+
 def test_no_file_of_the_user_is_written_over(board, tmp_path, monkeypatch):
     """And nothing is played for a folder that cannot be written to."""
     monkeypatch.setattr(command, "play_all", lambda *given: 1 / 0)

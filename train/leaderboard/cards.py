@@ -91,6 +91,11 @@ def path_in(folder: Path, card: Card) -> Path:
     return folder / "cells" / f"{place_of(card).name}.json"
 
 
+def has_replay(folder: Path, card: Card) -> bool:
+    """Whether there is a replay of a card in a leaderboard's folder."""
+    return path_of(path_in(folder, card)).exists()
+
+
 def read_cards(out: Path) -> list[Card]:
     """The cards of a folder, by algorithm, field and seed; as ``read_card``."""
     return sorted(map(read_card, (out / "cells").glob("*/*.json")), key=place_of)

@@ -23,7 +23,7 @@ from ..policies import resolve_scenario
 from ..resume import Part, claimed, program
 from ..tasks import Workers
 from . import registry, tables
-from .cards import Card, Place, Run, place_of, read_card, read_cards, run_of, write_run
+from .cards import Card, Place, Run, has_replay, place_of, read_card, read_cards, run_of, write_run
 from .replays import path_of, write_replay
 
 Tier = Literal["smoke", "mini", "full"]
@@ -78,8 +78,8 @@ class Config(Workers):
     """A results card: its cell is done again, and compared with it bit by bit; status 1 if it
     differs. The other flags are those of the card."""
     record: bool = False
-    """Keeps a replay of every run, not of the first seed alone; with --repeat of that run, beside
-    its card, if it does not differ."""
+    """Keeps a replay of every run, not of the first seed alone; cells of OUT without one are done
+    again. With --repeat of that run, beside its card, if it does not differ."""
     out: Path = Path("out/leaderboard")
     """The folder for cards, tables and figures. Cells that it has are kept, others added. What is
     finished lies in OUT.part until all is, and the same command resumes it."""
@@ -132,6 +132,8 @@ def run(config: Config) -> int:
         if out.exists():
             results.prepare_folder(out, f"--out {config.out}")
         kept = _kept(out, places)
+        if config.record:
+            kept = {p: c for p, c in kept.items() if p not in places or has_replay(out, c)}
         part = Part(out_folder.part_of(out), asked, "leaderboard")
         with part.at_work(config.out, console, fresh=config.fresh):
             tasks = {
