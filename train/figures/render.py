@@ -100,11 +100,8 @@ def _check(config: Config) -> tuple[Scenario, str]:
             raise UserError(f"--{field} is {value}; it must be from {least} to {most}")
     policies.check_names([config.policy] if config.policy else [])
     scenario = policies.resolve_scenario(config.scenario, config.set)
-    try:
-        name = config.policy or policies.best(scenario)
-        policies.make(name, scenario)
-    except (ValueError, OSError) as error:
-        raise UserError(str(error)) from error
+    name = config.policy or policies.best(scenario)
+    policies.tried(name, scenario)
     if ending in VIDEOS:
         writer = "PIL" if ending == ".gif" else "imageio_ffmpeg"
         check_installed(f"--out {config.out}", "render", writer, "pygame")

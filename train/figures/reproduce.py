@@ -99,10 +99,7 @@ def _paper(config: Config) -> int:
     """Figure 3 or 4."""
     scenario = scenarios.get(config.figure)
     name = config.policy or _LAWS[config.figure]
-    try:
-        policy = policies.make(name, scenario)
-    except ValueError as error:
-        raise UserError(str(error)) from error
+    policy = policies.tried(name, scenario)
     path, console = results.prepare_folder(config.out) / f"{config.figure}.png", Console()
     with console.status(f"simulating; {_COMPILING}"):
         trajectory = rollout(scenario, policy, config.seed, record="observations")
