@@ -4,6 +4,7 @@ import math
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -34,24 +35,17 @@ def _empty(*columns: str, **options: Any) -> Table:
     return table
 
 
-def _by_scenario(rows: Sequence[Row]) -> Iterator[tuple[str, list[Row]]]:
-    """Groups of rows under the names of their scenarios as headings."""
-    for name, own in groupby(rows, lambda row: row["scenario"]):
-        yield name, list(own)
-
-
 def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Table:
     """The rows of results.csv for people; the scenarios, by name, give the time limits."""
     columns = ("policy", "met %", "cleanly % [95 %]", "median s [95 %]", "T/bound", "path m")
     table = _empty(*columns, "V rise", "clear m", "align", title="Policies on the same starts")
     for column in table.columns:
         column.no_wrap = True
-    for heading, own in _by_scenario(rows):
-        scenario, count = scenarios[own[0]["scenario"]], own[0]["episodes"]
-        limit = scenario.max_steps * scenario.tau
-        starts = "one start" if count == 1 else f"{count} starts"
-        table.add_row(f"{heading}, {starts}", style="bold")
-        for row in own:
+    for name, own in groupby(rows, itemgetter("scenario")):
+        first, limit = next(own), scenarios[name].max_steps * scenarios[name].tau
+        starts = "one start" if first["episodes"] == 1 else f"{first['episodes']} starts"
+        table.add_row(f"{name}, {starts}", style="bold")
+        for row in (first, *own):
             times = (_time(row[name], limit) for name in ("median_time", "time_low", "time_high"))
             median, low, high = times
             table.add_row(
@@ -95,8 +89,8 @@ def paired_table(rows: Sequence[Row]) -> Table:
         caption="points: of collision-free success; better: without a collision and sooner, "
         "a tie counts half; [95 % bootstrap intervals]",
     )
-    for heading, own in _by_scenario(rows):
-        table.add_row(heading, style="bold")
+    for name, own in groupby(rows, itemgetter("scenario")):
+        table.add_row(name, style="bold")
         for row in own:
             points = _percent(row, "clean_difference", "clean_difference", "+z.1f")
             better = _percent(row, "probability_of_improvement", "improvement")
