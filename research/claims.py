@@ -31,6 +31,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--trials", type=int, default=BATCH, help="teams for each claim")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args(argv)
+    known = [claim.name for claim in CLAIMS]
+    if unknown := ", ".join(sorted({*given.claims} - {*known})):
+        parser.error(f"claim {unknown} is unknown; known are {', '.join(known)}")
+    if given.trials < 1 or given.seed < 0:
+        parser.error("--trials must be 1 or more, --seed 0 or more")
     violations = 0
     for claim in CLAIMS:
         if given.claims and claim.name not in given.claims:

@@ -89,9 +89,9 @@ def test_a_script_called_train_compares(python, tmp_path):
     (tmp_path / "train.py").write_text(
         "from rendezvous_env.train.compare import compare\n"
         "import pathlib\n"
-        "if __name__ == '__main__':\n"
-        "    compare.run(compare.Config(scenarios=('duo',), policies=('bearing-only',), jobs=1,\n"
-        "                               episodes=2, out=pathlib.Path('out'), figures=False))\n"
+        "assert __name__ == '__main__', 'imported as a module of the package'\n"
+        "compare.run(compare.Config(scenarios=('duo',), policies=('bearing-only',), jobs=1,\n"
+        "                           episodes=2, out=pathlib.Path('out'), figures=False))\n"
     )
     call(python, "train.py", cwd=tmp_path)
     assert (tmp_path / "out" / "results.csv").read_text().count("duo,bearing-only,2,1") == 1

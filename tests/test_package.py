@@ -12,6 +12,7 @@ import tomllib
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from textwrap import indent
 
 import pytest
 from conftest import ROOT
@@ -131,6 +132,24 @@ def test_nothing_points_back():
             above |= HEAVY
         wrong += [f"{module} imports {name}" for name in imports(module) & above]
     assert wrong == []
+
+
+def test_all_commands_print_to_a_console_without_markup():
+    assert {m for m in MODULES if "rich.console.Console" in imported_names(m)} == set()
+
+
+def test_no_file_uses_the_short_names():
+    """Which mean files of a user where there are such; the safe names never do."""
+    for module in MODULES:
+        words = []
+        for node in ast.walk(ast.parse(source_of(module).read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                words += [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and not node.level:
+                words.append(node.module)
+            elif isinstance(node, ast.Call) and node.args:
+                words += re.findall(r"^f?['\"](\w+)\.", ast.unparse(node.args[0]))
+        assert not {word.partition(".")[0] for word in words} & {"train", "baselines"}, module
 
 
 def test_a_law_reads_no_position():
@@ -255,6 +274,19 @@ def test_the_console_script_works_beside_a_train_py(tmp_path):
     rows = (tmp_path / "out" / "results.csv").read_text(encoding="utf-8").splitlines()
     ours, theirs = (row.split(",")[3:] for row in rows[1:])
     assert ours == theirs and rows[2].startswith("clutter-4,mine:make,2,")
+
+
+def test_the_safe_names_work_beside_a_train_py_and_baselines_py(tmp_path):
+    for name in ("train.py", "baselines.py"):
+        (tmp_path / name).write_text("raise RuntimeError('the wrong module was imported')\n")
+    compare = "compare --scenarios duo --episodes 2 --no-figures --jobs 2 --out out"
+    export = "export --policy tangent-joined --scenario clutter-4 --standalone robot.py"
+    code = "from rendezvous_env.train import cli\n" + "".join(
+        f"assert cli.main({words.split()}) == 0\n"
+        for words in (compare, "report out", export, "verify --trials 5 --jobs 1 --out verified")
+    )
+    (tmp_path / "main.py").write_text(f"if __name__ == '__main__':\n{indent(code, ' ')}")
+    run_python(tmp_path, "main.py", **BESIDE)
 
 
 def test_the_public_names_of_the_design():

@@ -79,7 +79,7 @@ def _run(command: str, flags: Sequence[str]) -> int:
 
     for number, word in enumerate(flags, start=1):
         check_text(f"word {number} after {command}", word)
-    module = import_module(f"train.{COMMANDS[command][0]}")
+    module = import_module(f"{__package__}.{COMMANDS[command][0]}")
     if {"-h", "--help"} & set(flags):
         print(help_of(command, module))
         return 0
@@ -126,7 +126,7 @@ def _complete(shell: str) -> int:
 
     configs = [
         Annotated[
-            import_module(f"train.{module}").Config,
+            import_module(f"{__package__}.{module}").Config,
             tyro.conf.subcommand(name, prefix_name=False, description=line),
         ]
         for name, (module, line) in COMMANDS.items()

@@ -25,12 +25,12 @@ from rendezvous_env.baselines.learned.onnx_network import (
 )
 from rendezvous_env.baselines.learned.policy_settings import PolicySettings
 from rendezvous_env.baselines.robot_policy import RobotPolicy
-from rich.console import Console
 
 from rendezvous_env.scenario.scenario import Scenario
 
 from . import policies, standalone
 from .checks import UserError, check_installed
+from .console import Console
 from .results import atomic, prepare_folder
 
 _MOST_CHECKS = 10**7

@@ -6,8 +6,6 @@ from string import ascii_uppercase
 from typing import Literal
 
 from rendezvous_env.baselines.policy import KINDS
-from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 from tyro.conf import Positional
 
@@ -19,6 +17,7 @@ from rendezvous_env.scenario import scenarios
 from rendezvous_env.scenario.scenario import Scenario
 
 from . import policies
+from .console import Console
 
 EXAMPLES = ("scenarios", "policies")
 
@@ -44,9 +43,9 @@ def run(config: Config) -> int:
         for _ in rows[0][:-1]:
             table.add_column(no_wrap=True)
         for row in rows:
-            table.add_row(*map(escape, row))
+            table.add_row(*row)
         if title:
-            console.print(f"\n[bold]{title}[/bold]")
+            console.print(f"\n{title}", style="bold")
         console.print(table)
     return 0
 

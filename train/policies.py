@@ -62,6 +62,15 @@ def make(name: str, scenario: Scenario) -> Policy:
     return baselines.make(name, scenario)
 
 
+def tried(name: str, scenario: Scenario) -> Policy:
+    """As ``make``, but a UserError says what is wrong, in the first step of a user's policy too."""
+    try:
+        fitting(scenario, [name])
+        return make(name, scenario)
+    except (ValueError, OSError) as error:
+        raise UserError(str(error)) from error
+
+
 def learned_path(name: str, scenario: Scenario | None = None) -> Path | None:
     """Folder of a learned policy for the robots of a scenario, or for single integrators."""
     if name in shipped.NAMES:

@@ -20,14 +20,13 @@ from typing import Any, TypeVar
 
 from filelock import FileLock, Timeout
 from rendezvous_env.baselines.learned import plain_data
-from rich.console import Console
 
 import rendezvous_env
-import train
 from rendezvous_env import baselines
 
 from . import results
 from .checks import UserError
+from .console import Console
 
 PLAN = "plan.json"
 Task = TypeVar("Task", bound=Any)
@@ -44,8 +43,8 @@ def program() -> dict[str, Any]:
 def _source() -> str:
     """Digest of the program's own files, which change more often than its version."""
     found = hashlib.sha256()
-    for package in (rendezvous_env, baselines, train):
-        for path in sorted(Path(str(package.__file__)).parent.rglob("*.py")):
+    for file in (rendezvous_env.__file__, baselines.__file__, __file__):
+        for path in sorted(Path(str(file)).parent.rglob("*.py")):
             found.update(path.read_bytes())
     return found.hexdigest()
 

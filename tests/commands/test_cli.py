@@ -3,9 +3,11 @@
 import importlib
 import os
 import re
+import shutil
 import subprocess
 import sys
 from importlib import metadata
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -75,6 +77,25 @@ class TestHelp:
             config = importlib.import_module(f"train.{module}").Config
             for words in getattr(sys.modules[config.__module__], "EXAMPLES", ()):
                 assert tyro.cli(config, args=words.split()), (name, words)
+
+
+def test_names_and_paths_are_no_markup(tmp_path, monkeypatch, capsys):
+    """They are printed as they are, by every command that names one."""
+    monkeypatch.chdir(tmp_path)
+    policy, scenario, out = "runs/[s1]", "m[red]:cat:", "o[/b]"
+    shutil.copytree(Path(baselines.__file__).parent / "learned" / "pretrained", policy)
+    Path("m.toml").write_text(f'name = "{scenario}"\ntime_limit = 1.0\n')
+    both = ("--scenario", "m.toml", "--policy", f"learned:{policy}")
+    words = ("--episodes", 2, "--no-figures", "--jobs", 1, "--details", "--out", out)
+    for command, shown in (
+        (("compare", *both, "zero", *words, "--against", "zero"), (scenario, policy, out)),
+        (("report", out), (f"{out}/report.html",)),
+        (("render", *both, "--out", f"{out}.png", "--set", "n_robots=2"), (policy, f"{out}.png")),
+        (("verify", "--trials", 3, "--jobs", 1, "--out", out + "v"), (f"{out}v/verify.csv",)),
+    ):
+        assert run(*map(str, command)) == 0
+        said = " ".join(capsys.readouterr().out.split())
+        assert all(one in said for one in shown), said
 
 
 def test_flags_have_their_older_names_too():

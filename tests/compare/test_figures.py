@@ -181,6 +181,7 @@ class TestPrint:
         figure = reproduce.tank_tradeoff_figure(rows)
         assert_readable(figure)
         [line, _] = figure.axes[0].get_lines()
+        assert {"10,000", "1,000,000"} <= {t.get_text() for t in figure.axes[1].get_yticklabels()}
         assert line.get_ydata() == pytest.approx(90.0) and "%" in figure.axes[0].get_ylabel()
 
     def test_headings_are_arrows(self, drawn):
@@ -232,6 +233,20 @@ class TestPrint:
 
 
 class TestEpisodes:
+    def test_a_dollar_in_a_name_is_drawn_as_it_is(self, tmp_path):
+        """It is no formula, and every other text is none either."""
+        name, policy = r"m$x$ $\bad{$", r"runs/$\worse{$"
+        scenario = rv.scenarios.get("clutter-4").replace(name=name)
+        recording = reproduce.one_team(rv.rollout(scenario, baselines.make("zero", scenario)))
+        for figure in (
+            path_figures.team_figure(scenario, recording, policy),
+            path_figures.trajectories_figure(scenario, {policy: recording}),
+            figures.success_figure([row(name, policy, 0.5), row("duo", policy, 0.5)]),
+            figures.time_figure([row(name, policy, 0.5), row("duo", policy, 0.5)]),
+        ):
+            style.save(figure, tmp_path / "drawn.png")
+            assert any(name in text.get_text() for text in figure.findobj(Text))
+
     def test_space_is_drawn_in_equal_axes_with_its_spheres(self):
         scenario = rv.scenarios.get("clutter-3d")
         trajectory = rv.rollout(scenario, baselines.make("bearing-only", scenario))

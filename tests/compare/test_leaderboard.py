@@ -173,8 +173,9 @@ def test_a_card_is_repeated_bit_by_bit_or_said_to_differ(board, capsys):
         assert command.run(replace(SMALL, repeat=other)) == 1
         said = capsys.readouterr().err
         assert "results differ" in said and f"{where} the 95 % interval of the difference" in said
-    changed["starts"] = 7
-    for text in ("{}", "[1]", "no card", json.dumps(changed)):
+    wrong = [changed | {"starts": 7}, changed | {"decisions": "64"}]
+    wrong += [changed | {"seed": seed} for seed in ("a", True, 1.0, -1, 2**29)]
+    for text in ("{}", "[1]", "no card", *map(json.dumps, wrong)):
         other.write_text(text)
         with pytest.raises(UserError, match=r"other\.json: no results card"):
             command.run(replace(SMALL, repeat=other))
@@ -220,6 +221,36 @@ def test_cells_are_added_to_those_of_a_folder(board, tmp_path, monkeypatch, caps
         command.run(more)
 
 
+def test_cells_without_a_replay_are_done_again_for_one(board, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(board, out)
+    cards = [card["results"] for card in cards_of.read_cards(out)]
+    before = (out / "cells/bearing-only/clutter-8-v1-seed-0.json").read_bytes()
+    assert command.run(replace(SMALL, out=out, record=True)) == 0
+    assert [cards_of.has_replay(out, card) for card in cards_of.read_cards(out)] == [True] * 3
+    assert [card["results"] for card in cards_of.read_cards(out)] == cards
+    assert (out / "cells/bearing-only/clutter-8-v1-seed-0.json").read_bytes() == before
+
+
+def test_no_file_of_the_user_is_written_over(board, tmp_path, monkeypatch):
+    """And nothing is played for a folder that cannot be written to."""
+    monkeypatch.setattr(command, "play_all", lambda *given: 1 / 0)
+    for name in ("README.md", "price.png"):
+        folder = tmp_path / name.partition(".")[0]
+        folder.mkdir()
+        (folder / name).write_text("mine")
+        with pytest.raises(UserError, match=f"holds '{name}', which leaderboard has not written"):
+            command.run(replace(SMALL, out=folder))
+        with pytest.raises(UserError, match=f"{name}: cannot write there: Not a directory"):
+            command.run(replace(SMALL, out=folder / name))
+        assert (folder / name).read_text() == "mine" and len(list(folder.iterdir())) == 1
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UserError, match=r"--out \.: cannot be replaced as a whole"):
+        command.run(replace(SMALL, out=command.Path(".")))
+    with pytest.raises(ZeroDivisionError):
+        command.run(replace(SMALL, out=board))
+
+
 def test_what_is_not_installed_is_left_out_or_said(monkeypatch, capsys, tmp_path):
     """None of it where all names are meant; asked for by name it is an error."""
     monkeypatch.setattr(registry.Algorithm, "missing", property(lambda own: list(own.packages)))
@@ -240,6 +271,7 @@ def test_what_is_refused(monkeypatch):
         ({"fields": ("uav-6",), "algorithms": ("ppo-tank",)}, "none of these algorithms fits"),
         ({"seeds": (1, 1)}, "named twice"),
         ({"starts": 0}, "--starts is 0"),
+        ({"seeds": (3_000_000_000,)}, "--seeds is 3000000000; it must be 536870911 or less"),
     ):
         with pytest.raises(UserError, match=said):
             command.plan(replace(SMALL, **changes))

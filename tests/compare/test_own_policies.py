@@ -10,6 +10,7 @@ from baselines.policy import kind_of
 from train import cli, policies, resume, tasks
 from train.checks import UserError
 from train.compare import compare, playing
+from train.figures import render
 
 MINE = '''
 import baselines
@@ -119,6 +120,10 @@ def test_what_is_wrong_is_said_before_any_work(mine, tmp_path, name, message):
     with pytest.raises(UserError, match=message.replace("MINE", mine)) as caught:
         compare.plan(config)
     assert repr(name) in str(caught.value)
+    drawn = render.Config("duo", name, out=tmp_path / "out" / "duo.png")
+    with pytest.raises(UserError, match=message.replace("MINE", mine)):
+        render.run(drawn)
+    assert not drawn.out.parent.exists()
 
 
 def test_no_file_of_a_user_stands_in_for_a_module_of_others(mine, tmp_path):

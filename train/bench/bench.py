@@ -13,13 +13,13 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 import rendezvous_env as rv
 from rendezvous_env.engine.threads import available_cores
 
 from ..checks import UserError, check_least, check_most, installed
+from ..console import Console
 from ..results import provenance, write_json
 from . import cases, learners
 from .cases import Case, Running, Size, spread_out
@@ -89,7 +89,7 @@ def run(config: Config) -> None:
     rows = []
     for compared in _compared(config):
         rows += measure(compared, config)
-        console.print(f"[dim]{compared[0].group}, n = {compared[0].n_robots}: done[/dim]")
+        console.print(f"{compared[0].group}, n = {compared[0].n_robots}: done", style="dim")
     console.print(_table(rows))
     sizes = {}
     for n in config.robots:

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-from rich.console import Console
 from rich.progress import track
 from tyro.conf import arg
 
@@ -12,6 +11,7 @@ from rendezvous_env.scenario.scenarios import names
 
 from ..compare.playing import TOGETHER, make_ready
 from ..compare.settings import Job
+from ..console import Console
 from ..policies import resolve_scenario
 
 

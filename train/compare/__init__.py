@@ -12,5 +12,5 @@ _NAMES = ("Config", "Job", "Played", "plan", "play_job", "run", "summary")
 def __getattr__(name: str) -> Any:
     """A name of the command, which lies in ``compare.compare``."""
     if name in _NAMES:
-        return getattr(import_module("train.compare.compare"), name)
+        return getattr(import_module(f"{__name__}.compare"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -12,10 +12,9 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-
 from .. import results
 from ..checks import typed
+from ..console import Console
 from ..resume import Part, claimed
 from ..tasks import Workers, each
 from . import out_folder, statistics, sweep, tables, upper_bound
@@ -146,7 +145,7 @@ def _show(found: Found, config: Config, console: Console) -> None:
     """The answer, the matrix, and what was asked for besides."""
     if config.ceiling:
         console.print(tables.ceiling_table(found.bounds))
-    console.print(f"\n[bold]{answer(found.rankings)}[/bold]\n")
+    console.print(f"\n{answer(found.rankings)}\n", style="bold")
     if config.sensing:
         tables.show_sweeps(config.sweeps(), found.rows, console)
     else:

@@ -9,7 +9,7 @@ stays until then.
 import os
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +42,11 @@ def _replaced(out: Path) -> Path:
     return out.with_name(f".{out.name}.replaced")
 
 
-def destination(given: Path) -> Path:
-    """The folder that --out means, which is replaced as a whole; a UserError if something would be
-    lost with it that ``compare`` has not written.
+def destination(
+    given: Path, command: str = "compare", ours: Callable[[str], object] = is_ours
+) -> Path:
+    """The folder that --out means; a UserError if it holds what the command has not written, which
+    would be lost with the older results.
     """
     out = Path(os.path.realpath(given))
     here = Path.cwd()
@@ -55,10 +57,10 @@ def destination(given: Path) -> Path:
     except OSError as error:
         raise UserError(f"--out {given}: cannot write there: {error.strerror}") from error
     for name in names:
-        if not (is_ours(name) or _LITTER.fullmatch(name)):
+        if not (ours(name) or _LITTER.fullmatch(name)):
             raise UserError(
-                f"--out {given}: holds {name!r}, which compare has not written and would remove "
-                "with the older results; choose another folder, or move it away"
+                f"--out {given}: holds {name!r}, which {command} has not written; choose another "
+                "folder, or move it away"
             )
     return out
 

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from rendezvous_env.baselines import policy as registry
 from rendezvous_env.baselines.learned import checkpoints
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from rendezvous_env.graphs.random_graphs import CustomFamily
@@ -20,6 +19,7 @@ from rendezvous_env.robots.robot_models import is_custom
 from rendezvous_env.scenario.scenario import Scenario
 
 from .. import policies
+from ..console import Console
 from ..recording import Recording
 from ..resume import Part, program
 from ..tasks import Workers, each
@@ -191,7 +191,7 @@ def play_all(
         return each(methodcaller("work"), left, workers, stays_here, long=long)
 
     found, ready = {}, 0.0
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
         bar = progress.add_task("playing", total=sum(task.count for task in tasks))
         for task, result, now in part.finish(tasks, do):

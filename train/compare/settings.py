@@ -16,6 +16,7 @@ from ..checks import UserError, check_least, meant
 from ..tasks import Workers
 from . import sweep as levels
 from .evaluation import starts_of
+from .out_folder import part_of
 
 _CLUTTER = ("4", "8", "12", "16", "24", "16-team-3", "16-team-8", "16-team-16", "16-team-32", "32")
 DEFAULT_SCENARIOS = (
@@ -144,8 +145,8 @@ def plan(config: Config) -> list[Job]:
         )
     if config.json is not None:
         path, out = (Path(os.path.realpath(one)) for one in (config.json, config.out))
-        if path == out or out in path.parents:
-            raise UserError(f"--json {config.json}: lies in --out, which is replaced as a whole")
+        if {out, part_of(out)} & {path, *path.parents}:
+            raise UserError(f"--json {config.json}: lies in OUT or OUT.part; choose a place beside")
         if path.is_dir():
             raise UserError(f"--json {config.json}: is a folder; name a file")
         results.prepare_folder(path.parent, f"--json {config.json}")

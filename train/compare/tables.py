@@ -4,17 +4,18 @@ import math
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
-from rich.console import Console, RenderableType
-from rich.markup import escape
+from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from rendezvous_env.scenario.scenario import Scenario
 
 from .. import policies
+from ..console import Console
 from .ranking import Ranking
 from .sweep import Sweep, rows_of
 
@@ -34,27 +35,21 @@ def _empty(*columns: str, **options: Any) -> Table:
     return table
 
 
-def _by_scenario(rows: Sequence[Row]) -> Iterator[tuple[str, list[Row]]]:
-    """Groups of rows under the names of their scenarios as headings."""
-    for name, own in groupby(rows, lambda row: row["scenario"]):
-        yield f"[bold]{escape(name)}[/bold]", list(own)
-
-
 def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Table:
     """The rows of results.csv for people; the scenarios, by name, give the time limits."""
     columns = ("policy", "met %", "cleanly % [95 %]", "median s [95 %]", "T/bound", "path m")
     table = _empty(*columns, "V rise", "clear m", "align", title="Policies on the same starts")
     for column in table.columns:
         column.no_wrap = True
-    for heading, own in _by_scenario(rows):
-        scenario, count = scenarios[own[0]["scenario"]], own[0]["episodes"]
-        limit = scenario.max_steps * scenario.tau
-        table.add_row(f"{heading}, {'one start' if count == 1 else f'{count} starts'}")
-        for row in own:
+    for name, own in groupby(rows, itemgetter("scenario")):
+        first, limit = next(own), scenarios[name].max_steps * scenarios[name].tau
+        starts = "one start" if first["episodes"] == 1 else f"{first['episodes']} starts"
+        table.add_row(f"{name}, {starts}", style="bold")
+        for row in (first, *own):
             times = (_time(row[name], limit) for name in ("median_time", "time_low", "time_high"))
             median, low, high = times
             table.add_row(
-                f"  {escape(row['policy'])}",
+                f"  {row['policy']}",
                 f"{100 * row['success']:.0f}",
                 _percent(row, "clean_success", "clean"),
                 f"{median} [{low}, {high}]" if row["time_low"] < limit else median,
@@ -90,16 +85,16 @@ def paired_table(rows: Sequence[Row]) -> Table:
     """The rows of paired.csv for people."""
     table = _empty(
         *("policy", "points", "better %"),
-        title=f"Against {escape(rows[0]['against'])} on the same starts",
+        title=f"Against {rows[0]['against']} on the same starts",
         caption="points: of collision-free success; better: without a collision and sooner, "
         "a tie counts half; [95 % bootstrap intervals]",
     )
-    for heading, own in _by_scenario(rows):
-        table.add_row(heading)
+    for name, own in groupby(rows, itemgetter("scenario")):
+        table.add_row(name, style="bold")
         for row in own:
             points = _percent(row, "clean_difference", "clean_difference", "+z.1f")
             better = _percent(row, "probability_of_improvement", "improvement")
-            table.add_row(f"  {escape(row['policy'])}", points, better)
+            table.add_row(f"  {row['policy']}", points, better)
     return table
 
 
@@ -144,7 +139,7 @@ def _matrix(rankings: Sequence[Ranking], heading: int) -> Table:
     shown = dict.fromkeys(name for ranking in rankings for name in ranking.share)
     table.add_row("starts", *(Text(str(ranking.starts)) for ranking in rankings), style="dim")
     for name in sorted(shown, key=lambda name: policies.kind_of(name) == "privileged"):
-        table.add_row(escape(name), *(_cell(ranking, name) for ranking in rankings))
+        table.add_row(name, *(_cell(ranking, name) for ranking in rankings))
     return table
 
 
@@ -185,7 +180,7 @@ def show_sweeps(sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]], console
     for sweep in sweeps:
         own, limit = rows_of(sweep, rows), sweep.base.max_steps * sweep.base.tau
         title = f"{sweep.base.name}: {sweep.field}, {own[0]['episodes']} starts"
-        console.print(f"[bold]{escape(title)}[/bold]; collision-free %, median s")
+        console.print(f"{title}; collision-free %, median s", style="bold")
         table = _empty("policy", *sweep.labels)
         for policy in dict.fromkeys(row["policy"] for row in own):
             cells = []
@@ -193,7 +188,7 @@ def show_sweeps(sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]], console
                 counts = not math.isnan(row["clean_success"])
                 share = percent(row["clean_success" if counts else "success"], row["episodes"])
                 cells.append(f"{share}, {_time(row['median_time'], limit)}")
-            table.add_row(escape(policy), *cells)
+            table.add_row(policy, *cells)
         console.print(table)
         console.print()
 

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-import baselines
 import rendezvous_env as rv
+from rendezvous_env import baselines
 
 from .. import results
 from ..checks import UserError

@@ -9,7 +9,6 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 from rich.progress import Progress
 from tyro.conf import arg
 
@@ -22,6 +21,7 @@ from rendezvous_env.trajectory import run as steps_of
 
 from .. import policies
 from ..checks import UserError, check_installed
+from ..console import Console
 from ..results import atomic, prepare_folder
 from . import path_figures, style
 from .reproduce import one_team
@@ -100,11 +100,8 @@ def _check(config: Config) -> tuple[Scenario, str]:
             raise UserError(f"--{field} is {value}; it must be from {least} to {most}")
     policies.check_names([config.policy] if config.policy else [])
     scenario = policies.resolve_scenario(config.scenario, config.set)
-    try:
-        name = config.policy or policies.best(scenario)
-        policies.make(name, scenario)
-    except (ValueError, OSError) as error:
-        raise UserError(str(error)) from error
+    name = config.policy or policies.best(scenario)
+    policies.tried(name, scenario)
     if ending in VIDEOS:
         writer = "PIL" if ending == ".gif" else "imageio_ffmpeg"
         check_installed(f"--out {config.out}", "render", writer, "pygame")

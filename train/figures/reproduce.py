@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from rich.console import Console
 from tyro.conf import Positional
 
 from rendezvous_env import baselines
@@ -22,6 +21,7 @@ from rendezvous_env.trajectory import Trajectory, rollout
 
 from .. import policies, results
 from ..checks import UserError, check_installed, check_least, check_most
+from ..console import Console
 from ..recording import Recording
 from . import bounds, path_figures, style
 from .figures import BLUE, VERMILLION
@@ -99,10 +99,7 @@ def _paper(config: Config) -> int:
     """Figure 3 or 4."""
     scenario = scenarios.get(config.figure)
     name = config.policy or _LAWS[config.figure]
-    try:
-        policy = policies.make(name, scenario)
-    except ValueError as error:
-        raise UserError(str(error)) from error
+    policy = policies.tried(name, scenario)
     path, console = results.prepare_folder(config.out) / f"{config.figure}.png", Console()
     with console.status(f"simulating; {_COMPILING}"):
         trajectory = rollout(scenario, policy, config.seed, record="observations")
@@ -232,6 +229,7 @@ def tank_tradeoff_figure(rows: Sequence[dict[str, Any]]) -> Figure:
     left.set(ylim=(0, 103), ylabel="met without a contact / %")
     left.set(title=f"What is reached: {TANK_SCENARIO}, {starts} starts")
     right.set(yscale="log", ylabel="time bound / s")
+    right.yaxis.set_major_formatter("{x:,.0f}")
     right.set(title="Theorem D under its wrapper, nothing in the way")
     for axes in (left, right):
         axes.set(xscale="log", xlabel="alignment margin ε")

@@ -34,6 +34,7 @@ _STYLE = {
     "lines.markersize": 3.5,
     "grid.color": "0.9",
     "grid.linewidth": 0.6,
+    "text.parse_math": False,  # names may have a $
 }
 
 P = ParamSpec("P")

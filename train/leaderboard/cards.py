@@ -7,10 +7,12 @@ from typing import Any, NamedTuple
 
 from rendezvous_env.baselines.learned import plain_data
 
+from rendezvous_env.checks import whole
 from rendezvous_env.scenario import scenarios
 
 from .. import results
 from ..checks import UserError
+from ..learn.settings import MOST_SEED
 from . import registry
 from .playing import play
 from .replays import Replay, path_of, replay_of, write_replay
@@ -89,6 +91,11 @@ def path_in(folder: Path, card: Card) -> Path:
     return folder / "cells" / f"{place_of(card).name}.json"
 
 
+def has_replay(folder: Path, card: Card) -> bool:
+    """Whether there is a replay of a card in a leaderboard's folder."""
+    return path_of(path_in(folder, card)).exists()
+
+
 def read_cards(out: Path) -> list[Card]:
     """The cards of a folder, by algorithm, field and seed; as ``read_card``."""
     return sorted(map(read_card, (out / "cells").glob("*/*.json")), key=place_of)
@@ -101,6 +108,8 @@ def read_card(path: Path) -> Card:
         field = results.versioned(scenarios.get(place_of(card).field))
         if field["digest"] != card["digest"]:
             raise ValueError("digest of other starts")
+        whole("seed", card["seed"], 0, MOST_SEED)
+        whole("decisions", card["decisions"], 0, 2**62)
         if len(card["results"]["clean"]) != card["starts"]:
             raise ValueError("other number of starts")
     except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:

@@ -1,5 +1,6 @@
 """``rendezvous leaderboard``: train, play and report, cell by cell, so that it can be resumed."""
 
+import re
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,20 +9,21 @@ from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-from rich.console import Console
 from tyro.conf import arg
 
 from rendezvous_env.scenario import scenarios
 
 from .. import results
-from ..checks import UserError, check_least
-from ..compare import statistics
+from ..checks import UserError, check_least, check_most
+from ..compare import out_folder, statistics
 from ..compare.playing import Task, play_all
+from ..console import Console
+from ..learn.settings import MOST_SEED
 from ..policies import resolve_scenario
 from ..resume import Part, claimed, program
 from ..tasks import Workers
 from . import registry, tables
-from .cards import Card, Place, Run, place_of, read_card, read_cards, run_of, write_run
+from .cards import Card, Place, Run, has_replay, place_of, read_card, read_cards, run_of, write_run
 from .replays import path_of, write_replay
 
 Tier = Literal["smoke", "mini", "full"]
@@ -50,6 +52,7 @@ EXAMPLES = (
     "--repeat results/leaderboard/smoke/cells/ppo-heading/clutter-8-v1-seed-0.json --record",
 )
 FLAG_GROUPS = {"Output": ("out", "fresh"), "Workers": ("jobs", "on", "address")}
+_TABLES = r"(leaderboard|improvement)\.csv|(price|profiles)\.png|README\.md|report\.html"
 _SAME = ("algorithm", "field", "digest", "seed", "decisions", "starts", "results")
 """Of a card, what a repetition finds again."""
 
@@ -75,8 +78,8 @@ class Config(Workers):
     """A results card: its cell is done again, and compared with it bit by bit; status 1 if it
     differs. The other flags are those of the card."""
     record: bool = False
-    """Keeps a replay of every run, not of the first seed alone; with --repeat of that run, beside
-    its card, if it does not differ."""
+    """Keeps a replay of every run, not of the first seed alone; cells of OUT without one are done
+    again. With --repeat of that run, beside its card, if it does not differ."""
     out: Path = Path("out/leaderboard")
     """The folder for cards, tables and figures. Cells that it has are kept, others added. What is
     finished lies in OUT.part until all is, and the same command resumes it."""
@@ -87,6 +90,7 @@ class Config(Workers):
 def plan(config: Config) -> list[Place]:
     """The cells that a configuration asks for, those that fit; a UserError if there are none."""
     check_least(config, seeds=0, decisions=1, starts=1)
+    check_most(config, seeds=MOST_SEED)
     tier = TIERS[config.tier]
     able = tuple(name for name, one in registry.known().items() if not one.missing)
     decisions, starts = config.decisions or tier.decisions, config.starts or tier.starts
@@ -116,16 +120,22 @@ def run(config: Config) -> int:
     console = Console()
     if config.repeat is not None:
         return _repeat(config.repeat, config.record, console)
-    places, out = plan(config), Path(config.out)
+    places, begun = plan(config), any(config.out.glob("cells/*/*.json"))
+    ours = re.compile("cells|replays|" + _TABLES * begun)  # a kill may leave no card yet
+    out = out_folder.destination(config.out, "leaderboard", ours.fullmatch)
     lacking = {name: one.missing for name, one in registry.known().items() if one.missing}
     if lacking and not config.algorithms:
         wanted = ", ".join(sorted({package for own in lacking.values() for package in own}))
         console.print(f"left out without {wanted}: {', '.join(lacking)}", soft_wrap=True)
     asked = {**program(), "cells": [list(p) for p in places], "record": config.record}
-    with claimed(out.parent, f".{out.name}.lock", f"--out {out}"):
+    with claimed(out.parent, f".{out.name}.lock", f"--out {config.out}"):
+        if out.exists():
+            results.prepare_folder(out, f"--out {config.out}")
         kept = _kept(out, places)
-        part = Part(out.with_name(f"{out.name}.part"), asked, "leaderboard")
-        with part.at_work(out, console, fresh=config.fresh):
+        if config.record:
+            kept = {p: c for p, c in kept.items() if p not in places or has_replay(out, c)}
+        part = Part(out_folder.part_of(out), asked, "leaderboard")
+        with part.at_work(config.out, console, fresh=config.fresh):
             tasks = {
                 place: Task(
                     name=f"cell-{number:04d}",
@@ -142,6 +152,7 @@ def run(config: Config) -> int:
             runs |= {place: done[task.name] for place, task in tasks.items()}
             write(out, [runs[place] for place in sorted(runs)], console)
             part.discard()
+    console.print(f"{len(runs)} cells; files in {config.out}", soft_wrap=True)
     return 0
 
 
@@ -169,9 +180,9 @@ def write(out: Path, runs: Sequence[Run], console: Console) -> None:
     results.write_csv(out / "leaderboard.csv", tables.COLUMNS, rows)
     results.write_csv(out / "improvement.csv", tables.IMPROVEMENT, tables.improvements(cards))
     tables.draw(out, cards, rows)
-    (out / "README.md").write_text(tables.markdown(rows, cards), encoding="utf-8")
+    with results.atomic(out / "README.md") as temporary:
+        temporary.write_text(tables.markdown(rows, cards), encoding="utf-8")
     Console(width=max(console.width, tables.WIDTH)).print(tables.text(rows))
-    console.print(f"{len(cards)} cells; files in {out}", soft_wrap=True)
 
 
 def _repeat(path: Path, record: bool, console: Console) -> int:

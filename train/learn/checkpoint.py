@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from rendezvous_env.baselines.learned import checkpoints
 from rendezvous_env.baselines.learned.checkpoints import CheckpointError
 from rendezvous_env.baselines.learned.plain_data import check_types, entry
-from rich.console import Console
 
 from rendezvous_env.scenario.scenario import Scenario
 
 from .. import results
 from ..checks import UserError
+from ..console import Console
 from .settings import CONFIG, Config, check, read_config, resumed, same_run
 
 STATE_FILES = ("network", "optimizer", "state")

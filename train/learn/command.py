@@ -5,12 +5,12 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from rendezvous_env.baselines.learned import shipped
-from rich.console import Console
 
 from .. import policies, results
 from ..checks import UserError
 from ..compare.playing import TOGETHER, make_ready
 from ..compare.settings import Job
+from ..console import Console
 from ..tasks import Workers, each
 from . import ppo
 from .settings import CONFIG, check, read_config, same_run

@@ -22,9 +22,10 @@ from ..checks import UserError, check_fields, check_least, check_most, flag, typ
 from ..policies import resolve_scenario
 from .sensing_ranges import Ranges, check_ranges
 
-TRAINING_SEEDS, EVALUATION_SEEDS = 2**62, 2**61
+TRAINING_SEEDS, EVALUATION_SEEDS, MOST_SEED = 2**62, 2**61, 2**29 - 1
 """Of first starts: training with seed s has 2⁶² + 2³² s, evaluation 2⁶¹. ``compare`` counts up from
-its --seed, which is far below: no policy is judged on starts that it was trained on.
+its --seed, which is far below: no policy is judged on starts that it was trained on. And the most
+that s can be.
 """
 CONFIG = "config.json"
 """The settings of a run, in its folder."""
@@ -266,7 +267,7 @@ class Config:
 
 _ANY = math.inf
 _BOUNDS = {
-    "total_steps": (1, 2**62), "seed": (0, 2**29 - 1), "num_teams": (1, _ANY),
+    "total_steps": (1, 2**62), "seed": (0, MOST_SEED), "num_teams": (1, _ANY),
     "n_steps": (2, _ANY), "batch_size": (2, 2**31), "epochs": (1, 2**31), "gamma": (0, 1),
     "gae_lambda": (0, 1), "learning_rate": (0, 1e6), "touch_penalty": (0, _ANY),
     "curriculum": (0, 2**10), "fewest_obstacles": (0, 2**10), "set_width": (1, 2**12),

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from rendezvous_env.baselines.learned import checkpoints
 from rendezvous_env.baselines.learned.checkpoints import CheckpointError
 from rendezvous_env.baselines.learned.learned_policy import LearnedPolicy
-from rich.console import Console
 from rich.progress import Progress
 from stable_baselines3.common.logger import Logger
 
@@ -25,6 +24,7 @@ from .. import interrupts, results
 from ..checks import UserError
 from ..compare import statistics
 from ..compare.evaluation import play
+from ..console import Console
 from ..policies import resolve_scenario
 from ..resume import claimed
 from . import checkpoint
@@ -324,7 +324,7 @@ def _loop(training: Trainer, step: int, console: Console, on_update: OnUpdate | 
                 if config.eval_every and (last or _crosses(config.eval_every, before, step)):
                     evaluation = training.evaluate()
                     for result in evaluation:
-                        console.print(_evaluation_line(result))
+                        console.print(_evaluation_line(result), style="bold")
                 kept, metrics, saved = training.snapshot(), row, False
                 if last or _crosses(config.checkpoint_every, before, step):
                     place, saved = training.save(kept), True
@@ -364,7 +364,7 @@ def _line(row: Mapping[str, Any]) -> str:
 
 def _evaluation_line(row: Mapping[str, Any]) -> str:
     return (
-        f"[bold]{row['scenario']}[/bold] met {100 * row['success']:.1f} % · cleanly "
+        f"{row['scenario']} met {100 * row['success']:.1f} % · cleanly "
         f"{100 * row['clean_success']:.1f} [{100 * row['clean_low']:.1f}, "
         f"{100 * row['clean_high']:.1f}] % · median {row['median_time']:.2f} s · alignment ≥ "
         f"{row['min_alignment']:.3f} · {row['episodes']} held-out starts"

@@ -7,7 +7,6 @@ from pathlib import Path
 from string import Template
 
 import numpy as np
-from rich.console import Console
 from tyro.conf import Positional
 
 from ..checks import UserError
@@ -15,6 +14,7 @@ from ..compare.evaluation import Episodes
 from ..compare.playing import Played
 from ..compare.ranking import Ranking, answer, leaders, rank
 from ..compare.settings import Job
+from ..console import Console
 from ..encoding import Encoded, encode_all, rounding
 from ..recording import MAX_FRAMES
 from ..results import atomic

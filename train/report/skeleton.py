@@ -13,7 +13,7 @@ from rendezvous_env.scenario.scenario import Scenario
 
 from ..figures.figures import ROBOT_COLOURS
 
-_PAGE = files("train.report") / "page"
+_PAGE = files(__package__) / "page"
 _CAPTIONS = {
     "success": "How many of the starts each policy met on. Open marks: all robots met. Filled: and "
     "none touched an obstacle. Lines: 95 % intervals.",

@@ -45,18 +45,18 @@ def levels_follow_v(scenario):
     """Tanks shrink with V where a merge is told; nobody tells a robot alone."""
     return False
 ''',
-    Name("baselines.learned.plain_data", "check_types"): '''
+    Name("rendezvous_env.baselines.learned.plain_data", "check_types"): '''
 def check_types(values, hints):
     """Types were checked when this file was written."""
 ''',
-    Name("baselines.learned.plain_data", "check_field_types"): '''
+    Name("rendezvous_env.baselines.learned.plain_data", "check_field_types"): '''
 def check_field_types(made):
     """As ``check_types``."""
 ''',
 }
 _OF_OTHER_DIMENSIONS = {
     dim: {
-        Name("baselines.steady_frames", word): f'''
+        Name("rendezvous_env.baselines.steady_frames", word): f'''
 class {word}:
     """This file is for robots of {where}."""
 '''
@@ -72,12 +72,12 @@ def {word}(teams, arguments):
     for module, word in (("heading", "_turn_bodies"), ("tank", "_spend_bodies"))
 }
 _ROOTS = (
-    Name("baselines.robot_policy", "OneRobot"),
+    Name("rendezvous_env.baselines.robot_policy", "OneRobot"),
     Name("rendezvous_env.scenario.observation_layout", "ObservationLayout"),
 )
 _NETWORK = (
-    Name("baselines.learned.learned_policy", "LearnedPolicy"),
-    Name("baselines.learned.policy_settings", "PolicySettings"),
+    Name("rendezvous_env.baselines.learned.learned_policy", "LearnedPolicy"),
+    Name("rendezvous_env.baselines.learned.policy_settings", "PolicySettings"),
 )
 _WHEELS = (
     Name("rendezvous_env.robots.differential_drive", "DifferentialDrive"),

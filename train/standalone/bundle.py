@@ -124,7 +124,7 @@ class Bundle:
     """
 
     def __init__(self, roots: Iterable[Name], stand_ins: Mapping[Name, str]) -> None:
-        self._stand_ins = dict(stand_ins)
+        self._stand_ins = {resolve(name): text for name, text in stand_ins.items()}
         self._roots = [resolve(root) for root in roots]
         self._reached = dict.fromkeys(self._roots)
         self._needs: dict[str, dict[str, None]] = {root.module: {} for root in self._roots}

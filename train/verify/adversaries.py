@@ -7,9 +7,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from rendezvous_env.baselines.laws.paper_laws import pitch_of
 
 import rendezvous_env as rv
-from baselines.laws.paper_laws import pitch_of
 
 from .monitors import Moment, across, lengths, unit
 

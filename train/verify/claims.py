@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import baselines
-from rendezvous_env import Scenario, Simulator, graphs
+from rendezvous_env import Scenario, Simulator, baselines, graphs
 from rendezvous_env.safety.heading import flexible_velocity
 from rendezvous_env.safety.theorems.constants import merge_rise_allowance
 from rendezvous_env.safety.theorems.descent import time_bound

@@ -20,9 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-import baselines
 import rendezvous_env as rv
-from rendezvous_env import vector
+from rendezvous_env import baselines, vector
 from rendezvous_env.safety.settings import MAX_TURN_RATE
 from rendezvous_env.safety.theorems.certificate import answer, question
 from rendezvous_env.safety.theorems.theorem import PROMISED

@@ -10,12 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from tyro.conf import arg
 
 from ..checks import UserError, check_least, check_most, meant
+from ..console import Console
 from ..results import write_csv
 from ..resume import Part, claimed, program
 from ..tasks import Workers, each
