@@ -53,8 +53,8 @@ class Simulator(StateView):
         check_memory(scenario, self.num_envs)
         self.max_steps = scenario.max_steps
         self.changes = 0
-        """How often teams were reset, put back or stepped, but for ``restart``; wrappers compare
-        it."""
+        """A number that grows with whatever happens to the teams, by 1 in a step; wrappers compare
+        it with what they have seen."""
         self._make()
 
     def _make(self) -> None:
