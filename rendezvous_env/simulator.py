@@ -53,8 +53,8 @@ class Simulator(StateView):
         check_memory(scenario, self.num_envs)
         self.max_steps = scenario.max_steps
         self.changes = 0
-        """A number that grows with whatever happens to the teams, by 1 in a step; wrappers compare
-        it with what they have seen."""
+        """A number that grows with whatever happens to the teams, by 1 in a step alone; wrappers
+        compare it with what they have seen."""
         self._make()
 
     def _make(self) -> None:
@@ -340,7 +340,7 @@ class Simulator(StateView):
         batch. What ``check_state`` refuses changes nothing.
         """
         checked = self.check_state(state)
-        self.changes += 1
+        self.changes += 2
         self._put_state(checked)
 
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
