@@ -88,9 +88,8 @@ class _Job:
                     one()
             except BaseException as error:
                 self.errors.append(error)
-            self._ended[part[2]] = 1
-            if self._ended.all():
-                self._over.put(None)
+            self._ended[part[2]] = 1  # the caller sees it, and wants the interpreter's lock at once
+            self._over.put(None)
 
     def _calls(self, part: Part) -> Calls:
         """What there is to do for a part; of the caller's own, what it has left over."""
@@ -111,8 +110,9 @@ class _Job:
         else:
             self._left.extend(self._to_hand_over)
             _jobs.put(self)
-        if not _watch(self._ended, np.zeros(1, np.int64), patience):
-            self._over.get()
+        turns = np.zeros(1, np.int64)
+        while not _watch(self._ended, turns, patience):
+            self._over.get()  # a part has ended
 
     def calls_to_see_it_through(self) -> Iterator[Any]:
         """Hands over what the caller has left, and waits for all: each by a call in which Python
