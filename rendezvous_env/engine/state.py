@@ -77,9 +77,9 @@ class State:
         changes = getattr(self.links, "changes", None)
         return tuple(self.teams), self.links, changes, self.obstacles
 
-    def of_teams(self, name: str, which: NDArray[np.int64] | None = None) -> NDArray[Any]:
-        """An array of these teams or all, (count, …), as a copy."""
-        return self._copies([name], self._everybody if which is None else which)[name]
+    def of_teams(self, name: str) -> NDArray[Any]:
+        """An array of all teams, (B, …), as a copy."""
+        return self._copies([name], self._everybody)[name]
 
     def give(self, which: NDArray[np.int64], **arrays: NDArray[Any]) -> None:
         """Write arrays of these teams, (count or 1, …)."""

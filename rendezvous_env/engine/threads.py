@@ -110,8 +110,8 @@ class _Job:
         else:
             self._left.extend(self._to_hand_over)
             _jobs.put(self)
-        turns = np.zeros(1, np.int64)
-        while not _watch(self._ended, turns, patience):
+        watch, turns = _compiled_watch(), np.zeros(1, np.int64)
+        while not watch(self._ended, turns, patience):
             self._over.get()  # a part has ended
 
     def calls_to_see_it_through(self) -> Iterator[Any]:

@@ -71,6 +71,7 @@ def make_filter(
 class HoldsFilter:
     """The filter of a guarantee wrapper, and the wrapper's memory from step to step."""
 
+    env: Any
     _base: Any
     """The environment of ours under all wrappers."""
 
@@ -119,13 +120,18 @@ class HoldsFilter:
                 "set_state()"
             )
 
-    def _check_one_step(self, before: int) -> None:
-        """Refuse what a wrapper between has made of one step, since ``before``: others, a reset."""
+    def _step_beneath(self, actions: Any) -> Any:
+        """One step of what is wrapped; a wrapper between that makes others of it is refused, or a
+        reset.
+        """
+        before = self._base.simulator.changes
+        told = self.env.step(actions)
         if self._base.simulator.changes != before + 1:
             raise RuntimeError(
                 f"a wrapper beneath {type(self).__name__} has stepped or reset the teams itself, "
                 "or kept a step from them; put it around the guarantee, and reset()"
             )
+        return told
 
     def get_state(self) -> dict[str, Any]:
         """The running episodes and the wrapper's memory, as copies."""

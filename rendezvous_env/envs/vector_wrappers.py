@@ -85,7 +85,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         knows_others = self._seen == simulator.changes or not simulator.begun
         given = as_options(options)
         mask = given.get("reset_mask")  # before Gymnasium's recorder of statistics takes it out
-        observations, infos = self.env.reset(seed=seed, options=given)  # type: ignore[arg-type]
+        observations, infos = self.env.reset(seed=seed, options=given)
         self._observed = observations.reshape(self._observed.shape)
         which = None if mask is None else np.asarray(mask)
         if which is None or which.all() or knows_others:
@@ -182,9 +182,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
                 robots_earned, touched = outcome.robot_rewards, outcome.contact
                 cost: Info = simulator.costs
             else:
-                before = simulator.changes
-                seen, earned, *ended, cost = self.env.step(self._act())
-                self._check_one_step(before)
+                seen, earned, *ended, cost = self._step_beneath(self._act())
                 between |= cost
                 ends |= ended
                 robots_earned, touched = cost["robot_rewards"], cost["contact"]

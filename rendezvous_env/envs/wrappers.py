@@ -33,7 +33,7 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
     Args:
         env: a rendezvous parallel environment, which other wrappers may have changed; promises hold
             if these change neither observations nor actions (the vector form refuses Gymnasium's
-            observation and action wrappers); they step once a step and do not reset.
+            observation and action wrappers), step once a step and do not reset.
         safety_filter: a filter of one team of this scenario, its class, or its name
             (``register_filter``): "heading", "tank", "gains", "links" or a user's own.
         decision_period: base steps for which a choice is held; the filter computes an action in
@@ -107,9 +107,7 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
         for _ in range(self.decision_period):
             table = self.filter.act(self._observed)[0]
             chosen = {name: table[self._base.index(name)] for name in self.agents}
-            before_step = simulator.changes
-            seen, earned, ended, cut, told = self.env.step(chosen)
-            self._check_one_step(before_step)
+            seen, earned, ended, cut, told = self._step_beneath(chosen)
             if self.filter.keeps_ledger:
                 touched = {name: info["contact"] for name, info in told.items()}
                 self.filter.book(self._table(touched, (), np.bool_), simulator.merged_into)

@@ -216,8 +216,8 @@ class SafetyFilter(Remembering):
     def act(self, observations: Float32, elapsed: float | None = None) -> Float32:
         """Actions for the base environment, (B, n, a) float32, from observations (B, n, rows, d) in
         the robots' own frames, rounded to float32; zero for robots that see no neighbour. Sets what
-        is ``told``.
-        ``elapsed``, s since the actions before, is how long a heading may have turned; None is τ.
+        is ``told``. ``elapsed``, s since the actions before, is how long a heading may have turned;
+        None is τ.
         """
         seen = check_observations(observations, self._seen)
         observations = np.ascontiguousarray(seen, np.float32)
