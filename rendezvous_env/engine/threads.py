@@ -28,6 +28,9 @@ _PATIENCE = 200_000
 """Turns, some 60 µs, for which the caller watches the others before it sleeps: to be woken takes
 half as long, and nobody else would use its core."""
 _FOR_EVER = 2**62
+_POLITENESS = 6_000
+"""Turns, some 2 µs, in which a helper that has ended lets go of the interpreter's lock: to find it
+taken and be woken takes ten times as long."""
 
 
 def share(calls_of: Callable[[Part], Calls], blocks: int, most: int, ahead: float = 0.0) -> None:
@@ -137,8 +140,8 @@ def _is_uninterrupted(one: Any) -> bool:
 
 @kernel
 def _watch(ended, turns, most):
-    """Wait for all to be 1, for so many turns at most; whether they are. Turns are counted in an
-    array, which might be the same one, so that the compiler looks each time.
+    """Wait for all to be 1, for so many turns at most, and then politely; whether they are. Turns
+    are counted in an array, which might be the same one, so that the compiler looks each time.
     """
     k = 0
     while k < len(ended) and (ended[k] == 1 or turns[0] < most):
@@ -146,6 +149,10 @@ def _watch(ended, turns, most):
             k += 1
         else:
             turns[0] += 1
+    if k == len(ended) and turns[0] > 0:
+        enough = turns[0] + _POLITENESS
+        while turns[0] < enough:
+            turns[0] += ended[0]
     return k == len(ended)
 
 

@@ -164,25 +164,26 @@ class RendezvousParallelEnv(TeamByName[Box]):
         (earned,), (active,) = outcome.robot_rewards.tolist(), outcome.active.tolist()
         (into,), (contact,) = simulator.merged_into.tolist(), outcome.contact.tolist()
         (clearance,) = outcome.clearance.tolist()
-        costs = {key: values[0].tolist() for key, values in simulator.costs.items()}
         removed = self.scenario.on_merge == "remove"
         returned: StepReturn = {}, {}, {}, {}, {}
         observations, rewards, ends, cuts, infos = returned
-        for name in alive:
-            i = self._indices[name]
-            observations[name], rewards[name] = table[i], earned[i]
-            ends[name] = ended = met or (removed and not active[i])
+        gone = () if len(alive) == len(active) else {*self.possible_agents}.difference(alive)
+        # not strict: the end of an array is found by an error
+        numbers = earned, active, into, contact, clearance
+        robots = zip(self.possible_agents, table, *numbers, strict=False)
+        for name, rows, reward, on_its_own, survivor, touched, distance in robots:
+            if name in gone:
+                continue
+            observations[name], rewards[name] = rows, reward
+            ends[name] = ended = met or (removed and not on_its_own)
             cuts[name] = over and not ended
             infos[name] = info = statistics.copy()  # then one by one: half as long as at once
-            info["merged_into"], info["contact"], info["clearance"] = (
-                into[i],
-                contact[i],
-                clearance[i],
-            )
-            for key, values in costs.items():
-                info[key] = values[i]
+            info["merged_into"], info["contact"], info["clearance"] = survivor, touched, distance
             if over:
                 info["summary"] = statistics.copy()
+        for key, values in simulator.costs.items():
+            for name, info in infos.items():
+                info[key] = values[0].item(self._indices[name])
         self.agents = [] if over else [name for name in alive if not ends[name]]
         return returned
 
