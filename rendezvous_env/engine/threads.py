@@ -5,10 +5,12 @@ does a slice itself only where that is calls of kernels, all made within one ins
 waits. A step that Ctrl-C interrupts is one for all teams or for none.
 """
 
+import ctypes
 import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from functools import cache, partial
 from operator import call
 from queue import SimpleQueue
@@ -77,6 +79,7 @@ class _Job:
         self._made: list[Any] = []  # what the caller's own calls have returned
         self._ended = np.zeros(len(parts), np.int64)  # 1 for each part that has
         self._over: SimpleQueue[None] = SimpleQueue()
+        self.core = _own_core()
         self.errors: list[BaseException] = []
 
     def help(self) -> None:
@@ -175,8 +178,44 @@ def _ensure_workers(wanted: int) -> None:
 
 
 def _serve(jobs: SimpleQueue[_Job]) -> None:
+    place = _Place()
     while True:
-        jobs.get().help()
+        job = jobs.get()
+        place.keep_off(job.core)
+        job.help()
+
+
+class _Place:
+    """The cores that a helper runs on: not its caller's. The system would often wake it there, to
+    wait for the caller, while the next core is idle: that makes two threads slower than one.
+    """
+
+    def __init__(self) -> None:
+        self._core, self._left_out, self._chosen = _NO_CORE, set[int](), set[int]()
+
+    def keep_off(self, core: int) -> None:
+        """Leave a core, if there is another, and come back to the one that was left before."""
+        if core == self._core:
+            return
+        allowed = os.sched_getaffinity(0)
+        if allowed == self._chosen:  # else somebody else has chosen since
+            allowed |= self._left_out
+        self._core, self._left_out, self._chosen = core, allowed & {core}, allowed - {core}
+        if self._chosen:
+            with suppress(OSError):  # a sandbox may forbid it
+                os.sched_setaffinity(0, self._chosen)
+
+
+def _teller_of_core() -> Callable[[], int]:
+    """What tells which core this thread is on; _NO_CORE where threads cannot choose."""
+    if not hasattr(os, "sched_setaffinity"):
+        return lambda: _NO_CORE
+    tell: Callable[[], int] = getattr(ctypes.PyDLL(None), "sched_getcpu", lambda: _NO_CORE)
+    return tell
+
+
+_NO_CORE = -1
+_own_core = _teller_of_core()
 
 
 def _forget_workers() -> None:

@@ -292,6 +292,37 @@ def test_callers_do_not_get_into_each_others_way():
         np.testing.assert_array_equal(total, 50.0)
 
 
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs threads that choose cores")
+def test_helpers_keep_off_the_callers_core_and_within_what_others_allow_them():
+    everywhere = os.sched_getaffinity(0)
+    if len(everywhere) < 2:
+        pytest.skip("needs two cores")
+    one, other = sorted(everywhere)[:2]
+
+    def cores_of_helpers(caller):
+        os.sched_setaffinity(0, {caller})
+        both, found = threading.Barrier(2, timeout=20), []
+
+        def look():
+            both.wait()
+            found.append(os.sched_getaffinity(0))
+
+        threads.share(lambda _: [look], 2, 2)
+        return found
+
+    try:
+        marked(2, 2)  # helpers begin where their caller may run
+        for caller in (one, other, one):
+            assert cores_of_helpers(caller) == [everywhere - {caller}] * 2
+        for thread in threading.enumerate():
+            if thread.name == "rendezvous":
+                os.sched_setaffinity(thread.native_id, {one})
+        assert cores_of_helpers(other) == cores_of_helpers(one) == [{one}] * 2
+    finally:
+        for thread in threading.enumerate():
+            os.sched_setaffinity(thread.native_id, everywhere)
+
+
 def test_threads_are_as_many_as_needed_and_do_not_keep_the_process_alive():
     marked(10, 5)
     workers = [thread for thread in threading.enumerate() if thread.name == "rendezvous"]
