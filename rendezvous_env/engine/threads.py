@@ -54,7 +54,7 @@ def share(calls_of: Callable[[Part], Calls], blocks: int, most: int, ahead: floa
     cuts = [0, *ends]
     job = _Job(calls_of, list(zip(cuts, cuts[1:], range(most), strict=False)))
     see_through = job.calls_to_see_it_through()
-    _ensure_workers(most)
+    _ensure_workers(most - 1)
     try:
         for _ in range(most - 1):
             _jobs.put(job)
@@ -79,7 +79,7 @@ class _Job:
         self._made: list[Any] = []  # what the caller's own calls have returned
         self._ended = np.zeros(len(parts), np.int64)  # 1 for each part that has
         self._over: SimpleQueue[None] = SimpleQueue()
-        self.core = _own_core()
+        self.core, self.caller = _own_core(), threading.get_native_id()
         self.errors: list[BaseException] = []
 
     def help(self) -> None:
@@ -114,6 +114,8 @@ class _Job:
             self._own, patience = own, _PATIENCE
             self._made.extend(map(call, own))
         else:
+            _ensure_workers(len(self._ended))
+            self.core = _NO_CORE  # it is free while the caller waits
             self._left.extend(self._to_hand_over)
             _jobs.put(self)
         watch, turns = _compiled_watch(), np.zeros(1, np.int64)
@@ -178,32 +180,23 @@ def _ensure_workers(wanted: int) -> None:
 
 
 def _serve(jobs: SimpleQueue[_Job]) -> None:
-    place = _Place()
+    core = _NO_CORE
     while True:
         job = jobs.get()
-        place.keep_off(job.core)
+        if job.core != core:
+            core = job.core
+            _keep_off(core, job.caller)
         job.help()
 
 
-class _Place:
-    """The cores that a helper runs on: not its caller's. The system would often wake it there, to
-    wait for the caller, while the next core is idle: that makes two threads slower than one.
+def _keep_off(core: int, caller: int) -> None:
+    """Let this thread run wherever its caller may, a thread's native number, but for the caller's
+    core. The system would often wake it there, to take turns with the caller while the next core is
+    idle, which is slower than one thread.
     """
-
-    def __init__(self) -> None:
-        self._core, self._left_out, self._chosen = _NO_CORE, set[int](), set[int]()
-
-    def keep_off(self, core: int) -> None:
-        """Leave a core, if there is another, and come back to the one that was left before."""
-        if core == self._core:
-            return
-        allowed = os.sched_getaffinity(0)
-        if allowed == self._chosen:  # else somebody else has chosen since
-            allowed |= self._left_out
-        self._core, self._left_out, self._chosen = core, allowed & {core}, allowed - {core}
-        if self._chosen:
-            with suppress(OSError):  # a sandbox may forbid it
-                os.sched_setaffinity(0, self._chosen)
+    with suppress(OSError):  # a sandbox may forbid it
+        allowed = os.sched_getaffinity(caller)
+        os.sched_setaffinity(0, allowed - {core} or allowed)
 
 
 def _teller_of_core() -> Callable[[], int]:

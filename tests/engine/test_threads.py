@@ -11,6 +11,7 @@ import time
 import weakref
 from contextlib import contextmanager
 from functools import partial
+from queue import SimpleQueue
 from types import SimpleNamespace
 
 import numpy as np
@@ -293,38 +294,38 @@ def test_callers_do_not_get_into_each_others_way():
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs threads that choose cores")
-def test_helpers_keep_off_the_callers_core_and_within_what_others_allow_them():
+def test_helpers_may_run_where_their_caller_may_but_not_where_it_works(monkeypatch):
     everywhere = os.sched_getaffinity(0)
     if len(everywhere) < 2:
         pytest.skip("needs two cores")
     one, other = sorted(everywhere)[:2]
+    monkeypatch.setattr(threads, "_workers", [])
+    monkeypatch.setattr(threads, "_jobs", SimpleQueue())
+    found = []
 
-    def cores_of_helpers(caller):
-        os.sched_setaffinity(0, {caller})
-        both, found = threading.Barrier(2, timeout=20), []
+    def look():
+        found.append(os.sched_getaffinity(0))
 
-        def look():
-            both.wait()
-            found.append(os.sched_getaffinity(0))
+    def cores_of_helper(core):
+        monkeypatch.setattr(threads, "_own_core", lambda: core)
+        work = kernels(np.zeros(2))
+        threads.share(lambda part: [look] if part[2] else work(part), 2, 2)
+        return found.pop()
 
-        threads.share(lambda _: [look], 2, 2)
-        return found
-
+    for core in (one, other, one):
+        assert cores_of_helper(core) == everywhere - {core}
     try:
-        marked(2, 2)  # helpers begin where their caller may run
-        for caller in (one, other, one):
-            assert cores_of_helpers(caller) == [everywhere - {caller}] * 2
-        for thread in threading.enumerate():
-            if thread.name == "rendezvous":
-                os.sched_setaffinity(thread.native_id, {one})
-        assert cores_of_helpers(other) == cores_of_helpers(one) == [{one}] * 2
+        os.sched_setaffinity(0, {one})
+        assert cores_of_helper(other) == cores_of_helper(one) == {one}
     finally:
-        for thread in threading.enumerate():
-            os.sched_setaffinity(thread.native_id, everywhere)
+        os.sched_setaffinity(0, everywhere)
+    assert cores_of_helper(other) == everywhere - {other}
+    threads.share(lambda _: [look], 2, 2)  # the caller waits: there is room where it was
+    assert everywhere in found
 
 
 def test_threads_are_as_many_as_needed_and_do_not_keep_the_process_alive():
-    marked(10, 5)
+    marked(10, 5, kind=python)  # the caller waits for five
     workers = [thread for thread in threading.enumerate() if thread.name == "rendezvous"]
     assert len(workers) >= 5 and all(worker.daemon for worker in workers)
 
