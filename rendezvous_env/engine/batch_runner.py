@@ -13,6 +13,7 @@ from ..physics.random_streams import ignore_overflow
 from . import threads
 from .memory import RUNNING
 from .memory_layout import scratch
+from .pace import Pace
 from .preparation import constants, layout, robot, sensor
 from .stages.step import step_blocks
 from .state import State
@@ -92,10 +93,11 @@ class BatchRunner:
         rows = 1 + place.neighbours + _OBSTACLES * (place.rows - place.neighbours)
         rows *= 1 if place.scenario.sensing.exact else _ERRING
         self._work_of_step = place.batch * n * rows
-        self.width, self._ahead = self._threads(1)
+        self._pace = self._pace_of(1)
+        self._paces: dict[int, Pace] = {}  # of decisions of so many steps
         self.layout, self.robot = layout(place), robot(place.scenario)
         self._sensor = sensor(state)
-        self._scratch = [scratch(place) for _ in range(self.width)]
+        self._scratch = [scratch(place) for _ in range(self._pace.most)]
         self.team_scratch = self._scratch[0][1]
         """Working memory for one team."""
         self._blocks = np.arange(place.blocks)
@@ -109,14 +111,15 @@ class BatchRunner:
         self._run: Callable[..., Any] | None = None
         self.limit(max_steps)
 
-    def _threads(self, steps: int) -> tuple[int, float]:
-        """As many threads as have enough work each in so many steps, and the share of it that the
-        first one does ahead of the others.
+    def _pace_of(self, steps: int) -> Pace:
+        """Of as many threads as have enough work each in so many steps, and the share of it that
+        the first one does ahead of the others.
         """
         work = steps * self._work_of_step
         if (most := min(self._state.place.blocks, work // _WORK_PER_THREAD)) <= 1:
-            return 1, 0.0  # to ask how many cores there are takes a while
-        return min(most, threads.most_threads(self._num_threads)), min(_WORK_AHEAD / work, 1.0)
+            return Pace(1, 0.0)  # to ask how many cores there are takes a while
+        most = min(most, threads.most_threads(self._num_threads))
+        return Pace(most, min(_WORK_AHEAD / work, 1.0))
 
     def limit(self, max_steps: int) -> None:
         """Let episodes end after so many steps."""
@@ -144,10 +147,11 @@ class BatchRunner:
         output = self.new_output()
         advance = self._work(True, self._blocks, actions, output)
         blocks = len(self._blocks)
-        if self.width == 1:  # what is left out here a single team would feel
+        if (pace := self._pace).most == 1:  # what is left out here a single team would feel
             advance((0, blocks, 0))()
         else:
-            threads.share(lambda part: [advance(part)], blocks, self.width, self._ahead)
+            threads.share(lambda part: [advance(part)], blocks, pace.begin(), pace.ahead)
+            pace.end()
         # the next step's arrays come from other memory: where both steps' were free at once, the
         # system would take it back, and clear it anew for every step of large teams
         self._last = output
@@ -170,9 +174,10 @@ class BatchRunner:
             earned, robots_earned = np.zeros_like(earned), np.zeros_like(robots_earned)
             touched = np.zeros_like(touched)
         lanes, resting = self._state.lanes, resting.copy()
-        width, ahead = self._threads(_PILOTED * count)
         follows = self._state.scenario.on_merge == "follow"
-        while len(self._scratch) < width:
+        if (pace := self._paces.get(count)) is None:
+            pace = self._paces[count] = self._pace_of(_PILOTED * count)
+        while len(self._scratch) < pace.most:
             self._scratch.append(scratch(self._state.place))
         advance = self._work(True, self._blocks, actions, output)
 
@@ -204,7 +209,8 @@ class BatchRunner:
             led = step(part, mine, seen) if count == 1 else [partial(lead, part, mine)]
             return [*led, *(show(mine, output.observations) if show is not None else ())]
 
-        threads.share(calls_of, len(self._blocks), width, ahead)
+        threads.share(calls_of, len(self._blocks), pace.begin(), pace.ahead)
+        pace.end()
         self._last = output
         return Driven(output, earned, robots_earned, touched)
 

@@ -22,6 +22,7 @@ import rendezvous_env as rv
 from rendezvous_env import Simulator
 from rendezvous_env.compilation import kernel
 from rendezvous_env.engine import batch_runner, threads
+from rendezvous_env.engine.pace import Pace
 from rendezvous_env.safety import safety_filter as teams
 from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper
 
@@ -230,6 +231,7 @@ def test_an_interrupted_step_is_one_for_all_teams_or_none(around, monkeypatch):
     that have stepped, and where the wrapper has not seen the step it takes none from what it saw.
     """
     monkeypatch.setattr(batch_runner, "_WORK_PER_THREAD", 1)
+    monkeypatch.setattr(Pace, "begin", lambda pace: pace.most)  # though one may be quicker
     scenario = rv.scenarios.get("swarm-20").replace(time_limit=1e4)
     env = rv.make_vec(scenario, 256, num_threads=4)
     env = env if around is None else around(env)
@@ -237,7 +239,7 @@ def test_an_interrupted_step_is_one_for_all_teams_or_none(around, monkeypatch):
     sim, count, refused = env.unwrapped.simulator, 0, 0
     actions = np.full((256, 20, 2), 1e-3, np.float32)
     env.step(actions)
-    assert sim._runner.width == 4
+    assert sim._runner._pace.most == 4
     with interrupts() as within:
         for _ in range(300):
             try:
