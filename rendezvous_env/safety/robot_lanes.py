@@ -6,13 +6,14 @@ copied out. All lanes are computed, those of no robot too, by the same code: so 
 robot does not hang on how many others there are.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import compiled, inner_kernel
+from ..compilation import compiled, entry_point, inner_kernel
 from ..engine.memory import read_row
 from ..engine.threads import Calls, Part
 from ..physics.neighbour_rows import net_bearing_of
@@ -40,6 +41,9 @@ class Lanes(NamedTuple):
     lyapunov_rate: Numbers
 
 
+_entry_points: dict[tuple[Any, type, np.dtype[Any]], Callable[..., Any]] = {}
+
+
 def in_lanes(kernel: Any, teams: Part, constants: Any, *arrays: NDArray[Any]) -> Calls:
     """The call of a kernel for the robots of some teams, b·n + i for robot i of team b: it is given
     which ones, constants, arrays (B, n, ...), any unit, the first of which is observations, as
@@ -48,7 +52,11 @@ def in_lanes(kernel: Any, teams: Part, constants: Any, *arrays: NDArray[Any]) ->
     n, rows = arrays[0].shape[1:3]
     robots = tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])  # not copied
     which = teams[0] * n, teams[1] * n
-    return [partial(kernel, which, constants, robots, np.zeros((_ROWS + 2 * rows, LANES)))]
+    arguments = which, constants, robots, np.zeros((_ROWS + 2 * rows, LANES))
+    kind = kernel, type(constants), arrays[0].dtype  # the types of all else follow from these
+    if (run := _entry_points.get(kind)) is None:
+        run = _entry_points[kind] = entry_point(kernel, arguments)
+    return [partial(run, *arguments)]
 
 
 @inner_kernel(inline="text")
