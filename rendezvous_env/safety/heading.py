@@ -350,7 +350,7 @@ class HeadingFilter(SafetyFilter):
         """As ``SafetyFilter.act_of``."""
         constants, told = self._constants, (self.alignment, self.lyapunov_rate)
         if elapsed is not None:
-            constants = constants._replace(max_turn=self._heading_rate * elapsed)
+            constants = constants._replace(max_turn=self._heading_rate * float(elapsed))
         if self.turns_body:
             arguments = observations, constants, self._held, actions, *told
             return [partial(_turn_bodies, teams, arguments)]

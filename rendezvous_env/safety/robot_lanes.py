@@ -53,7 +53,7 @@ def in_lanes(kernel: Any, teams: Part, constants: Any, *arrays: NDArray[Any]) ->
     robots = tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])  # not copied
     which = teams[0] * n, teams[1] * n
     arguments = which, constants, robots, np.zeros((_ROWS + 2 * rows, LANES))
-    kind = kernel, type(constants), arrays[0].dtype  # the types of all else follow from these
+    kind = kernel, type(constants), arrays[0].dtype  # all other types follow from these
     if (run := _entry_points.get(kind)) is None:
         run = _entry_points[kind] = entry_point(kernel, arguments)
     return [partial(run, *arguments)]
