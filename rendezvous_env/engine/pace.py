@@ -6,9 +6,7 @@ import time
 _PERIOD, _TRIALS = 256, 4
 """Of so many steps the last few are made the other way, to see how long that takes now."""
 _WEIGHT = 0.125  # of a step among those before it
-_MOST = (
-    2.0  # so many times as long as those before may a step count: one that is held up says little
-)
+_MOST = 2.0  # times as long as those before is the most that counts: a step may be held up
 
 
 class Pace:

@@ -180,12 +180,12 @@ def _ensure_workers(wanted: int) -> None:
 
 
 def _serve(jobs: SimpleQueue[_Job]) -> None:
-    core = _NO_CORE
+    left = _NO_CORE
     while True:
         job = jobs.get()
-        if job.core != core:
-            core = job.core
+        if (core := job.core) != left:
             _keep_off(core, job.caller)
+            left = core
         job.help()
 
 
