@@ -11,11 +11,6 @@ from .envs.vector_wrappers import (
 )
 
 __all__ = [
-    "EnergyTankWrapper",
-    "GainWrapper",
-    "GuaranteeWrapper",
-    "HeadingVectorWrapper",
-    "LinkKeepingWrapper",
-    "team_box",
-    "training_env",
-]
+    "EnergyTankWrapper", "GainWrapper", "GuaranteeWrapper", "HeadingVectorWrapper",
+    "LinkKeepingWrapper", "team_box", "training_env",
+]  # fmt: skip

@@ -19,13 +19,9 @@ from .vector_env import Info, OneTeam, RendezvousVectorEnv, of_first_team
 from .vector_wrappers import HeadingVectorWrapper
 
 __all__ = [
-    "RendezvousEnv",
-    "RendezvousVectorEnv",
-    "make_env",
-    "make_heading_env",
-    "make_heading_vec",
+    "RendezvousEnv", "RendezvousVectorEnv", "make_env", "make_heading_env", "make_heading_vec",
     "make_vec",
-]
+]  # fmt: skip
 
 
 class RendezvousEnv(OneTeam, gymnasium.Env[Any, Any]):

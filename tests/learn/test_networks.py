@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from bare_network import make_network
 from torch import nn
 
 from baselines.learned import checkpoints, shipped
@@ -10,7 +11,6 @@ from baselines.learned.features import CONTEXT_COLUMNS, FeatureLayout
 from baselines.learned.numpy_actor import NumpyActor
 from baselines.learned.policy_settings import CHOICES, PolicySettings
 from train.learn import networks, sets
-from train.learn.networks import make_network
 
 K, M = 4, 6
 SETTINGS = {"set_width": 8, "hidden": (16,)}

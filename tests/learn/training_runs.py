@@ -9,7 +9,6 @@ import pytest
 from baselines.learned import checkpoints
 from train import results
 from train.learn import ppo, trainer
-from train.learn.log import WALL_TIME
 from train.learn.ppo import Config
 
 UPDATE = 512
@@ -19,6 +18,8 @@ SMALL = {
     "eval_starts": 4, "checkpoint_every": 1000, "tensorboard": False, "num_threads": 1,
 }  # fmt: skip
 """Twelve updates of 512 steps."""
+WALL_TIME = ("wall_s", "steps_per_s", "environment_share")
+"""Columns of metrics.csv that differ between two runs that are otherwise the same."""
 
 
 def config(out, **changes):

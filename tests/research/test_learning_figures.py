@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from bare_network import make_network
 from learning_figures import learning_figure, tank_figure, watch_tanks
 
 from baselines.learned.learned_policy import LearnedPolicy
@@ -9,7 +10,6 @@ from baselines.learned.policy_settings import PolicySettings
 from rendezvous_env.scenario import scenarios
 from train import results
 from train.learn.log import EVALUATION, METRICS
-from train.learn.networks import make_network
 
 SETTINGS = PolicySettings(
     4, (8,), clearance=0.2, persistence=0.5, min_alignment=0.05, max_turn_rate=100.0,

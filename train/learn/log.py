@@ -21,8 +21,6 @@ METRICS = (
     "entropy", "learning_rate", "wall_s", "steps_per_s", "environment_share",
 )  # fmt: skip
 """Columns of metrics.csv, a row for each update: fractions 0–1, s; empty where nothing applies."""
-WALL_TIME = ("wall_s", "steps_per_s", "environment_share")
-"""Columns that differ between two runs that are otherwise the same."""
 EVALUATION = ("step", *results.RESULT_COLUMNS)
 """Columns of evaluation.csv, a row for each evaluation and scenario."""
 

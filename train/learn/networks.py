@@ -9,15 +9,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from gymnasium.spaces import Box, Discrete
+from gymnasium.spaces import Box
 from numpy.typing import NDArray
 from rendezvous_env.baselines.learned.features import (
     NEIGHBOUR_COLUMNS,
     OBSTACLE_COLUMNS,
     FeatureLayout,
 )
-from rendezvous_env.baselines.learned.policy_settings import CHOICES
-from rendezvous_env.baselines.learned.training_environment import observation_box
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, MlpExtractor
 from torch import Tensor, nn
@@ -111,12 +109,6 @@ def network_settings(
         "optimizer_kwargs": {"eps": 1e-5, "fused": True},  # one pass over all weights
         "prior": prior,
     }
-
-
-def make_network(layout: FeatureLayout, choices: int = CHOICES, **settings: Any) -> HeadingNetwork:
-    """A network on its own, for inference; settings as ``network_settings``."""
-    spaces = observation_box(layout.size), Discrete(choices)
-    return HeadingNetwork(*spaces, lambda _: 0.0, **network_settings(layout, **settings))
 
 
 # ---- the global state, for critics --------------------------------------------------------------

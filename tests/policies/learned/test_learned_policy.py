@@ -6,6 +6,7 @@ import pickle
 import numpy as np
 import pytest
 import torch
+from bare_network import make_network
 from gymnasium.vector import AutoresetMode
 
 import baselines
@@ -18,7 +19,6 @@ from rendezvous_env.scenario import scenarios
 from train import policies
 from train.checks import UserError
 from train.learn import checkpoint
-from train.learn.networks import make_network
 
 SETTINGS = PolicySettings(
     8, (16,), clearance=0.1, persistence=0.5, min_alignment=0.1, max_turn_rate=3.0,
