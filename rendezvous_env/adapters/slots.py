@@ -41,7 +41,9 @@ class RobotSlots:
 
     A team is reset in the step in which it ends. Rendezvous is a true end. A time-out and a merge
     are none: the slot is cut off, and its future is valued by its own last observation at a
-    time-out and by its survivor's at a merge, so that meeting early is not punished.
+    time-out and by its survivor's at a merge, so that meeting early is not punished. Where a
+    decision is held for several steps that needs ``on_merge="follow"``: else the robot earns
+    nothing in the rest of them.
 
     Args:
         teams: a vector environment of teams with SAME_STEP autoreset, wrapped or not; a ValueError
