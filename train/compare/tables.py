@@ -87,7 +87,7 @@ def paired_table(rows: Sequence[Row]) -> Table:
         *("policy", "points", "better %"),
         title=f"Against {rows[0]['against']} on the same starts",
         caption="points: of collision-free success; better: without a collision and sooner, "
-        "a tie counts half; [95 % bootstrap intervals]",
+        "a tie counts half; [95 % intervals]",
     )
     for name, own in groupby(rows, itemgetter("scenario")):
         table.add_row(name, style="bold")
@@ -163,7 +163,7 @@ def _notes(rankings: Sequence[Ranking]) -> Iterator[str]:
     if any(ranking.is_contest for ranking in rankings):
         yield (
             f"{BEST} best of a scenario (among equals the soonest); {TIED} tied with it: the "
-            "95 % bootstrap interval of the difference on the same starts holds 0"
+            "95 % interval of the difference on the same starts holds 0"
         )
     if references := dict.fromkeys(name for ranking in rankings for name in ranking.references):
         yield (
