@@ -81,9 +81,12 @@ class RobotSlots:
         seeds: int | Sequence[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> NDArray[np.float32]:
-        """Begin a new episode in all teams, with their arguments; observations (slots, ...)."""
+        """Begin a new episode in all teams, or in those of a mask, with their arguments;
+        observations (slots, ...).
+        """
+        mask = (options or {}).get("reset_mask")  # some wrappers take it out
         observations, infos = self.teams.reset(seed=seeds, options=options)
-        self.begin(np.ones(self.num_teams, dtype=np.bool_))
+        self.begin(np.ones(self.num_teams, np.bool_) if mask is None else np.asarray(mask))
         self.active = infos["active"].copy()
         return self.by_slot(observations)
 
