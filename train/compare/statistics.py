@@ -11,6 +11,8 @@ from .evaluation import Episodes
 CONFIDENCE = 0.95
 RESAMPLES = 2000
 """Of every bootstrap."""
+_AT_ONCE = 10**7
+"""Numbers of resamples that are in memory together."""
 
 Interval = tuple[float, float]
 _NONE: Interval = (np.nan, np.nan)
@@ -46,6 +48,7 @@ def bootstrap_interval(
         paired=True,
         vectorized=True,
         n_resamples=RESAMPLES,
+        batch=max(1, _AT_ONCE // len(samples[0])),
         confidence_level=CONFIDENCE,
         method="percentile",
         rng=np.random.default_rng(0),
