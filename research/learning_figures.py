@@ -57,7 +57,7 @@ def _columns(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return (
         np.array([float(row["step"]) for row in rows]) / 1e6,
-        np.array([float(row[name]) for row in rows]),
+        np.array([float(row[name] or "nan") for row in rows]),
     )
 
 

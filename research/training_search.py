@@ -6,10 +6,12 @@ python research/training_search.py --seeds 0 1 2 --tried default shipped
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from pathlib import Path
 from typing import Any
 
+from train.checks import UserError
 from train.learn import ppo
 
 COMMON: dict[str, Any] = {
@@ -35,7 +37,9 @@ TRIED: dict[str, dict[str, Any]] = {
 
 
 def search(config: ppo.Config, share: float) -> str:
-    """A row of the table: when held-out starts reached the share, and what they ended with."""
+    """A row of the table: when held-out starts reached the share, and what they ended with. A
+    SystemExit for a run that is refused, or that a signal ends.
+    """
     began, reached = time.process_time(), "never"
 
     def on_update(update: int, metrics: dict[str, Any]) -> bool:
@@ -47,7 +51,12 @@ def search(config: ppo.Config, share: float) -> str:
             reached = f"{metrics['step'] / 1e6:.2f} M, {taken:.0f} s of processor time, {by_clock}"
         return met
 
-    result = ppo.run(config, on_update)
+    try:
+        result = ppo.run(config, on_update)
+    except UserError as error:
+        sys.exit(str(error))
+    if result.status:
+        sys.exit(result.status)
     best, final = (100 * rows[0]["clean_success"] for rows in (result.best, result.final))
     return f"{reached} | best {best:.1f} %, last {final:.1f} % at {result.steps / 1e6:.2f} M"
 
@@ -63,6 +72,8 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("runs/search"))
     asked = parser.parse_args()
+    if asked.every < 1:
+        parser.error(f"--every is {asked.every}; it must be 1 or more")
     rows = []
     for name in asked.tried:
         for seed in asked.seeds:

@@ -34,3 +34,13 @@ def dies(task):
 
 def refuses(task):
     raise UserError(f"task {task} cannot be")
+
+
+def product(task):
+    """A product of matrices as a network has it, as bytes."""
+    import numpy as np
+
+    random = np.random.default_rng(task)
+    shapes = (4000, 128), (128, 128), (128, 14)
+    rows, *weights = (random.normal(size=shape).astype(np.float32) for shape in shapes)
+    return (rows @ weights[0] @ weights[1]).tobytes()

@@ -55,11 +55,11 @@ PAIRED = {
     "policy": "name of the policy",
     "against": "the policy that it is compared with, start by start",
     "clean_difference": "collision-free success of the policy minus that of against, fractions",
-    "clean_difference_low": f"lower end {_INTERVAL} (bootstrap)",
+    "clean_difference_low": f"lower end {_INTERVAL} (bootstrap; Wilson where all starts agree)",
     "clean_difference_high": "upper end of it",
     "probability_of_improvement": "chance of doing better on a start, without a collision "
     "and sooner; a tie counts half",
-    "improvement_low": f"lower end {_INTERVAL} (bootstrap)",
+    "improvement_low": f"lower end {_INTERVAL} (likewise)",
     "improvement_high": "upper end of it",
 }
 """The same for paired.csv."""

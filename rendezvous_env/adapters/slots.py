@@ -41,7 +41,9 @@ class RobotSlots:
 
     A team is reset in the step in which it ends. Rendezvous is a true end. A time-out and a merge
     are none: the slot is cut off, and its future is valued by its own last observation at a
-    time-out and by its survivor's at a merge, so that meeting early is not punished.
+    time-out and by its survivor's at a merge, so that meeting early is not punished. Where a
+    decision is held for several steps that needs ``on_merge="follow"``: else the robot earns
+    nothing in the rest of them.
 
     Args:
         teams: a vector environment of teams with SAME_STEP autoreset, wrapped or not; a ValueError
@@ -79,9 +81,12 @@ class RobotSlots:
         seeds: int | Sequence[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> NDArray[np.float32]:
-        """Begin a new episode in all teams, with their arguments; observations (slots, ...)."""
+        """Begin a new episode in all teams, or in those of a mask, with their arguments;
+        observations (slots, ...).
+        """
+        mask = (options or {}).get("reset_mask")  # some wrappers take it out
         observations, infos = self.teams.reset(seed=seeds, options=options)
-        self.begin(np.ones(self.num_teams, dtype=np.bool_))
+        self.begin(np.ones(self.num_teams, np.bool_) if mask is None else np.asarray(mask))
         self.active = infos["active"].copy()
         return self.by_slot(observations)
 

@@ -17,7 +17,8 @@ from stable_baselines3.common.vec_env import VecMonitor, VecNormalize, VecVideoR
 
 import rendezvous_env as rv
 from rendezvous_env.adapters.sb3 import RobotVecEnv, make_robots
-from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper
+from rendezvous_env.adapters.slots import RobotSlots
+from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper, training_env
 from train.learn.rollout_buffer import RobotPPO
 
 TEAMS, STEPS = 8, 90
@@ -142,6 +143,18 @@ def test_statistics_are_those_of_teams():
                 rewards_of[team] = 0.0
                 episodes.append(episode)
     assert len(episodes) >= 8 and {"r", "l", "t", "success", "contacts"} <= episodes[0].keys()
+
+
+def test_a_reset_of_some_teams_leaves_the_counts_of_the_others():
+    slots = RobotSlots(training_env("clutter-4", 2, time_limit=3.0))
+    slots.reset(0)
+    still, lengths = np.zeros((slots.num_envs, 2), np.float32), {}
+    for step in range(7):
+        if step == 2:
+            slots.reset(options={"reset_mask": np.array([True, False])})
+        finished = slots.step(still).finished
+        lengths |= {team: (step, episode["length"]) for team, episode in finished.items()}
+    assert lengths == {1: (4, 5), 0: (6, 5)}
 
 
 @pytest.mark.parametrize(("count", "of_teams"), [(4, (1, 3)), (6, (3, 3)), (15, (6, 9))])

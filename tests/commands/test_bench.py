@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from train import checks
+from train.bench import learners
 from train.bench.bench import GROUPS, Config, measure, run
 from train.bench.cases import Case, Running, Size, among_discs, bare_step, batched, tape_of
 from train.checks import installed
@@ -61,6 +62,11 @@ def test_a_folder_named_like_a_learner_is_not_that_learner(tmp_path, monkeypatch
     (tmp_path / "folder_of_no_library").mkdir()
     monkeypatch.syspath_prepend(tmp_path)
     assert not installed("folder_of_no_library") and installed("numpy")
+
+
+def test_less_than_a_team_of_robots_is_one_team():
+    rows = measure(learners.heading_ppo(Size(1, 1)), Config(**QUICK | {"num_envs": 1}))
+    assert [row["num_envs"] for row in rows] == [1, 1, 1]
 
 
 def test_rows_can_be_chosen_and_need_no_learner(tmp_path, monkeypatch, capsys):

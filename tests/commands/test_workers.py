@@ -7,7 +7,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from light_tasks import cores, dies, dies_once, refuses, where
+from light_tasks import cores, dies, dies_once, product, refuses, where
 
 from baselines.learned import checkpoints
 from train import checks, interrupts, tasks
@@ -39,6 +39,11 @@ class TestEach:
         processes = {result[1] for result in found.values()}
         assert os.getpid() not in processes and 1 <= len(processes) <= 2
         assert list(each(cores, [0], Workers(jobs=2))) == [(0, 1)]
+
+    def test_matrices_are_multiplied_alike_whoever_does_it(self):
+        """OpenBLAS rounds otherwise on several threads, as many as cores unless told."""
+        alone, others = (dict(each(product, range(8), Workers(jobs=count))) for count in (1, 2))
+        assert alone == others
 
     def test_what_must_stay_here_stays(self):
         found = dict(each(where, range(6), Workers(jobs=2), here=lambda task: task % 2 == 0))

@@ -2,6 +2,7 @@
 
 import json
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -279,6 +280,14 @@ class TestStatistics:
         assert row["probability_of_improvement"] == (1 + 0.5 + 1 + 0.5) / 4
         (row,) = statistics.compare_pairs("s", played, against="other")
         assert (row["policy"], row["clean_difference"]) == ("bearing-only", -0.25)
+
+    def test_many_starts_take_little_memory(self):
+        """All resamples of 20,000 starts together would take 320 MB, and their indices as much."""
+        tracemalloc.start()
+        low, high = statistics.bootstrap_interval((np.arange(20_000) % 2,), np.mean)
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert most < 3e8 and 0.49 < low < 0.5 < high < 0.51
 
     def test_without_law_1_the_best_is_the_reference(self):
         worse = batch(clean=np.zeros(4, bool))

@@ -56,6 +56,26 @@ class TestRanking:
         [found] = ranking.rank([played("fig4", name, hit) for name, hit in names.items()])
         assert found.top == ("tangent", "tangent-joined")
 
+    @pytest.mark.parametrize(("starts", "tied"), [(2, True), (3, True), (4, False)])
+    def test_a_few_starts_on_which_all_agree_may_do_so_by_chance(self, starts, tied):
+        """Of 4 of 4 Wilson's lower end is 4/(4 + 1.96²) = 0.51: more than half."""
+        hits = {"tangent": np.ones(starts, bool), "bearing-only": np.zeros(starts, bool)}
+        pair = {name: played("fig4", name, hit) for name, hit in hits.items()}
+        [found] = ranking.rank(list(pair.values()))
+        assert (found.top == ("tangent", "bearing-only")) == tied
+        shares = {name: one.episodes for name, one in pair.items()}
+        (row,) = statistics.compare_pairs("fig4", shares)
+        low = starts / (starts + 1.959964**2)
+        ends = [row["clean_difference_low"], row["clean_difference_high"]]
+        ends += [row["improvement_low"], row["improvement_high"]]
+        assert ends == pytest.approx([2 * low - 1, 1, low, 1])
+
+    def test_policies_that_differ_nowhere_may_differ_on_other_starts(self):
+        one = played("fig4", "tangent", 0.5).episodes
+        difference, ends = statistics.clean_difference(one, one)
+        rest = 1.959964**2 / (STARTS + 1.959964**2)
+        assert difference == 0 and ends == pytest.approx((-rest, rest))
+
     def test_who_knows_the_map_does_not_compete(self):
         [found] = ranking.rank(
             [played("fig4", "privileged-planner", 1.0), played("fig4", "tangent", 0.4)]

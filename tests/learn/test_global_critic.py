@@ -58,6 +58,22 @@ def test_the_state_by_hand():
     np.testing.assert_allclose(later.context[0, 0], [left, share], atol=1e-6)
 
 
+def test_a_team_in_which_nobody_sees_anybody_at_first_has_a_state():
+    """V(0) is 0, and later V need not be."""
+    scenario = rv.Scenario(
+        n_robots=2, graph=rv.graphs.proximity(), require_connected=False, max_speed=4.0,
+        sensing=rv.Sensing(range=1.0), local_frames="global", time_step=0.1,
+    )  # fmt: skip
+    simulator, layout = rv.Simulator(scenario, 1), GlobalStateLayout(2, 0)
+    seen = simulator.reset(0, {"positions": [[0.0, 0.0], [1.2, 0.0]]})
+    for _ in range(2):
+        f = scenario.observation_layout.net_bearing(seen)
+        states = layout.states(simulator, f, np.zeros((1, 2)))
+        assert (layout.split(states).context[0, :, 0] == 0.0).all()
+        seen = simulator.step(np.array([[[4.0, 0.0], [0.0, 0.0]]], np.float32)).observations
+    assert simulator.initial_lyapunov[0] == 0.0 < simulator.lyapunov()[0]
+
+
 def test_who_is_gone_is_not_there_and_the_last_state_is_of_the_episode_that_ended():
     env = teams()
     env.reset(seed=3)

@@ -11,6 +11,7 @@ import sys
 import time
 
 import pytest
+import tyro
 from training_runs import (
     UPDATE,
     assert_goes_on,
@@ -26,7 +27,7 @@ from training_runs import (
 from baselines.learned import checkpoints, learned_policy
 from rendezvous_env.scenario import scenarios
 from train import cli, results
-from train.learn import checkpoint, ppo, trainer
+from train.learn import checkpoint, ppo, settings, trainer
 
 
 @pytest.fixture
@@ -130,6 +131,21 @@ class TestResume:
             del plain[name]
         (copied / "config.json").write_text(json.dumps(plain))
         assert resumed(copied, total_steps=13 * UPDATE).steps == 13 * UPDATE
+
+    def test_a_flag_that_is_given_as_its_default_is_given(self, copied, capsys):
+        """Three million decisions more than the run was to take; one that says nothing is over."""
+        asked = ppo.Config(resume=copied, total_steps=3_000_000, eval_starts=200, eval_every=0)
+        assert ppo.run(asked, lambda update, metrics: True).steps == 13 * UPDATE
+        assert "stopped by on_update" in capsys.readouterr().out
+        stored = json.loads((copied / "config.json").read_text())
+        assert (stored["total_steps"], stored["eval_starts"]) == (3_000_000, 200)
+        words = ["--total-steps", "3000000", "--eval-starts", "200"]
+        command = tyro.cli(ppo.Config, args=["--resume", str(copied), *words])
+        kept = tyro.cli(ppo.Config, args=["--resume", str(copied)])
+        run = ppo.Config(total_steps=UPDATE, eval_starts=4, checkpoint_every=1000)
+        for given, found in ((command, (3_000_000, 200, 1000)), (kept, (UPDATE, 4, 1000))):
+            on = settings.resumed(given, run)
+            assert (on.total_steps, on.eval_starts, on.checkpoint_every) == found
 
     def test_before_the_first_checkpoint(self, whole, tmp_path, monkeypatch):
         def killed(self, state):

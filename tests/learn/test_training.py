@@ -158,6 +158,14 @@ class TestResult:
         clean = [row["clean_success"] for row in evaluated]
         assert result.best[0]["step"] == evaluated[clean.index(max(clean))]["step"]
 
+    def test_no_line_has_a_number_that_is_none(self, tmp_path, capsys):
+        """In two seconds nobody meets, and where robots pass through obstacles nothing is clean."""
+        fields = ("obstacle_contact=ignore", "time_limit=2")
+        ppo.run(config(tmp_path, total_steps=UPDATE, eval_every=1, set=fields))
+        said = capsys.readouterr().out
+        assert "met 0 % · cleanly 0 % · – s" in said and "cleanly – [–, –] %" in said
+        assert "nan" not in said
+
     def test_the_best_is_that_of_all_scenarios(self, tmp_path):
         def row(step, clean, success=1.0):
             return {"step": step, "clean_success": clean, "success": success}

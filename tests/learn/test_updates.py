@@ -16,6 +16,7 @@ from rendezvous_env.adapters.sb3 import RobotVecEnv
 from train.learn.recurrent import learner_of
 from train.learn.rollout_buffer import Rule, slopes_of
 from train.learn.settings import Config
+from train.learn.teams import WatchedRobots, make_teams
 
 TEAMS, STEPS = 16, 40
 
@@ -126,3 +127,19 @@ def test_slopes_are_those_of_the_loss():
     divergence = (ratio - 1 - ratio.log()).sum()
     expected = [500.0, *(float(x.detach()) for x in (-gain, error, -entropy, divergence)), clipped]
     assert sums == pytest.approx(expected, rel=1e-4) and 100 < clipped < 400
+
+
+def test_a_merge_within_a_decision_takes_nothing_from_what_the_team_earns_in_it():
+    """The bonus of a rendezvous later in the same decision among it."""
+    robots = WatchedRobots(make_teams(Config(num_teams=64, touch_penalty=0.0), 0))
+    robots.seed(0)
+    robots.reset()
+    merged = 0
+    for _ in range(40):
+        _, rewards, ended, _ = robots.step(np.zeros(robots.num_envs, dtype=np.int64))
+        shape = (-1, robots.n_robots)
+        acted, earned = robots.acted.reshape(shape), rewards.reshape(shape)
+        most = earned.max(axis=1, keepdims=True)
+        assert np.where(acted, earned, most) == pytest.approx(np.broadcast_to(most, earned.shape))
+        merged += int((ended.reshape(shape) & acted).sum())
+    assert merged > 200

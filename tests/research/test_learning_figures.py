@@ -43,6 +43,14 @@ def test_learning(run):
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["tank"]
 
 
+def test_an_update_in_which_no_episode_ended_leaves_a_gap(run):
+    rows = results.read_csv(run / "metrics.csv")
+    rows[9]["clean_success"] = ""
+    results.write_csv(run / "metrics.csv", METRICS, rows)
+    training = learning_figure({"tank": run}, "clutter-24").axes[0].get_lines()[0]
+    np.testing.assert_allclose(training.get_ydata(), [45, np.nan, 55])
+
+
 def test_spending_and_earning():
     scenario = scenarios.get("clutter-8").replace(time_limit=4.0)
     network = make_network(SETTINGS.layout(3, 8), len(SETTINGS.angles), set_width=4, hidden=(8,))

@@ -93,7 +93,7 @@ def heading_ppo(size: Size) -> list[Case]:
     from ..learn.settings import Config
 
     n = 4
-    config = Config(num_teams=size.num_envs // n, num_threads=size.num_threads)
+    config = Config(num_teams=max(1, size.num_envs // n), num_threads=size.num_threads)
     samples = config.samples_per_update
 
     def build(free: bool) -> Running:

@@ -11,6 +11,8 @@ from .evaluation import Episodes
 CONFIDENCE = 0.95
 RESAMPLES = 2000
 """Of every bootstrap."""
+_AT_ONCE = 10**7
+"""Numbers of resamples that are in memory together."""
 
 Interval = tuple[float, float]
 _NONE: Interval = (np.nan, np.nan)
@@ -46,12 +48,25 @@ def bootstrap_interval(
         paired=True,
         vectorized=True,
         n_resamples=RESAMPLES,
+        batch=max(1, _AT_ONCE // len(samples[0])),
         confidence_level=CONFIDENCE,
         method="percentile",
         rng=np.random.default_rng(0),
     )
     interval = result.confidence_interval
     return float(interval.low), float(interval.high)
+
+
+def paired_interval(values: NDArray[Any], least: float, most: float) -> Interval:
+    """Interval of the mean of ``values``, (N,), from ``least`` to ``most``, one for each start: the
+    bootstrap's, which finds no spread where all are alike. There 1 − p of other starts may differ,
+    p the lower end of Wilson's interval for N of N.
+    """
+    if (values != values[0]).any():
+        return bootstrap_interval((values,), np.mean)
+    share, _ = fraction_interval(np.ones(len(values)))
+    low, high = (float(share * values[0] + (1.0 - share) * end) for end in (least, most))
+    return low, high
 
 
 def censored_median(
@@ -106,11 +121,11 @@ def best_policy(played: Mapping[str, Episodes]) -> str:
 
 
 def clean_difference(own: Episodes, other: Episodes) -> tuple[float, Interval]:
-    """Difference of collision-free success on the same starts, and its 95 % bootstrap interval;
-    NaN where contacts do not count.
+    """Difference of collision-free success on the same starts, and its 95 % interval; NaN where
+    contacts do not count.
     """
     difference = own.clean.astype(float) - other.clean
-    return float(difference.mean()), bootstrap_interval((difference,), np.mean)
+    return float(difference.mean()), paired_interval(difference, -1.0, 1.0)
 
 
 def compare_pairs(
@@ -134,7 +149,7 @@ def compare_pairs(
                 "clean_difference": difference,
                 **_ends("clean_difference", interval),
                 "probability_of_improvement": better.mean(),
-                **_ends("improvement", bootstrap_interval((better,), np.mean)),
+                **_ends("improvement", paired_interval(better, 0.0, 1.0)),
             }
         )
     return rows

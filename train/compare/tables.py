@@ -53,11 +53,11 @@ def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Tab
                 f"{100 * row['success']:.0f}",
                 _percent(row, "clean_success", "clean"),
                 f"{median} [{low}, {high}]" if row["time_low"] < limit else median,
-                _number(row["time_over_bound"], ".2g"),
-                _number(row["path_length"], ".1f"),
+                number(row["time_over_bound"], ".2g"),
+                number(row["path_length"], ".1f"),
                 "none" if (rise := row["max_rise_between_merges"]) <= _ROUNDING else f"{rise:.2g}",
-                _number(row["min_clearance"], ".2f"),
-                _number(row["min_alignment"], ".2f"),
+                number(row["min_clearance"], ".2f"),
+                number(row["min_alignment"], ".2f"),
             )
     table.caption = (
         "median: time-outs count as later than the limit; T/bound, V rise, clear, align: the worst "
@@ -76,7 +76,7 @@ def _percent(row: Row, value: str, interval: str, style: str = ".0f") -> str:
     return f"{cells[0]} [{cells[1]}, {cells[2]}]" if low == low else cells[0]
 
 
-def _number(value: float, style: str) -> str:
+def number(value: float, style: str) -> str:
     """A number, without a minus sign on a rounded zero; – where it does not apply."""
     return "–" if value != value else format(value, "z" + style)
 
@@ -87,7 +87,7 @@ def paired_table(rows: Sequence[Row]) -> Table:
         *("policy", "points", "better %"),
         title=f"Against {rows[0]['against']} on the same starts",
         caption="points: of collision-free success; better: without a collision and sooner, "
-        "a tie counts half; [95 % bootstrap intervals]",
+        "a tie counts half; [95 % intervals]",
     )
     for name, own in groupby(rows, itemgetter("scenario")):
         table.add_row(name, style="bold")
@@ -105,7 +105,7 @@ def ceiling_table(rows: Sequence[Row]) -> Table:
     table = _empty("scenario", "runs", *columns, title=title)
     for row in rows:
         names = ("clean_planner", "clean_best", "success_best", "clean_mean")
-        shares = (_number(100 * row[name], ".1f") for name in names)
+        shares = (number(100 * row[name], ".1f") for name in names)
         never = f"{row['never_clean']} of {row['episodes']}"
         table.add_row(row["scenario"], str(row["runs"]), *shares, never)
     return table
@@ -163,7 +163,7 @@ def _notes(rankings: Sequence[Ranking]) -> Iterator[str]:
     if any(ranking.is_contest for ranking in rankings):
         yield (
             f"{BEST} best of a scenario (among equals the soonest); {TIED} tied with it: the "
-            "95 % bootstrap interval of the difference on the same starts holds 0"
+            "95 % interval of the difference on the same starts holds 0"
         )
     if references := dict.fromkeys(name for ranking in rankings for name in ranking.references):
         yield (

@@ -118,7 +118,7 @@ STATE_ROBOT_COLUMNS = 4
 STATE_OBSTACLE_COLUMNS = 3
 """Centre x, y and radius of the bounding ball of an obstacle, in units of FAR."""
 STATE_CONTEXT_COLUMNS = 2
-"""V/V(0); the share of the time limit that has passed."""
+"""V/V(0), 0 where V(0) is; the share of the time limit that has passed."""
 FAR = 5.0
 """m."""
 
@@ -171,7 +171,8 @@ class GlobalStateLayout(NamedTuple):
         there[..., :2] = _seen_from(positions, axes, table[..., CENTRE : CENTRE + 2])
         there[..., 2] = table[:, np.newaxis, :, RADIUS] / FAR
         there *= (table[..., RADIUS] > 0.0)[:, np.newaxis, :, np.newaxis]
-        left = simulator.lyapunov() / simulator.initial_lyapunov
+        start = simulator.initial_lyapunov  # 0 where sight makes edges and nobody sees anybody
+        left = simulator.lyapunov() / np.where(start > 0.0, start, np.inf)
         context[:] = np.stack((left, simulator.steps / simulator.max_steps), axis=-1)[:, np.newaxis]
         return (states * active[..., np.newaxis]).astype(np.float32)
 

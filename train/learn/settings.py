@@ -62,6 +62,10 @@ FLAG_GROUPS = {
 }  # fmt: skip
 
 
+class Unsaid(int):
+    """A default that nobody has given, not even as the same number."""
+
+
 @dataclass(frozen=True)
 class Config:
     """Train a policy; the team keeps its guarantee whatever the network says."""
@@ -72,7 +76,7 @@ class Config:
     """The most obstacles of an episode, in stages of equal length; without it the scenario's."""
     fewest_obstacles: int | None = None
     """The fewest obstacles of an episode with a curriculum; without it always the most."""
-    total_steps: int = 3_000_000
+    total_steps: int = Unsaid(3_000_000)
     """How many decisions of single robots the run takes, in whole updates."""
     seed: int = 0
     """The seed of weights, exploration and starts, below 2²⁹."""
@@ -172,13 +176,13 @@ class Config:
     rendezvous_bonus: float | None = None
     """What the team earns when all have met."""
 
-    eval_every: int = 500_000
+    eval_every: int = Unsaid(500_000)
     """How many decisions lie between evaluations; with 0 there is none."""
-    eval_starts: int = 200
+    eval_starts: int = Unsaid(200)
     """How many held-out starts an evaluation has."""
     eval_scenarios: tuple[str, ...] = ()
     """The scenarios to evaluate on; without any it is the one that is trained on."""
-    checkpoint_every: int = 500_000
+    checkpoint_every: int = Unsaid(500_000)
     """How many decisions lie between checkpoints."""
     tensorboard: bool = True
     """Writes events for TensorBoard beside metrics.csv."""
@@ -369,15 +373,14 @@ def resumed(config: Config, stored: Config) -> Config:
     """The stored settings of a run, with changes of ``MAY_CHANGE``; a UserError for another one."""
     default, folder, changed = Config(), config.resume or config.out, {}
     for name in (field.name for field in fields(Config)):
-        given = getattr(config, name)
-        if name in ("out", "resume") or given in (getattr(default, name), getattr(stored, name)):
-            continue
-        if name not in MAY_CHANGE:
+        given, kept = getattr(config, name), getattr(stored, name)
+        if name in MAY_CHANGE:
+            changed[name] = kept if given is None or isinstance(given, Unsaid) else given
+        elif name not in ("out", "resume") and given not in (getattr(default, name), kept):
             raise UserError(
-                f"{flag(name)} is {given}; {folder} was trained with "
-                f"{getattr(stored, name)}: leave it out, or begin a new run"
+                f"{flag(name)} is {given}; {folder} was trained with {kept}: leave it out, or "
+                "begin a new run"
             )
-        changed[name] = given
     return replace(stored, **changed, out=folder, resume=None)
 
 

@@ -137,8 +137,11 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
 
 
 def make_teams(config: Config, stage: int) -> FeatureVectorEnv | SensingGroups:
-    """The teams of a stage of the curriculum."""
-    scenario, ranges = config.stage_scenario(stage), config.sensing_ranges()
+    """The teams of a stage of the curriculum. A robot that merges while its choice is held earns
+    with its team to the end of that decision: its future is valued from there on.
+    """
+    scenario = config.stage_scenario(stage).replace(on_merge="follow")
+    ranges = config.sensing_ranges()
     slots, settings = config.obstacle_slots(), config.policy_settings()
     state = GlobalStateLayout(scenario.n_robots, slots) if config.critic == "global" else None
 

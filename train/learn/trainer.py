@@ -24,6 +24,7 @@ from .. import interrupts, results
 from ..checks import UserError
 from ..compare import statistics
 from ..compare.evaluation import play
+from ..compare.tables import number
 from ..console import Console
 from ..policies import resolve_scenario
 from ..resume import claimed
@@ -357,15 +358,16 @@ def _line(row: Mapping[str, Any]) -> str:
         return f"step {row['step'] / 1e6:.2f} M · no episode has ended in this update"
     return (
         f"step {row['step'] / 1e6:.2f} M · met {100 * row['success']:.0f} % · cleanly "
-        f"{100 * row['clean_success']:.0f} % · {row['median_time']:.1f} s · alignment "
+        f"{100 * row['clean_success']:.0f} % · {number(row['median_time'], '.1f')} s · alignment "
         f"{row['alignment']:.2f} · {row['steps_per_s']:.0f} steps/s"
     )
 
 
 def _evaluation_line(row: Mapping[str, Any]) -> str:
+    names = ("clean_success", "clean_low", "clean_high")
+    clean, low, high = (number(100 * row[name], ".1f") for name in names)
     return (
-        f"{row['scenario']} met {100 * row['success']:.1f} % · cleanly "
-        f"{100 * row['clean_success']:.1f} [{100 * row['clean_low']:.1f}, "
-        f"{100 * row['clean_high']:.1f}] % · median {row['median_time']:.2f} s · alignment ≥ "
-        f"{row['min_alignment']:.3f} · {row['episodes']} held-out starts"
+        f"{row['scenario']} met {100 * row['success']:.1f} % · cleanly {clean} [{low}, {high}] % · "
+        f"median {row['median_time']:.2f} s · alignment ≥ {number(row['min_alignment'], '.3f')} · "
+        f"{row['episodes']} held-out starts"
     )
