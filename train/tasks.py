@@ -1,6 +1,5 @@
 """Independent tasks: one after the other, on all cores (joblib), or on a Ray cluster."""
 
-import ctypes
 import os
 import pickle
 import queue
@@ -13,10 +12,10 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import as_completed
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
-from importlib import import_module
 from itertools import islice
 from typing import Annotated, Any, Literal, TypeVar
 
+from threadpoolctl import ThreadpoolController
 from tyro.conf import arg
 
 from .checks import UserError, check_installed, check_least, check_most
@@ -31,10 +30,6 @@ _TRIES = 3
 _MOST = 2**12
 _ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"), "1")
 """Environment of a worker."""
-_OPENBLAS = (
-    "scipy_openblas_{}_num_threads64_", "openblas_{}_num_threads64_", "openblas_{}_num_threads",
-)  # fmt: skip
-"""What NumPy's wheels and other distributions of it call two functions of OpenBLAS."""
 NAME = "rendezvous"
 """Of a worker of a Ray cluster while it is at a task: ``ray::rendezvous``."""
 _AHEAD = 4
@@ -103,11 +98,11 @@ def each(
     workers.check_workers()
     left = dict(enumerate(tasks))
     alone = workers.on == "here" and workers.worker_count == 1
-    began = time.monotonic()
+    began, matrices = time.monotonic(), ThreadpoolController().select(user_api="blas")
     for number, task in enumerate(tasks):
         at_first = workers.on == "here" and not long and time.monotonic() - began < _ALONE
         if alone or at_first or here(task):
-            with _as_a_worker():
+            with matrices.limit(limits=1):  # on more threads than workers have it rounds otherwise
                 result = work(left.pop(number))
             yield number, result
     if not left:
@@ -118,23 +113,6 @@ def each(
         found = _on_cores(work, left, workers.worker_count)
     with closing(found):
         yield from found
-
-
-@contextmanager
-def _as_a_worker() -> Iterator[None]:
-    """OpenBLAS multiplies NumPy's matrices on one thread: on more it rounds otherwise."""
-    core = import_module("numpy._core._multiarray_umath")
-    numpy = ctypes.CDLL(core.__file__)  # and all that it is linked with
-    for name in _OPENBLAS:
-        if hasattr(numpy, name.format("set")):
-            before, set_threads = numpy[name.format("get")](), numpy[name.format("set")]
-            set_threads(1)
-            try:
-                yield
-            finally:
-                set_threads(before)
-            return
-    yield  # another library
 
 
 def _on_cores(
