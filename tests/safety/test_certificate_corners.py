@@ -12,7 +12,16 @@ import pytest
 from test_certificate import MARGINS
 
 import baselines
-from rendezvous_env import Scenario, Sensing, Simulator, certificate, graphs, make_vec, rollout
+from rendezvous_env import (
+    Disc,
+    Scenario,
+    Sensing,
+    Simulator,
+    certificate,
+    graphs,
+    make_vec,
+    rollout,
+)
 from rendezvous_env.safety.theorems.constants import most_neighbours
 from rendezvous_env.safety.theorems.theorem import CHOICES
 from rendezvous_env.vector import (
@@ -133,6 +142,7 @@ def test_errors_that_rounding_may_make_too_large_are_promised_nothing():
     assert (env.unwrapped.simulator.positions[0] == places).all()  # and so for ever
     found = certificate(scenario, by="links", share=1.0)
     assert not found.guaranteed and "known to tolerate less" in found.theorem
+    assert [*found.promises] == ["lyapunov", "link_growth"]
     better = scenario.replace(sensing=Sensing(error=error - 1e-6))
     assert certificate(better, by="links", share=1.0).guaranteed
 
@@ -241,6 +251,26 @@ def test_weights_of_options_are_asked_for_in_an_environment_of_their_own():
         met.append(env.unwrapped.simulator.active.sum() == 1)
     assert met == [False, True]
     assert "made of that scenario" in certificate.__doc__
+
+
+def test_obstacles_of_options_are_asked_for_in_an_environment_of_their_own():
+    """Tanks of a scenario with obstacles do not shrink at merges: the last two may spend all."""
+    places = 4.0 * np.random.default_rng(5).normal(size=(8, 2))
+    free = Scenario(n_robots=8, start_positions=places, local_frames="global", time_limit=500.0)
+    other = free.replace(obstacles=Disc((100.0, 0.0), 1.0))
+    bound, met = certificate(free, 0.5, by="tank").time_bound, []
+    for scenario in (free, other):
+        env = EnergyTankWrapper(make_vec(scenario, num_envs=1), min_alignment=0.5, frame="local")
+        seen, _ = env.reset(seed=0, options={"obstacles": ()})
+        while env.unwrapped.simulator.time[0] < bound:
+            f = scenario.observation_layout.net_bearing(seen)
+            f *= env.unwrapped.simulator.active.sum() > 2  # then they rest
+            seen, _, ended, *_ = env.step(0.6 * f / scenario.speed_limit)
+            if ended.any():
+                break
+        met.append(env.unwrapped.simulator.active.sum() == 1)
+    assert met == [True, False]
+    assert "Of other weights or obstacles" in certificate.__doc__
 
 
 @pytest.mark.parametrize("by", CHOICES)
