@@ -93,7 +93,7 @@ def test_steps_that_rounding_swallows_where_a_tank_has_carried_robots():
     scenario = Scenario(**start, graph=graphs.complete(1e-9), max_speed=1.0)
     found = certificate(scenario, 1e-6, by="tank", budget=1e9)
     assert not found.guaranteed and "which rounding takes from" in found.theorem
-    assert certificate(scenario, 1e-6, by="tank").guaranteed
+    assert certificate(scenario, 1e-4, by="tank").guaranteed
     env = make_vec(scenario, num_envs=1)
     env = EnergyTankWrapper(env, budget=1e9, min_alignment=1e-6, frame="local")
     env.reset(seed=0)
@@ -226,6 +226,27 @@ def test_turns_that_rounding_swallows_are_promised_nothing():
     assert certificate(scenario, 0.3).guaranteed
 
 
+def test_steps_that_rounding_swallows_where_a_small_margin_has_led_robots():
+    """Two abreast walk 1.4 km aside on their budget; what law (4) brings them nearer is lost there,
+    10⁻¹³ m in a step, on which they go on aside for ever.
+    """
+    start = {"start_positions": ((0.0, 0.0), (0.7, -0.7)), "local_frames": "global"}
+    scenario = Scenario(n_robots=2, **start, graph=graphs.complete(1e-3), max_speed=1.0)
+    env = make_vec(scenario.replace(time_limit=1e9), num_envs=1)
+    env = EnergyTankWrapper(env, 0.4, 1e-6, frame="local", decision_period=1000)
+    env.reset(seed=0)
+    for _ in range(58):
+        env.step(np.full((1, 2, 2), 1.8e-4))
+    before = env.unwrapped.simulator.positions[0]
+    *_, infos = env.step(np.ones((1, 2, 2)))
+    after = env.unwrapped.simulator.positions[0]
+    assert not infos["carried_out"].any() and (after > before).all()
+    assert (after[1] - after[0] == before[1] - before[0]).all()
+    for by, budget in (("tank", 0.4), ("heading", 0.0)):
+        assert "rounding takes" in certificate(scenario, 1e-6, by=by, budget=budget).theorem
+        assert certificate(scenario, 1e-3, by=by, budget=budget).guaranteed
+
+
 def test_starts_of_options_are_asked_for_in_a_scenario():
     """Far outside of the spawn area V and the time are beyond what the scenario is promised."""
     scenario, far = Scenario(n_robots=2), ((0.0, 0.0), (90.0, 0.0))
@@ -317,7 +338,8 @@ def test_steps_that_rounding_swallows_where_what_tanks_have_earned_has_carried_r
     assert env.unwrapped.simulator.positions[0, 3, 0] == away_from > 4e3
     found = certificate(scenario, 1e-5, by="tank")
     assert not found.guaranteed and "which rounding takes from" in found.theorem
-    assert certificate(scenario.replace(graph="path"), 1e-5, by="tank").guaranteed
+    assert not certificate(scenario, 1e-3, by="tank").guaranteed
+    assert certificate(scenario.replace(graph="path"), 1e-3, by="tank").guaranteed
 
 
 @pytest.mark.parametrize(("told", "lengthened"), [(0.0, True), (0.7, False)])
