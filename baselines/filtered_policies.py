@@ -156,7 +156,7 @@ class HeadingPolicy(FilteredPolicy):
         bare = not settings.get("certified", True) or settings.get("bearing_error", 0.0) != 0.0
         promised = None if bare or self._filter.turns_body else settings.get("min_alignment", 0.1)
         self.min_alignment: float | None = promised
-        """ε that is kept in every step; None if there is none."""
+        """ε of theorem C, kept but where ‖f‖ < 2δ, where it fades; None if there is none."""
 
     def after(self, elapsed: float, observations: NDArray[Any], time: ArrayLike) -> Float32:
         """As ``RealTimePolicy.after``."""
