@@ -247,6 +247,23 @@ def test_steps_that_rounding_swallows_where_a_small_margin_has_led_robots():
         assert certificate(scenario, 1e-3, by=by, budget=budget).guaranteed
 
 
+def test_steps_that_rounding_swallows_earn_what_tanks_raise_v_by():
+    """At 1000 km steps of 5·10⁻¹¹ m towards each other are paid, and move nobody."""
+    start = {"start_positions": ((1e6, 1e6), (1e6 + 1e-5, 1e6)), "local_frames": "global"}
+    scenario = Scenario(n_robots=2, **start, merge_radius=1e-6, time_limit=10.0)
+    found, slow = certificate(scenario, 1e-6, by="tank"), 5e-11 / scenario.tau
+    env = EnergyTankWrapper(make_vec(scenario, num_envs=1), 0.0, 1e-6, "local", 1000)
+    env.reset(seed=0)
+    for _ in range(40):
+        env.step([[[slow, 0.0], [-slow, 0.0]]])
+    assert (env.unwrapped.simulator.positions[0] == scenario.start_positions).all()
+    env.decision_period = 75
+    env.step([[[-0.05, 0.0], [0.05, 0.0]]])
+    bound = certificate(scenario.replace(merge_radius=2e-6), by="heading", min_alignment=0.5)
+    assert env.unwrapped.simulator.lyapunov()[0] > bound.lyapunov_bound  # V(0) + 2 r W
+    assert not found.promises and "rounding takes" in found.theorem
+
+
 def test_starts_of_options_are_asked_for_in_a_scenario():
     """Far outside of the spawn area V and the time are beyond what the scenario is promised."""
     scenario, far = Scenario(n_robots=2), ((0.0, 0.0), (90.0, 0.0))
