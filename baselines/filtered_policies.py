@@ -156,7 +156,7 @@ class HeadingPolicy(FilteredPolicy):
         bare = not settings.get("certified", True) or settings.get("bearing_error", 0.0) != 0.0
         promised = None if bare or self._filter.turns_body else settings.get("min_alignment", 0.1)
         self.min_alignment: float | None = promised
-        """ε that is kept in every step; None if there is none."""
+        """ε of theorem C, kept but where ‖f‖ < 2δ, where it fades; None if there is none."""
 
     def after(self, elapsed: float, observations: NDArray[Any], time: ArrayLike) -> Float32:
         """As ``RealTimePolicy.after``."""
@@ -167,9 +167,10 @@ class TankPolicy(FilteredPolicy):
     """A function that chooses velocities, executed while a tank lasts (theorem D), as
     ``EnergyTankWrapper``; arguments and errors otherwise as ``HeadingPolicy``.
 
-    Robots learn of no contact and no merge: each step is booked as commanded, what an absorbed
-    robot had left is lost, and levels do not follow V, so that on complete graphs of one weight the
-    time of ``certificate(by="tank")`` is the wrapper's alone (docs/guarantees.md).
+    Robots learn of no contact and no merge: each step is booked as commanded, one of τ whatever a
+    robot's clock says (``RobotPolicy``), what an absorbed robot had left is lost, and levels do not
+    follow V, so that on complete graphs of one weight the time of ``certificate(by="tank")`` is the
+    wrapper's alone (docs/guarantees.md).
 
     Args:
         scenario, decision_period: as there; the budget is kept in every base step.

@@ -84,7 +84,7 @@ class PolicySettings:
 
     @property
     def promised_margin(self) -> float | None:
-        """The alignment that is kept in every step, ε of theorem C; None with a tank."""
+        """ε of theorem C, kept but where ‖f‖ < 2δ, where it fades; None with a tank."""
         return self.min_alignment if self.guarantee == "heading" else None
 
     @property

@@ -72,10 +72,10 @@ class RendezvousParallelEnv(TeamByName[Box]):
     is 0 unless given), plus ``rendezvous_bonus`` when all have met. With the default weights an
     episode earns at most 2. On a graph that stays as it is, with A = Σ_ij a_ij, the weights w₁, w₂,
     w₃ in the order above and no ``clearance_penalty``, a step with m merges, of N in an episode,
-    earns at least −w₁ (2 v_max τ A + 2 r D̄ m)/V_0 − w₂/N − w₃ n (theory 5), v_max the
-    ``speed_limit`` of a robot model of one's own. The terms of v_max and w₃ are 0 under
-    ``HeadingVectorWrapper`` on undirected graphs, with exact bearings, linked robots that start r
-    or more apart, and no contacts.
+    earns at least −w₁ (2 v_max τ A + 2 r D̄ m)/V_0 − w₂/N − w₃ n (theory 5), with r A for 2 r D̄ on
+    a directed graph, v_max the ``speed_limit`` of a robot model of one's own. The terms of v_max
+    and w₃ are 0 under ``HeadingVectorWrapper`` on undirected graphs, with exact bearings, linked
+    robots that start r or more apart, and no contacts.
 
     ## Start and end
 

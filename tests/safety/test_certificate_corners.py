@@ -12,7 +12,16 @@ import pytest
 from test_certificate import MARGINS
 
 import baselines
-from rendezvous_env import Scenario, Sensing, Simulator, certificate, graphs, make_vec, rollout
+from rendezvous_env import (
+    Disc,
+    Scenario,
+    Sensing,
+    Simulator,
+    certificate,
+    graphs,
+    make_vec,
+    rollout,
+)
 from rendezvous_env.safety.theorems.constants import most_neighbours
 from rendezvous_env.safety.theorems.theorem import CHOICES
 from rendezvous_env.vector import (
@@ -84,7 +93,7 @@ def test_steps_that_rounding_swallows_where_a_tank_has_carried_robots():
     scenario = Scenario(**start, graph=graphs.complete(1e-9), max_speed=1.0)
     found = certificate(scenario, 1e-6, by="tank", budget=1e9)
     assert not found.guaranteed and "which rounding takes from" in found.theorem
-    assert certificate(scenario, 1e-6, by="tank").guaranteed
+    assert certificate(scenario, 1e-4, by="tank").guaranteed
     env = make_vec(scenario, num_envs=1)
     env = EnergyTankWrapper(env, budget=1e9, min_alignment=1e-6, frame="local")
     env.reset(seed=0)
@@ -133,6 +142,7 @@ def test_errors_that_rounding_may_make_too_large_are_promised_nothing():
     assert (env.unwrapped.simulator.positions[0] == places).all()  # and so for ever
     found = certificate(scenario, by="links", share=1.0)
     assert not found.guaranteed and "known to tolerate less" in found.theorem
+    assert [*found.promises] == ["lyapunov", "link_growth"]
     better = scenario.replace(sensing=Sensing(error=error - 1e-6))
     assert certificate(better, by="links", share=1.0).guaranteed
 
@@ -216,6 +226,44 @@ def test_turns_that_rounding_swallows_are_promised_nothing():
     assert certificate(scenario, 0.3).guaranteed
 
 
+def test_steps_that_rounding_swallows_where_a_small_margin_has_led_robots():
+    """Two abreast walk 1.4 km aside on their budget; what law (4) brings them nearer is lost there,
+    10⁻¹³ m in a step, on which they go on aside for ever.
+    """
+    start = {"start_positions": ((0.0, 0.0), (0.7, -0.7)), "local_frames": "global"}
+    scenario = Scenario(n_robots=2, **start, graph=graphs.complete(1e-3), max_speed=1.0)
+    env = make_vec(scenario.replace(time_limit=1e9), num_envs=1)
+    env = EnergyTankWrapper(env, 0.4, 1e-6, frame="local", decision_period=1000)
+    env.reset(seed=0)
+    for _ in range(58):
+        env.step(np.full((1, 2, 2), 1.8e-4))
+    before = env.unwrapped.simulator.positions[0]
+    *_, infos = env.step(np.ones((1, 2, 2)))
+    after = env.unwrapped.simulator.positions[0]
+    assert not infos["carried_out"].any() and (after > before).all()
+    assert (after[1] - after[0] == before[1] - before[0]).all()
+    for by, budget in (("tank", 0.4), ("heading", 0.0)):
+        assert "rounding takes" in certificate(scenario, 1e-6, by=by, budget=budget).theorem
+        assert certificate(scenario, 1e-3, by=by, budget=budget).guaranteed
+
+
+def test_steps_that_rounding_swallows_earn_what_tanks_raise_v_by():
+    """At 1000 km steps of 5·10⁻¹¹ m towards each other are paid, and move nobody."""
+    start = {"start_positions": ((1e6, 1e6), (1e6 + 1e-5, 1e6)), "local_frames": "global"}
+    scenario = Scenario(n_robots=2, **start, merge_radius=1e-6, time_limit=10.0)
+    found, slow = certificate(scenario, 1e-6, by="tank"), 5e-11 / scenario.tau
+    env = EnergyTankWrapper(make_vec(scenario, num_envs=1), 0.0, 1e-6, "local", 1000)
+    env.reset(seed=0)
+    for _ in range(40):
+        env.step([[[slow, 0.0], [-slow, 0.0]]])
+    assert (env.unwrapped.simulator.positions[0] == scenario.start_positions).all()
+    env.decision_period = 75
+    env.step([[[-0.05, 0.0], [0.05, 0.0]]])
+    bound = certificate(scenario.replace(merge_radius=2e-6), by="heading", min_alignment=0.5)
+    assert env.unwrapped.simulator.lyapunov()[0] > bound.lyapunov_bound  # V(0) + 2 r W
+    assert not found.promises and "rounding takes" in found.theorem
+
+
 def test_starts_of_options_are_asked_for_in_a_scenario():
     """Far outside of the spawn area V and the time are beyond what the scenario is promised."""
     scenario, far = Scenario(n_robots=2), ((0.0, 0.0), (90.0, 0.0))
@@ -241,6 +289,26 @@ def test_weights_of_options_are_asked_for_in_an_environment_of_their_own():
         met.append(env.unwrapped.simulator.active.sum() == 1)
     assert met == [False, True]
     assert "made of that scenario" in certificate.__doc__
+
+
+def test_obstacles_of_options_are_asked_for_in_an_environment_of_their_own():
+    """Tanks of a scenario with obstacles do not shrink at merges: the last two may spend all."""
+    places = 4.0 * np.random.default_rng(5).normal(size=(8, 2))
+    free = Scenario(n_robots=8, start_positions=places, local_frames="global", time_limit=500.0)
+    other = free.replace(obstacles=Disc((100.0, 0.0), 1.0))
+    bound, met = certificate(free, 0.5, by="tank").time_bound, []
+    for scenario in (free, other):
+        env = EnergyTankWrapper(make_vec(scenario, num_envs=1), min_alignment=0.5, frame="local")
+        seen, _ = env.reset(seed=0, options={"obstacles": ()})
+        while env.unwrapped.simulator.time[0] < bound:
+            f = scenario.observation_layout.net_bearing(seen)
+            f *= env.unwrapped.simulator.active.sum() > 2  # then they rest
+            seen, _, ended, *_ = env.step(0.6 * f / scenario.speed_limit)
+            if ended.any():
+                break
+        met.append(env.unwrapped.simulator.active.sum() == 1)
+    assert met == [True, False]
+    assert "Of other weights or obstacles" in certificate.__doc__
 
 
 @pytest.mark.parametrize("by", CHOICES)
@@ -287,7 +355,8 @@ def test_steps_that_rounding_swallows_where_what_tanks_have_earned_has_carried_r
     assert env.unwrapped.simulator.positions[0, 3, 0] == away_from > 4e3
     found = certificate(scenario, 1e-5, by="tank")
     assert not found.guaranteed and "which rounding takes from" in found.theorem
-    assert certificate(scenario.replace(graph="path"), 1e-5, by="tank").guaranteed
+    assert not certificate(scenario, 1e-3, by="tank").guaranteed
+    assert certificate(scenario.replace(graph="path"), 1e-3, by="tank").guaranteed
 
 
 @pytest.mark.parametrize(("told", "lengthened"), [(0.0, True), (0.7, False)])

@@ -154,6 +154,11 @@ def test_noise_has_no_bound_but_a_mean():
     assert "noise = 0.3" in found.theorem and "expected_time_bound" in found.theorem
     rate, above = gamma * (2 - gamma) - (1 - gamma**2), 10 + 0.2 + 2 * 0.2
     assert found.expected_time_bound == close(2 * above / (4 * rate))
+    near = ((0.0, 0.0), (0.1, 0.0), (5.0, 0.0))  # the first step may go τ D̄ = θ r/2 at once
+    three = pair.replace(n_robots=3, start_positions=near, time_step=0.075, allow_long_step=True)
+    above = 20.0 + 2 * 0.2 * 3 + 4 * 3 * 0.15 + 2 * 0.2 * 1.5 * 2 * 3
+    rate = gamma * (2 - 1.5 * gamma) * 2 - 1.5 * (1 - gamma**2) * 6
+    assert certificate(three).expected_time_bound == close(above / rate)
     for changes in ({"bias": 0.1}, {"dropout": 0.1}, {"error": 0.01}, {"noise": 2.0}):
         sensing = Sensing(**{"noise": 0.3, **changes})
         assert math.isinf(certificate(pair.replace(sensing=sensing)).expected_time_bound)

@@ -8,6 +8,7 @@ from conftest import five, law_of
 
 from rendezvous_env import Capsule, Disc, RewardWeights, Scenario, Simulator
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
+from rendezvous_env.graphs import directed
 
 
 @pytest.mark.parametrize("name", ["progress", "time", "bonus"])
@@ -96,3 +97,24 @@ def test_without_weight_or_obstacles_it_is_nothing(changes):
     sim = Simulator(team(**changes), 6)
     sim.reset(0, {"positions": PLACES})
     assert sim.step(np.zeros((6, 3, 2))).rewards[0] == 0
+
+
+def test_what_a_step_may_cost_on_a_directed_graph():
+    """All 18 that see the robot which merges, and which it does not see, end up farther from it."""
+    n, r = 20, 0.2
+    sees = np.zeros((n, n))
+    sees[1:, 0] = sees[0, 1] = 1.0
+    places = np.stack([np.full(n, -0.6), 0.01 * np.arange(n)], axis=-1)
+    places[:2] = (0.0, 0.0), (1.0001 * r, 0.0)
+    scenario = Scenario(
+        n_robots=n, graph=directed(sees), start_positions=places, local_frames="global",
+        max_speed=1e-3, reward=RewardWeights(1.0, 0.0, 0.0, 0.0),
+    )  # fmt: skip
+    sim = Simulator(scenario)
+    sim.reset(0)
+    actions = np.zeros((1, n, 2))
+    actions[0, :2, 0] = 1e-3, -1e-3
+    (earned,) = sim.step(actions).rewards * sim.initial_lyapunov
+    walked = 2.0 * scenario.speed_limit * scenario.tau * sees.sum()
+    assert sim.active.sum() == n - 1
+    assert -walked - r * sees.sum() < earned < -walked - 2.0 * r * scenario.max_degree

@@ -255,16 +255,20 @@ def outlasts_rounding(scenario: Scenario, asked: Asked) -> str:
     """A step at the least speed that is promised, τ a* λ ε or τ c, moves robots by 2⁻⁴⁰ of their
     largest coordinate or more, and brings them nearer, by ε times that, by 2⁻⁵² or more. Where the
     heaviest links may be out of sight, the lightest takes the place of a*. Tanks may carry robots
-    as far apart as V allows, V ≥ 2a* of it, or where levels follow V, 2(m−1)a*; there 2⁻⁴⁶ will do.
+    as far apart as V allows, V ≥ 2a* of it, or where levels follow V, 2(m−1)a*; and headings at a
+    margin lead a team aside by its size over ε before it has met; there 2⁻⁴⁶ will do.
     """
     starts, margin = scenario.start_positions, asked.min_alignment
     largest = scenario.spawn_size / 2.0 if starts is None else float(np.abs(starts).max())
     unseen = nearest_hides(scenario) or (asked.by == "links" and scenario.sensing.range is not None)
     speed = known.lightest_link(scenario) if unseen else scenario.bottleneck_weight
     needed = largest * max(_LEAST_MOVE, _LEAST_GAIN / margin)
-    if asked.by == "tank":
-        most, each = known.tank_bounds(scenario, min(asked.budget, LARGEST))
-        far = largest + (most if each is None else each) / (2.0 * speed)
+    if asked.by in ("heading", "tank"):
+        apart = scenario.spawn_size if starts is None else float(np.ptp(starts, axis=0).max())
+        if asked.by == "tank":
+            most, each = known.tank_bounds(scenario, min(asked.budget, LARGEST))
+            apart += (most if each is None else each) / (2.0 * speed)
+        far = largest + apart / margin
         if (there := far * max(_LEAST_FAR_OUT, _LEAST_GAIN / margin)) > needed:
             largest, needed = far, there
     if asked.by == "gains":

@@ -145,9 +145,9 @@ def certificate(
     draw: in its spawn area, linked robots 2r or more apart, connected on a proximity graph where
     ``require_connected``. Of other starts, weights or obstacles, as ``reset(options=…)`` takes
     them, nothing is said: ask for ``scenario.replace(start_positions=…, graph=…, obstacles=…)``.
-    Of other weights that is true of an environment made of that scenario: steps, gains and levels
-    of tanks follow from a scenario's own. Each number is the best that one of the theorems gives;
-    the wrapper is to be given the same numbers as ``certificate``.
+    Of other weights or obstacles that is true of an environment made of that scenario: steps, gains
+    and levels of tanks follow from a scenario's own. Each number is the best that one of the
+    theorems gives; the wrapper is to be given the same numbers as ``certificate``.
 
     Args:
         scenario: a Scenario, the name of one or the path of a TOML file.

@@ -173,7 +173,7 @@ def noisy_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     weights = weights * graph.weight_range[1]
     scattered = theta * (1.0 - gamma**2) * 2.0 * float(weights @ weights)
     fall = known.least_bearing_square(scenario) * gamma * (2.0 - theta * gamma) - scattered
-    most = known.lyapunov_bound(scenario)
+    most = known.lyapunov_bound(scenario, reach=degree * scenario.tau)
     most += (n - 1) * scenario.merge_radius * theta * degree * n  # cut short by merges
     return Bounds(expected_time=float(known.over_rate(most, fall)))
 

@@ -73,7 +73,8 @@ def bounds_with_errors(
             f"none: bearings may err by {asked.error:.4g} rad, and {who} is known to tolerate less "
             f"than {tolerated:.4g} rad here (guarantees 11){even_so}"
         )
-    return Bounds(words, meets, float(time), tolerated_bearing_error=tolerated, **rest)
+    time = float(time) if meets else math.inf
+    return Bounds(words, meets, time, tolerated_bearing_error=tolerated, **rest)
 
 
 Assumption = Callable[[Scenario, Asked], str]
