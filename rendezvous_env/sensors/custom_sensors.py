@@ -60,7 +60,7 @@ def _fill(seeds, episodes, steps, salt, out):
 
 
 Imperfection = Callable[[Seen], None]
-_IMPERFECTIONS = Registry("imperfection", "rv.sensor_imperfection")
+_IMPERFECTIONS = Registry("sensor imperfection", "rv.sensor_imperfection")
 
 
 def sensor_imperfection(name: str, change: Imperfection | None = None) -> Any:
