@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import pytest
 from training_runs import (
@@ -26,7 +27,8 @@ from training_runs import (
 from baselines.learned import checkpoints, learned_policy
 from rendezvous_env.scenario import scenarios
 from train import cli, results
-from train.learn import checkpoint, ppo, trainer
+from train.learn import checkpoint, ppo, settings, trainer
+from train.learn.ppo import Config
 
 
 @pytest.fixture
@@ -131,6 +133,13 @@ class TestResume:
         (copied / "config.json").write_text(json.dumps(plain))
         assert resumed(copied, total_steps=13 * UPDATE).steps == 13 * UPDATE
 
+    def test_a_number_that_is_the_default_counts_where_it_is_given(self, tmp_path):
+        stored, going_on = config(tmp_path, total_steps=UPDATE), Config(resume=tmp_path)
+        assert settings.resumed(going_on, stored).total_steps == UPDATE
+        longer = replace(going_on, total_steps=3_000_000)
+        assert longer == going_on
+        assert settings.resumed(longer, stored).total_steps == 3_000_000
+
     def test_before_the_first_checkpoint(self, whole, tmp_path, monkeypatch):
         def killed(self, state):
             raise KeyboardInterrupt
@@ -196,6 +205,7 @@ class TestRefusals:
         assert "holds a run; --resume it" in one_line("train", *flags(whole))
         words = "--scenario", "clutter-8"
         refused("was trained with clutter-4: leave it out", whole, *words)
+        refused("goes on in its own folder: leave it out", whole, "--out", "elsewhere")
         refused("--num-threads is 0; it must be 1", whole, "--num-threads", "0")
 
     def test_another_scenario_under_the_same_name(self, tmp_path, refused):

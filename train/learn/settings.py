@@ -62,6 +62,10 @@ FLAG_GROUPS = {
 }  # fmt: skip
 
 
+class Default(int):
+    """A number that nobody has chosen."""
+
+
 @dataclass(frozen=True)
 class Config:
     """Train a policy; the team keeps its guarantee whatever the network says."""
@@ -72,7 +76,7 @@ class Config:
     """The most obstacles of an episode, in stages of equal length; without it the scenario's."""
     fewest_obstacles: int | None = None
     """The fewest obstacles of an episode with a curriculum; without it always the most."""
-    total_steps: int = 3_000_000
+    total_steps: int = Default(3_000_000)
     """How many decisions of single robots the run takes, in whole updates."""
     seed: int = 0
     """The seed of weights, exploration and starts, below 2²⁹."""
@@ -172,13 +176,13 @@ class Config:
     rendezvous_bonus: float | None = None
     """What the team earns when all have met."""
 
-    eval_every: int = 500_000
+    eval_every: int = Default(500_000)
     """How many decisions lie between evaluations; with 0 there is none."""
-    eval_starts: int = 200
+    eval_starts: int = Default(200)
     """How many held-out starts an evaluation has."""
     eval_scenarios: tuple[str, ...] = ()
     """The scenarios to evaluate on; without any it is the one that is trained on."""
-    checkpoint_every: int = 500_000
+    checkpoint_every: int = Default(500_000)
     """How many decisions lie between checkpoints."""
     tensorboard: bool = True
     """Writes events for TensorBoard beside metrics.csv."""
@@ -368,9 +372,12 @@ def read_config(folder: Path) -> Config:
 def resumed(config: Config, stored: Config) -> Config:
     """The stored settings of a run, with changes of ``MAY_CHANGE``; a UserError for another one."""
     default, folder, changed = Config(), config.resume or config.out, {}
+    if config.out.resolve() not in (default.out.resolve(), folder.resolve()):
+        raise UserError(f"--out is {config.out}; {folder} goes on in its own folder: leave it out")
     for name in (field.name for field in fields(Config)):
-        given = getattr(config, name)
-        if name in ("out", "resume") or given in (getattr(default, name), getattr(stored, name)):
+        given, usual = getattr(config, name), getattr(default, name)
+        chosen = given != usual or (isinstance(usual, Default) and not isinstance(given, Default))
+        if name in ("out", "resume") or not chosen or given == getattr(stored, name):
             continue
         if name not in MAY_CHANGE:
             raise UserError(
