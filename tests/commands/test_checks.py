@@ -69,6 +69,7 @@ MISTAKES = {
     "compare --scenario duo --set n_robots": "--set n_robots: write FIELD=VALUE",
     "compare --scenario duo --set n_robots=3 n_robots=4": "n_robots is named twice",
     "compare --scenario duo --set robots=9": "--set robots=9: scenario has no field 'robots'; did",
+    f"compare --scenario duo --set name={'ε' * 101}": "has 202 bytes; names of figures take 200",
     "compare --scenario duo --set n_robots=0": "--set n_robots=0: n_robots",
     f"compare --scenarios {'a' * 300}.toml": "it is too long for a file",
     f"compare --policies learned:{'a' * 300}": "File name too long",
