@@ -167,10 +167,15 @@ def register(
         on_request: whether a comparison takes it only if it is named.
 
     Raises:
-        ValueError: for another kind, what is no name, or a function that cannot be called.
+        ValueError: for another kind, what is no name, that of a policy of another kind, or a
+            function that cannot be called.
     """
     choice("kind", kind, KINDS)
     checked = _builders.add(name, None)
+    if ":" in name:
+        refuse("name of a policy", name, "without a colon, as commands read MODULE:FUNCTION")
+    if name in _registry and kind_of(name) != kind:
+        refuse("name of a policy", name, f"another: it is one of the {KINDS[kind_of(name)]}")
     if not callable(fits):
         refuse(f"fits of policy {name!r}", fits, "a function of a scenario")
 

@@ -123,6 +123,6 @@ def check_kind(policy: str) -> None:
     """Refuse, with a ValueError, the name of a policy that one robot alone cannot run."""
     if (kind := registry.kind_of(policy)) not in _KINDS:
         raise ValueError(
-            f"policy {policy!r} is one of the {registry.KINDS[kind]}, which count calls, tell "
-            "robots apart or see nothing; a RobotPolicy takes laws, rules and learned policies"
+            f"policy {policy!r} is one of the {registry.KINDS[kind]}; by name a RobotPolicy takes "
+            "laws, rules and learned policies"
         )

@@ -8,6 +8,7 @@ import argparse
 import ast
 import dataclasses
 import inspect
+import io
 import os
 import sys
 import textwrap
@@ -29,7 +30,7 @@ COMMANDS = {
     "export": ("export", "a policy for robots: one Python file, or its network as ONNX"),
     "bench": ("bench.bench", "how fast the environments are on this machine"),
     "render": ("figures.render", "one episode as a video (gif, mp4) or a figure (png, pdf)"),
-    "reproduce": ("figures.reproduce", "draw figure 3 or 4 of the paper for our start positions"),
+    "reproduce": ("figures.reproduce", "figures 3 and 4 of the paper; tanks, bounds and pixels"),
     "warmup": ("bench.warmup", "compile beforehand what the first use would compile"),
     "verify": ("verify.verify", "check the theorems on random teams; status 1 if one fails"),
 }
@@ -47,6 +48,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before anything loads torch
     # what a small network computes must not depend on the number of cores, nor wait for them
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # it may know no ε
     words = list(sys.argv[1:] if argv is None else argv)
     parser = _parser()
     own = parser.parse_args(words[: 2 if words[:1] == [_COMPLETION] else 1])
@@ -76,12 +80,13 @@ def _run(command: str, flags: Sequence[str]) -> int:
     import tyro
 
     from .checks import check_fields, check_text
+    from .console import Console
 
     for number, word in enumerate(flags, start=1):
         check_text(f"word {number} after {command}", word)
     module = import_module(f"{__package__}.{COMMANDS[command][0]}")
     if {"-h", "--help"} & set(flags):
-        print(help_of(command, module))
+        Console(highlight=False).print(help_of(command, module), soft_wrap=True)
         return 0
     config = tyro.cli(module.Config, prog=f"rendezvous {command}", args=flags)
     check_fields(config)

@@ -1,12 +1,21 @@
 """Where commands say what they do."""
 
+import os
+import sys
 from typing import Any
 
 import rich.console
 
 
 class Console(rich.console.Console):
-    """A console that shows text as it is: brackets and colons in a path or a name are no markup."""
+    """A console that shows text as it is: brackets and colons in a path or a name are no markup.
+    Once nobody reads any more, as after ``| head``, the command goes on in silence.
+    """
 
     def __init__(self, **options: Any) -> None:
         super().__init__(markup=False, emoji=False, **options)
+
+    def on_broken_pipe(self) -> None:
+        """Write to nowhere."""
+        self.quiet = True
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

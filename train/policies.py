@@ -23,6 +23,9 @@ from rendezvous_env.baselines.steering import can_steer
 
 from rendezvous_env import baselines
 from rendezvous_env.checks import shown
+from rendezvous_env.graphs.random_graphs import CustomFamily
+from rendezvous_env.rewards.custom_terms import COSTS
+from rendezvous_env.robots.robot_models import is_custom
 from rendezvous_env.scenario import scenarios
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
@@ -113,9 +116,13 @@ def best(scenario: Scenario) -> str:
 
 
 def check_names(wanted: Sequence[str]) -> None:
-    """Refuse a name that no policy has, and a learned policy that cannot be read."""
+    """Refuse a name that no policy has or that stands twice, and a learned policy that cannot be
+    read.
+    """
     known = baselines.names()
     for name in wanted:
+        if wanted.count(name) > 1:
+            raise UserError(f"policy {name!r} is named twice; name each once")
         if is_user_policy(name):
             find_function(name)
         elif learned_path(name) is not None:
@@ -163,6 +170,13 @@ def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
     except (ValueError, TypeError) as error:
         what = f"--set {' '.join(changes)}: " if changes else ""
         raise UserError(f"{what}{error}") from error
+
+
+def is_registered_here(scenario: Scenario) -> bool:
+    """Whether a scenario speaks of what somebody has registered, which this process alone knows."""
+    named = scenario.sensing.custom or scenario.reward.custom or {*scenario.costs} - {*COSTS}
+    family = isinstance(scenario.sensing_graph, CustomFamily)
+    return bool(named) or family or is_custom(scenario.model)
 
 
 def is_user_policy(name: str) -> bool:

@@ -47,7 +47,7 @@ class RobotSlots:
 
     Args:
         teams: a vector environment of teams with SAME_STEP autoreset, wrapped or not; a ValueError
-            for another mode.
+            for another mode, a TypeError for what is none.
     """
 
     active: NDArray[np.bool_]
@@ -56,6 +56,9 @@ class RobotSlots:
     action_space = of_all_teams("single_action_space")
 
     def __init__(self, teams: VectorEnv[Any, Any, Any]) -> None:
+        if not (isinstance(teams, VectorEnv) and hasattr(teams.unwrapped, "simulator")):
+            kind, made = type(teams).__name__, "rendezvous_env.vector.training_env makes them"
+            raise TypeError(f"teams is of type {kind}; it must be teams as {made}")
         mode = teams.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode is {mode}; robots need AutoresetMode.SAME_STEP")

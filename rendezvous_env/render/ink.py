@@ -36,7 +36,11 @@ def write(
     """Write a line of text, ``size`` pixels high, with its ``anchor``, as pygame names it, at a
     pixel; the width of the line, pixels.
     """
-    letters = _font(round(size)).render(text, True, colour)
+    try:
+        letters = _font(round(size)).render(text, True, colour)
+    except pygame.error:  # another user of pygame has ended it, and with it all fonts
+        _font.cache_clear()
+        letters = _font(round(size)).render(text, True, colour)
     surface.blit(letters, letters.get_rect(**{anchor: (round(place[0]), round(place[1]))}))
     return letters.get_width()
 

@@ -11,9 +11,8 @@ class Window:
     """A window of its own, in which time passes as in the simulation or more slowly."""
 
     def __init__(self, title: str, size: tuple[int, int]) -> None:
-        pygame.display.init()
-        self._title = title
-        self.screen: pygame.Window | None = pygame.Window(title, size)
+        self._title, self._size = title, size
+        self.screen: pygame.Window | None = self._opened()
         self.paused = False
         self._steps = 0  # that were asked for while paused
         self._due = self._shown = time.monotonic()
@@ -31,10 +30,15 @@ class Window:
 
     def show(self, picture: pygame.Surface) -> None:
         """Put a picture into the window."""
-        if self.screen is not None:
+        if self.screen is None:
+            return
+        try:
             self.screen.get_surface().blit(picture, (0, 0))
-            self.screen.flip()
-            self._shown = time.monotonic()
+        except pygame.error:  # another user of pygame has ended it, and with it all windows
+            self.screen = self._opened()
+            self.screen.get_surface().blit(picture, (0, 0))
+        self.screen.flip()
+        self._shown = time.monotonic()
 
     def wait(self, seconds: float) -> None:
         """Wait until a step of so many seconds is over; while paused, for a key."""
@@ -54,7 +58,12 @@ class Window:
             return False
         return True
 
+    def _opened(self) -> pygame.Window:
+        pygame.display.init()
+        return pygame.Window(self._title, self._size)
+
     def _read_events(self) -> None:
+        pygame.display.init()  # it may have been ended
         for event in pygame.event.get() if self.screen is not None else ():
             if getattr(event, "window", None) not in (None, self.screen):
                 continue

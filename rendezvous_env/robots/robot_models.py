@@ -94,6 +94,14 @@ def try_with(example: Callable[[str, int], Any]) -> None:
     _EXAMPLES.append(example)
 
 
+def model_of(name: str) -> RobotModel:
+    """A registered robot model; a ValueError where it is none, as in another program's pickle."""
+    if (model := ROBOT_MODELS.get(name)) is None:
+        remedy = "import the file that calls rv.register_robot_model"
+        raise ValueError(f"robot model {name!r} is not registered here; {remedy}")
+    return model
+
+
 def register_robot_model(model: RobotModel, *, replace: bool = False) -> None:
     """Make a robot model known by its name; ``replace`` lets it take the place of another.
 

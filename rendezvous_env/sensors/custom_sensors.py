@@ -60,7 +60,7 @@ def _fill(seeds, episodes, steps, salt, out):
 
 
 Imperfection = Callable[[Seen], None]
-_IMPERFECTIONS = Registry("imperfection", "rv.sensor_imperfection")
+_IMPERFECTIONS = Registry("sensor imperfection", "rv.sensor_imperfection")
 
 
 def sensor_imperfection(name: str, change: Imperfection | None = None) -> Any:
@@ -93,6 +93,9 @@ def apply_custom(seen: Seen) -> None:
         absent = [~table.any(axis=-1) for table in tables]
         seen._name = name
         _IMPERFECTIONS[name](seen)
+        if seen.neighbours is not tables[0] or seen.obstacles is not tables[1]:
+            remedy = "change what is in it: seen.neighbours[...] = …"
+            raise ValueError(f"sensing.custom: {name!r} put another array into seen; {remedy}")
         for table, gone in zip(tables, absent, strict=True):
             table[gone] = 0.0
             if not np.isfinite(table).all():

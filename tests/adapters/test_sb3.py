@@ -232,6 +232,12 @@ def test_ppo_learns_through_wrappers(wrapper, options):
     assert robots.tell_bootstraps
 
 
+@pytest.mark.parametrize("teams", [SCENARIO, None, rv.parallel_env("duo")])
+def test_what_is_no_teams_is_refused(teams):
+    with pytest.raises(TypeError, match=f"teams is of type {type(teams).__name__}; it must be"):
+        RobotVecEnv(teams)
+
+
 def test_what_cannot_be_followed_is_refused():
     with pytest.raises(ValueError, match="SAME_STEP"):
         RobotVecEnv(rv.make_vec(SCENARIO, 2))

@@ -48,6 +48,24 @@ class TestMistakes:
         assert run(*words) == 2
 
 
+class TestOutput:
+    COMMAND = (sys.executable, "-m", "train.cli")
+
+    def test_a_terminal_without_greek_letters(self):
+        environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+        words = [*self.COMMAND, "list", "policies"]
+        said = subprocess.run(words, env=environment, capture_output=True, check=True).stdout
+        assert said.isascii() and rb"\u03c9" in said
+
+    def test_where_nobody_reads_any_more_work_goes_on(self, tmp_path):
+        words = ["compare", "--scenarios", "duo", "--policies", "zero", "--episodes", "1"]
+        words += ["--no-figures", "--details", "--out", str(tmp_path / "out")]
+        command = subprocess.Popen([*self.COMMAND, *words], stdout=subprocess.PIPE)
+        command.stdout.close()
+        assert command.wait(120) == 0
+        assert (tmp_path / "out" / "run.json").exists()
+
+
 class TestHelp:
     @pytest.mark.parametrize("name", cli.COMMANDS)
     def test_every_flag_is_told_in_a_sentence(self, name, capsys):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from light_tasks import cores, dies, dies_once, product, refuses, where
 
+import rendezvous_env as rv
 from baselines.learned import checkpoints
 from train import checks, interrupts, tasks
 from train.checks import UserError
@@ -143,6 +144,14 @@ class TestSeeds:
         assert "done: 256 steps" in (two / "seed-0.txt").read_text()
         with pytest.raises(UserError, match="seed-0 holds a run of other settings"):
             command.run(self.config(one, learning_rate=1e-4))
+
+    def test_what_is_registered_here_is_trained_here(self, tmp_path):
+        rv.reward_term("of this process", lambda step: -step.time)
+        file = tmp_path / "own.toml"
+        paid = rv.RewardWeights(custom={"of this process": 0.1})
+        rv.scenarios.get("clutter-4").replace(reward=paid).to_toml(file)
+        assert command.run(self.config(tmp_path, scenario=str(file), jobs=2)) == 0
+        assert (tmp_path / "seed-3.txt").exists()
 
 
 def test_many_tasks_are_done_elsewhere_from_the_first_on(tmp_path, monkeypatch):

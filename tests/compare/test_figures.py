@@ -6,6 +6,7 @@ import re
 from functools import cache
 from itertools import combinations
 
+import matplotlib
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
@@ -230,6 +231,13 @@ class TestPrint:
         assert (pixels[0] == 1.0).all()
         with Image.open(tmp_path / "a.png") as picture:
             assert picture.info["Subject"] == "rendezvous compare, run 7"
+
+    def test_a_matplotlibrc_changes_nothing(self, tmp_path):
+        rows, files = [row("duo", "zero", 0.5)], [tmp_path / "a.png", tmp_path / "b.png"]
+        with matplotlib.rc_context({"axes.grid": True, "savefig.bbox": "tight"}):
+            style.save(figures.success_figure(rows), files[0])
+        style.save(figures.success_figure(rows), files[1])
+        assert (imread(files[0]) == imread(files[1])).all()
 
 
 class TestEpisodes:

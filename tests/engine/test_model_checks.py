@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import pickle
 from typing import NamedTuple
 
 import numpy as np
@@ -167,6 +168,14 @@ def test_equations_that_no_step_can_bear_are_refused_at_registration(registry, c
     with pytest.raises(ValueError, match=message):
         walker(registry, equations, **fields)
     assert "walker" not in robot_models.ROBOT_MODELS
+
+
+def test_a_scenario_of_a_program_that_knows_another_model_says_what_is_missing(registry):
+    walker(registry)
+    scenario = rv.Scenario(robot_model="walker")
+    del robot_models.ROBOT_MODELS["walker"]
+    with pytest.raises(ValueError, match="robot model 'walker' is not registered here; import th"):
+        rv.Simulator(pickle.loads(pickle.dumps(scenario)))
 
 
 @pytest.mark.parametrize("case", BAD_FIELDS)

@@ -212,6 +212,7 @@ class TestRefusals:
         assert "holds a run; --resume it" in one_line("train", *flags(whole))
         words = "--scenario", "clutter-8"
         refused("was trained with clutter-4: leave it out", whole, *words)
+        refused("goes on in its own folder: leave it out", whole, "--out", "elsewhere")
         refused("--num-threads is 0; it must be 1", whole, "--num-threads", "0")
 
     def test_another_scenario_under_the_same_name(self, tmp_path, refused):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from training_runs import UPDATE, assert_goes_on, assert_same_run, config, flags, network, resumed
 
 import rendezvous_env as rv
@@ -187,6 +188,15 @@ class TestResult:
         assert checkpoints.find(folder).name == f"step-{3 * UPDATE:012d}"
         resumed(folder)
         assert_same_run(folder, whole)
+
+    def test_a_program_that_computes_in_double_precision_gets_the_same(self, whole, tmp_path):
+        torch.set_default_dtype(torch.float64)
+        try:
+            ppo.run(config(tmp_path / "run"))
+            assert torch.get_default_dtype() is torch.float64
+        finally:
+            torch.set_default_dtype(torch.float32)
+        assert_same_run(tmp_path / "run", whole)
 
     def test_a_pruned_trial_passes_through(self, tmp_path):
         """As Optuna's, which is raised in the middle."""

@@ -159,6 +159,8 @@ class TestRegistry:
             ("mine", bool, ["own"], POINT, r"kind is \['own'\]; it must be one of 'law'"),
             ("", bool, "own", POINT, "name of a policy is ''; it must be a word"),
             (5, bool, "own", POINT, "name of a policy is 5; it must be a word"),
+            ("a:b", bool, "own", POINT, "name of a policy is 'a:b'; it must be without a colon"),
+            ("learned", bool, "own", POINT, "is 'learned'; it must be another: it is one of the l"),
             ("mine", None, "own", POINT, "fits of policy 'mine' is None; it must be a function of"),
             ("mine", bool, "own", POINT, "policy 'mine' is Scenario"),
         ],

@@ -9,6 +9,7 @@ import warnings
 from types import ModuleType
 
 import numpy as np
+import pygame
 import pytest
 from drawing import at, drawn, still
 from gymnasium.wrappers.vector import RecordVideo
@@ -107,6 +108,12 @@ class TestPicture:
         assert np.array_equal(twin.render(), frame)
         twin.step(still(twin))
         assert np.array_equal(env.render(), frame)
+
+    def test_it_is_drawn_after_others_have_ended_pygame(self):
+        env, picture = drawn("duo")
+        pygame.quit()
+        assert (env.render() == picture).all()
+        assert (drawn("duo")[1] == picture).all()
 
     def test_a_wrapper_hands_it_on(self):
         env = rv.HeadingVectorWrapper(rv.parallel_env("fig4", render_mode="rgb_array"))

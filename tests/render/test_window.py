@@ -80,6 +80,16 @@ class TestWindow:
         twin.close()
         assert not shown.renderer.window.closed
 
+    @pytest.mark.parametrize("again", [False, True])
+    def test_it_comes_back_after_others_have_ended_pygame(self, shown, again):
+        pygame.quit()  # as Gymnasium's own environments do when they are closed
+        if again:
+            pygame.display.init()
+        shown.step(still(shown))
+        shown.render()
+        pixels = pygame.surfarray.array3d(shown.renderer.window.screen.get_surface())
+        assert (pixels == ROBOTS[0]).all(axis=-1).sum() > 50
+
     def test_teams_share_a_window(self):
         venv = rv.make_vec("duo", num_envs=4, render_mode="human")
         venv.reset(seed=0)

@@ -84,6 +84,7 @@ class TestForged:
             ({"seed": "3"}, "not readable (TypeError"),
             ({"policies": ["zero"]}, "not readable (AttributeError"),
             ({"scenarios": {"fig4": {"n_robots": 0}}}, "run.json: a scenario is not readable: n_"),
+            ({"scenarios": {"fig4": {"graph": "mine"}}}, "where a program of your own registers"),
         ],
     )
     def test_a_description(self, changes, message, folder, reseal, refused):

@@ -137,7 +137,10 @@ class TestPage:
         assert "<b>&</b>" not in text
         rows = data_of(text)[0]["results"]
         assert len(rows) == 5 and {row["scenario"] for row in rows} == {name, "uav-6"}
-        assert "--keep 0" in text and "--keep 0" in capsys.readouterr().out.replace("\n", " ")
+        assert (
+            "--keep-trajectories 0" in text
+            and "--keep-trajectories 0" in capsys.readouterr().out.replace("\n", " ")
+        )
         assert 'id="player"' not in text
 
     def test_a_policy_may_have_slashes_in_its_name(self, folder, reseal):

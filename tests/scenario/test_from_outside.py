@@ -191,6 +191,16 @@ def test_what_one_imperfection_hides_the_next_does_not_bring_back():
         assert (Simulator(Scenario(sensing=Sensing(custom=names))).reset(0) == rows).all()
 
 
+def test_rows_that_are_put_in_place_of_those_seen_are_refused():
+    def sees_nobody(seen):
+        seen.neighbours = 0.0 * seen.neighbours
+
+    rv.sensor_imperfection("another array", sees_nobody)
+    blind = Simulator(Scenario(n_robots=3, sensing=Sensing(custom=("another array",))))
+    with pytest.raises(ValueError, match="'another array' put another array into seen; change wh"):
+        blind.reset(0)
+
+
 def test_no_theorem_covers_a_custom_sensor():
     scenario = Scenario(sensing=Sensing(custom=("blind-behind",)))
     for by in ("law", "heading", "tank", "gains", "links"):

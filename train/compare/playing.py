@@ -13,9 +13,6 @@ from rendezvous_env.baselines import policy as registry
 from rendezvous_env.baselines.learned import checkpoints
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from rendezvous_env.graphs.random_graphs import CustomFamily
-from rendezvous_env.rewards.custom_terms import COSTS
-from rendezvous_env.robots.robot_models import is_custom
 from rendezvous_env.scenario.scenario import Scenario
 
 from .. import policies
@@ -137,13 +134,8 @@ def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
 
 
 def stays_here(task: Task) -> bool:
-    """Whether only this process can do a task, as where its scenario speaks of what somebody has
-    registered here.
-    """
-    scenario = task.scenario
-    named = scenario.sensing.custom or scenario.reward.custom or {*scenario.costs} - {*COSTS}
-    family = isinstance(scenario.sensing_graph, CustomFamily)
-    return task.stays or bool(named) or family or is_custom(scenario.model)
+    """Whether only this process can do a task."""
+    return task.stays or policies.is_registered_here(task.scenario)
 
 
 def play_block(job: Job, first: int, count: int, seed: int, keep: int) -> Played:

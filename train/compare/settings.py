@@ -27,6 +27,8 @@ DEFAULT_SCENARIOS = (
 )
 
 _STARTS, _KEPT = 100, 3
+_LONGEST_NAME = 200
+"""Bytes; figures are called after scenarios, and a file's name may have 255."""
 _LARGE = 8
 """Robots; larger teams among obstacles take so long, and so much room, that they have fewer
 starts."""
@@ -166,5 +168,8 @@ def _check_names(scenarios: list[Scenario]) -> None:
     for name in names:
         if "/" in name or os.sep in name:
             raise UserError(f"scenario name {name!r} would name a folder; leave out the slash")
+        if (size := len(name.encode())) > _LONGEST_NAME:
+            what = f"scenario name {name[:20]}… has {size} bytes; names of figures take"
+            raise UserError(f"{what} {_LONGEST_NAME}: give a shorter one")
         if names.count(name) > 1:
             raise UserError(f"two scenarios are called {name!r}; their results would mix")

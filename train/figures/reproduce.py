@@ -70,8 +70,8 @@ class Config:
     out: Path = Path("out/reproduce")
     """The folder for the picture and its data; it is made if there is none."""
     seed: int = 0
-    """The seed of the robots' local frames, which do not change what is drawn; of tank's first
-    start."""
+    """The seed of the robots' local frames, which do not change what is drawn; of tank, bounds and
+    pixels that of the first start."""
     episodes: int = 256
     """How many starts each point of tank has, each row of bounds and each policy of pixels."""
     page: Path | None = None
@@ -82,6 +82,8 @@ def run(config: Config) -> int:
     """Simulate, draw, and write FIGURE.png, FIGURE.pdf, FIGURE.npz and FIGURE.csv."""
     check_least(config, seed=0, episodes=1)
     check_most(config, seed=2**63 - 1, episodes=10**6)
+    if config.page is not None and config.figure != "bounds":
+        raise UserError(f"--page is {config.page}; {config.figure} makes no table for it")
     if config.figure == "pixels":
         return _pixels(config)
     if config.policy is not None and config.figure not in _LAWS:

@@ -42,13 +42,13 @@ R = TypeVar("R")
 
 
 def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """A function that draws or writes a figure, in this style."""
+    """A function that draws or writes a figure, in this style, whatever a matplotlibrc says."""
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> R:
-        from matplotlib import rc_context
+        from matplotlib.style import context
 
-        with rc_context(_STYLE):  # type: ignore[arg-type]  # names of settings as plain strings
+        with context(["default", _STYLE]):
             return draw(*args, **kwargs)
 
     return drawn

@@ -43,7 +43,7 @@ def run(config: Config) -> int:
     console = Console(soft_wrap=True)
     console.print(f"{len(runs)} runs; {_log_of(runs[0])} and so on tell of them")
     try:
-        with closing(each(_train, runs, config, long=True)) as found:
+        with closing(each(_train, runs, config, _stays_here, long=True)) as found:
             for number, status in found:
                 if status:
                     return status
@@ -79,6 +79,12 @@ def runs_of(settings: Settings, seeds: tuple[int, ...]) -> list[Settings]:
 def _log_of(settings: Settings) -> Path:
     """The file for the output of a run."""
     return settings.out.with_name(f"{settings.out.name}.txt")
+
+
+def _stays_here(settings: Settings) -> bool:
+    """Whether only this process can do a run."""
+    others = map(policies.resolve_scenario, settings.eval_scenarios)
+    return any(map(policies.is_registered_here, (settings.base_scenario(), *others)))
 
 
 def _train(settings: Settings) -> int:

@@ -372,6 +372,8 @@ def read_config(folder: Path) -> Config:
 def resumed(config: Config, stored: Config) -> Config:
     """The stored settings of a run, with changes of ``MAY_CHANGE``; a UserError for another one."""
     default, folder, changed = Config(), config.resume or config.out, {}
+    if config.out.resolve() not in (default.out.resolve(), folder.resolve()):
+        raise UserError(f"--out is {config.out}; {folder} goes on in its own folder: leave it out")
     for name in (field.name for field in fields(Config)):
         given, kept = getattr(config, name), getattr(stored, name)
         if name in MAY_CHANGE:

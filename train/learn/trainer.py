@@ -272,7 +272,7 @@ class Trainer:
 def run(config: Config, on_update: OnUpdate | None = None) -> Result:
     """Begin or resume a run and train to its end; see ``ppo.run``."""
     console = Console(soft_wrap=True)
-    threads = torch.get_num_threads()
+    threads, numbers = torch.get_num_threads(), torch.get_default_dtype()
     folder = config.resume or config.out
     try:
         if config.resume is not None:
@@ -283,6 +283,7 @@ def run(config: Config, on_update: OnUpdate | None = None) -> Result:
             config, place = checkpoint.where_to_begin(config, console)
             _check_device(config.device)
             torch.set_num_threads(config.num_threads or available_cores())
+            torch.set_default_dtype(torch.float32)
             if (least := config.samples_per_update) > config.total_steps:
                 console.print(
                     f"one update is {least:,} decisions (--num-teams × robots × --n-steps), more "
@@ -297,6 +298,7 @@ def run(config: Config, on_update: OnUpdate | None = None) -> Result:
         raise UserError(checkpoint.write_failure(folder, error)) from error
     finally:
         torch.set_num_threads(threads)
+        torch.set_default_dtype(numbers)
 
 
 def _check_device(device: str) -> None:

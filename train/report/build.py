@@ -26,7 +26,7 @@ _OUTCOME = (
     "success", "clean", "time", "path_length", "contacts", "clearance", "min_alignment",
 )  # fmt: skip
 """Columns of episodes.csv that are shown beside a replay."""
-_NOTHING_KEPT = "No start was kept (compare ran with --keep 0), so there is nothing to replay."
+_NOTHING_KEPT = "No start was kept (--keep-trajectories 0), so there is nothing to replay."
 
 EXAMPLES = ("out/compare", "results/leaderboard/smoke")
 

@@ -51,7 +51,10 @@ def read(folder: Path) -> Comparison:
     try:
         scenarios = {name: Scenario.from_plain(plain) for name, plain in run["scenarios"].items()}
     except (ValueError, TypeError, AttributeError, KeyError, OverflowError) as error:
-        raise UserError(f"{folder / RUN}: a scenario is not readable: {error}") from error
+        raise UserError(
+            f"{folder / RUN}: a scenario is not readable: {error}; where a program of your own "
+            "registers what it names, call train.report.build.run there"
+        ) from error
     rows, paired, episodes = (results.read_csv(folder / name) for name in _FILES[:3])
     recordings = _read_recordings(folder / _FILES[3], scenarios)
     pictures = sorted(folder / name for name in run["files"] if name.endswith(".png"))

@@ -54,8 +54,8 @@ class Config(Workers):
     each of its numbers against what adversaries can do. What is violated is made small and written
     to OUT as a TOML file with the choices that repeat it."""
     kinds: int | None = None
-    """Most kinds of scenarios for --any: to compile for one takes as long as to play a thousand. If
-    None, each 300 scenarios have their own."""
+    """Most kinds of scenarios for --any: to compile for one takes as long as to play a thousand.
+    Without it one for every 300 scenarios."""
     fresh: Annotated[bool, arg(name="overwrite", aliases=("--fresh",))] = False
     """Throws away what another command has left unfinished in OUT/verify.part."""
 
