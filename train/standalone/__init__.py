@@ -33,6 +33,11 @@ def kernel(function, inline="never"):
     """Nothing is compiled here."""
     return function
 ''',
+    Name("rendezvous_env.compilation", "entry_point"): '''
+def entry_point(function, arguments):
+    """As ``kernel``."""
+    return function
+''',
     Name("rendezvous_env.safety.robot_lanes", "LANES"): "\nLANES = 1\n",
     Name("rendezvous_env.safety.safety_filter", "over_teams"): '''
 def over_teams(calls_of, num_envs, n_robots, num_threads):
