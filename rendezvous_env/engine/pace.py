@@ -3,10 +3,11 @@
 import math
 import time
 
-_PERIOD, _TRIALS = 256, 4
-"""Of so many steps the last few are made the other way, to see how long that takes now."""
-_WEIGHT = 0.125  # of a step among those before it
-_MOST = 2.0  # times as long as those before is the most that counts: a step may be held up
+_PERIOD, _TRIALS, _FIRST = 1024, 40, 8
+"""Of so many steps the last few are made the other way, to see how long that takes now. The first
+of these do not count: a core that was idle is slow for a while."""
+_USUAL, _TRIED = 1 / 128, 1 / 16  # weight of a step among those before it, and of a trial
+_LONGEST = 20.0  # times as long as those before may a step count: a process may be stopped
 
 
 class Pace:
@@ -17,7 +18,7 @@ class Pace:
 
     def __init__(self, most: int, ahead: float) -> None:
         self.most, self.ahead = most, ahead
-        self._steps, self._began = 0, 0
+        self._steps, self._began, self._weight = 0, 0, 0.0
         self._alone = False
         self._mean = [math.nan, math.nan]  # ns, of recent steps by several threads, and by one
 
@@ -25,16 +26,15 @@ class Pace:
         """Threads for the step that begins now."""
         self._steps += 1
         several, alone = self._mean
-        self._alone = several > alone  # not before there has been a trial
-        if self._steps % _PERIOD >= _PERIOD - _TRIALS:
-            self._alone = not self._alone
+        self._alone, self._weight = several > alone, _USUAL  # several before there has been a trial
+        if (trial := self._steps % _PERIOD - (_PERIOD - _TRIALS)) >= 0:
+            self._alone, self._weight = not self._alone, _TRIED if trial >= _FIRST else 0.0
         self._began = time.perf_counter_ns()
         return 1 if self._alone else self.most
 
     def end(self) -> None:
         """Learn how long the step took that was begun last."""
         took, mean = time.perf_counter_ns() - self._began, self._mean[self._alone]
-        if math.isnan(mean):
-            self._mean[self._alone] = took
-        else:
-            self._mean[self._alone] += _WEIGHT * (min(took, _MOST * mean) - mean)
+        if self._weight > 0.0:
+            change = self._weight * (min(took, _LONGEST * mean) - mean)
+            self._mean[self._alone] = took if math.isnan(mean) else mean + change
