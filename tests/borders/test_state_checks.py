@@ -214,7 +214,8 @@ def test_every_entry_of_a_nested_state_is_checked_before_any_is_taken(make):
     paths = list(leaves(target.get_state()))
     assert len(paths) > 10
     for path in paths:
-        for spoil in (lambda at, key: at.pop(key), lambda at, key: at.update({key: "words"}), more):
+        left_out = () if path[-1] == "shown" else (lambda at, key: at.pop(key),)  # as 0.2 did
+        for spoil in (*left_out, lambda at, key: at.update({key: "words"}), more):
             state = other.get_state()
             at = state
             for key in path[:-1]:
