@@ -3,9 +3,9 @@
 import math
 import time
 
-_PERIOD, _TRIALS, _FIRST = 1024, 40, 8
+_PERIOD, _TRIALS, _FIRST, _BEFORE = 1024, 40, 8, 100
 """Of so many steps the last few are made the other way, to see how long that takes now. The first
-of these do not count: a core that was idle is slow for a while."""
+of these do not count: a core that was idle is slow for a while. The first trial comes after 100."""
 _USUAL, _TRIED = 1 / 128, 1 / 16  # weight of a step among those before it, and of a trial
 _LONGEST = 20.0  # times as long as those before may a step count: a process may be stopped
 
@@ -18,9 +18,10 @@ class Pace:
 
     def __init__(self, most: int, ahead: float) -> None:
         self.most, self.ahead = most, ahead
-        self._steps, self._began, self._weight = 0, 0, 0.0
+        self._steps, self._began, self._weight = _PERIOD - _TRIALS - _BEFORE, 0, 0.0
         self._alone = False
-        self._mean = [math.nan, math.nan]  # ns, of recent steps by several threads, and by one
+        # of steps by several threads, and by one: ns of recent ones, and how many there were
+        self._mean, self._count = [math.nan, math.nan], [0, 0]
 
     def begin(self) -> int:
         """Threads for the step that begins now."""
@@ -34,7 +35,9 @@ class Pace:
 
     def end(self) -> None:
         """Learn how long the step took that was begun last."""
-        took, mean = time.perf_counter_ns() - self._began, self._mean[self._alone]
+        took, which = time.perf_counter_ns() - self._began, self._alone
         if self._weight > 0.0:
-            change = self._weight * (min(took, _LONGEST * mean) - mean)
-            self._mean[self._alone] = took if math.isnan(mean) else mean + change
+            self._count[which] += 1
+            mean = self._mean[which] if self._count[which] > 1 else took
+            weight = max(self._weight, 1.0 / self._count[which])
+            self._mean[which] = mean + weight * (min(took, _LONGEST * mean) - mean)
