@@ -3,9 +3,9 @@
 import math
 import time
 
-_PERIOD, _TRIALS, _FIRST, _BEFORE = 1024, 40, 8, 100
+_PERIOD, _TRIALS, _FIRST, _BEFORE = 2048, 96, 48, 400
 """Of so many steps the last few are made the other way, to see how long that takes now. The first
-of these do not count: a core that was idle is slow for a while. The first trial comes after 100."""
+of these do not count: a core that was idle is slow for a while. The first trial comes after 400."""
 _USUAL, _TRIED = 1 / 128, 1 / 16  # weight of a step among those before it, and of a trial
 _LONGEST = 20.0  # times as long as those before may a step count: a process may be stopped
 
