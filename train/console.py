@@ -18,4 +18,5 @@ class Console(rich.console.Console):
     def on_broken_pipe(self) -> None:
         """Write to nowhere."""
         self.quiet = True
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), sys.stdout.fileno())
