@@ -35,6 +35,7 @@ class Window:
         try:
             self.screen.get_surface().blit(picture, (0, 0))
         except pygame.error:  # another user of pygame has ended it, and with it all windows
+            self.screen = None  # first: were it freed later, it could take a new one at its address
             self.screen = self._opened()
             self.screen.get_surface().blit(picture, (0, 0))
         self.screen.flip()

@@ -11,6 +11,7 @@ from test_package import run_python
 
 import rendezvous_env as rv
 from rendezvous_env.render.palette import ROBOTS
+from rendezvous_env.render.window import Window
 
 
 def press(*keys):
@@ -89,6 +90,16 @@ class TestWindow:
         shown.render()
         pixels = pygame.surfarray.array3d(shown.renderer.window.screen.get_surface())
         assert (pixels == ROBOTS[0]).all(axis=-1).sum() > 50
+
+    def test_the_old_window_does_not_take_the_new_one_with_it(self):
+        window, picture = Window("", (600, 600)), pygame.Surface((600, 600))
+        picture.fill(ROBOTS[0])
+        for _ in range(50):  # often the new one lies at the address of the old one
+            pygame.quit()
+            pygame.display.init()
+            window.show(picture)
+            assert window.screen.get_surface().get_at((300, 300))[:3] == tuple(ROBOTS[0])
+        window.close()
 
     def test_teams_share_a_window(self):
         venv = rv.make_vec("duo", num_envs=4, render_mode="human")
