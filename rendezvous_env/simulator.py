@@ -144,7 +144,7 @@ class Simulator(StateView):
         self._episodes.begin(which, seeds, given, resting)
         self.changes += 2  # so that none is taken for a step
         self._all_running = not (resting and len(which)) and not self.status.any()
-        self._ready = True
+        self._ready = not (self._state.number < 0).any()
 
     def step(self, actions: ArrayLike) -> StepOutput:
         """Advance every running team by one step τ with the inputs held.
@@ -157,11 +157,10 @@ class Simulator(StateView):
             ValueError: for a wrong shape or a number that is not finite, naming the robot; nothing
                 has changed then. Or for what a reward term or imperfection of one's own made of the
                 step, which has been made.
-            RuntimeError: before the first reset; or if a custom robot model moved a robot farther
-                than its speed limit allows, naming the robot: these teams need a reset then.
+            RuntimeError: before every team has been reset; or if a custom robot model moved a robot
+                farther than its speed limit allows, naming the robot: these teams need a reset.
         """
-        if not self._ready:
-            raise RuntimeError("call reset() before step()")
+        self._check_ready()
         table = self.check_actions(actions)
         before = (self.positions, self.active) if self._own_model else None
         self.changes += 1
@@ -172,6 +171,12 @@ class Simulator(StateView):
             self._refuse_leaps(*before)
         self._refuse_crowds(output)
         return output
+
+    def _check_ready(self) -> None:
+        if not self._ready:
+            never = np.flatnonzero(self._state.number < 0)
+            which = f": team {never[0]} has had none" if 0 < len(never) < self.num_envs else ""
+            raise RuntimeError(f"call reset() before step(){which}")
 
     @property
     def can_drive(self) -> bool:
@@ -193,6 +198,7 @@ class Simulator(StateView):
         where it ``can_drive``. ``show`` is called with some teams and what they see after the last
         step, by their thread.
         """
+        self._check_ready()
         resting = np.zeros(self.num_envs, np.bool_) if self._all_running else self.status != RUNNING
         self.changes += 1
         self._all_running = False  # not known, should an interrupt leave from here
@@ -319,7 +325,7 @@ class Simulator(StateView):
     @property
     def begun(self) -> bool:
         """Whether there has been a reset."""
-        return self._ready
+        return self._ready or bool((self._state.number >= 0).any())
 
     @property
     def all_running(self) -> bool:
@@ -357,8 +363,8 @@ class Simulator(StateView):
     def _put_state(self, state: dict[str, NDArray[Any]]) -> None:
         self._state.put(state)
         self._all_running = not self.status.any()
-        self._ready = bool((state["episode"] >= 0).any())
-        if self._ready:
+        self._ready = not (self._state.number < 0).any()
+        if self.begun:
             self.observe()
 
     def set_max_steps(self, max_steps: int) -> None:

@@ -131,7 +131,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
     def step(self, actions: NDArray[np.float32]) -> Transition:
         """Advance every team by one step τ with actions (B, n, a); see the class. A ValueError for
         another shape, or naming the robot whose action is not finite, and nothing has changed; a
-        RuntimeError before the first reset.
+        RuntimeError before every team has been reset.
         """
         simulator, mode = self.simulator, self.autoreset_mode if self.begins_anew else _DISABLED
         if mode is AutoresetMode.NEXT_STEP and not simulator.all_running:

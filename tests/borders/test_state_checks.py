@@ -126,7 +126,11 @@ def test_states_of_all_moments_are_taken(kind):
     other.set_state(sim.get_state())
     with pytest.raises(RuntimeError, match="call reset"):
         other.step(np.zeros((TEAMS, 5, scenario.action_size)))
-    sim.reset(0, mask=np.arange(TEAMS) < 4)
+    first = np.arange(TEAMS) < 4
+    for mask in (first, ~first):
+        sim.reset(0, mask=mask)
+        other.set_state(sim.get_state())
+        assert_same_state(other, sim)
     seen, merged = set(), False
     for step in range(400):
         other.set_state(sim.get_state())

@@ -215,6 +215,18 @@ def test_a_partial_reset_leaves_the_others_untouched(kind):
     np.testing.assert_array_equal(whole[mask], seen[mask])
 
 
+def test_no_team_steps_before_each_has_been_reset():
+    sim, still = Simulator(Scenario(n_robots=2), 3), np.zeros((3, 2, 2))
+    for mask, words in ((None, ""), ([True, False, True], ": team 1 has had none")):
+        if mask is not None:
+            sim.reset(0, mask=np.array(mask))
+        for teams in (sim, copy.deepcopy(sim)):
+            with pytest.raises(RuntimeError, match=rf"^call reset\(\) before step\(\){words}$"):
+                teams.step(still)
+    sim.reset(0, mask=np.array([False, True, False]))
+    assert sim.step(still).rewards.shape == (3,) and sim.steps.tolist() == [1, 1, 1]
+
+
 def test_a_resting_team_that_starts_within_r_meets_in_its_first_own_step():
     sim = Simulator(Scenario(n_robots=2))
     sim.reset(0, {"positions": [[0.0, 0.0], [0.1, 0.0]]}, resting=True)

@@ -295,11 +295,12 @@ def test_who_writes_to_observations_does_not_change_what_the_filter_acts_on(whic
 def test_a_reset_of_some_teams_does_not_excuse_what_happened_to_the_others(which):
     base = rv.make_vec("fig3", 2, autoreset_mode="Disabled")
     env = GUARANTEES[which].around_teams(base)
-    choices, only_first = (
-        draw(env, np.random.default_rng(0)),
-        {"reset_mask": np.array([True, False])},
-    )
+    choices = draw(env, np.random.default_rng(0))
+    only_first, only_second = ({"reset_mask": np.arange(2) == k} for k in range(2))
     env.reset(seed=0, options=only_first)
+    with pytest.raises(RuntimeError, match=r"call reset\(\) before step\(\): team 1 has had none"):
+        env.step(choices)
+    env.reset(seed=0, options=only_second)
     env.step(choices)
     for disturb in (base.reset, lambda: base.step(draw(base, np.random.default_rng(0)))):
         disturb()
