@@ -43,8 +43,9 @@ class MemoryLayout:
         self.sizes = {
             **{"B": batch, "blocks": self.blocks, "L": self.lanes, "L·d": self.lanes * d},
             **{"n": n, "a": scenario.action_size, "k": memory, "rows": self.rows},
-            **{"d": d, "d+1": d + 1, "d+4": d + 4, "d²": d * d},
-            **{"M": slots, "2M": 2 * slots, "S": layout.silhouette_points, "E": self.n_links},
+            **{"d": d, "d+1": d + 1, "d+3": d + 3, "d²": d * d},
+            **{"M": slots, "2M": 2 * slots, "discs": slots if d == 2 else 0},
+            **{"S": layout.silhouette_points, "E": self.n_links},
             **{"statistics": len(STATISTICS), "tally": len(Tally._fields)},
         }
         """Lengths of the axes that annotations of arrays name."""
@@ -80,10 +81,8 @@ def allocate(kind: type[Arrays], sizes: dict[str, int]) -> Arrays:
 
 def scratch(place: MemoryLayout) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Working memory of one thread: the fields of Scratch as plain tuples."""
-    block = allocate(BlockScratch, place.sizes)
-    block.bounds.fill(np.nan)
-    block.radii.fill(np.nan)
-    return tuple(block), tuple(allocate(TeamScratch, place.sizes))
+    block, team = (allocate(kind, place.sizes) for kind in (BlockScratch, TeamScratch))
+    return tuple(block), tuple(team)
 
 
 # ---- how much there is --------------------------------------------------------------------------

@@ -37,6 +37,7 @@ from .memory import (
     write,
 )
 from .memory.changing_edges import begin_arcs
+from .stages.sense_obstacles import lay_out_discs
 
 _TRIES_FOR_START = 1000
 _TRIES_FOR_WAYS = 1000
@@ -89,6 +90,7 @@ def reset_teams(indices, status, rules, streams, setup, state, scratch):
         scene = links, obstacles_of(state.obstacles, place.team)
         if not _draw_room(keys, rules, rules.field, rules.reach, scene, scratch):
             return place.team, NO_ROOM
+        lay_out_discs(place, state.teams.discs, state.obstacles)
         _write_start(place, status, links, state, scratch)
         _draw_attitudes(place, rules, keys, layout, robot, state.teams)
         key, arcs = stream_key(keys[0], keys[1], GRAPH), arcs_of(state.links, place.team)

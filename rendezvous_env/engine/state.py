@@ -31,7 +31,8 @@ class State:
         self.lanes = place.lanes
         self.teams = allocate(Teams, place.sizes)
         self.teams.merged_into[:] = np.arange(self.scenario.n_robots)
-        for entry in ("min_clearance", "square_closest"):
+        self.teams.discs[:] = np.nan
+        for entry in ("min_clearance", "clearance", "square_closest"):
             self.teams.statistics[:, STATISTICS.index(entry)] = np.inf
         self.obstacles = self._no_obstacles()
         """With a leading axis B; None where there are no slots."""
@@ -50,7 +51,7 @@ class State:
         own = {"seed": self.seed, "episode": self.number, "past": self.past}
         world = {} if self.obstacles is None else self.obstacles._asdict()
         self._arrays: dict[str, NDArray[Any]] = {**self.teams._asdict(), **links, **own, **world}
-        self._in_blocks = {"positions", "frames", "memory", "statistics"}
+        self._in_blocks = {"positions", "frames", "memory", "statistics", "discs"}
         """Of these arrays those that lie in blocks, (blocks, …, L); others by team, (B, …)."""
         if isinstance(self.links, DenseEdges):
             self._in_blocks.add("weights")

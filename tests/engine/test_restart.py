@@ -8,7 +8,7 @@ from conftest import MODELS, UNEQUAL, assert_same_state, refusing
 from test_inertia import FAR
 from test_widths import towards_neighbours
 
-from rendezvous_env import Scenario, Simulator
+from rendezvous_env import ObstacleField, Scenario, Simulator
 from rendezvous_env.engine.memory import AWAITING_RESET, RUNNING, TIME_OUT
 
 KINDS = {
@@ -104,3 +104,22 @@ def test_what_no_step_gave_out_is_refused(outcome):
     sim.reset(0)
     with refusing(sim, r"outcome is .*; it must be what step"):
         sim.restart(np.array([True, False]), outcome)
+
+
+def test_every_team_sees_the_obstacles_of_its_own_episode():
+    """Those that stand anew in some teams, and those that a state brings back."""
+    field = ObstacleField((1, 3), (0.2, 0.5), 6.0, 0.05, True)
+    sim, other = (Simulator(Scenario(n_robots=3, obstacles=field), TEAMS) for _ in range(2))
+    sim.reset(0)
+    other.reset(100)
+    still = np.zeros((TEAMS, 3, 2))
+    sim.restart(SOME)  # these pass the step by, and are looked at there alone
+    seen = sim.step(still)
+    state = sim.get_state()
+    np.testing.assert_array_equal(seen.observations, sim.observe())
+    other.set_state(state)
+    np.testing.assert_array_equal(other.step(still).observations, seen.observations)
+    places, table = state["positions"][:, :, None], state["obstacles"][:, None]
+    gaps = np.linalg.norm(places - table[..., 3:5], axis=-1) - table[..., 2]
+    nearest = np.where(table[..., 0] == 0, np.inf, gaps).min(axis=2)
+    np.testing.assert_allclose(seen.clearance, nearest, rtol=1e-12)

@@ -46,6 +46,7 @@ class Statistics(NamedTuple):
     initial_lyapunov: Floats  # V at the start of the episode, m²/s
     lyapunov: Floats  # V now, m²/s; follows from positions and weights
     min_clearance: Floats  # Least distance to an obstacle in this episode, m
+    clearance: Floats  # As of the last observation, m
     square_closest: Floats  # Least square distance of two neighbours as of the last observation, m²
 
 
@@ -56,7 +57,7 @@ STATISTICS = Statistics._fields
 def statistics_of(teams, block):
     """The Statistics of a block (an index)."""
     r = teams.statistics[block]
-    return Statistics(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8])
+    return Statistics(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9])
 
 
 @inner_kernel(inline="text")
@@ -188,6 +189,8 @@ class Teams(NamedTuple):
     merged_into: Annotated[Whole, "B n"]
     """The robot that each one is now part of; itself while it is active."""
     statistics: Annotated[Floats, "blocks statistics L"]  # The rows of Statistics
+    discs: Annotated[Floats, "blocks discs 3 L"]
+    """Of the obstacles those that are discs in the plane: centre and radius, m; NaN is none."""
 
 
 class BatchState(NamedTuple):
@@ -208,12 +211,9 @@ class BlockScratch(NamedTuple):
     """The displacement of each robot, and the length of its way, m."""
     tally: Annotated[Floats, "tally L"]  # The rows of Tally
     took_part: Annotated[Flags, "L n"]  # Which robots of a team that has merged existed before
-    pair: Annotated[Floats, "d+4 L"]  # The rows of Pair
+    pair: Annotated[Floats, "d+3 L"]  # The rows of Pair
     rows: Annotated[NDArray[np.float32], "n rows L·d"]
     """Observations, those of neighbours first; the d numbers of a lane side by side."""
-    centres: Annotated[Floats, "M d L"]  # Of the bounding balls of obstacles, m
-    bounds: Annotated[Floats, "M L"]  # Radii of the bounding balls, m; NaN is none
-    radii: Annotated[Floats, "M L"]  # Radii of discs in the plane, m; NaN is none
     disc: Annotated[Floats, "3 2 L"]  # What one robot sees of one disc, see SeenDisc
     keys: Annotated[NDArray[np.uint64], "2 L"]
     """Of the streams of sensing: of the episode, and of the step."""
@@ -225,17 +225,16 @@ class Pair(NamedTuple):
     """Two robots in every lane, and what has been found of all pairs so far."""
 
     offset: Floats  # (d, L), p_j − p_i, m
-    factor_ij: Floats  # (L,), of a_ij g_ij, 1/s
-    factor_ji: Floats  # (L,), of a_ij g_ji
+    factor: Floats  # (L,), of a_ij g_ij, 1/s
     half_lyapunov: Floats  # (L,), Σ a_ij ‖p_j − p_i‖, m²/s
     square_closest: Floats  # (L,), least ‖p_j − p_i‖² of neighbours, m²
 
 
 @inner_kernel(inline="text")
 def pair_of(rows, axes):
-    """The Pair whose rows these are, (d + 4, L): the offset stands first."""
+    """The Pair whose rows these are, (d + 3, L): the offset stands first."""
     d = len(axes)
-    return Pair(rows, rows[d], rows[d + 1], rows[d + 2], rows[d + 3])
+    return Pair(rows, rows[d], rows[d + 1], rows[d + 2])
 
 
 class SeenDisc(NamedTuple):

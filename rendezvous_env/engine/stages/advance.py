@@ -19,7 +19,6 @@ from ..memory import (
     PACKED,
     RUNNING,
     Place,
-    in_lanes,
     lane_count,
     load_team,
     obstacles_of,
@@ -63,38 +62,21 @@ def _mark_near(block, setup, teams, obstacles, lanes):
     """Mark teams where neighbours start within r + 2 v_max τ, or a robot within v_max τ of an
     obstacle.
     """
-    constants, layout = setup.constants, setup.layout
-    tally, statistics = tally_of(lanes.tally), statistics_of(teams, block.index)
+    constants, tally = setup.constants, tally_of(lanes.tally)
+    # as of the last observation, which is of the places where this step begins
+    statistics = statistics_of(teams, block.index)
     reach = constants.speed_limit * constants.duration * _ROUNDING
     square_reach = (constants.merge_radius * _ROUNDING + 2.0 * reach) ** 2
     if constants.packs:  # bodies touch whether or not they are neighbours
         square_reach = math.inf
-    for lane in range(lane_count(layout.width)):
-        # as of the last observation, which is of the places where this step begins
+    for lane in range(lane_count(setup.layout.width)):
         near = statistics.square_closest[lane] < square_reach
         tally.proximity[lane] = MOVED if near else FREE
     if obstacles is not None:
         if constants.contact_mode != IGNORE:
-            reach += _CLEARANCE
-            for m in range(lanes.centres.shape[0]):
-                centre, radius = lanes.centres[m], lanes.bounds[m]
-                for i in range(lanes.action.shape[0]):
-                    position = teams.positions[block.index, i]
-                    _mark_near_ball(layout, position, centre, radius, reach, tally.proximity)
-
-
-@inner_kernel(inline="code")
-def _mark_near_ball(layout, position, centre, radius, reach, proximity):
-    """Mark teams in which a robot is within reach of the bounding ball of an obstacle."""
-    if not (in_lanes(position, layout) and in_lanes(centre, layout)):
-        return
-    for lane in range(lane_count(layout.width)):
-        square = 0.0
-        for k in range(len(layout.axes)):
-            offset = centre[k, lane] - position[k, lane]
-            square += offset * offset
-        touch = radius[lane] + reach
-        proximity[lane] = MOVED if square < touch * touch else proximity[lane]
+            for lane in range(lane_count(setup.layout.width)):
+                near = statistics.clearance[lane] < reach + _CLEARANCE
+                tally.proximity[lane] = MOVED if near else tally.proximity[lane]
 
 
 @inner_kernel

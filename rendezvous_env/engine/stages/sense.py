@@ -40,7 +40,7 @@ def sense_block(block, setup, sensor, moves, state, output, scratch):
     square_closest = statistics_of(state.teams, block.index).square_closest
     for lane in range(lane_count(setup.layout.width)):
         square_closest[lane] = found.square_closest[lane]
-    sense_obstacles(block, setup, state, state.obstacles, output, scratch)
+    sense_obstacles(block, setup, moves, state, state.obstacles, output, scratch)
     _proprioception(block, setup, state.teams, scratch.block.rows)
     sense_by_chance(sensor, block, setup, moves, state, scratch)
     _give_out(block, setup, state.links, output, scratch, setup.layout.packs, setup.layout.axes)
@@ -54,25 +54,24 @@ def sense_block(block, setup, sensor, moves, state, output, scratch):
 def _sense_pairs(block, setup, teams, links, crowded, scratch):
     """Every pair once, in index order; a link that is absent weighs 0."""
     positions, frames, rows = teams.positions[block], teams.frames[block], scratch.block.rows
-    layout, found, e = setup.layout, pair_of(scratch.block.pair, setup.layout.axes), 0
+    layout, pair, e = setup.layout, scratch.block.pair, 0
     for i in range(positions.shape[0]):
         for j in range(i + 1, positions.shape[0]):
-            _sight(layout, positions[i], positions[j], links.weights[block, e], found)
+            _sight(layout, positions[i], positions[j], links.weights[block, e], pair)
             # in index order robot j is row j − 1 of robot i < j, and robot i is row i of robot j
-            _store_row(layout, found.offset, found.factor_ij, frames[i], rows[i, j - 1])
-            _store_row(layout, found.offset, found.factor_ji, frames[j], rows[j, i])
+            _store_row(layout, pair, 1.0, frames[i], rows[i, j - 1])
+            _store_row(layout, pair, -1.0, frames[j], rows[j, i])
             e += 1
 
 
 @inner_kernel(inline="code")
-def _sight(layout, position_i, position_j, gain, found):
-    """``sighting`` of two robots in every lane, (d, L) each."""
+def _sight(layout, position_i, position_j, gain, pair):
+    """``sighting`` of two robots in every lane, (d, L) each, into the rows of Pair."""
     if not (
-        in_lanes(position_i, layout)
-        and in_lanes(position_j, layout)
-        and in_lanes(found.offset, layout)
+        in_lanes(position_i, layout) and in_lanes(position_j, layout) and in_lanes(pair, layout)
     ):
         return
+    found = pair_of(pair, layout.axes)  # here: the rows of one array, which cannot overlap
     for lane in range(lane_count(layout.width)):
         offset, square, distance, factor = sighting(
             read(position_i, lane, layout.axes), read(position_j, lane, layout.axes), gain[lane]
@@ -81,18 +80,20 @@ def _sight(layout, position_i, position_j, gain, found):
         least = found.square_closest[lane]
         found.half_lyapunov[lane] += gain[lane] * distance
         found.square_closest[lane] = square if (gain[lane] > 0.0) & (square < least) else least
-        found.factor_ij[lane] = factor
-        found.factor_ji[lane] = -factor
+        found.factor[lane] = factor
 
 
 @inner_kernel(inline="code")
-def _store_row(layout, vector, factor, frame, row):
-    """Write factor × vector (d, L) into a row of observations, in the robots' frames (d², L)."""
-    if not (in_lanes(vector, layout) and in_lanes(frame, layout)):
+def _store_row(layout, pair, sign, frame, row):
+    """Write what one of a Pair sees of the other into a row of observations, in the robots' frames
+    (d², L); the sign is −1 for the second one.
+    """
+    if not (in_lanes(pair, layout) and in_lanes(frame, layout)):
         return
+    found = pair_of(pair, layout.axes)
     for lane in range(lane_count(layout.width)):
-        local, offset = read(frame, lane, layout.entries), read(vector, lane, layout.axes)
-        write_row(observed(local, offset, factor[lane]), row, lane)
+        local, offset = read(frame, lane, layout.entries), read(found.offset, lane, layout.axes)
+        write_row(observed(local, offset, sign * found.factor[lane]), row, lane)
 
 
 @inner_kernel(inline="code")

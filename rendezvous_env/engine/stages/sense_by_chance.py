@@ -204,9 +204,9 @@ def _keep(there, layout, row, lane):
 def _see_points(block, setup, errors, scratch):
     """Silhouettes, in the field of view, turned, and rounded."""
     rows, layout, words = scratch.block.rows, setup.layout, scratch.block.words
-    n, slots = rows.shape[0], scratch.block.centres.shape[0]
-    points = scratch.team.silhouette.shape[0]
+    n, points = rows.shape[0], scratch.team.silhouette.shape[0]
     own = first_row(setup.constants, rows)
+    slots = (rows.shape[1] - own) // points  # what is left over is a row of oneself
     turns = errors.bias > 0.0 or errors.noise > 0.0
     for i in range(n):
         for m in range(slots):

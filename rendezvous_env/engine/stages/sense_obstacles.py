@@ -13,7 +13,6 @@ from ...obstacles.obstacle_set import (
     silhouette_2d,
     silhouette_3d,
 )
-from ...obstacles.shape import ABSENT
 from ...physics.potential import net_bearings_of_arcs, net_bearings_of_links
 from ...physics.vectors import load, local_axis, to_local
 from ...rewards.terms import CLEARANCE_PENALTY
@@ -33,39 +32,42 @@ from ..memory import (
 )
 
 
-@inner_kernel(inline="code")
-def load_balls(block, layout, obstacles, scratch):
-    """Bring the bounding balls of a block's obstacles into lanes."""
+@inner_kernel
+def lay_out_discs(place, discs, obstacles):
+    """Bring the discs of a team into its lane; in space ``discs`` has room for none."""
     if obstacles is not None:
-        for lane in range(block.count):
-            team = block.first + lane
-            for m in range(scratch.centres.shape[0]):
-                kind, radius = obstacles.kinds[team, m], obstacles.shapes[team, m, RADIUS]
-                for k in range(len(layout.axes)):
-                    scratch.centres[m, k, lane] = obstacles.shapes[team, m, CENTRE + k]
-                scratch.bounds[m, lane] = radius if kind != ABSENT else np.nan
-                scratch.radii[m, lane] = radius if kind == BALL else np.nan
+        for m in range(discs.shape[1]):
+            shape, disc = obstacles.shapes[place.team, m], discs[place.block, m]
+            for k in range(2):
+                disc[k, place.lane] = shape[CENTRE + k]
+            is_disc = obstacles.kinds[place.team, m] == BALL
+            disc[2, place.lane] = shape[RADIUS] if is_disc else np.nan
 
 
 @inner_kernel(inline="code")
-def sense_obstacles(block, setup, state, obstacles, output, scratch):
+def sense_obstacles(block, setup, moves, state, obstacles, output, scratch):
     """Silhouettes, clearances, the least clearance of the episode, and closeness for the reward."""
     n, constants = state.teams.merged_into.shape[1], setup.constants
     # in one piece: the entries of a table would be filled one by one, without SIMD
     output.clearance.reshape(-1)[block.first * n : (block.first + block.count) * n] = np.inf
     if obstacles is not None:
+        if not moves:  # a state may have been put back
+            for lane in range(block.count):
+                place = Place(block.index, lane, block.first + lane)
+                lay_out_discs(place, state.teams.discs, obstacles)
         _see_discs(block, setup, state.teams, output.clearance, scratch.block, setup.layout.axes)
         _see_others(block, setup, state, obstacles, output.clearance, scratch, setup.layout.axes)
         tally = tally_of(scratch.block.tally)
         statistics = statistics_of(state.teams, block.index)
         weighs = constants.reward_weights[CLEARANCE_PENALTY] != 0.0
         for lane in range(block.count):
-            least, closeness = statistics.min_clearance[lane], 0.0
+            least, closeness = np.inf, 0.0
             for i in range(n):
                 clearance = output.clearance[block.first + lane, i]
                 least = min(least, clearance)
                 closeness += max(0.0, 1.0 - clearance / constants.obstacle_range)
-            statistics.min_clearance[lane] = least
+            statistics.clearance[lane] = least
+            statistics.min_clearance[lane] = min(statistics.min_clearance[lane], least)
             tally.closeness[lane] = closeness if weighs else 0.0
 
 
@@ -84,8 +86,8 @@ def _see_discs(block, setup, teams, clearance, scratch, axes):
             seen.nearest[:] = np.inf
             position, frame = teams.positions[block.index, i], teams.frames[block.index, i]
             slot = first_row(setup.constants, rows)
-            for m in range(scratch.centres.shape[0]):
-                _see_disc(layout, position, scratch.centres[m], scratch.radii[m], seen)
+            for m in range(teams.discs.shape[1]):
+                _see_disc(layout, position, teams.discs[block.index, m], seen)
                 _turn_into(layout, seen.left, frame, rows[i, slot])
                 _turn_into(layout, seen.right, frame, rows[i, slot + 1])
                 slot += 2
@@ -95,22 +97,22 @@ def _see_discs(block, setup, teams, clearance, scratch, axes):
 
 
 @inner_kernel(inline="code")
-def _see_disc(layout, position, centre, radius, seen):
+def _see_disc(layout, position, disc, seen):
     """Bearings of the two edges of a disc in the global frame, zero where it is not seen; a radius
     of NaN is no disc.
     """
     if not (
         in_lanes(position, layout)
-        and in_lanes(centre, layout)
+        and in_lanes(disc, layout)
         and in_lanes(seen.left, layout)
         and in_lanes(seen.right, layout)
     ):
         return
     for lane in range(lane_count(layout.width)):
-        ax, ay, bx, by, distance = disc_edges(
-            centre[0, lane] - position[0, lane], centre[1, lane] - position[1, lane], radius[lane]
-        )
-        gap = distance - radius[lane]
+        x, y, radius = disc[0, lane], disc[1, lane], disc[2, lane]
+        x, y = x - position[0, lane], y - position[1, lane]
+        ax, ay, bx, by, distance = disc_edges(x, y, radius)
+        gap = distance - radius
         near = gap <= seen.reach[lane]
         seen.nearest[lane] = gap if gap < seen.nearest[lane] else seen.nearest[lane]
         seen.left[0, lane] = ax if near else 0.0

@@ -23,7 +23,6 @@ from .advance import advance_block
 from .conclude import conclude_block
 from .propose import load_actions, propose_block, turn_block, update_frames
 from .sense import sense_block
-from .sense_obstacles import load_balls
 
 _EXPONENT = np.uint32(0x7F800000)  # The exponent bits of a float32
 _N_STATISTICS, _N_TALLY = len(STATISTICS), len(Tally._fields)
@@ -59,14 +58,12 @@ def _is_laid_out(setup, teams, scratch):
         and _ends(teams.frames, len(setup.layout.entries), lanes)
         and _ends(teams.memory, len(setup.robot.memories), lanes)
         and _ends(teams.statistics, _N_STATISTICS, lanes)
+        and _ends(teams.discs, 3, lanes)
         and _ends(scratch.action, len(setup.robot.inputs), lanes)
         and _ends(scratch.displacement, d + 1, lanes)
         and _ends(scratch.tally, _N_TALLY, lanes)
-        and _ends(scratch.pair, d + 4, lanes)
+        and _ends(scratch.pair, d + 3, lanes)
         and _ends(scratch.rows, scratch.rows.shape[1], lanes * d)
-        and _ends(scratch.centres, d, lanes)
-        and _ends(scratch.bounds, scratch.bounds.shape[0], lanes)
-        and _ends(scratch.radii, scratch.radii.shape[0], lanes)
         and scratch.disc.shape == (3, 2, lanes)
         and _ends(scratch.keys, 2, lanes)
         and _ends(scratch.words, 4, lanes)
@@ -85,7 +82,6 @@ def _step_block(index, moves, setup, sensor, state, actions, output, scratch):
     lanes, teams, robot = lane_count(setup.layout.width), state.teams, setup.robot
     first = index * lanes
     block = Block(index, first, min(lanes, len(actions) - first))
-    load_balls(block, setup.layout, state.obstacles, scratch.block)
     if moves:
         load_actions(block, teams, actions, scratch.block.action)
         propose_block(block, setup, teams, scratch.block)
