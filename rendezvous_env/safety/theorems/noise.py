@@ -90,6 +90,8 @@ def equal_gain_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     extent += (scenario.n_robots - 1) * (2.0 * math.pi * (dim - 1)) * strayed
     late_by = held_error(gains, scenario.tau, scenario.merge_radius)
     tolerated = float((largest_error(left, dim) - late_by).min())
+    if lost := given.errors_outlasted(scenario, asked, tolerated):
+        return Bounds(lost)
     if error == 0.0:  # two robots whose bearings are right move on one line
         late_by = np.where(left == 2, 0.0, late_by)
     time = float(known.held_time(scenario, extent, shrinking(left, dim, gains, error + late_by)))
