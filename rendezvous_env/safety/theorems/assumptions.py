@@ -257,8 +257,9 @@ def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> s
     heaviest links may be out of sight, the lightest takes the place of a*. Tanks may carry robots
     as far apart as V allows, V ≥ 2a* of it, or where levels follow V, 2(m−1)a*; headings at a
     margin lead a team aside by its size over ε before it has met, and links, which moves Δ shorten
-    by ‖Δ‖²/r, by √(r/‖Δ‖) of it; there 2⁻⁴⁶ will do. Where errors leave ``spare``, rad, of what is
-    tolerated, robots come nearer by that share of a step, and two are led aside by its inverse.
+    by ‖Δ‖²/r, by √(r/‖Δ‖) of it; there 2⁻⁴⁶ will do. Where errors leave ``spare``, a
+    number, rad, of what is tolerated, robots come nearer by that share of a step, and two are led
+    aside by 1/it.
     """
     starts, margin = scenario.start_positions, min(asked.min_alignment, spare)
     straight = margin if scenario.n_robots == 2 else asked.min_alignment
@@ -290,7 +291,7 @@ def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> s
 
 
 def errors_outlasted(scenario: Scenario, asked: Asked, tolerated: float) -> str:
-    """As ``outlasts_rounding``, where bearings may err by hardly less than is tolerated, rad."""
+    """As ``outlasts_rounding``, where errors are hardly less than is tolerated, a number, rad."""
     spare = tolerated - asked.error
     return outlasts_rounding(scenario, asked, spare) if asked.error and spare > ROUNDED else ""
 
