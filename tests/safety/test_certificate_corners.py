@@ -374,3 +374,8 @@ def test_a_wrapper_bears_the_errors_that_it_is_told_of(told, lengthened):
     for by in CHOICES:
         words = str(certificate(exact, MARGINS[by], by=by))
         assert ("rad if the wrapper is told so" in words) == (by in ("heading", "tank", "links"))
+        words = str(certificate(scenario, MARGINS[by], by=by))
+        assert ("told bearing_error=0.7" in words) == (by in ("heading", "tank", "links"))
+    turning = Scenario(robot_model="unicycle", sensing=Sensing(error=0.3))  # V, and no more
+    for by in ("heading", "tank"):
+        assert "all of this if the wrapper is told" in str(certificate(turning, 0.3, by=by))
