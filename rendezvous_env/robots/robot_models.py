@@ -59,7 +59,7 @@ class RobotModel:
     theorem: str | None = None
     """Which theorem covers its own law in continuous time, e.g. "theorem 3"."""
     bounded: bool = False
-    """Whether its action is its velocity: theorems 1, 2, A and C, and the bounds of theory 3."""
+    """Whether its action is its velocity, its bounds v_max: theorems 1, 2, A and C, theory 3."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.isidentifier():
@@ -153,22 +153,24 @@ def constants_of(scenario: Any, early: bool = False) -> Any:
             return constants
         remedy = "describe_motion must have said how that moves"
         raise ValueError(f"the constants of {who} are a {kind.__name__}; {remedy}")
-    for field, least in (("duration", tau), ("speed_limit", 0.0)):
-        value = getattr(constants, field, None)
-        if not isinstance(value, float) or not least <= value < math.inf:
-            if early and field == "duration":
-                return constants
-            wanted = f"the step, {least:g} s" if field == "duration" else "a float of 0 m/s or more"
-            refuse(f"{field} in the constants of {who}", value, wanted)
-    if model.bounded and constants.speed_limit != scenario.speed_limit:
-        wanted = f"the scenario's {scenario.speed_limit:g} m/s, since the model is bounded"
-        refuse(f"speed_limit in the constants of {who}", constants.speed_limit, wanted)
+    duration, limit = (getattr(constants, name, None) for name in ("duration", "speed_limit"))
+    if not isinstance(duration, float) or duration != tau:
+        if early:
+            return constants
+        refuse(f"duration in the constants of {who}", duration, f"the step, {tau:g} s")
+    if not isinstance(limit, float) or not 0.0 <= limit < math.inf:
+        refuse(f"speed_limit in the constants of {who}", limit, "a float of 0 m/s or more")
+    fastest = f"the scenario's {scenario.speed_limit:g} m/s, since the model is bounded"
+    if model.bounded and limit != scenario.speed_limit:
+        refuse(f"speed_limit in the constants of {who}", limit, fastest)
     bounds = floats(f"bounds of {who}", given)
     if bounds.ndim != 1 or not bounds.size:
         refuse(f"bounds of {who}", given, "a list of numbers")
     for k, bound in enumerate(bounds.tolist()):
         if not 0.0 <= bound < math.inf:  # 0: robots without links that have no speed given
             refuse(f"bounds[{k}] of {who}", bound, "finite, and 0 or more")
+        if model.bounded and bound != scenario.speed_limit:
+            refuse(f"bounds[{k}] of {who}", bound, fastest)
     # the package's own equations are tested, but not as those of another model
     if (early and model.bounded) or not kind.__module__.startswith(f"{__package__}."):
         try_equations(model, motion, constants, bounds, scenario.dim)

@@ -214,8 +214,16 @@ def test_a_bounded_model_moves_by_its_action(registry, share, turned, size):
         bounded=True,
     )
     if (share, turned, size) == (1.0, 1.0, 2):
+        for most in (0.02, 20.0):  # tanks would go more slowly, or be paid for more, than is so
+            other = dataclasses.replace(model, bounds=lambda s, most=most: [most] * size)
+            with pytest.raises(ValueError, match=r"bounds\[0\] .* must be the scenario's 4 m/s"):
+                rv.register_robot_model(other)
         rv.register_robot_model(model)
         assert rv.certificate(rv.Scenario(robot_model="walker")).guaranteed
+        long = dataclasses.replace(model, constants=lambda s: Bounded(2.0 * s.tau, s.speed_limit))
+        rv.register_robot_model(long, replace=True)
+        with pytest.raises(ValueError, match=r"duration .* it must be the step, 0\.025 s"):
+            rv.Simulator(rv.Scenario(robot_model="walker"))
         return
     message = "propose .* of 2 numbers, slowed down to 4 m/s at most, since the model is bounded"
     with pytest.raises(ValueError, match=message):

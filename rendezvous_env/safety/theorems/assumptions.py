@@ -13,7 +13,7 @@ from ...sensors.sensing import Sensing
 from ..gains import gain_range
 from ..settings import is_complete
 from . import constants as known
-from .theorem import Asked, Assumption
+from .theorem import ROUNDED, Asked, Assumption
 
 _LEAST_MOVE, _LEAST_FAR_OUT, _LEAST_GAIN = 2.0**-40, 2.0**-46, 2.0**-52
 """Of the largest coordinate: float64 rounds positions by up to 2⁻⁵³ of it."""
@@ -251,37 +251,49 @@ def rows_for_all(scenario: Scenario, asked: Asked) -> str:
     )
 
 
-def outlasts_rounding(scenario: Scenario, asked: Asked) -> str:
+def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> str:
     """A step at the least speed that is promised, τ a* λ ε or τ c, moves robots by 2⁻⁴⁰ of their
     largest coordinate or more, and brings them nearer, by ε times that, by 2⁻⁵² or more. Where the
     heaviest links may be out of sight, the lightest takes the place of a*. Tanks may carry robots
-    as far apart as V allows, V ≥ 2a* of it, or where levels follow V, 2(m−1)a*; and headings at a
-    margin lead a team aside by its size over ε before it has met; there 2⁻⁴⁶ will do.
+    as far apart as V allows, V ≥ 2a* of it, or where levels follow V, 2(m−1)a*; headings at a
+    margin lead a team aside by its size over ε before it has met, and links, which moves Δ shorten
+    by ‖Δ‖²/r, by √(r/‖Δ‖) of it; there 2⁻⁴⁶ will do. Where errors leave ``spare``, a
+    number, rad, of what is tolerated, robots come nearer by that share of a step, and two are led
+    aside by 1/it.
     """
-    starts, margin = scenario.start_positions, asked.min_alignment
+    starts, margin = scenario.start_positions, min(asked.min_alignment, spare)
+    straight = margin if scenario.n_robots == 2 else asked.min_alignment
     largest = scenario.spawn_size / 2.0 if starts is None else float(np.abs(starts).max())
+    apart = scenario.spawn_size if starts is None else float(np.ptp(starts, axis=0).max())
     unseen = nearest_hides(scenario) or (asked.by == "links" and scenario.sensing.range is not None)
     speed = known.lightest_link(scenario) if unseen else scenario.bottleneck_weight
-    needed = largest * max(_LEAST_MOVE, _LEAST_GAIN / margin)
-    if asked.by in ("heading", "tank"):
-        apart = scenario.spawn_size if starts is None else float(np.ptp(starts, axis=0).max())
-        if asked.by == "tank":
-            most, each = known.tank_bounds(scenario, min(asked.budget, LARGEST))
-            apart += (most if each is None else each) / (2.0 * speed)
-        far = largest + apart / margin
-        if (there := far * max(_LEAST_FAR_OUT, _LEAST_GAIN / margin)) > needed:
-            largest, needed = far, there
+    if asked.by == "tank":
+        most, each = known.tank_bounds(scenario, min(asked.budget, LARGEST))
+        apart += (most if each is None else each) / (2.0 * speed)
     if asked.by == "gains":
         speed = gain_range(scenario, asked.min_gain, asked.max_gain)[0]
     speed = min(speed, scenario.speed_limit, scenario.merge_radius / (2.0 * scenario.tau))
-    moved = scenario.tau * speed * margin * (asked.share if asked.by == "links" else 1.0)
+    moved = scenario.tau * speed * asked.min_alignment
+    needed, rate = (max(least, _LEAST_GAIN / margin) for least in (_LEAST_MOVE, _LEAST_FAR_OUT))
+    needed, far = needed * largest, largest + apart / straight
+    if asked.by == "links":  # where moved = rate * far
+        moved *= asked.share
+        far = (apart / straight) ** (2.0 / 3.0) * (scenario.merge_radius / rate) ** (1.0 / 3.0)
+    if needed <= moved < rate * far:
+        largest, needed = far, rate * far
     if moved >= needed:
         return ""
     return (
         f"none: a step may move robots by as little as {moved:.3g} m, which rounding takes from "
         f"coordinates of {largest:.4g} m; it must be {needed:.3g} m or more: make time_step, or "
-        "the weights of links, larger, or the world smaller"
+        f"the weights of links, larger, or the world {'or errors ' * (spare < 1.0)}smaller"
     )
+
+
+def errors_outlasted(scenario: Scenario, asked: Asked, tolerated: float) -> str:
+    """As ``outlasts_rounding``, where errors are hardly less than is tolerated, a number, rad."""
+    spare = tolerated - asked.error
+    return outlasts_rounding(scenario, asked, spare) if asked.error and spare > ROUNDED else ""
 
 
 IN_STEPS = (rows_for_all, outlasts_rounding)
@@ -292,6 +304,8 @@ TEAM = (undirected, connected, velocity_inputs, *IN_STEPS)
 """Robots that are linked for good, whatever they see."""
 LASTING_LINKS = (undirected, connected, known_bodies, bounded_errors, all_neighbours_seen)
 """The theorems about V."""
+KEPT = (*LASTING_LINKS, outlasts_rounding)
+"""Those of them by which V, or V + ΣA, keeps to a bound: rounding neither raises nor pays."""
 UNHINDERED = (*LASTING_LINKS, nothing_in_the_way, velocity_inputs, *IN_STEPS)
 """Those of them that promise a time."""
 TURNING = (*LASTING_LINKS, nothing_in_the_way, robots_turn, exact_bearings, rows_for_all)

@@ -74,8 +74,8 @@ class Certificate:
     bearing_error: float = 0.0
     """η, rad: by how much bearings may be wrong here. The wrapper must be given it too."""
     tolerated_bearing_error: float = 0.0
-    """η, rad, inputs held, below which a theorem still promises a rendezvous, but for 2⁻²² rad that
-    rounding may add."""
+    """η, rad, inputs held, below which a theorem still promises a rendezvous, but for what rounding
+    may take: 2⁻²² rad, more in short steps."""
     expected_time_bound: float = math.inf
     """What the mean time to rendezvous never exceeds under noise that each step draws anew, s."""
     scenario: str = "custom"
@@ -106,8 +106,11 @@ class Certificate:
         promises, free = self.promises.items(), " in motion without a contact"
         free *= self.touches_obstacles
         kept = [_KEPT[name].format(bound, free) for name, bound in promises if name in _KEPT]
+        hears = self.by in ("heading", "tank", "links")
+        if kept and hears and self.bearing_error > 0:
+            kept.append(f"all of this if the wrapper is told bearing_error={self.bearing_error}")
         if self.tolerated_bearing_error > 0:
-            told = " if the wrapper is told so" * (self.by in ("heading", "tank", "links"))
+            told = " if the wrapper is told so" * hears
             kept.append(f"bearings may err by up to {self.tolerated_bearing_error:.3g} rad{told}")
         first = f"{self.scenario} under {CHOICES[self.by]}: {self.theorem}"
         numbers = "; ".join(kept) or "No other number is promised."

@@ -86,5 +86,5 @@ THEOREMS = (
     _A,
     Theorem("V", ("law",), _LAW_V, lyapunov_bounds, False, "descent"),
     _C,
-    Theorem("V", ("heading",), given.LASTING_LINKS, lyapunov_bounds, False, "descent"),
+    Theorem("V", ("heading",), given.KEPT, lyapunov_bounds, False, "descent"),
 )

@@ -98,6 +98,8 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     rates = 4.0 * asked.share * degrees * speeds * sure**2 / left
     counted = reach is None or known.kind_of_links(scenario.sensing_graph) == known.PROXIMITY
     time, tolerated = known.held_time(scenario, most, rates), math.pi / (2.0 * n)
+    if lost := given.errors_outlasted(scenario, asked, tolerated):
+        return Bounds(lost)
     words = (
         "theorem R: whatever is wanted, no link in sight grows longer between merges, and all "
         "robots meet in finite time"

@@ -19,8 +19,9 @@ between merges, and T ≤ V0⁺ max_m m/(q_m² s_min) + (n−1) τ if all q_m = 
 (1+ε) m D̄_m sin(η/2), β = ½, are positive; where V/(m−1) never rises at merges also with V(0)/(n−1)
 and q_m²/(m−1) in place of V0⁺ and q_m².
 
-**E[T].** Noise drawn anew for every bearing and step, τ = θ r/(2D̄), γ = exp(−σ²/2): E[T] ≤
-(V0⁺ + n(n−1) r θ D̄)/p if p = min_m 4c_m²/m γ(2−θγ) − θ(1−γ²) Σ a_ij² is positive.
+**E[T].** Noise drawn anew for every bearing and step, τ = θ r/(2D̄), γ = exp(−σ²/2) − 2⁻²²σ, as
+float32 draws it: E[T] ≤ (V0⁺ + n(n−1) r θ D̄)/p if p = min_m 4c_m²/m γ(2−θγ) − θ(1−γ²) Σ a_ij² is
+positive.
 
 Proofs: docs/proofs.md, N to E[T].
 """
@@ -36,7 +37,7 @@ from ..settings import error_chord
 from . import assumptions as given
 from . import constants as known
 from .gains import shrinking
-from .theorem import Asked, Bounds, Theorem, bounds_with_errors
+from .theorem import ROUNDED, Asked, Bounds, Theorem, bounds_with_errors
 
 Array = NDArray[np.float64]
 
@@ -90,6 +91,8 @@ def equal_gain_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     extent += (scenario.n_robots - 1) * (2.0 * math.pi * (dim - 1)) * strayed
     late_by = held_error(gains, scenario.tau, scenario.merge_radius)
     tolerated = float((largest_error(left, dim) - late_by).min())
+    if lost := given.errors_outlasted(scenario, asked, tolerated):
+        return Bounds(lost)
     if error == 0.0:  # two robots whose bearings are right move on one line
         late_by = np.where(left == 2, 0.0, late_by)
     time = float(known.held_time(scenario, extent, shrinking(left, dim, gains, error + late_by)))
@@ -169,8 +172,8 @@ def noisy_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     if scaled or scenario.speed_limit < degree:
         return Bounds()
     theta = 2.0 * degree * scenario.tau / scenario.merge_radius
-    gamma, weights = math.exp(-0.5 * scenario.sensing.noise**2), graph.links(n)[2]
-    weights = weights * graph.weight_range[1]
+    noise, weights = scenario.sensing.noise, graph.links(n)[2] * graph.weight_range[1]
+    gamma = math.exp(-0.5 * noise**2) - ROUNDED * noise
     scattered = theta * (1.0 - gamma**2) * 2.0 * float(weights @ weights)
     fall = known.least_bearing_square(scenario) * gamma * (2.0 - theta * gamma) - scattered
     most = known.lyapunov_bound(scenario, reach=degree * scenario.tau)

@@ -16,7 +16,7 @@ CHOICES = {
     "links": "link-keeping",
 }
 """What keeps the guarantee, by the name that ``certificate`` knows, in words."""
-_ROUNDED = 2.0**-22
+ROUNDED = 2.0**-22
 """By so much, rad, float32 may turn a bearing, and some more."""
 PROMISED = ("time", "lyapunov", "hull", "link_growth", "expected_time")
 """The fields of Bounds that are promised of the environment as it steps."""
@@ -59,7 +59,7 @@ def bounds_with_errors(
     ``tolerated``, rad; else that the time overflows, or why η is too large for ``who``; of η = 0
     nothing is to be said (guarantees 11). ``rest`` are numbers that hold all the same.
     """
-    borne = asked.error < tolerated - (_ROUNDED if asked.error > 0.0 else 0.0)
+    borne = asked.error < tolerated - (ROUNDED if asked.error > 0.0 else 0.0)
     meets = math.isfinite(time) and (borne or asked.error == 0.0)
     if not meets and borne:
         words = (
