@@ -1,5 +1,6 @@
 """OUT is whole or not there; what was finished is gone on with; one process at a time writes."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -197,11 +198,13 @@ class TestPlace:
         assert [path.name for path in finished.out.parent.iterdir()] == ["out"]
 
     def test_a_finished_part_is_put_in_place_and_not_played_again(self, finished, monkeypatch):
-        changed = self.killed_at(finished, monkeypatch, "promote", 1)
+        summary = finished.out.with_name("short.json")
+        settings = compare.Config(**vars(finished) | {"json": summary})
+        changed = self.killed_at(settings, monkeypatch, "promote", 1)
         with monkeypatch.context() as patch:
             patch.setattr(playing, "play_job", lambda *given, **options: 1 / 0)
             assert compare.run(changed) == 0
-        assert read(finished.out).run["seed"] == 9
+        assert read(finished.out).run["seed"] == json.loads(summary.read_text())["seed"] == 9
         self.killed_at(finished, monkeypatch, "promote", 1)
         assert compare.run(compare.Config(**vars(finished) | {"seed": 3})) == 0
         assert read(finished.out).run["seed"] == 3

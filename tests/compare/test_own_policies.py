@@ -45,6 +45,9 @@ def flat(scenario):
 
 def fails(scenario):
     return lambda observations, time: observations.colour
+
+def of_one_team(scenario):
+    return lambda observations, time: [[[0.0, 0.0]] * scenario.n_robots]
 '''
 
 
@@ -124,6 +127,16 @@ def test_what_is_wrong_is_said_before_any_work(mine, tmp_path, name, message):
     with pytest.raises(UserError, match=message.replace("MINE", mine)):
         render.run(drawn)
     assert not drawn.out.parent.exists()
+
+
+def test_what_goes_wrong_later_is_told_with_whose_it_is(mine, tmp_path, monkeypatch):
+    monkeypatch.setattr(tasks, "_ALONE", 0.0)
+    names, out = (f"{mine}:law", f"{mine}:of_one_team"), tmp_path / "out"
+    given = {"scenarios": ("duo",), "policies": names, "episodes": 4, "out": out}
+    for jobs in (1, 2):
+        with pytest.raises(ValueError, match=r"actions have shape \(1, 2, 2\)") as caught:
+            compare.run(compare.Config(**given, jobs=jobs, fresh=True))
+        assert caught.value.__notes__ == [f"policy {names[1]!r} on scenario 'duo'"]
 
 
 def test_no_file_of_a_user_stands_in_for_a_module_of_others(mine, tmp_path):

@@ -57,12 +57,18 @@ def by_scenario(played: Sequence[Played]) -> dict[str, dict[str, Episodes]]:
 def play_job(
     job: Job, *, episodes: int, seed: int, keep: int = 0, steps: int | None = None
 ) -> Played:
-    """Play one job; the arguments are those of ``evaluation.play``."""
+    """Play one job; the arguments are those of ``evaluation.play``. What a policy raises has a note
+    whose it is.
+    """
     make = partial(policies.make, job.policy, job.scenario)
-    margin = policies.promised_margin(job.policy, make())
-    done, recordings = play(
-        job.scenario, make, margin=margin, episodes=episodes, seed=seed, keep=keep, steps=steps
-    )
+    try:
+        margin = policies.promised_margin(job.policy, make())
+        done, recordings = play(
+            job.scenario, make, margin=margin, episodes=episodes, seed=seed, keep=keep, steps=steps
+        )
+    except Exception as error:
+        error.add_note(f"policy {job.policy!r} on scenario {job.scenario.name!r}")
+        raise
     return Played(job, done, dict(enumerate(recordings)))
 
 
