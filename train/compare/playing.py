@@ -16,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rendezvous_env.scenario.scenario import Scenario
 
 from .. import policies
+from ..checks import UserError
 from ..console import Console
 from ..recording import Recording
 from ..resume import Part, program
@@ -126,13 +127,17 @@ def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
     starts, kept = config.starts(job.scenario), config.kept(job.scenario)
     # what was registered from outside is known to this process alone
     typed_in = ":" not in job.policy and registry.kind_of(job.policy) == "own"
+    is_learned = policies.learned_path(job.policy, job.scenario) is not None
+    weights = _weights(job.policy, [job.scenario]) if is_learned else None
     return [
         Task(
             name=f"job-{number:04d}-{first:06d}",
             label=f"{job.scenario.name} · {job.policy}",
             scenario=job.scenario,
             count=(count := min(BLOCK, starts - first)),
-            work=partial(play_block, job, first, count, config.seed, min(count, kept - first)),
+            work=partial(
+                play_block, job, first, count, config.seed, min(count, kept - first), weights
+            ),
             stays=typed_in,
         )
         for first in range(0, starts, BLOCK)
@@ -144,10 +149,13 @@ def stays_here(task: Task) -> bool:
     return task.stays or policies.is_registered_here(task.scenario)
 
 
-def play_block(job: Job, first: int, count: int, seed: int, keep: int) -> Played:
+def play_block(
+    job: Job, first: int, count: int, seed: int, keep: int, weights: str | None
+) -> Played:
     """Play ``count`` starts of a job, from number ``first`` on; ``seed`` is that of start 0.
 
-    The first ``keep`` are recorded and, of the first block, the first failure beyond these.
+    The first ``keep`` are recorded and, of the first block, the first failure beyond these. A
+    UserError if a learned policy has not the ``weights`` of this digest any more.
     """
     began = time.perf_counter()
     make_ready(job, min(count, TOGETHER))
@@ -161,6 +169,11 @@ def play_block(job: Job, first: int, count: int, seed: int, keep: int) -> Played
         # played alone, a network may round otherwise: a replay that differs is not shown
         if again.episodes.time[0] == done.episodes.time[start] and not again.episodes.good[0]:
             kept[start] = again.recordings[0]
+    if weights is not None and _weights(job.policy, [job.scenario]) != weights:
+        raise UserError(
+            f"policy {job.policy!r}: has other weights than when the comparison began, as a run "
+            "that still trains; compare a copy of it"
+        )
     return Played(job, done.episodes, kept, ready)
 
 
