@@ -4,6 +4,7 @@ Policies: those of the registry; ``learned:PATH`` of a run, a checkpoint or an e
 ``module:function``, a user's own. Scenarios: by name or TOML file.
 """
 
+import hashlib
 import importlib
 import inspect
 import os
@@ -40,6 +41,8 @@ _ON_REQUEST = ("blind", "privileged")
 """Kinds of policies that are compared where they are named."""
 _WHERE_SENSORS_ERR = ("learned-tank-noise",)
 """Policies without an advantage where sensors are exact."""
+_found: dict[str, tuple[Any, str | None]] = {}
+"""Functions of users as this process has imported them, with the digests of their files."""
 
 
 def kind_of(name: str) -> str:
@@ -99,14 +102,14 @@ def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
     ]
 
 
-def source_file(name: str) -> Path | None:
-    """The file in which a policy without weights is made; None if there is none."""
+def source_digest(name: str) -> str | None:
+    """Digest of the file in which a policy without weights is made, of a user's as this process has
+    imported it; None if there is none.
+    """
     if not is_user_policy(name):
-        return file_of(builder_of(name))
-    if found := file_of(find_function(name)):
-        return found
-    place = getattr(sys.modules[name.partition(":")[0]], "__file__", None)
-    return None if place is None else Path(place)
+        return _digest_of(file_of(builder_of(name)))
+    find_function(name)
+    return _found[name][1]
 
 
 def best(scenario: Scenario) -> str:
@@ -201,7 +204,32 @@ def find_function(name: str) -> Callable[[Scenario], Policy | None]:
             f"policy {name!r}: {function_name} in {module_name} is {shown(function)}; it must be a "
             "function of a scenario that gives a policy"
         )
+    if name not in _found or _found[name][0] is not function:
+        _found[name] = function, _digest_of(_file_of(function, module))
     return function
+
+
+def _file_of(function: Callable[..., Any], module: Any) -> Path | None:
+    """The file of a user's function; that of its module for an object that can be called."""
+    place = file_of(function) or getattr(module, "__file__", None)
+    return None if place is None else Path(place)
+
+
+def _digest_of(path: Path | None) -> str | None:
+    return None if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _check_fresh(name: str) -> None:
+    """Refuse a function whose file was edited since this process has imported it: others would
+    import another one.
+    """
+    function, digest = find_function(name), source_digest(name)
+    place = _file_of(function, sys.modules[name.partition(":")[0]])
+    if _digest_of(place) != digest:
+        raise UserError(
+            f"policy {name!r}: {place} was edited since this program imported it; importlib.reload "
+            "it, or begin anew"
+        )
 
 
 def _make_own(name: str, scenario: Scenario) -> Policy | None:
@@ -219,6 +247,7 @@ def _make_own(name: str, scenario: Scenario) -> Policy | None:
 
 def _fits_own(name: str, scenario: Scenario) -> bool:
     """Whether it steers the robots of a scenario, tried for one step."""
+    _check_fresh(name)
     if (policy := _make_own(name, scenario)) is None:
         return False
     simulator = Simulator(scenario, 1)

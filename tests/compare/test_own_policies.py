@@ -1,7 +1,9 @@
 """A user's own policies by ``module:function``, out of the folder in which the command runs."""
 
 import csv
+import importlib
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -89,13 +91,37 @@ def test_where_it_gives_none_it_is_left_out(mine, tmp_path):
     assert policies.kind_of(names[0]) == "own" and policies.about(names[0]) == ""
 
 
+def edit(mine):
+    place = Path(f"{mine}.py")
+    place.write_text(place.read_text() + "\n# another law\n")
+
+
 def test_another_source_is_another_comparison(mine, tmp_path):
+    """Once it is imported: worker processes would import the one, this process has the other."""
     config = compare.Config(scenarios=("duo",), policies=(f"{mine}:law",), out=tmp_path / "out")
-    jobs = compare.plan(config)
-    first = playing.plan_of(jobs, config)
-    with (tmp_path / f"{mine}.py").open("a") as file:
-        file.write("\n# another law\n")
-    assert resume.run_id(first) != resume.run_id(playing.plan_of(jobs, config))
+    first = playing.plan_of(compare.plan(config), config)
+    edit(mine)
+    with pytest.raises(UserError, match=r"was edited since this program imported it; importlib"):
+        compare.plan(config)
+    with pytest.raises(UserError, match="was edited since"):
+        policies.tried(f"{mine}:law", rv.Scenario(n_robots=3))
+    importlib.reload(sys.modules[mine])
+    again = playing.plan_of(compare.plan(config), config)
+    assert resume.run_id(first) != resume.run_id(again)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_rows_are_of_one_source(jobs, mine, tmp_path, monkeypatch):
+    """An edit in the midst of a comparison reaches workers, which have imported nothing yet."""
+    monkeypatch.setattr(tasks, "_ALONE", 0.0)
+    monkeypatch.setattr(compare, "plan_of", lambda *given: (playing.plan_of(*given), edit(mine))[0])
+    given = {"scenarios": ("duo",), "policies": (f"{mine}:law",), "episodes": 3, "figures": False}
+    config = compare.Config(**given, jobs=jobs, out=tmp_path / "out")
+    if jobs == 1:
+        assert compare.run(config) == 0
+        return
+    with pytest.raises(UserError, match="was changed since the comparison began"):
+        compare.run(config)
 
 
 @pytest.mark.parametrize(

@@ -106,8 +106,9 @@ def _weights(policy: str, scenarios: Sequence[Scenario]) -> str | None:
     if learned and not learned[0].is_file():
         found = [checkpoints.describe(checkpoints.find(place))["sha256"] for place in learned]
         return " ".join(map(str, found))
-    path = learned[0] if learned else policies.source_file(policy)
-    return None if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
+    if learned:
+        return hashlib.sha256(learned[0].read_bytes()).hexdigest()
+    return policies.source_digest(policy)
 
 
 @dataclass(frozen=True)
@@ -127,8 +128,7 @@ def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
     starts, kept = config.starts(job.scenario), config.kept(job.scenario)
     # what was registered from outside is known to this process alone
     typed_in = ":" not in job.policy and registry.kind_of(job.policy) == "own"
-    is_learned = policies.learned_path(job.policy, job.scenario) is not None
-    weights = _weights(job.policy, [job.scenario]) if is_learned else None
+    weights = _weights(job.policy, [job.scenario]) if ":" in job.policy else None
     return [
         Task(
             name=f"job-{number:04d}-{first:06d}",
@@ -155,7 +155,7 @@ def play_block(
     """Play ``count`` starts of a job, from number ``first`` on; ``seed`` is that of start 0.
 
     The first ``keep`` are recorded and, of the first block, the first failure beyond these. A
-    UserError if a learned policy has not the ``weights`` of this digest any more.
+    UserError if the policy's ``_weights`` are not the given ones any more.
     """
     began = time.perf_counter()
     make_ready(job, min(count, TOGETHER))
@@ -171,8 +171,8 @@ def play_block(
             kept[start] = again.recordings[0]
     if weights is not None and _weights(job.policy, [job.scenario]) != weights:
         raise UserError(
-            f"policy {job.policy!r}: has other weights than when the comparison began, as a run "
-            "that still trains; compare a copy of it"
+            f"policy {job.policy!r}: was changed since the comparison began, as a run that still "
+            "trains or a file that is edited; compare a copy of it"
         )
     return Played(job, done.episodes, kept, ready)
 
