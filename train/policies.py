@@ -12,7 +12,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +24,12 @@ from rendezvous_env.baselines.steering import can_steer
 
 from rendezvous_env import baselines
 from rendezvous_env.checks import shown
-from rendezvous_env.graphs.random_graphs import CustomFamily
-from rendezvous_env.rewards.custom_terms import COSTS
+from rendezvous_env.graphs.random_graphs import FAMILIES, CustomFamily
+from rendezvous_env.rewards.custom_terms import COSTS, TERMS
 from rendezvous_env.robots.robot_models import is_custom
 from rendezvous_env.scenario import scenarios
 from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.sensors.custom_sensors import IMPERFECTIONS
 from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, begin
 
@@ -103,11 +104,11 @@ def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
 
 
 def source_digest(name: str) -> str | None:
-    """Digest of the file in which a policy without weights is made, of a user's as this process has
-    imported it; None if there is none.
+    """The ``digest_of`` what makes a policy without weights; of ``module:function`` its file's, as
+    this process has imported it.
     """
     if not is_user_policy(name):
-        return _digest_of(file_of(builder_of(name)))
+        return digest_of(builder_of(name))
     find_function(name)
     return _found[name][1]
 
@@ -177,9 +178,36 @@ def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
 
 def is_registered_here(scenario: Scenario) -> bool:
     """Whether a scenario speaks of what somebody has registered, which this process alone knows."""
-    named = scenario.sensing.custom or scenario.reward.custom or {*scenario.costs} - {*COSTS}
-    family = isinstance(scenario.sensing_graph, CustomFamily)
-    return bool(named) or family or is_custom(scenario.model)
+    return bool(_registered(scenario))
+
+
+def registered(scenario: Scenario) -> list[tuple[str, str | None]]:
+    """What somebody has registered and a scenario speaks of, with the ``digest_of`` its function,
+    of a robot model that of its constants.
+    """
+    return [(name, digest_of(function)) for name, function in _registered(scenario)]
+
+
+def _registered(scenario: Scenario) -> list[tuple[str, Callable[..., Any]]]:
+    graph, model = scenario.sensing_graph, scenario.model
+    terms = sorted({*dict(scenario.reward.custom), *scenario.costs} - {*COSTS})
+    return [
+        *((name, IMPERFECTIONS[name]) for name in scenario.sensing.custom),
+        *((name, TERMS[name]) for name in terms),
+        *([(graph.kind, FAMILIES[graph.kind])] if isinstance(graph, CustomFamily) else []),
+        *([(model.name, model.constants)] if is_custom(model) else []),
+    ]
+
+
+def digest_of(function: Callable[..., Any]) -> str | None:
+    """Digest of the file in which a function is written, or of its own lines in a notebook; None
+    where nobody knows them.
+    """
+    if (path := file_of(function)) is not None:
+        return _digest_of(path)
+    with suppress(OSError, TypeError):
+        return hashlib.sha256(inspect.getsource(function).encode()).hexdigest()
+    return None
 
 
 def is_user_policy(name: str) -> bool:

@@ -2,6 +2,7 @@
 
 import csv
 import importlib
+import linecache
 import sys
 from pathlib import Path
 
@@ -189,3 +190,53 @@ def test_a_scenario_of_ones_own_is_played_where_it_is_known():
         config = compare.Config(scenarios=(scenario,), policies=("bearing-only",), episodes=3)
         job = playing.Job(scenario, "bearing-only")
         assert {*map(playing.stays_here, playing.blocks_of(0, job, config))} == {stays}
+
+
+OWN = """
+import rendezvous_env as rv
+from baselines.policy import register
+
+@rv.sensor_imperfection("plan-sensor")
+def changed(seen):
+    seen.neighbours *= 1.0
+
+@rv.reward_term("plan-term")
+def changed(step):
+    return 1.0 * step.time
+
+@rv.graphs.family("plan-family")
+def changed(n, random):
+    return [(0, i) for i in range(1.0 > 0, n)]
+
+@register("plan-law", fits=lambda scenario: True)
+def changed(scenario):
+    return lambda seen, time: 1.0 * seen[..., 0, :]
+"""
+
+
+@pytest.mark.parametrize("in_file", [True, False])
+def test_whatever_is_registered_is_part_of_a_plan(in_file, tmp_path, registry):
+    """Else an edit between Ctrl-C and the same command again mixes old cells with new ones."""
+    cell = tmp_path / "cell.py"
+
+    def planned(source):
+        if in_file:
+            cell.write_text(source)
+        lines = source.splitlines(keepends=True)
+        linecache.cache[str(cell)] = len(source), None, lines, str(cell)  # as notebooks do
+        exec(compile(source, cell, "exec"), {"__name__": "cell"})
+        for how in (
+            {"sensing": rv.Sensing(custom=("plan-sensor",))},
+            {"reward": rv.RewardWeights(custom={"plan-term": 1.0})},
+            {"costs": ("plan-term",)},
+            {"graph": "plan-family"},
+            {},
+        ):
+            scenario = rv.Scenario(n_robots=3, **how)
+            policy = "zero" if how else "plan-law"
+            config = compare.Config(scenarios=(scenario,), policies=(policy,), out=tmp_path)
+            yield resume.run_id(playing.plan_of([playing.Job(scenario, policy)], config))
+
+    first, same, other = (list(planned(OWN.replace("1.0", rate))) for rate in ("1.0", "1.0", "2.0"))
+    assert first == same
+    assert all(one != another for one, another in zip(first, other, strict=True))

@@ -87,6 +87,7 @@ def plan_of(jobs: Sequence[Job], config: Config) -> dict[str, Any]:
         **program(),
         **{name: getattr(config, name) for name in ("seed", "episodes", "keep", "ceiling")},
         "scenarios": [scenario.to_plain() for scenario in scenarios],
+        "registered functions": [policies.registered(scenario) for scenario in scenarios],
         "policies": [
             [job.policy for job in jobs if job.scenario == scenario] for scenario in scenarios
         ],
