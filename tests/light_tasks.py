@@ -44,3 +44,13 @@ def product(task):
     shapes = (4000, 128), (128, 128), (128, 14)
     rows, *weights = (random.normal(size=shape).astype(np.float32) for shape in shapes)
     return (rows @ weights[0] @ weights[1]).tobytes()
+
+
+def torch_product(task):
+    """A product as torch has it, of as few rows as a team, as bytes."""
+    import numpy as np
+    import torch
+
+    random = np.random.default_rng(task)
+    rows, weights = (torch.tensor(random.normal(size=shape)) for shape in ((7, 512), (512, 512)))
+    return (rows.float() @ weights.float()).numpy().tobytes()

@@ -4,14 +4,16 @@ Policies: those of the registry; ``learned:PATH`` of a run, a checkpoint or an e
 ``module:function``, a user's own. Scenarios: by name or TOML file.
 """
 
+import hashlib
 import importlib
 import inspect
 import os
 import re
+import struct
 import sys
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +25,12 @@ from rendezvous_env.baselines.steering import can_steer
 
 from rendezvous_env import baselines
 from rendezvous_env.checks import shown
-from rendezvous_env.graphs.random_graphs import CustomFamily
-from rendezvous_env.rewards.custom_terms import COSTS
+from rendezvous_env.graphs.random_graphs import FAMILIES, CustomFamily
+from rendezvous_env.rewards.custom_terms import COSTS, TERMS
 from rendezvous_env.robots.robot_models import is_custom
 from rendezvous_env.scenario import scenarios
 from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.sensors.custom_sensors import IMPERFECTIONS
 from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, begin
 
@@ -40,6 +43,8 @@ _ON_REQUEST = ("blind", "privileged")
 """Kinds of policies that are compared where they are named."""
 _WHERE_SENSORS_ERR = ("learned-tank-noise",)
 """Policies without an advantage where sensors are exact."""
+_found: dict[str, tuple[Any, str | None]] = {}
+"""Functions of users as this process has imported them, with the digests of their files."""
 
 
 def kind_of(name: str) -> str:
@@ -99,14 +104,14 @@ def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
     ]
 
 
-def source_file(name: str) -> Path | None:
-    """The file in which a policy without weights is made; None if there is none."""
+def source_digest(name: str) -> str | None:
+    """The ``digest_of`` what makes a policy without weights; of ``module:function`` its file's, as
+    this process has imported it.
+    """
     if not is_user_policy(name):
-        return file_of(builder_of(name))
-    if found := file_of(find_function(name)):
-        return found
-    place = getattr(sys.modules[name.partition(":")[0]], "__file__", None)
-    return None if place is None else Path(place)
+        return digest_of(builder_of(name))
+    find_function(name)
+    return _found[name][1]
 
 
 def best(scenario: Scenario) -> str:
@@ -174,9 +179,36 @@ def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
 
 def is_registered_here(scenario: Scenario) -> bool:
     """Whether a scenario speaks of what somebody has registered, which this process alone knows."""
-    named = scenario.sensing.custom or scenario.reward.custom or {*scenario.costs} - {*COSTS}
-    family = isinstance(scenario.sensing_graph, CustomFamily)
-    return bool(named) or family or is_custom(scenario.model)
+    return bool(_registered(scenario))
+
+
+def registered(scenario: Scenario) -> list[tuple[str, str | None]]:
+    """What somebody has registered and a scenario speaks of, with the ``digest_of`` its function,
+    of a robot model that of its constants.
+    """
+    return [(name, digest_of(function)) for name, function in _registered(scenario)]
+
+
+def _registered(scenario: Scenario) -> list[tuple[str, Callable[..., Any]]]:
+    graph, model = scenario.sensing_graph, scenario.model
+    terms = sorted({*dict(scenario.reward.custom), *scenario.costs} - {*COSTS})
+    return [
+        *((name, IMPERFECTIONS[name]) for name in scenario.sensing.custom),
+        *((name, TERMS[name]) for name in terms),
+        *([(graph.kind, FAMILIES[graph.kind])] if isinstance(graph, CustomFamily) else []),
+        *([(model.name, model.constants)] if is_custom(model) else []),
+    ]
+
+
+def digest_of(function: Callable[..., Any]) -> str | None:
+    """Digest of the file in which a function is written, or of its own lines in a notebook; None
+    where nobody knows them.
+    """
+    if (path := file_of(function)) is not None:
+        return _digest_of(path)
+    with suppress(OSError, TypeError):
+        return hashlib.sha256(inspect.getsource(function).encode()).hexdigest()
+    return None
 
 
 def is_user_policy(name: str) -> bool:
@@ -189,6 +221,7 @@ def find_function(name: str) -> Callable[[Scenario], Policy | None]:
     module_name, _, function_name = name.partition(":")
     if not all(part.isidentifier() for part in (*module_name.split("."), function_name)):
         raise UserError(f"policy {name!r}: write MODULE:FUNCTION, as in my_policies:make")
+    was_there = module_name in sys.modules
     with _code_of(name, f": importing {module_name} failed"):
         module = _imported(name, module_name)
     if (function := getattr(module, function_name, None)) is None:
@@ -201,7 +234,45 @@ def find_function(name: str) -> Callable[[Scenario], Policy | None]:
             f"policy {name!r}: {function_name} in {module_name} is {shown(function)}; it must be a "
             "function of a scenario that gives a policy"
         )
+    if name not in _found or _found[name][0] is not function:
+        unknown = was_there and _is_edited(module)
+        _found[name] = function, "" if unknown else _digest_of(_file_of(function, module))
     return function
+
+
+def _file_of(function: Callable[..., Any], module: Any) -> Path | None:
+    """The file of a user's function; that of its module for an object that can be called."""
+    place = file_of(function) or getattr(module, "__file__", None)
+    return None if place is None else Path(place)
+
+
+def _digest_of(path: Path | None) -> str | None:
+    return None if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _is_edited(module: Any) -> bool:
+    """Whether the source of a module is not the one of which Python keeps the compiled code, which
+    it had when it was imported.
+    """
+    try:
+        source, compiled = os.stat(module.__file__), Path(module.__cached__).read_bytes()
+        kind, *known = struct.unpack("<3I", compiled[4:16])  # PEP 552: 0 is by time and size
+    except (AttributeError, TypeError, OSError, struct.error):
+        return False
+    return kind == 0 and known != [int(source.st_mtime) & 0xFFFFFFFF, source.st_size & 0xFFFFFFFF]
+
+
+def _check_fresh(name: str) -> None:
+    """Refuse a function whose file was edited since this process has imported it: others would
+    import another one.
+    """
+    function, digest = find_function(name), source_digest(name)
+    place = _file_of(function, sys.modules[name.partition(":")[0]])
+    if _digest_of(place) != digest:
+        raise UserError(
+            f"policy {name!r}: {place} was edited since this program imported it; importlib.reload "
+            "it, or begin anew"
+        )
 
 
 def _make_own(name: str, scenario: Scenario) -> Policy | None:
@@ -219,6 +290,7 @@ def _make_own(name: str, scenario: Scenario) -> Policy | None:
 
 def _fits_own(name: str, scenario: Scenario) -> bool:
     """Whether it steers the robots of a scenario, tried for one step."""
+    _check_fresh(name)
     if (policy := _make_own(name, scenario)) is None:
         return False
     simulator = Simulator(scenario, 1)

@@ -5,6 +5,7 @@ import pickle
 import queue
 import signal
 import socket
+import sys
 import threading
 import time
 import warnings
@@ -102,7 +103,7 @@ def each(
     for number, task in enumerate(tasks):
         at_first = workers.on == "here" and not long and time.monotonic() - began < _ALONE
         if alone or at_first or here(task):
-            with matrices.limit(limits=1):  # on more threads than workers have it rounds otherwise
+            with _one_thread(matrices):
                 result = work(left.pop(number))
             yield number, result
     if not left:
@@ -113,6 +114,21 @@ def each(
         found = _on_cores(work, left, workers.worker_count)
     with closing(found):
         yield from found
+
+
+@contextmanager
+def _one_thread(matrices: Any) -> Iterator[None]:
+    """Multiply matrices as workers do: NumPy and torch round otherwise on more threads."""
+    torch: Any = sys.modules.get("torch")
+    threads = None if torch is None else torch.get_num_threads()
+    try:
+        if torch is not None:
+            torch.set_num_threads(1)
+        with matrices.limit(limits=1):
+            yield
+    finally:
+        if torch is not None:
+            torch.set_num_threads(threads)
 
 
 def _on_cores(

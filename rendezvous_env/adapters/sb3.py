@@ -84,7 +84,8 @@ class RobotVecEnv(VecEnv):
         """Begin a new episode in all teams; observations (slots, rows, d)."""
         seeds = self._seeds[:: self.n_robots]
         given = None if all(seed is None for seed in seeds) else seeds
-        observations = self.slots.reset(given, team_options(self._options[:: self.n_robots]))
+        options = team_options(self._options[:: self.n_robots], self.simulator.scenario.dim)
+        observations = self.slots.reset(given, options)
         self._told[:] = 0
         self._forget_step()
         self._reset_seeds()

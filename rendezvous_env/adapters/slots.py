@@ -13,6 +13,7 @@ from ..envs.spaces import of_all_teams, of_one_robot
 from ..envs.training import TrainingTeams
 from ..envs.vector_env import Info, RendezvousVectorEnv, Transition, at_the_end
 from ..envs.vector_wrappers import GuaranteeWrapper
+from ..obstacles.parsing import parse
 from ..simulator import Simulator
 from ..state_view import STANDING
 
@@ -185,12 +186,16 @@ class RobotSlots:
         self.teams.close()
 
 
-def team_options(options: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def team_options(options: Sequence[Mapping[str, Any]], dim: int) -> dict[str, Any]:
     """Options of all teams, stacked, from those of each; kinds and obstacles must be the same."""
+
+    def of_all(own: Mapping[str, Any]) -> tuple[Any, ...]:
+        standing = own.get("obstacles")
+        return own.keys(), parse(() if standing is None else standing, dim)
+
     first = options[0]
     for other in options[1:]:
-        same_obstacles = other.get("obstacles") == first.get("obstacles")
-        if other.keys() != first.keys() or not same_obstacles:
+        if other is not first and of_all(other) != of_all(first):
             raise ValueError(
                 f"set_options: all teams need the same keys and obstacles; one has {first}, "
                 f"another {other}"

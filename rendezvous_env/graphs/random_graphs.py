@@ -73,7 +73,7 @@ def erdos_renyi(probability: float, weight: Weight = 1.0) -> Graph:
 # ---- custom families ----------------------------------------------------------------------------
 
 DrawEdges = Callable[[int, np.random.Generator], Iterable[tuple[int, int]]]
-_DRAW = Registry("family of graphs", "rv.graphs.family")
+FAMILIES = Registry("family of graphs", "rv.graphs.family")
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class CustomFamily(DrawnGraph):
         """
         random = np.random.default_rng((int(seed), int(episode), GRAPH))
         try:
-            drawn = read_edges(_DRAW[self.kind](n, random))
+            drawn = read_edges(FAMILIES[self.kind](n, random))
             if any(weight != 1.0 for *_, weight in drawn):
                 raise ValueError("graph: weights are drawn from weight_range; give edges as (i, j)")
             edges = checked_edges(drawn, n, directed=False)
@@ -118,7 +118,7 @@ def family(name: str, draw: DrawEdges | None = None) -> Any:
         raise ValueError(f"name is {name!r}; it must be new: {', '.join(KINDS)} are taken")
 
     def register(draw: Any) -> Any:
-        _DRAW.add(name, draw)
+        FAMILIES.add(name, draw)
         KINDS[name] = CustomFamily
         return draw
 

@@ -60,7 +60,7 @@ def _fill(seeds, episodes, steps, salt, out):
 
 
 Imperfection = Callable[[Seen], None]
-_IMPERFECTIONS = Registry("sensor imperfection", "rv.sensor_imperfection")
+IMPERFECTIONS = Registry("sensor imperfection", "rv.sensor_imperfection")
 
 
 def sensor_imperfection(name: str, change: Imperfection | None = None) -> Any:
@@ -74,7 +74,7 @@ def sensor_imperfection(name: str, change: Imperfection | None = None) -> Any:
     Raises:
         ValueError: for what is no name or cannot be called.
     """
-    return _IMPERFECTIONS.add(name, change)
+    return IMPERFECTIONS.add(name, change)
 
 
 def as_custom(field: str, value: Any) -> tuple[str, ...]:
@@ -82,7 +82,7 @@ def as_custom(field: str, value: Any) -> tuple[str, ...]:
     if not isinstance(value, list | tuple):
         refuse(field, value, "a list of names")
     for name in value:
-        _IMPERFECTIONS.check(field, name)
+        IMPERFECTIONS.check(field, name)
     return tuple(value)
 
 
@@ -92,7 +92,7 @@ def apply_custom(seen: Seen) -> None:
     for name in seen.scenario.sensing.custom:
         absent = [~table.any(axis=-1) for table in tables]
         seen._name = name
-        _IMPERFECTIONS[name](seen)
+        IMPERFECTIONS[name](seen)
         if seen.neighbours is not tables[0] or seen.obstacles is not tables[1]:
             remedy = "change what is in it: seen.neighbours[...] = …"
             raise ValueError(f"sensing.custom: {name!r} put another array into seen; {remedy}")

@@ -289,6 +289,18 @@ def test_teams_can_be_filmed(tmp_path, monkeypatch):
     assert first.dtype == np.uint8 and second.size >= pictures[0].size + pictures[1].size
 
 
+def test_obstacles_of_slots_may_be_of_arrays():
+    env = make_robots(SCENARIO.replace(obstacle_slots=1), 2)
+    places = [np.array([0.5, 3.0]), [0.5, 3.0]] * ROBOTS
+    env.set_options([{"obstacles": [{"centre": place, "radius": 0.1}]} for place in places])
+    env.reset()
+    np.testing.assert_array_equal(*env.simulator.obstacles)
+    assert env.simulator.obstacles.any()
+    env.set_options([{"obstacles": [rv.Disc((slot, 0.0), 0.1)]} for slot in range(2 * ROBOTS)])
+    with pytest.raises(ValueError, match="all teams need the same keys and obstacles"):
+        env.reset()
+
+
 def test_bad_seeds_options_and_slots_are_refused():
     env = make_robots(SCENARIO, 2)
     for seed in ("x", -1, 1.5, 10**400):

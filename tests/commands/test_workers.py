@@ -7,7 +7,8 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from light_tasks import cores, dies, dies_once, product, refuses, where
+import torch
+from light_tasks import cores, dies, dies_once, product, refuses, torch_product, where
 
 import rendezvous_env as rv
 from baselines.learned import checkpoints
@@ -45,6 +46,15 @@ class TestEach:
         """OpenBLAS rounds otherwise on several threads, as many as cores unless told."""
         alone, others = (dict(each(product, range(8), Workers(jobs=count))) for count in (1, 2))
         assert alone == others
+
+    def test_torch_multiplies_alike_whoever_does_it(self):
+        before = torch.get_num_threads()
+        torch.set_num_threads(2)
+        try:
+            runs = [dict(each(torch_product, range(8), Workers(jobs=count))) for count in (1, 2)]
+            assert runs[0] == runs[1] and torch.get_num_threads() == 2
+        finally:
+            torch.set_num_threads(before)
 
     def test_what_must_stay_here_stays(self):
         found = dict(each(where, range(6), Workers(jobs=2), here=lambda task: task % 2 == 0))

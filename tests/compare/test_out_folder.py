@@ -1,5 +1,6 @@
 """OUT is whole or not there; what was finished is gone on with; one process at a time writes."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from baselines.learned import shipped
 from train import cli, resume
 from train.checks import UserError
 from train.compare import compare, out_folder, playing, upper_bound
@@ -146,6 +148,23 @@ class TestGoingOn:
         found.append(playing.plan_of(jobs, settings))
         assert len(set(map(resume.run_id, found))) == 3
 
+    def test_weights_that_change_while_they_are_compared(self, tmp_path, monkeypatch):
+        """As those of a run that trains on: rows would be of several networks."""
+        run, real = tmp_path / "run", playing.play_block
+        shutil.copytree(shipped.folder("learned"), run)
+
+        def play_block(*given):
+            done = real(*given)
+            shutil.copytree(shipped.folder("learned-tank"), run, dirs_exist_ok=True)
+            return done
+
+        monkeypatch.setattr(playing, "play_block", play_block)
+        monkeypatch.setattr(playing, "BLOCK", 2)
+        settings = config(tmp_path / "out", policies=(f"learned:{run}",), ceiling=0)
+        with pytest.raises(UserError, match="was changed since the comparison began"):
+            compare.run(settings)
+        assert not settings.out.exists()
+
     def test_a_part_folder_of_someone_else_stays(self, tmp_path):
         (tmp_path / "out.part").mkdir()
         (tmp_path / "out.part" / "thesis.tex").write_text("mine")
@@ -197,11 +216,13 @@ class TestPlace:
         assert [path.name for path in finished.out.parent.iterdir()] == ["out"]
 
     def test_a_finished_part_is_put_in_place_and_not_played_again(self, finished, monkeypatch):
-        changed = self.killed_at(finished, monkeypatch, "promote", 1)
+        summary = finished.out.with_name("short.json")
+        settings = compare.Config(**vars(finished) | {"json": summary})
+        changed = self.killed_at(settings, monkeypatch, "promote", 1)
         with monkeypatch.context() as patch:
             patch.setattr(playing, "play_job", lambda *given, **options: 1 / 0)
             assert compare.run(changed) == 0
-        assert read(finished.out).run["seed"] == 9
+        assert read(finished.out).run["seed"] == json.loads(summary.read_text())["seed"] == 9
         self.killed_at(finished, monkeypatch, "promote", 1)
         assert compare.run(compare.Config(**vars(finished) | {"seed": 3})) == 0
         assert read(finished.out).run["seed"] == 3

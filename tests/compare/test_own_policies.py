@@ -1,7 +1,10 @@
 """A user's own policies by ``module:function``, out of the folder in which the command runs."""
 
 import csv
+import importlib
+import linecache
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -45,6 +48,9 @@ def flat(scenario):
 
 def fails(scenario):
     return lambda observations, time: observations.colour
+
+def of_one_team(scenario):
+    return lambda observations, time: [[[0.0, 0.0]] * scenario.n_robots]
 '''
 
 
@@ -86,13 +92,49 @@ def test_where_it_gives_none_it_is_left_out(mine, tmp_path):
     assert policies.kind_of(names[0]) == "own" and policies.about(names[0]) == ""
 
 
+def edit(mine):
+    place = Path(f"{mine}.py")
+    place.write_text(place.read_text() + "\n# another law\n")
+
+
 def test_another_source_is_another_comparison(mine, tmp_path):
+    """Once it is imported: worker processes would import the one, this process has the other."""
     config = compare.Config(scenarios=("duo",), policies=(f"{mine}:law",), out=tmp_path / "out")
-    jobs = compare.plan(config)
-    first = playing.plan_of(jobs, config)
-    with (tmp_path / f"{mine}.py").open("a") as file:
-        file.write("\n# another law\n")
-    assert resume.run_id(first) != resume.run_id(playing.plan_of(jobs, config))
+    first = playing.plan_of(compare.plan(config), config)
+    edit(mine)
+    with pytest.raises(UserError, match=r"was edited since this program imported it; importlib"):
+        compare.plan(config)
+    with pytest.raises(UserError, match="was edited since"):
+        policies.tried(f"{mine}:law", rv.Scenario(n_robots=3))
+    importlib.reload(sys.modules[mine])
+    again = playing.plan_of(compare.plan(config), config)
+    assert resume.run_id(first) != resume.run_id(again)
+
+
+def test_a_module_that_was_imported_before_an_edit(mine, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    monkeypatch.syspath_prepend(tmp_path)
+    module = importlib.import_module(mine)
+    edit(mine)
+    config = compare.Config(scenarios=("duo",), policies=(f"{mine}:law",), out=tmp_path / "out")
+    with pytest.raises(UserError, match="was edited since"):
+        compare.plan(config)
+    importlib.reload(module)
+    assert len(compare.plan(config)) == 1
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_rows_are_of_one_source(jobs, mine, tmp_path, monkeypatch):
+    """An edit in the midst of a comparison reaches workers, which have imported nothing yet."""
+    monkeypatch.setattr(tasks, "_ALONE", 0.0)
+    monkeypatch.setattr(compare, "plan_of", lambda *given: (playing.plan_of(*given), edit(mine))[0])
+    given = {"scenarios": ("duo",), "policies": (f"{mine}:law",), "episodes": 3, "figures": False}
+    config = compare.Config(**given, jobs=jobs, out=tmp_path / "out")
+    if jobs == 1:
+        assert compare.run(config) == 0
+        return
+    with pytest.raises(UserError, match="was changed since the comparison began"):
+        compare.run(config)
 
 
 @pytest.mark.parametrize(
@@ -126,6 +168,16 @@ def test_what_is_wrong_is_said_before_any_work(mine, tmp_path, name, message):
     assert not drawn.out.parent.exists()
 
 
+def test_what_goes_wrong_later_is_told_with_whose_it_is(mine, tmp_path, monkeypatch):
+    monkeypatch.setattr(tasks, "_ALONE", 0.0)
+    names, out = (f"{mine}:law", f"{mine}:of_one_team"), tmp_path / "out"
+    given = {"scenarios": ("duo",), "policies": names, "episodes": 4, "out": out}
+    for jobs in (1, 2):
+        with pytest.raises(ValueError, match=r"actions have shape \(1, 2, 2\)") as caught:
+            compare.run(compare.Config(**given, jobs=jobs, fresh=True))
+        assert caught.value.__notes__ == [f"policy {names[1]!r} on scenario 'duo'"]
+
+
 def test_no_file_of_a_user_stands_in_for_a_module_of_others(mine, tmp_path):
     (tmp_path / "json.py").write_text("raise RuntimeError('the wrong module')\n")
     (tmp_path / "colorsys.py").write_text("raise RuntimeError('the wrong module')\n")
@@ -150,3 +202,53 @@ def test_a_scenario_of_ones_own_is_played_where_it_is_known():
         config = compare.Config(scenarios=(scenario,), policies=("bearing-only",), episodes=3)
         job = playing.Job(scenario, "bearing-only")
         assert {*map(playing.stays_here, playing.blocks_of(0, job, config))} == {stays}
+
+
+OWN = """
+import rendezvous_env as rv
+from baselines.policy import register
+
+@rv.sensor_imperfection("plan-sensor")
+def changed(seen):
+    seen.neighbours *= 1.0
+
+@rv.reward_term("plan-term")
+def changed(step):
+    return 1.0 * step.time
+
+@rv.graphs.family("plan-family")
+def changed(n, random):
+    return [(0, i) for i in range(1.0 > 0, n)]
+
+@register("plan-law", fits=lambda scenario: True)
+def changed(scenario):
+    return lambda seen, time: 1.0 * seen[..., 0, :]
+"""
+
+
+@pytest.mark.parametrize("in_file", [True, False])
+def test_whatever_is_registered_is_part_of_a_plan(in_file, tmp_path, registry):
+    """Else an edit between Ctrl-C and the same command again mixes old cells with new ones."""
+    cell = tmp_path / "cell.py"
+
+    def planned(source):
+        if in_file:
+            cell.write_text(source)
+        lines = source.splitlines(keepends=True)
+        linecache.cache[str(cell)] = len(source), None, lines, str(cell)  # as notebooks do
+        exec(compile(source, cell, "exec"), {"__name__": "cell"})
+        for how in (
+            {"sensing": rv.Sensing(custom=("plan-sensor",))},
+            {"reward": rv.RewardWeights(custom={"plan-term": 1.0})},
+            {"costs": ("plan-term",)},
+            {"graph": "plan-family"},
+            {},
+        ):
+            scenario = rv.Scenario(n_robots=3, **how)
+            policy = "zero" if how else "plan-law"
+            config = compare.Config(scenarios=(scenario,), policies=(policy,), out=tmp_path)
+            yield resume.run_id(playing.plan_of([playing.Job(scenario, policy)], config))
+
+    first, same, other = (list(planned(OWN.replace("1.0", rate))) for rate in ("1.0", "1.0", "2.0"))
+    assert first == same
+    assert all(one != another for one, another in zip(first, other, strict=True))

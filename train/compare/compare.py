@@ -83,11 +83,11 @@ def _run(
         clock.now("drawing")
     timing = {f"{name.replace(' ', '_')}_s": seconds for name, seconds in clock.items()}
     about = description(config, found, timing | {"total_s": clock.total})
-    out_folder.seal(part.folder, files, {**about, "run": part.run})
-    out_folder.promote(out)
-    if config.json is not None:
+    if config.json is not None:  # before OUT.part counts as finished, and is not played again
         kept = {name: about[name] for name in ("seed", "command_line", "versions", "timing")}
         write_summary(config.json, found, kept)
+    out_folder.seal(part.folder, files, {**about, "run": part.run})
+    out_folder.promote(out)
     episodes = sum(len(done.episodes.success) for done in found.played)
     split = ", ".join(f"{name} {seconds:.1f}" for name, seconds in clock.items())
     said = f"{episodes} episodes in {clock.total:.1f} s: {split}; files in {config.out}"

@@ -16,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rendezvous_env.scenario.scenario import Scenario
 
 from .. import policies
+from ..checks import UserError
 from ..console import Console
 from ..recording import Recording
 from ..resume import Part, program
@@ -57,12 +58,18 @@ def by_scenario(played: Sequence[Played]) -> dict[str, dict[str, Episodes]]:
 def play_job(
     job: Job, *, episodes: int, seed: int, keep: int = 0, steps: int | None = None
 ) -> Played:
-    """Play one job; the arguments are those of ``evaluation.play``."""
+    """Play one job; the arguments are those of ``evaluation.play``. What a policy raises has a note
+    whose it is.
+    """
     make = partial(policies.make, job.policy, job.scenario)
-    margin = policies.promised_margin(job.policy, make())
-    done, recordings = play(
-        job.scenario, make, margin=margin, episodes=episodes, seed=seed, keep=keep, steps=steps
-    )
+    try:
+        margin = policies.promised_margin(job.policy, make())
+        done, recordings = play(
+            job.scenario, make, margin=margin, episodes=episodes, seed=seed, keep=keep, steps=steps
+        )
+    except Exception as error:
+        error.add_note(f"policy {job.policy!r} on scenario {job.scenario.name!r}")
+        raise
     return Played(job, done, dict(enumerate(recordings)))
 
 
@@ -80,6 +87,7 @@ def plan_of(jobs: Sequence[Job], config: Config) -> dict[str, Any]:
         **program(),
         **{name: getattr(config, name) for name in ("seed", "episodes", "keep", "ceiling")},
         "scenarios": [scenario.to_plain() for scenario in scenarios],
+        "registered functions": [policies.registered(scenario) for scenario in scenarios],
         "policies": [
             [job.policy for job in jobs if job.scenario == scenario] for scenario in scenarios
         ],
@@ -99,8 +107,9 @@ def _weights(policy: str, scenarios: Sequence[Scenario]) -> str | None:
     if learned and not learned[0].is_file():
         found = [checkpoints.describe(checkpoints.find(place))["sha256"] for place in learned]
         return " ".join(map(str, found))
-    path = learned[0] if learned else policies.source_file(policy)
-    return None if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
+    if learned:
+        return hashlib.sha256(learned[0].read_bytes()).hexdigest()
+    return policies.source_digest(policy)
 
 
 @dataclass(frozen=True)
@@ -120,13 +129,16 @@ def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
     starts, kept = config.starts(job.scenario), config.kept(job.scenario)
     # what was registered from outside is known to this process alone
     typed_in = ":" not in job.policy and registry.kind_of(job.policy) == "own"
+    weights = _weights(job.policy, [job.scenario]) if ":" in job.policy else None
     return [
         Task(
             name=f"job-{number:04d}-{first:06d}",
             label=f"{job.scenario.name} · {job.policy}",
             scenario=job.scenario,
             count=(count := min(BLOCK, starts - first)),
-            work=partial(play_block, job, first, count, config.seed, min(count, kept - first)),
+            work=partial(
+                play_block, job, first, count, config.seed, min(count, kept - first), weights
+            ),
             stays=typed_in,
         )
         for first in range(0, starts, BLOCK)
@@ -138,10 +150,13 @@ def stays_here(task: Task) -> bool:
     return task.stays or policies.is_registered_here(task.scenario)
 
 
-def play_block(job: Job, first: int, count: int, seed: int, keep: int) -> Played:
+def play_block(
+    job: Job, first: int, count: int, seed: int, keep: int, weights: str | None
+) -> Played:
     """Play ``count`` starts of a job, from number ``first`` on; ``seed`` is that of start 0.
 
-    The first ``keep`` are recorded and, of the first block, the first failure beyond these.
+    The first ``keep`` are recorded and, of the first block, the first failure beyond these. A
+    UserError if the policy's ``_weights`` are not the given ones any more.
     """
     began = time.perf_counter()
     make_ready(job, min(count, TOGETHER))
@@ -155,6 +170,11 @@ def play_block(job: Job, first: int, count: int, seed: int, keep: int) -> Played
         # played alone, a network may round otherwise: a replay that differs is not shown
         if again.episodes.time[0] == done.episodes.time[start] and not again.episodes.good[0]:
             kept[start] = again.recordings[0]
+    if weights is not None and _weights(job.policy, [job.scenario]) != weights:
+        raise UserError(
+            f"policy {job.policy!r}: was changed since the comparison began, as a run that still "
+            "trains or a file that is edited; compare a copy of it"
+        )
     return Played(job, done.episodes, kept, ready)
 
 
