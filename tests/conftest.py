@@ -133,6 +133,7 @@ plain Python, in which every index is checked; but there lanes of filters are of
 OF_THEIR_OWN_KIND = tuple(
     f"tests/{name}"
     for name in (
+        "engine/test_own_models.py::test_a_boat",
         "engine/test_own_models.py::test_a_sluggish_unicycle",
         "engine/test_restart.py::test_both_ways_to_restart_show_the_same_start_and_leave_the_others"
         "_alone[double",

@@ -32,7 +32,8 @@ SCENARIOS = {
     "walls": five("single_integrator-2d", obstacles=WALLS, **TIGHT),
     "spheres": five("single_integrator-3d", obstacles=SOLIDS[:1], **TIGHT),
     "solids": five("single_integrator-3d", obstacles=SOLIDS, **TIGHT),
-    "unicycles": five("unicycle", obstacles=SHAPES, **TIGHT),
+    "unicycles": five("unicycle", obstacles=SHAPES[:1], **TIGHT),
+    "unicycles among shapes": five("unicycle", obstacles=SHAPES, **TIGHT),
     "flying": five("nonholonomic_3d", obstacles=SOLIDS[:1], **TIGHT),
     "flying among solids": five("nonholonomic_3d", obstacles=SOLIDS, **TIGHT),
     "inertia in the plane": Scenario(**INERT, obstacles=SHAPES, **TIGHT),
@@ -42,8 +43,8 @@ SCENARIOS = {
     "drawn graphs": Scenario(n_robots=6, graph="random_tree", on_merge="follow", **TIGHT),
 }
 COVERED = (
-    "errors", "nothing in the way", "field", "solids", "flying", "flying among solids",
-    "inertia in the plane", "inertia in space", "drawn graphs",
+    "errors", "nothing in the way", "field", "solids", "unicycles among shapes", "flying",
+    "flying among solids", "inertia in the plane", "inertia in space", "drawn graphs",
 )  # fmt: skip
 """By the others together, but for how they are compiled."""
 MEETS_NOTHING = ("nothing in the way", "two rows", "drawn graphs")
@@ -99,9 +100,10 @@ def test_a_team_among_many_moves_as_it_does_alone(name):
         assert together["contact"].any() == (name not in MEETS_NOTHING)
 
 
+LANES = ("shapes", "spheres", "unicycles among shapes", "flying", "errors")
 BRIEFLY = {
-    **{("shapes", 1): 40, ("spheres", 1): 40, ("unicycles", 1): 12, ("flying", 1): 8},
-    **{(name, 5): 3 for name in ("shapes", "spheres", "unicycles", "flying", "errors")},
+    **dict(zip([(name, 1) for name in LANES[:4]], (40, 40, 12, 8), strict=True)),
+    **{(name, 5): 3 for name in LANES},
 }
 """Steps of so many teams of some scenarios."""
 
