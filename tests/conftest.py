@@ -141,6 +141,7 @@ OF_THEIR_OWN_KIND = tuple(
         "policies/test_baselines.py::TestLargeSparseGraphs::test_all_meet",
         "policies/test_every_policy.py::test_it_goes_on_bit_by_bit_from_a_pickle[damped]",
         "policies/test_every_policy.py::test_a_batch_is_its_teams_one_by_one[damped]",
+        "safety/test_turning_frames.py::test_under_the_gate",
         "test_docs.py::test_every_python_block_runs[docs/environment.md]",
         "test_docs.py::test_every_python_block_runs[docs/graphs.md]",
         "test_docs.py::test_every_python_block_runs[docs/robot-models.md]",
