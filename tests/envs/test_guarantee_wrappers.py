@@ -315,7 +315,9 @@ def test_a_reset_of_some_teams_does_not_excuse_what_happened_to_the_others(which
 @pytest.mark.parametrize("around", [rv.vector.HeadingVectorWrapper, rv.vector.EnergyTankWrapper])
 def test_turning_robots_rest_in_each_base_step_in_which_they_see_nobody(around):
     """Whether a thread leads its teams through a decision, or a wrapper between hears of steps."""
-    scenario, ends = five("unicycle", sensing=rv.Sensing(dropout=0.7)), []
+    sphere = rv.Sphere((9.0, 9.0, 9.0), 0.1)  # robots among spheres are of a kind with other tests'
+    scenario = five("nonholonomic_3d", sensing=rv.Sensing(dropout=0.7), obstacles=sphere)
+    ends = []
     for between in (lambda env: env, gymnasium.vector.VectorWrapper):
         env = around(between(rv.make_vec(scenario, 8)), decision_period=4)
         env.reset(seed=0)
