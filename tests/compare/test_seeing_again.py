@@ -27,7 +27,7 @@ TEAMS = {
 
 
 @pytest.mark.parametrize("name", TEAMS)
-def test_what_was_seen(name, monkeypatch):
+def test_what_was_seen(name):
     scenario = TEAMS[name].replace(time_limit=6.0)
     law, count = policies.fitting(scenario, ())[-1], 6 if name == "inertia" else 3
     seen, kept = {}, recordings(scenario, law, count)
