@@ -58,7 +58,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 LONG = (
-    "test_any", "test_kills", "test_guarantee_wrappers", "test_paper", "test_sensing_engine",
+    "test_any", "test_kills", "test_sensing_engine", "test_paper", "test_guarantee_wrappers",
     "test_docs", "test_widths", "test_fuzz_files", "test_fuzz_core", "test_installed",
     "test_examples", "test_package", "test_resuming", "test_interrupts", "test_shipped",
     "test_site",
