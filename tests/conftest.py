@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
 import sys
 import tempfile
 from collections import Counter
@@ -215,6 +216,16 @@ def five(kind: str, **changes: object) -> Scenario:
 def law_of(scenario: Scenario) -> baselines.Policy:
     """The paper's law for the scenario's robots."""
     return baselines.make(LAWS[scenario.robot_model], scenario)
+
+
+def run_python(cwd: Path, *words: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    """A fresh process, which must end well, and what it said."""
+    found = subprocess.run(
+        [sys.executable, *map(str, words)],
+        capture_output=True, text=True, cwd=cwd, env=os.environ | environment, timeout=900,
+    )  # fmt: skip
+    assert found.returncode == 0, found.stderr
+    return found
 
 
 def actions_shape(simulator: Simulator) -> tuple[int, int, int]:

@@ -5,13 +5,11 @@ the same numbers, bit for bit.
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT, UNEQUAL, five
+from conftest import ROOT, UNEQUAL, five, run_python
 from test_sensing_engine import SHAPES, WORST
 
 from rendezvous_env import Capsule, ObstacleField, Scenario, Simulator, Sphere, WallField
@@ -120,9 +118,9 @@ def save_brief(path: str) -> None:
 @pytest.mark.slow
 def test_plain_python_gives_the_same_numbers(tmp_path):
     paths = [str(Path(__file__).parent), str(ROOT / "tests"), str(ROOT)]
-    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(paths)}
+    plain = {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(paths)}
     script = f"import test_widths; test_widths.save_brief({str(tmp_path / 'plain.npz')!r})"
-    subprocess.run([sys.executable, "-c", script], check=True, env=environment, timeout=500)
+    run_python(tmp_path, "-c", script, **plain)
     save_brief(str(tmp_path / "compiled.npz"))
     with np.load(tmp_path / "plain.npz") as plain, np.load(tmp_path / "compiled.npz") as compiled:
         assert_equal(dict(plain), dict(compiled))
