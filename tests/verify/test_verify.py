@@ -27,12 +27,12 @@ from train.verify.verify import Config, run
 BY_NAME = {claim.name: claim for claim in CLAIMS}
 
 
-def command(tmp_path, *wrong, trials=BATCH, **options):
+def command(tmp_path, *wrong, trials=BATCH, table="verify.csv", **options):
     """Exit status, rows of the CSV and what is printed."""
     printed = io.StringIO()
     config = Config(trials=trials, out=tmp_path, **options)
     status = run(config, wrong or CLAIMS, Console(file=printed, width=200))
-    with (tmp_path / "verify.csv").open(newline="", encoding="utf-8") as file:
+    with (tmp_path / table).open(newline="", encoding="utf-8") as file:
         return status, list(csv.DictReader(file)), printed.getvalue()
 
 
