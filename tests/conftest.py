@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
 import sys
 import tempfile
 from collections import Counter
@@ -58,7 +59,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 LONG = (
-    "test_any", "test_kills", "test_guarantee_wrappers", "test_paper", "test_sensing_engine",
+    "test_any", "test_kills", "test_sensing_engine", "test_paper", "test_guarantee_wrappers",
     "test_docs", "test_widths", "test_fuzz_files", "test_fuzz_core", "test_installed",
     "test_examples", "test_package", "test_resuming", "test_interrupts", "test_shipped",
     "test_site",
@@ -133,7 +134,7 @@ plain Python, in which every index is checked; but there lanes of filters are of
 OF_THEIR_OWN_KIND = tuple(
     f"tests/{name}"
     for name in (
-        "commands/test_verify.py::test_a_graph_of_links_one_way",
+        "engine/test_own_models.py::test_a_boat",
         "engine/test_own_models.py::test_a_sluggish_unicycle",
         "engine/test_restart.py::test_both_ways_to_restart_show_the_same_start_and_leave_the_others"
         "_alone[double",
@@ -141,6 +142,7 @@ OF_THEIR_OWN_KIND = tuple(
         "policies/test_baselines.py::TestLargeSparseGraphs::test_all_meet",
         "policies/test_every_policy.py::test_it_goes_on_bit_by_bit_from_a_pickle[damped]",
         "policies/test_every_policy.py::test_a_batch_is_its_teams_one_by_one[damped]",
+        "safety/test_turning_frames.py::test_under_the_gate",
         "test_docs.py::test_every_python_block_runs[docs/environment.md]",
         "test_docs.py::test_every_python_block_runs[docs/graphs.md]",
         "test_docs.py::test_every_python_block_runs[docs/robot-models.md]",
@@ -214,6 +216,16 @@ def five(kind: str, **changes: object) -> Scenario:
 def law_of(scenario: Scenario) -> baselines.Policy:
     """The paper's law for the scenario's robots."""
     return baselines.make(LAWS[scenario.robot_model], scenario)
+
+
+def run_python(cwd: Path, *words: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    """A fresh process, which must end well, and what it said."""
+    found = subprocess.run(
+        [sys.executable, *map(str, words)],
+        capture_output=True, text=True, cwd=cwd, env=os.environ | environment, timeout=900,
+    )  # fmt: skip
+    assert found.returncode == 0, found.stderr
+    return found
 
 
 def actions_shape(simulator: Simulator) -> tuple[int, int, int]:

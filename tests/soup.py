@@ -31,9 +31,6 @@ EDGES = [0.0, 1.0, -1.0, SMALLEST, SMALLEST / 2, LARGEST, 2 * LARGEST, -LARGEST,
          5e-324, math.nan, math.inf, 3.5e38, 0.3]  # fmt: skip
 
 absurd = st.integers(0, len(ABSURD) - 1).map(lambda k: ABSURD[k])  # repr of them all would fail
-uncallable = st.integers(0, len(ABSURD) - 1).map(
-    lambda k: None if callable(ABSURD[k]) else ABSURD[k]
-)
 edges = st.sampled_from(EDGES) | st.floats()
 lengths = st.sampled_from([SMALLEST, 1e-3, 0.2, 1.0, 1e3, LARGEST])
 

@@ -1,22 +1,17 @@
 """The examples run, and show what they say."""
 
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
+from conftest import ROOT, run_python
 
 from train import results
 
-EXAMPLES = Path(__file__).parent.parent / "examples"
+EXAMPLES = ROOT / "examples"
 
 
 def run(name, *words):
-    command = [sys.executable, str(EXAMPLES / name), *words]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=900, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    return run_python(ROOT, EXAMPLES / name, *words).stdout
 
 
 def test_step_loop_and_own_law():

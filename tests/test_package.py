@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
-import os
 import re
-import subprocess
 import sys
 import tomllib
 from functools import cache
@@ -15,7 +13,7 @@ from pathlib import Path
 from textwrap import indent
 
 import pytest
-from conftest import ROOT
+from conftest import ROOT, run_python
 
 import baselines
 import rendezvous_env as rv
@@ -112,15 +110,6 @@ def room_of(module: str) -> str:
 def level_of(room: str) -> int:
     """How high a room of the environment stands; what is not listed gives out public names."""
     return LEVEL.get(room.removeprefix("rendezvous_env."), len(ROOMS))
-
-
-def run_python(cwd: Path, *words: object, **environment: str) -> str:
-    found = subprocess.run(
-        [sys.executable, *map(str, words)],
-        capture_output=True, text=True, cwd=cwd, env=os.environ | environment, timeout=300,
-    )  # fmt: skip
-    assert found.returncode == 0, found.stderr
-    return found.stdout
 
 
 def test_nothing_points_back():
@@ -222,7 +211,13 @@ def test_train_itself_is_light_and_knows_the_short_names(tmp_path):
         "print(light, compare.Config is c.Config, ppo is p, learned_policy.load.__name__,"
         "train.sb3_vec_env.make_robots is sb3.make_robots)"
     )
-    assert run_python(tmp_path, "-c", code).split() == ["True", "True", "True", "load", "True"]
+    assert run_python(tmp_path, "-c", code).stdout.split() == [
+        "True",
+        "True",
+        "True",
+        "load",
+        "True",
+    ]
     with pytest.raises(ImportError, match="cannot import name 'no_such_module'"):
         exec("from train import no_such_module")
 
@@ -234,7 +229,7 @@ def test_neither_an_import_nor_a_rollout_pulls_in_what_is_heavy(tmp_path):
         "s = rv.scenarios.get('duo'); t = rv.rollout(s, baselines.make('bearing-only', s));"
         "assert t.success.all(); print(*{m.split('.')[0] for m in sys.modules})"
     )
-    imported, used = run_python(tmp_path, "-W", "error", "-c", code).splitlines()
+    imported, used = run_python(tmp_path, "-W", "error", "-c", code).stdout.splitlines()
     assert {"numpy", "numba", "rendezvous_env", "baselines"} <= set(imported.split())
     assert not set(imported.split()) & LAZY and not set(used.split()) & (LAZY - {"tyro"})
 
@@ -259,7 +254,8 @@ def test_a_script_called_train_uses_everything_but_train(tmp_path):
     for name in ("compare.py", "graphs.py", "kernels.py", "policy.py"):
         (tmp_path / name).write_text("raise RuntimeError('the wrong module was imported')\n")
     (tmp_path / "train.py").write_text(OWN_TRAIN)
-    assert run_python(tmp_path, "-c", "import train", **BESIDE).split() == ["True"] * 3
+    said = run_python(tmp_path, "-c", "import train", **BESIDE).stdout
+    assert said.split() == ["True"] * 3
 
 
 def test_the_console_script_works_beside_a_train_py(tmp_path):

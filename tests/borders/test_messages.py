@@ -16,7 +16,7 @@ import baselines
 import rendezvous_env as rv
 from rendezvous_env import Scenario
 from rendezvous_env.checks import shown
-from rendezvous_env.limits import MOST_HELD_STEPS, MOST_STEPS
+from rendezvous_env.limits import MOST_STEPS
 from rendezvous_env.simulator import Simulator
 
 PAIR = Scenario(n_robots=2)
@@ -251,23 +251,9 @@ def test_a_law_of_time_refuses_what_is_no_time(time):
 # ---- settings -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("field", "values"),
-    [
-        ("min_alignment", (math.nan, "1", None, [1], True, HUGE, np.ones(2), 1j)),
-        ("certified", ("no", 1, np.ones(2, bool))),
-        ("decision_period", (math.inf, True, MOST_HELD_STEPS + 1, HUGE)),
-    ],
-)
-def test_wrappers_take_no_setting_that_means_nothing(field, values):
-    for home, env in ((rv, rv.parallel_env(PAIR)), (rv.vector, rv.make_vec(PAIR, 2))):
-        for value in values:
-            said = refusal(home.HeadingVectorWrapper, env, **{field: value})
-            assert f"{field} is {shown(value)}; it must" in said
-
-
 @pytest.mark.parametrize("value", [0, -1, True, 2.0, "2", math.nan, math.inf, HUGE, [1]])
 def test_counts_of_the_wrong_kind(value):
+    assert f"max_cycles is {shown(value)}" in refusal(Simulator(PAIR).set_max_steps, value)
     assert "num_envs is" in refusal(Simulator, PAIR, value)
     assert "num_threads is" in refusal(Simulator, PAIR, 1, num_threads=value)
     assert "num_envs is" in refusal(rv.make_vec, PAIR, num_envs=value)

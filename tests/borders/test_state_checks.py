@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from conftest import assert_same_state, five, refusing
+from conftest import assert_same_state, five, law_of, refusing
 from test_borders import AMONG, TEAMS
 
 import rendezvous_env as rv
@@ -20,21 +20,13 @@ from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper
 
 
-def following_law(sim: Simulator) -> np.ndarray:
-    """Actions with which robots meet: the net bearing, or as much of it as there are inputs."""
-    f = sim.scenario.observation_layout.net_bearing(sim.observe())
-    actions = np.zeros((TEAMS, 5, sim.scenario.action_size))
-    width = min(actions.shape[-1], f.shape[-1])
-    actions[..., :width] = f[..., :width]
-    return actions
-
-
 def halfway(**changes: object) -> Simulator:
     """Teams in the midst of an episode, robots of some already merged."""
     sim = Simulator(five("single_integrator-2d", spawn_size=3.0, **changes), TEAMS)
     sim.reset(0)
+    law = law_of(sim.scenario)
     while sim.active.all():
-        sim.step(following_law(sim))
+        sim.step(law(sim.observe(), sim.time))
     return sim
 
 
@@ -131,7 +123,7 @@ def test_states_of_all_moments_are_taken(kind):
         sim.reset(0, mask=mask)
         other.set_state(sim.get_state())
         assert_same_state(other, sim)
-    seen, merged = set(), False
+    seen, merged, law = set(), False, law_of(scenario)
     for step in range(400):
         other.set_state(sim.get_state())
         assert_same_state(other, sim)
@@ -141,7 +133,7 @@ def test_states_of_all_moments_are_taken(kind):
             sim.restart(sim.ended)
             seen |= set(sim.status.tolist())
             other.set_state(sim.get_state())
-        sim.step(following_law(sim))
+        sim.step(law(sim.observe(), sim.time))
         merged |= not sim.active.all()
     assert {TIME_OUT, AWAITING_RESET} <= seen and merged
 

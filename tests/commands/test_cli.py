@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tyro
+from conftest import ROOT, run_python
 
 import baselines
 from baselines import policy
@@ -52,10 +53,9 @@ class TestOutput:
     COMMAND = (sys.executable, "-m", "train.cli")
 
     def test_a_terminal_without_greek_letters(self):
-        environment = os.environ | {"PYTHONIOENCODING": "ascii"}
-        words = [*self.COMMAND, "list", "policies"]
-        said = subprocess.run(words, env=environment, capture_output=True, check=True).stdout
-        assert said.isascii() and rb"\u03c9" in said
+        words = [*self.COMMAND[1:], "list", "policies"]
+        said = run_python(ROOT, *words, PYTHONIOENCODING="ascii").stdout
+        assert said.isascii() and r"\u03c9" in said
 
     def test_where_nobody_reads_any_more_work_goes_on(self, tmp_path):
         words = ["compare", "--scenarios", "duo", "--policies", "zero", "--episodes", "1"]

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-
 import pytest
+from conftest import run_python
 
 from rendezvous_env import compilation, kernel_cache
 from train import cli
@@ -39,16 +36,7 @@ def test_a_cold_first_step_says_that_it_compiles(tmp_path):
         "import rendezvous_env as rv; env = rv.parallel_env('duo'); env.reset(seed=0);"
         "env.step({a: env.action_space(a).sample() for a in env.agents})"
     )
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    first, second = (
-        subprocess.run(
-            [sys.executable, "-c", code],
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stderr
-        for _ in range(2)
-    )
+    cold = {"NUMBA_CACHE_DIR": str(tmp_path)}
+    first, second = (run_python(tmp_path, "-c", code, **cold).stderr for _ in range(2))
     assert first.count("rendezvous warmup") == 1 and first.count("\n") == 1
     assert second == ""

@@ -264,7 +264,7 @@ def test_what_is_not_installed_is_left_out_or_said(monkeypatch, capsys, tmp_path
     assert "left out without benchmarl, stable-baselines3" in capsys.readouterr().out
 
 
-def test_what_is_refused(monkeypatch):
+def test_what_is_refused():
     for changes, said in (
         ({"algorithms": ("ppo-hedding",)}, "algorithm 'ppo-hedding' is unknown; known are"),
         ({"fields": ("clutter-8-v2",)}, "of another version"),

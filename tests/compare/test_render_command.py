@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 
 import numpy as np
 import pytest
+from conftest import run_python
 from PIL import Image
 
 import baselines
@@ -150,8 +150,5 @@ def test_a_still_loads_no_pygame_and_a_film_no_torch(tmp_path):
         "c.main(['render', '--size', '120', '--fps', '5', '--speed', '2', '--out', 'a.gif']);"
         "assert not {'torch', 'matplotlib.pyplot'} & set(sys.modules)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=120
-    )
-    assert done.returncode == 0, done.stderr
+    run_python(tmp_path, "-c", code)
     assert (tmp_path / "a.gif").stat().st_size > 1000

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from test_starts import FAR
 
 import rendezvous_env as rv
 from rendezvous_env import graphs
@@ -19,16 +20,18 @@ TEAMS = {
     "uav-6": scenarios.get("uav-6"),
     "cloud-8": scenarios.get("cloud-8"),
     "listed links": rv.Scenario(name="ring", n_robots=40, graph=graphs.cycle((0.5, 1.5))),
-    "inertia": rv.Scenario(name="heavy", n_robots=4, robot_model="double_integrator"),
+    "inertia": rv.Scenario(
+        name="heavy", n_robots=4, robot_model="double_integrator", obstacles=FAR
+    ),
 }
 
 
 @pytest.mark.parametrize("name", TEAMS)
-def test_what_was_seen(name, monkeypatch):
+def test_what_was_seen(name):
     scenario = TEAMS[name].replace(time_limit=6.0)
-    law = policies.fitting(scenario, ())[-1]
-    seen, kept = {}, recordings(scenario, law, 3)
-    simulator = rv.Simulator(scenario, 3)
+    law, count = policies.fitting(scenario, ())[-1], 6 if name == "inertia" else 3
+    seen, kept = {}, recordings(scenario, law, count)
+    simulator = rv.Simulator(scenario, count)
     first = simulator.reset(5)
     seen[0] = first
     policy = policies.make(law, scenario)

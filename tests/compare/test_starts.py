@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rendezvous_env import Disc, ObstacleField, Scenario, Simulator, graphs
+from rendezvous_env import Capsule, Disc, ObstacleField, Scenario, Simulator, graphs
 from rendezvous_env.engine.preparation import begins_alike
 from rendezvous_env.scenario import scenarios
 from train.compare import compare
@@ -11,6 +11,8 @@ from train.compare.evaluation import counts_contacts, starts_of
 
 PLACES = ((0.0, 0.0), (3.0, 0.0), (0.0, 4.0))
 GIVEN = Scenario(n_robots=3, start_positions=PLACES)
+FAR = Capsule(((90.0, 0.0), (91.0, 0.0)), 0.1)
+"""Robots with inertia beside it are a kind of team that other tests have, too."""
 CYCLIST = GIVEN.replace(robot_model="unicycle")
 CASES = {
     "fig3": scenarios.get("fig3"),
@@ -22,7 +24,7 @@ CASES = {
     "drawn tree": GIVEN.replace(graph=graphs.random_tree()),
     "drawn headings": CYCLIST,
     "given headings": CYCLIST.replace(start_headings=((0.1,), (0.2,), (0.3,))),
-    "at rest": GIVEN.replace(robot_model="double_integrator"),
+    "at rest": GIVEN.replace(robot_model="double_integrator", obstacles=FAR),
 }
 
 

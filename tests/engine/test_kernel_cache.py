@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 import tempfile
 import textwrap
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import ROOT, run_python
 
 from rendezvous_env import compilation, kernel_cache
 from rendezvous_env.engine.stages.step import step_blocks
@@ -68,16 +67,8 @@ def call(folder: Path, module: str = "demo.outer", **environment: str) -> tuple[
 
 def python(script: str, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     """A fresh process that finds the packages in the folder, and ours, and no kernel of others."""
-    path = f"{folder}{os.pathsep}{ROOT}"
-    return subprocess.run(
-        [sys.executable, "-c", script],
-        check=True,
-        capture_output=True,
-        text=True,
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(folder), **environment},
-        timeout=200,
-    )
+    ours = {"PYTHONPATH": f"{folder}{os.pathsep}{ROOT}", "NUMBA_CACHE_DIR": str(folder)}
+    return run_python(folder, "-c", script, **ours | environment)
 
 
 def test_code_is_kept_apart_by_what_it_was_made_from_until_nobody_has_used_it_for_long(tmp_path):

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import importlib
 import math
-import os
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from test_kernel_cache import python
 
 import rendezvous_env as rv
 from rendezvous_env.compilation import compiled
 
-ROOT = Path(__file__).parents[2]
 HOVER = '''"""A hovering robot: its velocity, a wind that carries it along, and two gusts."""
 
 import math
@@ -325,16 +323,9 @@ print(place_on(curve, (0.0, 0.0, 0.0), 0.1)[0], sum(place_on.stats.cache_misses.
 """A small kernel of the package, in a file that imports no model."""
 
 
-def ran(folder: Path, program: str) -> tuple[float, int]:
-    """What a program prints in a new process: a displacement, m, and kernels compiled anew."""
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        env=os.environ | {"PYTHONPATH": f"{folder}{os.pathsep}{ROOT}"},
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    way, anew = done.stdout.split()
+def ran(folder: Path) -> tuple[float, int]:
+    """What the piece prints in a new process: a displacement, m, and kernels compiled anew."""
+    way, anew = python(PIECE, folder).stdout.split()
     return float(way), int(anew)
 
 
@@ -347,8 +338,8 @@ def test_an_edited_model_moves_as_edited(tmp_path):
     (tmp_path / "own_hover.py").write_text(text, encoding="utf-8")
     for wind in (0.5, 0.25):
         (tmp_path / "own_weather.py").write_text(f"WIND = {wind}\n", encoding="utf-8")
-        assert ran(tmp_path, PIECE)[0] == pytest.approx(0.1 * wind)
-    assert ran(tmp_path, PIECE) == (pytest.approx(0.025), 0)  # what was not edited is kept
+        assert ran(tmp_path)[0] == pytest.approx(0.1 * wind)
+    assert ran(tmp_path) == (pytest.approx(0.025), 0)  # what was not edited is kept
     path = tmp_path / "own_hover.py"
     path.write_text(text.replace("+ WIND)", "+ 2 * WIND)"))
-    assert ran(tmp_path, PIECE)[0] == pytest.approx(0.05)
+    assert ran(tmp_path)[0] == pytest.approx(0.05)

@@ -42,8 +42,8 @@ SCENARIOS = {
     "web": WEB,
     "web with 40 rows": WEB.replace(neighbour_slots=40),
     "ring in space": RING.replace(dim=3),
-    "errors among discs": RING.replace(
-        obstacles=[rv.Disc((1.0, 1.0), 0.8), rv.Disc((-3.0, 0.0), 1.0)],
+    "errors among obstacles": RING.replace(
+        obstacles=[rv.Disc((1.0, 1.0), 0.8), rv.Capsule(((-3.0, -0.5), (-3.0, 0.5)), 1.0)],
         neighbour_slots=59,
         sensing=rv.Sensing(noise=0.1, dropout=0.2, occlusion="both"),
     ),

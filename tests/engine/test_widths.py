@@ -5,13 +5,11 @@ the same numbers, bit for bit.
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT, UNEQUAL, five
+from conftest import ROOT, UNEQUAL, five, run_python
 from test_sensing_engine import SHAPES, WORST
 
 from rendezvous_env import Capsule, ObstacleField, Scenario, Simulator, Sphere, WallField
@@ -32,7 +30,8 @@ SCENARIOS = {
     "walls": five("single_integrator-2d", obstacles=WALLS, **TIGHT),
     "spheres": five("single_integrator-3d", obstacles=SOLIDS[:1], **TIGHT),
     "solids": five("single_integrator-3d", obstacles=SOLIDS, **TIGHT),
-    "unicycles": five("unicycle", obstacles=SHAPES, **TIGHT),
+    "unicycles": five("unicycle", obstacles=SHAPES[:1], **TIGHT),
+    "unicycles among shapes": five("unicycle", obstacles=SHAPES, **TIGHT),
     "flying": five("nonholonomic_3d", obstacles=SOLIDS[:1], **TIGHT),
     "flying among solids": five("nonholonomic_3d", obstacles=SOLIDS, **TIGHT),
     "inertia in the plane": Scenario(**INERT, obstacles=SHAPES, **TIGHT),
@@ -42,8 +41,8 @@ SCENARIOS = {
     "drawn graphs": Scenario(n_robots=6, graph="random_tree", on_merge="follow", **TIGHT),
 }
 COVERED = (
-    "errors", "nothing in the way", "field", "solids", "flying", "flying among solids",
-    "inertia in the plane", "inertia in space", "drawn graphs",
+    "errors", "nothing in the way", "field", "solids", "unicycles among shapes", "flying",
+    "flying among solids", "inertia in the plane", "inertia in space", "drawn graphs",
 )  # fmt: skip
 """By the others together, but for how they are compiled."""
 MEETS_NOTHING = ("nothing in the way", "two rows", "drawn graphs")
@@ -99,9 +98,10 @@ def test_a_team_among_many_moves_as_it_does_alone(name):
         assert together["contact"].any() == (name not in MEETS_NOTHING)
 
 
+LANES = ("shapes", "spheres", "unicycles among shapes", "flying", "errors")
 BRIEFLY = {
-    **{("shapes", 1): 40, ("spheres", 1): 40, ("unicycles", 1): 12, ("flying", 1): 8},
-    **{(name, 5): 3 for name in ("shapes", "spheres", "unicycles", "flying", "errors")},
+    **dict(zip([(name, 1) for name in LANES[:4]], (40, 40, 12, 8), strict=True)),
+    **{(name, 5): 3 for name in LANES},
 }
 """Steps of so many teams of some scenarios."""
 
@@ -118,9 +118,9 @@ def save_brief(path: str) -> None:
 @pytest.mark.slow
 def test_plain_python_gives_the_same_numbers(tmp_path):
     paths = [str(Path(__file__).parent), str(ROOT / "tests"), str(ROOT)]
-    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(paths)}
+    plain = {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(paths)}
     script = f"import test_widths; test_widths.save_brief({str(tmp_path / 'plain.npz')!r})"
-    subprocess.run([sys.executable, "-c", script], check=True, env=environment, timeout=500)
+    run_python(tmp_path, "-c", script, **plain)
     save_brief(str(tmp_path / "compiled.npz"))
     with np.load(tmp_path / "plain.npz") as plain, np.load(tmp_path / "compiled.npz") as compiled:
         assert_equal(dict(plain), dict(compiled))

@@ -165,6 +165,23 @@ def test_a_wrapper_of_ones_own_may_collect_words(home):
         Mine(env, period=3)
 
 
+@pytest.mark.parametrize("make", [rv.parallel_env, rv.training_env])
+def test_a_step_before_the_reset_says_so(make):
+    env = make("duo")
+    actions = {name: env.action_space(name).sample() for name in env.possible_agents}
+    for given in (actions, {}):
+        with pytest.raises(RuntimeError, match="call reset"):
+            env.step(given)
+
+
+@pytest.mark.parametrize("spelling", ["SAME_STEP", "same_step", "SameStep"])
+def test_autoreset_modes_may_be_spelled_as_elsewhere(spelling):
+    mode = AutoresetMode.SAME_STEP
+    assert rv.make_vec("duo", autoreset_mode=spelling).autoreset_mode is mode
+    with pytest.raises(ValueError, match="autoreset_mode"):
+        rv.make_vec("duo", autoreset_mode=f"-{spelling}")
+
+
 TENSORS = {
     "that requires grad": {"requires_grad": True},
     "bfloat16 tensor": {"dtype": "bfloat16"},

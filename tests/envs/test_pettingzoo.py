@@ -8,9 +8,8 @@ import hashlib
 import numpy as np
 import pettingzoo
 import pytest
-from conftest import MODELS, ROOT, assert_same_state, five, law_of
+from conftest import MODELS, ROOT, assert_same_state, five, law_of, run_python
 from guarantees import constant, draw, same
-from test_package import run_python
 
 from rendezvous_env import Scenario, Simulator, parallel_env, rendezvous_v0
 
@@ -87,7 +86,7 @@ def fingerprint(kind):
 def test_whole_episodes_are_the_same_in_every_process():
     expected = [fingerprint(kind) for kind in MODELS]
     assert len(set(expected)) == len(MODELS)
-    found = run_python(ROOT, "-c", EPISODE, *MODELS, PYTHONHASHSEED="4711")
+    found = run_python(ROOT, "-c", EPISODE, *MODELS, PYTHONHASHSEED="4711").stdout
     assert found.split()[-len(MODELS) :] == expected
 
 

@@ -96,12 +96,12 @@ class TestGroups:
         assert ended > 8
 
     def test_who_is_shown_nothing_makes_choice_zero(self, tmp_path):
-        drawn = {"sensing_range": (0.3, 0.3), "sensing_chance": 1.0, "sensing_groups": 1}
+        drawn = {"sensing_range": (0.3, 0.3), "sensing_chance": 1.0, "sensing_groups": 2}
         teams = make_teams(config(tmp_path, **drawn), 0)
         seen, _ = teams.reset(seed=list(range(8)))
         assert not seen.any()
         teams.step(np.full((8, 4), 3))
-        assert not teams.groups[0].guided.choices.any()
+        assert not any(group.guided.choices.any() for group in teams.groups)
 
 
 def test_what_is_stopped_goes_on_bit_by_bit(tmp_path):

@@ -11,9 +11,9 @@ from types import ModuleType
 import numpy as np
 import pygame
 import pytest
+from conftest import run_python
 from drawing import at, drawn, still
 from gymnasium.wrappers.vector import RecordVideo
-from test_package import run_python
 
 import rendezvous_env as rv
 from rendezvous_env import rendezvous_v0
@@ -228,7 +228,7 @@ def test_the_library_is_loaded_when_the_first_picture_is_drawn(tmp_path):
         "env.reset(seed=0); print('pygame' in sys.modules); env.render();"
         "print('pygame' in sys.modules)"
     )
-    assert run_python(tmp_path, "-W", "error", "-c", code).split() == ["False", "True"]
+    assert run_python(tmp_path, "-W", "error", "-c", code).stdout.split() == ["False", "True"]
 
 
 def test_without_the_library_the_error_says_what_to_install(monkeypatch):

@@ -6,8 +6,8 @@ import copy
 
 import pygame
 import pytest
+from conftest import run_python
 from drawing import drawn, still
-from test_package import run_python
 
 import rendezvous_env as rv
 from rendezvous_env.render.palette import ROBOTS
@@ -115,5 +115,5 @@ class TestWindow:
             "try: env.reset(seed=0)\n"
             "except RuntimeError as error: print(error)"
         )
-        printed = run_python(tmp_path, "-c", code, SDL_VIDEODRIVER="nowhere")
+        printed = run_python(tmp_path, "-c", code, SDL_VIDEODRIVER="nowhere").stdout
         assert "no window can be opened here" in printed and 'render_mode="rgb_array"' in printed

@@ -7,16 +7,13 @@ from itertools import product
 
 import numpy as np
 import pytest
+import test_report
 
 from train import cli, results
 from train.compare import compare
 from train.report import build as report
 
-
-@pytest.fixture
-def folder(compared, tmp_path):
-    """A copy that a test may damage."""
-    return shutil.copytree(compared, tmp_path / "out", ignore=shutil.ignore_patterns("report.html"))
+folder = test_report.folder  # a fixture
 
 
 @pytest.fixture

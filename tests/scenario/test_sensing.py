@@ -42,7 +42,7 @@ def test_the_camera_is_a_sensor_like_any_other():
     assert camera.occlusion == "both" and not camera.exact
     assert math.degrees(camera.noise) == pytest.approx(0.43, abs=0.01)
     assert rv.Sensing.from_plain(camera.to_plain()) == camera == rv.Sensing.camera()
-    discs = (rv.Disc(centre=(0.0, 0.0), radius=0.5),)
+    discs = (rv.Disc((0.0, 0.0), 0.5), rv.Capsule(((90.0, 0.0), (91.0, 0.0)), 0.5))
     places = ((-2.0, 0.0), (2.0, 0.0), (0.0, 3.0))
     scenario = rv.Scenario(n_robots=3, start_positions=places, obstacles=discs, sensing=camera)
     seen = rv.Simulator(scenario, 100).reset(0)

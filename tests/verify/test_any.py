@@ -1,17 +1,16 @@
 """``rendezvous verify --any``: random scenarios find what a certificate promises in vain."""
 
-import csv
 import dataclasses
-import io
 import json
 import math
+from functools import partial
 
 import numpy as np
 import pytest
-from rich.console import Console
+import test_verify
 
 import rendezvous_env as rv
-from train.verify import adversaries, falsification, random_scenarios, random_starts, verify
+from train.verify import adversaries, falsification, random_scenarios, random_starts
 from train.verify.falsification import ask, climb, play, repeat, shrink, write
 from train.verify.random_scenarios import CHOICES, Kind, Trial, trials_of
 
@@ -208,12 +207,7 @@ def test_what_is_not_promised_is_not_played():
     assert not played.granted and played.steps == 0
 
 
-def command(tmp_path, **options):
-    printed = io.StringIO()
-    config = verify.Config(any=True, out=tmp_path, **{"trials": 300, "jobs": 1, **options})
-    status = verify.run(config, console=Console(file=printed, width=200))
-    with (tmp_path / "any.csv").open(newline="", encoding="utf-8") as file:
-        return status, list(csv.DictReader(file)), printed.getvalue()
+command = partial(test_verify.command, any=True, table="any.csv", jobs=1)
 
 
 @pytest.fixture

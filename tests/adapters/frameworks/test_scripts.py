@@ -5,8 +5,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from conftest import run_python
 from run_table import FRAMEWORKS
-from test_package import run_python
 
 HERE = Path(__file__).parent
 SMALL = {  # by the module that each needs
@@ -22,6 +22,7 @@ SMALL = {  # by the module that each needs
 @pytest.mark.parametrize("needed", [module for module in SMALL if find_spec(module)])
 def test_script(needed):
     assert {framework.script for framework in FRAMEWORKS.values()} == {s[0] for s in SMALL.values()}
-    found = json.loads(run_python(HERE, *SMALL[needed], "--starts", "2").splitlines()[-1])
+    said = run_python(HERE, *SMALL[needed], "--starts", "2").stdout
+    found = json.loads(said.splitlines()[-1])
     assert found["frames_per_second"] > 0 and found["training_frames"] > 0
     assert {found["before"], found["after"]} <= {0.0, 0.5, 1.0} and found["training_seconds"] > 0

@@ -8,8 +8,7 @@ from itertools import groupby
 
 import numpy as np
 import pytest
-from conftest import ROOT
-from test_package import run_python
+from conftest import ROOT, run_python
 
 if util.find_spec("mujoco") is None:
     pytest.skip("needs MuJoCo", allow_module_level=True)
@@ -120,7 +119,7 @@ def test_a_crowd_has_no_lamps():
 def test_teams_meet_by_pixels_alone(tmp_path):
     film = tmp_path / "film.gif"
     words = ["--policy", "tangent-joined-tuned", "--episodes", "4", "--film", str(film)]
-    said = run_python(ROOT, "examples/12_pixels.py", *words)
+    said = run_python(ROOT, "examples/12_pixels.py", *words).stdout
     assert said.startswith("4 of 4 teams met without a contact\n")
     found = {name: float(value) for name, value in re.findall(r"^(\w+): (\S+)$", said, re.M)}
     assert found["median"] < 0.5 < found["worst"] and 0.05 < found["missed"] < 0.8
@@ -131,7 +130,7 @@ def test_teams_meet_by_pixels_alone(tmp_path):
 @pytest.mark.slow
 def test_the_command_compares_pixels_with_the_preset(tmp_path):
     words = ["pixels", "--policy", "tangent-joined-tuned", "--episodes", "2", "--seed", "3"]
-    said = run_python(ROOT, "-m", "train.cli", "reproduce", *words, "--out", tmp_path)
+    said = run_python(ROOT, "-m", "train.cli", "reproduce", *words, "--out", tmp_path).stdout
     assert "100.0% by Sensing.camera()" in said
     (row,) = results.read_csv(tmp_path / "pixels.csv")
     assert [row[name] for name in ("clean", "predicted", "exact")] == ["1.0"] * 3

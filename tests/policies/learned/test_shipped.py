@@ -1,10 +1,8 @@
 """The policies that are shipped: there, light, and as good as the documentation says."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
+from conftest import ROOT, run_python
 
 import baselines
 from baselines.learned import checkpoints, shipped
@@ -35,8 +33,7 @@ def test_it_acts_without_torch():
         "made = [baselines.make(n, s) for n in baselines.names(s) if n.startswith('learned')];"
         "print(*(abs(rv.rollout(s, p, record='actions').actions).max() > 0.5 for p in made))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600)
-    assert done.stdout.split() == ["True"] * len(shipped.NAMES), done.stderr
+    assert run_python(ROOT, "-c", code).stdout.split() == ["True"] * len(shipped.NAMES)
 
 
 @pytest.mark.parametrize("name", shipped.NAMES)
