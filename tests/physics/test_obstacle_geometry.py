@@ -206,6 +206,11 @@ class TestSilhouette3d:
             rays = self.rays(sphere, (0, 0, 0), net_bearing, axis_x, axis_y)
             np.testing.assert_allclose(rays[0], expected, atol=1e-15)
 
+    def test_rays_are_unit_vectors_however_long_f_is_along_the_centre(self):
+        for u in np.random.default_rng(5).normal(size=(50, 3)):
+            rays = self.rays(Sphere(tuple(2 * u), np.linalg.norm(u)), (0, 0, 0), 1e9 * u)
+            np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1, atol=1e-12)
+
     def test_on_the_surface_the_rays_lie_in_the_tangent_plane(self):
         rays = self.rays(Sphere((2, 0, 0), 2.0), (1e-17, 0, 0), (0, 1, 0))
         np.testing.assert_allclose(rays[:, 0], 0, atol=1e-7)
