@@ -132,12 +132,12 @@ def centre_of_row(row):
 
 @kernel
 def centre_direction(point, centre):
-    """Unit vector (c − p)/‖c − p‖ from a point to a centre, or the x axis; and ‖c − p‖, m."""
+    """Unit vector (c − p)/‖c − p‖ from a point to a centre, or the x axis."""
     offset = subtract(centre, point)
     distance = norm(offset)
     if distance == 0.0:
-        return X_AXIS, 0.0
-    return (offset[0] / distance, offset[1] / distance, offset[2] / distance), distance
+        return X_AXIS
+    return offset[0] / distance, offset[1] / distance, offset[2] / distance
 
 
 @kernel

@@ -9,8 +9,6 @@ from tuples import triple, world
 
 from rendezvous_env.obstacles.disc import Disc, Sphere
 from rendezvous_env.obstacles.obstacle_set import (
-    CENTRE,
-    DETAILS,
     clear_of_obstacles,
     distance_to,
     silhouette_2d,
@@ -18,6 +16,7 @@ from rendezvous_env.obstacles.obstacle_set import (
     surface,
 )
 from rendezvous_env.obstacles.polygon import Polygon
+from rendezvous_env.obstacles.shape import MIDDLE, OWN
 from rendezvous_env.physics.crossings import first_crossing
 from rendezvous_env.physics.vectors import ORIGIN
 
@@ -146,9 +145,9 @@ class TestSilhouette2d:
         for k in np.flatnonzero(outside):
             m = k % len(obstacles.kinds)
             row, count = obstacles.shapes[m], obstacles.corners[m]
-            corners = row[DETAILS : DETAILS + 2 * count].reshape(-1, 2) - positions[k]
+            corners = row[OWN : OWN + 2 * count].reshape(-1, 2) - positions[k]
             angles = np.arctan2(corners[:, 1], corners[:, 0])
-            middle = math.atan2(*(row[CENTRE : CENTRE + 2] - positions[k])[::-1])
+            middle = math.atan2(*(row[MIDDLE : MIDDLE + 2] - positions[k])[::-1])
             turns = unwrapped(angles - middle)
             expected = direction(middle + np.array([turns.max(), turns.min()]))
             np.testing.assert_allclose(seen[k], expected, atol=1e-9)

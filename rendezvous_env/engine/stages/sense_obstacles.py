@@ -6,14 +6,12 @@ from ...compilation import by_type, inner_kernel
 from ...graphs.edges import arcs_of, load_links
 from ...obstacles.disc import BALL, disc_edges
 from ...obstacles.obstacle_set import (
-    CENTRE,
-    RADIUS,
     RoundObstacles,
     distance_to,
     silhouette_2d,
     silhouette_3d,
 )
-from ...obstacles.shape import ABSENT
+from ...obstacles.shape import ABSENT, BOUND, MIDDLE
 from ...physics.potential import net_bearings_of_arcs, net_bearings_of_links
 from ...physics.vectors import load, local_axis, to_local
 from ...rewards.terms import CLEARANCE_PENALTY
@@ -40,9 +38,9 @@ def load_balls(block, layout, obstacles, scratch):
         for lane in range(block.count):
             team = block.first + lane
             for m in range(scratch.centres.shape[0]):
-                kind, radius = obstacles.kinds[team, m], obstacles.shapes[team, m, RADIUS]
+                kind, radius = obstacles.kinds[team, m], obstacles.shapes[team, m, BOUND]
                 for k in range(len(layout.axes)):
-                    scratch.centres[m, k, lane] = obstacles.shapes[team, m, CENTRE + k]
+                    scratch.centres[m, k, lane] = obstacles.shapes[team, m, MIDDLE + k]
                 scratch.bounds[m, lane] = radius if kind != ABSENT else np.nan
                 scratch.radii[m, lane] = radius if kind == BALL else np.nan
 
