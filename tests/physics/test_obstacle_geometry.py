@@ -164,6 +164,12 @@ class TestSilhouette2d:
             silhouette_2d(both, 1, (-0.4 + x, -0.1, 0.0), seen)
             np.testing.assert_allclose(seen, [(0, 1), (0, -1)], atol=1e-7)
 
+    @pytest.mark.parametrize("radius", [1e-5, 0.7, 3.0, 1e9])
+    def test_at_the_centre_of_a_disc_it_is_the_two_directions_across_the_x_axis(self, radius):
+        seen = np.empty((2, 2))
+        silhouette_2d(world([Disc((0.5, 0.5), radius)]), 0, (0.5, 0.5, 0.0), seen)
+        np.testing.assert_allclose(seen, [(0, 1), (0, -1)], atol=1e-15)
+
 
 class TestSilhouette3d:
     def rays(self, sphere, position, net_bearing, axis_x=(1, 0, 0), axis_y=(0, 1, 0)):
