@@ -113,10 +113,10 @@ def positive(field: str, value: Any, unit: str = "") -> float:
     return real(value)
 
 
-def between(field: str, value: Any, low: float, high: float, unit: str = "") -> float:
+def between(field: str, value: Any, low: float, high: float) -> float:
     """A number strictly between two others."""
     if not low < real(value) < high:
-        refuse(field, value, f"a number between {low:g} and {high:g}, exclusive {unit}".rstrip())
+        refuse(field, value, f"a number between {low:g} and {high:g}, exclusive")
     return real(value)
 
 

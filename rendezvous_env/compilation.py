@@ -103,7 +103,7 @@ class _Kernel(_DISPATCHER):
 
     def __init__(self, py_func: Any, locals: Any = None, targetoptions: Any = None) -> None:
         super().__init__(py_func, locals, targetoptions)
-        self._cache = KernelCache(py_func, targetoptions)
+        self._cache = KernelCache(self)
         self._within = targetoptions.get("no_cpython_wrapper", False)
 
     def compile(self, sig: Any) -> Any:

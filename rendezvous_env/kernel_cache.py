@@ -14,7 +14,7 @@ import tempfile
 import time
 import uuid
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -42,8 +42,8 @@ _KEPT_UNUSED = 14 * 24 * 3600.0
 class KernelCache:
     """Compiled code of one kernel, by signature: what numba asks of a dispatcher's cache."""
 
-    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
-        self._function, self._options = function, sorted(options.items())
+    def __init__(self, kernel: Any) -> None:
+        self._kernel = kernel
 
     @property
     def cache_path(self) -> str:
@@ -89,11 +89,11 @@ class KernelCache:
         kinds = [kind for argument in arguments for kind in named_tuples(argument)]
         if (folder := _folder()) is None or any(kind.__module__ == "__main__" for kind in kinds):
             return arguments, None
-        made_from = [_base(), target_context.codegen().magic_tuple(), self._options, arguments]
+        made_from = [_base(), target_context.codegen().magic_tuple(), arguments]
         digest = hashlib.sha256(repr(made_from).encode())
-        for text in content(self._function, *kinds):
+        for text in content(self._kernel, *kinds):
             digest.update(text.encode())
-        name = self._function.__name__.strip("<>")
+        name = self._kernel.__name__.strip("<>")
         return arguments, folder / f"{name}-{digest.hexdigest()[:32]}.code"
 
 
@@ -137,7 +137,7 @@ def _content(values: Iterable[Any], names: frozenset[str], seen: set[int]) -> It
     """
     for value in values:
         if hasattr(value, "targetoptions"):  # a kernel, whose options hold for whoever inlines it
-            yield repr(sorted(value.targetoptions.items()))
+            yield f"{sorted(value.targetoptions.items())} {getattr(value, 'slp', False)}"
         value = getattr(value, "py_func", value)
         if not isinstance(value, FunctionType):
             text, parts = _told(value, names)

@@ -89,8 +89,8 @@ class Simulator(StateView):
                 that team's); None goes on to the next episode of every team's seed, or draws a seed
                 if it has none yet.
             options: "positions" (n, d) m, "headings" (n,) rad or (n, 2) yaw and pitch, "frames"
-                (n, d, d) rotations, "weights" (n, n) m/s, "obstacles"; each may carry a leading
-                axis B.
+                (n, d, d) rotations, "weights" (n, n) m/s, each with a leading axis B if teams
+                differ; "obstacles", those of all teams. None is as if it were not given.
             mask: (B,), which teams; None is all.
             resting: let these teams pass the next step without moving (for autoreset).
 

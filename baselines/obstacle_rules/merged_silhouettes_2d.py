@@ -12,6 +12,7 @@ from .silhouettes import STRAIGHT_AHEAD, direction_of, is_seen
 
 TWO_PI = 2.0 * math.pi
 _ROUNDING = 1e-12
+_HALF_ROUND = math.pi - 1e-6  # rad; of an obstacle that is touched rounding may swap the edges
 _A_LITTLE_LESS = 1.0 - 1e-9
 _FAR = 100.0  # rad; sums of the angles in here stay below it
 
@@ -72,7 +73,8 @@ def is_clear(towards, silhouettes, clearance):
         if not is_seen(silhouettes[m]):
             continue
         last, first = load(silhouettes[m, 0]), load(silhouettes[m, 1])
-        if cross_in_plane(first, last) <= 0.0:  # half of all directions or more, or a point
+        width = cross_in_plane(first, last)
+        if width < 0.0 or (width == 0.0 and dot(first, last) > 0.0):  # more than half, or a point
             return False
         if cross_in_plane(first, towards) >= 0.0 and cross_in_plane(towards, last) >= 0.0:
             return False
@@ -105,7 +107,7 @@ def joined_interval_2d(towards, silhouettes, intervals):
             last, first = load(silhouettes[m, 0]), load(silhouettes[m, 1])
             intervals[count, 0] = math.atan2(cross_in_plane(u, first), dot(u, first))
             width = math.atan2(cross_in_plane(first, last), dot(first, last))
-            intervals[count, 1] = max(width, 0.0)
+            intervals[count, 1] = max(width, 0.0) if width > -_HALF_ROUND else math.pi
             count += 1
     seen = intervals[:count]
     nearest = _nearest_interval(seen)

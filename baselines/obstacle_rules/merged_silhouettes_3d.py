@@ -7,7 +7,7 @@ import numpy as np
 from rendezvous_env.compilation import kernel
 from rendezvous_env.physics.vectors import combine, dot, load, split, store, without
 
-from .silhouettes import STRAIGHT_AHEAD, direction_of, is_seen, opposite, unit
+from .silhouettes import STRAIGHT_AHEAD, direction_of, is_seen, middle_of, unit
 
 
 @kernel(allocates=True)
@@ -30,10 +30,9 @@ def joined_headings_3d(net_bearing, silhouettes, clearance, out):
         towards, count = direction_of(net_bearing[i]), 0
         for m in range(silhouettes.shape[1]):
             if is_seen(silhouettes[i, m]):
-                first, second = opposite(silhouettes[i, m])
-                centre = split(combine(1.0, first, 1.0, second))[1]
+                centre = middle_of(silhouettes[i, m])
                 store(centre, cones[count, :3])
-                cones[count, 3], slots[count] = _angle(first, centre), m
+                cones[count, 3], slots[count] = _angle(unit(silhouettes[i, m, 0]), centre), m
                 count += 1
         seen, blocking, least = cones[:count], STRAIGHT_AHEAD, clearance
         for k in range(count):

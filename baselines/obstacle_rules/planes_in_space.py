@@ -22,7 +22,7 @@ from rendezvous_env.physics.vectors import (
 from rendezvous_env.safety.turning import mean_axis
 
 from .merged_silhouettes_2d import TWO_PI, joined_heading_2d, joined_interval_2d
-from .silhouettes import direction_of, is_seen
+from .silhouettes import TOUCHED, direction_of, is_seen, middle_of
 
 _Y_AXIS = (0.0, 1.0, 0.0)
 _WIDEST = 0.5 * math.pi - 0.01  # rad; no cone is widened beyond
@@ -76,7 +76,9 @@ def widened_rays(silhouettes, clearance, out):
         total = ORIGIN
         for s in range(8):
             total = combine(1.0, total, 1.0, load(silhouettes[m, s]))
-        middle = split(total)[1]
+        length, middle = split(total)
+        if length < TOUCHED:
+            middle = middle_of(silhouettes[m])
         for s in range(8):
             ray = split(load(silhouettes[m, s]))[1]
             angle = math.acos(min(max(dot(ray, middle), -1.0), 1.0))
@@ -131,14 +133,12 @@ def _best_azimuth(towards, first, clearance, views):
 
 @kernel
 def lies_outside(direction, rays):
-    """Whether a triple lies outside all cones, (K, 8, 3)."""
+    """Whether a triple lies outside all cones, (K, 8, 3), whose rays go round right-handed."""
     for m in range(rays.shape[0]):
-        left, ahead = 0, 0.0
         for s in range(8):
-            here, there = load(rays[m, s]), load(rays[m, (s + 1) % 8])
-            left += 1 if dot(direction, cross(here, there)) >= 0.0 else 0
-            ahead += dot(direction, here)
-        if (left == 0 or left == 8) and ahead > 0.0:
+            if dot(direction, cross(load(rays[m, s]), load(rays[m, (s + 1) % 8]))) < 0.0:
+                break
+        else:
             return False
     return True
 
@@ -152,7 +152,9 @@ def axis_is_clear_3d(rates, pitch, rays, gate):
 
 @kernel
 def cut_by(towards, aside, rays, out):
-    """Where a plane cuts the cones, flat between rays: (K, 2, 2), x along f, y aside."""
+    """Where a plane cuts the cones, flat between rays: (K, 2, 2), x along f, y aside; the rays go
+    round right-handed, and come up through the plane at the counter-clockwise edge.
+    """
     normal = cross(towards, aside)
     for m in range(rays.shape[0]):
         out[m, :, :] = 0.0
@@ -162,9 +164,7 @@ def cut_by(towards, aside, rays, out):
             below = dot(normal, load(rays[m, after]))
             if (above >= 0.0) != (below >= 0.0) and found < 2:
                 point = combine(abs(below), load(rays[m, s]), abs(above), load(rays[m, after]))
-                out[m, found, 0], out[m, found, 1] = dot(point, towards), dot(point, aside)
+                edge = 0 if above < 0.0 else 1
+                out[m, edge, 0], out[m, edge, 1] = dot(point, towards), dot(point, aside)
                 found += 1
             above = below
-        if out[m, 1, 0] * out[m, 0, 1] < out[m, 1, 1] * out[m, 0, 0]:
-            for k in range(2):
-                out[m, 0, k], out[m, 1, k] = out[m, 1, k], out[m, 0, k]

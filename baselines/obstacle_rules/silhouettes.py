@@ -10,10 +10,12 @@ along its x axis. Overlapping silhouettes are joined in ``merged_silhouettes_2d`
 import math
 
 from rendezvous_env.compilation import kernel
-from rendezvous_env.physics.vectors import X_AXIS, combine, dot, load, split, store
+from rendezvous_env.physics.vectors import X_AXIS, combine, cross, dot, load, split, store
 
 STRAIGHT_AHEAD = -1
 """In place of the index of an obstacle: none is in the way."""
+TOUCHED = 1e-4
+"""Sum of opposite points below which rounding to float32 would choose their middle."""
 
 
 @kernel
@@ -58,6 +60,21 @@ def opposite(points):
 
 
 @kernel
+def middle_of(points):
+    """Unit triple towards the middle of a silhouette: along the sum of two points across it; of an
+    obstacle that is touched, whose points add up to nothing, to the right of the counter-clockwise
+    edge, or along the axis that the rays go round.
+    """
+    first, second = opposite(points)
+    length, middle = split(combine(1.0, first, 1.0, second))
+    if length >= TOUCHED:
+        return middle
+    if points.shape[1] == 2:
+        return first[1], -first[0], 0.0
+    return split(cross(first, unit(points[2])))[1]
+
+
+@kernel
 def _most_prominent(towards, silhouettes, only_blocking):
     """Index of the widest obstacle; one blocks what is as near to its middle as its edges are."""
     prominent, least_cosine = STRAIGHT_AHEAD, math.inf
@@ -67,7 +84,7 @@ def _most_prominent(towards, silhouettes, only_blocking):
         first, second = opposite(silhouettes[m])
         if dot(first, second) >= least_cosine:
             continue
-        middle = split(combine(1.0, first, 1.0, second))[1]
+        middle = middle_of(silhouettes[m])
         if not only_blocking or dot(towards, middle) >= dot(first, middle):
             prominent, least_cosine = m, dot(first, second)
     return prominent

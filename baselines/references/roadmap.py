@@ -16,9 +16,9 @@ from scipy.sparse.csgraph import dijkstra
 from rendezvous_env.compilation import kernel
 from rendezvous_env.obstacles import capsule, shape
 from rendezvous_env.obstacles.capsule import CAPSULE
-from rendezvous_env.obstacles.obstacle_set import CENTRE, RADIUS, entry, outlines, world_of
+from rendezvous_env.obstacles.obstacle_set import entry, outlines, world_of
 from rendezvous_env.obstacles.polygon import POLYGON
-from rendezvous_env.obstacles.shape import ABSENT
+from rendezvous_env.obstacles.shape import ABSENT, BOUND, MIDDLE
 from rendezvous_env.physics.vectors import ORIGIN, combine, dot, load, norm, subtract
 
 Array = NDArray[np.float64]
@@ -61,8 +61,8 @@ class Roadmap:
 
     def _nearest_first(self, points: Array) -> NDArray[np.int64]:
         """Obstacles in the order in which they may be in the way of a point, (N, M)."""
-        centres = self._world.shapes[:, CENTRE : CENTRE + points.shape[1]]
-        gaps = scipy.spatial.distance.cdist(points, centres) - self._world.shapes[:, RADIUS]
+        centres = self._world.shapes[:, MIDDLE : MIDDLE + points.shape[1]]
+        gaps = scipy.spatial.distance.cdist(points, centres) - self._world.shapes[:, BOUND]
         return np.argsort(gaps, axis=1)
 
     def straight(self, points: Array, targets: Array) -> Array:
@@ -199,10 +199,10 @@ def _in_the_way(world, spikes, order, here, way, margin):
     for m in order:
         if world.kinds[m] == ABSENT:
             continue
-        offset = subtract(load(world.shapes[m, CENTRE : CENTRE + 3]), here)
+        offset = subtract(load(world.shapes[m, MIDDLE : MIDDLE + 3]), here)
         share = min(max(dot(offset, way) / length, 0.0), 1.0) if length > 0.0 else 0.0
         offset = combine(1.0, offset, -share, way)
-        bound = (world.shapes[m, RADIUS] + abs(margin) * spikes[m]) * _ROUNDING
+        bound = (world.shapes[m, BOUND] + abs(margin) * spikes[m]) * _ROUNDING
         if dot(offset, offset) <= bound * bound:
             if entry(world, m, here, way, -margin) < np.inf:
                 return True

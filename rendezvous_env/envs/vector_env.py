@@ -68,7 +68,8 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
 
     ``reset(seed=s)`` gives team i the seed s + i, a list gives each its own; without a seed every
     team goes on to the next episode of its own. Options as in ``RendezvousParallelEnv``, one for
-    all teams or with a leading axis B. ``simulator`` holds the global state for analysis.
+    all teams or, but for obstacles, with a leading axis B. ``simulator`` holds the global state for
+    analysis.
 
     ``render()`` in "rgb_array" mode gives a picture for each team, as Gymnasium's ``RecordVideo``
     for vector environments wants it: parts of one picture (600, 600, 3) uint8 of the first 16 teams

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..checks import is_sequence, refuse
 from ..compilation import kernel
 from ..physics.crossings import capsule_crossing
-from ..physics.vectors import ORIGIN, X_AXIS, add, combine, dot, norm, store, subtract, without
+from ..physics.vectors import combine, dot, norm, perpendicular, split, store, subtract, without
 from . import shape
 from .disc import disc_edges
 from .shape import BOUND, COS_AZIMUTH, DETAILS, MIDDLE, OWN, SIN_AZIMUTH, Thickness, centre_of_row
@@ -89,16 +89,11 @@ def _surface(row, corners, point):
     """
     half, radius = _axis(row), row[_THICKNESS]
     offset = subtract(point, centre_of_row(row))
-    aside = add(offset, -_nearest_share(offset, half), half)
+    aside = combine(1.0, offset, -_nearest_share(offset, half), half)
     distance = norm(aside)
     if distance > 0.0:
         return distance - radius, (aside[0] / distance, aside[1] / distance, aside[2] / distance)
-    length = norm(half)
-    if length == 0.0:
-        return -radius, X_AXIS
-    normal = (-half[1], half[0], 0.0) if half[0] != 0.0 or half[1] != 0.0 else X_AXIS
-    size = norm(normal)
-    return -radius, (normal[0] / size, normal[1] / size, normal[2] / size)
+    return -radius, split(perpendicular(split(half)[1]))[1]
 
 
 @kernel
@@ -152,10 +147,10 @@ def _cone(row, corners, point, axes, out):
 def _is_hit(ray, offset, half, radius):
     """Whether a half-line from the origin along a unit vector comes within a capsule."""
     across, half_across = without(offset, ray), without(half, ray)
-    share = _nearest_share(combine(-1.0, across, 0.0, ORIGIN), half_across)
-    if dot(add(offset, share, half), ray) < 0.0:
+    share = _nearest_share(combine(-1.0, across, 0.0, across), half_across)
+    if dot(combine(1.0, offset, share, half), ray) < 0.0:
         return False  # the nearest point lies behind, and the origin is outside the capsule
-    return norm(add(across, share, half_across)) <= radius
+    return norm(combine(1.0, across, share, half_across)) <= radius
 
 
 def _outlines(row: NDArray[np.float64], _: int, dim: int) -> list[shape.Outline]:

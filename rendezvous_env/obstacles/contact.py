@@ -104,7 +104,7 @@ def _follow(point, way, world, mode, normals):
             return end
         left *= 1.0 - fraction
         start = end
-        free = free_part(way, start, world, CONTACT_DEPTH, normals)
+        free = free_part(way, start, world, normals)
         leg = (free[0] * left, free[1] * left, free[2] * left)
     return end
 
@@ -187,16 +187,16 @@ def _first_contact_on_curve(point, curve, world):
 
 
 @kernel
-def free_part(velocity, point, world, reach, touched):
+def free_part(velocity, point, world, touched):
     """Π_T v: a velocity projected onto the directions that the obstacles touched leave free.
 
     Of the projections onto the faces of the cone T — v itself, planes, the lines in which two
-    planes meet, 0 — that lie in T, the longest is the projection onto T. Touched are obstacles
-    within ``reach``, m, of the point; two normals of each go to ``touched``, (2M, 3).
+    planes meet, 0 — that lie in T, the longest is the projection onto T. Two normals of each
+    obstacle touched go to ``touched``, (2M, 3).
     """
     count = 0
     for m in range(world.kinds.shape[0]):
-        if distance_to(world, m, point) < reach:
+        if distance_to(world, m, point) < CONTACT_DEPTH:
             normal, other = normals(world, m, point)
             store(normal, touched[count])
             store(other, touched[count + 1])

@@ -74,12 +74,13 @@ def disc_edges(x, y, radius):
 
         (√(o² − R²) o ± R o^⊥) / o²
 
-    On the surface, or inside, they are the two directions across o. x and y of the counterclockwise
-    edge and of the clockwise one, and the distance of the centre, m; without branches, for lanes.
+    On the surface, or inside, they are the two directions across o, or the x axis if o is zero. x
+    and y of the counterclockwise edge and of the clockwise one, and the distance of the centre, m;
+    without branches, for lanes.
     """
     distance = math.sqrt(x * x + y * y)
-    along = distance if distance > 0.0 else 1.0
-    x = x if distance > 0.0 else 1.0
+    along = distance if distance > 0.0 else radius
+    x = x if distance > 0.0 else radius
     square = (along - radius) * (along + radius)
     per_square = 1.0 / (along * along)
     c = math.sqrt(square if square > 0.0 else 0.0) * per_square

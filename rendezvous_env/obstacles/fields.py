@@ -11,9 +11,9 @@ from ..limits import MOST_OBSTACLES
 from ..physics.random_streams import uniform
 from ..physics.vectors import load
 from .disc import BALL
-from .obstacle_set import CENTRE, RADIUS, clear, distance_to
+from .obstacle_set import clear, distance_to
 from .reachability import none_walled_in
-from .shape import ABSENT, Drawn, Length, Range
+from .shape import ABSENT, BOUND, MIDDLE, Drawn, Length, Range
 from .walls import WallField, WallRules, draw_walls
 
 _TRIES_PER_OBSTACLE = 1000
@@ -108,10 +108,10 @@ def draw_field(key, rules, starts, n_starts, world):
         world.kinds[m] = BALL
         placed = False
         for _ in range(_TRIES_PER_OBSTACLE):
-            world.shapes[m, RADIUS] = low + (high - low) * uniform(key, counter)
+            world.shapes[m, BOUND] = low + (high - low) * uniform(key, counter)
             for k in range(d):
                 place = rules.region * (uniform(key, counter + 1 + k) - 0.5)
-                world.shapes[m, CENTRE + k] = place
+                world.shapes[m, MIDDLE + k] = place
             counter += 1 + d
             placed = _fits(world, m, rules, starts, n_starts)
             if placed:
@@ -129,9 +129,9 @@ def _fits(world, m, rules, starts, n_starts):
         if distance_to(world, m, load(starts[i])) < rules.keep_out:
             return False
     if not rules.overlap:
-        centre = load(world.shapes[m, CENTRE : CENTRE + 3])
+        centre = load(world.shapes[m, MIDDLE : MIDDLE + 3])
         for other in range(m):
-            if distance_to(world, other, centre) < world.shapes[m, RADIUS]:
+            if distance_to(world, other, centre) < world.shapes[m, BOUND]:
                 return False
     return True
 

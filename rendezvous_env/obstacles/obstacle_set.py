@@ -17,7 +17,7 @@ from . import shape
 from .capsule import CAPSULES, Capsule
 from .disc import BALLS, Disc, Sphere
 from .polygon import POLYGONS, Polygon
-from .shape import ABSENT, AHEAD, KIND, azimuth_axes, centre_direction, centre_of_row
+from .shape import ABSENT, AHEAD, BOUND, KIND, MIDDLE, azimuth_axes, centre_direction, centre_of_row
 
 Obstacle = Disc | Sphere | Polygon | Capsule
 KINDS = (BALLS, POLYGONS, CAPSULES)
@@ -26,8 +26,6 @@ SHAPES: dict[str, type[Obstacle]] = {
     name: made for kind in KINDS for name, made in kind.classes.items()
 }
 """By the kind that files say."""
-RADIUS, CENTRE, DETAILS = shape.BOUND, shape.MIDDLE, shape.OWN
-"""Columns of a row as kernels take it."""
 _KINDS = {kind.kind: kind for kind in KINDS}
 
 
@@ -139,9 +137,9 @@ def within(world, m, point, reach):
     """Whether the bounding ball (c, R) of obstacle m is near: ‖p − c‖ ≤ R + reach, m."""
     if world.kinds[m] == ABSENT:
         return False
-    square, bound = 0.0, world.shapes[m, RADIUS] + reach
+    square, bound = 0.0, world.shapes[m, BOUND] + reach
     for k in range(3):
-        difference = point[k] - world.shapes[m, CENTRE + k]
+        difference = point[k] - world.shapes[m, MIDDLE + k]
         square += difference * difference
     return square <= bound * bound
 
@@ -161,7 +159,7 @@ def silhouette_3d(world, m, point, net_bearing, axis_x, axis_y, out):
     """Boundary rays of the cone of obstacle m, seen from a point outside it, at the azimuths
     k · 45° of ``azimuth_axes``, into (8, 3) ``out``; in the global frame.
     """
-    towards, _ = centre_direction(point, centre_of_row(world.shapes[m]))
+    towards = centre_direction(point, centre_of_row(world.shapes[m]))
     e, w = azimuth_axes(towards, net_bearing, axis_x, axis_y)
     _cone(world, m, point, (towards, e, w), out)
 

@@ -163,7 +163,7 @@ def _entry(row, corners, point, way, depth):
 @kernel
 def _edges(row, corners, point):
     """Bearings (v − p)/‖v − p‖ of the vertices farthest left and right of the centre."""
-    towards, _ = centre_direction(point, centre_of_row(row))
+    towards = centre_direction(point, centre_of_row(row))
     left_x, left_y = towards[0], towards[1]
     right_x, right_y = towards[0], towards[1]
     for k in range(corners):

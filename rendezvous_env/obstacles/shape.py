@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..checks import check_fields, is_sequence, number, number_range, real, refuse
 from ..compilation import kernel
 from ..limits import LARGEST
-from ..physics.vectors import X_AXIS, combine, cross, dot, norm, subtract
+from ..physics.vectors import X_AXIS, cross, norm, subtract, without
 
 ABSENT = 0  # kind of an empty slot
 KIND, CORNERS, RADIUS, CENTRE, DETAILS = 0, 1, 2, 3, 6
@@ -132,12 +132,12 @@ def centre_of_row(row):
 
 @kernel
 def centre_direction(point, centre):
-    """Unit vector (c − p)/‖c − p‖ from a point to a centre, or the x axis; and ‖c − p‖, m."""
+    """Unit vector (c − p)/‖c − p‖ from a point to a centre, or the x axis."""
     offset = subtract(centre, point)
     distance = norm(offset)
     if distance == 0.0:
-        return X_AXIS, 0.0
-    return (offset[0] / distance, offset[1] / distance, offset[2] / distance), distance
+        return X_AXIS
+    return offset[0] / distance, offset[1] / distance, offset[2] / distance
 
 
 @kernel
@@ -148,16 +148,11 @@ def azimuth_axes(towards, net_bearing, axis_x, axis_y):
 
     If that vanishes, the robot's local x axis takes the place of f, and then its y axis.
     """
-    across = _across(net_bearing, towards)
+    across = without(net_bearing, towards)
     if norm(across) <= NEARLY_ZERO:
-        across = _across(axis_x, towards)
+        across = without(axis_x, towards)
     if norm(across) <= NEARLY_ZERO:
-        across = _across(axis_y, towards)
+        across = without(axis_y, towards)
     length = norm(across)
     e = (across[0] / length, across[1] / length, across[2] / length)
     return e, cross(towards, e)
-
-
-@kernel
-def _across(vector, direction):
-    return combine(1.0, vector, -dot(vector, direction), direction)

@@ -16,9 +16,9 @@ from ..checks import refuse
 from ..compilation import inner_kernel, kernel
 from ..physics.random_streams import uniform
 from ..physics.vectors import load
-from .obstacle_set import CENTRE, DETAILS, RADIUS, clear, clear_of_obstacles
+from .obstacle_set import clear, clear_of_obstacles
 from .polygon import POLYGON
-from .shape import Drawn, Length, Range, Thickness
+from .shape import BOUND, MIDDLE, OWN, Drawn, Length, Range, Thickness
 
 LAYOUTS = {"trap": 3, "corridor": 2, "rooms": 8}
 """Names of layouts, and the boxes that each consists of."""
@@ -179,9 +179,9 @@ def _put_box(world, m, pose, along, across):
     middle_x, middle_y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
     world.kinds[m] = POLYGON
     world.corners[m] = 4
-    world.shapes[m, RADIUS] = 0.5 * math.hypot(x1 - x0, y1 - y0)
-    world.shapes[m, CENTRE] = x + c * middle_x - s * middle_y
-    world.shapes[m, CENTRE + 1] = y + s * middle_x + c * middle_y
+    world.shapes[m, BOUND] = 0.5 * math.hypot(x1 - x0, y1 - y0)
+    world.shapes[m, MIDDLE] = x + c * middle_x - s * middle_y
+    world.shapes[m, MIDDLE + 1] = y + s * middle_x + c * middle_y
     for k, (u, v) in enumerate(((x0, y0), (x1, y0), (x1, y1), (x0, y1))):  # counter-clockwise
-        world.shapes[m, DETAILS + 2 * k] = x + c * u - s * v
-        world.shapes[m, DETAILS + 2 * k + 1] = y + s * u + c * v
+        world.shapes[m, OWN + 2 * k] = x + c * u - s * v
+        world.shapes[m, OWN + 2 * k + 1] = y + s * u + c * v

@@ -98,7 +98,8 @@ def fit(positions: Floats, obstacles: Floats, area: Area, margin: float) -> Came
     """
     points = outermost(positions, obstacles)
     low, high = points.min(axis=0), points.max(axis=0)
-    lacking = np.maximum(0.0, _LEAST_SHARE * (high - low).max() - (high - low)) / 2
+    extent = (high - low).max() or 1.0  # of robots that are all in one place
+    lacking = np.maximum(0.0, _LEAST_SHARE * extent - (high - low)) / 2
     low, high = low - lacking, high + lacking
     camera = _view(low, high)
     floor = np.tile(low, (4, 1))

@@ -68,13 +68,13 @@ def keep_apart(velocity: Sequence[float], near: ArrayLike, rooms: ArrayLike = 0.
     """
     wanted, normals = _velocity(velocity), np.atleast_2d(floats("near", near))
     normals, most = normals if normals.size else normals.reshape(0, 2), floats("rooms", rooms)
-    off, count = abs(np.linalg.norm(normals, axis=-1) - 1.0), len(normals)
-    if normals.shape != (count, 2) or not (off <= _OFF_UNIT).all():
+    lengths, count = np.linalg.norm(normals, axis=-1, keepdims=True), len(normals)
+    if normals.shape != (count, 2) or not (abs(lengths - 1.0) <= _OFF_UNIT).all():
         refuse("near", normals.tolist(), "unit vectors, (k, 2)")
     if most.shape not in ((), (1,), (count,)) or np.isnan(most).any():
         refuse("rooms", most.tolist(), f"one number (m/s), or one for each of {count} directions")
     most = np.maximum(np.broadcast_to(most, count), 0.0)
-    x, y = nearest_within(wanted, normals, most, count)
+    x, y = nearest_within(wanted, normals / lengths, most, count)
     return float(x), float(y)
 
 

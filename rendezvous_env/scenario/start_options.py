@@ -49,7 +49,8 @@ def parse_options(scenario: Any, num_envs: int, options: Mapping[str, Any] | Non
     if positions is not None:
         graph = scenario.sensing_graph
         weights = [graph.sparse_weights] if given.weights is None else given.weights
-        standing = obstacles.parse(options.get("obstacles", scenario.obstacles), scenario.dim)
+        own = options.get("obstacles")
+        standing = scenario.obstacles if own is None else obstacles.parse(own, scenario.dim)
         for k in range(max(len(positions), len(weights))):
             team, of_team = positions[k % len(positions)], weights[k % len(weights)]
             check_positions(

@@ -84,9 +84,7 @@ def neighbour_seen(pair, row, frame, sensor, places, scene):
     """
     (i, j), (positions, outward) = pair, places
     offset = subtract(load(positions[j]), load(positions[i]))
-    if (sensor.obstacles_hide or sensor.robots_hide) and _is_hidden(
-        pair, offset, sensor, scene[0], scene[1], scene[2], positions
-    ):
+    if _is_hidden(pair, offset, sensor, scene[0], scene[1], scene[2], positions):
         return _like(row, ORIGIN)
     if sensor.error > 0.0:
         row = turned_towards(row, sensor.error, to_local(frame, _like(row, load(outward[i]))))

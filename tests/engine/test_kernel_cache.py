@@ -83,6 +83,12 @@ def test_code_is_kept_apart_by_what_it_was_made_from_until_nobody_has_used_it_fo
     package(tmp_path, 0.5)  # as another version beside this one, whose code is still there
     assert call(tmp_path) == (6.0, 1, 0)
     assert call(tmp_path, NUMBA_BOUNDSCHECK="1") == (6.0, 0, 1)  # kept apart
+    for file in (tmp_path / "demo" / name for name in ("inner.py", "outer.py")):
+        before = file.read_text()
+        file.write_text(before.replace("@kernel", "@kernel(slp=True)"))
+        assert call(tmp_path) == (6.0, 0, 1)
+        file.write_text(before)
+        assert call(tmp_path) == (6.0, 1, 0)
     (ancient, *_) = (tmp_path / "kernels").glob("half-*")
     os.utime(ancient, (0, 0))  # nobody has used it for long
     assert call(tmp_path) == (6.0, 1, 0)

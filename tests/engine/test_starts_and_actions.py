@@ -112,6 +112,15 @@ def test_given_obstacles_and_robots_inside_them():
         sim.reset(0, {"obstacles": [Disc((0.0, 0.0), 9.0)]})
 
 
+def test_none_is_as_if_an_option_were_not_given():
+    scenario = five("single_integrator-2d", obstacles=[Disc((9.0, 9.0), 0.5)])
+    sim = Simulator(scenario)
+    sim.reset(0, {"positions": STARTS[2][0], "obstacles": None, "weights": None})
+    np.testing.assert_array_equal(sim.obstacles[0, 0, 2:5], [0.5, 9.0, 9.0])
+    with pytest.raises(ValueError, match=r"positions: robot.0 at .* inside Disc"):
+        sim.reset(0, {"positions": [[9.0, 9.0], *STARTS[2][0][1:]], "obstacles": None})
+
+
 def test_given_links_join_no_robots_that_stand_in_one_place():
     places = [[-1.0, 0.0], [1.0, 0.0], [-1.0, 0.0]]
     sim = Simulator(Scenario(n_robots=3, graph="path", start_positions=places))

@@ -123,7 +123,7 @@ def test_every_ray_in_space_grazes(point, half, net_bearing, radius):
     point, half = tuple(point), tuple(half)
     distance, _ = surface(point, half, radius)
     assume(distance > 0.02)
-    towards, _ = centre_direction(point, ZERO)
+    towards = centre_direction(point, ZERO)
     e, w = azimuth_axes(towards, tuple(net_bearing), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     rays = np.empty((8, 3))
     CAPSULES.cone(row(half, radius), 0, point, (towards, e, w), rays)

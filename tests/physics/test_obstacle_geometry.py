@@ -9,8 +9,6 @@ from tuples import triple, world
 
 from rendezvous_env.obstacles.disc import Disc, Sphere
 from rendezvous_env.obstacles.obstacle_set import (
-    CENTRE,
-    DETAILS,
     clear_of_obstacles,
     distance_to,
     silhouette_2d,
@@ -18,6 +16,7 @@ from rendezvous_env.obstacles.obstacle_set import (
     surface,
 )
 from rendezvous_env.obstacles.polygon import Polygon
+from rendezvous_env.obstacles.shape import MIDDLE, OWN
 from rendezvous_env.physics.crossings import first_crossing
 from rendezvous_env.physics.vectors import ORIGIN
 
@@ -146,9 +145,9 @@ class TestSilhouette2d:
         for k in np.flatnonzero(outside):
             m = k % len(obstacles.kinds)
             row, count = obstacles.shapes[m], obstacles.corners[m]
-            corners = row[DETAILS : DETAILS + 2 * count].reshape(-1, 2) - positions[k]
+            corners = row[OWN : OWN + 2 * count].reshape(-1, 2) - positions[k]
             angles = np.arctan2(corners[:, 1], corners[:, 0])
-            middle = math.atan2(*(row[CENTRE : CENTRE + 2] - positions[k])[::-1])
+            middle = math.atan2(*(row[MIDDLE : MIDDLE + 2] - positions[k])[::-1])
             turns = unwrapped(angles - middle)
             expected = direction(middle + np.array([turns.max(), turns.min()]))
             np.testing.assert_allclose(seen[k], expected, atol=1e-9)
@@ -164,6 +163,12 @@ class TestSilhouette2d:
             np.testing.assert_allclose(seen, [(0, 1), (1, 0)], atol=1e-12)
             silhouette_2d(both, 1, (-0.4 + x, -0.1, 0.0), seen)
             np.testing.assert_allclose(seen, [(0, 1), (0, -1)], atol=1e-7)
+
+    @pytest.mark.parametrize("radius", [1e-5, 0.7, 3.0, 1e9])
+    def test_at_the_centre_of_a_disc_it_is_the_two_directions_across_the_x_axis(self, radius):
+        seen = np.empty((2, 2))
+        silhouette_2d(world([Disc((0.5, 0.5), radius)]), 0, (0.5, 0.5, 0.0), seen)
+        np.testing.assert_allclose(seen, [(0, 1), (0, -1)], atol=1e-15)
 
 
 class TestSilhouette3d:
@@ -205,6 +210,11 @@ class TestSilhouette3d:
         for net_bearing, axis_x, axis_y, expected in table:
             rays = self.rays(sphere, (0, 0, 0), net_bearing, axis_x, axis_y)
             np.testing.assert_allclose(rays[0], expected, atol=1e-15)
+
+    def test_rays_are_unit_vectors_however_long_f_is_along_the_centre(self):
+        for u in np.random.default_rng(5).normal(size=(50, 3)):
+            rays = self.rays(Sphere(tuple(2 * u), np.linalg.norm(u)), (0, 0, 0), 1e9 * u)
+            np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1, atol=1e-12)
 
     def test_on_the_surface_the_rays_lie_in_the_tangent_plane(self):
         rays = self.rays(Sphere((2, 0, 0), 2.0), (1e-17, 0, 0), (0, 1, 0))

@@ -176,6 +176,28 @@ def test_joined_rule_in_space_takes_the_nearest_free_way_out_of_all_that_hang_to
     assert left > 100 and through > 5
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_who_touches_an_obstacle_leaves_it_along_f_and_does_not_press_into_it(dim):
+    """Its silhouette is half of all directions, and opposite points add up to nothing."""
+    random = np.random.default_rng(3)
+    axes = [*np.eye(dim), *-np.eye(dim)]
+    for towards in [*axes, *random.normal(size=(40, dim))]:
+        towards = towards / np.linalg.norm(towards)
+        along = np.roll(towards, 1) - towards * (np.roll(towards, 1) @ towards)
+        f = random.normal() * along - random.uniform(0.1, 2.0) * towards
+        if dim == 2:
+            left = np.array([-towards[1], towards[0]], np.float32)
+            points = np.stack([left, -left])[None] + np.float32(0)  # as observations, never −0
+        else:
+            points = ring(towards, math.pi / 2, f).astype(np.float32)[None]
+        for rule, clear in ((tangent_blocking_heading, 0.0), (tangent_joined_heading, CLEARANCE)):
+            away, into = rule(f, points), rule(-f, points)
+            if f @ towards < -np.linalg.norm(f) * math.sin(clear):
+                np.testing.assert_allclose(away, f / np.linalg.norm(f), atol=1e-12)
+            assert into @ towards == pytest.approx(-math.sin(clear), abs=1e-6)
+            assert np.linalg.norm(into) == pytest.approx(1.0, abs=1e-6)
+
+
 CLUTTER = Scenario(n_robots=4, obstacle_slots=6, time_step=0.05, allow_long_step=True)
 LAYOUT = CLUTTER.observation_layout
 

@@ -132,6 +132,25 @@ def test_the_tuned_rule_keeps_to_its_plane_and_side_while_something_is_before_f(
     assert math.acos(heading[0]) < PASSABLE and abs(aside @ Y) < 0.5
 
 
+def test_who_touches_a_sphere_leaves_it_and_does_not_press_into_it():
+    """Eight rays in a plane add up to rounding."""
+    random = np.random.default_rng(4)
+    for centre in random.normal(size=(60, 3)):
+        centre /= np.linalg.norm(centre)
+        rays = cone(centre, math.pi / 2).astype(np.float32)[None]
+        seen = np.zeros(rays.shape)
+        widened_rays(rays, 0.1, seen)
+        assert lies_outside(tuple(-centre), seen) and not lies_outside(tuple(centre), seen)
+        out, asides = np.zeros((1, 3)), np.zeros((1, 3))
+        silhouettes = rays[None].astype(float)
+        for f in (-centre, centre + 0.5 * np.cross(centre, X)):
+            headings_in_planes(f[None], silhouettes, 0.2, np.zeros((1, 3)), 0.5, 0 * asides, out)
+            if f @ centre < 0:
+                np.testing.assert_allclose(out[0], f, atol=1e-12)
+            else:
+                assert -0.21 < out[0] @ centre < -0.15  # out by the clearance, in its plane
+
+
 @pytest.mark.parametrize("field", ["slab-3d", "clutter-3d-96"])
 def test_v_never_rises_under_the_tuned_rule(field):
     """Theorem C, until robots merge; and all that move keep the margin."""

@@ -151,3 +151,20 @@ def test_what_it_remembers_stands_still_while_the_robot_turns():
         assert yaw + math.atan2(y, x) == pytest.approx(0.7, abs=1e-5)
     assert speeds[0] == 0.0 and speeds[-1] == pytest.approx(1.0, abs=0.4)
     assert yaw == pytest.approx(0.7, abs=1e-4)
+
+
+@pytest.mark.parametrize("name", ["tangent-joined", "tank-joined"])
+def test_a_robot_that_touches_an_obstacle_drives_away_from_it(name):
+    """It starts on the surface, looking away from it; silhouettes are half of all directions."""
+    for dim, model, obstacle in (
+        (2, "unicycle", rv.Disc((0.0, 0.0), 1.0)),
+        (3, "nonholonomic_3d", rv.Sphere((0.0, 0.0, 0.0), 1.0)),
+    ):
+        start = [[1.0, 0.0, 0.0][:dim], [4.0, 0.0, 0.0][:dim]]
+        scenario = Scenario(
+            n_robots=2, dim=dim, robot_model=model, obstacles=[obstacle], start_positions=start
+        )
+        simulator, policy = Simulator(scenario), baselines.make(name, scenario)
+        headings = np.zeros((2, dim - 1))
+        seen = simulator.reset(0, {"headings": headings})
+        assert policy(seen, 0.0)[0, 0, 0] > 0.9

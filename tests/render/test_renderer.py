@@ -101,6 +101,21 @@ class TestPicture:
         env.set_state(state)
         assert np.array_equal(env.render(), at_start)
 
+    @pytest.mark.parametrize("dim", [2, 3])
+    def test_a_team_that_has_met_may_be_all_that_is_shown(self, dim):
+        """All robots in one place, and no obstacle: nothing says how large the scene is."""
+        met, fresh = (rv.parallel_env("duo", "rgb_array", dim=dim) for _ in range(2))
+        start = np.array([[0.0] * dim, [0.3] + [0.0] * (dim - 1)])
+        frames = np.tile(np.eye(dim), (2, 1, 1))
+        met.reset(seed=0, options={"positions": start, "frames": frames})
+        ahead = np.eye(dim, dtype=np.float32)[0]
+        met.step({"robot_0": ahead, "robot_1": -ahead})
+        assert not met.agents
+        fresh.reset(seed=0)
+        fresh.set_state(met.get_state())
+        frame = fresh.render()
+        assert at(frame, fresh.renderer.pixels(start.mean(axis=0))) != [255, 255, 255]
+
     @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
     def test_copies_draw_the_same(self, duplicate):
         env, frame = drawn("fig4", 4)

@@ -145,4 +145,5 @@ class TestKeepApart:
     def test_what_is_nearly_a_unit_vector_or_without_bound_is_taken(self):
         ahead = np.float32([[1.0005, 0.0]])
         assert keep_apart((1.0, 2.0), ahead, np.inf) == (1.0, 2.0)
-        assert keep_apart((1.0, 2.0), ahead, [0.0]) == pytest.approx((0.0, 2.0), abs=3e-3)
+        assert keep_apart((1.0, 2.0), ahead, [0.0]) == pytest.approx((0.0, 2.0))
+        assert keep_apart((1.0, 2.0), ahead, 0.5) == pytest.approx((0.5, 2.0))  # and no farther

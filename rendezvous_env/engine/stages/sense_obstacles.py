@@ -6,13 +6,12 @@ from ...compilation import by_type, inner_kernel
 from ...graphs.edges import arcs_of, load_links
 from ...obstacles.disc import BALL, disc_edges
 from ...obstacles.obstacle_set import (
-    CENTRE,
-    RADIUS,
     RoundObstacles,
     distance_to,
     silhouette_2d,
     silhouette_3d,
 )
+from ...obstacles.shape import BOUND, MIDDLE
 from ...physics.potential import net_bearings_of_arcs, net_bearings_of_links
 from ...physics.vectors import load, local_axis, to_local
 from ...rewards.terms import CLEARANCE_PENALTY
@@ -39,9 +38,9 @@ def lay_out_discs(place, discs, obstacles):
         for m in range(discs.shape[1]):
             shape, disc = obstacles.shapes[place.team, m], discs[place.block, m]
             for k in range(2):
-                disc[k, place.lane] = shape[CENTRE + k]
+                disc[k, place.lane] = shape[MIDDLE + k]
             is_disc = obstacles.kinds[place.team, m] == BALL
-            disc[2, place.lane] = shape[RADIUS] if is_disc else np.nan
+            disc[2, place.lane] = shape[BOUND] if is_disc else np.nan
 
 
 @inner_kernel(inline="code")
