@@ -9,7 +9,6 @@ import importlib
 import inspect
 import os
 import re
-import struct
 import sys
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
@@ -221,7 +220,6 @@ def find_function(name: str) -> Callable[[Scenario], Policy | None]:
     module_name, _, function_name = name.partition(":")
     if not all(part.isidentifier() for part in (*module_name.split("."), function_name)):
         raise UserError(f"policy {name!r}: write MODULE:FUNCTION, as in my_policies:make")
-    was_there = module_name in sys.modules
     with _code_of(name, f": importing {module_name} failed"):
         module = _imported(name, module_name)
     if (function := getattr(module, function_name, None)) is None:
@@ -235,8 +233,7 @@ def find_function(name: str) -> Callable[[Scenario], Policy | None]:
             "function of a scenario that gives a policy"
         )
     if name not in _found or _found[name][0] is not function:
-        unknown = was_there and _is_edited(module)
-        _found[name] = function, "" if unknown else _digest_of(_file_of(function, module))
+        _found[name] = function, _digest_of(_file_of(function, module))
     return function
 
 
@@ -248,18 +245,6 @@ def _file_of(function: Callable[..., Any], module: Any) -> Path | None:
 
 def _digest_of(path: Path | None) -> str | None:
     return None if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def _is_edited(module: Any) -> bool:
-    """Whether the source of a module is not the one of which Python keeps the compiled code, which
-    it had when it was imported.
-    """
-    try:
-        source, compiled = os.stat(module.__file__), Path(module.__cached__).read_bytes()
-        kind, *known = struct.unpack("<3I", compiled[4:16])  # PEP 552: 0 is by time and size
-    except (AttributeError, TypeError, OSError, struct.error):
-        return False
-    return kind == 0 and known != [int(source.st_mtime) & 0xFFFFFFFF, source.st_size & 0xFFFFFFFF]
 
 
 def _check_fresh(name: str) -> None:

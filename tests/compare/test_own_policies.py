@@ -111,18 +111,6 @@ def test_another_source_is_another_comparison(mine, tmp_path):
     assert resume.run_id(first) != resume.run_id(again)
 
 
-def test_a_module_that_was_imported_before_an_edit(mine, tmp_path, monkeypatch):
-    monkeypatch.setattr(sys, "dont_write_bytecode", False)
-    monkeypatch.syspath_prepend(tmp_path)
-    module = importlib.import_module(mine)
-    edit(mine)
-    config = compare.Config(scenarios=("duo",), policies=(f"{mine}:law",), out=tmp_path / "out")
-    with pytest.raises(UserError, match="was edited since"):
-        compare.plan(config)
-    importlib.reload(module)
-    assert len(compare.plan(config)) == 1
-
-
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_rows_are_of_one_source(jobs, mine, tmp_path, monkeypatch):
     """An edit in the midst of a comparison reaches workers, which have imported nothing yet."""
