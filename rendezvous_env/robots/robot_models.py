@@ -195,7 +195,7 @@ def try_equations(
     """Ask all equations a few times; the first that is wrong is refused."""
     random, used = np.random.default_rng(0), np.zeros(len(bounds), bool)
     for sample in range(_SAMPLES):
-        drawn = random.uniform(-1.0, 1.0, len(bounds)) * bounds
+        drawn = random.uniform(-1.0, 1.0, len(bounds)) * bounds * 0.1 ** (sample % 4)
         action = (-bounds, bounds)[sample] if sample < 2 else drawn  # models go fastest at limits
         asked = _Asked(model, motion, constants, tuple(action.tolist()), dim)
         try:

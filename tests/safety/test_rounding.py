@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from rendezvous_env import Scenario, Sensing, Simulator, certificate, graphs, make_vec
-from rendezvous_env.vector import GainWrapper, HeadingVectorWrapper, LinkKeepingWrapper
+from rendezvous_env.vector import (
+    EnergyTankWrapper,
+    GainWrapper,
+    HeadingVectorWrapper,
+    LinkKeepingWrapper,
+)
 
 FAR = 2.0**29  # m
 ULP = float(np.spacing(FAR))
@@ -93,6 +98,25 @@ def test_the_last_of_a_tolerated_error_is_no_use_to_steps_that_rounding_swallows
     assert (env.unwrapped.simulator.positions[0] == corners).all()
     assert not certificate(team, by="links").guaranteed
     assert certificate(team.replace(time_step=1e-3), by="links").guaranteed
+
+
+def test_the_last_of_an_error_that_tanks_tolerate_is_no_use_at_a_small_margin():
+    """Two abreast whose wrapper allows for nearly ε: they go 5e-8 of a metre across f, at 1 km."""
+    start = {"n_robots": 2, "start_positions": ((1e3, 1e3), (1001.0, 1e3)), **FIXED}
+    exact = Scenario(**start, graph="path", time_limit=1e5)
+    error = 0.995 * certificate(exact, 1e-4, by="tank").tolerated_bearing_error
+    scenario = exact.replace(sensing=Sensing(error=error))
+    env = EnergyTankWrapper(make_vec(scenario, num_envs=1), 0.0, 1e-4, "local", bearing_error=error)
+    env.reset(seed=0)
+    for _ in range(50):
+        env.step([[[0.0, 1.0], [0.0, -1.0]]])
+    places = env.unwrapped.simulator.positions[0]
+    assert (places[:, 0] == (1e3, 1001.0)).all() and np.linalg.norm(places[1] - places[0]) >= 1.0
+    for by in ("tank", "heading"):
+        found = certificate(scenario, 1e-4, by=by)
+        assert not found.guaranteed
+        assert math.isfinite(found.lyapunov_bound) and certificate(exact, 1e-4, by=by).guaranteed
+    assert "the world or errors smaller" in certificate(scenario, 1e-4, by="tank").theorem
 
 
 def test_links_that_walk_far_aside_on_the_smallest_share_stay_there():

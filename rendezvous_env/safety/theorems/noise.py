@@ -143,13 +143,18 @@ def certified_bounds(
     left, margin = known.robots_left(scenario), asked.min_alignment
     faded = dead_zone * scenario.bottleneck_weight * left / scenario.n_robots
     wrong = left * error_chord(asked.error) * known.most_degrees(scenario)
-    q = margin * (2.0 * known.least_degrees(scenario) - faded) - (1.0 + margin) * wrong
+    tolerated = tolerated_error(scenario, margin, dead_zone)
+    pull = 2.0 * known.least_degrees(scenario)
+    q = margin * (pull - faded) - (1.0 + margin) * wrong
+    sure = asked._replace(min_alignment=float((q / pull).min()))
+    if lost := given.errors_outlasted(scenario, sure, tolerated):
+        return Bounds(lost)
     rates, slowest = np.maximum(q, 0.0) ** 2 / left, known.scale_bound(scenario)
     time = known.held_time(scenario, most, rates * slowest)
     if each is not None:
         alike = known.held_time(scenario, each, rates / (left - 1.0) * slowest)
         time = np.minimum(time, alike)
-    return bounds_with_errors(asked, time, tolerated_error(scenario, margin, dead_zone), *words)
+    return bounds_with_errors(asked, time, tolerated, *words)
 
 
 def heading_bounds(scenario: Scenario, asked: Asked) -> Bounds:
