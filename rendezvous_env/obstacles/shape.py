@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..checks import check_fields, is_sequence, number, number_range, real, refuse
 from ..compilation import kernel
 from ..limits import LARGEST
-from ..physics.vectors import X_AXIS, cross, norm, subtract, without
+from ..physics.vectors import X_AXIS, combine, cross, dot, norm, subtract
 
 ABSENT = 0  # kind of an empty slot
 KIND, CORNERS, RADIUS, CENTRE, DETAILS = 0, 1, 2, 3, 6
@@ -148,11 +148,10 @@ def azimuth_axes(towards, net_bearing, axis_x, axis_y):
 
     If that vanishes, the robot's local x axis takes the place of f, and then its y axis.
     """
-    across = without(net_bearing, towards)
-    if norm(across) <= NEARLY_ZERO:
-        across = without(axis_x, towards)
-    if norm(across) <= NEARLY_ZERO:
-        across = without(axis_y, towards)
+    for vector in (net_bearing, axis_x, axis_y):
+        across = combine(1.0, vector, -dot(vector, towards), towards)
+        if norm(across) > NEARLY_ZERO * max(1.0, norm(vector)):  # and more than rounding leaves
+            break
     length = norm(across)
     e = (across[0] / length, across[1] / length, across[2] / length)
     return e, cross(towards, e)
