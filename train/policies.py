@@ -233,27 +233,32 @@ def find_function(name: str) -> Callable[[Scenario], Policy | None]:
             "function of a scenario that gives a policy"
         )
     if name not in _found or _found[name][0] is not function:
-        _found[name] = function, _digest_of(_file_of(function, module))
+        _found[name] = function, _source_of(function, module)
     return function
 
 
 def _file_of(function: Callable[..., Any], module: Any) -> Path | None:
     """The file of a user's function; that of its module for an object that can be called."""
-    place = file_of(function) or getattr(module, "__file__", None)
-    return None if place is None else Path(place)
+    place = Path(file_of(function) or getattr(module, "__file__", None) or "")
+    return place if place.is_file() else None
 
 
-def _digest_of(path: Path | None) -> str | None:
-    return None if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
+def _source_of(function: Callable[..., Any], module: Any) -> str | None:
+    place = _file_of(function, module)
+    return digest_of(function) if place is None else _digest_of(place)
+
+
+def _digest_of(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _check_fresh(name: str) -> None:
     """Refuse a function whose file was edited since this process has imported it: others would
     import another one.
     """
-    function, digest = find_function(name), source_digest(name)
-    place = _file_of(function, sys.modules[name.partition(":")[0]])
-    if _digest_of(place) != digest:
+    function, module = find_function(name), sys.modules[name.partition(":")[0]]
+    if _source_of(function, module) != source_digest(name):
+        place = _file_of(function, module)
         raise UserError(
             f"policy {name!r}: {place} was edited since this program imported it; importlib.reload "
             "it, or begin anew"

@@ -192,6 +192,18 @@ def test_a_scenario_of_ones_own_is_played_where_it_is_known():
         assert {*map(playing.stays_here, playing.blocks_of(0, job, config))} == {stays}
 
 
+def test_a_function_of_the_program_itself_is_played_in_it(monkeypatch, tmp_path):
+    """In a worker, and in a notebook's, another program is ``__main__``."""
+    monkeypatch.setattr(tasks, "_ALONE", 0.0)
+    main = sys.modules["__main__"]
+    monkeypatch.setattr(main, "mine", lambda scenario: lambda seen, time: seen[..., 0, :], False)
+    for file in ("<stdin>", None):
+        monkeypatch.setattr(main, "__file__", file)
+        given = {"scenarios": ("duo",), "policies": ("__main__:mine",), "episodes": 3}
+        config = compare.Config(**given, out=tmp_path / str(file), figures=False, jobs=2)
+        assert compare.run(config) == 0
+
+
 OWN = """
 import rendezvous_env as rv
 from baselines.policy import register

@@ -128,7 +128,11 @@ def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
     """A job, cut into blocks of its starts; ``number`` is its place among all jobs."""
     starts, kept = config.starts(job.scenario), config.kept(job.scenario)
     # what was registered from outside is known to this process alone
-    typed_in = ":" not in job.policy and registry.kind_of(job.policy) == "own"
+    typed_in = (
+        job.policy.startswith("__main__:")
+        if ":" in job.policy
+        else registry.kind_of(job.policy) == "own"
+    )
     weights = _weights(job.policy, [job.scenario]) if ":" in job.policy else None
     return [
         Task(
