@@ -198,7 +198,7 @@ def test_a_function_of_the_program_itself_is_played_in_it(monkeypatch, tmp_path)
     main = sys.modules["__main__"]
     monkeypatch.setattr(main, "mine", lambda scenario: lambda seen, time: seen[..., 0, :], False)
     for file in ("<stdin>", None):
-        monkeypatch.setattr(main, "__file__", file)
+        monkeypatch.setattr(main, "__file__", file, False)  # not there under xdist
         given = {"scenarios": ("duo",), "policies": ("__main__:mine",), "episodes": 3}
         config = compare.Config(**given, out=tmp_path / str(file), figures=False, jobs=2)
         assert compare.run(config) == 0
