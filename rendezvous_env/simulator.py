@@ -361,11 +361,12 @@ class Simulator(StateView):
         return entries
 
     def _put_state(self, state: dict[str, NDArray[Any]]) -> None:
+        self._ready = False  # should an interrupt leave from here: steps go by the observation
         self._state.put(state)
         self._all_running = not self.status.any()
-        self._ready = not (self._state.number < 0).any()
         if self.begun:
             self.observe()
+        self._ready = not (self._state.number < 0).any()
 
     def set_max_steps(self, max_steps: int) -> None:
         """Change the time limit to a number of steps.

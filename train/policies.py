@@ -104,8 +104,8 @@ def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
 
 
 def source_digest(name: str) -> str | None:
-    """The ``digest_of`` what makes a policy without weights; of ``module:function`` its file's, as
-    this process has imported it.
+    """The ``digest_of`` of what makes a policy without weights; of ``module:function`` that of its
+    file as this process has imported it.
     """
     if not is_user_policy(name):
         return digest_of(builder_of(name))
@@ -182,8 +182,8 @@ def is_registered_here(scenario: Scenario) -> bool:
 
 
 def registered(scenario: Scenario) -> list[tuple[str, str | None]]:
-    """What somebody has registered and a scenario speaks of, with the ``digest_of`` its function,
-    of a robot model that of its constants.
+    """What somebody has registered and a scenario speaks of, with the ``digest_of`` of its
+    function, of a robot model that of its constants.
     """
     return [(name, digest_of(function)) for name, function in _registered(scenario)]
 
@@ -280,7 +280,8 @@ def _make_own(name: str, scenario: Scenario) -> Policy | None:
 
 def _fits_own(name: str, scenario: Scenario) -> bool:
     """Whether it steers the robots of a scenario, tried for one step."""
-    _check_fresh(name)
+    if not name.startswith("__main__:"):  # that is played here, and cannot be reloaded
+        _check_fresh(name)
     if (policy := _make_own(name, scenario)) is None:
         return False
     simulator = Simulator(scenario, 1)

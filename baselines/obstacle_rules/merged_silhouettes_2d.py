@@ -12,7 +12,6 @@ from .silhouettes import STRAIGHT_AHEAD, direction_of, is_seen
 
 TWO_PI = 2.0 * math.pi
 _ROUNDING = 1e-12
-_HALF_ROUND = math.pi - 1e-6  # rad; of an obstacle that is touched rounding may swap the edges
 _A_LITTLE_LESS = 1.0 - 1e-9
 _FAR = 100.0  # rad; sums of the angles in here stay below it
 
@@ -107,7 +106,8 @@ def joined_interval_2d(towards, silhouettes, intervals):
             last, first = load(silhouettes[m, 0]), load(silhouettes[m, 1])
             intervals[count, 0] = math.atan2(cross_in_plane(u, first), dot(u, first))
             width = math.atan2(cross_in_plane(first, last), dot(first, last))
-            intervals[count, 1] = max(width, 0.0) if width > -_HALF_ROUND else math.pi
+            # of an obstacle that is touched rounding, or a sensor that errs, may swap the edges
+            intervals[count, 1] = max(width, 0.0) if width > -0.5 * math.pi else width + TWO_PI
             count += 1
     seen = intervals[:count]
     nearest = _nearest_interval(seen)

@@ -190,9 +190,10 @@ def team_options(options: Sequence[Mapping[str, Any]], dim: int) -> dict[str, An
     """Options of all teams, stacked, from those of each; kinds and obstacles must be the same."""
 
     def of_all(own: Mapping[str, Any]) -> tuple[Any, ...]:
-        standing = own.get("obstacles")
-        return own.keys(), parse(() if standing is None else standing, dim)
+        return own.keys(), parse(own.get("obstacles", ()), dim)
 
+    given = {id(own): {k: v for k, v in own.items() if v is not None} for own in options}
+    options = [given[id(own)] for own in options]
     first = options[0]
     for other in options[1:]:
         if other is not first and of_all(other) != of_all(first):

@@ -212,7 +212,8 @@ def faults(
     what = f"a row with 3 to {most} corners if it is a polygon, else 0"
     yield np.where(cornered, ~counted, corners != 0), what
     yield np.asarray(~np.isfinite(table).all(axis=-1)), "finite"
-    yield np.logical_and(kind != ABSENT, table[..., shape.RADIUS] < 0), "of radius 0 or more"
+    thin = np.logical_and(kind != ABSENT, table[..., shape.RADIUS] < shape.LEAST_THICKNESS)
+    yield thin, f"of radius {shape.LEAST_THICKNESS:g} m or more"
 
 
 def world_of(table: NDArray[np.float64], only_balls: bool = False) -> ObstacleSet:

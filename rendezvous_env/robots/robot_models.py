@@ -41,8 +41,8 @@ class RobotModel:
     dims: Annotated[tuple[int, ...], _check_dims]
     """Dimensions of space it exists in."""
     constants: Annotated[Callable[[Any], Any], check_function]
-    """Scenario → NamedTuple of constants that its equations take, with the fields ``duration``, s,
-    and ``speed_limit``, m/s, which no motion exceeds."""
+    """Scenario → NamedTuple of constants that its equations take, with the fields ``duration``, the
+    step τ, s, and ``speed_limit``, m/s, which no motion exceeds."""
     bounds: Annotated[Callable[[Any], list[float]], check_function]
     """Scenario → symmetric bound on each number of an action."""
     n_angles: Annotated[int, partial(whole, least=0, most=MOST_KEPT)] = 0
@@ -59,7 +59,8 @@ class RobotModel:
     theorem: str | None = None
     """Which theorem covers its own law in continuous time, e.g. "theorem 3"."""
     bounded: bool = False
-    """Whether its action is its velocity, its bounds v_max: theorems 1, 2, A and C, theory 3."""
+    """Whether its action is its velocity, with v_max as its bounds: theorems 1, 2, A and C, and the
+    bounds of theory 3, hold."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.isidentifier():

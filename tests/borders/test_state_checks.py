@@ -52,7 +52,7 @@ WRONG_ENTRIES = [
     ("obstacles", (2, 1, CORNERS), 3.5, "it must be a row with 3 to 4 corners if it is a polygon"),
     ("obstacles", (5, 1, DETAILS), np.inf, "it must be at most 1e+09"),
     ("obstacles", (5, 1, DETAILS), np.nan, "it must be finite"),
-    ("obstacles", (5, 0, RADIUS), -1.0, "it must be of radius 0 or more"),
+    ("obstacles", (5, 0, RADIUS), 0.0, "it must be of radius 1e-05 m or more"),
     ("merged_into", (3, 1), -1, "merged_into[3, 1] is -1; it must be from 0 to the robot's own"),
     ("merged_into", (3, 1), 4, "merged_into[3, 1] is 4; it must be from 0 to the robot's own"),
     ("merged_into", (3, slice(2)), 0, "weights"),  # merged, and still linked

@@ -119,6 +119,14 @@ def test_every_team_sees_the_obstacles_of_its_own_episode():
     np.testing.assert_array_equal(seen.observations, sim.observe())
     other.set_state(state)
     np.testing.assert_array_equal(other.step(still).observations, seen.observations)
+    touched = np.zeros((2, TEAMS, 3), bool)
+    for _ in range(60):  # into what stands at +y of it, which only who is near is moved around
+        ahead = np.einsum("bnij,i->bnj", sim.frames, [0.0, 1.0])
+        for k, teams in enumerate((sim, other)):
+            touched[k] |= teams.step(ahead).contact
+        assert (sim.clearance > -1e-9).all()
+    np.testing.assert_array_equal(*touched)
+    assert touched.any() and not touched.all()
     places, table = state["positions"][:, :, None], state["obstacles"][:, None]
     gaps = np.linalg.norm(places - table[..., 3:5], axis=-1) - table[..., 2]
     nearest = np.where(table[..., 0] == 0, np.inf, gaps).min(axis=2)

@@ -46,7 +46,7 @@ class Statistics(NamedTuple):
     initial_lyapunov: Floats  # V at the start of the episode, m²/s
     lyapunov: Floats  # V now, m²/s; follows from positions and weights
     min_clearance: Floats  # Least distance to an obstacle in this episode, m
-    clearance: Floats  # As of the last observation, m
+    clearance: Floats  # Of the robot nearest to an obstacle as of the last observation, m
     square_closest: Floats  # Least square distance of two neighbours as of the last observation, m²
 
 
@@ -190,7 +190,7 @@ class Teams(NamedTuple):
     """The robot that each one is now part of; itself while it is active."""
     statistics: Annotated[Floats, "blocks statistics L"]  # The rows of Statistics
     discs: Annotated[Floats, "blocks discs 3 L"]
-    """Of the obstacles those that are discs in the plane: centre and radius, m; NaN is none."""
+    """Obstacles that are discs in the plane: centre and radius, m; a radius of NaN is no disc."""
 
 
 class BatchState(NamedTuple):

@@ -90,16 +90,16 @@ def equal_gain_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     extent = known.largest_size(scenario) + known.hull_growth(scenario)
     extent += (scenario.n_robots - 1) * (2.0 * math.pi * (dim - 1)) * strayed
     late_by = held_error(gains, scenario.tau, scenario.merge_radius)
-    tolerated = float((largest_error(left, dim) - late_by).min())
+    tolerated = max(0.0, float((largest_error(left, dim) - late_by).min()))
     if lost := given.errors_outlasted(scenario, asked, tolerated):
-        return Bounds(lost)
+        return Bounds(lost, tolerated_bearing_error=tolerated)
     if error == 0.0:  # two robots whose bearings are right move on one line
         late_by = np.where(left == 2, 0.0, late_by)
     time = float(known.held_time(scenario, extent, shrinking(left, dim, gains, error + late_by)))
     who = "law (1)" if asked.by == "law" else "every policy that weighs neighbours"
     words = f"theorem N: {who} meets in finite time although bearings err by {error:.4g} rad"
     hull = extent if math.isfinite(time) else math.inf
-    return bounds_with_errors(asked, time, max(0.0, tolerated), words, who, hull=hull)
+    return bounds_with_errors(asked, time, tolerated, words, who, hull=hull)
 
 
 def tolerated_error(
@@ -148,7 +148,7 @@ def certified_bounds(
     q = margin * (pull - faded) - (1.0 + margin) * wrong
     sure = asked._replace(min_alignment=float((q / pull).min()))
     if lost := given.errors_outlasted(scenario, sure, tolerated):
-        return Bounds(lost)
+        return Bounds(lost, tolerated_bearing_error=tolerated)
     rates, slowest = np.maximum(q, 0.0) ** 2 / left, known.scale_bound(scenario)
     time = known.held_time(scenario, most, rates * slowest)
     if each is not None:
