@@ -296,6 +296,9 @@ def test_obstacles_of_slots_may_be_of_arrays():
     env.reset()
     np.testing.assert_array_equal(*env.simulator.obstacles)
     assert env.simulator.obstacles.any()
+    none = [{"obstacles": None}, {}] * ROBOTS  # as if they were not given
+    env.set_options(none)
+    env.reset()
     env.set_options([{"obstacles": [rv.Disc((slot, 0.0), 0.1)]} for slot in range(2 * ROBOTS)])
     with pytest.raises(ValueError, match="all teams need the same keys and obstacles"):
         env.reset()

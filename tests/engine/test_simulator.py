@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import signal
 
 import numpy as np
 import pytest
@@ -225,6 +226,20 @@ def test_no_team_steps_before_each_has_been_reset():
                 teams.step(still)
     sim.reset(0, mask=np.array([False, True, False]))
     assert sim.step(still).rewards.shape == (3,) and sim.steps.tolist() == [1, 1, 1]
+
+
+def test_no_team_steps_whose_state_was_put_back_but_not_observed(monkeypatch):
+    """What may be met is known from the last observation, which Ctrl-C may prevent."""
+    sim, fresh = Simulator(Scenario(n_robots=2)), Simulator(Scenario(n_robots=2))
+    sim.reset(0)
+    with monkeypatch.context() as patch:
+        patch.setattr(fresh, "observe", lambda: signal.raise_signal(signal.SIGINT))
+        with pytest.raises(KeyboardInterrupt):
+            fresh.set_state(sim.get_state())
+    with pytest.raises(RuntimeError, match="call reset"):
+        fresh.step(np.zeros((1, 2, 2)))
+    fresh.set_state(sim.get_state())
+    fresh.step(np.zeros((1, 2, 2)))
 
 
 def test_a_resting_team_that_starts_within_r_meets_in_its_first_own_step():

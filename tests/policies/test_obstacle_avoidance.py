@@ -198,6 +198,15 @@ def test_who_touches_an_obstacle_leaves_it_along_f_and_does_not_press_into_it(di
             assert np.linalg.norm(into) == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.parametrize("swapped", [-0.1, -1e-7, 1e-7, 0.1])
+def test_a_touched_obstacle_whose_edges_have_changed_sides_is_not_taken_for_nothing(swapped):
+    """By rounding, or by a sensor that errs: it stands at +x, and covers about half of all."""
+    angles = 0.5 * math.pi * np.array([1.0, -1.0]) + 0.5 * swapped * np.array([1.0, -1.0])
+    points = np.stack([np.cos(angles), np.sin(angles)], axis=-1)[None]
+    heading = tangent_joined_heading(np.array([1.0, 0.3]), points, clearance=CLEARANCE)
+    assert heading[0] == pytest.approx(-math.sin(CLEARANCE + 0.5 * swapped), abs=1e-6)
+
+
 CLUTTER = Scenario(n_robots=4, obstacle_slots=6, time_step=0.05, allow_long_step=True)
 LAYOUT = CLUTTER.observation_layout
 

@@ -84,6 +84,8 @@ def test_the_last_of_a_tolerated_error_is_no_use_to_steps_that_rounding_swallows
     assert (simulator.positions[0, :, 0] == (0.7, 1.4)).all()
     found = certificate(pair)
     assert not found.guaranteed and "the world or errors smaller" in found.theorem
+    exact = certificate(pair.replace(sensing=Sensing()))
+    assert found.tolerated_bearing_error == exact.tolerated_bearing_error > pair.sensing.error
     assert certificate(pair.replace(sensing=Sensing(error=1.5))).guaranteed
     angles = 0.3 + 2.0 * np.pi / 3.0 * np.arange(3)
     corners = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -114,7 +116,7 @@ def test_the_last_of_an_error_that_tanks_tolerate_is_no_use_at_a_small_margin():
     assert (places[:, 0] == (1e3, 1001.0)).all() and np.linalg.norm(places[1] - places[0]) >= 1.0
     for by in ("tank", "heading"):
         found = certificate(scenario, 1e-4, by=by)
-        assert not found.guaranteed
+        assert not found.guaranteed and (found.tolerated_bearing_error > error) == (by == "tank")
         assert math.isfinite(found.lyapunov_bound) and certificate(exact, 1e-4, by=by).guaranteed
     assert "the world or errors smaller" in certificate(scenario, 1e-4, by="tank").theorem
 

@@ -98,14 +98,14 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     rates = 4.0 * asked.share * degrees * speeds * sure**2 / left
     counted = reach is None or known.kind_of_links(scenario.sensing_graph) == known.PROXIMITY
     time, tolerated = known.held_time(scenario, most, rates), math.pi / (2.0 * n)
-    kept = {"lyapunov": most if counted else math.inf, "link_growth": merge_growth(scenario)}
     if lost := given.errors_outlasted(scenario, asked, tolerated):
-        return Bounds(lost, tolerated_bearing_error=tolerated, **kept)
+        return Bounds(lost, tolerated_bearing_error=tolerated)
     words = (
         "theorem R: whatever is wanted, no link in sight grows longer between merges, and all "
         "robots meet in finite time"
     )
     even_so = "; no link in sight grows longer between merges even so"
+    kept = {"lyapunov": most if counted else math.inf, "link_growth": merge_growth(scenario)}
     return bounds_with_errors(asked, time, tolerated, words, "theorem R", even_so, **kept)
 
 
