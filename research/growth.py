@@ -46,6 +46,6 @@ def growth_figure() -> Figure:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
+    if len(sys.argv) != 2 or not sys.argv[1].endswith(".png"):
         sys.exit("name a PNG: growth.py PNG")
     growth_figure().savefig(sys.argv[1], dpi=150)

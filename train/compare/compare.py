@@ -90,8 +90,8 @@ def _run(
     out_folder.promote(out)
     episodes = sum(len(done.episodes.success) for done in found.played)
     split = ", ".join(f"{name} {seconds:.1f}" for name, seconds in clock.items())
-    said = f"{episodes} episodes in {clock.total:.1f} s: {split}; files in {config.out}"
-    console.print(said, soft_wrap=True)
+    said = f"{episodes} episode{'s' * (episodes != 1)} in {clock.total:.1f} s: {split}; files in "
+    console.print(f"{said}{config.out}", soft_wrap=True)
     if found.excess:
         print(
             f"error: in {found.excess} episodes a merge raised V above its bound (theory 5); "
