@@ -144,7 +144,7 @@ class Simulator(StateView):
         self._episodes.begin(which, seeds, given, resting)
         self.changes += 2  # so that none is taken for a step
         self._all_running = not (resting and len(which)) and not self.status.any()
-        self._ready = not (self._state.number < 0).any()
+        self._ready = self._ready or not (self._state.number < 0).any()
 
     def step(self, actions: ArrayLike) -> StepOutput:
         """Advance every running team by one step τ with the inputs held.

@@ -59,6 +59,7 @@ class State:
         """Of these arrays those that neither are constant nor follow from the rest."""
         self._told += ["frames"] if self.scenario.model.n_angles == 0 else []
         self._told += ["past"] if delay else []
+        self._begun_anew = [k for k, array in self._arrays.items() if k != "past" and array.size]
 
     def _no_obstacles(self) -> Any:
         obstacles, slots = self.scenario.obstacles, self.place.sizes["M"]
@@ -84,13 +85,13 @@ class State:
 
     def give(self, which: NDArray[np.int64], **arrays: NDArray[Any]) -> None:
         """Write arrays of these teams, (count or 1, …)."""
-        places = self._places(which)
+        places = self._places(which) if arrays else ()
         for name, values in arrays.items():
             self._arrays[name][places[name in self._in_blocks]] = values
 
     def copy_of(self, which: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
         """All that a reset of these teams may change, for ``give``."""
-        return self._copies([name for name in self._arrays if name != "past"], which)
+        return self._copies(self._begun_anew, which)
 
     def _copies(self, names: Iterable[str], which: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
         places = self._places(which)
