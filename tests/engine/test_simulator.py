@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import signal
 
 import numpy as np
 import pytest
@@ -232,10 +231,13 @@ def test_no_team_steps_whose_state_was_put_back_but_not_observed(monkeypatch):
     """What may be met is known from the last observation, which Ctrl-C may prevent."""
     sim, fresh = Simulator(Scenario(n_robots=2)), Simulator(Scenario(n_robots=2))
     sim.reset(0)
-    with monkeypatch.context() as patch:
-        patch.setattr(fresh, "observe", lambda: signal.raise_signal(signal.SIGINT))
-        with pytest.raises(KeyboardInterrupt):
-            fresh.set_state(sim.get_state())
+
+    def interrupted():
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(fresh, "observe", interrupted)
+        fresh.set_state(sim.get_state())
     with pytest.raises(RuntimeError, match="call reset"):
         fresh.step(np.zeros((1, 2, 2)))
     fresh.set_state(sim.get_state())
