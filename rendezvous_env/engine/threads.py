@@ -42,8 +42,7 @@ def share(calls_of: Callable[[Part], Calls], blocks: int, most: int, ahead: floa
 
     Raises:
         BaseException: what a call raised, or what interrupted the caller (Ctrl-C). No thread works
-            on any block then, and unless a call has failed all are done or none; a call of the
-            caller's that has failed may be made twice.
+            on any block then, and unless a call has failed all are done or none.
     """
     # a helper that shares waits for the others, and they might for it
     if most == 1 or not compiled() or threading.current_thread() in _workers:
@@ -51,8 +50,8 @@ def share(calls_of: Callable[[Part], Calls], blocks: int, most: int, ahead: floa
             one()
         return
     ends = [round(blocks * (ahead + (1.0 - ahead) * k / most)) for k in range(1, most + 1)]
-    cuts = [0, *ends]
-    job = _Job(calls_of, list(zip(cuts, cuts[1:], range(most), strict=False)))
+    parts = zip([0, *ends], ends, range(most), strict=False)
+    job = _Job([[*calls_of(part)] for part in parts])
     see_through = job.calls_to_see_it_through()
     _ensure_workers(most - 1)
     try:
@@ -62,22 +61,21 @@ def share(calls_of: Callable[[Part], Calls], blocks: int, most: int, ahead: floa
     except BaseException:
         deque(see_through, 0)  # from what is raised to here, and within, no signal is heard
         raise
-    finally:
-        job.let_go()
     if job.errors:
         raise job.errors[0]
 
 
 class _Job:
-    """One call of ``share``; its first part is the caller's, if nothing can interrupt that."""
+    """One call of ``share``, whose parts are lists of calls; the first is the caller's, if nothing
+    can interrupt that.
+    """
 
-    def __init__(self, calls_of: Callable[[Part], Calls], parts: list[Part]) -> None:
-        self._calls_of: Callable[[Part], Calls] | None = calls_of
-        self._first, self._left = parts[0], deque(parts[1:])
-        self._to_hand_over = iter(parts[:1])
-        self._own: list[Callable[[], Any]] | None = None
-        self._made: list[Any] = []  # what the caller's own calls have returned
+    def __init__(self, parts: list[list[Callable[[], Any]]]) -> None:
         self._ended = np.zeros(len(parts), np.int64)  # 1 for each part that has
+        self._uninterrupted = all(map(_is_uninterrupted, parts[0]))
+        self._own, *others = map(iter, parts)  # what has been called is let go
+        self._left = deque(enumerate(others, 1))
+        self._to_hand_over = iter([(0, self._own)])
         self._over: SimpleQueue[None] = SimpleQueue()
         self.core, self.caller = _own_core(), threading.get_native_id()
         self.errors: list[BaseException] = []
@@ -86,33 +84,23 @@ class _Job:
         """Do parts that nobody has taken yet."""
         while self._left:
             try:
-                part = self._left.popleft()
+                number, calls = self._left.popleft()
             except IndexError:  # another thread was faster
                 return
             try:
-                for one in self._calls(part):
+                for one in calls:
                     one()
             except BaseException as error:
                 self.errors.append(error)
-            self._ended[part[2]] = 1  # the caller sees it, and wants the interpreter's lock at once
+            self._ended[number] = 1  # the caller sees it, and wants the interpreter's lock at once
             self._over.put(None)
-
-    def _calls(self, part: Part) -> Calls:
-        """What there is to do for a part; of the caller's own, what it has left over."""
-        if part is self._first and self._own is not None:
-            return self._own[len(self._made) :]
-        assert self._calls_of is not None
-        return self._calls_of(part)
 
     def take_part(self) -> None:
         """Do the caller's part, or leave it to the others, and wait for them."""
-        assert self._calls_of is not None
-        own: list[Callable[[], Any]] = [*self._calls_of(self._first)]
-        own.append(partial(self._ended[:1].fill, 1))
         patience = 0
-        if all(map(_is_uninterrupted, own)):
-            self._own, patience = own, _PATIENCE
-            self._made.extend(map(call, own))
+        if self._uninterrupted:
+            deque(map(call, self._own), 0)
+            self._ended[0], patience = 1, _PATIENCE
         else:
             _ensure_workers(len(self._ended))
             self.core = _NO_CORE  # it is free while the caller waits
@@ -130,10 +118,6 @@ class _Job:
         hand_over, put = partial(self._left.extend, self._to_hand_over), partial(_jobs.put, self)
         wait = partial(watch, self._ended, np.zeros(1, np.int64), _FOR_EVER)
         return map(call, (hand_over, put, wait))
-
-    def let_go(self) -> None:
-        """Keep no arrays alive, though a thread that wakes late still has the job."""
-        self._calls_of, self._own = None, []
 
 
 def _is_uninterrupted(one: Any) -> bool:
