@@ -95,6 +95,11 @@ def _options(inline: Inline, *, allocates: bool = False, within: bool = False) -
     }
 
 
+OVERLOADED = _options("code", within=True)
+"""Options of numba's ``overload``, for what becomes part of a kernel."""
+del OVERLOADED["nopython"]
+
+
 class _Kernel(_DISPATCHER):
     """numba's dispatcher, with the rules of this project."""
 
@@ -196,9 +201,7 @@ def by_type(argument: str, choose: Callable[[type], Any]) -> Any:
                 return chosen
             return calling(chosen) if callable(chosen) else giving(chosen)
 
-        options: Any = _options("code", within=True)
-        del options["nopython"]
-        overload(called, jit_options=options, strict=False)(typed)
+        overload(called, jit_options=OVERLOADED, strict=False)(typed)
         return called
 
     return decorate

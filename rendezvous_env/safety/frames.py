@@ -7,7 +7,7 @@ from typing import NamedTuple
 from ..compilation import inner_kernel, kernel
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import cross, dot, load, load_pair, split, store, without
-from .robot_lanes import LANES, PLANE, lanes_of, put, read_rows, vector_of
+from .robot_lanes import LANES, PLANE, by_robot, lanes_of, put, read_rows, vector_of
 
 FRAMES = ("net_bearing", "local")
 _NEARLY_ALONG = 1e-6
@@ -25,13 +25,14 @@ class Sight(NamedTuple):
 
 
 @kernel
-def look_along_net_bearing(robots, constants, arrays, work):
-    """Turn observations (N, rows, d), m/s, into frames with x along f: row ← Fᵀ row, F = (f/‖f‖, …)
-    (theory 7), of robots from one index to another. Where ‖f‖ < δ the last frame is kept.
+def look_along_net_bearing(teams, constants, arrays, work):
+    """Turn observations (B, n, rows, d), m/s, into frames with x along f: row ← Fᵀ row, F =
+    (f/‖f‖, …) (theory 7), of teams from one index to another. Where ‖f‖ < δ the last frame is kept.
     """
-    observations, frames, seen = arrays
-    for first in range(robots[0], robots[1], LANES):
-        stop = min(first + LANES, robots[1])
+    observations, frames, seen = by_robot(arrays)
+    n = arrays[0].shape[1]
+    for first in range(teams[0] * n, teams[1] * n, LANES):
+        stop = min(first + LANES, teams[1] * n)
         if observations.shape[2] == 2:  # behind this question the compiler leaves out z
             _aim_in_plane(observations, constants, frames, first, stop, work)
             for i in range(first, stop):

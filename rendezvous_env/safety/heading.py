@@ -32,6 +32,7 @@ from .robot_lanes import (
     LANES,
     PLANE,
     SPACE,
+    by_robot,
     give_out,
     in_lanes,
     lanes_of,
@@ -220,13 +221,13 @@ class _Constants(NamedTuple):
 
 
 @kernel
-def _steer(robots, constants, arrays, work):
+def _steer(teams, constants, arrays, work):
     """Actions min(1, r/(2Dτ)) h max(0, hᵀf − e), e = 2 sin(η/2) D (eq. 4, theorems C and N1')."""
-    observations, held, headings, actions, alignment, lyapunov_rate = arrays
-    lanes, robot = lanes_of(work), constants.robot
+    observations, held, headings, actions, alignment, lyapunov_rate = by_robot(arrays)
+    lanes, robot, n = lanes_of(work), constants.robot, arrays[0].shape[1]
     weighs = constants.speed_scaled or robot.error_chord > 0.0
-    for first in range(robots[0], robots[1], LANES):
-        stop = min(first + LANES, robots[1])
+    for first in range(teams[0] * n, teams[1] * n, LANES):
+        stop = min(first + LANES, teams[1] * n)
         read(observations, held, first, stop, robot, weighs, work)
         take_in(headings, first, stop, lanes.heading)
         if observations.shape[2] == 2:

@@ -6,14 +6,15 @@ copied out. All lanes are computed, those of no robot too, by the same code: so 
 robot does not hang on how many others there are.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba.extending import overload
 from numpy.typing import NDArray
 
-from ..compilation import compiled, entry_point, inner_kernel
+from ..compilation import OVERLOADED, compiled, entry_point, inner_kernel
 from ..engine.memory import read_row
 from ..engine.threads import Calls, Part
 from ..physics.neighbour_rows import net_bearing_of
@@ -45,18 +46,25 @@ _entry_points: dict[tuple[Any, type, np.dtype[Any]], Callable[..., Any]] = {}
 
 
 def in_lanes(kernel: Any, teams: Part, constants: Any, *arrays: NDArray[Any]) -> Calls:
-    """The call of a kernel for the robots of some teams, b·n + i for robot i of team b: it is given
-    which ones, constants, arrays (B, n, ...), any unit, the first of which is observations, as
-    (B·n, ...), and memory for ``lanes_of`` and rows.
+    """The call of a kernel for the robots of some teams: it is given the teams, constants, arrays
+    (B, n, ...), any unit, the first of which is observations, and memory for ``lanes_of`` and rows.
     """
-    n, rows = arrays[0].shape[1:3]
-    robots = tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])  # not copied
-    which = teams[0] * n, teams[1] * n
-    arguments = which, constants, robots, np.zeros((_ROWS + 2 * rows, LANES))
+    arguments = teams, constants, arrays, np.zeros((_ROWS + 2 * arrays[0].shape[2], LANES))
     kind = kernel, type(constants), arrays[0].dtype  # all other types follow from these
     if (run := _entry_points.get(kind)) is None:
         run = _entry_points[kind] = entry_point(kernel, arguments)
     return [partial(run, *arguments)]
+
+
+def by_robot(arrays: Sequence[NDArray[Any]]) -> tuple[NDArray[Any], ...]:
+    """Arrays (B, n, ...), any unit, as (B·n, ...): b·n + i for robot i of team b; not copied."""
+    return tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])
+
+
+@overload(by_robot, jit_options=OVERLOADED, strict=False)
+def _by_robot(arrays: Any) -> Any:
+    one = "arrays[{0}].reshape((-1,) + arrays[{0}].shape[2:])".format
+    return eval(f"lambda arrays: ({', '.join(map(one, range(len(arrays))))},)")
 
 
 @inner_kernel(inline="text")

@@ -25,6 +25,7 @@ from .robot_lanes import (
     LANES,
     PLANE,
     SPACE,
+    by_robot,
     in_lanes,
     lanes_of,
     put,
@@ -90,13 +91,14 @@ class _Constants(NamedTuple):
 
 
 @kernel
-def _spend(robots, constants, arrays, work):
+def _spend(teams, constants, arrays, work):
     """Actions of robots, carried out where A + G(Δ) ≥ 0, and what is told of them (theorem D)."""
-    observations, held, levels, actions, linked, deposits, carried_out = arrays[:7]
-    alignment, lyapunov_rate = arrays[7:]
-    lanes = lanes_of(work)
-    for first in range(robots[0], robots[1], LANES):
-        stop = min(first + LANES, robots[1])
+    robots = by_robot(arrays)
+    observations, held, levels, actions, linked, deposits, carried_out = robots[:7]
+    alignment, lyapunov_rate = robots[7:]
+    lanes, n = lanes_of(work), arrays[0].shape[1]
+    for first in range(teams[0] * n, teams[1] * n, LANES):
+        stop = min(first + LANES, teams[1] * n)
         read(observations, held, first, stop, constants.robot, True, work)
         level = levels[first:stop]
         for lane in range(len(level)):
