@@ -166,14 +166,14 @@ class BatchRunner:
         show: Show | None = None,
     ) -> Driven:
         """``Simulator.drive``: each thread leads its own teams through all steps; those that are
-        resting, (B,), pass the first one by.
+        resting, (B,), pass the first one by; it is written to.
         """
         teams, output, actions = self._state.teams, self.new_output(), self._actions
         earned, robots_earned, touched = output.rewards, output.robot_rewards, output.contact
         if count > 1:
             earned, robots_earned = np.zeros_like(earned), np.zeros_like(robots_earned)
             touched = np.zeros_like(touched)
-        lanes, resting = self._state.lanes, resting.copy()
+        lanes = self._state.lanes
         follows = self._state.scenario.on_merge == "follow"
         if (pace := self._paces.get(count)) is None:
             pace = self._paces[count] = self._pace_of(_PILOTED * count)

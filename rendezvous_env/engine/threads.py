@@ -156,6 +156,8 @@ _workers_lock = threading.Lock()
 
 
 def _ensure_workers(wanted: int) -> None:
+    if len(_workers) >= wanted:  # as in most steps
+        return
     with _workers_lock:
         while len(_workers) < wanted:
             worker = threading.Thread(target=_serve, args=(_jobs,), name="rendezvous", daemon=True)

@@ -168,8 +168,10 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         self.outcome = driven.output
         return driven
 
-    def tell(self) -> Transition:
-        """What ``step`` returns of the last step while no team is reset, without ``summary``."""
+    def tell(self, **more: NDArray[Any]) -> Transition:
+        """What ``step`` returns of the last step while no team is reset, without ``summary``, and
+        with infos of a wrapper's own, (B, ...).
+        """
         simulator, outcome = self.simulator, self.outcome
         assert outcome is not None  # there has been a step
         infos = simulator.episode_statistics(outcome) | {
@@ -179,6 +181,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
             "contact": outcome.contact,
             "clearance": outcome.clearance,
             **simulator.costs,
+            **more,
         }
         if simulator.all_running:  # as after most steps
             terminations = np.zeros(self.num_envs, dtype=np.bool_)

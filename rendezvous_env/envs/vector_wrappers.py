@@ -29,7 +29,6 @@ from .vector_env import (
     Transition,
     leave_out_summary,
     masked,
-    of_all,
     tell_ends,
 )
 
@@ -142,13 +141,12 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
             costs: Info = {}
         else:
             rewards, robot_rewards, contact, costs, between, ends = self._drive_by_steps()
-        _, _, terminations, truncations, infos = base.tell()
+        own = {"robot_rewards": robot_rewards, "contact": contact, **costs, **self._told()}
+        _, _, terminations, truncations, infos = base.tell(**own)
         if not alone:
             terminations, truncations = ends | (terminations, truncations)
-            infos |= between
-        leave_out_summary(infos)
-        infos |= {"robot_rewards": robot_rewards, "contact": contact, **costs}
-        infos |= of_all(self._told(), self.num_envs)
+            infos |= {key: told for key, told in between.items() if key.lstrip("_") not in own}
+            leave_out_summary(infos)
         return shown, rewards, terminations, truncations, infos
 
     def _viewing(self) -> tuple[NDArray[np.float32] | None, Show | None]:
