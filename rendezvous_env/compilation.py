@@ -95,7 +95,7 @@ def _options(inline: Inline, *, allocates: bool = False, within: bool = False) -
     }
 
 
-OVERLOADED = _options("code", within=True)
+OVERLOADED: Any = _options("code", within=True)
 """Options of numba's ``overload``, for what becomes part of a kernel."""
 del OVERLOADED["nopython"]
 

@@ -144,7 +144,6 @@ class Simulator(StateView):
         self._episodes.begin(which, seeds, given, resting)
         self.changes += 2  # so that none is taken for a step
         self._all_running = not (resting and len(which)) and not self.status.any()
-        self._ready = self._ready or not (self._state.number < 0).any()
 
     def step(self, actions: ArrayLike) -> StepOutput:
         """Advance every running team by one step τ with the inputs held.
@@ -306,6 +305,7 @@ class Simulator(StateView):
             RuntimeError: if a robot has more neighbours than the observation has rows.
         """
         output = self._runner.observe()
+        self._ready = not (self._state.number < 0).any()  # steps go by the observation
         self._sense_custom(output, np.arange(self.num_envs))
         self._refuse_crowds(output)
         return output.observations
@@ -361,12 +361,11 @@ class Simulator(StateView):
         return entries
 
     def _put_state(self, state: dict[str, NDArray[Any]]) -> None:
-        self._ready = False  # should an interrupt leave from here: steps go by the observation
+        self._ready = False  # should an interrupt leave from here
         self._state.put(state)
         self._all_running = not self.status.any()
         if self.begun:
             self.observe()
-        self._ready = not (self._state.number < 0).any()
 
     def set_max_steps(self, max_steps: int) -> None:
         """Change the time limit to a number of steps.

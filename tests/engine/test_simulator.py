@@ -229,7 +229,7 @@ def test_no_team_steps_before_each_has_been_reset():
 
 def test_no_team_steps_whose_state_was_put_back_but_not_observed(monkeypatch):
     """What may be met is known from the last observation, which Ctrl-C may prevent."""
-    sim, fresh = Simulator(Scenario(n_robots=2)), Simulator(Scenario(n_robots=2))
+    sim, fresh = Simulator(Scenario(n_robots=2), 2), Simulator(Scenario(n_robots=2), 2)
     sim.reset(0)
 
     def interrupted():
@@ -238,10 +238,11 @@ def test_no_team_steps_whose_state_was_put_back_but_not_observed(monkeypatch):
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(fresh, "observe", interrupted)
         fresh.set_state(sim.get_state())
+    fresh.restart(np.array([False, True]))  # the other is observed no more for it
     with pytest.raises(RuntimeError, match="call reset"):
-        fresh.step(np.zeros((1, 2, 2)))
+        fresh.step(np.zeros((2, 2, 2)))
     fresh.set_state(sim.get_state())
-    fresh.step(np.zeros((1, 2, 2)))
+    fresh.step(np.zeros((2, 2, 2)))
 
 
 def test_a_resting_team_that_starts_within_r_meets_in_its_first_own_step():
