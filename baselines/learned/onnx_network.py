@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .checkpoints import CheckpointError
+from .checkpoints import CheckpointError, reading
 from .numpy_actor import Array, Network
 from .policy_settings import PolicySettings
 
@@ -36,10 +36,8 @@ class OnnxNetwork(Network):
     """
 
     def __init__(self, path: Path) -> None:
-        try:
+        with reading(path):
             content = path.read_bytes()
-        except OSError as error:
-            raise CheckpointError(f"{path}: cannot be read: {error.strerror}") from error
         digest = _DIGEST.search(content)  # before anything is read of what the file says
         if digest is None:
             raise CheckpointError(
