@@ -138,9 +138,7 @@ def choice(field: str, value: Any, choices: Iterable[str]) -> str:
     """One of some words."""
     known = tuple(choices)
     if not isinstance(value, str) or value not in known:
-        near = nearest_word(value, known)
-        hint = f"; did you mean {near!r}?" if near else ""
-        refuse(field, value, f"one of {', '.join(map(repr, known))}{hint}")
+        refuse(field, value, f"one of {', '.join(map(repr, known))}{meant(value, known, '; ')}")
     return value
 
 
@@ -240,6 +238,12 @@ def nearest_word(word: Any, words: Iterable[str], cutoff: float = 0.65) -> str |
     return close[0] if close else None
 
 
+def meant(word: Any, words: Iterable[str], before: str = "", after: str = "") -> str:
+    """The question whether the ``nearest_word`` was meant, between two texts; empty without one."""
+    near = nearest_word(word, words)
+    return f"{before}did you mean {near!r}?{after}" if near else ""
+
+
 def known_fields(
     given: Iterable[Any], known: Iterable[str], what: str, noun: str = "field"
 ) -> None:
@@ -247,9 +251,8 @@ def known_fields(
     known = list(known)
     for key in given:
         if key not in known:
-            near = nearest_word(key, known)
-            hint = f"did you mean {near!r}?" if near else f"known are {', '.join(known)}"
-            if near == "time_limit" and key in _STEPS:
+            hint = meant(key, known) or f"known are {', '.join(known)}"
+            if key in _STEPS and nearest_word(key, known) == "time_limit":
                 hint += " it is in s, not in steps"
             raise UnknownFieldError(f"{what} has no {noun} {shown(key)}; {hint}")
 
@@ -315,9 +318,9 @@ def _check_of(hint: Any) -> Callable[[str, Any], Any] | None:
     return by_kind.get(hint)
 
 
-class Registry(dict[str, Callable[..., Any]]):
-    """Functions of users, by name: what they are, and the function that registers one, as users
-    write it.
+class Registry(dict[str, Any]):
+    """Functions of users, or their models, by name: what they are, and the function that registers
+    one, as users write it.
     """
 
     def __init__(self, what: str, register: str) -> None:
@@ -342,6 +345,5 @@ class Registry(dict[str, Callable[..., Any]]):
     def check(self, field: str, name: Any) -> None:
         """Refuse a name that nobody has registered, with the nearest one or how to register it."""
         if not isinstance(name, str) or name not in self:
-            near = nearest_word(name, self)
-            hint = f"did you mean {near!r}?" if near else f"register it with {self._register}"
+            hint = meant(name, self) or f"register it with {self._register}"
             raise ValueError(f"{field}: {shown(name)} is unknown; {hint}")

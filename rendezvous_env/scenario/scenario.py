@@ -24,7 +24,7 @@ from ..obstacles import parsing as obstacles
 from ..obstacles.parsing import Obstacles
 from ..rewards.costs import as_costs
 from ..rewards.terms import RewardWeights
-from ..robots.robot_models import ROBOT_MODELS, RobotModel, model_of, try_with
+from ..robots.robot_models import ROBOT_MODELS, RobotModel, try_with
 from ..sensors.sensing import Sensing
 from . import scenario_files
 from .observation_layout import ObservationLayout
@@ -170,8 +170,8 @@ class Scenario:
 
     @property
     def model(self) -> RobotModel:
-        """The robot model."""
-        return model_of(self.robot_model)
+        """The robot model; a ValueError where it is not registered, as after another's pickle."""
+        return cast(RobotModel, ROBOT_MODELS[self.robot_model])
 
     @cached_property
     def max_degree(self) -> float:
