@@ -263,6 +263,19 @@ Metres = Annotated[float, partial(positive, unit="m")]
 Seconds = Annotated[float, partial(positive, unit="s")]
 
 
+def of_class(made: Any) -> Callable[[str, Any], Any]:
+    """A check for an instance of a class, or a table of its fields."""
+
+    def check(field: str, value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return made.from_plain(value)
+        if not isinstance(value, made):
+            refuse(field, value, f"a {made.__name__}, or a table of its fields")
+        return value
+
+    return check
+
+
 def names_unknown_fields(what: str) -> Callable[[type[_Made]], type[_Made]]:
     """For a dataclass: unknown keywords of its constructor are refused with the nearest field."""
 
