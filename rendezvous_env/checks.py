@@ -9,6 +9,7 @@ import reprlib
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from importlib import import_module
 from typing import Annotated, Any, Literal, NoReturn, TypeVar, cast
 
 import numpy as np
@@ -255,6 +256,15 @@ def known_fields(
             if key in _STEPS and nearest_word(key, known) == "time_limit":
                 hint += " it is in s, not in steps"
             raise UnknownFieldError(f"{what} has no {noun} {shown(key)}; {hint}")
+
+
+def load(library: str, what: str, extra: str) -> Any:
+    """A library of an extra; an ImportError says what needs it, and how to get it."""
+    try:
+        return import_module(library)
+    except ImportError as error:
+        remedy = f"pip install 'rendezvous-env[{extra}]'"
+        raise ImportError(f"{what} needs {library}: {remedy}", name=library) from error
 
 
 # ---- dataclasses whose annotations say what is right ---------------------------------------------
