@@ -28,13 +28,17 @@ class CheckpointError(ValueError):
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[None]:
-    """Refuse, with a CheckpointError, a file or folder that cannot be read."""
+def refusing(
+    path: Path,
+    fault: str = "cannot be read",
+    errors: tuple[type[Exception], ...] = (OSError, TypeError, ValueError),
+) -> Iterator[None]:
+    """Say of errors, in a CheckpointError, which file or folder has which fault."""
     try:
         yield
-    except (OSError, ValueError) as error:
+    except errors as error:
         reason = getattr(error, "strerror", None) or error
-        raise CheckpointError(f"{path}: cannot be read: {reason}") from error
+        raise CheckpointError(f"{path}: {fault}: {reason}") from error
 
 
 def find(path: Path) -> Path:
@@ -61,14 +65,14 @@ def candidates(run: Path) -> list[Path]:
 
 def _names(folder: Path) -> list[str]:
     """Names in a folder; none if it does not exist."""
-    with reading(folder):
+    with refusing(folder):
         return os.listdir(folder) if folder.is_dir() else []
 
 
 def describe(place: Path) -> dict[str, Any]:
     """The description of a checkpoint, which is checked against its own digest."""
     path = place / DESCRIPTION
-    with reading(path):
+    with refusing(path):
         about = read_json(path)
     version = about.get("format_version") if isinstance(about, dict) else None
     if version != FORMAT_VERSION:
@@ -97,7 +101,7 @@ def _read_file(path: Path, about: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     expected = about["files"].get(path.name)
     if expected is None:
         raise CheckpointError(f"{path}: is not part of this checkpoint, which holds no such state")
-    with reading(path):
+    with refusing(path):
         content = path.read_bytes()
     if len(content) != expected.get("bytes"):
         raise CheckpointError(
@@ -106,10 +110,9 @@ def _read_file(path: Path, about: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
         )
     if entry(content) != expected:
         raise CheckpointError(f"{path}: its content was changed: sha256 differs from {DESCRIPTION}")
-    try:
+    errors = SafetensorError, ValueError, KeyError, TypeError, AttributeError
+    with refusing(path, "holds no arrays", errors):
         return load(content)
-    except (SafetensorError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise CheckpointError(f"{path}: holds no arrays: {error}") from error
 
 
 def digest_of(description: Mapping[str, Any]) -> str:
