@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar, overload, runtime_checkab
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import Registry, bools, choice, nearest_word, refuse, shown
+from rendezvous_env.checks import Registry, bools, choice, meant, refuse, shown
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
@@ -231,9 +231,7 @@ def make(name: str, scenario: ScenarioLike, **options: Any) -> Policy:
             slots = scenario.observation_layout.obstacle_slots
             robots = f"{scenario.robot_model} robots in {scenario.dim}-D"
             known = f"does not fit {robots} with {slots} obstacle slots"
-        near = nearest_word(name, fitting)
-        hint = f"; did you mean {near!r}?" if near else ""
-        right = f"those that fit are {', '.join(fitting)}{hint}"
+        right = f"those that fit are {', '.join(fitting)}{meant(name, fitting, '; ')}"
         raise ValueError(f"policy {shown(name)} {known}; {right}")
     build = _registry[name].build
     allowed = [option for option in inspect.signature(build).parameters if option != "scenario"]

@@ -23,6 +23,7 @@ from rendezvous_env.physics.vectors import (
     dot,
     load,
     norm,
+    rotated,
     scaled,
     split,
     store,
@@ -270,7 +271,7 @@ def _write_plane(rows, plane, silhouettes, cut, out):
     M, count = silhouettes.shape[0], 0
     K = out.shape[0] - 2 * M
     for k in range(K):
-        out[k, 0], out[k, 1] = _in_plane(load(rows[k]), plane)
+        store(_in_plane(load(rows[k]), plane), out[k])
     out[K:] = 0.0
     for m in range(M):
         if not is_seen(silhouettes[m]):
@@ -278,22 +279,15 @@ def _write_plane(rows, plane, silhouettes, cut, out):
         for s in range(2):
             length, edge = split(load(cut[count, s]))
             if length > 0.0:
-                out[K + 2 * m + s, 0], out[K + 2 * m + s, 1] = _turned(edge, plane[2])
+                store(rotated(edge, plane[2]), out[K + 2 * m + s])
         count += 1
 
 
 @kernel
-def _turned(vector, angle):
-    """A vector of the plane turned counter-clockwise, a pair."""
-    c, s = math.cos(angle), math.sin(angle)
-    return c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]
-
-
-@kernel
 def _in_plane(vector, plane):
-    """The part of a triple in a plane, a pair in its frame."""
+    """The part of a triple in a plane, a triple in its frame with z = 0."""
     u, aside, angle = plane
-    return _turned((dot(vector, u), dot(vector, aside)), angle)
+    return rotated((dot(vector, u), dot(vector, aside), 0.0), angle)
 
 
 @kernel(allocates=True)
@@ -304,7 +298,7 @@ def _follow_in_planes(teams, observations, robot, memory, held):
         for i in range(observations.shape[1]):
             rows, desired = observations[team, i], held[team, i]
             _, (u, aside, angle) = _plane_of((team, i), memory)
-            ahead, across = _turned(memory.headings[team, i], -angle)
+            ahead, across, _ = rotated(load(memory.headings[team, i]), -angle)
             heading = combine(ahead, u, across, aside)
             speed = _law_speed(rows, K, robot.merge_radius, gate.duration)
             wanted = scaled(heading, WITHIN * min(speed / robot.speed_limit, 1.0))
@@ -335,8 +329,7 @@ def _turn_in_planes(teams, actions, robot, memory):
                 memory.bends[team, i] = abs(speed) * turned * gate.duration
                 memory.turns[team, i] = rates[0] * gate.duration
                 memory.yaws[team, i] += memory.turns[team, i]
-            x, y = _in_plane(velocity, plane)
-            memory.velocities[team, i, 0], memory.velocities[team, i, 1] = x, y
+            store(_in_plane(velocity, plane), memory.velocities[team, i])
 
 
 class SteadyPlanes(_Bodies):

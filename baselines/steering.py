@@ -58,7 +58,7 @@ class Steering:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self._scenario = scenario
+        self.scenario = scenario
         self.turns = turns(scenario)
         self.gate = gate_of(scenario, 0.0, 0.0) if self.turns else None
         """Step and turn limits for kernels; None for a single integrator."""
@@ -76,13 +76,13 @@ class Steering:
         """Actions (..., a) that follow velocities (..., d), m/s; see ``inputs_towards``."""
         if not self.turns:
             return np.asarray(wanted, dtype=np.float64)
-        return self._over_robots(_steer, wanted, observations, self._scenario.action_size)
+        return self._over_robots(_steer, wanted, observations, self.scenario.action_size)
 
     def velocities(self, actions: Rows, observations: Rows) -> Array:
         """Mean velocity (..., d) over a step, v m, m/s, of robots that take actions (..., a)."""
         if not self.turns:
             return np.asarray(actions, dtype=np.float64)
-        return self._over_robots(_mean_velocities, actions, observations, self._scenario.dim)
+        return self._over_robots(_mean_velocities, actions, observations, self.scenario.dim)
 
     def turned(
         self, vectors: Rows, actions: Rows, observations: Rows, elapsed: float | None = None
@@ -92,7 +92,7 @@ class Steering:
             return np.asarray(vectors, dtype=np.float64)
         gate = self.gate if elapsed is None else self.gate._replace(duration=elapsed)
         both = np.concatenate([vectors, actions], axis=-1)
-        return self._over_robots(_turn_back, both, observations, self._scenario.dim, gate)
+        return self._over_robots(_turn_back, both, observations, self.scenario.dim, gate)
 
     def _over_robots(
         self, function: Any, values: Rows, observations: Rows, size: int, gate: Any = None

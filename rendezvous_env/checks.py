@@ -9,6 +9,7 @@ import reprlib
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from importlib import import_module
 from typing import Annotated, Any, Literal, NoReturn, TypeVar, cast
 
 import numpy as np
@@ -138,9 +139,7 @@ def choice(field: str, value: Any, choices: Iterable[str]) -> str:
     """One of some words."""
     known = tuple(choices)
     if not isinstance(value, str) or value not in known:
-        near = nearest_word(value, known)
-        hint = f"; did you mean {near!r}?" if near else ""
-        refuse(field, value, f"one of {', '.join(map(repr, known))}{hint}")
+        refuse(field, value, f"one of {', '.join(map(repr, known))}{meant(value, known, '; ')}")
     return value
 
 
@@ -240,6 +239,12 @@ def nearest_word(word: Any, words: Iterable[str], cutoff: float = 0.65) -> str |
     return close[0] if close else None
 
 
+def meant(word: Any, words: Iterable[str], before: str = "", after: str = "") -> str:
+    """The question whether the ``nearest_word`` was meant, between two texts; empty without one."""
+    near = nearest_word(word, words)
+    return f"{before}did you mean {near!r}?{after}" if near else ""
+
+
 def known_fields(
     given: Iterable[Any], known: Iterable[str], what: str, noun: str = "field"
 ) -> None:
@@ -247,17 +252,38 @@ def known_fields(
     known = list(known)
     for key in given:
         if key not in known:
-            near = nearest_word(key, known)
-            hint = f"did you mean {near!r}?" if near else f"known are {', '.join(known)}"
-            if near == "time_limit" and key in _STEPS:
+            hint = meant(key, known) or f"known are {', '.join(known)}"
+            if key in _STEPS and nearest_word(key, known) == "time_limit":
                 hint += " it is in s, not in steps"
             raise UnknownFieldError(f"{what} has no {noun} {shown(key)}; {hint}")
+
+
+def load(library: str, what: str, extra: str) -> Any:
+    """A library of an extra; an ImportError says what needs it, and how to get it."""
+    try:
+        return import_module(library)
+    except ImportError as error:
+        remedy = f"pip install 'rendezvous-env[{extra}]'"
+        raise ImportError(f"{what} needs {library}: {remedy}", name=library) from error
 
 
 # ---- dataclasses whose annotations say what is right ---------------------------------------------
 
 Metres = Annotated[float, partial(positive, unit="m")]
 Seconds = Annotated[float, partial(positive, unit="s")]
+
+
+def of_class(made: Any) -> Callable[[str, Any], Any]:
+    """A check for an instance of a class, or a table of its fields."""
+
+    def check(field: str, value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return made.from_plain(value)
+        if not isinstance(value, made):
+            refuse(field, value, f"a {made.__name__}, or a table of its fields")
+        return value
+
+    return check
 
 
 def names_unknown_fields(what: str) -> Callable[[type[_Made]], type[_Made]]:
@@ -315,9 +341,9 @@ def _check_of(hint: Any) -> Callable[[str, Any], Any] | None:
     return by_kind.get(hint)
 
 
-class Registry(dict[str, Callable[..., Any]]):
-    """Functions of users, by name: what they are, and the function that registers one, as users
-    write it.
+class Registry(dict[str, Any]):
+    """Functions of users, or their models, by name: what they are, and the function that registers
+    one, as users write it.
     """
 
     def __init__(self, what: str, register: str) -> None:
@@ -342,6 +368,5 @@ class Registry(dict[str, Callable[..., Any]]):
     def check(self, field: str, name: Any) -> None:
         """Refuse a name that nobody has registered, with the nearest one or how to register it."""
         if not isinstance(name, str) or name not in self:
-            near = nearest_word(name, self)
-            hint = f"did you mean {near!r}?" if near else f"register it with {self._register}"
+            hint = meant(name, self) or f"register it with {self._register}"
             raise ValueError(f"{field}: {shown(name)} is unknown; {hint}")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
+
+from .checks import load
 
 if TYPE_CHECKING:
     import pandas
@@ -31,6 +32,7 @@ DIMENSIONS = {
     "actions": (("step", "env", "robot", "action"), ""),
 }
 """Dimensions and unit of every array of a trajectory."""
+_EXTRA = "analysis"  # which libraries of these formats come with
 _AXES = ("x", "y", "z")
 _ANGLES = ("yaw", "pitch", "roll", "angle_3")  # as many as a robot model may keep
 
@@ -41,7 +43,7 @@ def xarray_dataset(trajectory: Any) -> xarray.Dataset:
     Coordinates ``time`` (T + 1,), s, and ``step_end`` (T,), s, when each step ended; the attribute
     ``scenario`` holds the scenario as JSON. An ImportError says how to get xarray.
     """
-    library = _import("xarray", "to_xarray")
+    library = load("xarray", "to_xarray()", _EXTRA)
     scenario, times, arrays = trajectory.scenario, trajectory.times, _arrays(trajectory)
     coordinates: dict[str, Any] = {
         "time": ("time", times, {"units": "s"}),
@@ -65,7 +67,7 @@ def pandas_dataframe(trajectory: Any) -> pandas.DataFrame:
     m²/s, of the team; ``reward`` and ``contact`` of the step that led there, NaN and False at the
     start. An ImportError says how to get pandas.
     """
-    library = _import("pandas", "to_dataframe")
+    library = load("pandas", "to_dataframe()", _EXTRA)
     arrays = _arrays(trajectory)
     positions, headings, rewards = (arrays[key] for key in ("positions", "headings", "rewards"))
     shape = positions.shape[:3]
@@ -104,8 +106,8 @@ def minari_dataset(trajectory: Any, name: str, **about: Any) -> MinariDataset:
         ValueError: naming what was not recorded, or a name that is malformed or taken; nothing
             is written then.
     """
-    minari = _import("minari", "to_minari")
-    _import("h5py", "to_minari")
+    minari = load("minari", "to_minari()", _EXTRA)
+    load("h5py", "to_minari()", _EXTRA)
     from minari.data_collector import EpisodeBuffer
 
     recorded, scenario = trajectory.recorded, trajectory.scenario
@@ -155,13 +157,3 @@ def _arrays(trajectory: Any) -> dict[str, NDArray[Any]]:
     """What is kept of every trajectory, and what was kept on request."""
     own = {name: array for name, array in vars(trajectory).items() if name in DIMENSIONS}
     return own | trajectory.recorded
-
-
-def _import(library: str, method: str) -> Any:
-    """A library of the extra ``analysis``, which only this method of a trajectory needs."""
-    try:
-        return import_module(library)
-    except ImportError as error:
-        raise ImportError(
-            f"{method}() needs {library}: pip install 'rendezvous-env[analysis]'", name=library
-        ) from error

@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 from rendezvous_env.checks import whole
 from rendezvous_env.compilation import kernel
 from rendezvous_env.limits import MOST_SECTORS
-from rendezvous_env.safety.heading import step_scale
 from rendezvous_env.scenario.observation_layout import ObservedRows
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.sensors.imperfections import in_sectors
@@ -155,11 +154,7 @@ class _Quantised(Law):
 
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         rows = rounded_bearings(seen.neighbours, self.sectors)
-        if not self.scenario.scales_velocity:
-            return bearing_only_law(rows.sum(axis=-2))
-        degree = np.linalg.norm(rows, axis=-1).sum(axis=-1)[..., np.newaxis]
-        scale = step_scale(degree, self.scenario.merge_radius, self.scenario.tau)
-        return np.asarray(bearing_only_law(rows.sum(axis=-2)) * scale)
+        return self.slowed(bearing_only_law(rows.sum(axis=-2)), seen._replace(neighbours=rows))
 
 
 def _tells_robots_apart(scenario: Scenario) -> bool:

@@ -113,6 +113,13 @@ class Law(TeamPolicy):
         f, seen = layout.net_bearing(observations), layout.split(observations)
         return within_limits(self.actions(f, seen, time), self.scenario)
 
+    def slowed(self, velocity: Array, seen: ObservedRows) -> Array:
+        """Velocities (..., n, d), m/s, slowed down where the default step is long (theory 4)."""
+        if not self.scenario.scales_velocity:
+            return velocity
+        scale = step_scale(degree_of(seen), self.scenario.merge_radius, self.scenario.tau)
+        return np.asarray(velocity * scale[..., np.newaxis])
+
 
 @dataclass(frozen=True)
 class LawPolicy(Law):
@@ -131,10 +138,7 @@ class _BearingOnly(Law):
     """Law (1): along the net bearing, as fast as it is long."""
 
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
-        if not self.scenario.scales_velocity:
-            return bearing_only_law(f)
-        scale = step_scale(degree_of(seen), self.scenario.merge_radius, self.scenario.tau)
-        return np.asarray(bearing_only_law(f) * scale[..., np.newaxis])
+        return self.slowed(bearing_only_law(f), seen)
 
 
 @register("link-keeping", fits=is_single_integrator, kind="law", on_request=True)

@@ -6,7 +6,8 @@ RUN/checkpoints/latest.json names the newest one.
 """
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,20 @@ class CheckpointError(ValueError):
     """A checkpoint is missing, truncated, changed or of another version; the message names the file
     and what would be right.
     """
+
+
+@contextmanager
+def refusing(
+    path: Path,
+    fault: str = "cannot be read",
+    errors: tuple[type[Exception], ...] = (OSError, TypeError, ValueError),
+) -> Iterator[None]:
+    """Say of errors, in a CheckpointError, which file or folder has which fault."""
+    try:
+        yield
+    except errors as error:
+        reason = getattr(error, "strerror", None) or error
+        raise CheckpointError(f"{path}: {fault}: {reason}") from error
 
 
 def find(path: Path) -> Path:
@@ -50,21 +65,15 @@ def candidates(run: Path) -> list[Path]:
 
 def _names(folder: Path) -> list[str]:
     """Names in a folder; none if it does not exist."""
-    try:
-        return os.listdir(folder)
-    except (FileNotFoundError, NotADirectoryError):
-        return []
-    except OSError as error:
-        raise CheckpointError(f"{folder}: cannot be read: {_reason(error)}") from error
+    with refusing(folder):
+        return os.listdir(folder) if folder.is_dir() else []
 
 
 def describe(place: Path) -> dict[str, Any]:
     """The description of a checkpoint, which is checked against its own digest."""
     path = place / DESCRIPTION
-    try:
+    with refusing(path):
         about = read_json(path)
-    except (OSError, ValueError) as error:
-        raise CheckpointError(f"{path}: cannot be read: {_reason(error)}") from error
     version = about.get("format_version") if isinstance(about, dict) else None
     if version != FORMAT_VERSION:
         raise CheckpointError(
@@ -92,10 +101,8 @@ def _read_file(path: Path, about: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     expected = about["files"].get(path.name)
     if expected is None:
         raise CheckpointError(f"{path}: is not part of this checkpoint, which holds no such state")
-    try:
+    with refusing(path):
         content = path.read_bytes()
-    except OSError as error:
-        raise CheckpointError(f"{path}: cannot be read: {_reason(error)}") from error
     if len(content) != expected.get("bytes"):
         raise CheckpointError(
             f"{path}: has {len(content)} bytes; it must have {expected.get('bytes')}, so it is "
@@ -103,16 +110,11 @@ def _read_file(path: Path, about: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
         )
     if entry(content) != expected:
         raise CheckpointError(f"{path}: its content was changed: sha256 differs from {DESCRIPTION}")
-    try:
+    errors = SafetensorError, ValueError, KeyError, TypeError, AttributeError
+    with refusing(path, "holds no arrays", errors):
         return load(content)
-    except (SafetensorError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise CheckpointError(f"{path}: holds no arrays: {error}") from error
 
 
 def digest_of(description: Mapping[str, Any]) -> str:
     """The digest that a description must carry in itself, of all the rest of it."""
     return digest({key: value for key, value in description.items() if key != "sha256"})
-
-
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error)

@@ -14,7 +14,6 @@ from ..filtered_policies import DecidingPolicy
 from ..policy import Float32, Mask, within_limits
 from ..steering import check_steerable
 from . import checkpoints
-from .checkpoints import CheckpointError
 from .guide import GuidedTeams
 from .numpy_actor import Network, NumpyActor
 from .onnx_network import SUFFIX, OnnxNetwork
@@ -122,8 +121,6 @@ def load(path: Path, scenario: Scenario) -> LearnedPolicy:
         return LearnedPolicy(scenario, network, network.settings)
     place = checkpoints.find(path)
     about, tables = checkpoints.read(place, ["network"])
-    try:
+    with checkpoints.refusing(place, "is no policy of this version"):
         settings = PolicySettings.from_plain(about.get("policy"))
         return LearnedPolicy(scenario, tables["network"], settings)
-    except (TypeError, ValueError) as error:
-        raise CheckpointError(f"{place}: is no policy of this version: {error}") from error

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .checkpoints import CheckpointError
+from .checkpoints import CheckpointError, refusing
 from .numpy_actor import Array, Network
 from .policy_settings import PolicySettings
 
@@ -36,10 +36,8 @@ class OnnxNetwork(Network):
     """
 
     def __init__(self, path: Path) -> None:
-        try:
+        with refusing(path):
             content = path.read_bytes()
-        except OSError as error:
-            raise CheckpointError(f"{path}: cannot be read: {error.strerror}") from error
         digest = _DIGEST.search(content)  # before anything is read of what the file says
         if digest is None:
             raise CheckpointError(
@@ -55,10 +53,8 @@ class OnnxNetwork(Network):
             raise CheckpointError(
                 f"{path}: its metadata has no {SETTINGS_KEY!r}; `rendezvous export` writes it"
             )
-        try:
+        with refusing(path, "is no policy of this version"):
             self.settings = PolicySettings.from_plain(json.loads(found))
-        except (TypeError, ValueError) as error:
-            raise CheckpointError(f"{path}: is no policy of this version: {error}") from error
         self.layout = self.settings.layout(0, 0)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -94,7 +90,5 @@ def _session(path: Path, content: bytes) -> Any:
         ) from error
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    try:
+    with refusing(path, "is no ONNX model", (Exception,)):  # its own share no other base
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's own, which share no other base
-        raise CheckpointError(f"{path}: is no ONNX model: {error}") from error

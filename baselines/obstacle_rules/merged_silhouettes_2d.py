@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from rendezvous_env.compilation import kernel
-from rendezvous_env.physics.vectors import X_AXIS, cross_in_plane, dot, load, store
+from rendezvous_env.physics.vectors import X_AXIS, cross_in_plane, dot, load, rotated, store
 from rendezvous_env.safety.turning import mean_axis
 
 from .silhouettes import STRAIGHT_AHEAD, direction_of, is_seen
@@ -56,8 +56,7 @@ def joined_heading_2d(towards, silhouettes, carried, rule, intervals):
             turn = high + min(clearance, 0.5 * gap_above)
         else:
             turn = low - min(clearance, 0.5 * gap_below)
-    c, s = math.cos(turn), math.sin(turn)
-    return c * towards[0] - s * towards[1], s * towards[0] + c * towards[1], 0.0
+    return rotated(towards, turn)
 
 
 @kernel

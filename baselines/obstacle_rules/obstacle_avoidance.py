@@ -102,17 +102,16 @@ def check_clearance(clearance: Any) -> None:
         raise ValueError(f"clearance is {shown(clearance)}; it must be an angle in [0, π) rad")
 
 
-def steered(
-    steering: Steering, wanted: NDArray[Any], observations: NDArray[Any], scenario: Scenario
-) -> Float32:
+def steered(steering: Steering, wanted: NDArray[Any], observations: NDArray[Any]) -> Float32:
     """Actions (..., n, a) that follow velocities (..., n, d), m/s, given (..., n, rows, d).
 
     A robot outside a shape that moves along a ray outside its silhouette never enters it. So one
     that turns on the spot until its axis is clear hits nothing that it sees.
     """
-    actions = within_limits(steering.actions(wanted, observations), scenario)
+    layout = steering.scenario.observation_layout
+    actions = within_limits(steering.actions(wanted, observations), steering.scenario)
     if steering.turns:
-        seen = np.ascontiguousarray(scenario.observation_layout.split(observations).obstacles)
+        seen = np.ascontiguousarray(layout.split(observations).obstacles)
         pitches = steering.pitches(observations).reshape(-1)
         flat = actions.reshape(-1, actions.shape[-1])
         _hold_back(flat, seen.reshape(-1, *seen.shape[-3:]), pitches, steering.gate)
@@ -145,7 +144,7 @@ class BareHeadingPolicy(TeamPolicy):
         layout = self.scenario.observation_layout
         f, seen = layout.net_bearing(observations), layout.split(observations)
         velocity = flexible_velocity(f, self.rule(f, seen.obstacles))
-        return steered(Steering(self.scenario), velocity, observations, self.scenario)
+        return steered(Steering(self.scenario), velocity, observations)
 
 
 @dataclass
@@ -196,7 +195,7 @@ class CertifiedHeadingPolicy(RememberingPolicy):
         )
         scale = step_scale(layout.degree(seen), scenario.merge_radius, scenario.tau)
         velocity = scale[..., np.newaxis] * flexible_velocity(f, h)
-        self._sent = steered(self._steering, velocity, seen, scenario)
+        self._sent = steered(self._steering, velocity, seen)
         return self._as_given(self._sent)
 
     def _aim(self, f: Array, seen: Float32, elapsed: float) -> Array:

@@ -18,6 +18,8 @@ from rendezvous_env.physics.vectors import (
     dot,
     load,
     norm,
+    perpendicular,
+    rotated,
     scaled,
     split,
     store,
@@ -98,7 +100,7 @@ def wall_following_velocities(
             free, turn = _turn(
                 towards, before, spent, silhouettes[i], settings, memory[i], intervals
             )
-            heading, aside, seen = _turned(towards, turn), _left_of(towards), 0
+            heading, aside, seen = rotated(towards, turn), perpendicular(towards), 0
             store(heading, memory[i, HEADING:ASIDE])
         else:
             seen = widened_rays(silhouettes[i], settings.clearance, rays)
@@ -154,7 +156,7 @@ def _turn(towards, before, spent, silhouettes, settings, memory, intervals):
     elif spent:
         memory[SIDE] = -held
         memory[PATIENCE] = min(2.0 * memory[PATIENCE], _LARGEST_PATIENCE)
-    side, kept = memory[SIDE], math.atan2(dot(_left_of(towards), before), dot(towards, before))
+    side, kept = memory[SIDE], math.atan2(dot(perpendicular(towards), before), dot(towards, before))
     edge, gap = _edge(joined, side)
     apart = edge - kept
     apart -= TWO_PI * math.floor((apart + math.pi) / TWO_PI)
@@ -167,7 +169,7 @@ def _turn(towards, before, spent, silhouettes, settings, memory, intervals):
 def _along_wall(towards, kept, edge, gap, silhouettes, settings, side, intervals):
     """Edge of the wall beside the heading, rad from f, and the gap beyond; else as given."""
     feeler = kept - side * _BEHIND_EDGE * settings.clearance
-    felt = joined_interval_2d(_turned(towards, feeler), silhouettes, intervals)
+    felt = joined_interval_2d(rotated(towards, feeler), silhouettes, intervals)
     if felt[1] - felt[0] >= TWO_PI:
         return edge, gap
     nearest, beyond = _edge(felt, side)
@@ -222,18 +224,6 @@ def _inputs(f, account, heading, free, pitch, settings, memory):
         memory[SHORT] = 1.0 if speed > 0.0 else 0.0
         speed = 0.0
     return speed, rates
-
-
-@kernel
-def _left_of(direction):
-    """A direction of the plane a quarter turn on, as a triple."""
-    return -direction[1], direction[0], 0.0
-
-
-@kernel
-def _turned(direction, angle):
-    """A direction of the plane turned counter-clockwise, as a triple."""
-    return combine(math.cos(angle), direction, math.sin(angle), _left_of(direction))
 
 
 @register("tank-joined", fits=can_pass_obstacles, kind="tank")

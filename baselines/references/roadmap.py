@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
 from rendezvous_env.compilation import kernel
-from rendezvous_env.obstacles import capsule, shape
-from rendezvous_env.obstacles.capsule import CAPSULE
-from rendezvous_env.obstacles.obstacle_set import entry, outlines, world_of
+from rendezvous_env.obstacles.capsule import AXIS, CAPSULE, THICKNESS
+from rendezvous_env.obstacles.obstacle_set import ObstacleSet, entry, outlines, world_of
 from rendezvous_env.obstacles.polygon import POLYGON
-from rendezvous_env.obstacles.shape import ABSENT, BOUND, MIDDLE
+from rendezvous_env.obstacles.shape import ABSENT, BOUND, MIDDLE, OWN
 from rendezvous_env.physics.vectors import ORIGIN, combine, dot, load, norm, subtract
 
 Array = NDArray[np.float64]
@@ -41,10 +40,10 @@ class Roadmap:
     """
 
     def __init__(self, table: Array, clearance: float, dim: int = 2) -> None:
-        self._world = world_of(table)
+        self._world = world = world_of(table)
         self._clearance = clearance
-        self._spikes = _spikes(table)
-        corners = _corners(table, clearance) if dim == 2 else _points_around(table, clearance)
+        self._spikes = _spikes(world)
+        corners = _corners(world, clearance) if dim == 2 else _points_around(table, clearance)
         if len(corners) > MOST_CORNERS:
             raise ValueError(
                 f"the obstacles have {len(corners)} corners; ways are planned among {MOST_CORNERS} "
@@ -119,26 +118,27 @@ class WaysTo:
         return np.array([*turns, self._place])
 
 
-def _corners(table: Array, clearance: float) -> Array:
+def _corners(world: ObstacleSet, clearance: float) -> Array:
     """Corners of the inflated obstacles, (C, 2); round ones become polygons about them."""
     import shapely  # slow to import, and only planners need it
 
     cores, radii = [], []
     outward = 1.0 / math.cos(math.pi / (4 * _QUARTER))
-    for row in table[table[:, shape.KIND] != ABSENT]:
-        centre = row[shape.CENTRE : shape.CENTRE + 2]
-        if row[shape.KIND] == POLYGON:
-            polygon = shapely.Polygon(_vertices(row))
-            spare = 0.5 * clearance if row[shape.CORNERS] > _MOST_SIDES else 0.0
+    for m in np.flatnonzero(world.kinds != ABSENT).tolist():
+        kind, row = world.kinds[m], world.shapes[m]
+        centre = row[MIDDLE : MIDDLE + 2]
+        if kind == POLYGON:
+            polygon = shapely.Polygon(_vertices(world, m))
+            spare = 0.5 * clearance if world.corners[m] > _MOST_SIDES else 0.0
             cores.append(polygon.simplify(spare) if spare else polygon)
             radii.append(clearance + spare)
-        elif row[shape.KIND] == CAPSULE:
-            half = row[capsule.AXIS : capsule.AXIS + 2]
+        elif kind == CAPSULE:
+            half = row[AXIS : AXIS + 2]
             cores.append(shapely.LineString([centre - half, centre + half]))
-            radii.append(outward * (row[capsule.THICKNESS] + clearance))
+            radii.append(outward * (row[THICKNESS] + clearance))
         else:
             cores.append(shapely.Point(centre))
-            radii.append(outward * (row[shape.RADIUS] + clearance))
+            radii.append(outward * (row[BOUND] + clearance))
     options = {"quad_segs": _QUARTER, "join_style": "mitre", "mitre_limit": _SPIKE}
     inflated = shapely.buffer(np.array(cores, dtype=object), np.array(radii), **options)
     rings = [shapely.get_coordinates(polygon)[:-1] for polygon in inflated]
@@ -160,17 +160,17 @@ def _points_around(table: Array, clearance: float) -> Array:
     return np.concatenate([np.empty((0, 3)), *lattices])
 
 
-def _vertices(row: Array) -> Array:
-    return row[shape.DETAILS : shape.DETAILS + 2 * int(row[shape.CORNERS])].reshape(-1, 2)
+def _vertices(world: ObstacleSet, m: int) -> Array:
+    return world.shapes[m, OWN : OWN + 2 * world.corners[m]].reshape(-1, 2)
 
 
-def _spikes(table: Array) -> Array:
+def _spikes(world: ObstacleSet) -> Array:
     """How far corners of inflated obstacles stand out, (M,), as shares of what was added:
     1/sin(θ/2) at the sharpest angle θ of a polygon, 1 for round ones.
     """
-    out = np.ones(len(table))
-    for m in np.flatnonzero(table[:, shape.KIND] == POLYGON):
-        edges = np.diff(_vertices(table[m]), axis=0, append=_vertices(table[m])[:1])
+    out = np.ones(len(world.kinds))
+    for m in np.flatnonzero(world.kinds == POLYGON).tolist():
+        edges = np.diff(_vertices(world, m), axis=0, append=_vertices(world, m)[:1])
         bearings = np.arctan2(edges[:, 1], edges[:, 0])
         turns = np.diff(bearings, append=bearings[:1]) % (2 * math.pi)
         out[m] = 1.0 / np.cos(0.5 * turns).min()

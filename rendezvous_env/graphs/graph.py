@@ -246,11 +246,7 @@ def _groups(graph: Graph, n: int, found_by: Callable[[Any], list[list[int]]]) ->
 
 def class_of(kind: Any) -> type[Graph]:
     """The class of a kind of graph; an unknown one is refused with the nearest known one."""
-    if isinstance(kind, str) and kind in KINDS:
-        return KINDS[kind]
-    near = checks.nearest_word(kind, KINDS)
-    hint = f"; did you mean {near!r}?" if near else ""
-    raise ValueError(f"graph: {shown(kind)} is not a graph; choose one of {', '.join(KINDS)}{hint}")
+    return KINDS[checks.choice("graph", kind, KINDS)]
 
 
 def parse(value: Any) -> Graph:

@@ -17,14 +17,12 @@ from ..physics.crossings import capsule_crossing
 from ..physics.vectors import combine, dot, norm, perpendicular, split, store, subtract, without
 from . import shape
 from .disc import disc_edges
-from .shape import BOUND, COS_AZIMUTH, DETAILS, MIDDLE, OWN, SIN_AZIMUTH, Thickness, centre_of_row
+from .shape import BOUND, COS_AZIMUTH, MIDDLE, OWN, SIN_AZIMUTH, Thickness, centre_of_row
 
 CAPSULE = 3
 """Kind of a capsule; after the bounding ball its row has the half axis x, y, z and its radius."""
-AXIS, THICKNESS = DETAILS, DETAILS + 3
-"""Columns of these in a table."""
-_AXIS, _THICKNESS = OWN, OWN + 3
-"""In the rows that kernels take."""
+AXIS, THICKNESS = OWN, OWN + 3
+"""Columns of these in the rows that kernels take."""
 _HALVINGS = 52  # of the interval of a boundary ray: as many as a float64 has digits
 # angles of the corners that stand for the half circle at an end of a capsule
 _ROUND_END = np.linspace(-math.pi / 2, math.pi / 2, 17)
@@ -68,7 +66,7 @@ def _check_ends(field: str, value: Any) -> tuple[tuple[float, ...], ...]:
 
 @kernel(inline="code")
 def _axis(row):
-    return row[_AXIS], row[_AXIS + 1], row[_AXIS + 2]
+    return row[AXIS], row[AXIS + 1], row[AXIS + 2]
 
 
 @kernel
@@ -87,7 +85,7 @@ def _surface(row, corners, point):
     """‖o − s h‖ − R,   o = p − c,   s = clip(oᵀh/‖h‖², −1, 1), of the segment from c − h to c + h;
     on it the normal is any direction across it.
     """
-    half, radius = _axis(row), row[_THICKNESS]
+    half, radius = _axis(row), row[THICKNESS]
     offset = subtract(point, centre_of_row(row))
     aside = combine(1.0, offset, -_nearest_share(offset, half), half)
     distance = norm(aside)
@@ -101,7 +99,7 @@ def _entry(row, corners, point, way, depth):
     """Least s at which p + s w is within R + max(0, −depth) of the segment, if it comes within
     R − depth of it somewhere.
     """
-    half, radius = _axis(row), row[_THICKNESS]
+    half, radius = _axis(row), row[THICKNESS]
     offset = subtract(point, centre_of_row(row))
     if capsule_crossing(offset, way, half, radius - depth) > 1.0:
         return np.inf
@@ -111,7 +109,7 @@ def _entry(row, corners, point, way, depth):
 @kernel
 def _edges(row, corners, point):
     """It is the hull of the discs about its ends, so each edge is the outer of theirs."""
-    centre, half, radius = centre_of_row(row), _axis(row), row[_THICKNESS]
+    centre, half, radius = centre_of_row(row), _axis(row), row[THICKNESS]
     x, y = centre[0] - point[0], centre[1] - point[1]
     ax, ay, bx, by, _ = disc_edges(x - half[0], y - half[1], radius)
     cx, cy, dx, dy, _ = disc_edges(x + half[0], y + half[1], radius)
@@ -128,7 +126,7 @@ def _cone(row, corners, point, axes, out):
     some θ hit the capsule and the others miss it; it is found by bisection.
     """
     towards, e, w = axes
-    half, radius = _axis(row), row[_THICKNESS]
+    half, radius = _axis(row), row[THICKNESS]
     offset = subtract(centre_of_row(row), point)
     for k in range(8):
         aside = combine(COS_AZIMUTH[k], e, SIN_AZIMUTH[k], w)
@@ -155,14 +153,14 @@ def _is_hit(ray, offset, half, radius):
 
 def _outlines(row: NDArray[np.float64], _: int, dim: int) -> list[shape.Outline]:
     """Two half circles, joined; in 3-D balls along it."""
-    half, centre = row[_AXIS : _AXIS + dim], row[MIDDLE : MIDDLE + dim]
+    half, centre = row[AXIS : AXIS + dim], row[MIDDLE : MIDDLE + dim]
     if dim == 3:
-        count = 1 + 2 * math.ceil(2 * float(np.linalg.norm(half)) / row[_THICKNESS])
+        count = 1 + 2 * math.ceil(2 * float(np.linalg.norm(half)) / row[THICKNESS])
         shares = np.linspace(-1.0, 1.0, min(count, _MOST_BEADS)) if count > 1 else (0.0,)
-        return shape.round_outlines((centre + share * half for share in shares), row[_THICKNESS])
+        return shape.round_outlines((centre + share * half for share in shares), row[THICKNESS])
     bearing = math.atan2(half[1], half[0])
     ends = [
-        centre + end * half + row[_THICKNESS] * np.stack([np.cos(around), np.sin(around)], axis=-1)
+        centre + end * half + row[THICKNESS] * np.stack([np.cos(around), np.sin(around)], axis=-1)
         for end, around in ((1.0, bearing + _ROUND_END), (-1.0, bearing + math.pi + _ROUND_END))
     ]
     return [shape.Outline(centre, float(row[BOUND]), np.concatenate(ends))]

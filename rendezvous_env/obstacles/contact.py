@@ -16,12 +16,12 @@ import numpy as np
 from ..compilation import kernel
 from ..physics.vectors import ORIGIN, add, cross, dot, load, norm, store, subtract, triple
 from ..robots.motion import chord_error_bound, closes, displacement_at
-from .obstacle_set import distance_to, entry, normals, surface, within
+from .obstacle_set import clear_of_obstacles, distance_to, entry, normals, surface, within
 
 SLIDE, STOP, IGNORE = range(3)
 """What a contact does: slide along the surface, rest at it, or nothing."""
 CONTACT_DEPTH = 1e-6  # m; how deep a path goes before it is a contact
-_SURFACE_TOLERANCE = 1e-13  # m; what rounding may leave a resting robot inside
+_TOUCHING = -1e-13  # m; how far from a surface rounding may leave a resting robot
 _CHORD_TOLERANCE = 1e-7  # m; how far a chord may be from its arc when a contact is decided
 _MAX_LEGS = 16
 # pieces that a curve is followed by, so many that all obstacles with their corners, each looked at
@@ -43,7 +43,8 @@ def move_straight(point, way, world, mode, normals):
     if mode == IGNORE:
         return False, way
     near, fraction = _first_contact(point, way, world, CONTACT_DEPTH)
-    if not near or (fraction > 1.0 and outside_all(add(point, 1.0, way), world)):
+    end = add(point, 1.0, way)
+    if not near or (fraction > 1.0 and clear_of_obstacles(end, world, _TOUCHING)):
         return False, way
     return fraction <= 1.0, subtract(_follow(point, way, world, mode, normals), point)
 
@@ -62,22 +63,13 @@ def move_curved(point, way, model, action, frame, memory, world, mode, normals):
     contact_time = _first_contact_on_curve(point, curve, world)
     contact = contact_time <= model.duration
     free_end = add(point, 1.0, way)
-    if not contact and outside_all(free_end, world):
+    if not contact and clear_of_obstacles(free_end, world, _TOUCHING):
         return False, way
     time = min(contact_time, model.duration)
     end = _settle(point, curve, time, model.speed_limit, world)
     if contact and mode == SLIDE:
         end = _follow(end, subtract(free_end, end), world, mode, normals)
     return contact, subtract(end, point)
-
-
-@kernel
-def outside_all(point, world):
-    """Whether a point lies in no obstacle: but for rounding, all signed distances are ≥ zero, m."""
-    for m in range(world.kinds.shape[0]):
-        if within(world, m, point, 0.0) and distance_to(world, m, point) < -_SURFACE_TOLERANCE:
-            return False
-    return True
 
 
 @kernel
@@ -142,13 +134,13 @@ def place_on(path, start, share):
 def _push_out(point, world):
     """A point that is barely inside obstacles, moved onto their surface; and whether it is out."""
     for _ in range(_MAX_PUSHES):
-        if outside_all(point, world):
+        if clear_of_obstacles(point, world, _TOUCHING):
             return True, point
         for m in range(world.kinds.shape[0]):
             distance, normal = surface(world, m, point)
             if distance < 0.0:
                 point = add(point, -distance, normal)
-    return outside_all(point, world), point
+    return clear_of_obstacles(point, world, _TOUCHING), point
 
 
 @kernel

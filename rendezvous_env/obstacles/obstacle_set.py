@@ -119,7 +119,7 @@ def distance_to(world, m, point):
 def clear_of_obstacles(point, world, margin):
     """Whether a point (a triple, m) has distances ≥ ``margin`` (m, signed) to a whole set."""
     for m in range(world.kinds.shape[0]):
-        if distance_to(world, m, point) < margin:
+        if within(world, m, point, max(margin, 0.0)) and distance_to(world, m, point) < margin:
             return False
     return True
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields
 from typing import Any
 
-from ..checks import known_fields, refuse, shown
+from ..checks import choice, known_fields, refuse, shown
 from . import obstacle_set
 from .disc import Disc, Sphere
 from .fields import Field, ObstacleField
@@ -62,9 +62,7 @@ def _from_plain(plain: Mapping[str, Any], dim: int) -> Obstacle | Field:
     if kind is None:
         kinds = (kind for key, kind in _KIND_BY_KEY.items() if key in values)
         kind = next(kinds, "disc" if dim == 2 else "sphere")
-    if not isinstance(kind, str) or kind not in _KINDS:
-        raise ValueError(f"obstacles: kind {shown(kind)} must be one of {', '.join(_KINDS)}")
-    keys = _keys(kind)
+    keys = _keys(choice("obstacles: kind", kind, _KINDS))
     known_fields(values, (*keys, "kind"), f"obstacles: a {kind}", "key")
     if missing := [key for key, needed in keys.items() if needed and key not in values]:
         raise ValueError(f"obstacles: a {kind} needs {missing[0]}")

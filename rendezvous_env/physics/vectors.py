@@ -155,6 +155,13 @@ def perpendicular(h):
     return level if dot(level, level) >= _VERTICAL * _VERTICAL else without(X_AXIS, h)
 
 
+@kernel
+def rotated(v, angle):
+    """A triple v with z = 0 turned counter-clockwise by α, rad: R(α) v, in the unit of v."""
+    c, s = math.cos(angle), math.sin(angle)
+    return c * v[0] - s * v[1], s * v[0] + c * v[1], 0.0
+
+
 @kernel(inline="code")
 def scaled(v, factor):
     """The pair or triple factor · v, factor a number; unit of v times unit of the factor."""

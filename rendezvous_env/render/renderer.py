@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import refuse
+from ..checks import load, refuse
 from ..engine.memory import RUNNING
 from ..simulator import Simulator
 from .camera import cell
@@ -200,12 +199,6 @@ class Renderer:
         return self.__dict__ | {"_page": None, "window": None}
 
 
-def _load_pygame() -> ModuleType:
+def _load_pygame() -> Any:
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-    try:
-        import pygame
-    except ImportError as error:
-        raise ImportError(
-            "pictures need pygame-ce: pip install rendezvous-env[render]", name="pygame"
-        ) from error
-    return pygame
+    return load("pygame", "a picture", "render")

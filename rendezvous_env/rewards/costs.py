@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import nearest_word, refuse, shown
+from ..checks import meant, refuse, shown
 from .custom_terms import COSTS, TERMS, RewardStep, of_step
 
 Costs = dict[str, NDArray[np.float64]]
@@ -22,8 +22,7 @@ def as_costs(field: str, value: Any) -> tuple[str, ...]:
         refuse(field, value, f"names out of {', '.join(COSTS)}")
     for name in names:
         if not isinstance(name, str) or not (name in COSTS or name in TERMS):
-            near = nearest_word(name, [*COSTS, *TERMS])
-            hint = f"did you mean {near!r}? " if near else ""
+            hint = meant(name, [*COSTS, *TERMS], after=" ")
             raise ValueError(
                 f"{field}: {shown(name)} is unknown; {hint}known are {', '.join(COSTS)}, and what "
                 "rv.reward_term has registered"

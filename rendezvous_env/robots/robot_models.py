@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import check_fields, floats, is_whole, real, refuse, shown, whole
+from ..checks import Registry, check_fields, floats, is_whole, real, refuse, shown, whole
 from .motion import FREE, STOPPED, Motion, check_function, motion_of
 
 MOST_KEPT = 4  # numbers that a robot model may keep from step to step
@@ -86,21 +86,13 @@ class RobotModel:
         return self.n_angles > 0 and not self.bounded
 
 
-ROBOT_MODELS: dict[str, RobotModel] = {}
+ROBOT_MODELS = Registry("robot model", "rv.register_robot_model")
 _EXAMPLES: list[Callable[[str, int], Any]] = []
 
 
 def try_with(example: Callable[[str, int], Any]) -> None:
     """Say how a scenario of a model's name and dimension is made, to try models with."""
     _EXAMPLES.append(example)
-
-
-def model_of(name: str) -> RobotModel:
-    """A registered robot model; a ValueError where it is none, as in another program's pickle."""
-    if (model := ROBOT_MODELS.get(name)) is None:
-        remedy = "import the file that calls rv.register_robot_model"
-        raise ValueError(f"robot model {name!r} is not registered here; {remedy}")
-    return model
 
 
 def register_robot_model(model: RobotModel, *, replace: bool = False) -> None:

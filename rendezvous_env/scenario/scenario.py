@@ -7,7 +7,7 @@ import math
 import os
 import sys
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -24,7 +24,7 @@ from ..obstacles import parsing as obstacles
 from ..obstacles.parsing import Obstacles
 from ..rewards.costs import as_costs
 from ..rewards.terms import RewardWeights
-from ..robots.robot_models import ROBOT_MODELS, RobotModel, model_of, try_with
+from ..robots.robot_models import ROBOT_MODELS, RobotModel, try_with
 from ..sensors.sensing import Sensing
 from . import scenario_files
 from .observation_layout import ObservationLayout
@@ -48,19 +48,6 @@ def _check_dim(field: str, value: Any) -> int:
     if not checks.is_whole(value) or value not in (2, 3):
         checks.refuse(field, value, "2 or 3")
     return int(value)
-
-
-def _of_class(made: Any) -> Callable[[str, Any], Any]:
-    """A check for an instance of a class, or a table of its fields."""
-
-    def check(field: str, value: Any) -> Any:
-        if isinstance(value, Mapping):
-            return made.from_plain(value)
-        if not isinstance(value, made):
-            checks.refuse(field, value, f"a {made.__name__}, or a table of its fields")
-        return value
-
-    return check
 
 
 @checks.names_unknown_fields("scenario")
@@ -139,9 +126,11 @@ class Scenario:
     """Frames of single integrators: a random fixed rotation for each robot, or the global frame."""
     on_merge: Literal["remove", "follow"] = "remove"
     """A merged-away robot ends (remove), or stays with zero observations (follow)."""
-    sensing: Annotated[Sensing, _of_class(Sensing)] = dataclasses.field(default_factory=Sensing)
+    sensing: Annotated[Sensing, checks.of_class(Sensing)] = dataclasses.field(
+        default_factory=Sensing
+    )
     """What the robots' sensors get wrong; by default nothing."""
-    reward: Annotated[RewardWeights, _of_class(RewardWeights)] = dataclasses.field(
+    reward: Annotated[RewardWeights, checks.of_class(RewardWeights)] = dataclasses.field(
         default_factory=RewardWeights
     )
     """Weights of the reward terms."""
@@ -170,8 +159,8 @@ class Scenario:
 
     @property
     def model(self) -> RobotModel:
-        """The robot model."""
-        return model_of(self.robot_model)
+        """The robot model; a ValueError where it is not registered, as after another's pickle."""
+        return cast(RobotModel, ROBOT_MODELS[self.robot_model])
 
     @cached_property
     def max_degree(self) -> float:

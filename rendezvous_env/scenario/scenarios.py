@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from ..checks import nearest_word, refuse, shown
+from ..checks import meant, refuse, shown
 from .scenario import Scenario
 
 ScenarioLike = Scenario | str | os.PathLike[str]
@@ -260,8 +260,7 @@ def get(name: str) -> Scenario:
     parts = _NAME.fullmatch(name) if isinstance(name, str) else None
     plain = parts["plain"] if parts else name
     if parts is None or plain not in _FIELDS:
-        near = nearest_word(plain, _FIELDS)
-        hint = f"did you mean {near!r}? " if near else ""
+        hint = meant(plain, _FIELDS, after=" ")
         raise ValueError(f"scenario {shown(name)} is unknown; {hint}known are {', '.join(_FIELDS)}")
     if parts["version"] and f"{NAMESPACE}/{plain}{parts['version']}" != versioned(plain):
         raise ValueError(

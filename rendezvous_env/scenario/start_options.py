@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import graphs
-from ..checks import floats, is_whole, mapping, nearest_word, refuse, shown
+from ..checks import floats, mapping, nearest_word, refuse, shown, whole
 from ..graphs.weights import check_weights
 from ..limits import LARGEST, LARGEST_SEED
 from ..obstacles import parsing as obstacles
@@ -230,18 +230,8 @@ def seeds_of_teams(seed: Any, num_envs: int) -> list[int | None] | None:
     if isinstance(seed, np.ndarray):
         seed = seed.tolist()
     if not isinstance(seed, Sequence) or isinstance(seed, str | bytes):
-        first = _checked_seed(seed)
-        if first + num_envs - 1 > LARGEST_SEED:
-            room = f"room for {num_envs} teams, whose seeds follow on it"
-            most = LARGEST_SEED - num_envs + 1
-            raise ValueError(f"seed {first} must leave {room}: at most {most}")
+        first = whole("seed", seed, 0, LARGEST_SEED - num_envs + 1)  # the others follow on it
         return [first + team for team in range(num_envs)]
     if len(seed) != num_envs:
         raise ValueError(f"seed has {len(seed)} entries; it must be one number, or {num_envs}")
-    return [None if entry is None else _checked_seed(entry) for entry in seed]
-
-
-def _checked_seed(value: Any) -> int:
-    if not is_whole(value) or not 0 <= value <= LARGEST_SEED:
-        raise ValueError(f"seed {shown(value)} must be a whole number, 0 or more, at most 2^63 - 1")
-    return int(value)
+    return [None if entry is None else whole("seed", entry, 0, LARGEST_SEED) for entry in seed]

@@ -12,6 +12,11 @@ from ..compilation import kernel
 from ..physics.random_streams import mix
 from ..physics.vectors import combine, norm
 
+
+def _float32(*factors: float) -> tuple[np.float32, ...]:
+    return tuple(map(np.float32, factors))
+
+
 _STEP = np.uint64(0xD1B54A32D192ED03)
 _HALF, _ONE, _TWO = np.float32(0.5), np.float32(1.0), np.float32(2.0)
 _ONE_BIT = np.uint32(1)
@@ -20,28 +25,19 @@ _TURN_PER_WORD = np.float32(2.0 * math.pi * 2.0**-32)
 _MANTISSA = np.int32(23)
 _TWO_THIRDS = np.int32(0x3F2AAAAB)  # its bits; a mantissa m ∈ [2/3, 4/3) is counted from there
 _LOG_2 = np.float32(math.log(2.0))
-_LOG = tuple(
-    np.float32(factor)
-    for factor in (
-        0.9999989912342966, -0.5000382460121644, 0.3334500819861033, -0.24795877235834773,
-        0.19661320093766646, -0.1970276719897473, 0.17820187987880562,
-    )
+_LOG = _float32(
+    0.9999989912342966, -0.5000382460121644, 0.3334500819861033, -0.24795877235834773,
+    0.19661320093766646, -0.1970276719897473, 0.17820187987880562,
 )  # fmt: skip
 """Of log(1 + f)/f, in ascending powers of f ∈ [−1/3, 1/3]: to 2.2·10⁻⁷ of the logarithm."""
 
-_UPPER = tuple(
-    np.float32(factor)
-    for factor in (
-        1.2533142806544626, 0.452894784668922, 0.089987094324385, 0.011902153349247773,
-        0.001002491338762828, 2.9212625387046752e-05,
-    )
+_UPPER = _float32(
+    1.2533142806544626, 0.452894784668922, 0.089987094324385, 0.011902153349247773,
+    0.001002491338762828, 2.9212625387046752e-05,
 )  # fmt: skip
-_LOWER = tuple(
-    np.float32(factor)
-    for factor in (
-        1.0, 0.0995612165585267, 0.032691129366930895, 0.0022913411154914425,
-        0.00016975306862813063, 1.003840129258438e-06,
-    )
+_LOWER = _float32(
+    1.0, 0.0995612165585267, 0.032691129366930895, 0.0022913411154914425,
+    0.00016975306862813063, 1.003840129258438e-06,
 )  # fmt: skip
 """Of Φ⁻¹((1 + x)/2)/x, in ascending powers of w = −log(1 − x²) ∈ [0, 21.5]: a rational of least
 largest relative error, 1.2·10⁻⁷."""
@@ -51,10 +47,8 @@ _QUARTERS = np.float32(2.0 / math.pi)
 # π/2 as a short number, of which multiples are exact, and the rest
 _QUARTER = (np.float32(1.5703125), np.float32(0.5 * math.pi - 1.5703125))
 _SMALL = np.float32(0.123)  # rad; 6.34 times as much is still below π/4
-_SINE = tuple(np.float32(c) for c in (-1.6666654611e-1, 8.3321608736e-3, -1.9515295891e-4))
-_COSINE = tuple(
-    np.float32(c) for c in (4.166664568298827e-2, -1.388731625493765e-3, 2.443315711809948e-5)
-)
+_SINE = _float32(-1.6666654611e-1, 8.3321608736e-3, -1.9515295891e-4)
+_COSINE = _float32(4.166664568298827e-2, -1.388731625493765e-3, 2.443315711809948e-5)
 
 
 @kernel

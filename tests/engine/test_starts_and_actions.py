@@ -140,9 +140,9 @@ def test_bad_seeds_and_masks_are_refused_and_change_nothing():
     sim = Simulator(five("unicycle"), 3)
     sim.reset(1)
     for seed, message in (
-        (1.5, "seed 1.5 must be a whole number"),
+        (1.5, "seed is 1.5; it must be a whole number"),
         ([1, 2], "seed has 2 entries; it must be one number, or 3"),
-        ([1, 2, "x"], "seed 'x' must be a whole number"),
+        ([1, 2, "x"], "seed is 'x'; it must be a whole number"),
     ):
         with refusing(sim, message):
             sim.reset(seed)

@@ -120,7 +120,7 @@ def test_a_family_that_fails_later_leaves_everything_as_it_was():
 def test_names_of_families():
     with pytest.raises(ValueError, match="name is 'path'; it must be new"):
         graphs.family("path", ring_with_chords)
-    with pytest.raises(ValueError, match=r"choose one of .*; did you mean 'hexagon-and-chords'"):
+    with pytest.raises(ValueError, match=r"must be one of .*; did you mean 'hexagon-and-chords'"):
         FAMILY.replace(graph="hexagon-and-chord")
     with pytest.raises(ValueError, match="family of graphs 'mine' is 5; it must be a function"):
         graphs.family("mine", 5)
