@@ -33,7 +33,7 @@ from rendezvous_env.sensors.custom_sensors import IMPERFECTIONS
 from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, begin
 
-from .checks import UserError, meant
+from .checks import UserError, meant, user_error
 
 _AT_PATH = "learned:"
 _BEST = ("learned-tank", "tank-joined", "learned", "tangent-joined-tuned", "tangent-joined")
@@ -130,10 +130,8 @@ def check_names(wanted: Sequence[str]) -> None:
         if is_user_policy(name):
             find_function(name)
         elif learned_path(name) is not None:
-            try:
+            with user_error(f"policy {name!r}: ", ValueError):
                 make(name, Scenario(n_robots=2))
-            except ValueError as error:
-                raise UserError(f"policy {name!r}: {error}") from error
         elif name not in known:
             raise UserError(
                 f"policy {name!r} is unknown; {meant(name, known)}known are {', '.join(known)}, "

@@ -19,7 +19,7 @@ from rendezvous_env.baselines.learned import plain_data
 from rendezvous_env.scenario import scenarios
 from rendezvous_env.scenario.scenario import Scenario
 
-from .checks import UserError
+from .checks import user_error
 
 FORMAT_VERSION = 5
 """Of the files of ``compare``; a change that a reader would notice raises it."""
@@ -83,13 +83,10 @@ def prepare_folder(folder: Path, flag: str | None = None) -> Path:
     """Make a folder that can be written to; a UserError names the flag with its value, by default
     --out and the folder.
     """
-    try:
+    with user_error(f"{flag or f'--out {folder}'}: cannot write there: ", OSError):
         folder.mkdir(parents=True, exist_ok=True)
         with TemporaryFile(dir=folder):  # on Linux without a name: a kill leaves nothing behind
             pass
-    except OSError as error:
-        asked = flag or f"--out {folder}"
-        raise UserError(f"{asked}: cannot write there: {error.strerror}") from error
     return folder
 
 
@@ -132,10 +129,15 @@ def entry(path: Path) -> dict[str, Any]:
     return plain_data.entry(path.read_bytes())
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write text."""
+    with atomic(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write plain data, indented."""
-    with atomic(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(content, indent=2) + "\n")
 
 
 def versioned(scenario: Scenario) -> dict[str, str]:

@@ -135,9 +135,9 @@ MISTAKES = {
     "render --out a.avi": "unknown ending '.avi'; known are .gif, .mp4, .png, .pdf",
     f"render --policy learned:{'a' * 300}": "File name too long",
     "render --scenario uav-6 --policy tangent-joined": "does not fit nonholonomic_3d",
-    "render --fps 0": "--fps is 0; it must be from 1 to 100",
-    "render --size 10": "--size is 10; it must be from 120 to 4096",
-    "render --speed 0": "--speed is 0.0; it must be from 0.001",
+    "render --fps 0": "--fps is 0; it must be 1 or more",
+    "render --size 10": "--size is 10; it must be 120 or more",
+    "render --speed 0": "--speed is 0.0; it must be 0.001 or more",
     "warmup --scenarios duoo": "scenario 'duoo' is unknown; did you mean 'duo'?",
 }
 
