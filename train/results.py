@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from rendezvous_env.baselines.learned import plain_data
@@ -65,6 +65,7 @@ PAIRED = {
 """The same for paired.csv."""
 
 RESULT_COLUMNS, PAIRED_COLUMNS = tuple(RESULTS), tuple(PAIRED)
+Row = TypeVar("Row", bound=Mapping[str, Any])
 _PACKAGES = ("rendezvous-env", "numpy", "numba", "scipy", "gymnasium", "pettingzoo")
 
 
@@ -113,6 +114,14 @@ def read_csv(path: Path) -> list[dict[str, str]]:
     """Rows of a file that ``write_csv`` wrote, every cell as text."""
     with path.open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
+
+
+def grouped(rows: Iterable[Row], column: str) -> dict[Any, list[Row]]:
+    """Rows by what they have in a column, both in their order."""
+    found: dict[Any, list[Row]] = {}
+    for row in rows:
+        found.setdefault(row[column], []).append(row)
+    return found
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any], run: str = "") -> None:
