@@ -185,6 +185,9 @@ def test_text_and_lists_stand_for_paths_and_tuples():
         (compare.run, compare.Config(out=5), "out is 5; it must be of type Path"),
         (ppo.run, ppo.Config(total_steps=True), "total_steps is True; it must be of type int"),
         (ppo.run, ppo.Config(out="a", resume=7), "resume is 7; it must be of type"),
+        (ppo.run, ppo.Config(guarantee="oracle"), "guarantee is 'oracle'; it must be of type"),
+        (ppo.run, ppo.Config(memory="oracle"), "memory is 'oracle'; it must be of type"),
+        (ppo.run, ppo.Config(critic="oracle"), "critic is 'oracle'; it must be of type"),
         (ppo.run, ppo.Config(hidden=(64, "64")), r"hidden is \(64, '64'\); it must be of type"),
     ],
 )
