@@ -74,9 +74,7 @@ def play_job(
 
 def summary(played: Played) -> dict[str, Any]:
     """The row of results.csv that belongs to a job."""
-    scenario = played.job.scenario
-    limit = scenario.max_steps * scenario.tau
-    return statistics.summarise(scenario.name, played.job.policy, played.episodes, limit)
+    return statistics.summarise(played.job.scenario, played.job.policy, played.episodes)
 
 
 def plan_of(jobs: Sequence[Job], config: Config) -> dict[str, Any]:

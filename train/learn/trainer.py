@@ -240,8 +240,7 @@ class Trainer:
                 episodes=config.eval_starts,
                 seed=EVALUATION_SEEDS,
             )
-            limit = scenario.max_steps * scenario.tau
-            numbers = statistics.summarise(scenario.name, "learned", episodes, limit)
+            numbers = statistics.summarise(scenario, "learned", episodes)
             rows.append({"step": self.model.num_timesteps, **numbers})
             self._tell(self._evaluations, f"evaluation-{scenario.name}", rows[-1])
         return rows
