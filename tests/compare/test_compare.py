@@ -227,9 +227,8 @@ class TestMeasures:
 
 
 def run_play(scenario, name, count, keep=0):
-    make = lambda: policies.make(name, scenario)  # noqa: E731
-    margin = policies.promised_margin(name, make())
-    return play(scenario, make, margin=margin, episodes=count, seed=0, keep=keep)
+    done = compare.play_job(compare.Job(scenario, name), episodes=count, seed=0, keep=keep)
+    return done.episodes, list(done.recordings.values())
 
 
 TEN_SECONDS = Scenario(n_robots=2, time_step=0.1, time_limit=10.0)

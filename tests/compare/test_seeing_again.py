@@ -8,7 +8,7 @@ import rendezvous_env as rv
 from rendezvous_env import graphs
 from rendezvous_env.scenario import scenarios
 from train import policies
-from train.compare.evaluation import play
+from train.compare import Job, play_job
 from train.recording import observations, whole
 
 TEAMS = {
@@ -46,8 +46,8 @@ def shown(scenario, law, count):
 
 
 def recordings(scenario, law, count):
-    make = lambda: policies.make(law, scenario)  # noqa: E731
-    return play(scenario, make, margin=None, episodes=count, seed=5, keep=count)[1]
+    played = play_job(Job(scenario, law), episodes=count, seed=5, keep=count)
+    return played.recordings.values()
 
 
 def test_what_a_sensor_has_got_wrong_is_kept():
