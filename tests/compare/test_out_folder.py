@@ -285,10 +285,8 @@ def hold():
 
     def start(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-        process = subprocess.Popen(
-            [sys.executable, "-c", HOLD, path], stdout=subprocess.PIPE, text=True, env=environment
-        )
+        words = [sys.executable, "-c", HOLD, path]
+        process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
         begun.append(process)
         assert process.stdout.readline() == "held\n"
         return process
