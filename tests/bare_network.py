@@ -1,13 +1,24 @@
 """A network on its own, for inference, with the weights that it begins with."""
 
+import torch
 from gymnasium.spaces import Discrete
+from torch import nn
 
 from baselines.learned.policy_settings import CHOICES
 from baselines.learned.training_environment import observation_box
 from train.learn.networks import HeadingNetwork, network_settings
 
 
-def make_network(layout, choices=CHOICES, **settings):
-    """Settings as ``network_settings``."""
+def make_network(layout, choices=CHOICES, kind=HeadingNetwork, own=None, **settings):
+    """Settings as ``network_settings``, besides those that a kind of network has of its own."""
     spaces = observation_box(layout.size), Discrete(choices)
-    return HeadingNetwork(*spaces, lambda _: 0.0, **network_settings(layout, **settings))
+    return kind(*spaces, lambda _: 0.0, **network_settings(layout, **settings), **(own or {}))
+
+
+def stirred(made):
+    """With random weights in every layer, the last one included."""
+    torch.manual_seed(0)
+    with torch.no_grad():
+        for weights in made.parameters():
+            nn.init.normal_(weights, std=0.3)
+    return made

@@ -228,6 +228,14 @@ def run_python(cwd: Path, *words: object, **environment: str) -> subprocess.Comp
     return found
 
 
+def contents(folder: Path) -> dict[str, bytes | None]:
+    """All files below a folder, by their path in it; None for a folder."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
+        for path in folder.rglob("*")
+    }
+
+
 def actions_shape(simulator: Simulator) -> tuple[int, int, int]:
     """(B, n, a) of a simulator's actions."""
     scenario = simulator.scenario

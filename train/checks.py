@@ -2,7 +2,8 @@
 
 import importlib.util
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
@@ -13,6 +14,17 @@ _LONGEST_NAME = 255  # bytes of one part of a path, on every common file system
 
 class UserError(Exception):
     """The user's mistake: ends a command with one line, which says what would be right."""
+
+
+@contextmanager
+def user_error(beginning: str, *kinds: type[Exception]) -> Iterator[None]:
+    """Errors of these kinds in the body are the user's mistake, told after a beginning; an OSError
+    is told without the path, which that names.
+    """
+    try:
+        yield
+    except kinds as error:
+        raise UserError(f"{beginning}{getattr(error, 'strerror', None) or error}") from error
 
 
 def installed(module: str) -> bool:
@@ -39,10 +51,8 @@ def typed(config: _Settings) -> _Settings:
     changed: dict[str, Any] = {k: tuple(v) for k, v in given.items() if isinstance(v, list)}
     changed |= {name: Path(given[name]) for name in paths if isinstance(given[name], str)}
     config = replace(config, **changed)
-    try:
+    with user_error("", ValueError):
         check_field_types(config)
-    except ValueError as error:
-        raise UserError(str(error)) from error
     return config
 
 
@@ -62,20 +72,13 @@ def check_fields(config: Any) -> None:
                     )
 
 
-def check_least(config: Any, **least: float) -> None:
-    """Refuse numbers in fields of a dataclass that are below a bound; None passes."""
-    for name, bound in least.items():
+def check_bounds(config: Any, **bounds: tuple[float, float]) -> None:
+    """Refuse numbers in fields of a dataclass below the least or above the most; None passes."""
+    for name, (least, most) in bounds.items():
         for one in _each(config, name):
-            if one is not None and not one >= bound:
-                raise UserError(f"{flag(name)} is {one}; it must be {bound} or more")
-
-
-def check_most(config: Any, **most: float) -> None:
-    """Refuse numbers above a bound; as ``check_least``."""
-    for name, bound in most.items():
-        for one in _each(config, name):
-            if one is not None and not one <= bound:
-                raise UserError(f"{flag(name)} is {one}; it must be {bound} or less")
+            if one is not None and not least <= one <= most:
+                bound = f"{most} or less" if one > most else f"{least} or more"
+                raise UserError(f"{flag(name)} is {one}; it must be {bound}")
 
 
 def _each(config: Any, name: str) -> tuple[Any, ...]:

@@ -29,7 +29,7 @@ from rendezvous_env.baselines.robot_policy import RobotPolicy
 from rendezvous_env.scenario.scenario import Scenario
 
 from . import policies, standalone
-from .checks import UserError, check_installed
+from .checks import UserError, check_bounds, check_installed, user_error
 from .console import Console
 from .results import atomic, prepare_folder
 
@@ -75,8 +75,7 @@ def run(config: Config) -> int:
         raise UserError(f"{flag} {path}: unknown ending; it must be {ending}")
     if path.is_dir():
         raise UserError(f"{flag} {path}: is a folder; it must be a file")
-    if not 1 <= config.checks <= _MOST_CHECKS:
-        raise UserError(f"--checks is {config.checks}; it must be from 1 to {_MOST_CHECKS}")
+    check_bounds(config, checks=(1, _MOST_CHECKS))
     said = _write_onnx(config, path) if ending == SUFFIX else _write_python(config, path)
     Console().print(f"{path}: {config.policy}{said} at most")
     return 0
@@ -118,10 +117,8 @@ def _write_python(config: Config, path: Path) -> str:
     network = _network_of(config.policy, scenario)
     prepare_folder(path.parent, f"--standalone {path}")
     with atomic(path) as temporary:
-        try:
+        with user_error(f"--policy {config.policy}: ", ValueError):
             text = standalone.text_of(config.policy, scenario, network)
-        except ValueError as error:
-            raise UserError(f"--policy {config.policy}: {error}") from error
         temporary.write_text(text, encoding="utf-8")
         robot = RobotPolicy(scenario, policies.make(config.policy, scenario))
         apart = standalone.compare(temporary, robot, config.checks)

@@ -33,7 +33,7 @@ from rendezvous_env.sensors.custom_sensors import IMPERFECTIONS
 from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, begin
 
-from .checks import UserError, meant
+from .checks import UserError, meant, user_error
 
 _AT_PATH = "learned:"
 _BEST = ("learned-tank", "tank-joined", "learned", "tangent-joined-tuned", "tangent-joined")
@@ -130,10 +130,8 @@ def check_names(wanted: Sequence[str]) -> None:
         if is_user_policy(name):
             find_function(name)
         elif learned_path(name) is not None:
-            try:
+            with user_error(f"policy {name!r}: ", ValueError):
                 make(name, Scenario(n_robots=2))
-            except ValueError as error:
-                raise UserError(f"policy {name!r}: {error}") from error
         elif name not in known:
             raise UserError(
                 f"policy {name!r} is unknown; {meant(name, known)}known are {', '.join(known)}, "
@@ -176,35 +174,27 @@ def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
         raise UserError(f"{what}{error}") from error
 
 
-def is_registered_here(scenario: Scenario) -> bool:
-    """Whether a scenario speaks of what somebody has registered, which this process alone knows."""
-    return bool(_registered(scenario))
-
-
 def registered(scenario: Scenario) -> list[tuple[str, str | None]]:
-    """What somebody has registered and a scenario speaks of, with the ``digest_of`` of its
-    function, of a robot model that of its constants.
+    """What somebody has registered and a scenario speaks of, which this process alone knows, with
+    the ``digest_of`` its function, of a robot model that of its constants.
     """
-    return [(name, digest_of(function)) for name, function in _registered(scenario)]
-
-
-def _registered(scenario: Scenario) -> list[tuple[str, Callable[..., Any]]]:
     graph, model = scenario.sensing_graph, scenario.model
     terms = sorted({*dict(scenario.reward.custom), *scenario.costs} - {*COSTS})
-    return [
+    found: list[tuple[str, Callable[..., Any]]] = [
         *((name, IMPERFECTIONS[name]) for name in scenario.sensing.custom),
         *((name, TERMS[name]) for name in terms),
         *([(graph.kind, FAMILIES[graph.kind])] if isinstance(graph, CustomFamily) else []),
         *([(model.name, model.constants)] if is_custom(model) else []),
     ]
+    return [(name, digest_of(function)) for name, function in found]
 
 
-def digest_of(function: Callable[..., Any]) -> str | None:
-    """Digest of the file in which a function is written, or of its own lines in a notebook; None
-    where nobody knows them.
+def digest_of(function: Callable[..., Any], path: Path | None = None) -> str | None:
+    """Digest of the file in which a function is written, unless another one is given, or of its own
+    lines in a notebook; None where nobody knows them.
     """
-    if (path := file_of(function)) is not None:
-        return _digest_of(path)
+    if (path := path or file_of(function)) is not None:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
     with suppress(OSError, TypeError):
         return hashlib.sha256(inspect.getsource(function).encode()).hexdigest()
     return None
@@ -233,7 +223,7 @@ def find_function(name: str) -> Callable[[Scenario], Policy | None]:
             "function of a scenario that gives a policy"
         )
     if name not in _found or _found[name][0] is not function:
-        _found[name] = function, _source_of(function, module)
+        _found[name] = function, digest_of(function, _file_of(function, module))
     return function
 
 
@@ -243,22 +233,13 @@ def _file_of(function: Callable[..., Any], module: Any) -> Path | None:
     return place if place.is_file() else None
 
 
-def _source_of(function: Callable[..., Any], module: Any) -> str | None:
-    place = _file_of(function, module)
-    return digest_of(function) if place is None else _digest_of(place)
-
-
-def _digest_of(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
 def _check_fresh(name: str) -> None:
     """Refuse a function whose file was edited since this process has imported it: others would
     import another one.
     """
-    function, module = find_function(name), sys.modules[name.partition(":")[0]]
-    if _source_of(function, module) != source_digest(name):
-        place = _file_of(function, module)
+    function = find_function(name)
+    place = _file_of(function, sys.modules[name.partition(":")[0]])
+    if digest_of(function, place) != source_digest(name):
         raise UserError(
             f"policy {name!r}: {place} was edited since this program imported it; importlib.reload "
             "it, or begin anew"

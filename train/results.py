@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from rendezvous_env.baselines.learned import plain_data
@@ -19,7 +19,7 @@ from rendezvous_env.baselines.learned import plain_data
 from rendezvous_env.scenario import scenarios
 from rendezvous_env.scenario.scenario import Scenario
 
-from .checks import UserError
+from .checks import user_error
 
 FORMAT_VERSION = 5
 """Of the files of ``compare``; a change that a reader would notice raises it."""
@@ -65,6 +65,7 @@ PAIRED = {
 """The same for paired.csv."""
 
 RESULT_COLUMNS, PAIRED_COLUMNS = tuple(RESULTS), tuple(PAIRED)
+Row = TypeVar("Row", bound=Mapping[str, Any])
 _PACKAGES = ("rendezvous-env", "numpy", "numba", "scipy", "gymnasium", "pettingzoo")
 
 
@@ -83,13 +84,10 @@ def prepare_folder(folder: Path, flag: str | None = None) -> Path:
     """Make a folder that can be written to; a UserError names the flag with its value, by default
     --out and the folder.
     """
-    try:
+    with user_error(f"{flag or f'--out {folder}'}: cannot write there: ", OSError):
         folder.mkdir(parents=True, exist_ok=True)
         with TemporaryFile(dir=folder):  # on Linux without a name: a kill leaves nothing behind
             pass
-    except OSError as error:
-        asked = flag or f"--out {folder}"
-        raise UserError(f"{asked}: cannot write there: {error.strerror}") from error
     return folder
 
 
@@ -118,6 +116,14 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+def grouped(rows: Iterable[Row], column: str) -> dict[Any, list[Row]]:
+    """Rows by what they have in a column, both in their order."""
+    found: dict[Any, list[Row]] = {}
+    for row in rows:
+        found.setdefault(row[column], []).append(row)
+    return found
+
+
 def write_arrays(path: Path, arrays: Mapping[str, Any], run: str = "") -> None:
     """Write named arrays to an npz file, with the id of their run as its comment."""
     with atomic(path) as temporary:
@@ -132,10 +138,15 @@ def entry(path: Path) -> dict[str, Any]:
     return plain_data.entry(path.read_bytes())
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write text."""
+    with atomic(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write plain data, indented."""
-    with atomic(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(content, indent=2) + "\n")
 
 
 def versioned(scenario: Scenario) -> dict[str, str]:

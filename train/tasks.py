@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from threadpoolctl import ThreadpoolController
 from tyro.conf import arg
 
-from .checks import UserError, check_installed, check_least, check_most
+from .checks import UserError, check_bounds, check_installed
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -55,8 +55,7 @@ class Workers:
 
     def check_workers(self) -> None:
         """Raise a UserError for an impossible number, or a cluster that cannot be asked."""
-        check_least(self, jobs=1)
-        check_most(self, jobs=_MOST)
+        check_bounds(self, jobs=(1, _MOST))
         if self.on == "here" and self.address is not None:
             raise UserError(f"--address is {self.address}; only --backend ray has one")
         if self.on == "ray":

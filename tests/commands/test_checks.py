@@ -135,9 +135,9 @@ MISTAKES = {
     "render --out a.avi": "unknown ending '.avi'; known are .gif, .mp4, .png, .pdf",
     f"render --policy learned:{'a' * 300}": "File name too long",
     "render --scenario uav-6 --policy tangent-joined": "does not fit nonholonomic_3d",
-    "render --fps 0": "--fps is 0; it must be from 1 to 100",
-    "render --size 10": "--size is 10; it must be from 120 to 4096",
-    "render --speed 0": "--speed is 0.0; it must be from 0.001",
+    "render --fps 0": "--fps is 0; it must be 1 or more",
+    "render --size 10": "--size is 10; it must be 120 or more",
+    "render --speed 0": "--speed is 0.0; it must be 0.001 or more",
     "warmup --scenarios duoo": "scenario 'duoo' is unknown; did you mean 'duo'?",
 }
 
@@ -185,6 +185,9 @@ def test_text_and_lists_stand_for_paths_and_tuples():
         (compare.run, compare.Config(out=5), "out is 5; it must be of type Path"),
         (ppo.run, ppo.Config(total_steps=True), "total_steps is True; it must be of type int"),
         (ppo.run, ppo.Config(out="a", resume=7), "resume is 7; it must be of type"),
+        (ppo.run, ppo.Config(guarantee="oracle"), "guarantee is 'oracle'; it must be of type"),
+        (ppo.run, ppo.Config(memory="oracle"), "memory is 'oracle'; it must be of type"),
+        (ppo.run, ppo.Config(critic="oracle"), "critic is 'oracle'; it must be of type"),
         (ppo.run, ppo.Config(hidden=(64, "64")), r"hidden is \(64, '64'\); it must be of type"),
     ],
 )

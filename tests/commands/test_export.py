@@ -8,11 +8,11 @@ import numpy as np
 import onnx
 import onnxruntime
 import pytest
+from bare_network import make_network, stirred
 
 import rendezvous_env as rv
 from baselines import RobotPolicy
 from baselines.learned import checkpoints, shipped
-from baselines.learned.features import NEIGHBOUR_COLUMNS, OBSTACLE_COLUMNS
 from baselines.learned.learned_policy import load
 from baselines.learned.numpy_actor import NumpyActor
 from baselines.learned.onnx_network import DIGEST_KEY, SETTINGS_KEY, OnnxNetwork, digest_of
@@ -20,6 +20,7 @@ from baselines.learned.policy_settings import PolicySettings
 from train import checks, cli, export, policies, standalone
 from train.compare import playing
 from train.compare.settings import Config, Job
+from train.learn.recurrent import RecurrentNetwork
 
 CLUTTER = rv.scenarios.get("clutter-12")
 RECURRENT = PolicySettings(
@@ -44,19 +45,11 @@ def shipped_network(name):
 
 
 def drawn_weights(settings):
-    """Of the actor's arrays, by name."""
-    width, units, random = settings.set_width, settings.units, np.random.default_rng(4)
-    features = 4 * width + settings.layout(0, 0).context_columns
-    shapes = {"memory.weight_ih": (3 * units, features), "memory.weight_hh": (3 * units, units)}
-    shapes |= {"memory.bias_ih": (3 * units,), "memory.bias_hh": (3 * units,)}
-    nets = {"neighbour_net": NEIGHBOUR_COLUMNS, "obstacle_net": OBSTACLE_COLUMNS}
-    layers = [(f"features_extractor.{name}.0", inputs, width) for name, inputs in nets.items()]
-    layers += [(f"features_extractor.{name}.2", width, width) for name in nets]
-    layers += [("mlp_extractor.policy_net.0", units + features, settings.hidden[0])]
-    layers += [("action_net", settings.hidden[0], len(settings.angles))]
-    for name, inputs, outputs in layers:
-        shapes |= {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
-    return {name: 0.5 * random.normal(size=shape) for name, shape in shapes.items()}
+    """Of all arrays of a network that remembers, by name."""
+    width, own = {"set_width": settings.set_width, "hidden": settings.hidden}, settings.units
+    layout, choices = settings.layout(0, 0), len(settings.angles)
+    made = stirred(make_network(layout, choices, RecurrentNetwork, {"units": own}, **width))
+    return {name: weights.numpy() for name, weights in made.state_dict().items()}
 
 
 BEFORE_DIGEST = DIGEST_KEY.encode() + b'\x12\x42"'

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 import pytest
+from conftest import contents
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -37,14 +38,6 @@ def tried(count, *strategies):
         settings(**options, suppress_health_check=list(HealthCheck))(given(*strategies)(check))()
 
     return run
-
-
-def contents(folder):
-    """Of every file below a folder, by its path; None for a folder."""
-    return {
-        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
-        for path in folder.rglob("*")
-    }
 
 
 def lay(folder, files):

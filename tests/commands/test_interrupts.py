@@ -24,18 +24,11 @@ COMMANDS = {
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 
 
-def start(words, folder, before="", **options):
+def start(words, folder, before=""):
     """A command in a process of its own, whether or not this one ignores Ctrl-C."""
-    code = f"import sys, signal, train.cli as c\n{before}\nsys.exit(c.main())"
-    return subprocess.Popen(
-        [sys.executable, "-c", code, *words],
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-        **options,
-    )
+    code = f"import sys, train.cli as c\n{before}\nsys.exit(c.main())"
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen([sys.executable, "-c", code, *words], cwd=folder, text=True, **pipes)
 
 
 def stop(process, number):

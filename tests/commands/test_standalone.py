@@ -2,13 +2,13 @@
 
 import ast
 import json
-import subprocess
 import sys
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import run_python
 
 import baselines
 import rendezvous_env as rv
@@ -143,10 +143,8 @@ def test_it_runs_where_numpy_is_all_there_is(exported, tmp_path):
         [np.asarray(part).tolist() for part in seen] + [{"weights": told["weights"].tolist()}]
         for *seen, told in standalone.drawn_ticks(CLUTTER, 40)
     ]
-    words = [sys.executable, "-I", "-S", "-B", "-c", ALONE]
-    words += [str(here), str(tmp_path), json.dumps(ticks)]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 0, done.stderr
+    words = "-I", "-S", "-B", "-c", ALONE, here, tmp_path, json.dumps(ticks)
+    done = run_python(tmp_path, *words)
     own = RobotPolicy(CLUTTER, "learned-tank")
     wanted = [own.act(*seen, **told) for *seen, told in ticks]
     np.testing.assert_allclose(json.loads(done.stdout), wanted, atol=1e-5)
@@ -188,7 +186,7 @@ def test_a_changed_file_drives_no_robot(exported, tmp_path, seed):
     ("words", "message"),
     [
         (["--standalone", "robot.txt"], "--standalone robot.txt: unknown ending; it must be .py"),
-        (["--standalone", "x.py", "--checks", "0"], "--checks is 0; it must be from 1"),
+        (["--standalone", "x.py", "--checks", "0"], "--checks is 0; it must be 1 or more"),
         (["--standalone", "x.py", "--policy", "tank-joined"], "is one of the rules under an ene"),
         (["--standalone", "x.py", "--policy", "learnt"], "did you mean 'learned'?"),
         (["--standalone", "x.py", "--scenario", "cluter-8"], "did you mean 'clutter-8'?"),

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 from light_tasks import cores, dies, dies_once, product, refuses, torch_product, where
+from training_runs import SMALL, UPDATE, network
 
 import rendezvous_env as rv
-from baselines.learned import checkpoints
 from train import checks, interrupts, tasks
 from train.checks import UserError
 from train.compare import compare, playing
@@ -127,31 +127,21 @@ def test_so_is_a_verification(tmp_path):
     assert found[0] == found[1] and len(found[0]) == 3
 
 
-SMALL = {
-    "scenario": "clutter-4", "num_teams": 4, "n_steps": 8, "batch_size": 64, "epochs": 1,
-    "total_steps": 256, "set_width": 4, "hidden": (8,), "eval_every": 0,
-    "checkpoint_every": 128, "tensorboard": False,
-}  # fmt: skip
-
-
 class TestSeeds:
     def config(self, out, **changes):
-        return command.Config(**SMALL | {"seeds": (0, 3), "out": out} | changes)
-
-    @staticmethod
-    def weights(folder):
-        return checkpoints.read(checkpoints.find(folder), ["network"])[1]["network"]
+        own = {"total_steps": 2 * UPDATE, "eval_every": 0, "num_threads": None, "seeds": (0, 3)}
+        return command.Config(**SMALL | own | {"out": out} | changes)
 
     def test_two_at_once_are_those_of_one_after_the_other_and_go_on(self, tmp_path):
         one, two = tmp_path / "1", tmp_path / "2"
         assert command.run(self.config(two, jobs=2)) == 0
         for seeds in ((0,), (0, 3)):  # seed 0 is finished when it is asked for again
             assert command.run(self.config(one, seeds=seeds, jobs=1)) == 0
-        found = [self.weights(folder / f"seed-{s}") for s in (0, 3) for folder in (one, two)]
+        found = [network(folder / f"seed-{s}") for s in (0, 3) for folder in (one, two)]
         for first, second in (found[:2], found[2:]):
             assert all(np.array_equal(first[name], second[name]) for name in first)
         assert any(not np.array_equal(found[0][name], found[2][name]) for name in found[0])
-        assert "done: 256 steps" in (two / "seed-0.txt").read_text()
+        assert f"done: {2 * UPDATE:,} steps" in (two / "seed-0.txt").read_text()
         with pytest.raises(UserError, match="seed-0 holds a run of other settings"):
             command.run(self.config(one, learning_rate=1e-4))
 

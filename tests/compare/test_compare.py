@@ -227,14 +227,16 @@ class TestMeasures:
 
 
 def run_play(scenario, name, count, keep=0):
-    make = lambda: policies.make(name, scenario)  # noqa: E731
-    margin = policies.promised_margin(name, make())
-    return play(scenario, make, margin=margin, episodes=count, seed=0, keep=keep)
+    done = compare.play_job(compare.Job(scenario, name), episodes=count, seed=0, keep=keep)
+    return done.episodes, list(done.recordings.values())
+
+
+TEN_SECONDS = Scenario(n_robots=2, time_step=0.1, time_limit=10.0)
 
 
 class TestStatistics:
     def test_a_row_by_hand(self):
-        row = statistics.summarise("s", "p", batch(), limit=10.0)
+        row = statistics.summarise(TEN_SECONDS, "p", batch())
         assert (row["success"], row["clean_success"], row["contacts"]) == (0.75, 0.5, 1.25)
         assert row["median_time"] == 3.5  # of 2, 3, 4 and later than 10
         assert (row["time_over_bound"], row["min_clearance"]) == (0.75, 0.0)
@@ -262,7 +264,7 @@ class TestStatistics:
 
     def test_where_contacts_do_not_count_nothing_is_clean_or_not(self):
         through = batch(clean=np.full(4, np.nan))
-        row = statistics.summarise("s", "p", through, limit=10.0)
+        row = statistics.summarise(TEN_SECONDS, "p", through)
         assert np.isnan([row["clean_success"], row["clean_low"], row["clean_high"]]).all()
         assert row["success"] == 0.75 and row["success_low"] > 0
         assert [episode["clean"] for episode in through.rows()] == [None] * 4

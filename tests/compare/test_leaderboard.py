@@ -5,7 +5,6 @@ import re
 import shutil
 from collections import defaultdict
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,9 +13,9 @@ from conftest import ROOT
 
 import rendezvous_env as rv
 from rendezvous_env import scenarios
-from train import cli, policies
+from train import cli
 from train.checks import UserError
-from train.compare import evaluation, statistics
+from train.compare import Job, play_job, statistics
 from train.leaderboard import cards as cards_of
 from train.leaderboard import command, registry, tables
 from train.leaderboard.algorithms.ppo import multiplier_of
@@ -149,9 +148,8 @@ def test_a_board_has_a_card_for_each_cell_and_its_tables(board):
 
 def test_the_law_is_played_as_compare_plays_it(board):
     """The same starts and policy give the same times, by another loop."""
-    scenario = scenarios.get("clutter-8")
-    make = partial(policies.make, "bearing-only", scenario)
-    played, _ = evaluation.play(scenario, make, margin=1.0, episodes=8, seed=EVALUATION_SEEDS)
+    job = Job(scenarios.get("clutter-8"), "bearing-only")
+    played = play_job(job, episodes=8, seed=EVALUATION_SEEDS).episodes
     law = cards_of.read_cards(board)[0]["results"]
     assert law["success"] == played.success.astype(int).tolist()
     assert law["clean"] == played.clean.astype(int).tolist()

@@ -8,6 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import contents
+from training_runs import UPDATE
+from training_runs import config as training
 
 from baselines.learned import shipped
 from train import cli, resume
@@ -25,10 +28,6 @@ SAME = ("results.csv", "episodes.csv", "paired.csv", "ceiling.csv", "trajectorie
 def config(out, **changes):
     given = {"scenarios": NAMES, "policies": POLICIES, "episodes": 3, "keep": 1, "ceiling": 2}
     return compare.Config(**{**given, "set": SHORT, "figures": False, "out": out, **changes})
-
-
-def contents(folder):
-    return {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +169,7 @@ class TestGoingOn:
         (tmp_path / "out.part" / "thesis.tex").write_text("mine")
         with pytest.raises(UserError, match=r"holds no plan\.json"):
             compare.run(config(tmp_path / "out", fresh=True))
-        assert contents(tmp_path) == {"thesis.tex": b"mine"}
+        assert contents(tmp_path) == {"out.part": None, "out.part/thesis.tex": b"mine"}
 
 
 class TestPlace:
@@ -246,7 +245,7 @@ class TestRefusals:
         (tmp_path / "notes.txt").write_text("mine")
         with pytest.raises(UserError, match=r"holds 'notes.txt', which compare has not written"):
             compare.run(config(tmp_path))
-        assert contents(tmp_path.parent / tmp_path.name) == {"notes.txt": b"mine"}
+        assert contents(tmp_path) == {"notes.txt": b"mine"}
 
     def test_the_folder_one_stands_in(self, tmp_path, monkeypatch):
         (tmp_path / "a").mkdir()
@@ -286,10 +285,8 @@ def hold():
 
     def start(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-        process = subprocess.Popen(
-            [sys.executable, "-c", HOLD, path], stdout=subprocess.PIPE, text=True, env=environment
-        )
+        words = [sys.executable, "-c", HOLD, path]
+        process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
         begun.append(process)
         assert process.stdout.readline() == "held\n"
         return process
@@ -317,9 +314,7 @@ class TestLocks:
         from train.learn import ppo
 
         folder = tmp_path / "run"
-        small = {"num_teams": 2, "n_steps": 4, "total_steps": 32, "eval_every": 0}
-        begun = ppo.Config("clutter-4", out=folder, tensorboard=False, num_threads=1, **small)
-        assert ppo.run(begun).status == 0
+        assert ppo.run(training(folder, total_steps=UPDATE, eval_every=0)).status == 0
         other = hold(folder / ".lock")
         before = contents(folder)
         said = one_line("train", "--resume", folder)

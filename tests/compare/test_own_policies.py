@@ -1,6 +1,5 @@
 """A user's own policies by ``module:function``, out of the folder in which the command runs."""
 
-import csv
 import importlib
 import linecache
 import sys
@@ -14,6 +13,7 @@ from train import cli, policies, resume, tasks
 from train.checks import UserError
 from train.compare import compare, playing
 from train.figures import render
+from train.results import read_csv
 
 MINE = '''
 import baselines
@@ -66,8 +66,8 @@ def mine(tmp_path, monkeypatch):
 
 
 def rows(folder):
-    with (folder / "results.csv").open() as file:
-        return {(row["scenario"], row["policy"]): row for row in csv.DictReader(file)}
+    found = read_csv(folder / "results.csv")
+    return {(row["scenario"], row["policy"]): row for row in found}
 
 
 def test_it_is_compared_under_its_name_by_workers_too(mine, tmp_path, monkeypatch):

@@ -143,7 +143,7 @@ class TestMatrix:
 class TestTables:
     def test_a_rise_is_said_in_words_where_there_is_none(self):
         found = played("fig4", "tangent", np.ones(1, bool))
-        row = statistics.summarise("fig4", "tangent", found.episodes, 30.0)
+        row = statistics.summarise(scenarios.get("fig4"), "tangent", found.episodes)
         console = Console(file=io.StringIO(), width=tables.WIDTH)
         fell = {**row, "max_rise_between_merges": -0.5}
         rose = {**row, "policy": "zero", "max_rise_between_merges": 0.25}

@@ -1,7 +1,5 @@
 """Replays of the leaderboard: what is kept of a run is what its card says, and nothing else."""
 
-import base64
-import gzip
 import json
 from dataclasses import replace
 from functools import partial
@@ -9,6 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 from conftest import ROOT
+from pages import arrays_of
 from rendezvous_env.baselines.learned.plain_data import digest
 
 from rendezvous_env import Simulator, scenarios
@@ -25,18 +24,6 @@ RULES = command.Config(
     algorithms=("bearing-only", "tank-joined"), fields=("clutter-8", "unicycle-clutter-16"),
     starts=10, jobs=1,
 )  # fmt: skip
-PLAIN = {"float32": np.dtype("<f4"), "uint8": np.dtype("u1")}
-
-
-def arrays_of(shown):
-    """What is written as it is, by name: an independent reading of ``encoding``."""
-    raw, found = gzip.decompress(base64.b64decode(shown.text)), {}
-    for name, kind, shape, *_ in shown.fields:
-        if kind in PLAIN:
-            size = PLAIN[kind].itemsize * int(np.prod(shape))
-            found[name] = np.frombuffer(raw[:size], PLAIN[kind]).reshape(shape)
-            raw = raw[size:]
-    return found
 
 
 def check_agreement(card, kept):
@@ -45,7 +32,7 @@ def check_agreement(card, kept):
     other = [start for start, one in enumerate(found["clean"]) if one != found["clean"][0]]
     assert sorted(kept) == [0, *other[:1]]
     for start, shown in kept.items():
-        arrays = arrays_of(shown)
+        arrays = arrays_of(shown.fields, shown.text)
         assert arrays["times"][-1] == pytest.approx(found["time"][start], rel=1e-6, abs=1e-6)
         assert (arrays["active"][-1].sum() == 1) == bool(found["success"][start])
         assert arrays["contacts"][-1].sum() == found["touches"][start]
@@ -77,7 +64,9 @@ def test_what_is_kept_ends_as_the_card_says_and_begins_where_the_start_does(boar
     for start, shown in kept.items():
         simulator = Simulator(scenarios.get("clutter-8"), 1)
         simulator.reset(EVALUATION_SEEDS + start)
-        assert arrays_of(shown)["lyapunov"][0] == np.float32(simulator.lyapunov()[0])
+        assert arrays_of(shown.fields, shown.text)["lyapunov"][0] == np.float32(
+            simulator.lyapunov()[0]
+        )
         discs = sorted(one["radius"] for one in shown.obstacles)
         np.testing.assert_allclose(discs, sorted(simulator.obstacles[0][:, RADIUS]), atol=1e-5)
         places, inside = np.array(shown.extent), simulator.positions[0]

@@ -8,7 +8,7 @@ import rendezvous_env as rv
 from rendezvous_env import graphs
 from rendezvous_env.scenario import scenarios
 from train import policies
-from train.compare.evaluation import play
+from train.compare import Job, play_job
 from train.recording import observations, whole
 
 TEAMS = {
@@ -30,26 +30,24 @@ TEAMS = {
 def test_what_was_seen(name):
     scenario = TEAMS[name].replace(time_limit=6.0)
     law, count = policies.fitting(scenario, ())[-1], 6 if name == "inertia" else 3
-    seen, kept = {}, recordings(scenario, law, count)
-    simulator = rv.Simulator(scenario, count)
-    first = simulator.reset(5)
-    seen[0] = first
-    policy = policies.make(law, scenario)
-    for step in rv.trajectory.run(simulator, policy, first):
-        seen[len(seen)] = step.outcome.observations
-    merges = 0
-    for team, recording in enumerate(kept):
+    seen, merges = shown(scenario, law, count), 0
+    for team, recording in enumerate(recordings(scenario, law, count)):
         assert "observations" not in recording
         at = np.rint(recording["times"] / scenario.tau).astype(int)
-        expected = np.stack([seen[number][team] for number in at])
-        assert np.array_equal(observations(recording, scenario), expected)
+        assert np.array_equal(observations(recording, scenario), seen[at, team])
         merges += int((~recording["active"][-1]).sum())
     assert merges > 0 or name == "inertia"
 
 
+def shown(scenario, law, count):
+    """What robots of the same teams are shown, (T, B, n, rows, d)."""
+    policy = policies.make(law, scenario)
+    return rv.rollout(scenario, policy, 5, num_envs=count, record="observations").observations
+
+
 def recordings(scenario, law, count):
-    make = lambda: policies.make(law, scenario)  # noqa: E731
-    return play(scenario, make, margin=None, episodes=count, seed=5, keep=count)[1]
+    played = play_job(Job(scenario, law), episodes=count, seed=5, keep=count)
+    return played.recordings.values()
 
 
 def test_what_a_sensor_has_got_wrong_is_kept():
@@ -57,8 +55,4 @@ def test_what_a_sensor_has_got_wrong_is_kept():
     scenario = rv.Scenario(name="blurred", n_robots=3, sensing=sensor, time_limit=1)
     (kept,) = recordings(scenario, "bearing-only", 1)
     assert "weights" not in kept and whole(kept, scenario) is kept
-    simulator = rv.Simulator(scenario)
-    seen, law = [simulator.reset(5)[0]], policies.make("bearing-only", scenario)
-    steps = rv.trajectory.run(simulator, law, simulator.observe())
-    seen += [step.outcome.observations[0] for step in steps]
-    assert np.array_equal(kept["observations"], np.stack(seen))
+    assert np.array_equal(kept["observations"], shown(scenario, "bearing-only", 1)[:, 0])

@@ -5,28 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from gymnasium.vector import AutoresetMode
 
 import rendezvous_env as rv
-from baselines.learned.training_environment import FeatureVectorEnv
 from rendezvous_env.adapters.slots import of_one_robot
 from train.learn.networks import FAR, GlobalStateLayout
 from train.learn.recurrent import Sequences, learner_of
 from train.learn.settings import Config
+from train.learn.teams import make_teams
 
-SCENARIO = rv.scenarios.get("clutter-12").replace(time_limit=3.0)
 CONFIG = Config(
-    guarantee="tank", budget=2.0, critic="global", set_width=8, hidden=(16,), memory_units=8
-)
-
-
-def teams(config=CONFIG, batch=5):
-    venv = rv.make_vec(SCENARIO, batch, autoreset_mode=AutoresetMode.SAME_STEP)
-    settings = replace(config.policy_settings(), decision_time=SCENARIO.tau)
-    state = GlobalStateLayout(SCENARIO.n_robots, SCENARIO.observation_layout.obstacle_slots)
-    return FeatureVectorEnv(
-        venv, settings, global_state=state if config.critic == "global" else None
-    )
+    scenario="clutter-12", set=("time_limit=3",), guarantee="tank", budget=2.0, critic="global",
+    set_width=8, hidden=(16,), memory_units=8, num_teams=5, decision_period=1,
+)  # fmt: skip
 
 
 def test_the_state_by_hand():
@@ -75,7 +65,7 @@ def test_a_team_in_which_nobody_sees_anybody_at_first_has_a_state():
 
 
 def test_who_is_gone_is_not_there_and_the_last_state_is_of_the_episode_that_ended():
-    env = teams()
+    env = make_teams(CONFIG, 0)
     env.reset(seed=3)
     for _ in range(59):
         shown, *_ = env.step(np.zeros((5, 4), dtype=np.int64))
@@ -103,9 +93,9 @@ def judged(made, seen):
 @pytest.mark.parametrize("memory", ["none", "features", "recurrent"])
 def test_only_the_critic_reads_it(memory):
     config = replace(CONFIG, memory=memory)
-    env = teams(config)
+    env = make_teams(config, 0)
     shown, _ = env.reset(seed=3)
-    assert teams(replace(config, critic="local")).layout == env.layout
+    assert make_teams(replace(config, critic="local"), 0).layout == env.layout
     torch.manual_seed(1)
     spaces = map(of_one_robot, (env.single_observation_space, env.single_action_space))
     _, network, arguments = learner_of(config, env)

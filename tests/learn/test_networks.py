@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from bare_network import make_network
-from torch import nn
+from bare_network import make_network, stirred
 
 from baselines.learned import checkpoints, shipped
 from baselines.learned.features import CONTEXT_COLUMNS, FeatureLayout
@@ -17,16 +16,7 @@ SETTINGS = {"set_width": 8, "hidden": (16,)}
 
 
 def network(K=K, M=M):
-    """With random weights in every layer, the last one included."""
     return stirred(make_network(FeatureLayout(K, M), **SETTINGS))
-
-
-def stirred(made):
-    torch.manual_seed(0)
-    with torch.no_grad():
-        for weights in made.parameters():
-            nn.init.normal_(weights, std=0.3)
-    return made
 
 
 def shown(robots=50, columns=CONTEXT_COLUMNS):

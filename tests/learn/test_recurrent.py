@@ -12,33 +12,22 @@ import rendezvous_env as rv
 from baselines.learned.learned_policy import LearnedPolicy
 from baselines.learned.numpy_actor import NumpyActor
 from baselines.learned.policy_settings import PolicySettings, memory_of
-from baselines.learned.training_environment import FeatureVectorEnv
-from rendezvous_env.adapters.sb3 import RobotVecEnv
-from train.learn.networks import network_settings
-from train.learn.recurrent import RecurrentNetwork, RecurrentRobotPPO, Sequences
+from train.learn.recurrent import Sequences
+from train.learn.settings import Config
+from train.learn.trainer import Trainer
 
 TEAMS, STEPS, UNITS = 8, 20, 8
-SCENARIO = rv.scenarios.get("clutter-12").replace(time_limit=1.5)
-SETTINGS = PolicySettings(
-    set_width=8, hidden=(16,), clearance=0.1, persistence=0.5, min_alignment=0.1,
-    max_turn_rate=3.0, decision_time=SCENARIO.tau, guarantee="tank", budget=2.0,
-    memory="recurrent", memory_units=UNITS,
+CONFIG = Config(
+    scenario="clutter-12", set=("time_limit=1.5",), guarantee="tank", budget=2.0, prior=3.0,
+    set_width=8, hidden=(16,), clearance=0.1, min_alignment=0.1, max_turn_rate=3.0, seed=5,
+    memory="recurrent", memory_units=UNITS, decision_period=1, num_teams=TEAMS, epochs=1,
 )  # fmt: skip
-
-
-def base():
-    return rv.make_vec(SCENARIO, TEAMS, autoreset_mode=AutoresetMode.SAME_STEP)
+SCENARIO, SETTINGS = CONFIG.plain_scenario(), CONFIG.policy_settings()
 
 
 def model(steps=STEPS):
     """PPO on teams that meet, or run out of time, within a rollout or two."""
-    torch.manual_seed(3)
-    teams = FeatureVectorEnv(base(), SETTINGS)
-    arguments = network_settings(teams.layout, set_width=8, hidden=(16,), prior=3.0)
-    made = RecurrentRobotPPO(
-        RecurrentNetwork, RobotVecEnv(teams), n_steps=steps, batch_size=4 * steps, n_epochs=1,
-        seed=5, device="cpu", policy_kwargs=arguments | {"units": UNITS},
-    )  # fmt: skip
+    made = Trainer(replace(CONFIG, n_steps=steps, batch_size=4 * steps)).model
     made.train = lambda: None
     with torch.no_grad():
         torch.nn.init.normal_(made.policy.action_net.weight, std=0.3)
@@ -122,7 +111,8 @@ def test_a_merged_robot_is_valued_by_its_survivor(monkeypatch):
 def test_served_as_trained():
     """Bit by bit over several episodes: choices, motion, and when memory is lost."""
     made = model()
-    policy, robots, served = made.policy, made.get_env(), base()
+    policy, robots = made.policy, made.get_env()
+    served = rv.make_vec(SCENARIO, TEAMS, autoreset_mode=AutoresetMode.SAME_STEP)
     arrays = {name: value.numpy() for name, value in policy.state_dict().items()}
     ours = LearnedPolicy(SCENARIO, arrays, SETTINGS)
     robots.seed(2)

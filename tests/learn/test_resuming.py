@@ -12,6 +12,7 @@ import time
 
 import pytest
 import tyro
+from conftest import contents
 from training_runs import (
     UPDATE,
     assert_goes_on,
@@ -198,10 +199,9 @@ class TestRefusals:
         """A function: what going on with a folder is refused with a message."""
 
         def refuse(message, folder, *words):
-            before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+            before = contents(folder)
             assert message in one_line("train", "--resume", folder, *words)
-            after = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-            assert after == before
+            assert contents(folder) == before
 
         return refuse
 

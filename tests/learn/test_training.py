@@ -239,11 +239,6 @@ class TestSettings:
             with nullcontext() if fits else refused:
                 make()
 
-    @pytest.mark.parametrize("name", ["guarantee", "memory", "critic"])
-    def test_words_that_are_none(self, name, tmp_path):
-        with pytest.raises(UserError, match=f"{name} is 'oracle'; it must be of type "):
-            ppo.run(config(tmp_path, **{name: "oracle"}))
-
     @pytest.mark.parametrize(
         ("given", "said", "weights"),
         [

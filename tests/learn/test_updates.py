@@ -6,19 +6,15 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
 
-import rendezvous_env as rv
-from baselines.learned.training_environment import FeatureVectorEnv
-from rendezvous_env.adapters.sb3 import RobotVecEnv
-from train.learn.recurrent import learner_of
 from train.learn.rollout_buffer import Rule, slopes_of
 from train.learn.settings import Config
 from train.learn.teams import WatchedRobots, make_teams
+from train.learn.trainer import Trainer
 
-TEAMS, STEPS = 16, 40
+STEPS = 40
 
 
 @pytest.fixture
@@ -31,24 +27,12 @@ def threads():
 def collected(memory, batch_size=10**6):
     """A model after it has filled its buffer, before it learns from that."""
     config = Config(
-        guarantee="tank", budget=2.0, memory=memory, critic="global", set_width=8, hidden=(16,)
-    )
-    scenario = rv.scenarios.get("clutter-12").replace(time_limit=3.0)
-    venv = rv.make_vec(scenario, TEAMS, autoreset_mode=AutoresetMode.SAME_STEP)
-    robots = RobotVecEnv(FeatureVectorEnv(venv, config.policy_settings()))
-    algorithm, kind, settings = learner_of(config, robots.teams)
-    model = algorithm(
-        kind,
-        robots,
-        n_steps=STEPS,
-        batch_size=batch_size,
-        n_epochs=3,
-        ent_coef=0.01,
-        learning_rate=3e-3,
-        clip_range=0.02,
-        seed=5,
-        policy_kwargs=settings,
-    )
+        scenario="clutter-12", set=("time_limit=3",), guarantee="tank", budget=2.0, memory=memory,
+        critic="global" if memory == "recurrent" else "local", set_width=8, hidden=(16,), seed=5,
+        num_teams=16, n_steps=STEPS, batch_size=batch_size, epochs=3, ent_coef=0.01,
+        learning_rate=3e-3, clip_range=0.02,
+    )  # fmt: skip
+    model = Trainer(config).model
     _, callback = model._setup_learn(STEPS * model.n_envs)
     model.collect_rollouts(model.env, callback, model.rollout_buffer, STEPS)
     assert not model.rollout_buffer.mask.all()

@@ -7,6 +7,7 @@ import shutil
 import pytest
 from browsing import browser, chosen, clock, needs_browser, picture, reloaded, visited
 from conftest import ROOT
+from pages import data_of
 
 from train.checks import UserError
 from train.leaderboard import cards
@@ -32,10 +33,9 @@ def board(tmp_path_factory):
 
 
 def read(folder):
-    """What the scripts of a page read, and its recordings."""
+    """The page of a folder, what its scripts read, and its recordings."""
     text = (folder / "report.html").read_text(encoding="utf-8")
-    data = json.loads(re.search(r'<script id="data"[^>]*>(.*?)</script>', text, re.S)[1])
-    return text, data, re.findall(r'<script id="recording-\d+"[^>]*>(.*?)</script>', text)
+    return text, *data_of(text)
 
 
 def test_the_page_has_every_row_and_where_every_card_is(board):

@@ -1,13 +1,13 @@
 """``rendezvous report``: what the page holds, and what it says of folders that are not whole."""
 
 import base64
-import gzip
 import json
 import re
 import shutil
 
 import numpy as np
 import pytest
+from pages import arrays_of, data_of
 
 from train import cli, results
 from train import encoding as report_encoding
@@ -19,34 +19,6 @@ from train.report.input import read
 def folder(compared, tmp_path):
     """A copy that a test may damage."""
     return shutil.copytree(compared, tmp_path / "out", ignore=shutil.ignore_patterns("report.html"))
-
-
-def data_of(text):
-    """The JSON and the decoded blobs of a page."""
-    data = json.loads(re.search(r'<script id="data"[^>]*>(.*?)</script>', text, re.DOTALL)[1])
-    for entry in data["recordings"]:
-        names = ("name", "type", "shape", "scale")
-        entry["fields"] = [dict(zip(names, field, strict=False)) for field in entry["fields"]]
-    blobs = re.findall(r'<script id="recording-\d+"[^>]*>(.*?)</script>', text)
-    return data, [gzip.decompress(base64.b64decode(blob)) for blob in blobs]
-
-
-def decode(fields, raw):
-    """Arrays of a recording: an independent reading of report_encoding's description."""
-    arrays = {}
-    for field in fields:
-        shape, count = field["shape"], int(np.prod(field["shape"]))
-        dtype = np.dtype(field["type"]).newbyteorder("<")
-        part, raw = raw[: count * dtype.itemsize], raw[count * dtype.itemsize :]
-        if field["type"] != "int16":
-            arrays[field["name"]] = np.frombuffer(part, dtype).reshape(shape)
-            continue
-        low, high = np.frombuffer(part, np.uint8).reshape(2, count).astype(np.int64)
-        sums = (low + 256 * high).reshape(*shape[1:], shape[0]).cumsum(axis=-1)
-        whole = np.moveaxis((sums + 32768) % 65536 - 32768, -1, 0)
-        arrays[field["name"]] = np.where(whole == -32768, np.nan, whole * field["scale"])
-    assert raw == b""
-    return arrays
 
 
 def rows_of(shown):
@@ -82,10 +54,10 @@ class TestPage:
         found = read(compared)
         data, blobs = data_of(text)
         assert len(data["recordings"]) == len(blobs) == 2 * 2 + 3  # fig4 has one start
-        for entry, raw in zip(data["recordings"], blobs, strict=True):
-            shown = decode(entry["fields"], raw)
+        for entry, blob in zip(data["recordings"], blobs, strict=True):
+            shown = arrays_of(entry["fields"], blob)
             arrays = found.recordings[entry["scenario"], entry["policy"], entry["start"]]
-            scales = {f["name"]: f.get("scale", 0.0) for f in entry["fields"]}
+            scales = {name: (*scale, 0.0)[0] for name, _, _, *scale in entry["fields"]}
             seen = arrays["observations"].astype(float)
             for name in shown.keys() - {"lengths", "angles", "observations"}:
                 recorded = arrays[name].astype(float)
@@ -166,10 +138,10 @@ def test_what_exceeds_its_share_is_thinned_and_says_so(compared, monkeypatch):
     assert max(sizes, key=sizes.get) in thin and min(sizes, key=sizes.get) not in thin
     assert min(sizes[key] for key in thin) > budget / len(sizes)
     assert f"{len(thin)} of 7 recordings are thinned out" in text
-    assert sum(map(len, re.findall(r'type="application/gzip">(.*?)<', text))) <= budget
-    for entry, raw in zip(data["recordings"], blobs, strict=True):
+    assert sum(map(len, blobs)) <= budget
+    for entry, blob in zip(data["recordings"], blobs, strict=True):
         recording = whole.recordings[entry["scenario"], entry["policy"], entry["start"]]
-        times, recorded = decode(entry["fields"], raw)["times"], recording["times"]
+        times, recorded = arrays_of(entry["fields"], blob)["times"], recording["times"]
         merges = ~np.isnan(recording["lyapunov_before_merge"])
         expected = {*recorded[:: entry["stride"]], *recorded[merges], recorded[-1]}
         np.testing.assert_allclose(times, sorted(expected), rtol=1e-6)

@@ -1,15 +1,16 @@
 """What an interrupted ``rendezvous verify`` has finished is kept, and not done again."""
 
-import csv
 import io
 import math
 from collections import Counter
 
 import pytest
+from conftest import contents
 from rich.console import Console
 
 from train import resume
 from train.checks import UserError
+from train.results import read_csv
 from train.verify import claims, verify
 from train.verify.claims import BATCH, CLAIMS
 from train.verify.falsification import Played, Tally
@@ -61,15 +62,6 @@ def stopped(settings, after):
     return caught.value
 
 
-def table(path):
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
-def contents(folder):
-    return {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-
-
 @pytest.mark.parametrize("after", [1, 4, 8])
 def test_what_is_finished_is_not_done_again(after, tmp_path):
     whole, _ = checked(config(tmp_path / "whole"))
@@ -80,7 +72,7 @@ def test_what_is_finished_is_not_done_again(after, tmp_path):
     done, printed = checked(config(out))
     assert f"resumes with {after} finished tasks" in printed
     assert done == whole[after:] and len(whole) == 9
-    assert table(out / "verify.csv") == table(tmp_path / "whole/verify.csv")
+    assert read_csv(out / "verify.csv") == read_csv(tmp_path / "whole/verify.csv")
     assert [path.name for path in out.iterdir()] == ["verify.csv"]
 
 
@@ -92,7 +84,7 @@ def test_so_it_is_with_any(tmp_path):
         stopped(config(tmp_path, **settings), 2)
         done, again = checked(config(tmp_path, **settings))
     assert done == whole[2:] and len(whole) == 3
-    assert table(tmp_path / "any.csv") == table(tmp_path / "whole/any.csv")
+    assert read_csv(tmp_path / "any.csv") == read_csv(tmp_path / "whole/any.csv")
     assert printed.split(" of 24 teams")[0] in again and "72 random scenarios" in again
 
 

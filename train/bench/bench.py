@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from itertools import chain
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from rich.table import Table
 import rendezvous_env as rv
 from rendezvous_env.engine.threads import available_cores
 
-from ..checks import UserError, check_least, check_most, installed
+from ..checks import UserError, check_bounds, installed
 from ..console import Console
 from ..results import provenance, write_json
 from . import cases, learners
@@ -28,6 +29,10 @@ GROUPS = tuple("one-team batched obstacles wrapped training sensing adapters hea
 _PEERS = ("stable-baselines3", "torch", "mpe2", "torchrl", "pufferlib-core")
 _SHOWN = ("group", "name", "n_robots", "num_envs", "unit", "against")
 _MOST_BEARINGS = 2**31
+_BOUNDS = {
+    "robots": (2, 2**12), "num_envs": (1, 2**24), "num_threads": (1, 2**10), "repeats": (1, inf),
+    "seconds": (0, 3600),
+}  # fmt: skip
 _TAUGHT = (("clutter-8", "heading"), ("clutter-24", "tank"))
 
 EXAMPLES = ("", "--only batched wrapped --robots 8 --json out/bench.json")
@@ -64,8 +69,9 @@ def check(config: Config) -> None:
     """Refuse settings that cannot be measured."""
     if unknown := sorted(set(config.only) - set(GROUPS)):
         raise UserError(f"--only: {unknown[0]!r} is unknown; known are {', '.join(GROUPS)}")
-    check_least(config, robots=2, num_envs=1, num_threads=1, repeats=1)
-    check_most(config, robots=2**12, num_envs=2**24, num_threads=2**10, seconds=3600)
+    if not config.seconds > 0:
+        raise UserError(f"--seconds is {config.seconds}; it must be positive")
+    check_bounds(config, **_BOUNDS)
     if not config.robots:
         raise UserError("--robots names none; give sizes of teams, 2 or more")
     if (bearings := config.num_envs * max(config.robots) ** 2) > _MOST_BEARINGS:
@@ -73,8 +79,6 @@ def check(config: Config) -> None:
             f"--num-envs times the square of --robots is {bearings}; it must be {_MOST_BEARINGS} "
             "or less, so that memory holds them"
         )
-    if not config.seconds > 0:
-        raise UserError(f"--seconds is {config.seconds}; it must be positive")
     if (path := config.json) is not None:
         if not path.parent.is_dir():
             raise UserError(f"--json {path}: there is no folder {path.parent}")

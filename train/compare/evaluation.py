@@ -19,7 +19,7 @@ from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, Step, run
 
-from ..checks import UserError
+from ..checks import user_error
 from ..recording import Recorder, Recording, Snapshot, seen_again
 
 CHUNK = 1024
@@ -113,10 +113,8 @@ def play(
     recordings: list[Recording] = []
     for first in range(0, episodes, CHUNK):
         simulator = Simulator(scenario, min(CHUNK, episodes - first))
-        try:
+        with user_error(f"{scenario.name}: ", RuntimeError):  # no room for a start
             observations = simulator.reset(seed + first)
-        except RuntimeError as error:  # no room for a start
-            raise UserError(f"{scenario.name}: {error}") from error
         kept = range(min(keep, episodes)) if first == 0 else ()
         start, exact = Snapshot(simulator), seen_again(scenario)
         recorders = [Recorder(start, team, observations, exact) for team in kept]

@@ -16,7 +16,7 @@ from typing import Any
 from rendezvous_env.baselines.learned import plain_data
 
 from .. import results, resume
-from ..checks import UserError
+from ..checks import UserError, user_error
 
 RUN = "run.json"
 _OURS = re.compile(
@@ -52,10 +52,8 @@ def destination(
     here = Path.cwd()
     if out == here or out in here.parents or os.path.ismount(out):
         raise UserError(f"--out {given}: cannot be replaced as a whole; name a folder in it")
-    try:
+    with user_error(f"--out {given}: cannot write there: ", OSError):
         names = sorted(os.listdir(out)) if out.exists() else ()
-    except OSError as error:
-        raise UserError(f"--out {given}: cannot write there: {error.strerror}") from error
     for name in names:
         if not (ours(name) or _LITTER.fullmatch(name)):
             raise UserError(

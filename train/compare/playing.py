@@ -1,6 +1,5 @@
 """Play a comparison in independent tasks."""
 
-import hashlib
 import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
@@ -9,7 +8,6 @@ from operator import methodcaller
 from typing import Any
 
 import numpy as np
-from rendezvous_env.baselines import policy as registry
 from rendezvous_env.baselines.learned import checkpoints
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -19,6 +17,7 @@ from .. import policies
 from ..checks import UserError
 from ..console import Console
 from ..recording import Recording
+from ..results import entry
 from ..resume import Part, program
 from ..tasks import Workers, each
 from . import statistics
@@ -75,9 +74,7 @@ def play_job(
 
 def summary(played: Played) -> dict[str, Any]:
     """The row of results.csv that belongs to a job."""
-    scenario = played.job.scenario
-    limit = scenario.max_steps * scenario.tau
-    return statistics.summarise(scenario.name, played.job.policy, played.episodes, limit)
+    return statistics.summarise(played.job.scenario, played.job.policy, played.episodes)
 
 
 def plan_of(jobs: Sequence[Job], config: Config) -> dict[str, Any]:
@@ -108,7 +105,7 @@ def _weights(policy: str, scenarios: Sequence[Scenario]) -> str | None:
         found = [checkpoints.describe(checkpoints.find(place))["sha256"] for place in learned]
         return " ".join(map(str, found))
     if learned:
-        return hashlib.sha256(learned[0].read_bytes()).hexdigest()
+        return str(entry(learned[0])["sha256"])
     return policies.source_digest(policy)
 
 
@@ -128,11 +125,8 @@ def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
     """A job, cut into blocks of its starts; ``number`` is its place among all jobs."""
     starts, kept = config.starts(job.scenario), config.kept(job.scenario)
     # what was registered from outside is known to this process alone
-    typed_in = (
-        job.policy.startswith("__main__:")
-        if ":" in job.policy
-        else registry.kind_of(job.policy) == "own"
-    )
+    has_file = ":" in job.policy and not job.policy.startswith("__main__:")
+    typed_in = policies.kind_of(job.policy) == "own" and not has_file
     weights = _weights(job.policy, [job.scenario]) if ":" in job.policy else None
     return [
         Task(
@@ -151,7 +145,7 @@ def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
 
 def stays_here(task: Task) -> bool:
     """Whether only this process can do a task."""
-    return task.stays or policies.is_registered_here(task.scenario)
+    return task.stays or bool(policies.registered(task.scenario))
 
 
 def play_block(

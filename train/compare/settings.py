@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +13,7 @@ from rendezvous_env.scenario import scenarios as named_scenarios
 from rendezvous_env.scenario.scenario import Scenario
 
 from .. import policies, results
-from ..checks import UserError, check_least, meant
+from ..checks import UserError, check_bounds, meant
 from ..tasks import Workers
 from . import sweep as levels
 from .evaluation import starts_of
@@ -122,7 +123,7 @@ class Job:
 
 def plan(config: Config) -> list[Job]:
     """The jobs that a configuration asks for; a UserError where it cannot be."""
-    check_least(config, episodes=1, seed=0, keep=0, ceiling=0)
+    check_bounds(config, episodes=(1, inf), seed=(0, inf), keep=(0, inf), ceiling=(0, inf))
     episodes = config.episodes or _STARTS
     if config.seed + episodes > 2**63:
         raise UserError(f"--seed is {config.seed}; with {episodes} starts it is too large")

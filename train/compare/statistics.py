@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rendezvous_env.scenario.scenario import Scenario
+
 from .evaluation import Episodes
 
 CONFIDENCE = 0.95
@@ -86,13 +88,12 @@ def censored_median(
     return value, bootstrap_interval((censored,), median)
 
 
-def summarise(scenario: str, policy: str, episodes: Episodes, limit: float) -> dict[str, Any]:
-    """One row of results.csv, see ``results.RESULTS``; NaN where it does not apply. ``limit`` is
-    the time limit, s.
-    """
+def summarise(scenario: Scenario, policy: str, episodes: Episodes) -> dict[str, Any]:
+    """One row of results.csv, see ``results.RESULTS``; NaN where it does not apply."""
+    limit = scenario.max_steps * scenario.tau
     median, times = censored_median(episodes.time, episodes.success, limit)
     return {
-        "scenario": scenario,
+        "scenario": scenario.name,
         "policy": policy,
         "episodes": len(episodes.success),
         "success": episodes.success.mean(),

@@ -3,8 +3,6 @@
 import math
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import groupby
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -16,6 +14,7 @@ from rendezvous_env.scenario.scenario import Scenario
 
 from .. import policies
 from ..console import Console
+from ..results import grouped
 from .ranking import Ranking
 from .sweep import Sweep, rows_of
 
@@ -41,11 +40,11 @@ def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Tab
     table = _empty(*columns, "V rise", "clear m", "align", title="Policies on the same starts")
     for column in table.columns:
         column.no_wrap = True
-    for name, own in groupby(rows, itemgetter("scenario")):
-        first, limit = next(own), scenarios[name].max_steps * scenarios[name].tau
+    for name, own in grouped(rows, "scenario").items():
+        first, limit = own[0], scenarios[name].max_steps * scenarios[name].tau
         starts = "one start" if first["episodes"] == 1 else f"{first['episodes']} starts"
         table.add_row(f"{name}, {starts}", style="bold")
-        for row in (first, *own):
+        for row in own:
             times = (_time(row[name], limit) for name in ("median_time", "time_low", "time_high"))
             median, low, high = times
             table.add_row(
@@ -89,7 +88,7 @@ def paired_table(rows: Sequence[Row]) -> Table:
         caption="points: of collision-free success; better: without a collision and sooner, "
         "a tie counts half; [95 % intervals]",
     )
-    for name, own in groupby(rows, itemgetter("scenario")):
+    for name, own in grouped(rows, "scenario").items():
         table.add_row(name, style="bold")
         for row in own:
             points = _percent(row, "clean_difference", "clean_difference", "+z.1f")
@@ -182,9 +181,9 @@ def show_sweeps(sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]], console
         title = f"{sweep.base.name}: {sweep.field}, {own[0]['episodes']} starts"
         console.print(f"{title}; collision-free %, median s", style="bold")
         table = _empty("policy", *sweep.labels)
-        for policy in dict.fromkeys(row["policy"] for row in own):
+        for policy, found in grouped(own, "policy").items():
             cells = []
-            for row in (row for row in own if row["policy"] == policy):
+            for row in found:
                 counts = not math.isnan(row["clean_success"])
                 share = percent(row["clean_success" if counts else "success"], row["episodes"])
                 cells.append(f"{share}, {_time(row['median_time'], limit)}")

@@ -133,5 +133,4 @@ def write_into(page: Path, table: Sequence[str]) -> None:
     while last < len(lines) and lines[last].startswith("|"):
         last += 1
     lines[first:last] = table
-    with results.atomic(page) as part:
-        part.write_text("\n".join(lines), encoding="utf-8")
+    results.write_text(page, "\n".join(lines))

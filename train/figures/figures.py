@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from rendezvous_env.render.palette import OBSTACLE, ROBOTS, code
 from rendezvous_env.scenario.scenario import Scenario
 
+from ..results import grouped
 from .style import COLUMN, PAGE, SMALL, new_figure, styled
 
 if TYPE_CHECKING:
@@ -109,15 +110,14 @@ def time_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
 
 def _panels(rows: Sequence[Mapping[str, Any]], draw: Any, label: str) -> Figure:
     """A page with one panel for each scenario and one line for each of its policies."""
-    names = list(dict.fromkeys(row["scenario"] for row in rows))
-    panels = [[dict(row) for row in rows if row["scenario"] == name] for name in names]
-    columns = min(3, len(names))
-    tallest = [max(map(len, panels[k : k + columns])) for k in range(0, len(names), columns)]
+    found = grouped(map(dict, rows), "scenario")
+    panels, columns = list(found.values()), min(3, len(found))
+    tallest = [max(map(len, panels[k : k + columns])) for k in range(0, len(found), columns)]
     heights = [0.35 + LINE * lines for lines in tallest]
     width = COLUMN if columns == 1 else PAGE
     figure = new_figure(width, 0.6 + sum(heights))
     grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
-    for number, (name, panel) in enumerate(zip(names, panels, strict=True)):
+    for number, (name, panel) in enumerate(found.items()):
         axes = figure.add_subplot(grid[number // columns, number % columns])
         for place, row in enumerate(panel):
             row["place"] = place
@@ -186,7 +186,7 @@ def sweep_figure(
     obstacles or of robots, in a group of ``sweeps``.
     """
     numbers = {scenario.name: _number(scenario, quantity) or 0 for scenario in group}
-    found = _by_policy([row for row in rows if row["scenario"] in numbers])
+    found = grouped((row for row in rows if row["scenario"] in numbers), "policy")
     figure = new_figure(COLUMN, 2.75 + LINE * math.ceil(len(found) / LEGEND_COLUMNS))
     axes = figure.add_subplot()
     for policy, own in found.items():
@@ -207,13 +207,6 @@ def sweep_figure(
     axes.set_title(f"Collision-free: {fixed}, 95 % intervals")
     figure.legend(loc="outside lower center", ncols=LEGEND_COLUMNS)
     return figure
-
-
-def _by_policy(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
-    return {
-        policy: [row for row in rows if row["policy"] == policy]
-        for policy in dict.fromkeys(row["policy"] for row in rows)
-    }
 
 
 def policy_line(
@@ -254,7 +247,7 @@ def level_figure(sweep: Any, rows: Sequence[dict[str, Any]]) -> Figure:
     Levels stand at equal distances, since the exact sensor need not be a number. Where more than
     half of the starts time out there is no median time, and no mark.
     """
-    found = _by_policy(rows)
+    found = grouped(rows, "policy")
     figure = new_figure(COLUMN, 4.2 + LINE * math.ceil(len(found) / LEGEND_COLUMNS))
     above, below = figure.subplots(2, 1, sharex=True)
     limit = sweep.base.max_steps * sweep.base.tau

@@ -20,7 +20,7 @@ from rendezvous_env.trajectory import Step, Trajectory, rollout
 from rendezvous_env.trajectory import run as steps_of
 
 from .. import policies
-from ..checks import UserError, check_installed
+from ..checks import UserError, check_bounds, check_installed, user_error
 from ..console import Console
 from ..results import atomic, prepare_folder
 from . import path_figures, style
@@ -73,14 +73,12 @@ def run(config: Config) -> int:
     with console.status("simulating; the first use on a machine compiles …"):
         policy = policies.make(name, scenario)
         trajectory = rollout(scenario, policy, config.seed)
-    try:
+    with user_error(f"--out {config.out}: cannot write there: ", OSError):
         if config.out.suffix.lower() in STILLS:
             figure = path_figures.team_figure(scenario, one_team(trajectory), name)
             style.save(figure, config.out)
         else:
             _write_video(config, name, trajectory, console)
-    except OSError as error:
-        raise UserError(f"--out {config.out}: cannot write there: {error.strerror}") from error
     end = "met" if trajectory.success[0] else "did not meet, stopped"
     seconds = float(trajectory.times[-1])
     console.print(f"{scenario.name}, {name}: {end} after {seconds:.2f} s; {config.out}")
@@ -94,10 +92,7 @@ def _check(config: Config) -> tuple[Scenario, str]:
         raise UserError(
             f"--out {config.out}: unknown ending {ending!r}; known are {', '.join(known)}"
         )
-    for field, (least, most) in _LIMITS.items():
-        value = getattr(config, field)
-        if value is not None and not least <= value <= most:
-            raise UserError(f"--{field} is {value}; it must be from {least} to {most}")
+    check_bounds(config, **_LIMITS)
     policies.check_names([config.policy] if config.policy else [])
     scenario = policies.resolve_scenario(config.scenario, config.set)
     name = config.policy or policies.best(scenario)

@@ -20,7 +20,7 @@ from rendezvous_env.scenario import scenarios
 from rendezvous_env.trajectory import Trajectory, rollout
 
 from .. import policies, results
-from ..checks import UserError, check_installed, check_least, check_most
+from ..checks import UserError, check_bounds, check_installed
 from ..console import Console
 from ..recording import Recording
 from . import bounds, path_figures, style
@@ -80,8 +80,7 @@ class Config:
 
 def run(config: Config) -> int:
     """Simulate, draw, and write FIGURE.png, FIGURE.pdf, FIGURE.npz and FIGURE.csv."""
-    check_least(config, seed=0, episodes=1)
-    check_most(config, seed=2**63 - 1, episodes=10**6)
+    check_bounds(config, seed=(0, 2**63 - 1), episodes=(1, 10**6))
     if config.page is not None and config.figure != "bounds":
         raise UserError(f"--page is {config.page}; {config.figure} makes no table for it")
     if config.figure == "pixels":

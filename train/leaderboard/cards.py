@@ -82,8 +82,7 @@ def write_run(folder: Path, card: Card, replay: Replay | None) -> None:
         write_replay(path_of(path), replay)
     path.parent.mkdir(parents=True, exist_ok=True)
     lines = (f"{json.dumps(key)}: {json.dumps(value)}" for key, value in card.items())
-    with results.atomic(path) as temporary:
-        temporary.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+    results.write_text(path, "{\n" + ",\n".join(lines) + "\n}\n")
 
 
 def path_in(folder: Path, card: Card) -> Path:

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from math import inf
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -14,7 +15,7 @@ from tyro.conf import arg
 from rendezvous_env.scenario import scenarios
 
 from .. import results
-from ..checks import UserError, check_least, check_most
+from ..checks import UserError, check_bounds
 from ..compare import out_folder, statistics
 from ..compare.playing import Task, play_all
 from ..console import Console
@@ -89,8 +90,7 @@ class Config(Workers):
 
 def plan(config: Config) -> list[Place]:
     """The cells that a configuration asks for, those that fit; a UserError if there are none."""
-    check_least(config, seeds=0, decisions=1, starts=1)
-    check_most(config, seeds=MOST_SEED)
+    check_bounds(config, seeds=(0, MOST_SEED), decisions=(1, inf), starts=(1, inf))
     tier = TIERS[config.tier]
     able = tuple(name for name, one in registry.known().items() if not one.missing)
     decisions, starts = config.decisions or tier.decisions, config.starts or tier.starts
@@ -180,8 +180,7 @@ def write(out: Path, runs: Sequence[Run], console: Console) -> None:
     results.write_csv(out / "leaderboard.csv", tables.COLUMNS, rows)
     results.write_csv(out / "improvement.csv", tables.IMPROVEMENT, tables.improvements(cards))
     tables.draw(out, cards, rows)
-    with results.atomic(out / "README.md") as temporary:
-        temporary.write_text(tables.markdown(rows, cards), encoding="utf-8")
+    results.write_text(out / "README.md", tables.markdown(rows, cards))
     Console(width=max(console.width, tables.WIDTH)).print(tables.text(rows))
 
 

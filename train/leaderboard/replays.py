@@ -89,8 +89,7 @@ def path_of(card: Path) -> Path:
 def write_replay(path: Path, replay: Replay) -> None:
     """Write what ``read_replay`` reads."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with results.atomic(path) as temporary:
-        temporary.write_text(json.dumps(replay, separators=(",", ":")) + "\n", encoding="utf-8")
+    results.write_text(path, json.dumps(replay, separators=(",", ":")) + "\n")
 
 
 def read_replay(path: Path, found: dict[str, Any]) -> dict[int, Encoded]:

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from ..compare import statistics
 from ..figures import style
+from ..results import grouped
 
 COLUMNS = (
     "algorithm", "safety", "guarantee", "given", "runs", "clean", "clean_low", "clean_high", "time",
@@ -31,27 +32,19 @@ _LEVELS = np.linspace(0.0, 1.0, 101)
 Card = Mapping[str, Any]
 
 
-def _by_algorithm(cards: Sequence[Card]) -> dict[str, list[Card]]:
-    found: dict[str, list[Card]] = {}
-    for card in cards:
-        found.setdefault(card["algorithm"], []).append(card)
-    return found
-
-
 def scores_of(cards: Sequence[Card], name: str) -> NDArray[np.float64]:
     """Mean over starts of "clean" or "time", (S, F), of the cards of one algorithm by field and
     seed: of each field the first S runs, as many as all have, whatever their seeds.
     """
-    fields: dict[str, list[float]] = {}
-    for card in cards:
-        fields.setdefault(card["field"], []).append(float(np.mean(card["results"][name])))
-    return np.array(list(zip(*fields.values(), strict=False)))
+    fields = grouped(cards, "field").values()
+    means = ([float(np.mean(card["results"][name])) for card in own] for own in fields)
+    return np.array(list(zip(*means, strict=False)))
 
 
 def rows_of(cards: Sequence[Card]) -> list[dict[str, Any]]:
     """Rows of leaderboard.csv, the best in collision-free success first."""
     rows = []
-    for name, own in _by_algorithm(cards).items():
+    for name, own in grouped(cards, "algorithm").items():
         about = {key: own[0][key] for key in ("safety", "guarantee", "given")}
         row = {"algorithm": name, **about}
         for key in ("clean", "time"):
@@ -70,7 +63,7 @@ def rows_of(cards: Sequence[Card]) -> list[dict[str, Any]]:
 
 def improvements(cards: Sequence[Card]) -> list[dict[str, Any]]:
     """Rows of improvement.csv, each pair of algorithms once on the fields that both have."""
-    own, rows, chance = _by_algorithm(cards), [], statistics.probability_of_improvement
+    own, rows, chance = grouped(cards, "algorithm"), [], statistics.probability_of_improvement
     for pair in combinations(own, 2):
         both = set.intersection(*({card["field"] for card in own[name]} for name in pair))
         if both:
@@ -163,7 +156,7 @@ def draw(out: Path, cards: Sequence[Card], rows: Sequence[Mapping[str, Any]]) ->
         panel.set(xlabel="steps in which V rose, %", ylabel=label)
     price.legend(*panel.get_legend_handles_labels(), loc="outside right center")
     panel = profiles.subplots()
-    for k, (name, own) in enumerate(_by_algorithm(cards).items()):
+    for k, (name, own) in enumerate(grouped(cards, "algorithm").items()):
         profile = statistics.performance_profile(scores_of(own, "clean"), _LEVELS)
         look: dict[str, Any] = {"linestyle": ("-", "--", ":")[k % 3], "color": colours[k]}
         panel.step(100.0 * _LEVELS, profile, where="post", label=name, **look)

@@ -84,7 +84,7 @@ def _log_of(settings: Settings) -> Path:
 def _stays_here(settings: Settings) -> bool:
     """Whether only this process can do a run."""
     others = map(policies.resolve_scenario, settings.eval_scenarios)
-    return any(map(policies.is_registered_here, (settings.base_scenario(), *others)))
+    return any(map(policies.registered, (settings.base_scenario(), *others)))
 
 
 def _train(settings: Settings) -> int:

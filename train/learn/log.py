@@ -6,8 +6,6 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
-from itertools import groupby
-from operator import itemgetter
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -95,7 +93,7 @@ class Result:
         return max(self._by_step(), key=score, default=())
 
     def _by_step(self) -> list[tuple[Row, ...]]:
-        return [tuple(rows) for _, rows in groupby(self.evaluations, key=itemgetter("step"))]
+        return [tuple(rows) for rows in results.grouped(self.evaluations, "step").values()]
 
 
 def score(rows: tuple[Row, ...]) -> float:

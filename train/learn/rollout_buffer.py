@@ -31,7 +31,6 @@ from rendezvous_env.compilation import kernel
 from .networks import HeadingNetwork
 
 _SAMPLES = ("observations", "actions", "values", "log_probs", "advantages", "returns")
-_STEP = ("observations", "actions", "rewards", "episode_starts", "values", "log_probs")
 _MEASURED = ("policy_gradient_loss", "value_loss", "entropy_loss", "approx_kl", "clip_fraction")
 
 
@@ -59,7 +58,7 @@ class RobotRolloutBuffer(RolloutBuffer):
             self.mask = np.ones((self.buffer_size, self.n_envs), dtype=np.bool_)
         self.mask[...], self.pos, self.full = True, 0, False
 
-    def add(self, *step: Any) -> None:
+    def add(self, obs: Any, action: Any, reward: Any, *others: Any) -> None:
         """Add the step that the robots have just done; arguments as in stable-baselines3."""
         robots, future = self._robots, np.zeros(self.n_envs, dtype=np.float32)
         self.mask[self.pos] = robots.acted
@@ -67,14 +66,7 @@ class RobotRolloutBuffer(RolloutBuffer):
             with torch.no_grad():
                 seen = torch.as_tensor(robots.bootstrap_observations, device=self.device)
                 future[robots.bootstrapped] = self._value_of(seen).flatten().cpu().numpy()
-        given = dict(zip(_STEP, step, strict=True))
-        given["rewards"] = given["rewards"] + self.gamma * future
-        for name, numbers in given.items():
-            rows = getattr(self, name)[self.pos]
-            known = numbers.cpu().numpy() if isinstance(numbers, Tensor) else numbers
-            rows[...] = known.reshape(rows.shape)
-        self.pos += 1
-        self.full = self.pos == self.buffer_size
+        super().add(obs, action, reward + self.gamma * future, *others)
 
     def _value_of(self, seen: Tensor) -> Tensor:
         """Values (k, 1) of the last observations (k, size) of slots that were cut off."""

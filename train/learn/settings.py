@@ -18,7 +18,7 @@ from rendezvous_env.safety.settings import SMALLEST_MARGIN
 from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..checks import UserError, check_fields, check_least, check_most, flag, typed
+from ..checks import UserError, check_bounds, check_fields, flag, typed, user_error
 from ..policies import resolve_scenario
 from .sensing_ranges import Ranges, check_ranges
 
@@ -269,13 +269,12 @@ class Config:
         )
 
 
-_ANY = math.inf
 _BOUNDS = {
-    "total_steps": (1, 2**62), "seed": (0, MOST_SEED), "num_teams": (1, _ANY),
-    "n_steps": (2, _ANY), "batch_size": (2, 2**31), "epochs": (1, 2**31), "gamma": (0, 1),
-    "gae_lambda": (0, 1), "learning_rate": (0, 1e6), "touch_penalty": (0, _ANY),
+    "total_steps": (1, 2**62), "seed": (0, MOST_SEED), "num_teams": (1, math.inf),
+    "n_steps": (2, math.inf), "batch_size": (2, 2**31), "epochs": (1, 2**31), "gamma": (0, 1),
+    "gae_lambda": (0, 1), "learning_rate": (0, 1e6), "touch_penalty": (0, math.inf),
     "curriculum": (0, 2**10), "fewest_obstacles": (0, 2**10), "set_width": (1, 2**12),
-    "hidden": (1, 2**12), "persistence": (0, _ANY), "decision_period": (1, 10**6),
+    "hidden": (1, 2**12), "persistence": (0, math.inf), "decision_period": (1, 10**6),
     "budget": (0, 1e9), "memory_units": (1, 2**12), "sensing_groups": (1, 2**20),
     "sensing_updates": (1, 2**31), "eval_every": (0, 2**62), "eval_starts": (1, 2**32),
     "checkpoint_every": (1, 2**62), "num_threads": (1, 2**10),
@@ -291,8 +290,7 @@ def check(config: Config) -> None:
     types are those that ``typed`` has let through.
     """
     check_fields(config)
-    check_least(config, **{name: least for name, (least, _) in _BOUNDS.items()})
-    check_most(config, **{name: most for name, (_, most) in _BOUNDS.items()})
+    check_bounds(config, **_BOUNDS)
     rules: dict[str, tuple[bool, str]] = {}
     for name in ("learning_rate", "clip_range", "max_turn_rate"):
         rules[name] = getattr(config, name) > 0, "positive"
@@ -312,10 +310,8 @@ def check(config: Config) -> None:
 def _check_unused(config: Config) -> None:
     """Refuse a flag that means nothing without another one."""
     ranges = config.sensing_ranges()
-    try:
+    with user_error("--sensing-… draws sensors: ", ValueError):
         check_ranges(ranges, config.sensing_chance)
-    except ValueError as error:
-        raise UserError(f"--sensing-… draws sensors: {error}") from error
     if ranges and config.sensing_groups > config.num_teams:
         raise UserError(
             f"--sensing-groups is {config.sensing_groups}; it must be {config.num_teams} or less, "

@@ -21,7 +21,7 @@ from stable_baselines3.common.logger import Logger
 from rendezvous_env.engine.threads import available_cores
 
 from .. import interrupts, results
-from ..checks import UserError
+from ..checks import UserError, user_error
 from ..compare import statistics
 from ..compare.evaluation import play
 from ..compare.tables import number
@@ -88,10 +88,8 @@ class Trainer:
         """Begin at step 0, with a checkpoint to come back to."""
         if (path := self.config.start_from) is not None:
             _, tables = checkpoints.read(checkpoints.find(path), ["network"])
-            try:
+            with user_error(f"--start-from {path}: another network: ", RuntimeError):
                 self.model.policy.load_state_dict(tensors(tables["network"]))
-            except RuntimeError as error:
-                raise UserError(f"--start-from {path}: another network: {error}") from error
         self._reset_robots()
         self._open_log(0)
         self.save(self.snapshot())
@@ -242,8 +240,7 @@ class Trainer:
                 episodes=config.eval_starts,
                 seed=EVALUATION_SEEDS,
             )
-            limit = scenario.max_steps * scenario.tau
-            numbers = statistics.summarise(scenario.name, "learned", episodes, limit)
+            numbers = statistics.summarise(scenario, "learned", episodes)
             rows.append({"step": self.model.num_timesteps, **numbers})
             self._tell(self._evaluations, f"evaluation-{scenario.name}", rows[-1])
         return rows

@@ -9,7 +9,7 @@ from string import Template
 import numpy as np
 from tyro.conf import Positional
 
-from ..checks import UserError
+from ..checks import UserError, user_error
 from ..compare.evaluation import Episodes
 from ..compare.playing import Played
 from ..compare.ranking import Ranking, answer, leaders, rank
@@ -17,7 +17,7 @@ from ..compare.settings import Job
 from ..console import Console
 from ..encoding import Encoded, encode_all, rounding
 from ..recording import MAX_FRAMES
-from ..results import atomic
+from ..results import write_text
 from . import board
 from .input import Comparison, half_written, read
 from .skeleton import PLAYER, Replay, elements, figures, part, player_data, terms, whole
@@ -51,11 +51,8 @@ def run(config: Config) -> int:
             text = board.page(config.folder)
         else:
             text, note = _compared(config.folder)
-    try:
-        with atomic(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"{path}: cannot write there: {error.strerror}") from error
+    with user_error(f"{path}: cannot write there: ", OSError):
+        write_text(path, text)
     if note:
         console.print(note)
     console.print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)", soft_wrap=True)

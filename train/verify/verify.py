@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -14,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from tyro.conf import arg
 
-from ..checks import UserError, check_least, check_most, meant
+from ..checks import UserError, check_bounds, meant
 from ..console import Console
 from ..results import write_csv
 from ..resume import Part, claimed, program
@@ -62,8 +63,7 @@ class Config(Workers):
 
 def check_config(config: Config) -> None:
     """Refuse what cannot be run in a UserError: the flag, its value and what would be right."""
-    check_least(config, trials=1, seed=0, only_batch=0, kinds=1)
-    check_most(config, trials=10**8)
+    check_bounds(config, trials=(1, 10**8), seed=(0, inf), only_batch=(0, inf), kinds=(1, inf))
     config.check_workers()
     if not 0 < config.min_alignment < 1:
         raise UserError(
