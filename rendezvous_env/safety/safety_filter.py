@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from ..checks import bools, choice, floats, refuse, shown, whole
-from ..compilation import kernel
+from ..compilation import entry_point, kernel
 from ..engine import threads
 from ..engine.state_checks import Remembering, check_observations, check_rotations
 from ..engine.threads import Calls, Part
@@ -21,7 +21,7 @@ from ..limits import MOST_TEAMS
 from ..physics.vectors import dot, load
 from ..scenario.scenario import Scenario
 from .frames import FRAMES, Sight, look_along_net_bearing
-from .robot_lanes import in_lanes
+from .robot_lanes import room_for
 
 Float32 = NDArray[np.float32]
 _ROBOTS_PER_THREAD = 4096
@@ -42,6 +42,24 @@ def over_teams(
     if most > 1:  # to ask how many cores there are takes a while
         most = min(most, threads.most_threads(num_threads))
     threads.share(calls_of, num_envs, max(1, most))
+
+
+_entry_points: dict[tuple[Any, type, np.dtype[Any], int], Callable[..., Any]] = {}
+
+
+def over_robots(kernel: Any, teams: Part, constants: Any, *arrays: NDArray[Any]) -> Calls:
+    """The call of a kernel for the robots of some teams, b·n + i for robot i of team b: it is given
+    axes, (0, 1) or (0, 1, 2), which robots, constants, arrays (B, n, ...), any unit, the first of
+    which is observations, as (B·n, ...), and memory for ``lanes_of`` and rows.
+    """
+    n, rows, d = arrays[0].shape[1:]
+    robots = tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])  # not copied
+    axes, which = tuple(range(d)), (teams[0] * n, teams[1] * n)
+    arguments = axes, which, constants, robots, room_for(rows)
+    kind = kernel, type(constants), arrays[0].dtype, d  # all other types follow from these
+    if (run := _entry_points.get(kind)) is None:
+        run = _entry_points[kind] = entry_point(kernel, arguments)
+    return [partial(run, *arguments)]
 
 
 @kernel
@@ -185,7 +203,7 @@ class SafetyFilter(Remembering):
         """What does as ``view``, of some teams and unchecked."""
         if self.along_net_bearing:
             arrays = observations, self._frames, shown
-            return in_lanes(look_along_net_bearing, teams, self._sight, *arrays)
+            return over_robots(look_along_net_bearing, teams, self._sight, *arrays)
         mine = slice(*teams[:2])
         return [partial(np.copyto, shown[mine, :, : self._seen[2]], observations[mine])]
 
