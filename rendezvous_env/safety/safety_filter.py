@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from ..checks import bools, choice, floats, refuse, shown, whole
+from ..checks import bools, choice, floats, refuse, whole
 from ..compilation import entry_point, kernel
 from ..engine import threads
-from ..engine.state_checks import Remembering, check_observations, check_rotations
+from ..engine.state_checks import Remembering, check_actions, check_observations, check_rotations
 from ..engine.threads import Calls, Part
 from ..limits import MOST_TEAMS
 from ..physics.vectors import dot, load
@@ -25,8 +25,6 @@ from .robot_lanes import room_for
 
 Float32 = NDArray[np.float32]
 _ROBOTS_PER_THREAD = 4096
-_LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
-_NO, _YES = np.int32(0), np.int32(1)
 _ROUNDING = 1e-6  # so far from a rotation may a frame be that was put back
 FILTERS: dict[str, type[SafetyFilter]] = {}
 """By the name that wrappers and training environments know."""
@@ -64,18 +62,8 @@ def over_robots(kernel: Any, teams: Part, constants: Any, *arrays: NDArray[Any])
 
 @kernel
 def _hold(given, turns, frames, held):
-    """Hold choices, turned by frames: h = F q. −1; or the first robot whose choice is not finite in
-    float32, and none is held.
-    """
-    size, numbers, wrong = held.shape[2], given.reshape(-1), _NO
-    largest = numbers.dtype.type(_LARGEST_FLOAT32)
-    for k in range(len(numbers)):  # all of them: in numbers as narrow as theirs it is SIMD
-        wrong |= _NO if abs(numbers[k]) <= largest else _YES
-    if wrong > 0:
-        k = 0
-        while abs(numbers[k]) <= largest:
-            k += 1
-        return k // size
+    """Hold choices, turned by frames: h = F q."""
+    size, numbers = held.shape[2], given.reshape(-1)
     into, chosen = held.reshape(-1, size), given.reshape(-1, size)
     if not turns:
         kept = held.reshape(-1)
@@ -92,7 +80,6 @@ def _hold(given, turns, frames, held):
         for i in range(len(into)):
             for k in range(size):
                 into[i, k] = dot(load(turning[i, k]), load(chosen[i]))
-    return -1
 
 
 def check_inputs(scenario: Scenario, theorem: str, *, bodies: bool = False) -> None:
@@ -216,20 +203,11 @@ class SafetyFilter(Remembering):
         """Take new choices (B, n, k), fixed in the robots' local frames from now on. A ValueError
         for a wrong shape, or naming the robot whose choice is not finite.
         """
-        given: Any = raw if getattr(raw, "dtype", None) == np.float32 else floats("actions", raw)
-        if given.shape != self._held.shape:
-            raise ValueError(
-                f"actions have shape {given.shape}; they must be (B, n, k) = {self._held.shape}"
-            )
+        given = check_actions(raw, self._held.shape, "(B, n, k)")
+        if getattr(raw, "dtype", None) != np.float32:
+            given = np.ascontiguousarray(floats("actions", raw))
         turns = self.along_net_bearing and self.chooses_vectors
-        wrong = _hold(np.ascontiguousarray(given), turns, self._frames, self._held)
-        if wrong >= 0:
-            team, robot = divmod(wrong, self._held.shape[1])
-            raise ValueError(
-                f"action of robot_{robot} in team {team} is "
-                f"{shown(floats('actions', raw)[team, robot].tolist())}; it must be finite, in "
-                "float32"
-            )
+        _hold(given, turns, self._frames, self._held)
 
     def act(self, observations: Float32, elapsed: float | None = None) -> Float32:
         """Actions for the base environment, (B, n, a) float32, from observations (B, n, rows, d) in
