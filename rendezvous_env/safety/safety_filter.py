@@ -61,25 +61,19 @@ def over_robots(kernel: Any, teams: Part, constants: Any, *arrays: NDArray[Any])
 
 
 @kernel
-def _hold(given, turns, frames, held):
-    """Hold choices, turned by frames: h = F q."""
-    size, numbers = held.shape[2], given.reshape(-1)
-    into, chosen = held.reshape(-1, size), given.reshape(-1, size)
-    if not turns:
-        kept = held.reshape(-1)
-        for k in range(len(kept)):
-            kept[k] = numbers[k]
-    elif size == 2 and frames.shape[3] == 2:
-        kept, turning = held.reshape(-1), frames.reshape(-1)
-        for i in range(len(into)):  # of rows that are cut out it would not become SIMD
+def _hold(given, frames, held):
+    """Hold vectors (B, n, d), turned by frames: h = F q."""
+    if frames.shape[3] == 2:
+        numbers, kept, turning = given.reshape(-1), held.reshape(-1), frames.reshape(-1)
+        for i in range(len(kept) // 2):  # of rows that are cut out it would not become SIMD
             q = numbers[2 * i], numbers[2 * i + 1]
             kept[2 * i] = dot((turning[4 * i], turning[4 * i + 1]), q)
             kept[2 * i + 1] = dot((turning[4 * i + 2], turning[4 * i + 3]), q)
     else:
-        turning = frames.reshape(-1, size, size)
+        chosen, into, turn = given.reshape(-1, 3), held.reshape(-1, 3), frames.reshape(-1, 3, 3)
         for i in range(len(into)):
-            for k in range(size):
-                into[i, k] = dot(load(turning[i, k]), load(chosen[i]))
+            for k in range(3):
+                into[i, k] = dot(load(turn[i, k]), load(chosen[i]))
 
 
 def check_inputs(scenario: Scenario, theorem: str, *, bodies: bool = False) -> None:
@@ -206,8 +200,10 @@ class SafetyFilter(Remembering):
         given = check_actions(raw, self._held.shape, "(B, n, k)")
         if getattr(raw, "dtype", None) != np.float32:
             given = np.ascontiguousarray(floats("actions", raw))
-        turns = self.along_net_bearing and self.chooses_vectors
-        _hold(given, turns, self._frames, self._held)
+        if self.along_net_bearing and self.chooses_vectors:
+            _hold(given, self._frames, self._held)
+        else:
+            self._held[...] = given
 
     def act(self, observations: Float32, elapsed: float | None = None) -> Float32:
         """Actions for the base environment, (B, n, a) float32, from observations (B, n, rows, d) in
