@@ -51,8 +51,11 @@ def over_robots(kernel: Any, teams: Part, constants: Any, *arrays: NDArray[Any])
     which is observations, as (B·n, ...), and memory for ``lanes_of`` and rows.
     """
     n, rows, d = arrays[0].shape[1:]
-    robots = tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])  # not copied
-    axes, which = tuple(range(d)), (teams[0] * n, teams[1] * n)
+    if len(arrays[0]) == 1:  # NumPy cuts views five times as soon as it reshapes
+        robots = tuple([a[0] for a in arrays])
+    else:
+        robots = tuple([a.ravel() if a.ndim == 2 else a.reshape(-1, *a.shape[2:]) for a in arrays])
+    axes, which = (0, 1, 2)[:d], (teams[0] * n, teams[1] * n)
     arguments = axes, which, constants, robots, room_for(rows)
     kind = kernel, type(constants), arrays[0].dtype, d  # all other types follow from these
     if (run := _entry_points.get(kind)) is None:
@@ -198,7 +201,7 @@ class SafetyFilter(Remembering):
         for a wrong shape, or naming the robot whose choice is not finite.
         """
         given = check_actions(raw, self._held.shape, "(B, n, k)")
-        if getattr(raw, "dtype", None) != np.float32:
+        if given is not raw:  # which may be float64
             given = np.ascontiguousarray(floats("actions", raw))
         if self.along_net_bearing and self.chooses_vectors:
             _hold(given, self._frames, self._held)
