@@ -6,14 +6,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import bools, floats, shown, whole
+from .checks import bools, whole
 from .engine.batch_runner import BatchRunner, Driven, Pilot, Show
 from .engine.episodes import Episodes
 from .engine.memory import RENDEZVOUS, RUNNING
 from .engine.memory_layout import MemoryLayout, check_memory
-from .engine.stages.step import first_not_finite
 from .engine.state import State
-from .engine.state_checks import check_entries, check_output, check_teams
+from .engine.state_checks import check_actions, check_entries, check_output, check_teams
 from .limits import MOST_STEPS, MOST_TEAMS
 from .outcome import ELAPSED, LYAPUNOV, StepOutput
 from .rewards.costs import costs_of, no_costs
@@ -271,21 +270,7 @@ class Simulator(StateView):
             ValueError: for a wrong shape, what is no number, or a number that is not finite, naming
                 the robot.
         """
-        plain = getattr(actions, "dtype", None) is not _FLOAT32
-        given = floats("actions", actions, np.float32) if plain else actions
-        table = np.ascontiguousarray(given)
-        if table.shape != self._acted:
-            raise ValueError(
-                f"actions have shape {table.shape}; they must be (B, n, a) = {self._acted}"
-            )
-        wrong = first_not_finite(table.reshape(-1))
-        if wrong >= 0:
-            team, robot, _ = (int(k) for k in np.unravel_index(wrong, self._acted))
-            raise ValueError(
-                f"action of robot_{robot} in team {team} is "
-                f"{shown(np.asarray(actions)[team, robot].tolist())}; it must be finite, in float32"
-            )
-        return table
+        return check_actions(actions, self._acted, "(B, n, a)")
 
     def _refuse_crowds(self, output: StepOutput) -> None:
         """Name a robot that has come to have more neighbours than the observation has rows."""

@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import bools, shown
+from ..checks import bools, floats, shown
 from ..obstacles.obstacle_set import faults
 from ..obstacles.parsing import only_balls
 from ..outcome import StepOutput
 from ..robots.robot_models import constants_of
 from ..scenario.scenario import Scenario
 from .memory import AWAITING_RESET, RENDEZVOUS
+from .stages.step import first_not_finite
 
 _ROUNDING = 1e-9
 _FINITE = "positions", "memory", "weights", "path_length", "initial_lyapunov", "frames", "past"
@@ -263,6 +264,28 @@ def check_numbers(name: str, value: Any, shape: tuple[int, ...], axes: str) -> N
     if array.dtype not in _FLOATS:
         raise ValueError(f"{name} are {array.dtype}; they must be float32 or float64")
     return array
+
+
+def check_actions(actions: ArrayLike, shape: tuple[int, ...], axes: str) -> NDArray[np.float32]:
+    """Actions (B, n, ...) of a shape, whose axes are called ``axes``, as kernels take them.
+
+    Raises:
+        ValueError: for a wrong shape, what is no number, or a number that is not finite in float32,
+            naming the robot.
+    """
+    plain = getattr(actions, "dtype", None) is not _FLOATS[0]
+    given = floats("actions", actions, np.float32) if plain else actions
+    table = np.ascontiguousarray(given)
+    if table.shape != shape:
+        raise ValueError(f"actions have shape {table.shape}; they must be {axes} = {shape}")
+    wrong = first_not_finite(table.reshape(-1))
+    if wrong >= 0:
+        team, robot, *_ = np.unravel_index(wrong, shape)
+        raise ValueError(
+            f"action of robot_{robot} in team {team} is "
+            f"{shown(np.asarray(actions)[team, robot].tolist())}; it must be finite, in float32"
+        )
+    return table
 
 
 def check_mask(mask: ArrayLike, num_envs: int) -> NDArray[np.bool_]:

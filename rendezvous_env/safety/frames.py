@@ -5,9 +5,10 @@ the robot (theory 7).
 from typing import NamedTuple
 
 from ..compilation import inner_kernel, kernel
+from ..engine.memory import read, write
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import cross, dot, load, load_pair, split, store, without
-from .robot_lanes import LANES, PLANE, by_robot, lanes_of, put, read_rows, vector_of
+from .robot_lanes import LANES, by_robot, lanes_of, read_rows
 
 FRAMES = ("net_bearing", "local")
 _NEARLY_ALONG = 1e-6
@@ -25,28 +26,24 @@ class Sight(NamedTuple):
 
 
 @kernel
-def look_along_net_bearing(teams, constants, arrays, work):
-    """Turn observations (B, n, rows, d), m/s, into frames with x along f: row ← Fᵀ row, F =
-    (f/‖f‖, …) (theory 7), of teams from one index to another. Where ‖f‖ < δ the last frame is kept.
+def look_along_net_bearing(axes, teams, constants, arrays, work):
+    """Turn observations (B, n, rows, d), m/s, of some teams into frames with x along f: row ← Fᵀ
+    row, F = (f/‖f‖, …) (theory 7). Where ‖f‖ < δ the last frame is kept.
     """
-    observations, frames, seen = by_robot(arrays)
-    n = arrays[0].shape[1]
-    for first in range(teams[0] * n, teams[1] * n, LANES):
-        stop = min(first + LANES, teams[1] * n)
-        if observations.shape[2] == 2:  # behind this question the compiler leaves out z
-            _aim_in_plane(observations, constants, frames, first, stop, work)
+    robots, (observations, frames, seen) = by_robot(teams, arrays)
+    if len(axes) == 2:
+        for first in range(robots[0], robots[1], LANES):
+            stop = min(first + LANES, robots[1])
+            _aim_in_plane(axes, observations, constants, frames, first, stop, work)
             for i in range(first, stop):
                 _turn_in_plane(observations[i], frames[i], seen[i])
-        else:
-            for i in range(first, stop):
-                _aim_in_space(observations[i], constants, frames[i])
-                frame = frames[i]
-                x, y = load(frame[:, 0]), load(frame[:, 1])
-                z = load(frame[:, frame.shape[0] - 1])  # in the plane there is none
-                for row in range(observations.shape[1]):
-                    v = load(observations[i, row])
-                    along = (0.0 + dot(x, v), 0.0 + dot(y, v), 0.0 + dot(z, v))
-                    store(along, seen[i, row])
+    else:
+        for i in range(robots[0], robots[1]):
+            _aim_in_space(observations[i], constants, frames[i])
+            x, y, z = load(frames[i, :, 0]), load(frames[i, :, 1]), load(frames[i, :, 2])
+            for row in range(observations.shape[1]):
+                v = load(observations[i, row])
+                store((0.0 + dot(x, v), 0.0 + dot(y, v), 0.0 + dot(z, v)), seen[i, row])
 
 
 @inner_kernel(slp=True)
@@ -59,15 +56,15 @@ def _turn_in_plane(rows, frame, seen):
 
 
 @inner_kernel(inline="code")
-def _aim_in_plane(observations, constants, frames, first, stop, work):
+def _aim_in_plane(axes, observations, constants, frames, first, stop, work):
     """The only right-handed frames with x along f; columns are axes in the local frame."""
     if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
         return
     lanes = lanes_of(work)
-    read_rows(PLANE, observations, first, stop, constants.neighbour_slots, False, work)
+    read_rows(axes, observations, first, stop, constants.neighbour_slots, False, work)
     for lane in range(LANES):
-        strength, towards = split(vector_of(PLANE, lanes.f, lane))
-        put(towards, lanes.heading, lane)
+        strength, towards = split(read(lanes.f, lane, axes))
+        write(towards, lanes.heading, lane)
         lanes.level[lane] = strength
     turned = frames[first:stop]
     for lane in range(len(turned)):

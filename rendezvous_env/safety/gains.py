@@ -1,6 +1,5 @@
 """Gains: one weight per neighbour in, velocities within the hull of the team out (theorem G)."""
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +13,8 @@ from ..physics.vectors import combine, dot, load, norm, scaled, store
 from ..robots.single_integrator import speed_scale
 from ..scenario.scenario import Scenario
 from .links import alignment_of
-from .safety_filter import Float32, SafetyFilter, check_inputs, register_filter
+from .robot_lanes import by_robot
+from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
 
 _NOTHING = 1e-30  # weights that add up to less, m/s, are none
 
@@ -91,32 +91,31 @@ class Gains(SafetyFilter):
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
         """As ``SafetyFilter.act_of``."""
-        told = self.gain, self.alignment, self.lyapunov_rate
-        arguments = observations, self._constants, self._held, actions, *told
-        return [partial(_weigh, teams, arguments)]
+        arrays = observations, self._held, actions, self.gain, self.alignment, self.lyapunov_rate
+        return over_robots(_weigh, teams, self._constants, *arrays)
 
 
 register_filter("gains", Gains)
 
 
 @kernel
-def _weigh(teams, arguments):
-    observations, constants, held, actions, gain, alignment, lyapunov_rate = arguments
-    for team in range(teams[0], teams[1]):
-        for i in range(observations.shape[1]):
-            rows, weights = observations[team, i], held[team, i]
-            total, towards = _weighted(rows, weights, constants.neighbour_slots, 0.0)
-            if total < _NOTHING:  # all count alike
-                total, towards = _weighted(rows, weights, constants.neighbour_slots, 1.0)
-            sought = min(max(total, constants.min_gain), constants.max_gain) if total > 0.0 else 0.0
-            velocity = scaled(scaled(towards, 1.0 / total if total > 0.0 else 0.0), sought)
-            _, within = speed_scale(dot(velocity, velocity), constants.speed_limit)
-            velocity = scaled(velocity, within)
-            store(velocity, actions[team, i])
-            f = net_bearing_of(rows, constants.neighbour_slots)
-            gain[team, i] = sought * within
-            alignment[team, i] = alignment_of(velocity, f)
-            lyapunov_rate[team, i] = -2.0 * dot(f, velocity)
+def _weigh(axes, teams, constants, arrays, work):
+    robots, flat = by_robot(teams, arrays)
+    observations, held, actions, gain, alignment, lyapunov_rate = flat
+    for i in range(robots[0], robots[1]):
+        rows, weights = observations[i], held[i]
+        total, towards = _weighted(rows, weights, constants.neighbour_slots, 0.0)
+        if total < _NOTHING:  # all count alike
+            total, towards = _weighted(rows, weights, constants.neighbour_slots, 1.0)
+        sought = min(max(total, constants.min_gain), constants.max_gain) if total > 0.0 else 0.0
+        velocity = scaled(scaled(towards, 1.0 / total if total > 0.0 else 0.0), sought)
+        _, within = speed_scale(dot(velocity, velocity), constants.speed_limit)
+        velocity = scaled(velocity, within)
+        store(velocity, actions[i])
+        f = net_bearing_of(rows, constants.neighbour_slots)
+        gain[i] = sought * within
+        alignment[i] = alignment_of(velocity, f)
+        lyapunov_rate[i] = -2.0 * dot(f, velocity)
 
 
 @kernel

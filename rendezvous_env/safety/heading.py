@@ -4,14 +4,14 @@ docs/theory.md, section 3. The turn rates of nonholonomic robots are in ``turnin
 """
 
 import math
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import flag, positive, real, refuse, shown
-from ..compilation import inner_kernel, kernel
+from ..compilation import kernel
+from ..engine.memory import read, write
 from ..engine.threads import Calls, Part
 from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import (
@@ -24,31 +24,17 @@ from ..physics.vectors import (
     split,
     split_across,
     store,
-    without,
     x_axis,
 )
 from ..scenario.scenario import Scenario
-from .robot_lanes import (
-    LANES,
-    PLANE,
-    SPACE,
-    by_robot,
-    give_out,
-    in_lanes,
-    lanes_of,
-    put,
-    read,
-    report,
-    take_in,
-    vector_of,
-)
-from .safety_filter import Float32, SafetyFilter, check_inputs, register_filter
+from .robot_lanes import LANES, by_robot, give_out, lanes_of, read_rows, report, take_in
+from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
 from .settings import MAX_TURN_RATE, check_gate_constants, check_vectors
 from .turning import Robot, desired_rates, gated_rates, pitch_of, robot_of, turn
 
 NO_CAP = -2.0  # a margin that every heading keeps
 _NEARLY_PARALLEL = 1e-9
-_NEARLY_ANTIPODAL = 1e-6
+_NEARLY_ANTIPODAL = 1e-6  # part of a unit vector across another that says nothing of its side
 
 
 def flexible_velocity(
@@ -191,20 +177,11 @@ def _turn(carried, aim, towards, limit):
     if dot(gap, gap) <= square_chord:
         return aim
     through = aim
-    if _in_line(aim, carried) and dot(aim, carried) < 0.0:
+    if split_across(aim, carried)[0] < _NEARLY_ANTIPODAL and dot(aim, carried) < 0.0:
         through = towards
-        if _in_line(towards, carried):
+        if split_across(towards, carried)[0] < _NEARLY_ANTIPODAL:
             through = perpendicular(carried)
     return combine(cos_limit, carried, sin_limit, split_across(through, carried)[1])
-
-
-@kernel(inline="code")
-def _in_line(one, other):
-    """Whether the part of one unit vector across another says nothing about its direction."""
-    if len(one) == 2:
-        return abs(one[0] * other[1] - one[1] * other[0]) < _NEARLY_ANTIPODAL
-    across = without(one, other)
-    return dot(across, across) < _NEARLY_ANTIPODAL * _NEARLY_ANTIPODAL
 
 
 @kernel(inline="code")
@@ -221,77 +198,70 @@ class _Constants(NamedTuple):
 
 
 @kernel
-def _steer(teams, constants, arrays, work):
+def _steer(axes, teams, constants, arrays, work):
     """Actions min(1, r/(2Dτ)) h max(0, hᵀf − e), e = 2 sin(η/2) D (eq. 4, theorems C and N1')."""
-    observations, held, headings, actions, alignment, lyapunov_rate = by_robot(arrays)
-    lanes, robot, n = lanes_of(work), constants.robot, arrays[0].shape[1]
-    weighs = constants.speed_scaled or robot.error_chord > 0.0
-    for first in range(teams[0] * n, teams[1] * n, LANES):
-        stop = min(first + LANES, teams[1] * n)
-        read(observations, held, first, stop, robot, weighs, work)
-        take_in(headings, first, stop, lanes.heading)
-        if observations.shape[2] == 2:
-            _steer_lanes(PLANE, constants, work)
-        else:
-            _steer_lanes(SPACE, constants, work)
-        give_out(lanes.heading, first, stop, headings)
-        report(lanes, first, stop, actions, alignment, lyapunov_rate)
-
-
-@inner_kernel(inline="code")
-def _steer_lanes(space, constants, work):
     if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
         return
+    robots, flat = by_robot(teams, arrays)
+    observations, held, headings, actions, alignment, lyapunov_rate = flat
     lanes, robot, limit = lanes_of(work), constants.robot, turn_limit(constants.max_turn)
-    gate = robot.gate
-    for lane in range(LANES):
-        raw = vector_of(space, lanes.choice, lane)
-        if constants.certified:
-            f, previous = vector_of(space, lanes.f, lane), vector_of(space, lanes.heading, lane)
-            h = certify_one(raw, f, previous, gate.min_alignment, gate.dead_zone, limit)
-        else:
-            _, h = split(raw)
-        put(h, lanes.heading, lane)
+    gate, weighs = robot.gate, constants.speed_scaled or robot.error_chord > 0.0
     # a question in the loop would take longer than a scale that is 1
     duration = gate.duration if constants.speed_scaled else 0.0
-    for lane in range(LANES):
-        f, degree = vector_of(space, lanes.f, lane), lanes.degree[lane]
-        h = vector_of(space, lanes.heading, lane)
-        scale = scale_of_step(degree, robot.merge_radius, duration)
-        along = dot(h, f)
-        sure = without_error(along, robot.error_chord * degree)
-        put(scaled(h, sure * scale), lanes.sent, lane)
-        strength, towards = split(f)
-        lanes.alignment[lane] = abs(dot(h, towards)) if strength > 0.0 else np.nan
-        lanes.lyapunov_rate[lane] = -2.0 * along * sure
+    for first in range(robots[0], robots[1], LANES):
+        stop = min(first + LANES, robots[1])
+        read_rows(axes, observations, first, stop, robot.neighbour_slots, weighs, work)
+        take_in(axes, held, first, stop, lanes.choice)
+        take_in(axes, headings, first, stop, lanes.heading)
+        if constants.certified:
+            for lane in range(LANES):
+                raw, f = read(lanes.choice, lane, axes), read(lanes.f, lane, axes)
+                previous = read(lanes.heading, lane, axes)
+                h = certify_one(raw, f, previous, gate.min_alignment, gate.dead_zone, limit)
+                write(h, lanes.heading, lane)
+        else:
+            for lane in range(LANES):
+                write(split(read(lanes.choice, lane, axes))[1], lanes.heading, lane)
+        for lane in range(LANES):
+            f, degree = read(lanes.f, lane, axes), lanes.degree[lane]
+            h = read(lanes.heading, lane, axes)
+            scale = scale_of_step(degree, robot.merge_radius, duration)
+            along = dot(h, f)
+            sure = without_error(along, robot.error_chord * degree)
+            write(scaled(h, sure * scale), lanes.sent, lane)
+            strength, towards = split(f)
+            lanes.alignment[lane] = abs(dot(h, towards)) if strength > 0.0 else np.nan
+            lanes.lyapunov_rate[lane] = -2.0 * along * sure
+        give_out(axes, lanes.heading, first, stop, headings)
+        report(axes, lanes, first, stop, actions, alignment, lyapunov_rate)
 
 
 @kernel
-def _turn_bodies(teams, arguments):
+def _turn_bodies(axes, teams, constants, arrays, work):
     """Gated turn rates, and the speed v = s mᵀf for the mean body axis m, less by e (theory 4)."""
-    observations, constants, held, actions, alignment, lyapunov_rate = arguments
+    robots, flat = by_robot(teams, arrays)
+    observations, held, _, actions, alignment, lyapunov_rate = flat
     robot, gate = constants.robot, constants.robot.gate
     duration = gate.duration if constants.speed_scaled else 0.0  # of 0 the scale is 1
-    for team in range(teams[0], teams[1]):
-        for i in range(observations.shape[1]):
-            rows, action = observations[team, i], actions[team, i]
-            action[:] = 0.0
-            alignment[team, i], lyapunov_rate[team, i] = np.nan, 0.0
-            degree = degree_of(rows, robot.neighbour_slots)
-            if degree == 0.0:
-                continue
-            f = net_bearing_of(rows, robot.neighbour_slots)
-            pitch = pitch_of(rows, robot.gravity_row, gate)
-            rates = desired_rates(held[team, i], gate)
-            if constants.certified:
-                rates = gated_rates(rates, f, pitch, gate)
-            along = dot(turn(rates, pitch, action, gate), f)
-            sure = without_error(along, robot.error_chord * degree)
-            action[0] = scale_of_step(degree, robot.merge_radius, duration) * sure
-            strength, _ = split(f)
-            if strength > 0.0:
-                alignment[team, i] = abs(f[0]) / strength
-            lyapunov_rate[team, i] = -2.0 * along * sure
+    for i in range(robots[0], robots[1]):
+        rows, action = observations[i], actions[i]
+        action[:] = 0.0
+        alignment[i], lyapunov_rate[i] = np.nan, 0.0
+        degree = degree_of(rows, robot.neighbour_slots)
+        if degree == 0.0:
+            continue
+        f = net_bearing_of(rows, robot.neighbour_slots)
+        pitch = pitch_of(rows, robot.gravity_row, gate)
+        rates = desired_rates(held[i], gate)
+        if constants.certified:
+            rates = gated_rates(rates, f, pitch, gate)
+        along = dot(turn(rates, pitch, action, gate), f)
+        sure = without_error(along, robot.error_chord * degree)
+        action[0] = scale_of_step(degree, robot.merge_radius, duration) * sure
+        strength, _ = split(f)
+        if strength > 0.0:
+            alignment[i] = abs(f[0]) / strength
+        lyapunov_rate[i] = -2.0 * along * sure
 
 
 class HeadingFilter(SafetyFilter):
@@ -349,14 +319,11 @@ class HeadingFilter(SafetyFilter):
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
         """As ``SafetyFilter.act_of``."""
-        constants, told = self._constants, (self.alignment, self.lyapunov_rate)
+        act, constants = _turn_bodies if self.turns_body else _steer, self._constants
         if elapsed is not None:
             constants = constants._replace(max_turn=self._heading_rate * float(elapsed))
-        if self.turns_body:
-            arguments = observations, constants, self._held, actions, *told
-            return [partial(_turn_bodies, teams, arguments)]
-        memory = self._held, self.carried, actions
-        return in_lanes(_steer, teams, constants, observations, *memory, *told)
+        memory, told = (self._held, self.carried), (self.alignment, self.lyapunov_rate)
+        return over_robots(act, teams, constants, observations, *memory, actions, *told)
 
 
 register_filter("heading", HeadingFilter)

@@ -1,7 +1,6 @@
 """Theorem R: velocities that lengthen no link in sight, made of desired ones (guarantees, 12)."""
 
 import math
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +25,8 @@ from ..physics.vectors import (
 )
 from ..robots.single_integrator import speed_scale
 from ..scenario.scenario import Scenario
-from .safety_filter import Float32, SafetyFilter, check_inputs, register_filter
+from .robot_lanes import by_robot
+from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
 from .settings import check_bearing_error, check_share, check_vectors
 
 
@@ -204,9 +204,8 @@ class LinkKeeping(SafetyFilter):
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
         """As ``SafetyFilter.act_of``."""
-        told = self.alignment, self.lyapunov_rate
-        arguments = observations, self._constants, self._held, actions, *told
-        return [partial(_keep_links, teams, arguments)]
+        arrays = observations, self._held, actions, self.alignment, self.lyapunov_rate
+        return over_robots(_keep_links, teams, self._constants, *arrays)
 
 
 register_filter("links", LinkKeeping)
@@ -233,27 +232,26 @@ def asymmetric_sight(scenario: Scenario) -> str:
 
 
 @kernel
-def _keep_links(teams, arguments):
+def _keep_links(axes, teams, constants, arrays, work):
     """Velocities (R c and d) from desired ones in units of v_max, and what is told of them."""
-    observations, constants, held, actions, alignment, lyapunov_rate = arguments
+    robots, flat = by_robot(teams, arrays)
+    observations, held, actions, alignment, lyapunov_rate = flat
     slots, radius, error = constants.neighbour_slots, constants.radius, constants.bearing_error
-    for team in range(teams[0], teams[1]):
-        for i in range(observations.shape[1]):
-            rows, velocity = observations[team, i], ORIGIN
-            degree, f = degree_of(rows, slots), net_bearing_of(rows, slots)
-            if degree > 0.0:
-                sine, towards = split(least_norm_of(rows, slots))
-                cosine = math.sqrt(max(1.0 - sine * sine, 0.0))
-                sure = max(sine * math.cos(error) - cosine * math.sin(error), 0.0)
-                speed = min(degree, 2.0 * radius, constants.speed_limit) * sure
-                wanted = scaled(load(held[team, i]), constants.speed_limit)
-                _, within = speed_scale(dot(wanted, wanted), constants.speed_limit)
-                free = project_on_links(scaled(wanted, within), rows, slots, radius, error)
-                share = constants.share
-                velocity = combine(share * speed, towards, 1.0 - share, free)
-            store(velocity, actions[team, i])
-            alignment[team, i] = alignment_of(velocity, f)
-            lyapunov_rate[team, i] = -2.0 * dot(f, velocity)
+    for i in range(robots[0], robots[1]):
+        rows, velocity = observations[i], ORIGIN
+        degree, f = degree_of(rows, slots), net_bearing_of(rows, slots)
+        if degree > 0.0:
+            sine, towards = split(least_norm_of(rows, slots))
+            cosine = math.sqrt(max(1.0 - sine * sine, 0.0))
+            sure = max(sine * math.cos(error) - cosine * math.sin(error), 0.0)
+            speed = min(degree, 2.0 * radius, constants.speed_limit) * sure
+            wanted = scaled(load(held[i]), constants.speed_limit)
+            _, within = speed_scale(dot(wanted, wanted), constants.speed_limit)
+            free = project_on_links(scaled(wanted, within), rows, slots, radius, error)
+            velocity = combine(constants.share * speed, towards, 1.0 - constants.share, free)
+        store(velocity, actions[i])
+        alignment[i] = alignment_of(velocity, f)
+        lyapunov_rate[i] = -2.0 * dot(f, velocity)
 
 
 @kernel(inline="code")

@@ -6,23 +6,20 @@ copied out. All lanes are computed, those of no robot too, by the same code: so 
 robot does not hang on how many others there are.
 """
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from ..compilation import OVERLOADED, compiled, entry_point, inner_kernel
-from ..engine.memory import read_row
-from ..engine.threads import Calls, Part
+from ..compilation import OVERLOADED, compiled, inner_kernel
+from ..engine.memory import read, read_row, write
+from ..engine.threads import Part
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import combine, exactly, load_pair, norm
 
 LANES = 32 if compiled() else 1  # robots that are worked on at a time
-PLANE, SPACE = (0.0, 0.0), (0.0, 0.0, 0.0)
-"""Vectors as long as those that a loop over lanes is compiled for."""
 _ROWS = 18
 Numbers = NDArray[np.float64]
 
@@ -42,29 +39,25 @@ class Lanes(NamedTuple):
     lyapunov_rate: Numbers
 
 
-_entry_points: dict[tuple[Any, type, np.dtype[Any]], Callable[..., Any]] = {}
+def room_for(rows: int) -> Numbers:
+    """Memory for ``lanes_of``, and for so many neighbour rows of each robot."""
+    return np.zeros((_ROWS + 2 * rows, LANES))
 
 
-def in_lanes(kernel: Any, teams: Part, constants: Any, *arrays: NDArray[Any]) -> Calls:
-    """The call of a kernel for the robots of some teams: it is given the teams, constants, arrays
-    (B, n, ...), any unit, the first of which is observations, and memory for ``lanes_of`` and rows.
+def by_robot(teams: Part, arrays: Sequence[NDArray[Any]]) -> tuple[Any, Any]:
+    """The robots of teams, b·n + i for robot i of team b, from the first to before the second; and
+    arrays (B, n, ...), any unit, as (B·n, ...), not copied.
     """
-    arguments = teams, constants, arrays, np.zeros((_ROWS + 2 * arrays[0].shape[2], LANES))
-    kind = kernel, type(constants), arrays[0].dtype  # all other types follow from these
-    if (run := _entry_points.get(kind)) is None:
-        run = _entry_points[kind] = entry_point(kernel, arguments)
-    return [partial(run, *arguments)]
-
-
-def by_robot(arrays: Sequence[NDArray[Any]]) -> tuple[NDArray[Any], ...]:
-    """Arrays (B, n, ...), any unit, as (B·n, ...): b·n + i for robot i of team b; not copied."""
-    return tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])
+    n = arrays[0].shape[1]
+    return (teams[0] * n, teams[1] * n), tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])
 
 
 @overload(by_robot, jit_options=OVERLOADED, strict=False)
-def _by_robot(arrays: Any) -> Any:
+def _by_robot(teams: Any, arrays: Any) -> Any:
+    """In kernels, since NumPy takes a third of a microsecond for each."""
+    robots = "(teams[0] * arrays[0].shape[1], teams[1] * arrays[0].shape[1])"
     one = "arrays[{0}].reshape((-1,) + arrays[{0}].shape[2:])".format
-    return eval(f"lambda arrays: ({', '.join(map(one, range(len(arrays))))},)")
+    return eval(f"lambda teams, arrays: ({robots}, ({', '.join(map(one, range(len(arrays))))},))")
 
 
 @inner_kernel(inline="text")
@@ -79,28 +72,22 @@ def lanes_of(work):
 
 
 @inner_kernel(inline="code")
-def take_in(values, first, stop, lanes):
+def take_in(axes, values, first, stop, lanes):
     """Copy vectors (N, d), any unit, of robots first ≤ i < stop into lanes (3, LANES)."""
     taken = values[first:stop]
-    if taken.shape[1] == 2:  # behind this question the compiler copies both at once
+    if taken.shape[1] == len(axes):  # it is; so the compiler copies all at once
         for lane in range(len(taken)):
-            lanes[0, lane], lanes[1, lane] = taken[lane, 0], taken[lane, 1]
-    else:
-        for lane in range(len(taken)):
-            for k in range(taken.shape[1]):
+            for k in range(len(axes)):
                 lanes[k, lane] = taken[lane, k]
 
 
 @inner_kernel(inline="code")
-def give_out(lanes, first, stop, values):
+def give_out(axes, lanes, first, stop, values):
     """Copy vectors, any unit, from lanes (3, LANES) to robots first ≤ i < stop, (N, d)."""
     given = values[first:stop]
-    if given.shape[1] == 2:
+    if given.shape[1] == len(axes):
         for lane in range(len(given)):
-            given[lane, 0], given[lane, 1] = lanes[0, lane], lanes[1, lane]
-    else:
-        for lane in range(len(given)):
-            for k in range(given.shape[1]):
+            for k in range(len(axes)):
                 given[lane, k] = lanes[k, lane]
 
 
@@ -112,34 +99,6 @@ def tell(lanes, first, stop, values):
     told = values[first:stop]
     for lane in range(len(told)):
         told[lane] = lanes[lane]
-
-
-@inner_kernel(inline="code")
-def vector_of(space, lanes, lane):
-    """The vector v = (x, y, …) of one lane, of any unit, a pair in the PLANE, a triple in SPACE."""
-    if len(space) == 2:
-        return lanes[0, lane], lanes[1, lane]
-    return lanes[0, lane], lanes[1, lane], lanes[2, lane]
-
-
-@inner_kernel(inline="code")
-def put(vector, lanes, lane):
-    """Write a pair or triple v = (x, y, …) of any unit to one lane."""
-    lanes[0, lane], lanes[1, lane] = vector[0], vector[1]
-    if len(vector) == 3:
-        lanes[2, lane] = vector[2]
-
-
-@inner_kernel(inline="code")
-def read(observations, held, first, stop, robot, weighs, work):
-    """Read what robots first ≤ i < stop hold, (N, k), and see in rows (N, rows, d), m/s: f_i =
-    Σ_j a_ij g_ij, and D_i = Σ_j a_ij if ``weighs``. ``robot`` is a Robot.
-    """
-    if observations.shape[2] == 2:
-        read_rows(PLANE, observations, first, stop, robot.neighbour_slots, weighs, work)
-    else:
-        read_rows(SPACE, observations, first, stop, robot.neighbour_slots, weighs, work)
-    take_in(held, first, stop, lanes_of(work).choice)
 
 
 @inner_kernel(slp=True)
@@ -155,28 +114,28 @@ def _sum_in_plane(observations, neighbour_slots, f):
 
 
 @inner_kernel(inline="code")
-def read_rows(space, observations, first, stop, neighbour_slots, weighs, work):
-    """Of robots first ≤ i < stop, from their rows (N, rows, d), m/s: f_i, and D_i if ``weighs``."""
-    if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
-        return
+def read_rows(axes, observations, first, stop, neighbour_slots, weighs, work):
+    """What robots first ≤ i < stop see in rows (N, rows, d), m/s: f_i = Σ_j a_ij g_ij, and D_i =
+    Σ_j a_ij if ``weighs``.
+    """
     lanes = lanes_of(work)
     if weighs:
-        room = work[_ROWS:].reshape(-1).view(np.float32)[: neighbour_slots * LANES * len(space)]
-        rows = room.reshape(neighbour_slots, LANES * len(space))
-        _weigh_rows(space, observations[first:stop], rows, lanes)
+        room = work[_ROWS:].reshape(-1).view(np.float32)[: neighbour_slots * LANES * len(axes)]
+        rows = room.reshape(neighbour_slots, LANES * len(axes))
+        _weigh_rows(axes, observations[first:stop], rows, lanes)
+        return
+    lanes.degree[:] = 0.0
+    if len(axes) == 2:
+        _sum_in_plane(observations[first:stop], neighbour_slots, lanes.f)
     else:
-        if len(space) == 2:
-            _sum_in_plane(observations[first:stop], neighbour_slots, lanes.f)
-        else:
-            for lane in range(min(LANES, stop - first)):
-                put(net_bearing_of(observations[first + lane], neighbour_slots), lanes.f, lane)
-        lanes.degree[:] = 0.0
+        for lane in range(min(LANES, stop - first)):
+            write(net_bearing_of(observations[first + lane], neighbour_slots), lanes.f, lane)
 
 
 @inner_kernel(inline="code")
-def _weigh_rows(space, observations, rows, lanes):
+def _weigh_rows(axes, observations, rows, lanes):
     """f_i and D_i by way of neighbour rows (K, LANES·d) side by side, where roots are quicker."""
-    if len(space) == 2:  # both numbers of a row in one piece
+    if len(axes) == 2:  # both numbers of a row in one piece
         _bring(observations.view(np.float64), rows.view(np.float64), 1)
     else:
         _bring(observations, rows, 3)
@@ -184,8 +143,8 @@ def _weigh_rows(space, observations, rows, lanes):
     lanes.degree[:] = 0.0
     for k in range(len(rows)):
         for lane in range(LANES):
-            row = exactly(read_row(rows[k], lane, space))
-            put(combine(1.0, vector_of(space, lanes.f, lane), 1.0, row), lanes.f, lane)
+            row = exactly(read_row(rows[k], lane, axes))
+            write(combine(1.0, read(lanes.f, lane, axes), 1.0, row), lanes.f, lane)
             lanes.degree[lane] += norm(row)
 
 
@@ -199,8 +158,8 @@ def _bring(observations, rows, parts):
 
 
 @inner_kernel(inline="code")
-def report(lanes, first, stop, actions, alignment, lyapunov_rate):
+def report(axes, lanes, first, stop, actions, alignment, lyapunov_rate):
     """Give out velocities (N, d), m/s, and |hᵀf|/‖f‖ and −2 (hᵀf)², (N,), of first ≤ i < stop."""
-    give_out(lanes.sent, first, stop, actions)
+    give_out(axes, lanes.sent, first, stop, actions)
     tell(lanes.alignment, first, stop, alignment)
     tell(lanes.lyapunov_rate, first, stop, lyapunov_rate)

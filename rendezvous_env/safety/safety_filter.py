@@ -12,21 +12,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from ..checks import bools, choice, floats, refuse, shown, whole
-from ..compilation import kernel
+from ..checks import bools, choice, floats, refuse, whole
+from ..compilation import entry_point, kernel
 from ..engine import threads
-from ..engine.state_checks import Remembering, check_observations, check_rotations
+from ..engine.state_checks import Remembering, check_actions, check_observations, check_rotations
 from ..engine.threads import Calls, Part
 from ..limits import MOST_TEAMS
 from ..physics.vectors import dot, load
 from ..scenario.scenario import Scenario
 from .frames import FRAMES, Sight, look_along_net_bearing
-from .robot_lanes import in_lanes
+from .robot_lanes import room_for
 
 Float32 = NDArray[np.float32]
 _ROBOTS_PER_THREAD = 4096
-_LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
-_NO, _YES = np.int32(0), np.int32(1)
 _ROUNDING = 1e-6  # so far from a rotation may a frame be that was put back
 FILTERS: dict[str, type[SafetyFilter]] = {}
 """By the name that wrappers and training environments know."""
@@ -44,37 +42,36 @@ def over_teams(
     threads.share(calls_of, num_envs, max(1, most))
 
 
-@kernel
-def _hold(given, turns, frames, held):
-    """Hold choices, turned by frames: h = F q. −1; or the first robot whose choice is not finite in
-    float32, and none is held.
+_entry_points: dict[tuple[Any, type, np.dtype[Any], int], Callable[..., Any]] = {}
+
+
+def over_robots(kernel: Any, teams: Part, constants: Any, *arrays: NDArray[Any]) -> Calls:
+    """The call of a kernel for the robots of some teams: it is given axes, (0, 1) or (0, 1, 2), the
+    teams, constants, arrays (B, n, ...), any unit, the first of which is observations, as
+    ``by_robot`` takes them, and memory for ``lanes_of`` and rows.
     """
-    size, numbers, wrong = held.shape[2], given.reshape(-1), _NO
-    largest = numbers.dtype.type(_LARGEST_FLOAT32)
-    for k in range(len(numbers)):  # all of them: in numbers as narrow as theirs it is SIMD
-        wrong |= _NO if abs(numbers[k]) <= largest else _YES
-    if wrong > 0:
-        k = 0
-        while abs(numbers[k]) <= largest:
-            k += 1
-        return k // size
-    into, chosen = held.reshape(-1, size), given.reshape(-1, size)
-    if not turns:
-        kept = held.reshape(-1)
-        for k in range(len(kept)):
-            kept[k] = numbers[k]
-    elif size == 2 and frames.shape[3] == 2:
-        kept, turning = held.reshape(-1), frames.reshape(-1)
-        for i in range(len(into)):  # of rows that are cut out it would not become SIMD
+    rows, d = arrays[0].shape[2:]
+    arguments = (0, 1, 2)[:d], teams, constants, arrays, room_for(rows)
+    kind = kernel, type(constants), arrays[0].dtype, d  # all other types follow from these
+    if (run := _entry_points.get(kind)) is None:
+        run = _entry_points[kind] = entry_point(kernel, arguments)
+    return [partial(run, *arguments)]
+
+
+@kernel
+def _hold(given, frames, held):
+    """Hold vectors (B, n, d), turned by frames: h = F q."""
+    if frames.shape[3] == 2:
+        numbers, kept, turning = given.reshape(-1), held.reshape(-1), frames.reshape(-1)
+        for i in range(len(kept) // 2):  # of rows that are cut out it would not become SIMD
             q = numbers[2 * i], numbers[2 * i + 1]
             kept[2 * i] = dot((turning[4 * i], turning[4 * i + 1]), q)
             kept[2 * i + 1] = dot((turning[4 * i + 2], turning[4 * i + 3]), q)
     else:
-        turning = frames.reshape(-1, size, size)
+        chosen, into, turn = given.reshape(-1, 3), held.reshape(-1, 3), frames.reshape(-1, 3, 3)
         for i in range(len(into)):
-            for k in range(size):
-                into[i, k] = dot(load(turning[i, k]), load(chosen[i]))
-    return -1
+            for k in range(3):
+                into[i, k] = dot(load(turn[i, k]), load(chosen[i]))
 
 
 def check_inputs(scenario: Scenario, theorem: str, *, bodies: bool = False) -> None:
@@ -185,7 +182,7 @@ class SafetyFilter(Remembering):
         """What does as ``view``, of some teams and unchecked."""
         if self.along_net_bearing:
             arrays = observations, self._frames, shown
-            return in_lanes(look_along_net_bearing, teams, self._sight, *arrays)
+            return over_robots(look_along_net_bearing, teams, self._sight, *arrays)
         mine = slice(*teams[:2])
         return [partial(np.copyto, shown[mine, :, : self._seen[2]], observations[mine])]
 
@@ -198,20 +195,13 @@ class SafetyFilter(Remembering):
         """Take new choices (B, n, k), fixed in the robots' local frames from now on. A ValueError
         for a wrong shape, or naming the robot whose choice is not finite.
         """
-        given: Any = raw if getattr(raw, "dtype", None) == np.float32 else floats("actions", raw)
-        if given.shape != self._held.shape:
-            raise ValueError(
-                f"actions have shape {given.shape}; they must be (B, n, k) = {self._held.shape}"
-            )
-        turns = self.along_net_bearing and self.chooses_vectors
-        wrong = _hold(np.ascontiguousarray(given), turns, self._frames, self._held)
-        if wrong >= 0:
-            team, robot = divmod(wrong, self._held.shape[1])
-            raise ValueError(
-                f"action of robot_{robot} in team {team} is "
-                f"{shown(floats('actions', raw)[team, robot].tolist())}; it must be finite, in "
-                "float32"
-            )
+        given = check_actions(raw, self._held.shape, "(B, n, k)")
+        if given is not raw:  # which may be float64
+            given = np.ascontiguousarray(floats("actions", raw))
+        if self.along_net_bearing and self.chooses_vectors:
+            _hold(given, self._frames, self._held)
+        else:
+            self._held[...] = given
 
     def act(self, observations: Float32, elapsed: float | None = None) -> Float32:
         """Actions for the base environment, (B, n, a) float32, from observations (B, n, rows, d) in

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..checks import flag, number
 from ..compilation import inner_kernel, kernel
+from ..engine.memory import read, write
 from ..engine.state_checks import refuse_first
 from ..engine.threads import Calls, Part
 from ..physics.neighbour_rows import degree_of, net_bearing_of
@@ -21,20 +22,8 @@ from ..robots.single_integrator import limit_factor, speed_scale
 from ..robots.unicycle import clip
 from ..scenario.scenario import Scenario
 from .heading import into_cap, scale_of_step, without_error
-from .robot_lanes import (
-    LANES,
-    PLANE,
-    SPACE,
-    by_robot,
-    in_lanes,
-    lanes_of,
-    put,
-    read,
-    report,
-    tell,
-    vector_of,
-)
-from .safety_filter import Float32, SafetyFilter, check_inputs, register_filter
+from .robot_lanes import LANES, by_robot, lanes_of, read_rows, report, take_in, tell
+from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
 from .settings import TANK_MARGIN, levels_follow_v
 from .turning import Robot, desired_rates, gated_rates, pitch_of, rates_of, robot_of, turn
 
@@ -91,57 +80,50 @@ class _Constants(NamedTuple):
 
 
 @kernel
-def _spend(teams, constants, arrays, work):
-    """Actions of robots, carried out where A + G(Δ) ≥ 0, and what is told of them (theorem D)."""
-    robots = by_robot(arrays)
-    observations, held, levels, actions, linked, deposits, carried_out = robots[:7]
-    alignment, lyapunov_rate = robots[7:]
-    lanes, n = lanes_of(work), arrays[0].shape[1]
-    for first in range(teams[0] * n, teams[1] * n, LANES):
-        stop = min(first + LANES, teams[1] * n)
-        read(observations, held, first, stop, constants.robot, True, work)
+def _spend(axes, teams, constants, arrays, work):
+    """Actions of robots that go anywhere, carried out where A + G(Δ) ≥ 0, and what is told of them
+    (theorem D). Those that see nobody rest, and owe nothing.
+    """
+    if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
+        return
+    robots, flat = by_robot(teams, arrays)
+    observations, held, levels, actions, linked, deposits, carried_out = flat[:7]
+    alignment, lyapunov_rate = flat[7:]
+    lanes, robot, limit = lanes_of(work), constants.robot, constants.speed_limit
+    radius, margin, duration = robot.merge_radius, robot.gate.min_alignment, robot.gate.duration
+    for first in range(robots[0], robots[1], LANES):
+        stop = min(first + LANES, robots[1])
+        read_rows(axes, observations, first, stop, robot.neighbour_slots, True, work)
+        take_in(axes, held, first, stop, lanes.choice)
         level = levels[first:stop]
         for lane in range(len(level)):
             lanes.level[lane] = level[lane]
-        if observations.shape[2] == 2:
-            _spend_lanes(PLANE, constants, work)
-        else:
-            _spend_lanes(SPACE, constants, work)
+        for lane in range(LANES):
+            f, degree = read(lanes.f, lane, axes), lanes.degree[lane]
+            error, (strength, _) = robot.error_chord * degree, split(f)
+            scale = descent_scale(strength, degree, radius, duration, limit)
+            owed = promised_descent(strength, scale, margin, duration, error)
+            desired = scaled(read(lanes.choice, lane, axes), limit)
+            speed, _ = split(desired)
+            wanted = rounded(scaled(desired, limit_factor(speed, limit)))
+            moved, _ = _moved(wanted, limit, duration)
+            earned = certain_descent(f, degree, moved, radius, error) - owed
+            accepted = lanes.level[lane] + earned >= 0.0
+            law = rounded(descending_velocity(desired, f, scale, margin, error))
+            sent, sees = _either(accepted, wanted, law), degree > 0.0
+            moved, length = _moved(sent, limit, duration)
+            deposit = certain_descent(f, degree, moved, radius, error) - owed
+            write(scaled(sent, 1.0 if sees else 0.0), lanes.sent, lane)
+            lanes.deposit[lane] = deposit if sees else 0.0
+            lanes.accepted[lane] = 1.0 if accepted & sees else 0.0
+            along = dot(f, moved)
+            told = sees & (strength > 0.0) & (length > 0.0)
+            lanes.alignment[lane] = abs(along) / (length * strength) if told else np.nan
+            lanes.lyapunov_rate[lane] = -2.0 * along / duration if sees else 0.0
         tell(lanes.degree, first, stop, linked)
         tell(lanes.accepted, first, stop, carried_out)
         tell(lanes.deposit, first, stop, deposits)
-        report(lanes, first, stop, actions, alignment, lyapunov_rate)
-
-
-@inner_kernel(inline="code")
-def _spend_lanes(space, constants, work):
-    """Robots that go anywhere; those that see nobody rest, and owe nothing."""
-    if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
-        return
-    lanes, robot, limit = lanes_of(work), constants.robot, constants.speed_limit
-    radius, margin, duration = robot.merge_radius, robot.gate.min_alignment, robot.gate.duration
-    for lane in range(LANES):
-        f, degree = vector_of(space, lanes.f, lane), lanes.degree[lane]
-        error, (strength, _) = robot.error_chord * degree, split(f)
-        scale = descent_scale(strength, degree, radius, duration, limit)
-        owed = promised_descent(strength, scale, margin, duration, error)
-        desired = scaled(vector_of(space, lanes.choice, lane), limit)
-        speed, _ = split(desired)
-        wanted = rounded(scaled(desired, limit_factor(speed, limit)))
-        moved, _ = _moved(wanted, limit, duration)
-        earned = certain_descent(f, degree, moved, radius, error) - owed
-        accepted = lanes.level[lane] + earned >= 0.0
-        law = rounded(descending_velocity(desired, f, scale, margin, error))
-        sent, sees = _either(accepted, wanted, law), degree > 0.0
-        moved, length = _moved(sent, limit, duration)
-        deposit = certain_descent(f, degree, moved, radius, error) - owed
-        put(scaled(sent, 1.0 if sees else 0.0), lanes.sent, lane)
-        lanes.deposit[lane] = deposit if sees else 0.0
-        lanes.accepted[lane] = 1.0 if accepted & sees else 0.0
-        along = dot(f, moved)
-        told = sees & (strength > 0.0) & (length > 0.0)
-        lanes.alignment[lane] = abs(along) / (length * strength) if told else np.nan
-        lanes.lyapunov_rate[lane] = -2.0 * along / duration if sees else 0.0
+        report(axes, lanes, first, stop, actions, alignment, lyapunov_rate)
 
 
 @inner_kernel(inline="code")
@@ -161,38 +143,38 @@ def _moved(sent, limit, duration):
 
 
 @kernel
-def _spend_bodies(teams, arguments):
+def _spend_bodies(axes, teams, constants, arrays, work):
     """As ``_spend``, for nonholonomic robots, in their body frames."""
-    observations, constants, held, levels, actions, linked, told = arguments
-    deposits, carried_out, alignment, lyapunov_rate = told
+    robots, flat = by_robot(teams, arrays)
+    observations, held, levels, actions, linked, deposits, carried_out = flat[:7]
+    alignment, lyapunov_rate = flat[7:]
     robot, limit, gate = constants.robot, constants.speed_limit, constants.robot.gate
     radius = robot.merge_radius
-    for team in range(teams[0], teams[1]):
-        for i in range(observations.shape[1]):
-            deposits[team, i], carried_out[team, i] = 0.0, False
-            alignment[team, i], lyapunov_rate[team, i] = np.nan, 0.0
-            rows, action = observations[team, i], actions[team, i]
-            action[:] = 0.0
-            degree = degree_of(rows, robot.neighbour_slots)
-            linked[team, i] = degree > 0.0
-            if degree == 0.0:
-                continue
-            f, error = net_bearing_of(rows, robot.neighbour_slots), robot.error_chord * degree
-            pitch, strength = pitch_of(rows, robot.gravity_row, gate), norm(f)
-            action[0] = clip(held[team, i, 0], 1.0) * limit
-            m = turn(desired_rates(held[team, i, 1:], gate), pitch, action, gate)
+    for i in range(robots[0], robots[1]):
+        deposits[i], carried_out[i] = 0.0, False
+        alignment[i], lyapunov_rate[i] = np.nan, 0.0
+        rows, action = observations[i], actions[i]
+        action[:] = 0.0
+        degree = degree_of(rows, robot.neighbour_slots)
+        linked[i] = degree > 0.0
+        if degree == 0.0:
+            continue
+        f, error = net_bearing_of(rows, robot.neighbour_slots), robot.error_chord * degree
+        pitch, strength = pitch_of(rows, robot.gravity_row, gate), norm(f)
+        action[0] = clip(held[i, 0], 1.0) * limit
+        m = turn(desired_rates(held[i, 1:], gate), pitch, action, gate)
+        moved = _driven(m, action, limit, gate)
+        deposits[i] = certain_descent(f, degree, moved, radius, error)
+        carried_out[i] = levels[i] + deposits[i] >= 0.0
+        if not carried_out[i]:
+            m = turn(gated_rates(rates_of(action, gate), f, pitch, gate), pitch, action, gate)
+            scale = descent_scale(strength, degree, radius, gate.duration, limit)
+            action[0] = scale * without_error(dot(m, f), error)
             moved = _driven(m, action, limit, gate)
-            deposits[team, i] = certain_descent(f, degree, moved, radius, error)
-            carried_out[team, i] = levels[team, i] + deposits[team, i] >= 0.0
-            if not carried_out[team, i]:
-                m = turn(gated_rates(rates_of(action, gate), f, pitch, gate), pitch, action, gate)
-                scale = descent_scale(strength, degree, radius, gate.duration, limit)
-                action[0] = scale * without_error(dot(m, f), error)
-                moved = _driven(m, action, limit, gate)
-                deposits[team, i] = certain_descent(f, degree, moved, radius, error)
-            if strength > 0.0:
-                alignment[team, i] = abs(f[0]) / strength
-            lyapunov_rate[team, i] = -2.0 * dot(f, moved) / gate.duration
+            deposits[i] = certain_descent(f, degree, moved, radius, error)
+        if strength > 0.0:
+            alignment[i] = abs(f[0]) / strength
+        lyapunov_rate[i] = -2.0 * dot(f, moved) / gate.duration
 
 
 @inner_kernel(inline="code")
@@ -336,12 +318,10 @@ class EnergyTank(SafetyFilter):
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
         """As ``SafetyFilter.act_of``; what the step earns waits for ``book``."""
-        told = (self._deposits, self.carried_out, self.alignment, self.lyapunov_rate)
+        act = _spend_bodies if self.turns_body else _spend
+        told = self._deposits, self.carried_out, self.alignment, self.lyapunov_rate
         memory = self._held, self._levels, actions, self._linked
-        if self.turns_body:
-            arguments = observations, self._constants, *memory, told
-            return [partial(_spend_bodies, teams, arguments)]
-        return in_lanes(_spend, teams, self._constants, observations, *memory, *told)
+        return over_robots(act, teams, self._constants, observations, *memory, *told)
 
     def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> Calls:
         """As ``SafetyFilter.book_of``; a step that a merge cuts short books as commanded."""

@@ -6,6 +6,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from alone import alone
 
 import baselines
 from rendezvous_env import (
@@ -16,7 +17,6 @@ from rendezvous_env import (
     Simulator,
     certificate,
     graphs,
-    make_vec,
     rollout,
 )
 from rendezvous_env.safety.gains import Gains
@@ -30,7 +30,6 @@ from rendezvous_env.safety.theorems.constants import (
 from rendezvous_env.safety.theorems.gains import kappa
 from rendezvous_env.safety.theorems.theorem import CHOICES
 from rendezvous_env.scenario import scenarios
-from rendezvous_env.vector import HeadingVectorWrapper
 
 WALL = (Disc((0.0, 0.0), 1.0),)
 LONG = Scenario(time_step=0.1, allow_long_step=True)
@@ -357,13 +356,12 @@ def test_what_is_said_of_v_beside_obstacles_leaves_contacts_out():
     walls = [Capsule(((1.0, -1.0), (-3.0, 5.0)), 0.1), Capsule(((3.0, 1.0), (7.0, -5.0)), 0.1)]
     start = {"n_robots": 2, "start_positions": ((0.0, 0.0), (4.0, 0.0)), "local_frames": "global"}
     scenario = Scenario(**start, obstacles=walls)
-    env = HeadingVectorWrapper(make_vec(scenario, num_envs=1), min_alignment=0.3, frame="local")
-    env.reset(seed=0)
+    env, simulator = alone(scenario, "heading", min_alignment=0.3)
     for _ in range(100):
-        x, y = np.diff(env.unwrapped.simulator.positions[0], axis=0)[0]
+        x, y = np.diff(simulator.positions[0], axis=0)[0]
         env.step([[[-y, x], [y, -x]]])
     found = certificate(scenario, 0.3)
-    assert env.unwrapped.simulator.lyapunov()[0] > found.lyapunov_bound
+    assert simulator.lyapunov()[0] > found.lyapunov_bound
     assert found.touches_obstacles and "m²/s in motion without a contact\n" in str(found)
     through = certificate(scenario.replace(obstacle_contact="ignore"), 0.3)
     assert not through.touches_obstacles and "without a contact" not in str(through)

@@ -9,27 +9,14 @@ import re
 
 import numpy as np
 import pytest
+from alone import alone
 from test_certificate import MARGINS
 
 import baselines
-from rendezvous_env import (
-    Disc,
-    Scenario,
-    Sensing,
-    Simulator,
-    certificate,
-    graphs,
-    make_vec,
-    rollout,
-)
+from rendezvous_env import Disc, Scenario, Sensing, Simulator, certificate, graphs, rollout
 from rendezvous_env.safety.theorems.constants import most_neighbours
 from rendezvous_env.safety.theorems.theorem import CHOICES
-from rendezvous_env.vector import (
-    EnergyTankWrapper,
-    GainWrapper,
-    HeadingVectorWrapper,
-    LinkKeepingWrapper,
-)
+from rendezvous_env.vector import EnergyTankWrapper
 
 
 def test_a_tank_that_is_given_no_margin_has_that_of_its_wrapper():
@@ -75,12 +62,16 @@ def test_steps_that_rounding_swallows_where_only_the_lightest_links_are_in_sight
     weights = np.where(abs(np.subtract.outer(range(4), range(4))) > 1, 1e3, 1e-9) * (1 - np.eye(4))
     places = tuple((1e3 + x, 1e3) for x in (-3.0, -1.0, 1.0, 3.0))
     scenario = Scenario(n_robots=4, graph=weights, start_positions=places, sensing=sensing)
-    env = make_vec(scenario, num_envs=1)
-    env = LinkKeepingWrapper(env) if by == "links" else env
-    law, seen = baselines.make("bearing-only", scenario), env.reset(seed=0)[0]
+    law, simulator = baselines.make("bearing-only", scenario), Simulator(scenario)
+    seen = simulator.reset(0)
+    if by == "links":
+        env, simulator = alone(scenario, "links")
     for _ in range(3):
-        seen = env.step(law(seen, 0.0) if by == "law" else np.zeros((1, 4, 2)))[0]
-    assert (env.unwrapped.simulator.positions[0] == places).all()
+        if by == "law":
+            seen = simulator.step(law(seen, 0.0)).observations
+        else:
+            env.step(np.zeros((1, 4, 2)))
+    assert (simulator.positions[0] == places).all()
     found = certificate(scenario, by=by)
     assert not found.guaranteed and "which rounding takes from" in found.theorem
     weights = np.clip(weights, 1e-6, 1.0) * (1 - np.eye(4))
@@ -95,10 +86,8 @@ def test_steps_that_rounding_swallows_where_a_tank_has_carried_robots():
     found = certificate(scenario, 1e-6, by="tank", budget=1e9)
     assert not found.guaranteed and "which rounding takes from" in found.theorem
     assert certificate(scenario, 1e-4, by="tank").guaranteed
-    env = make_vec(scenario, num_envs=1)
-    env = EnergyTankWrapper(env, budget=1e9, min_alignment=1e-6, frame="local")
-    env.reset(seed=0)
-    env.unwrapped.simulator.set_max_steps(200)
+    env, simulator = alone(scenario, "tank", budget=1e9, min_alignment=1e-6)
+    simulator.set_max_steps(200)
     for _ in range(112):
         env.step([[[-0.3, 0.0], [0.3, 0.0]]])
     before = env.get_state()
@@ -122,12 +111,11 @@ def test_errors_of_which_no_wrapper_can_be_told_are_promised_nothing(by):
     right = certificate(scenario.replace(sensing=Sensing(error=1.5)), MARGINS[by], by=by)
     assert right.lyapunov_bound < 3.0
     if by == "tank":
-        env = make_vec(scenario.replace(local_frames="global"), num_envs=1)
-        tank = EnergyTankWrapper(env, budget=budget, bearing_error=math.pi / 2.0, frame="local")
-        tank.reset(seed=0)
+        scenario = scenario.replace(local_frames="global")
+        env, simulator = alone(scenario, "tank", budget=budget, bearing_error=math.pi / 2.0)
         for _ in range(225):
-            tank.step([[[-0.1, 0.0], [0.1, 0.0]]])
-        assert env.simulator.lyapunov()[0] > right.lyapunov_bound + 2.0 * budget
+            env.step([[[-0.1, 0.0], [0.1, 0.0]]])
+        assert simulator.lyapunov()[0] > right.lyapunov_bound + 2.0 * budget
 
 
 def test_errors_that_rounding_may_make_too_large_are_promised_nothing():
@@ -137,10 +125,9 @@ def test_errors_that_rounding_may_make_too_large_are_promised_nothing():
     error = math.pi / 8.0 * (1.0 - 1e-9)  # π/(2n) is too much
     start = {"n_robots": 4, "start_positions": places, "local_frames": "global"}
     scenario = Scenario(**start, sensing=Sensing(error=error))
-    env = LinkKeepingWrapper(make_vec(scenario, num_envs=1), 1.0, error, "local")
-    env.reset(seed=0)
+    env, simulator = alone(scenario, "links", share=1.0, bearing_error=error)
     env.step(np.zeros((1, 4, 2)))
-    assert (env.unwrapped.simulator.positions[0] == places).all()  # and so for ever
+    assert (simulator.positions[0] == places).all()  # and so for ever
     found = certificate(scenario, by="links", share=1.0)
     assert not found.guaranteed and "known to tolerate less" in found.theorem
     assert [*found.promises] == ["lyapunov", "link_growth"]
@@ -216,8 +203,7 @@ def test_turns_that_rounding_swallows_are_promised_nothing():
     team = {"n_robots": 2, "robot_model": "unicycle", "start_headings": [[math.pi / 2.0]] * 2}
     scenario = Scenario(**team, start_positions=((1.0, 1.0), (2.0, 1.0)), time_step=1e-7)
     slow = scenario.replace(max_turn_rate=1e-9)
-    env = HeadingVectorWrapper(make_vec(slow, num_envs=1), 0.3)
-    env.reset(seed=0)
+    env, _ = alone(slow, "heading", min_alignment=0.3)
     before = env.get_state()["env"]
     env.step([[[1.0], [1.0]]])
     after = env.get_state()["env"]
@@ -233,14 +219,13 @@ def test_steps_that_rounding_swallows_where_a_small_margin_has_led_robots():
     """
     start = {"start_positions": ((0.0, 0.0), (0.7, -0.7)), "local_frames": "global"}
     scenario = Scenario(n_robots=2, **start, graph=graphs.complete(1e-3), max_speed=1.0)
-    env = make_vec(scenario.replace(time_limit=1e9), num_envs=1)
-    env = EnergyTankWrapper(env, 0.4, 1e-6, frame="local", decision_period=1000)
-    env.reset(seed=0)
+    settings = {"budget": 0.4, "min_alignment": 1e-6, "decision_period": 1000}
+    env, simulator = alone(scenario.replace(time_limit=1e9), "tank", **settings)
     for _ in range(58):
         env.step(np.full((1, 2, 2), 1.8e-4))
-    before = env.unwrapped.simulator.positions[0]
+    before = simulator.positions[0]
     *_, infos = env.step(np.ones((1, 2, 2)))
-    after = env.unwrapped.simulator.positions[0]
+    after = simulator.positions[0]
     assert not infos["carried_out"].any() and (after > before).all()
     assert (after[1] - after[0] == before[1] - before[0]).all()
     for by, budget in (("tank", 0.4), ("heading", 0.0)):
@@ -253,14 +238,13 @@ def test_steps_that_rounding_swallows_earn_what_tanks_raise_v_by():
     start = {"start_positions": ((1e6, 1e6), (1e6 + 1e-5, 1e6)), "local_frames": "global"}
     scenario = Scenario(n_robots=2, **start, merge_radius=1e-6, time_limit=10.0)
     found, slow = certificate(scenario, 1e-6, by="tank"), 5e-11 / scenario.tau
-    env = EnergyTankWrapper(make_vec(scenario, num_envs=1), 0.0, 1e-6, "local", 1000)
-    env.reset(seed=0)
+    env, simulator = alone(scenario, "tank", min_alignment=1e-6, decision_period=1000)
     for _ in range(40):
         env.step([[[slow, 0.0], [-slow, 0.0]]])
-    assert (env.unwrapped.simulator.positions[0] == scenario.start_positions).all()
+    assert (simulator.positions[0] == scenario.start_positions).all()
     env.decision_period = 75
     env.step([[[-0.05, 0.0], [0.05, 0.0]]])
-    assert env.unwrapped.simulator.lyapunov()[0] > 2e-5 + 2e-6  # V(0) + 2 r W
+    assert simulator.lyapunov()[0] > 2e-5 + 2e-6  # V(0) + 2 r W
     assert not found.promises and "rounding takes" in found.theorem
 
 
@@ -281,12 +265,12 @@ def test_weights_of_options_are_asked_for_in_an_environment_of_their_own():
     heavy = light.replace(graph=graphs.complete(1.0))
     found, met = certificate(heavy, by="gains"), []
     for scenario in (light, heavy):
-        env = GainWrapper(make_vec(scenario, num_envs=1))
+        env, simulator = alone(scenario, "gains")
         env.reset(seed=0, options={"weights": 1.0 - np.eye(2)})
-        while env.unwrapped.simulator.time[0] < found.time_bound:
+        while simulator.time[0] < found.time_bound:
             if env.step([[[1e-6], [1e-6]]])[2].any():
                 break
-        met.append(env.unwrapped.simulator.active.sum() == 1)
+        met.append(simulator.active.sum() == 1)
     assert met == [False, True]
     assert "made of that scenario" in certificate.__doc__
 
@@ -298,15 +282,15 @@ def test_obstacles_of_options_are_asked_for_in_an_environment_of_their_own():
     other = free.replace(obstacles=Disc((100.0, 0.0), 1.0))
     bound, met = certificate(free, 0.5, by="tank").time_bound, []
     for scenario in (free, other):
-        env = EnergyTankWrapper(make_vec(scenario, num_envs=1), min_alignment=0.5, frame="local")
+        env, simulator = alone(scenario, "tank", min_alignment=0.5)
         seen, _ = env.reset(seed=0, options={"obstacles": ()})
-        while env.unwrapped.simulator.time[0] < bound:
+        while simulator.time[0] < bound:
             f = scenario.observation_layout.net_bearing(seen)
-            f *= env.unwrapped.simulator.active.sum() > 2  # then they rest
+            f *= simulator.active.sum() > 2  # then they rest
             seen, _, ended, *_ = env.step(0.6 * f / scenario.speed_limit)
             if ended.any():
                 break
-        met.append(env.unwrapped.simulator.active.sum() == 1)
+        met.append(simulator.active.sum() == 1)
     assert met == [True, False]
     assert "Of other weights or obstacles" in certificate.__doc__
 
@@ -339,20 +323,19 @@ def test_steps_that_rounding_swallows_where_what_tanks_have_earned_has_carried_r
         start_positions=((-6.0, 1.0), (-1.0, 1.0), (1.0, 1.0), (6.0, 1.0)), max_speed=1e3,
         allow_long_step=True,
     )  # fmt: skip
-    env = EnergyTankWrapper(make_vec(scenario, num_envs=1), min_alignment=1e-5, frame="local")
-    env.reset(seed=0)
-    env.unwrapped.simulator.set_max_steps(10**6)
-    while env.unwrapped.simulator.active.sum() > 2:
+    env, simulator = alone(scenario, "tank", min_alignment=1e-5)
+    simulator.set_max_steps(10**6)
+    while simulator.active.sum() > 2:
         env.step([[[1e-4, 0.0], [-1e-4, 0.0], [1e-4, 0.0], [-1e-4, 0.0]]])
     for speed in (1.0, 0.1, 0.01):
         env.step([[[-speed, 0.0]] * 2 + [[speed, 0.0]] * 2])
         while env.tank.carried_out.any():
             env.step([[[-speed, 0.0]] * 2 + [[speed, 0.0]] * 2])
-    away_from = env.unwrapped.simulator.positions[0, 3, 0]
+    away_from = simulator.positions[0, 3, 0]
     for side in (1.0, -1.0) * 20:
         env.step([[[0.0, side], [0.0, side], [0.0, -side], [0.0, -side]]])
     assert not env.tank.carried_out.any()
-    assert env.unwrapped.simulator.positions[0, 3, 0] == away_from > 4e3
+    assert simulator.positions[0, 3, 0] == away_from > 4e3
     found = certificate(scenario, 1e-5, by="tank")
     assert not found.guaranteed and "which rounding takes from" in found.theorem
     assert not certificate(scenario, 1e-3, by="tank").guaranteed
@@ -363,12 +346,11 @@ def test_steps_that_rounding_swallows_where_what_tanks_have_earned_has_carried_r
 def test_a_wrapper_bears_the_errors_that_it_is_told_of(told, lengthened):
     places = ((0.0, 0.0), (2.0, 0.0))
     scenario = Scenario(n_robots=2, start_positions=places, sensing=Sensing(error=0.7))
-    env = make_vec(scenario.replace(local_frames="global"), num_envs=1)
-    env = LinkKeepingWrapper(env, share=1e-6, bearing_error=told, frame="local")
-    env.reset(seed=0)
+    turned = scenario.replace(local_frames="global")
+    env, simulator = alone(turned, "links", share=1e-6, bearing_error=told)
     for _ in range(3):
         env.step([[[-0.2, 0.5], [0.2, -0.5]]])
-    gap = np.diff(env.unwrapped.simulator.positions[0], axis=0)[0]
+    gap = np.diff(simulator.positions[0], axis=0)[0]
     assert (np.linalg.norm(gap) > 2.0 + 1e-6) == lengthened
     exact = scenario.replace(sensing=Sensing())
     for by in CHOICES:

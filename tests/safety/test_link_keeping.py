@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from alone import alone
 from scipy.optimize import nnls
 
 import baselines
@@ -130,10 +131,8 @@ def test_a_robot_in_a_thin_tetrahedron_of_neighbours_lengthens_no_link():
         local_frames="global",
     )
     assert rv.certificate(scenario, by="links", share=1.0).guaranteed
-    env = rv.vector.LinkKeepingWrapper(rv.make_vec(scenario, 1), share=1.0, frame="local")
-    env.reset(seed=0)
+    env, simulator = alone(scenario, "links", share=1.0)
     env.step(np.zeros((1, 10, 3), np.float32))
-    simulator = env.unwrapped.simulator
     assert simulator.active.all()
     length = np.linalg.norm(simulator.positions[0, 4] - simulator.positions[0, 0])
     assert length <= np.linalg.norm(THIN[3]) + 1e-12

@@ -6,14 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from alone import alone
 
-from rendezvous_env import Scenario, Sensing, Simulator, certificate, graphs, make_vec
-from rendezvous_env.vector import (
-    EnergyTankWrapper,
-    GainWrapper,
-    HeadingVectorWrapper,
-    LinkKeepingWrapper,
-)
+from rendezvous_env import Scenario, Sensing, Simulator, certificate, graphs
 
 FAR = 2.0**29  # m
 ULP = float(np.spacing(FAR))
@@ -33,9 +28,7 @@ def test_v_rises_under_headings_where_rounding_turns_steps():
     places = FAR + 60.0 * ULP * np.array([[0.0, 0.0], [-0.616, 0.788]])
     near = {"n_robots": 2, "merge_radius": 16.0 * ULP, "time_limit": 1e-3, **FIXED}
     scenario = Scenario(**near, start_positions=places)
-    env = HeadingVectorWrapper(make_vec(scenario, num_envs=1), 0.01, 1e9, "local")
-    env.reset(seed=0)
-    simulator = env.unwrapped.simulator
+    env, simulator = alone(scenario, "heading", min_alignment=0.01, max_turn_rate=1e9)
     start = simulator.lyapunov()[0]
     for _ in range(40):
         one, other = simulator.positions[0]
@@ -65,7 +58,7 @@ def test_the_hull_grows_where_rounding_turns_steps(by):
     assert simulator.size()[0] > 1.003 * size
     given = {"min_gain": 1e-3 * speed, "max_gain": speed} if by == "gains" else {}
     assert "hull" not in certificate(scenario, by=by, **given).promises
-    GainWrapper(make_vec(scenario, num_envs=1), 1e-3 * speed, speed)  # which can do the same
+    alone(scenario, "gains", min_gain=1e-3 * speed, max_gain=speed)  # which can do the same
     near = {"start_positions": [[0.0, 0.0], [1.0, 0.0], [0.0, -1.0]], "merge_radius": 0.1}
     assert "hull" in certificate(scenario.replace(**near), by=by, **given).promises
 
@@ -94,10 +87,9 @@ def test_the_last_of_a_tolerated_error_is_no_use_to_steps_that_rounding_swallows
         n_robots=3, graph=graphs.complete(1e-3), start_positions=corners, time_step=1e-8,
         sensing=Sensing(error=error), **FIXED,
     )  # fmt: skip
-    env = LinkKeepingWrapper(make_vec(team, num_envs=1), 0.5, error, "local")
-    env.reset(seed=0)
+    env, simulator = alone(team, "links", bearing_error=error)
     env.step(np.zeros((1, 3, 2)))
-    assert (env.unwrapped.simulator.positions[0] == corners).all()
+    assert (simulator.positions[0] == corners).all()
     assert not certificate(team, by="links").guaranteed
     assert certificate(team.replace(time_step=1e-3), by="links").guaranteed
 
@@ -108,11 +100,10 @@ def test_the_last_of_an_error_that_tanks_tolerate_is_no_use_at_a_small_margin():
     exact = Scenario(**start, graph="path", time_limit=1e5)
     error = 0.995 * certificate(exact, 1e-4, by="tank").tolerated_bearing_error
     scenario = exact.replace(sensing=Sensing(error=error))
-    env = EnergyTankWrapper(make_vec(scenario, num_envs=1), 0.0, 1e-4, "local", bearing_error=error)
-    env.reset(seed=0)
+    env, simulator = alone(scenario, "tank", min_alignment=1e-4, bearing_error=error)
     for _ in range(50):
         env.step([[[0.0, 1.0], [0.0, -1.0]]])
-    places = env.unwrapped.simulator.positions[0]
+    places = simulator.positions[0]
     assert (places[:, 0] == (1e3, 1001.0)).all() and np.linalg.norm(places[1] - places[0]) >= 1.0
     for by in ("tank", "heading"):
         found = certificate(scenario, 1e-4, by=by)
@@ -131,20 +122,18 @@ def test_links_that_walk_far_aside_on_the_smallest_share_stay_there():
         n_robots=2, graph=graphs.complete(6.35e-6), merge_radius=1.0, time_step=0.1, max_speed=1.0,
         start_positions=(-half, half), time_limit=1e6, **FIXED,
     )  # fmt: skip
-    env = make_vec(scenario, num_envs=1)
-    env = LinkKeepingWrapper(env, 1e-6, frame="local", decision_period=1000)
-    env.reset(seed=0)
+    env, simulator = alone(scenario, "links", share=1e-6, decision_period=1000)
     steep, ahead = 8e-5, half / 0.975
     env.step(5.0 * steep * (aside + steep * np.array([[ahead, -ahead]])))
-    after = env.unwrapped.simulator.positions[0]
+    after = simulator.positions[0]
     walked = (after.mean(axis=0) @ aside) / (1.95 - np.linalg.norm(after[1] - after[0]))
     assert walked * 0.95 > 5.8e3  # before they are nearer than r
     state = env.get_state()
     state["env"]["positions"] = state["env"]["positions"] + 5.8e3 * aside
     env.set_state(state)
-    before = env.unwrapped.simulator.positions[0]
+    before = simulator.positions[0]
     env.step(np.zeros((1, 2, 2)))
-    assert (env.unwrapped.simulator.positions[0] == before).all()
+    assert (simulator.positions[0] == before).all()
     found = certificate(scenario, by="links", share=1e-6)
     assert not found.guaranteed and "which rounding takes from" in found.theorem
     assert certificate(scenario, by="links", share=1e-2).guaranteed

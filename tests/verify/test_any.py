@@ -73,9 +73,10 @@ def test_the_same_number_is_the_same_scenario():
 @pytest.mark.parametrize("by", CHOICES)
 def test_a_certificate_that_holds_is_checked_to_its_bound(by):
     played = play(trial(PAIR, by))
-    assert played.violation is None and 0 < played.time_over_bound <= 1
-    timed = {name for name, checked in played.granted.items() if "time" in checked}
+    timed = {name for name, what in played.counts if what == "time"}
     assert timed and all(name.startswith(f"{by}: ") for name in timed)
+    assert played.violation is None and played.ratio.keys() == timed
+    assert all(0 < ratio <= 1 for ratio in played.ratio.values())
 
 
 @pytest.mark.parametrize(
@@ -120,7 +121,7 @@ def test_what_is_promised_in_vain_is_found(number, limit, given, monkeypatch):
 def test_a_mean_time_above_its_bound_is_found(monkeypatch):
     noisy = trial(PAIR.replace(sensing=rv.Sensing(noise=0.3)))
     played = play(noisy)
-    assert played.violation is None and "expected_time" in played.granted["law: E[T]"]
+    assert played.violation is None and played.counts["law: E[T]", "expected_time"]
     promising(monkeypatch, expected_time=(1 / 8,))
     found = play(noisy).violation
     assert found.number == "expected_time" and 0.3 < found.found < 2.0  # 0.4 s without noise
@@ -134,14 +135,14 @@ def test_bearings_that_are_more_wrong_than_allowed_are_found(by, number, monkeyp
     off = 0.5 * rv.certificate(path, by=by, **trial(by=by).arguments).tolerated_bearing_error
     misled = trial(path, by, bearing_error=off)
     played = play(misled)
-    assert played.violation is None and any("η > 0" in name for name in played.granted)
+    assert played.violation is None and any("η > 0" in name for name, _ in played.counts)
     monkeypatch.setattr(adversaries, "_ROUNDED", 2.0 / off)
     assert play(misled).violation.number == number
 
 
 def test_starts_are_bettered_until_one_breaks_a_bound(monkeypatch, tmp_path):
     """What the bound is too small by shows from other starts only."""
-    time = max(play(trial()).time_over_bound, 0.0) * ask(SQUARE, "law", {}).limits["time"]
+    time = max(play(trial()).ratio.values()) * ask(SQUARE, "law", {}).limits["time"]
     promising(monkeypatch, time=time + 0.05)
     assert play(trial()).violation is None
     monkeypatch.setattr(random_starts, "STRIDES", (0.5, 1.0))
@@ -204,7 +205,7 @@ def test_a_violation_is_made_small_and_repeats_itself(monkeypatch, tmp_path):
 def test_what_is_not_promised_is_not_played():
     alone = SQUARE.replace(graph=rv.graphs.from_edges([(0, 1)], 4), require_connected=False)
     played = play(trial(alone, "tank"))
-    assert not played.granted and played.steps == 0
+    assert not played.counts and played.steps == 0
 
 
 command = partial(test_verify.command, any=True, table="any.csv", jobs=1)

@@ -30,7 +30,7 @@ def nothing_is_played(monkeypatch):
     monkeypatch.setattr(claims, "check", check)
 
     def climb(trial):
-        return trial, Played({f"{trial.by}: A": Counter(["granted"])}, steps=trial.seed)
+        return trial, Played(steps=trial.seed, counts=Counter([(f"{trial.by}: A", "granted")]))
 
     monkeypatch.setattr(verify, "climb", climb)
 

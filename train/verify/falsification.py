@@ -9,11 +9,13 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from heapq import nlargest
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -63,20 +65,6 @@ class Violation:
         )
 
 
-@dataclass(frozen=True)
-class Played:
-    """What came of a trial."""
-
-    granted: dict[str, Counter[str]] = field(default_factory=dict)
-    """By theorem that applied: from how many starts it was "granted", and each of its NUMBERS
-    checked; "time" only if the bound was reached, or all met before."""
-    steps: int = 0
-    time_over_bound: float = math.nan
-    violation: Violation | None = None
-    closeness: dict[str, Array] = field(default_factory=dict, repr=False)  # see ``Watch``, (B,)
-    began: Array = field(default_factory=lambda: np.empty((0, 0, 0)), repr=False)  # (B, n, d), m
-
-
 @dataclass
 class Tally:
     """What some trials say together, of a claim or of all theorems."""
@@ -88,23 +76,11 @@ class Tally:
     violations: int = 0
     first: int | None = None  # the first batch of a claim with a violation
     counts: Counter[tuple[str, str]] = field(default_factory=Counter)
-    """How often each theorem was "granted", each of its NUMBERS checked, and one violated."""
+    """From how many starts each theorem was "granted", and each of its NUMBERS checked, "time" only
+    if the bound was reached or all met before; and how many trials violated one ("violations")."""
     ratio: dict[str, float] = field(default_factory=dict)  # the worst T/bound of each
     found: list[tuple[int, Trial, Played]] = field(default_factory=list)
     """Of each violation the number of the trial, the trial as it was drawn, and what came of it."""
-
-    def add(self, number: int, trial: Trial, played: Played) -> None:
-        """Count one trial."""
-        broken = played.violation
-        self.steps += played.steps
-        for name, checked in played.granted.items():
-            self.counts.update({(name, what): count for what, count in checked.items()})
-            self.counts[name, "violations"] += broken is not None and broken.number in checked
-            if "time" in checked and not np.isnan(played.time_over_bound):
-                self.ratio[name] = max(self.ratio.get(name, 0.0), played.time_over_bound)
-        if broken is not None:
-            self.violations += 1
-            self.found.append((number, trial, played))
 
     def join(self, other: Tally) -> None:
         """Take in what others say."""
@@ -115,6 +91,15 @@ class Tally:
         self.counts.update(other.counts)
         for name, ratio in other.ratio.items():
             self.ratio[name] = max(self.ratio.get(name, 0.0), ratio)
+
+
+@dataclass
+class Played(Tally):
+    """What came of a trial."""
+
+    violation: Violation | None = None
+    closeness: dict[str, Array] = field(default_factory=dict, repr=False)  # see ``Watch``, (B,)
+    began: Array = field(default_factory=lambda: np.empty((0, 0, 0)), repr=False)  # (B, n, d), m
 
 
 class Promised(NamedTuple):
@@ -228,18 +213,20 @@ def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> P
         kept.append(np.asarray(chosen, dtype=np.float32))
         observations, *_, infos = wrapped.step(kept[-1])
         _, wrong = watch.look(infos)
-    violation = None
+    played = Played(steps=len(kept), closeness=watch.closeness, began=began)
+    for k, one in enumerate(promised):
+        checked = {"granted", *watch.checked(which == k)}
+        for name, own in one.theorems.items():
+            played.counts.update((name, what) for what in checked.intersection(("granted", *own)))
+    if not math.isnan(ratio := watch.time_over_bound):
+        played.ratio = {name: ratio for name, what in played.counts if what == "time"}
     if wrong := wrong or watch.look_at_mean():
         number, team, found, limit = wrong
-        words, own = promised[which[team]].words, np.array(kept)[:, team]
-        violation = Violation(number, team, len(kept), found, limit, words, own)
-    granted: defaultdict[str, Counter[str]] = defaultdict(Counter)
-    for k, one in enumerate(promised):
-        checked = watch.checked(which == k)
-        for name, own_numbers in one.theorems.items():
-            granted[name].update({"granted", *checked.intersection(own_numbers)})
-    ratio = watch.time_over_bound
-    return Played(dict(granted), len(kept), ratio, violation, watch.closeness, began)
+        words, own_choices = promised[which[team]].words, np.array(kept)[:, team]
+        played.violations, broken = 1, [name for name, what in played.counts if what == number]
+        played.violation = Violation(number, team, len(kept), found, limit, words, own_choices)
+        played.counts.update((name, "violations") for name in broken)
+    return played
 
 
 def _last_steps(trial: Trial, limits: Mapping[str, Array]) -> Array:
@@ -260,17 +247,16 @@ def climb(trial: Trial) -> tuple[Trial, Played]:
     drawn, played = trial, play(trial)
     first, random = played, np.random.default_rng([trial.seed, 2])
     number = str(random.choice(list(played.closeness))) if played.closeness else ""
-    near, places = np.empty(0), played.began[:0]
+    nearest: list[tuple[float, Array]] = []
     for _ in range(trial.generations if number else 0):
         if played.violation is not None:
             break
         if number in played.closeness:
-            near = np.append(near, played.closeness[number])
-            places = np.concatenate([places, played.began])
-            order = np.argsort(-near)
-            once = np.unique(places[order].reshape(len(near), -1), axis=0, return_index=True)[1]
-            order = order[np.sort(once)[:_PARENTS]]
-            near, places = near[order], places[order]
+            found = [*nearest, *zip(played.closeness[number], played.began, strict=True)]
+            found.sort(key=itemgetter(0))
+            best = {place.tobytes(): (near, place) for near, place in found}
+            nearest = nlargest(_PARENTS, best.values(), key=itemgetter(0))
+        places = np.array([place for _, place in nearest])
         if starts := other_starts(random, trial.scenario, places):
             trial = replace(trial, starts=starts)
             played = play(trial)

@@ -127,8 +127,6 @@ class Watch:
         self.rounding = _FLOAT32 * n * degree**2 * self.held
         self.spent = fast**2 * max(1.0, 2.0 * degree * self.held / r)
         self.growth_error, self.height_error = 0.0, np.zeros(count)
-        self.errors: dict[str, Any] = {"time": 0.0, "lemma": 1e-9, "pieces": 0.0}
-        self.errors |= {"nested": self.length_error, "links": 2.0 * self.length_error}
         self.met, self.free = np.full(count, np.inf), np.ones(count, dtype=bool)
         self.levels = np.full(count, n * budget)
         self.sight = math.inf if scenario.sensing.range is None else scenario.sensing.range
@@ -163,24 +161,25 @@ class Watch:
         """Which teams break a number in this step, (B,); and the first number that is broken, by
         the team that does so the most.
         """
-        all_found, wrong, worst = self._measure(infos), np.zeros(len(self.met), dtype=bool), None
+        measured, wrong, worst = self._measure(infos), np.zeros(len(self.met), dtype=bool), None
         for name, limit in self.limits.items():
-            if (found := all_found.get(name)) is None:  # of many steps, as a mean is
+            if name not in measured:  # of many steps, as a mean is
                 continue
+            found, error = measured[name]
             most = limit * (1.0 + 1e-9 * (name in ("time", "lyapunov")))
             near = np.zeros(len(found))
             np.divide(found, self.units[name], out=near, where=limit < np.inf)
             np.maximum(self.closeness[name], near, out=self.closeness[name])
-            broken = found > most + self.errors[name]
+            broken = found > most + error
             if worst is None and broken.any():
                 team = int(np.argmax(np.where(broken, found, -np.inf)))
                 worst = name, team, float(found[team]), float(most[team])
             wrong |= broken
         return wrong, worst
 
-    def _measure(self, infos: Mapping[str, Any]) -> dict[str, Array]:
-        """What numbers are of each team, (B,), all that are limited and some others; brings
-        ``errors`` up to date, by how much rounding may raise them.
+    def _measure(self, infos: Mapping[str, Any]) -> dict[str, tuple[Array, Any]]:
+        """What numbers are of each team, (B,), all that are limited and some others, and by how
+        much rounding may raise them.
         """
         last, self.now = self.now, Moment(self.teams)
         now, outcome, touched = self.now, self.env.outcome, infos["contact"].any(axis=1)
@@ -193,48 +192,43 @@ class Watch:
         step = self.rounding + 1e-12 * last.lyapunov
         self.height_error += step
         self.growth_error += 2.0 * self.length_error
-        self.errors |= {
-            "lyapunov": self.height_error,
-            "hull": 8.0 * self.growth_error,
-            "link_growth": self.growth_error,
-            "descent": step,
-            "ledger": step * self.spent + 1e-12 * before,
-            "law_descent": step,
-            "merge_rise": 1e-12 * (1.0 + last.lyapunov),
-        }
         risen, rises = now.lyapunov - last.lyapunov, outcome.lyapunov_before_merge - last.lyapunov
         first = np.where(~alone & ~touched & self.once, rises, -np.inf)
         seen = last.linked & (last.distances <= self.sight)
-        found: dict[str, Array] = {
+        found: dict[str, tuple[Array, Any]] = {
             # the step in which a bound falls may be finished
-            "time": np.minimum(self.met, now.time) - self.held,
-            "lyapunov": np.where(self.free, now.lyapunov, -np.inf),
-            "ledger": np.where(calm, risen + levels - before, -np.inf),
-            "merge_rise": outcome.merge_excess,
-            "pieces": self.pieces - left,
+            "time": (np.minimum(self.met, now.time) - self.held, 0.0),
+            "lyapunov": (np.where(self.free, now.lyapunov, -np.inf), self.height_error),
+            "merge_rise": (outcome.merge_excess, 1e-12 * (1.0 + last.lyapunov)),
+            "pieces": (self.pieces - left, 0.0),
         }
+        if "ledger" in self.limits:
+            paid = np.where(calm, risen + levels - before, -np.inf)
+            found["ledger"] = paid, step * self.spent + 1e-12 * before
         if "hull" in self.limits:
-            found["hull"] = self._size()
+            found["hull"] = self._size(), 8.0 * self.growth_error
         if "link_growth" in self.limits:
-            found["link_growth"] = _most(now.distances - self.start, self.lasting)
+            longer = _most(now.distances - self.start, self.lasting)
+            found["link_growth"] = longer, self.growth_error
         if "descent" in self.limits:
             moved = now.positions - last.positions
             work = (last.net_bearings * moved).sum(axis=(1, 2))
-            found["descent"] = np.where(calm, risen + np.maximum(work, 0.0) * self.once, first)
+            fall = risen + np.maximum(work, 0.0) * self.once
+            found["descent"] = np.where(calm, fall, first), step
         if "nested" in self.limits:
             apart = -_most(-last.distances, seen) >= self.scenario.merge_radius
             grown = (now.tops - last.tops).max(axis=1)
-            found["nested"] = np.where(calm & apart, grown, -np.inf)
+            found["nested"] = np.where(calm & apart, grown, -np.inf), self.length_error
         if "links" in self.limits:
             lengthened = _most(now.distances - last.distances, seen)
-            found["links"] = np.where(calm, lengthened, -np.inf)
+            found["links"] = np.where(calm, lengthened, -np.inf), 2.0 * self.length_error
         if {"lemma", "law_descent"} & self.limits.keys():
             pull, twice = lengths(last.net_bearings)[..., 0], 2.0 * last.gains.max(axis=(1, 2))
             share = np.full(len(left), np.inf)
             np.divide(pull.sum(axis=1), twice, out=share, where=twice > 0.0)
             own = (pull * np.minimum(pull, self.scenario.speed_limit)).sum(axis=1)
-            found["lemma"] = 1.0 - share
-            found["law_descent"] = np.where(calm, risen + self.held * own, first)
+            found["lemma"] = 1.0 - share, 1e-9
+            found["law_descent"] = np.where(calm, risen + self.held * own, first), step
         return found
 
     def _size(self) -> Array:

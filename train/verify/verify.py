@@ -28,6 +28,8 @@ from .random_scenarios import DRAWS, STARTS, trials_of
 
 _BAR = TextColumn("{task.description:16}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
 _MOST_TASKS = 256  # of a claim
+_SHOWN = "trials", "worst_margin", "worst_time_over_bound", "violations"
+"""Columns of verify.csv that are printed."""
 _MOST_WRITTEN = 20  # violations of a search that are made small and written
 
 FLAG_GROUPS = {"Workers": ("jobs", "on", "address")}
@@ -113,7 +115,10 @@ def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | Non
         console.print(table_of(f"Certificates of {total.trials} random scenarios, tried", rows))
         found, steps = _write_found(config, total), f", {total.steps} steps of {TEAMS} teams"
     else:
-        shown = [_shown(*both) for both in zip(chosen, rows, strict=True)]
+        shown = [
+            {"claim": claim.name, "what is checked": claim.statement, **{k: row[k] for k in _SHOWN}}
+            for claim, row in zip(chosen, rows, strict=True)
+        ]
         console.print(table_of("What was proved, measured", shown))
         found = (
             f"{row['claim']} is violated; to repeat the first time:\n  {row['first_violation']}"
@@ -175,8 +180,11 @@ def _tasks_of_any(config: Config) -> list[Task]:
 def _try_all(seed: int, number: int, kind: int) -> Tally:
     """Play the trials of a draw."""
     began, tally = time.perf_counter(), Tally(trials=STARTS)
-    for trial in trials_of(seed, number, kind):
-        tally.add(number, *climb(trial))
+    for drawn in trials_of(seed, number, kind):
+        trial, played = climb(drawn)
+        tally.join(played)
+        if played.violation is not None:
+            tally.found.append((number, trial, played))
     tally.seconds = time.perf_counter() - began
     return tally
 
@@ -213,18 +221,6 @@ def theorem_rows(tally: Tally) -> list[dict[str, Any]]:
     ]
 
 
-def _shown(claim: Claim, row: dict[str, Any]) -> dict[str, Any]:
-    """A row of the table that is printed."""
-    return {
-        "claim": claim.name,
-        "what is checked": claim.statement,
-        "trials": row["trials"],
-        "worst margin": f"{row['worst_margin'] + 0.0:.2g}",
-        "worst T/bound": row["worst_time_over_bound"],
-        "violations": row["violations"],
-    }
-
-
 def _write_found(config: Config, tally: Tally) -> Iterator[str]:
     """Make what is violated small and write it; the words for each."""
     tally.found.sort(key=lambda found: found[0])
@@ -242,6 +238,6 @@ def table_of(title: str, rows: Sequence[dict[str, Any]]) -> Table:
         table.add_column(name.replace("_", " "), justify="left" if words else "right")
     for row in rows:
         style = "bold red" if row["violations"] else None
-        shown = [f"{v:.3f}" if isinstance(v, float) else str(v) for v in row.values()]
+        shown = [f"{v + 0.0:.3g}" if isinstance(v, float) else str(v) for v in row.values()]
         table.add_row(*["" if one == "nan" else one for one in shown], style=style)
     return table

@@ -65,9 +65,8 @@ def equal_gains(scenario: Scenario, asked: Asked) -> Array | None:
         least, most = gain_range(scenario, asked.min_gain, asked.max_gain)
         gains, even = np.full(scenario.n_robots - 1, least), least == most
     else:
-        scaled = known.long_step(scenario) and scenario.scales_velocity
-        gains, even = known.least_degrees(scenario), known.degrees_stay_equal(scenario)
-        even = even and not scaled
+        even = known.degrees_stay_equal(scenario) and not scenario.scales_velocity
+        gains = known.least_degrees(scenario)
     return gains if even and scenario.speed_limit >= gains.max(initial=0.0) else None
 
 
@@ -173,8 +172,7 @@ def heading_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 def noisy_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """The mean time, infinite if the step is too long for this noise, or robots slow down."""
     n, degree, graph = scenario.n_robots, scenario.max_degree, scenario.sensing_graph
-    scaled = known.long_step(scenario) and scenario.scales_velocity
-    if scaled or scenario.speed_limit < degree:
+    if scenario.scales_velocity or scenario.speed_limit < degree:
         return Bounds()
     theta = 2.0 * degree * scenario.tau / scenario.merge_radius
     noise, weights = scenario.sensing.noise, graph.links(n)[2] * graph.weight_range[1]
