@@ -22,9 +22,9 @@ from .threads import Calls, Part
 _FLOAT32, _BOOL, _INT64 = np.dtype(np.float32), np.dtype(np.bool_), np.dtype(np.int64)
 _WORK_PER_THREAD = 49152
 """Rows computed below which another thread costs more than it saves: 50 to 100 µs."""
-_WORK_AHEAD = 8192
+_WORK_AHEAD = 12288
 """Rows that a thread computes while it takes another to wake up."""
-_OBSTACLES, _ERRING, _PILOTED = 4, 2, 2
+_OBSTACLES, _ERRING, _PILOTED = 4, 2, 3
 """So many times as long take rows of obstacles, sensors that err, and steps with a pilot."""
 
 _Seen = NDArray[np.float32]  # annotations within ``drive`` are looked up in every step
