@@ -59,10 +59,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 LONG = (
-    "test_any", "test_kills", "test_inertia", "test_sensing_engine", "test_paper",
-    "test_guarantee_wrappers", "test_widths", "test_docs", "test_fuzz_files", "test_fuzz_core",
-    "test_installed", "test_examples", "test_package", "test_resuming", "test_interrupts",
-    "test_shipped", "test_site",
+    "test_any", "test_kills", "test_inertia", "test_widths", "test_sensing_engine", "test_paper",
+    "test_guarantee_wrappers", "test_docs", "test_fuzz_files", "test_fuzz_core", "test_installed",
+    "test_examples", "test_package", "test_resuming", "test_interrupts", "test_shipped",
+    "test_site",
 )  # fmt: skip
 """Files that take longest, fast tests or slow ones, in the order in which two workers are given
 them: files that need the same kernels stand apart, or both workers would compile those.
