@@ -59,13 +59,13 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 LONG = (
-    "test_any", "test_kills", "test_sensing_engine", "test_paper", "test_guarantee_wrappers",
-    "test_docs", "test_widths", "test_fuzz_files", "test_fuzz_core", "test_installed",
+    "test_any", "test_kills", "test_inertia", "test_widths", "test_sensing_engine", "test_paper",
+    "test_guarantee_wrappers", "test_docs", "test_fuzz_files", "test_fuzz_core", "test_installed",
     "test_examples", "test_package", "test_resuming", "test_interrupts", "test_shipped",
     "test_site",
 )  # fmt: skip
 """Files that take longest, fast tests or slow ones, in the order in which two workers are given
-them: the first two of the fast tests have hardly a kernel in common, which both would compile.
+them: files that need the same kernels stand apart, or both workers would compile those.
 """
 
 
@@ -134,14 +134,29 @@ plain Python, in which every index is checked; but there lanes of filters are of
 OF_THEIR_OWN_KIND = tuple(
     f"tests/{name}"
     for name in (
+        "engine/test_inertia.py::test_free_motion_against_its_own_sum[3",
+        "engine/test_inertia.py::test_nobody_gets_into_or_through_an_obstacle[Sphere3",
+        "engine/test_inertia.py::test_nobody_gets_into_or_through_an_obstacle[Capsule3",
+        "engine/test_inertia.py::test_teams_meet_under_the_damped_law[3",
         "engine/test_own_models.py::test_a_boat",
         "engine/test_own_models.py::test_a_sluggish_unicycle",
         "engine/test_restart.py::test_both_ways_to_restart_show_the_same_start_and_leave_the_others"
         "_alone[double",
+        "engine/test_restart.py::test_a_team_that_has_ended_rests[double_integrator-3d",
+        "engine/test_restart.py::test_the_way_is_that_of_the_robots_that_are_left[double_integrator-3d",
         "engine/test_sensing_engine.py::test_silhouettes_are_turned_point_by_point[space",
+        "engine/test_sparse.py::test_lists_of_links_give_the_motion_of_all_pairs[errors",
+        "envs/test_api_suites.py::test_gymnasium[scenario4",
+        "envs/test_api_suites.py::test_one_after_another[with inertia",
+        "envs/test_api_suites.py::test_parallel[with inertia",
+        "envs/test_pettingzoo.py::test_robots_with_inertia",
         "policies/test_baselines.py::TestLargeSparseGraphs::test_all_meet",
         "policies/test_every_policy.py::test_it_goes_on_bit_by_bit_from_a_pickle[damped]",
         "policies/test_every_policy.py::test_a_batch_is_its_teams_one_by_one[damped]",
+        "policies/test_every_policy.py::test_teams_of_a_mask_begin_anew_and_the_others_do_not[damped",
+        "policies/test_privileged_planner.py::TestItPasses::test_every_field_is_passed[unicycle-rooms",
+        "safety/test_turning_frames.py::test_late_bearings",
+        "safety/test_turning_frames.py::test_robots_that_go_any_way",
         "safety/test_turning_frames.py::test_under_the_gate",
         "test_docs.py::test_every_python_block_runs[docs/environment.md]",
         "test_docs.py::test_every_python_block_runs[docs/graphs.md]",

@@ -8,15 +8,11 @@ from train.checks import UserError
 
 
 def where(task):
-    """Who does it, and with how many threads."""
-    time.sleep(0.05)
-    return task, os.getpid(), os.environ.get("NUMBA_NUM_THREADS")
-
-
-def cores(task):
+    """Who does it, with how many threads, and on how many cores."""
     from rendezvous_env.engine.threads import available_cores
 
-    return available_cores()
+    time.sleep(0.05)
+    return task, os.getpid(), os.environ.get("NUMBA_NUM_THREADS"), available_cores()
 
 
 def dies_once(task):

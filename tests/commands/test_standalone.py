@@ -72,7 +72,7 @@ class TestAgreement:
     @pytest.mark.parametrize(("policy", "name"), SPACE)
     def test_in_space(self, exported, policy, name):
         file = standalone.load(exported(policy, name))
-        assert act_along(file, rv.scenarios.get(name), policy, 4, 100) < 1e-5
+        assert act_along(file, rv.scenarios.get(name), policy, 4, 60) < 1e-5
         text = exported(policy, name).read_text(encoding="utf-8")
         assert policy != "learned-tank" or "SteadyFrames:\n" in text
         assert not hasattr(file, "DifferentialDrive") and "drive" not in file.__doc__

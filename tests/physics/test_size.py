@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from rendezvous_env import Scenario, Simulator
 from rendezvous_env.physics.hull_perimeter import size
 
+HEIGHTS, WEIGHTS = np.polynomial.legendre.leggauss(240)
+
 
 def integral(points):
     """∫ max_i u·p_i du over all directions, by quadrature."""
@@ -20,13 +22,12 @@ def integral(points):
         angles = 2 * np.pi * (np.arange(20_000) + 0.5) / 20_000
         directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         return 2 * np.pi * np.max(directions @ points.T, axis=-1).mean()
-    heights, weights = np.polynomial.legendre.leggauss(240)
     yaw = 2 * np.pi * (np.arange(480) + 0.5) / 480
-    level = np.sqrt(1 - heights**2)[:, None]
+    level = np.sqrt(1 - HEIGHTS**2)[:, None]
     directions = np.stack(
-        np.broadcast_arrays(level * np.cos(yaw), level * np.sin(yaw), heights[:, None]), axis=-1
+        np.broadcast_arrays(level * np.cos(yaw), level * np.sin(yaw), HEIGHTS[:, None]), axis=-1
     )
-    return 2 * np.pi * weights @ np.max(directions @ points.T, axis=-1).mean(axis=-1)
+    return 2 * np.pi * WEIGHTS @ np.max(directions @ points.T, axis=-1).mean(axis=-1)
 
 
 @pytest.mark.parametrize("dim", [2, 3])

@@ -12,6 +12,7 @@ from rendezvous_env.safety.turning import Gate, gated_rates, mean_axis, yaw_rate
 
 GATE = Gate(True, 0.1, 0.05, 0.5, 2.0, 0.0)
 IN_SPACE = GATE._replace(planar=False, yaw_limit=20.0, pitch_limit=2.0)
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(80)
 rates = st.floats(-20, 20)
 bearings = st.floats(-3, 3)
 
@@ -24,9 +25,8 @@ def axis(yaw, pitch):
 
 def mean_by_quadrature(yaw_rate, pitch_rate, pitch, duration):
     """Mean of h by Gauss-Legendre, turned into the body frame at the start."""
-    nodes, weights = np.polynomial.legendre.leggauss(80)
-    t = 0.5 * duration * (nodes + 1)
-    mean = axis(yaw_rate * t, pitch + pitch_rate * t) @ weights / 2
+    t = 0.5 * duration * (NODES + 1)
+    mean = axis(yaw_rate * t, pitch + pitch_rate * t) @ WEIGHTS / 2
     return body_frame(3, 0.0, pitch).T @ mean
 
 

@@ -93,7 +93,7 @@ def test_the_trials_are_of_every_kind():
 def test_merges_do_raise_v_and_stay_below_their_bound():
     """The row merge-rise has something to look at."""
     trial = BY_NAME["merge-rise"].draw(np.random.default_rng(3), 0, 0.3)
-    wrapped, seen, policy = begin(trial, 0.0, 200)
+    wrapped, seen, policy = begin(trial, 0.0, 64)
     teams, rises, excess = wrapped.unwrapped.simulator, [], []
     teams.set_max_steps(1500)
     while not teams.ended.all():
