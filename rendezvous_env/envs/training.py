@@ -12,10 +12,11 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import choice, flag, number, refuse
+from ..checks import choice, flag, number, real, refuse
 from ..engine.state_checks import check_entries, check_keys
 from ..rewards.terms import RewardWeights
 from ..safety.safety_filter import FILTERS
+from ..safety.settings import bounded_error
 from ..safety.theorems.certificate import certificate
 from ..scenario.scenario import Scenario
 from ..scenario.scenarios import ScenarioLike, resolve
@@ -40,7 +41,7 @@ WRAPPERS: dict[str, Any] = {
 }
 """By guarantee: theorems C, D, G and R."""
 _LOGGER = logging.getLogger("rendezvous_env")
-_said: set[tuple[Scenario, str]] = set()
+_said: set[tuple[Scenario, str, bool]] = set()
 _presets: list[Callable[[], Any]] = []
 
 
@@ -93,7 +94,8 @@ def training_env(
     |---|---|
     | guarantee | "heading" (theorem C), "tank" (D), "gains" (G), "links" (R), the name of a |
     | | filter of one's own (``register_filter``), or None: bare actions. Where the certificate |
-    | | does not cover the scenario the logger "rendezvous_env" says so, once |
+    | | does not cover the scenario, or needs the ``bearing_error`` of a sensor that the wrapper |
+    | | is not told of, the logger "rendezvous_env" says so, once |
     | learning_preset | see above; False leaves the plain wrapper and the scenario's reward |
     | flatten | whether tables are (B, n, rows·d); what ``Features`` shows is flat |
     | discrete | whether robots choose among the angles of the shipped policy |
@@ -150,19 +152,24 @@ def _say_what_is_not_covered(
     scenario: Scenario, guarantee: str, arguments: Mapping[str, Any]
 ) -> None:
     """Log, once for a scenario, why nothing is guaranteed here."""
-    if guarantee not in WRAPPERS or (scenario, guarantee) in _said:
+    if guarantee not in WRAPPERS:
         return
-    _said.add((scenario, guarantee))
     settings = inspect.signature(FILTERS[guarantee]).parameters
+    own, told = bounded_error(scenario.sensing, scenario.dim), arguments.get("bearing_error", 0.0)
+    untold = "bearing_error" in settings and real(told) < own
+    if (scenario, guarantee, untold) in _said:
+        return
+    _said.add((scenario, guarantee, untold))
     known = inspect.signature(certificate).parameters
     asked = {key: value for key, value in arguments.items() if key in known}
     if "min_alignment" in settings:
         asked.setdefault("min_alignment", settings["min_alignment"].default)
     found = certificate(scenario, by=guarantee, **asked)
-    if not found.guaranteed:
-        _LOGGER.warning(
-            "training_env(guarantee=%r): nothing is guaranteed here; %s", guarantee, found.theorem
-        )
+    why = [] if found.guaranteed else [found.theorem]
+    why += [f"no bearing_error tells the wrapper that bearings err by up to {own} rad"] * untold
+    if why:
+        words = "training_env(guarantee=%r): nothing is guaranteed here; %s"
+        _LOGGER.warning(words, guarantee, "; ".join(why))
 
 
 class TrainingTeams(gymnasium.vector.VectorWrapper):

@@ -331,7 +331,7 @@ class Scenario:
                 checks.refuse("body_radius", None, "given with meeting='pack': bodies touch")
             return
         if radius > 0.5 * self.merge_radius:
-            most = f"at most half the merge_radius, {0.5 * self.merge_radius:g} m"
+            most = f"at most half the merge_radius, {0.5 * self.merge_radius} m"
             checks.refuse("body_radius", radius, most)
         graph = self.sensing_graph
         if graph.directed or not graph.fixed or graph.most_links(n) < n * (n - 1) // 2:
@@ -370,7 +370,7 @@ class Scenario:
         if not allowed and self.tau > self.certified_step * (1 + 1e-12):
             warnings.warn(
                 f"time_step is {self.tau:.6g} s, longer than the certified step "
-                f"{self.certified_step:.6g} s: V may rise between merges unless velocities are "
+                f"{self.certified_step} s: V may rise between merges unless velocities are "
                 "scaled (theory 4); pass allow_long_step=True if this is meant",
                 TimeStepWarning,
                 stacklevel=_frames_to_caller(),

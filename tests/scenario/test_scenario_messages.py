@@ -314,3 +314,21 @@ def test_simulators_and_certificates_take_names_and_files(tmp_path):
     for call in (rv.Simulator, rv.certificate):
         assert "did you mean 'ring-12'" in refusal(call, "ring12")
         assert "it must be a Scenario, the name of one, or the path" in refusal(call, 5)
+
+
+def test_a_limit_that_is_named_is_taken():
+    """Rounded to six digits, it was refused in its turn where that rounds it up."""
+
+    def named(message: str) -> float:
+        found = re.search(r"(?:certified step|half the merge_radius,|r/τ =) ([\d.]+)", message)
+        return float(found[1])
+
+    with pytest.warns(rv.TimeStepWarning) as caught:
+        Scenario(n_robots=4, time_step=0.034)
+    certified = Scenario(n_robots=4, time_step=named(str(caught[0].message)))
+    assert rv.certificate(certified).guaranteed
+    body = named(refusal(Scenario, merge_radius=1 / 3, body_radius=0.2))
+    assert Scenario(merge_radius=1 / 3, body_radius=body).body_radius == 1 / 6
+    step = PAIR.replace(time_step=0.03)
+    gain = named(refusal(rv.certificate, step, by="gains", min_gain=99.0))
+    assert rv.certificate(step, by="gains", min_gain=gain, max_gain=gain).hull_bound < math.inf

@@ -219,8 +219,8 @@ def certified_or_scaled(scenario: Scenario, asked: Asked) -> str:
     if not known.long_step(scenario) or scenario.scales_velocity:
         return ""
     return (
-        f"none for law (1) as it stands: the step {scenario.tau:.4g} s is longer than the "
-        f"certified {scenario.certified_step:.4g} s; certified headings scale the velocity "
+        f"none for law (1) as it stands: the step {scenario.tau:.6g} s is longer than the "
+        f"certified {scenario.certified_step} s; certified headings scale the velocity "
         "and are covered"
     )
 

@@ -15,7 +15,7 @@ from ...scenario.scenarios import resolve
 from ..gains import gain_range
 from ..settings import TANK_MARGIN, bounded_error, check_bearing_error, check_share
 from . import delay, descent, gains, links, noise, tank, turning
-from .theorem import CHOICES, LAW, PROMISED, Asked, Bounds, Theorem
+from .theorem import CHOICES, LAW, PROMISED, Asked, Bounds, Theorem, at_least, at_most
 
 THEOREMS: tuple[Theorem, ...] = tuple(
     theorem
@@ -24,10 +24,10 @@ THEOREMS: tuple[Theorem, ...] = tuple(
 )
 """All that certificates ask, in turn; the first that promises a rendezvous gives the words."""
 _KEPT = {
-    "lyapunov": "V never exceeds {:.4g} m²/s{}",
-    "hull": "L never exceeds {:.4g} m",
-    "link_growth": "a link that merges cannot end never grows by more than {:.4g} m",
-    "expected_time": "the mean time to rendezvous never exceeds {:.4g} s",
+    "lyapunov": "V never exceeds {} m²/s{}",
+    "hull": "L never exceeds {} m",
+    "link_growth": "a link that merges cannot end never grows by more than {} m",
+    "expected_time": "the mean time to rendezvous never exceeds {} s",
 }
 
 
@@ -105,13 +105,15 @@ class Certificate:
         """What is promised, by when, and how that compares with the episode's limit."""
         promises, free = self.promises.items(), " in motion without a contact"
         free *= self.touches_obstacles
-        kept = [_KEPT[name].format(bound, free) for name, bound in promises if name in _KEPT]
+        known = [(name, at_most(bound)) for name, bound in promises if name in _KEPT]
+        kept = [_KEPT[name].format(bound, free) for name, bound in known]
         hears = self.by in ("heading", "tank", "links")
         if kept and hears and self.bearing_error > 0:
             kept.append(f"all of this if the wrapper is told bearing_error={self.bearing_error}")
         if self.tolerated_bearing_error > 0:
             told = " if the wrapper is told so" * hears
-            kept.append(f"bearings may err by up to {self.tolerated_bearing_error:.3g} rad{told}")
+            error = at_least(self.tolerated_bearing_error, 3)
+            kept.append(f"bearings may err by up to {error} rad{told}, less what rounding takes")
         first = f"{self.scenario} under {CHOICES[self.by]}: {self.theorem}"
         numbers = "; ".join(kept) or "No other number is promised."
         return f"{first}\n{numbers}\n{self._by_when()}"
@@ -121,12 +123,12 @@ class Certificate:
             return "No rendezvous is guaranteed."
         bound, limit, followed = self.time_bound, self.time_limit, self.continuous_time_bound
         if math.isinf(bound):
-            known = "without a bound" if math.isinf(followed) else f"bound {followed:.4g} s"
+            known = "without a bound" if math.isinf(followed) else f"bound {at_most(followed)} s"
             return f"Proven in continuous time only, {known}: of held inputs nothing is said."
         if bound <= limit:
-            return f"Bound {bound:.4g} s, within the limit of {limit:.4g} s."
+            return f"Bound {at_most(bound)} s, within the limit of {limit:.4g} s."
         return (
-            f"Bound {bound:.4g} s, limit {limit:.4g} s: the guarantee says nothing about "
+            f"Bound {at_most(bound)} s, limit {limit:.4g} s: the guarantee says nothing about "
             "when this episode ends."
         )
 
@@ -209,19 +211,22 @@ def question(scenario: Scenario, by: Any, given: Mapping[str, Any], bearing_erro
 
 def answer(scenario: Scenario, asked: Asked) -> tuple[Certificate, list[tuple[Theorem, Bounds]]]:
     """The best of all that is promised, with the words of the first theorem that promises a
-    rendezvous, or what the one that comes nearest lacks; and all theorems that apply.
+    rendezvous, or what the one that comes nearest lacks, of several that apply the one that bears
+    the largest error; and all theorems that apply.
     """
-    applies, nearest, words = [], -1.0, ""
+    applies, nearest, words = [], (-1.0, 0.0), ""
     for theorem in THEOREMS:
         if asked.by not in theorem.by:
             continue
-        met: tuple[float, str] = theorem.unmet(scenario, asked)
-        if not met[1]:
+        met, lacks = theorem.unmet(scenario, asked)
+        came = float(met), 0.0
+        if not lacks:
             bounds = theorem.bounds(scenario, asked)
             applies.append((theorem, bounds))
-            met = math.inf, "" if bounds.meets else bounds.words
-        if met[1] and theorem.rendezvous and met[0] > nearest:
-            nearest, words = met
+            came, lacks = (math.inf, bounds.tolerated_bearing_error), bounds.words
+            lacks *= not bounds.meets
+        if lacks and theorem.rendezvous and came > nearest:
+            nearest, words = came, lacks
     found = [bounds for _, bounds in applies]
     promised = [bounds.words for bounds in found if bounds.meets]
     least = {

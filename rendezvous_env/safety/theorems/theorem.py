@@ -4,6 +4,7 @@ import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import Any, NamedTuple
 
 from ...scenario.scenario import Scenario
@@ -20,6 +21,22 @@ ROUNDED = 2.0**-22
 """By so much, rad, float32 may turn a bearing, and some more."""
 PROMISED = ("time", "lyapunov", "hull", "link_growth", "expected_time")
 """The fields of Bounds that are promised of the environment as it steps."""
+
+
+def at_most(bound: float) -> str:
+    """A bound, a number of any unit, in four digits: never less, so that it holds as it is read."""
+    return _in_digits(bound, 4, ROUND_CEILING)
+
+
+def at_least(tolerated: float, digits: int = 4) -> str:
+    """What is tolerated, a number of any unit, in so many digits: never more (guarantees 11)."""
+    return _in_digits(tolerated, digits, ROUND_FLOOR)
+
+
+def _in_digits(number: float, digits: int, rounding: str) -> str:
+    # rounding of float64 alone is no digit more
+    shown = Context(prec=digits, rounding=rounding).create_decimal(f"{number:.12g}")
+    return f"{float(shown):.{digits}g}"
 
 
 class Asked(NamedTuple):
@@ -71,7 +88,7 @@ def bounds_with_errors(
     elif not meets:
         words = (
             f"none: bearings may err by {asked.error:.4g} rad, and {who} is known to tolerate less "
-            f"than {tolerated:.4g} rad here (guarantees 11){even_so}"
+            f"than {at_least(tolerated)} rad here (guarantees 11){even_so}"
         )
     time = float(time) if meets else math.inf
     return Bounds(words, meets, time, tolerated_bearing_error=tolerated, **rest)
