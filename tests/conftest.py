@@ -12,7 +12,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
-from typing import NamedTuple
 
 # the tests run beside others on few cores
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -26,9 +25,7 @@ import baselines
 from baselines import policy as policies
 from rendezvous_env import Scenario, Simulator
 from rendezvous_env.compilation import compiled
-from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.robots import robot_models
-from rendezvous_env.trajectory import run
 
 settings.register_profile("rendezvous", deadline=None, derandomize=True, print_blob=False)
 settings.load_profile("rendezvous")
@@ -276,52 +273,6 @@ def refusing(simulator: Simulator, message: str, error: type[Exception] = ValueE
     with pytest.raises(error, match=message):
         yield
     assert_same_state(simulator, before)
-
-
-class Run(NamedTuple):
-    """A batch of episodes, run to its end."""
-
-    simulator: Simulator
-    start: np.ndarray
-    """(B,), V at the start."""
-    met: np.ndarray
-    """(B,), bool."""
-    times: np.ndarray
-    """(B,), s, of the rendezvous."""
-    largest_rise: float
-    """Of V between merges, m²/s; −inf if V fell in every step of every running team."""
-    largest_excess: float
-    """Of V at merges over the bound of theory 5."""
-    least_progress: float
-    """Least of (V_t − V_{t+1}) − τ Σ‖f_i‖² over the steps without a merge."""
-
-
-def run_to_end(
-    scenario: Scenario,
-    num_envs: int,
-    *,
-    seed: int = 0,
-    policy: str | None = None,
-    options: dict | None = None,
-) -> Run:
-    """Run a law until every team has met or run out of time."""
-    chosen = law_of(scenario) if policy is None else baselines.make(policy, scenario)
-    simulator = Simulator(scenario, num_envs, num_threads=1)
-    observations = simulator.reset(seed, options)
-    start, times = simulator.lyapunov(), np.full(num_envs, np.inf)
-    rise, excess, progress = -np.inf, -np.inf, np.inf
-    neighbours = scenario.observation_layout.neighbours
-    for step in run(simulator, chosen, observations):
-        out, on = step.outcome, step.running
-        f = step.observations[..., neighbours, :].sum(axis=-2, dtype=np.float64)
-        drop = step.lyapunov - out.lyapunov_before_merge
-        rise = max(rise, -drop[on].min())
-        excess = max(excess, out.merge_excess[on].max())
-        calm = on & (out.lyapunov_after_merge == out.lyapunov_before_merge)
-        certified = drop - scenario.tau * np.sum(f**2, axis=(-2, -1))
-        progress = min(progress, np.min(certified[calm], initial=np.inf))
-        times[on & (out.status == RENDEZVOUS)] = simulator.time[on & (out.status == RENDEZVOUS)]
-    return Run(simulator, start, np.isfinite(times), times, rise, excess, progress)
 
 
 @pytest.fixture
