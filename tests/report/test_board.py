@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import shutil
 
 import pytest
@@ -151,6 +152,25 @@ def test_a_click_on_a_cell_replays_it(browser, board):
             cell(page, "tank-joined", 1).locator("a").press("Enter")
         assert page.input_value("#scenario") == "rendezvous/clutter-8-v1"
         assert "tank-joined" in chosen(page) and clock(page) == 0.0
+
+
+@pytest.mark.parametrize("cut", [lambda text: text[:-9], lambda text: "", lambda text: "\udcff"])
+def test_a_table_that_is_not_of_its_cells_is_refused(board, tmp_path, cut):
+    shutil.copytree(board, folder := tmp_path / "cut", ignore=shutil.ignore_patterns("replays"))
+    (folder / "report.html").unlink()
+    path = folder / "leaderboard.csv"
+    text = cut(path.read_text(encoding="utf-8").rpartition(",")[0])
+    path.write_text(text, encoding="utf-8", errors="surrogateescape")
+    with pytest.raises(UserError, match=r"leaderboard\.csv: (without its cells|not readable: )"):
+        report.run(report.Config(folder))
+    assert not (folder / "report.html").exists()
+
+
+def test_commands_are_those_of_a_folder_whose_name_has_blanks(board, tmp_path):
+    shutil.copytree(board, folder := tmp_path / "it's mine; <b>")
+    assert report.run(report.Config(folder)) == 0
+    _, data, _ = read(folder)
+    assert shlex.split(f"report {data['folder']}") == ["report", str(folder)]
 
 
 @needs_browser

@@ -1,5 +1,6 @@
 """``rendezvous report``: one HTML page of what ``compare`` found, with an interactive replay."""
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from html import escape
@@ -141,7 +142,7 @@ def _about(found: Comparison, encoded: Sequence[Encoded]) -> str:
     run = found.run
     lines = {
         "Run": run["run"],
-        "Command": " ".join(run["command_line"]),
+        "Command": shlex.join(run["command_line"]),
         "Versions": ", ".join(f"{name} {version}" for name, version in run["versions"].items()),
         "Machine": f"{run['platform']}, Python {run['python']}",
         "Tables": "the numbers of results.csv and paired.csv, rounded for the eye; the exact text "
