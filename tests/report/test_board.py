@@ -9,6 +9,7 @@ import pytest
 from browsing import browser, chosen, clock, needs_browser, picture, reloaded, visited
 from conftest import ROOT
 from pages import data_of
+from rendezvous_env.baselines.learned import plain_data
 
 from train.checks import UserError
 from train.leaderboard import cards
@@ -164,6 +165,17 @@ def test_a_table_that_is_not_of_its_cells_is_refused(board, tmp_path, cut):
     with pytest.raises(UserError, match=r"leaderboard\.csv: (without its cells|not readable: )"):
         report.run(report.Config(folder))
     assert not (folder / "report.html").exists()
+
+
+def test_a_replay_of_no_start_of_its_card_is_refused(board, tmp_path):
+    shutil.copytree(board, folder := tmp_path / "forged")
+    card = cards.read_cards(folder)[0]
+    path = path_of(cards.path_in(folder, card))
+    starts = {"999": json.loads(path.read_text())["starts"]["0"]}
+    sealed = plain_data.digest({"results": card["results"], "starts": starts})
+    path.write_text(json.dumps({"sha256": sealed, "starts": starts}))
+    with pytest.raises(UserError, match=r"not readable \(IndexError.* run rendezvous leaderboard"):
+        report.run(report.Config(folder))
 
 
 def test_commands_are_those_of_a_folder_whose_name_has_blanks(board, tmp_path):
