@@ -241,17 +241,18 @@ class GuidedTeams:
 
     def choose(self, choices: ArrayLike) -> None:
         """Take choices (B, n) until the next ones; a ValueError names the robot of a wrong one."""
-        given, count = np.asarray(choices), len(self.angles)
+        numbers, given, count = floats("actions", choices), np.asarray(choices), len(self.angles)
         if given.shape != self.choices.shape:
             raise ValueError(
                 f"actions have shape {given.shape}; they must be (B, n) = {self.choices.shape}"
             )
-        for team, robot in np.argwhere(~((given >= 0) & (given < count) & (given == given // 1))):
+        is_choice = (numbers >= 0) & (numbers < count) & (numbers == np.floor(numbers))
+        for team, robot in np.argwhere(~is_choice):
             raise ValueError(
                 f"action of robot_{robot} in team {team} is {given[team, robot]}; it must be a "
                 f"whole number below {count}"
             )
-        self.choices = given.astype(np.int64)
+        self.choices = numbers.astype(np.int64)
         self._directions = self._turns[self.choices]
         self.perception.note(self.angles[self.choices])
 

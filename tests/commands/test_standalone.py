@@ -21,6 +21,7 @@ POLICIES = ["learned", "learned-tank", "tangent-joined-tuned", "tangent-joined",
 CLUTTER = rv.scenarios.get("clutter-12")
 SPACE = [("learned-tank", name) for name in ("clutter-3d-32", "window-3d", "uav-clutter-16")]
 SPACE += [("tangent-joined-tuned", "uav-clutter-16")]
+TURNING = [("learned", "unicycle-6"), ("learned", "uav-6")]
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +77,11 @@ class TestAgreement:
         text = exported(policy, name).read_text(encoding="utf-8")
         assert policy != "learned-tank" or "SteadyFrames:\n" in text
         assert not hasattr(file, "DifferentialDrive") and "drive" not in file.__doc__
+
+    @pytest.mark.parametrize(("policy", "name"), TURNING)
+    def test_headings_of_robots_that_turn(self, exported, policy, name):
+        file = standalone.load(exported(policy, name))
+        assert act_along(file, rv.scenarios.get(name), policy, 2, 60) < 1e-5
 
     @pytest.mark.slow
     @pytest.mark.parametrize(
@@ -214,6 +220,24 @@ def test_a_file_of_an_older_version_is_written_anew(exported, tmp_path):
     words = ["--policy", "tangent-joined", "--standalone", str(path), "--checks", "20"]
     assert cli.main(["export", *words]) == 0
     assert path.read_text(encoding="utf-8").startswith('"""The policy \'tangent-joined\'')
+
+
+def test_a_file_is_known_again_and_runs_whatever_its_team_is_called(tmp_path):
+    team, path = tmp_path / "team.toml", tmp_path / "robot.py"
+    name = '"""; a "\\ team' + "z" * 150
+    rv.Scenario(name=name, n_robots=3).to_toml(team)
+    words = ["export", "--policy", "bearing-only", "--standalone", str(path), "--checks", "20"]
+    for _ in range(2):
+        assert cli.main([*words, "--scenario", str(team)]) == 0
+    assert name in standalone.load(path).__doc__
+
+
+def test_a_file_of_a_policy_far_away_is_known_again(exported, tmp_path):
+    text, path = exported("learned").read_text(encoding="utf-8"), tmp_path / "robot.py"
+    path.write_text(text.replace("'learned'", repr("learned:" + "far/" * 200), 1), encoding="utf-8")
+    assert standalone.is_written(path)
+    path.write_text('"""My own."""\n# not of `rendezvous export --standalone`')
+    assert not standalone.is_written(path)
 
 
 class TestBundle:

@@ -173,12 +173,29 @@ def test_a_card_is_repeated_bit_by_bit_or_said_to_differ(board, capsys):
         assert "results differ" in said and f"{where} the 95 % interval of the difference" in said
     wrong = [changed | {"starts": 7}, changed | {"decisions": "64"}]
     wrong += [changed | {"seed": seed} for seed in ("a", True, 1.0, -1, 2**29)]
+    wrong += [changed | {"guarantee": "all"}, changed | {"versions": 1}, changed | {"starts": 0}]
+    wrong += [changed | {"field": "mine/clutter-8-v1"}]
+    wrong += [{key: value for key, value in changed.items() if key != "learning_s"}]
+    for own in ({"time": [1.0]}, {"time": [np.nan] * 8}, {"steps": [0] * 8}, {"clean": [7] * 8}):
+        wrong += [changed | {"results": changed["results"] | own}]
     for text in ("{}", "[1]", "no card", *map(json.dumps, wrong)):
         other.write_text(text)
         with pytest.raises(UserError, match=r"other\.json: no results card"):
             command.run(replace(SMALL, repeat=other))
     with pytest.raises(UserError, match="no results card"):
         command.run(replace(SMALL, repeat=other.with_name("nobody.json")))
+
+
+def test_a_card_that_lies_where_another_belongs_is_refused(board, tmp_path):
+    shutil.copytree(board, out := tmp_path / "out")
+    card = out / "cells/ppo-heading/clutter-8-v1-seed-1.json"
+    text = card.read_text()
+    for path, name in ((card, "../../../mine"), (card.with_name("copy.json"), "ppo-heading")):
+        path.write_text(json.dumps(json.loads(text) | {"algorithm": name}))
+        with pytest.raises(UserError, match=f"{path.name}: is the card of {name}/clutter-8-v1-se"):
+            command.run(replace(SMALL, out=out))
+        card.write_text(text)
+    assert not list(tmp_path.rglob("*mine*"))
 
 
 def test_what_is_done_is_not_done_again(board, tmp_path, monkeypatch):

@@ -2,12 +2,14 @@
 
 import json
 import re
+import shlex
 import shutil
 
 import pytest
 from browsing import browser, chosen, clock, needs_browser, picture, reloaded, visited
 from conftest import ROOT
 from pages import data_of
+from rendezvous_env.baselines.learned import plain_data
 
 from train.checks import UserError
 from train.leaderboard import cards
@@ -151,6 +153,36 @@ def test_a_click_on_a_cell_replays_it(browser, board):
             cell(page, "tank-joined", 1).locator("a").press("Enter")
         assert page.input_value("#scenario") == "rendezvous/clutter-8-v1"
         assert "tank-joined" in chosen(page) and clock(page) == 0.0
+
+
+@pytest.mark.parametrize("cut", [lambda text: text[:-9], lambda text: "", lambda text: "\udcff"])
+def test_a_table_that_is_not_of_its_cells_is_refused(board, tmp_path, cut):
+    shutil.copytree(board, folder := tmp_path / "cut", ignore=shutil.ignore_patterns("replays"))
+    (folder / "report.html").unlink()
+    path = folder / "leaderboard.csv"
+    text = cut(path.read_text(encoding="utf-8").rpartition(",")[0])
+    path.write_text(text, encoding="utf-8", errors="surrogateescape")
+    with pytest.raises(UserError, match=r"leaderboard\.csv: (without its cells|not readable: )"):
+        report.run(report.Config(folder))
+    assert not (folder / "report.html").exists()
+
+
+def test_a_replay_of_no_start_of_its_card_is_refused(board, tmp_path):
+    shutil.copytree(board, folder := tmp_path / "forged")
+    card = cards.read_cards(folder)[0]
+    path = path_of(cards.path_in(folder, card))
+    starts = {"999": json.loads(path.read_text())["starts"]["0"]}
+    sealed = plain_data.digest({"results": card["results"], "starts": starts})
+    path.write_text(json.dumps({"sha256": sealed, "starts": starts}))
+    with pytest.raises(UserError, match=r"not readable \(IndexError.* run rendezvous leaderboard"):
+        report.run(report.Config(folder))
+
+
+def test_commands_are_those_of_a_folder_whose_name_has_blanks(board, tmp_path):
+    shutil.copytree(board, folder := tmp_path / "it's mine; <b>")
+    assert report.run(report.Config(folder)) == 0
+    _, data, _ = read(folder)
+    assert shlex.split(f"report {data['folder']}") == ["report", str(folder)]
 
 
 @needs_browser

@@ -3,8 +3,9 @@
 import json
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
+import numpy as np
 from rendezvous_env.baselines.learned import plain_data
 
 from rendezvous_env.checks import whole
@@ -19,6 +20,17 @@ from .replays import Replay, path_of, replay_of, write_replay
 
 Card = dict[str, Any]
 Run = tuple[Card, Replay | None]
+_TYPES = {
+    **dict.fromkeys(("algorithm", "safety", "given", "field", "digest"), str),
+    **dict.fromkeys(("seed", "decisions", "starts"), int),
+    "guarantee": Literal["none", "heading", "tank"],
+    "versions": dict[str, str],
+    **dict.fromkeys(("learning_s", "playing_s"), float),
+    "results": dict[str, list[float]],
+}
+"""Of the entries of a card that tables and pages read."""
+_BOUNDS = ("seed", 0, MOST_SEED), ("decisions", 0, 2**62), ("starts", 1, 2**62)
+_RESULTS = ("success", "clean", "time", "touches", "risen", "rise", "steps")
 
 
 class Place(NamedTuple):
@@ -96,22 +108,35 @@ def has_replay(folder: Path, card: Card) -> bool:
 
 
 def read_cards(out: Path) -> list[Card]:
-    """The cards of a folder, by algorithm, field and seed; as ``read_card``."""
-    return sorted(map(read_card, (out / "cells").glob("*/*.json")), key=place_of)
+    """The cards of a folder, by algorithm, field and seed; as ``read_card``, and a UserError for
+    one whose file has the name of another cell.
+    """
+    found = {path: read_card(path) for path in (out / "cells").glob("*/*.json")}
+    for path, card in found.items():
+        if path != path_in(out, card):
+            raise UserError(f"{path}: is the card of {place_of(card).name}; remove it")
+    return sorted(found.values(), key=place_of)
 
 
 def read_card(path: Path) -> Card:
     """A card that belongs to the fields of this version; a UserError if it is none."""
     try:
         card = dict(plain_data.read_json(path))
+        plain_data.check_types(card, _TYPES)
         field = results.versioned(scenarios.get(place_of(card).field))
         if field["digest"] != card["digest"]:
             raise ValueError("digest of other starts")
-        whole("seed", card["seed"], 0, MOST_SEED)
-        whole("decisions", card["decisions"], 0, 2**62)
-        if len(card["results"]["clean"]) != card["starts"]:
+        if field["field"] != card["field"]:
+            raise ValueError(f"field is {card['field']!r}; it must be {field['field']!r}")
+        for key, least, most in _BOUNDS:
+            whole(key, card[key], least, most)
+        if any(len(card["results"][name]) != card["starts"] for name in _RESULTS):
             raise ValueError("other number of starts")
-    except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
+        numbers = np.array([card["results"][name] for name in _RESULTS], np.float64)
+        sound = np.isfinite(numbers) & (numbers >= 0.0)
+        if not sound.all() or not (numbers[:2] <= 1.0).all() or not numbers[-1].any():
+            raise ValueError("results that cannot be")
+    except (OSError, KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
         raise UserError(f"{path}: no results card of this version ({error})") from error
     return card
 

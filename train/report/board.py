@@ -1,5 +1,6 @@
 """The page of a leaderboard's folder: algorithms, replays, figures, and the card of every run."""
 
+import shlex
 from itertools import chain
 from pathlib import Path
 from string import Template
@@ -10,7 +11,7 @@ import numpy as np
 from rendezvous_env.scenario import scenarios
 
 from .. import results
-from ..checks import UserError
+from ..checks import UserError, user_error
 from ..leaderboard import cards, tables
 from ..leaderboard.replays import path_of, read_replay
 from ..learn.settings import EVALUATION_SEEDS
@@ -27,8 +28,11 @@ def is_one(folder: Path) -> bool:
 def page(folder: Path) -> str:
     """The whole page; a UserError if a card, replay or table is missing or not readable."""
     found, path = cards.read_cards(folder), folder / "leaderboard.csv"
-    rows = results.read_csv(path)
-    if not found or [tuple(row) for row in rows] != [tuple(tables.COLUMNS)] * len(rows):
+    with user_error(f"{path}: not readable: ", OSError, ValueError):
+        rows = results.read_csv(path)
+    whole_rows = all(tuple(row) == tables.COLUMNS and None not in row.values() for row in rows)
+    algorithms = sorted({card["algorithm"] for card in found})
+    if not found or not whole_rows or sorted(row["algorithm"] for row in rows) != algorithms:
         raise UserError(f"{path}: without its cells, or of another version; run leaderboard again")
     drawn = [folder / name for name in _FIGURES if (folder / name).is_file()]
     shown = [_replays(folder, card) for card in found]
@@ -43,7 +47,7 @@ def page(folder: Path) -> str:
     played = [one for row in rows for one in cells if one["algorithm"] == row["algorithm"]]
     data = player_data(replays, {name: scenarios.get(name) for name in names}) | {
         "run": {"seed": str(EVALUATION_SEEDS)},
-        "folder": str(folder),
+        "folder": shlex.quote(str(folder)),
         "board": rows,
         "cells": cells,
         "rankings": [],

@@ -1,5 +1,6 @@
 """``rendezvous report``: one HTML page of what ``compare`` found, with an interactive replay."""
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from html import escape
@@ -45,12 +46,9 @@ class Config:
 
 def run(config: Config) -> int:
     """Write report.html into the folder."""
-    path, console, note = config.folder / "report.html", Console(), ""
+    path, console = config.folder / "report.html", Console()
     with console.status("writing the page …"):
-        if board.is_one(config.folder):
-            text = board.page(config.folder)
-        else:
-            text, note = _compared(config.folder)
+        text, note = _page_of(config.folder)
     with user_error(f"{path}: cannot write there: ", OSError):
         write_text(path, text)
     if note:
@@ -59,16 +57,19 @@ def run(config: Config) -> int:
     return 0
 
 
-def _compared(folder: Path) -> tuple[str, str]:
-    """The page of a comparison, and a note on it."""
+def _page_of(folder: Path) -> tuple[str, str]:
+    """The page of a comparison or a leaderboard, and a note on it."""
+    command = "leaderboard" if board.is_one(folder) else "compare"
     try:
+        if command == "leaderboard":
+            return board.page(folder), ""
         found = read(folder)
         return page(found), "" if found.recordings else f"note: {_NOTHING_KEPT}"
     except UserError:
         raise
-    except Exception as error:  # its digests were made to fit what compare has not written
+    except Exception as error:  # its digests were made to fit what the command has not written
         what = f"not readable ({type(error).__name__}: {error})"
-        raise half_written(folder, what) from error
+        raise half_written(folder, what, command) from error
 
 
 def page(found: Comparison) -> str:
@@ -141,7 +142,7 @@ def _about(found: Comparison, encoded: Sequence[Encoded]) -> str:
     run = found.run
     lines = {
         "Run": run["run"],
-        "Command": " ".join(run["command_line"]),
+        "Command": shlex.join(run["command_line"]),
         "Versions": ", ".join(f"{name} {version}" for name, version in run["versions"].items()),
         "Machine": f"{run['platform']}, Python {run['python']}",
         "Tables": "the numbers of results.csv and paired.csv, rounded for the eye; the exact text "

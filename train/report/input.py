@@ -61,9 +61,9 @@ def read(folder: Path) -> Comparison:
     return Comparison(run, scenarios, rows, paired, episodes, recordings, pictures)
 
 
-def half_written(path: Path, what: str) -> UserError:
-    """The error that a file is not what ``compare`` wrote."""
-    return UserError(f"{path}: {what}; run rendezvous compare into this folder again")
+def half_written(path: Path, what: str, command: str = "compare") -> UserError:
+    """The error that a file is not what a command wrote."""
+    return UserError(f"{path}: {what}; run rendezvous {command} into this folder again")
 
 
 def _read_run(folder: Path) -> dict[str, Any]:

@@ -200,13 +200,13 @@ def text_of(policy: str, scenario: Scenario, network: Network | None) -> str:
         roots += _NETWORK
         make, extra = "learned_policy()", _learned(*network)
     head = _HEAD.format(
-        policy=repr(policy),
-        scenario=repr(scenario.name),
+        policy=_in_docstring(policy),
+        scenario=_in_docstring(scenario.name),
         version=__version__,
         made_by=_MADE_BY,
         drive=_DRIVE if scenario.dim == 2 else "",
     )
-    about = ("name", "nonholonomic", "bounded", "theorem", "action")
+    about = ("name", "nonholonomic", "n_angles", "bounded", "theorem", "action")
     team = _TEAM.format(
         layout=", ".join(f"{key}={v}" for key, v in vars(scenario.observation_layout).items()),
         bounds=scenario.action_bounds.tolist(),
@@ -236,10 +236,15 @@ def _written(plain: Any) -> str:
     return pprint.pformat(plain, width=96, sort_dicts=False)
 
 
+def _in_docstring(name: str) -> str:
+    """A name as Python writes it, without a quote that ends the docstring it stands in."""
+    return repr(name).replace('"', r"\"")
+
+
 def is_written(path: Path) -> bool:
     """Whether a file is one of this kind, of any version, and may be overwritten."""
-    with path.open("rb") as file:
-        return _MADE_BY.encode() in file.read(len(_HEAD) + 200)
+    begin, text = _HEAD.partition("{")[0].encode(), path.read_bytes()
+    return text.startswith(begin) and _MADE_BY.encode() in text[: text.find(b'"""', len(begin))]
 
 
 # ---- whether it does what the policy does -------------------------------------------------------

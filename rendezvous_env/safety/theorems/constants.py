@@ -155,9 +155,9 @@ def lyapunov_bound(
 
 
 def tank_bounds(scenario: Scenario, budget: float) -> tuple[float, float | None]:
-    """The most that V with all tanks can be, V0⁺ + (n−1) r W + ΣB_i, m²/s; and where levels follow
-    V, what it is m − 1 times of at most while m are left, (V(0) + ΣB_i)/(n−1) + (n−1) r a; else
-    None (theorem D).
+    """A pair: the most that V with all tanks can be, V0⁺ + (n−1) r W + ΣB_i, m²/s; and where levels
+    follow V, what it is m − 1 times of at most while m are left, (V(0) + ΣB_i)/(n−1) + (n−1) r a;
+    else None (theorem D).
     """
     n, reach, each = scenario.n_robots, scenario.speed_limit * scenario.tau, None
     most = float(lyapunov_bound(scenario, reach=reach)) + merge_rise_allowance(scenario)
