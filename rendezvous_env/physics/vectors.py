@@ -157,7 +157,7 @@ def perpendicular(h):
 
 @kernel
 def rotated(v, angle):
-    """A triple v with z = 0 turned counter-clockwise by α, rad: R(α) v, in the unit of v."""
+    """A triple v, z = 0, turned counter-clockwise by α, rad: w = R(α) v, in the unit of v."""
     c, s = math.cos(angle), math.sin(angle)
     return c * v[0] - s * v[1], s * v[0] + c * v[1], 0.0
 

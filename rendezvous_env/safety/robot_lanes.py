@@ -40,7 +40,7 @@ class Lanes(NamedTuple):
 
 
 def room_for(rows: int) -> Numbers:
-    """Memory for ``lanes_of``, and for so many neighbour rows of each robot."""
+    """Memory (18 + 2·rows, LANES), of any unit, for ``lanes_of`` and so many neighbour rows."""
     return np.zeros((_ROWS + 2 * rows, LANES))
 
 
@@ -62,7 +62,7 @@ def _by_robot(teams: Any, arrays: Any) -> Any:
 
 @inner_kernel(inline="text")
 def lanes_of(work):
-    """The Lanes whose rows these are."""
+    """The Lanes whose rows, (18 + 2·rows, LANES) of any unit, these are."""
     vectors = work[0:3], work[3:6], work[6:9], work[9:12]
     return Lanes(*vectors, work[12], work[13], work[14], work[15], work[16], work[17])
 

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 from conftest import ROOT
-from pages import arrays_of
+from page_reading import arrays_of
 from rendezvous_env.baselines.learned.plain_data import digest
 
 from rendezvous_env import Simulator, scenarios

@@ -8,7 +8,7 @@ import shutil
 import pytest
 from browsing import browser, chosen, clock, needs_browser, picture, reloaded, visited
 from conftest import ROOT
-from pages import data_of
+from page_reading import data_of
 from rendezvous_env.baselines.learned import plain_data
 
 from train.checks import UserError

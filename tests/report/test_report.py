@@ -7,7 +7,7 @@ import shutil
 
 import numpy as np
 import pytest
-from pages import arrays_of, data_of
+from page_reading import arrays_of, data_of
 
 from train import cli, results
 from train import encoding as report_encoding

@@ -24,7 +24,7 @@ PROMISED = ("time", "lyapunov", "hull", "link_growth", "expected_time")
 
 
 def at_most(bound: float) -> str:
-    """A bound, a number of any unit, in four digits: never less, so that it holds as it is read."""
+    """A bound, a number of any unit, in four digits, ≥ bound: it holds as it is read."""
     return _in_digits(bound, 4, ROUND_CEILING)
 
 
