@@ -157,7 +157,10 @@ def perpendicular(h):
 
 @kernel
 def rotated(v, angle):
-    """A triple v with z = 0 turned counter-clockwise by α, rad: R(α) v, in the unit of v."""
+    """A triple v with z = 0 turned counter-clockwise by α, rad, in the unit of v.
+
+    R(α) v = (v₀ cos α − v₁ sin α, v₀ sin α + v₁ cos α, 0)
+    """
     c, s = math.cos(angle), math.sin(angle)
     return c * v[0] - s * v[1], s * v[0] + c * v[1], 0.0
 
