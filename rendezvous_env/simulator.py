@@ -69,7 +69,7 @@ class Simulator(StateView):
         self.costs = no_costs(scenario.costs, self._acted[:2])
         """Of the last step, (B, n) each, by key of infos; without keys if the scenario has none."""
         self._own_model = is_custom(scenario.model)
-        self._ready = False
+        self._ready = self._observed = False
 
     # ---- episodes -----------------------------------------------------------------------------
 
@@ -143,6 +143,7 @@ class Simulator(StateView):
         self._episodes.begin(which, seeds, given, resting)
         self.changes += 2  # so that none is taken for a step
         self._all_running = not (resting and len(which)) and not self.status.any()
+        self._ready = self._observed and not (self._state.number < 0).any()
 
     def step(self, actions: ArrayLike) -> StepOutput:
         """Advance every running team by one step τ with the inputs held.
@@ -216,7 +217,7 @@ class Simulator(StateView):
         wrong = np.argwhere(~(moved <= most))  # NaN is wrong, too
         if len(wrong):
             team, robot = (int(index) for index in wrong[0])
-            self._ready = False
+            self._ready = self._observed = False
             raise RuntimeError(
                 f"robot model {scenario.robot_model!r} moved robot {robot} of environment {team} "
                 f"by {moved[team, robot]:.6g} m in a step of {scenario.tau:g} s; its speed_limit "
@@ -290,7 +291,8 @@ class Simulator(StateView):
             RuntimeError: if a robot has more neighbours than the observation has rows.
         """
         output = self._runner.observe()
-        self._ready = not (self._state.number < 0).any()  # steps go by the observation
+        self._observed = True  # steps go by it
+        self._ready = not (self._state.number < 0).any()
         self._sense_custom(output, np.arange(self.num_envs))
         self._refuse_crowds(output)
         return output.observations
@@ -346,7 +348,7 @@ class Simulator(StateView):
         return entries
 
     def _put_state(self, state: dict[str, NDArray[Any]]) -> None:
-        self._ready = False  # should an interrupt leave from here
+        self._ready = self._observed = False  # should an interrupt leave from here
         self._state.put(state)
         self._all_running = not self.status.any()
         if self.begun:

@@ -15,6 +15,7 @@ import tyro
 import rendezvous_env as rv
 from baselines import policy
 from train.cli import COMMANDS
+from train.results import FORMAT_VERSION
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -147,6 +148,11 @@ def test_scenarios_and_policies_shown_exist():
         for names in re.findall(r"--policies ([\w.: -]+)", text):
             for name in names.split(" --")[0].split():
                 assert name in policies or ":" in name, (page, name)
+
+
+def test_the_format_of_results_is_that_of_today():
+    text = (ROOT / "docs/migration.md").read_text(encoding="utf-8")
+    assert f"`format_version` {FORMAT_VERSION} in `run.json`" in text
 
 
 def test_every_page_is_in_the_index():

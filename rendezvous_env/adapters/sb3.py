@@ -28,9 +28,8 @@ Indices = int | Iterable[int] | None
 
 def make_robots(scenario: ScenarioLike, num_teams: int, **arguments: Any) -> RobotVecEnv:
     """The robots of many teams as slots; arguments as ``rendezvous_env.make_vec``."""
-    return RobotVecEnv(
-        make_vec(scenario, num_teams, autoreset_mode=AutoresetMode.SAME_STEP, **arguments)
-    )
+    mode = {"autoreset_mode": AutoresetMode.SAME_STEP}
+    return RobotVecEnv(make_vec(scenario, num_teams, **mode | arguments))
 
 
 class RobotVecEnv(VecEnv):

@@ -55,15 +55,16 @@ def make_filter(
 ) -> SafetyFilter:
     """The filter of these teams; one of other teams and unknown names are refused."""
     scenario, num_envs = simulator.scenario, simulator.num_envs
+    own = ["decision_period"]  # of the wrapper, which has taken it where it is spelt so
     if isinstance(safety_filter, SafetyFilter):
-        size = (safety_filter.scenario, len(safety_filter.held))
-        if size != (scenario, num_envs) or settings:
+        known_fields(settings, own, "a safety_filter that is made", "setting")
+        if (safety_filter.scenario, len(safety_filter.held)) != (scenario, num_envs):
             refuse("safety_filter", safety_filter, f"of this scenario and {num_envs} teams")
         return safety_filter
     kind: Any = safety_filter
     if not isinstance(kind, type):
         kind = FILTERS[choice("safety_filter", kind, FILTERS)]
-    known_fields(settings, settings_of(kind), kind.__name__, "setting")
+    known_fields(settings, [*settings_of(kind), *own], kind.__name__, "setting")
     made: SafetyFilter = kind(scenario, num_envs, num_threads=simulator.num_threads, **settings)
     return made
 

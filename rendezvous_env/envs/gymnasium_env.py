@@ -15,7 +15,7 @@ from ..scenario.scenarios import ScenarioLike, resolve, with_versions
 from ..scenario.start_options import seeds_of_teams
 from ..simulator import Simulator
 from .overrides import arguments_of, check_overrides, sorted_overrides
-from .vector_env import Info, OneTeam, RendezvousVectorEnv, of_first_team
+from .vector_env import ONE_TEAM, Info, OneTeam, RendezvousVectorEnv, of_first_team
 from .vector_wrappers import HeadingVectorWrapper
 
 __all__ = [
@@ -40,12 +40,6 @@ class RendezvousEnv(OneTeam, gymnasium.Env[Any, Any]):
     }
 
     def __init__(self, teams: VectorEnv[Any, Any, Any]) -> None:
-        mode = teams.metadata.get("autoreset_mode")
-        if teams.num_envs != 1 or mode is not AutoresetMode.DISABLED:
-            raise ValueError(
-                f"teams are {teams.num_envs} with autoreset_mode {mode}; it must be one team, and "
-                "AutoresetMode.DISABLED"
-            )
         self._hold(teams)
         self.observation_space = teams.single_observation_space
         self.action_space = teams.single_action_space
@@ -117,13 +111,12 @@ def make_heading_vec(
 
 def make_env(scenario: ScenarioLike = "fig3", **arguments: Any) -> RendezvousEnv:
     """One team as one agent; arguments and errors as ``make_vec``."""
-    return RendezvousEnv(make_vec(scenario, 1, AutoresetMode.DISABLED, **arguments))
+    return RendezvousEnv(make_vec(scenario, **ONE_TEAM | arguments))
 
 
 def make_heading_env(scenario: ScenarioLike = "fig3", **arguments: Any) -> RendezvousEnv:
     """One team as one agent that chooses all heading vectors, as ``make_heading_vec``."""
-    disabled = AutoresetMode.DISABLED
-    return RendezvousEnv(make_heading_vec(scenario, 1, autoreset_mode=disabled, **arguments))
+    return RendezvousEnv(make_heading_vec(scenario, **ONE_TEAM | arguments))
 
 
 def env_from_plain(scenario: Mapping[str, Any], render_mode: str | None = None) -> RendezvousEnv:

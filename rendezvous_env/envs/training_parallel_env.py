@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete
-from gymnasium.vector import AutoresetMode
 
 from ..checks import check_action, whole
 from ..render.renderer import RENDER_MODES
 from ..scenario.scenarios import ScenarioLike
 from .agents import StepReturn, TeamByName, alive_in, check_robots
 from .training import training_env as vector_training_env
+from .vector_env import ONE_TEAM
 
 
 def training_env(
@@ -32,14 +32,12 @@ def training_env(
     """
     teams = vector_training_env(
         scenario,
-        1,
         guarantee=guarantee,
         learning_preset=learning_preset,
         flatten=flatten,
         discrete=discrete,
         render_mode=render_mode,
-        autoreset_mode=AutoresetMode.DISABLED,
-        **overrides,
+        **ONE_TEAM | overrides,
     )
     return TrainingParallelEnv(teams)
 

@@ -35,6 +35,8 @@ Transition = tuple[
 ]
 """Observations, rewards, terminations, truncations and infos of B teams."""
 _DISABLED = AutoresetMode.DISABLED
+ONE_TEAM: dict[str, Any] = {"num_envs": 1, "autoreset_mode": _DISABLED}
+"""Arguments of a vector environment that ``OneTeam`` holds."""
 
 
 class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
@@ -245,6 +247,12 @@ class OneTeam:
     metadata: dict[str, Any]
 
     def _hold(self, teams: Any) -> None:
+        mode = teams.metadata.get("autoreset_mode")
+        if teams.num_envs != 1 or mode is not _DISABLED:
+            raise ValueError(
+                f"teams are {teams.num_envs} with autoreset_mode {mode}; it must be one team, and "
+                f"{_DISABLED}"
+            )
         self.teams, base = teams, teams.unwrapped
         self.simulator, self.scenario = base.simulator, base.scenario
         self.renderer, self.render_mode = base.renderer, base.render_mode

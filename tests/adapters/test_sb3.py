@@ -241,6 +241,8 @@ def test_what_is_no_teams_is_refused(teams):
 def test_what_cannot_be_followed_is_refused():
     with pytest.raises(ValueError, match="SAME_STEP"):
         RobotVecEnv(rv.make_vec(SCENARIO, 2))
+    with pytest.raises(ValueError, match="SAME_STEP"):
+        make_robots(SCENARIO, 2, autoreset_mode="NextStep")
     robots = make_robots(SCENARIO, 2)
     with pytest.warns(UserWarning, match="already wrapped with a `Monitor`"):
         counted_twice = VecMonitor(robots)

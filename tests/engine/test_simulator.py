@@ -223,6 +223,9 @@ def test_no_team_steps_before_each_has_been_reset():
         for teams in (sim, copy.deepcopy(sim)):
             with pytest.raises(RuntimeError, match=rf"^call reset\(\) before step\(\){words}$"):
                 teams.step(still)
+    copied = copy.deepcopy(sim)
+    copied.restart(np.array([False, True, False]))  # it rests, and is observed with the step
+    assert copied.step(still).rewards.shape == (3,) and copied.steps.tolist() == [1, 0, 1]
     sim.reset(0, mask=np.array([False, True, False]))
     assert sim.step(still).rewards.shape == (3,) and sim.steps.tolist() == [1, 1, 1]
 

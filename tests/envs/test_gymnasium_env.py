@@ -10,7 +10,7 @@ from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import rendezvous_env as rv
-from rendezvous_env.envs.gymnasium_env import make_env
+from rendezvous_env.envs.gymnasium_env import make_env, make_heading_env
 from rendezvous_env.rewards.custom_terms import COSTS
 
 NAME = "rendezvous_env:rendezvous/Rendezvous-v0"
@@ -187,6 +187,13 @@ def test_one_agent_is_one_team_that_does_not_begin_anew():
     for teams in (rv.make_vec("duo", 2, "Disabled"), rv.make_vec("duo")):
         with pytest.raises(ValueError, match="must be one team, and AutoresetMode"):
             type(make_env("duo"))(teams)
+
+
+@pytest.mark.parametrize("make", [make_env, make_heading_env, rv.training_env])
+@pytest.mark.parametrize("given", [{"num_envs": 2}, {"autoreset_mode": "SAME_STEP"}])
+def test_words_of_many_teams_are_refused_for_one(make, given):
+    with pytest.raises(ValueError, match=r"it must be one team, and AutoresetMode\.DISABLED"):
+        make("duo", **given)
 
 
 def test_given_starts_and_seeds_reach_the_teams():

@@ -87,6 +87,9 @@ def test_what_is_no_filter_is_refused_by_name():
     base = rv.parallel_env("fig3")
     with pytest.raises(TypeError, match="HalfSpeed has no setting 'leats'; did you mean 'least'"):
         rv.GuaranteeWrapper(base, "half_speed", leats=1)
+    for safety_filter in ("half_speed", HalfSpeed(base.scenario, 1)):
+        with pytest.raises(TypeError, match="has no setting 'decision_periods'; did you mean"):
+            rv.GuaranteeWrapper(base, safety_filter, decision_periods=2)
     for call, arguments, message in (
         (rv.GuaranteeWrapper, (base, "half_sped"), "safety_filter is 'half_sped'"),
         (rv.GuaranteeWrapper, (base, HalfSpeed(base.scenario, 2)), "this scenario and 1 teams"),
