@@ -131,6 +131,8 @@ plain Python, in which every index is checked; but there lanes of filters are of
 OF_THEIR_OWN_KIND = tuple(
     f"tests/{name}"
     for name in (
+        "engine/test_graphs_that_change.py::test_an_undirected_graph_moves_alike_however_it_is_said"
+        "[a sensor, those",
         "engine/test_inertia.py::test_free_motion_against_its_own_sum[3",
         "engine/test_inertia.py::test_nobody_gets_into_or_through_an_obstacle[Sphere3",
         "engine/test_inertia.py::test_nobody_gets_into_or_through_an_obstacle[Capsule3",
@@ -142,6 +144,9 @@ OF_THEIR_OWN_KIND = tuple(
         "engine/test_restart.py::test_a_team_that_has_ended_rests[double_integrator-3d",
         "engine/test_restart.py::test_the_way_is_that_of_the_robots_that_are_left[double_integrator-3d",
         "engine/test_sensing_engine.py::test_silhouettes_are_turned_point_by_point[space",
+        "engine/test_sensing_engine.py::test_motion_merges_and_v_follow_the_graph_not_what_is_seen"
+        "[ring",
+        "engine/test_sensing_engine.py::test_with_few_rows",
         "engine/test_sparse.py::test_lists_of_links_give_the_motion_of_all_pairs[errors",
         "envs/test_api_suites.py::test_gymnasium[scenario4",
         "envs/test_api_suites.py::test_one_after_another[with inertia",
