@@ -11,6 +11,7 @@ from math import inf
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
+from rich.box import SIMPLE_HEAD
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from tyro.conf import arg
@@ -232,10 +233,11 @@ def _write_found(config: Config, tally: Tally) -> Iterator[str]:
 
 def table_of(title: str, rows: Sequence[dict[str, Any]]) -> Table:
     """Rows as they are printed, numbers to the right; red where something is violated."""
-    table = Table(title=title)
+    table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for name, value in rows[0].items() if rows else ():
         words = isinstance(value, str) and name in ("claim", "what is checked", "theorem")
-        table.add_column(name.replace("_", " "), justify="left" if words else "right")
+        # a word a line, so that what is named has room
+        table.add_column(name.replace("_", "\n"), justify="left" if words else "right")
     for row in rows:
         style = "bold red" if row["violations"] else None
         shown = [f"{v + 0.0:.3g}" if isinstance(v, float) else str(v) for v in row.values()]
