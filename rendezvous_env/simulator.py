@@ -23,8 +23,6 @@ from .scenario.start_options import StartOptions, parse_options, seeds_of_teams
 from .sensors.custom_sensors import Seen, apply_custom
 from .state_view import StateView
 
-_FLOAT32 = np.dtype(np.float32)
-
 
 class Simulator(StateView):
     """B teams of one scenario, advanced together.

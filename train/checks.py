@@ -88,10 +88,9 @@ def _each(config: Any, name: str) -> tuple[Any, ...]:
 
 def meant(word: str, known: Sequence[str]) -> str:
     """The question whether a known word was meant that is nearly this one; empty without one."""
-    from rendezvous_env.checks import nearest_word  # not for --help
+    from rendezvous_env import checks  # not for --help
 
-    near = nearest_word(word, known)
-    return f"did you mean {near!r}? " if near else ""
+    return checks.meant(word, known, after=" ")
 
 
 def check_text(name: str, text: str) -> None:

@@ -176,7 +176,7 @@ def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
 
 def registered(scenario: Scenario) -> list[tuple[str, str | None]]:
     """What somebody has registered and a scenario speaks of, which this process alone knows, with
-    the ``digest_of`` its function, of a robot model that of its constants.
+    the ``digest_of`` its function, which of a robot model is that of its constants.
     """
     graph, model = scenario.sensing_graph, scenario.model
     terms = sorted({*dict(scenario.reward.custom), *scenario.costs} - {*COSTS})

@@ -28,7 +28,8 @@ _MOST = {
     "past": 1e13,
 }
 """Absolute values up to which nothing overflows in a step."""
-_FLOATS = np.dtype(np.float32), np.dtype(np.float64)
+_FLOAT32 = np.dtype(np.float32)
+_FLOATS = _FLOAT32, np.dtype(np.float64)
 
 
 def check_keys(state: Any, names: tuple[str, ...], *, exactly: bool = False) -> None:
@@ -273,7 +274,7 @@ def check_actions(actions: ArrayLike, shape: tuple[int, ...], axes: str) -> NDAr
         ValueError: for a wrong shape, what is no number, or a number that is not finite in float32,
             naming the robot.
     """
-    plain = getattr(actions, "dtype", None) is not _FLOATS[0]
+    plain = getattr(actions, "dtype", None) is not _FLOAT32
     given = floats("actions", actions, np.float32) if plain else actions
     table = np.ascontiguousarray(given)
     if table.shape != shape:

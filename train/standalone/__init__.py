@@ -70,7 +70,7 @@ class {word}:
 }
 _WITHOUT_BODIES = {
     Name(f"rendezvous_env.safety.{module}", word): f'''
-def {word}(axes, robots, constants, arrays, work):
+def {word}(axes, teams, constants, arrays, work):
     """Filters here steer robots that go any way."""
     raise NotImplementedError
 '''
