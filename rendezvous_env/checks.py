@@ -68,6 +68,12 @@ def refuse(field: str, value: Any, wanted: str) -> NoReturn:
     raise ValueError(f"{field} is {shown(value)}; it must be {wanted}")
 
 
+def exact(limit: float) -> str:
+    """A limit, with all of its digits, so that who copies it is not refused once more."""
+    short = f"{limit:g}"
+    return short if float(short) == limit else repr(float(limit))
+
+
 def real(value: Any) -> float:
     """One number of any type as Python's own; infinite beyond float64, NaN for what is no number.
 
@@ -102,7 +108,8 @@ def number(
 ) -> float:
     """A finite number within bounds."""
     if not least <= real(value) <= most:
-        refuse(field, value, f"a finite number from {least:g} to {most:g} {unit}".rstrip())
+        bounds = f"from {exact(least)} to {exact(most)} {unit}".rstrip()
+        refuse(field, value, f"a finite number {bounds}")
     return real(value)
 
 
@@ -117,7 +124,7 @@ def positive(field: str, value: Any, unit: str = "") -> float:
 def between(field: str, value: Any, low: float, high: float) -> float:
     """A number strictly between two others."""
     if not low < real(value) < high:
-        refuse(field, value, f"a number between {low:g} and {high:g}, exclusive")
+        refuse(field, value, f"a number between {exact(low)} and {exact(high)}, exclusive")
     return real(value)
 
 
@@ -156,7 +163,7 @@ def number_range(
     """The lowest and highest of a range of positive numbers, from two of them or from one."""
     pair = tuple(value) if is_sequence(value) else (value, value)
     if len(pair) != 2 or not least <= real(pair[0]) <= real(pair[1]) <= LARGEST:
-        bounds = f"{least:g} <= low <= high <= {LARGEST:g} {unit}".rstrip()
+        bounds = f"{exact(least)} <= low <= high <= {LARGEST:g} {unit}".rstrip()
         refuse(field, value, f"a finite number, or a pair of them with {bounds}")
     return real(pair[0]), real(pair[1])
 

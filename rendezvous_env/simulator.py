@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import bools, whole
+from .checks import bools, exact, whole
 from .engine.batch_runner import BatchRunner, Driven, Pilot, Show
 from .engine.episodes import Episodes
 from .engine.memory import RENDEZVOUS, RUNNING
@@ -218,8 +218,8 @@ class Simulator(StateView):
             self._ready = self._observed = False
             raise RuntimeError(
                 f"robot model {scenario.robot_model!r} moved robot {robot} of environment {team} "
-                f"by {moved[team, robot]:.6g} m in a step of {scenario.tau:g} s; its speed_limit "
-                f"is {limit:g} m/s"
+                f"by {moved[team, robot]:.6g} m in a step of {exact(scenario.tau)} s; "
+                f"its speed_limit is {exact(limit)} m/s"
             )
 
     def _custom_step(self, actions: NDArray[np.float32]) -> StepOutput:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import bools, floats, shown
+from ..checks import bools, exact, floats, shown
 from ..obstacles.obstacle_set import faults
 from ..obstacles.parsing import only_balls
 from ..outcome import StepOutput
@@ -156,7 +156,7 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
         refuse(name, state[name] < 0, "0 or more")
     for name, most in _MOST.items():
         if name in state:
-            refuse(name, np.abs(state[name]) > most, f"at most {most:g}")
+            refuse(name, np.abs(state[name]) > most, f"at most {exact(most)}")
     initial, status = state["initial_lyapunov"], state["status"]
     refuse("initial_lyapunov", (initial != 0) & (initial < 1e-30), "0, or 1e-30 or more")
     refuse("min_clearance", ~(state["min_clearance"] > -np.inf), "a length or inf, m")
@@ -169,7 +169,7 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
         velocities = state["memory"][..., scenario.model.n_angles :]
         limit = constants_of(scenario).speed_limit
         too_fast = np.linalg.norm(velocities, axis=-1) > limit * (1 + _ROUNDING)
-        refuse("memory", too_fast, f"a velocity of at most {limit:g} m/s")
+        refuse("memory", too_fast, f"a velocity of at most {exact(limit)} m/s")
     if "first" in state:
         _check_lists(scenario.n_robots, state)
     _check_merges(state, scenario.meeting == "pack")

@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from ..checks import Seconds, refuse, shown
+from ..checks import Seconds, exact, refuse, shown
 from .graph import Graph, GraphNumbers, LinkArrays, parse, step_degree
 
 
@@ -58,8 +58,8 @@ class SwitchingGraph(Graph, kinds=("switching",)):
         """A graph that holds for less than a step would never be seen."""
         if self.dwell < scenario.tau * (1 - 1e-9):
             raise ValueError(
-                f"graph: dwell is {self.dwell:g} s, shorter than the time step {scenario.tau:g} s; "
-                "it must be at least a step"
+                f"graph: dwell is {exact(self.dwell)} s, shorter than the time step "
+                f"{exact(scenario.tau)} s; it must be at least a step"
             )
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
-from ..checks import is_sequence, is_whole, refuse
+from ..checks import exact, is_sequence, is_whole, refuse
 from ..compilation import by_type, inner_kernel, kernel
 from ..limits import MOST_OBSTACLES
 from ..physics.random_streams import uniform
@@ -51,8 +51,8 @@ class ObstacleField(Drawn):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.passage > 2 * self.keep_out:
-            wanted = f"at most twice keep_out, {2 * self.keep_out:g} m, or a start may lie in a gap"
+        if self.passage > (widest := 2 * self.keep_out):
+            wanted = f"at most twice keep_out, {exact(widest)} m, or a start may lie in a gap"
             refuse("obstacles: ObstacleField.passage", self.passage, wanted)
 
     def check_dim(self, dim: int) -> None:

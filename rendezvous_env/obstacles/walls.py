@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from ..checks import refuse
+from ..checks import exact, refuse
 from ..compilation import inner_kernel, kernel
 from ..physics.random_streams import uniform
 from ..physics.vectors import load
@@ -60,7 +60,7 @@ class WallField(Drawn):
         super().__post_init__()
         least = self.opening[1] + _LEAST_PIECES * self.thickness
         if self.layout == "rooms" and self.size[0] < least:
-            wanted = f"at least {least:g} m, so that a wall is left on both sides of a door"
+            wanted = f"at least {exact(least)} m, so that a wall is left on both sides of a door"
             refuse("obstacles: WallField.size", self.size, wanted)
 
     def check_dim(self, dim: int) -> None:

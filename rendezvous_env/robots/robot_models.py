@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import Registry, check_fields, floats, is_whole, real, refuse, shown, whole
+from ..checks import Registry, check_fields, exact, floats, is_whole, real, refuse, shown, whole
 from .motion import FREE, STOPPED, Motion, check_function, motion_of
 
 MOST_KEPT = 4  # numbers that a robot model may keep from step to step
@@ -150,10 +150,10 @@ def constants_of(scenario: Any, early: bool = False) -> Any:
     if not isinstance(duration, float) or duration != tau:
         if early:
             return constants
-        refuse(f"duration in the constants of {who}", duration, f"the step, {tau:g} s")
+        refuse(f"duration in the constants of {who}", duration, f"the step, {exact(tau)} s")
     if not isinstance(limit, float) or not 0.0 <= limit < math.inf:
         refuse(f"speed_limit in the constants of {who}", limit, "a float of 0 m/s or more")
-    fastest = f"the scenario's {scenario.speed_limit:g} m/s, since the model is bounded"
+    fastest = f"the scenario's {exact(scenario.speed_limit)} m/s, since the model is bounded"
     if model.bounded and limit != scenario.speed_limit:
         refuse(f"speed_limit in the constants of {who}", limit, fastest)
     bounds = floats(f"bounds of {who}", given)
@@ -256,7 +256,7 @@ class _Asked(NamedTuple):
         if not far - slack <= way < math.inf:
             self.refuse("propose", proposed, f"a way of {far:g} m, its displacement, or longer")
         if far > limit * tau + slack:
-            wanted = f"a displacement of speed_limit times {tau:g} s at most"
+            wanted = f"a displacement of speed_limit times {exact(tau)} s at most"
             self.refuse("propose", proposed, wanted)
         if self.model.bounded:
             self._check_velocity(rotation, displacement)
@@ -280,7 +280,7 @@ class _Asked(NamedTuple):
         slowed = tau * min(1.0, limit / max(math.hypot(*action), 1e-300))
         wanted = slowed * rotation @ action if len(action) == self.dim else np.inf
         if np.abs(displacement - wanted).max() > _ROUNDING * (1.0 + limit * tau):
-            held = f"τ R a, of {self.dim} numbers, slowed down to {limit:g} m/s at most"
+            held = f"τ R a, of {self.dim} numbers, slowed down to {exact(limit)} m/s at most"
             self.refuse("propose", displacement.tolist(), f"{held}, since the model is bounded")
 
     def _check_curve(self, frame: Any, memory: Any, displacement: NDArray[np.float64]) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import graphs
-from ..checks import floats, mapping, nearest_word, refuse, shown, whole
+from ..checks import exact, floats, mapping, nearest_word, refuse, shown, whole
 from ..graphs.weights import check_weights
 from ..limits import LARGEST, LARGEST_SEED
 from ..obstacles import parsing as obstacles
@@ -213,8 +213,9 @@ def check_apart(field: str, positions: NDArray[np.float64], least: float) -> Non
     distances = np.linalg.norm(offsets, axis=-1) + np.diag(np.full(len(positions), np.inf))
     if distances.min() < least * (1 - _ROUNDING):
         i, j = divmod(int(distances.argmin()), len(positions))
-        apart = f"{distances[i, j]:.4g} m apart; it must be at least {least:g} m, two body_radius"
-        raise ValueError(f"{field}: robot_{i} and robot_{j} stand {apart}")
+        apart = f"{distances[i, j]:.4g} m apart; it must be"
+        wanted = f"at least {exact(least)} m, two body_radius"
+        raise ValueError(f"{field}: robot_{i} and robot_{j} stand {apart} {wanted}")
 
 
 # ---- seeds -------------------------------------------------------------------------------------

@@ -12,7 +12,16 @@ from conftest import UNEQUAL
 from soup import DEEP, HUGE, in_numpy, refusal
 
 import rendezvous_env as rv
-from rendezvous_env import Capsule, Disc, ObstacleField, Polygon, RewardWeights, Scenario, Sphere
+from rendezvous_env import (
+    Capsule,
+    Disc,
+    ObstacleField,
+    Polygon,
+    RewardWeights,
+    Scenario,
+    Sphere,
+    checks,
+)
 from rendezvous_env import graphs as g
 from rendezvous_env.checks import UnknownFieldError
 from rendezvous_env.limits import MOST_OBSTACLES, MOST_ROBOTS
@@ -195,6 +204,22 @@ def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
 def test_obstacles_and_graphs_say_what_is_wrong(make, message):
     said = refusal(make)
     assert re.search(message, said), said
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "make"),
+    [
+        ("passage", 1.0, lambda passage: ObstacleField(3, (1, 2), 9, 1 / 3, passage=passage)),
+        ("error", 9.0, lambda error: rv.Sensing(error=error)),
+        ("size", 0.1, lambda size: checks.number("size", size, least=2 / 3)),
+        ("size", 9.0, lambda size: checks.number("size", size, most=math.pi / 2)),
+    ],
+)
+def test_a_limit_is_taken_as_the_refusal_of_another_value_writes_it(name, value, make):
+    said = refusal(lambda: make(value))
+    limits = [float(number) for number in re.findall(r"[-+.e\d]*\d", said.split("must be")[1])]
+    make(min(limits, key=lambda limit: abs(limit - value)))
+    assert name in said
 
 
 # ---- what is taken ------------------------------------------------------------------------------
