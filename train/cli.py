@@ -15,7 +15,7 @@ import textwrap
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module, metadata
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from . import interrupts
@@ -188,11 +188,16 @@ def _documents(config: type) -> dict[str, str]:
     return found
 
 
+def flags_of(name: str, hint: Any) -> list[str]:
+    """What the command line calls a field with that annotation: its flag, and other names of it."""
+    others = (getattr(one, "aliases", None) or () for one in getattr(hint, "__metadata__", ()))
+    return [flag(name), *chain.from_iterable(others)]
+
+
 def _flag_of(name: str, hint: Any, positional: bool, default: Any) -> str:
     """A flag with its other names and what follows it."""
-    names, kind = [flag(name)], hint
-    for one in getattr(hint, "__metadata__", ()):  # tyro.conf.arg
-        names += getattr(one, "aliases", None) or ()
+    names, kind = flags_of(name, hint), hint
+    if get_origin(hint) is Annotated:
         kind = hint.__origin__
     if kind is bool:
         return f"{names[0]}, --no-{names[0][2:]}" if default else ", ".join(names)

@@ -8,7 +8,9 @@ import inspect
 import sys
 import textwrap
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, get_origin
+from typing import Annotated, Any, get_origin, get_type_hints
+
+from train.cli import flags_of
 
 
 def docstrings(kind: type[Any]) -> dict[str, tuple[str, str]]:
@@ -74,14 +76,16 @@ def fields_table(kind: type[Any]) -> str:
 
 def flags_table(config: type[Any]) -> str:
     """Flag, type, default and meaning of every field of a command's settings, as Markdown."""
-    told = docstrings(config)
+    told, hints = docstrings(config), get_type_hints(config, include_extras=True)
     rows = []
     for field in dataclasses.fields(config):
         annotation, text = told[field.name]
-        word = field.name.replace("_", "-")
-        flag = f"`--{word}`, `--no-{word}`" if annotation == "bool" else f"`--{word}`"
+        flags = flags_of(field.name, hints[field.name])
+        if field.default is True:
+            flags += [f"--no-{flags[0][2:]}"]
         if annotation.startswith("Positional["):
-            flag, annotation = f"`{word.upper()}`", annotation[len("Positional[") : -1]
+            flags, annotation = [field.name.upper()], annotation[len("Positional[") : -1]
+        flag = ", ".join(f"`{name}`" for name in flags)
         rows.append((flag, f"`{annotation}`", default_of(field), text))
     return table(("flag", "type", "default", "what it is"), rows)
 

@@ -96,8 +96,9 @@ def data() -> str:
         "One row for each scenario and policy but the one that the others are compared with.\n",
         meanings_table("column", results.PAIRED),
         "## `trajectories.npz`\n",
-        "Of the first `--keep` starts. Each array stands under `scenario/policy/start/name`. T "
-        f"counts frames, at most about {recording.MAX_FRAMES}.\n",
+        "Of the first `--keep-trajectories` starts. Each array stands under "
+        "`scenario/policy/start/name`. T counts frames, at most about "
+        f"{recording.MAX_FRAMES}.\n",
         meanings_table("array", recording.ARRAYS),
     ]
     return "\n".join(parts)
