@@ -82,6 +82,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
 
     observation_space: Space[Any] = of_all_teams("single_observation_space")
     action_space: Space[Any] = of_all_teams("single_action_space")
+    closed = True  # One that is refused is not there to be closed, as Gymnasium 1.2 does at its end
 
     def __init__(
         self,
@@ -102,6 +103,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         self.single_observation_space = team_box(observation_box(self.scenario, flatten), n)
         self.single_action_space = team_box(action_box(self.scenario), n)
         self.single_state_space = state_box(self.scenario)
+        self.closed = False
 
     def reset(
         self,

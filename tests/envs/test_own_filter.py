@@ -131,6 +131,8 @@ def test_wrappers_of_gymnasium_stand_under_a_guarantee(mode, period):
 @pytest.mark.parametrize("period", [1, 3])
 def test_a_recorder_of_statistics_beneath_hears_of_each_end_once(mode, period):
     """Also of those within a decision, for the rest of which the team stands still."""
+    if gymnasium.__version__ < "1.3" and mode is AutoresetMode.SAME_STEP:
+        pytest.skip("the recorder of Gymnasium 1.2 leaves out the first step of such episodes")
 
     def episodes(beneath, above):
         venv = beneath(rv.make_vec("fig3", num_envs=3, autoreset_mode=mode, max_cycles=11))
