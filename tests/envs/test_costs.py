@@ -131,8 +131,3 @@ def test_costs_are_part_of_the_scenario(tmp_path):
     ):
         with pytest.raises(ValueError, match=said):
             pair(costs=wrong)
-    rv.reward_term("crooked", lambda step: np.ones(3))
-    env = rv.make_vec(pair(costs="crooked"), 1)
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match=r"cost 'crooked' has shape \(3,\); it must be \(1,\)"):
-        env.step(APART)
