@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from guarantees import constant, draw
@@ -11,13 +13,7 @@ from tuples import mean_body_axis
 
 from rendezvous_env import HeadingVectorWrapper, Scenario, parallel_env
 
-
-def make(kind="single_integrator-2d", **options):
-    return make_under("heading", kind, **options)
-
-
-def rotation(dim, seed):
-    return special_ortho_group.rvs(dim, random_state=seed)
+make = partial(make_under, "heading")
 
 
 # ---- law (4) from the observation's own rows -----------------------------------------------------
@@ -81,6 +77,10 @@ def test_speed_is_f_along_the_mean_axis_of_the_turn_executed(kind):
 
 
 # ---- frame="net_bearing" -------------------------------------------------------------------------
+
+
+def rotation(dim, seed):
+    return special_ortho_group.rvs(dim, random_state=seed)
 
 
 def rotated_run(dim, world, turn, steps=25):

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from guarantees import constant, draw, make, same, tape
+from guarantees import constant, draw, make, same
 
 import rendezvous_env as rv
 from rendezvous_env import vector
@@ -60,17 +60,6 @@ def test_a_wall_along_f_fills_no_tank():
         assert all(info["contact"] and info["tank"] == 0.0 for info in infos.values())
     *_, infos = env.step(constant(env, (-1.0, 0.0)))
     assert not any(info["carried_out"] for info in infos.values())
-
-
-def test_teams_of_a_mask_begin_anew_alone():
-    venv = vector.EnergyTankWrapper(rv.make_vec("fig3", 3), budget=0.5)
-    venv.reset(seed=0)
-    for desired in tape(venv, 5):
-        venv.step(desired)
-    before = venv.tank.levels
-    venv.reset(options={"reset_mask": np.array([False, True, False])})
-    assert (venv.tank.levels[1] == 0.5).all() and (before != 0.5).all()
-    np.testing.assert_array_equal(venv.tank.levels[[0, 2]], before[[0, 2]])
 
 
 # ---- gains and links -----------------------------------------------------------------------------

@@ -28,9 +28,8 @@ def test_a_long_step_warns_and_says_the_certified_one():
     assert caught[0].filename == __file__
 
 
-@pytest.mark.parametrize("changes", [(0.025, False), (9.0, True)])
-def test_other_steps_do_not(changes):
-    step, allowed = changes
+@pytest.mark.parametrize(("step", "allowed"), [(0.025, False), (9.0, True)])
+def test_other_steps_do_not(step, allowed):
     assert Scenario(time_step=step, allow_long_step=allowed).tau == step
 
 
@@ -121,16 +120,10 @@ def test_named_scenarios_survive_toml(name, tmp_path):
     assert list(tmp_path.iterdir()) == [tmp_path / "scenario.toml"]
 
 
-def test_a_toml_file_without_a_name_names_its_scenario(tmp_path):
-    path = tmp_path / "wheel.toml"
-    path.write_text("n_robots = 3\n")
-    assert Scenario.from_toml(path).name == "wheel"
-    path.write_text('name = "own"\n')
-    assert Scenario.from_toml(path).name == "own"
-
-
 def test_toml_by_hand(tmp_path):
     path = tmp_path / "mine.toml"
+    path.write_text("n_robots = 3\n")
+    assert Scenario.from_toml(path).name == "mine"  # without a name it is that of its file
     path.write_text(
         """
         name = "three"

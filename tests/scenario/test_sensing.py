@@ -52,13 +52,18 @@ def test_the_camera_is_a_sensor_like_any_other():
 
 
 @pytest.mark.parametrize("field", UNLIKE)
-def test_each_field_makes_another_sensor(field):
+def test_each_field_makes_another_sensor_and_survives_a_file_and_json(field, tmp_path):
     one = rv.Sensing(**{field: UNLIKE[field]})
     assert not one.exact and one != rv.Sensing()
     again = rv.Sensing(**{field: UNLIKE[field]})
     assert one == again and hash(one) == hash(again)
     assert one.departures() == f"{field} = {UNLIKE[field]}"
-    assert rv.Scenario(sensing=one) != rv.Scenario()
+    scenario = rv.Scenario(name="erring", sensing=one)
+    assert scenario != rv.Scenario(name="erring")
+    scenario.to_toml(tmp_path / "erring.toml")
+    assert rv.Scenario.from_toml(tmp_path / "erring.toml") == scenario
+    assert "[sensing]" in (tmp_path / "erring.toml").read_text(encoding="utf-8")
+    assert rv.Scenario.from_plain(json.loads(json.dumps(scenario.to_plain()))) == scenario
     with pytest.raises(dataclasses.FrozenInstanceError):
         setattr(one, field, UNLIKE[field])
 
@@ -80,16 +85,6 @@ def test_an_unknown_field_is_refused_with_the_nearest():
         rv.Sensing.from_plain(3)
     with pytest.raises(ValueError, match="sensing is 'exact'; it must be a Sensing"):
         rv.Scenario(sensing="exact")
-
-
-@pytest.mark.parametrize("field", [*UNLIKE, None])
-def test_a_scenario_with_a_sensor_survives_a_file_and_json(field, tmp_path):
-    given = UNLIKE if field is None else {field: UNLIKE[field]}
-    scenario = rv.Scenario(name="erring", sensing=rv.Sensing(**given))
-    scenario.to_toml(tmp_path / "erring.toml")
-    assert rv.Scenario.from_toml(tmp_path / "erring.toml") == scenario
-    assert "[sensing]" in (tmp_path / "erring.toml").read_text(encoding="utf-8")
-    assert rv.Scenario.from_plain(json.loads(json.dumps(scenario.to_plain()))) == scenario
 
 
 def test_an_exact_sensor_is_an_absent_table(tmp_path):
