@@ -105,12 +105,8 @@ def test_any_callable_and_any_name_will_do():
     assert seen[0][0] == (1, 3, *traj.scenario.observation_layout.shape)
     np.testing.assert_allclose([time for _, (time,) in seen], traj.times[:-1])
     assert traj.obstacles.shape[:2] == (1, 3) and traj.merges == []
-    with pytest.raises(ValueError, match=r"actions have shape \(2, 2\)"):
-        rollout("duo", lambda observations, time: np.zeros((2, 2)))
     with pytest.raises(ValueError, match="is unknown"):
         rollout("duu", policy)
-    with pytest.raises(TypeError, match="policy is None; it must be callable"):
-        rollout("duo", None)
 
 
 # ---- what is kept --------------------------------------------------------------------------------

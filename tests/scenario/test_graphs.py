@@ -299,15 +299,6 @@ def test_hardly_any_edges_become_a_tree():
     assert len(np.unique(weights, axis=0)) > 20
 
 
-def test_a_range_of_weights_on_a_fixed_graph_is_drawn_for_every_episode():
-    sim = Simulator(Scenario(n_robots=5, graph=graphs.path((0.5, 2.0))), 3)
-    sim.reset(0)
-    first = sim.weights
-    sim.reset()
-    assert (first > 0).tolist() == (sim.weights > 0).tolist()
-    assert not np.any((first == sim.weights) & (first > 0))
-
-
 # ---- large teams --------------------------------------------------------------------------------
 
 
