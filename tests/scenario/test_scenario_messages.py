@@ -162,7 +162,6 @@ def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
         (lambda: Polygon(((0, 0), (3, 0), (0, 3), (0, 0))), r"vertices\[3\] .* repeats another"),
         (lambda: Polygon(((0, 0), (1, 0), (2, 1e-7))), "degenerate"),
         (lambda: Polygon(((0, 0), (1, 1), (1, 0), (0, 1))), "cross over; list them in order"),
-        (lambda: Polygon(((0, 0), (4, 0), (1, 1), (0, 4))), "not convex"),
         (lambda: ObstacleField(-1, (1, 2), 9, 1), r"ObstacleField\.count is -1; it must be"),
         (lambda: ObstacleField((5, 2), (1, 2), 9, 1), "count is .* low <= high"),
         (lambda: ObstacleField(10**9, (1, 2), 1, 1), "count is 1000000000; .* <= 10000"),
