@@ -256,13 +256,13 @@ def test_what_happens_before_or_beneath_a_wrapper_needs_a_reset_of_the_wrapper(w
         GUARANTEES[which].both, (rv.parallel_env("fig3"), rv.make_vec("fig3", 2)), strict=True
     ):
         base.reset(seed=0)
-        env, state = around(base), None
+        env, before, state = around(base), base.get_state(), None
         choices, actions = (draw(each, np.random.default_rng(0)) for each in (env, base))
         for disturb in (
             lambda: None,  # it was reset before it was wrapped
             lambda base=base: base.reset(seed=1),
             lambda base=base: base.reset(),
-            lambda base=base, before=base.get_state(): base.set_state(before),
+            lambda base=base, before=before: base.set_state(before),
             lambda base=base, actions=actions: base.step(actions),
         ):
             disturb()
