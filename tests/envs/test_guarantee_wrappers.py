@@ -344,12 +344,10 @@ def restart(wrapper, actions):
 )
 def test_a_wrapper_between_that_steps_twice_or_resets_is_refused(which, teams, step):
     """The filter would not see it: with frames skipped V rose above its bound."""
-    around, (base, wrapper) = (
-        (GUARANTEES[which].around_teams, (rv.make_vec("duo", 1), gymnasium.vector.VectorWrapper))
-        if teams
-        else (GUARANTEES[which].around, (rv.parallel_env("duo"), BaseParallelWrapper))
-    )
-    env = around(type("Between", (wrapper,), {"step": step})(base))
+    wrapper = gymnasium.vector.VectorWrapper if teams else BaseParallelWrapper
+    between = type("Between", (wrapper,), {"step": step})
+    base = rv.make_vec("duo", 1) if teams else rv.parallel_env("duo")
+    env = GUARANTEES[which].both[teams](between(base))
     env.reset(seed=0)
     choices = draw(env, np.random.default_rng(0))
     with pytest.raises(RuntimeError, match=r"beneath .* has stepped or reset the teams itself"):

@@ -255,10 +255,7 @@ def seen_by(imperfection):
         (lambda: graphs.family("mine", 5), "family of graphs 'mine' is 5; it must be a function"),
         (lambda: graphs.family("")(ring_with_chords), "name of a family of graphs is ''"),
         (lambda: family_of(lambda n, random: [(0, 1)]), "'bad' drew .* not connected: it falls in"),
-        (
-            lambda: family_of(lambda n, random: [(0, n)]),
-            r"'bad' drew for 6 robots: .* \(0, 6\) must",
-        ),
+        (lambda: family_of(lambda n, random: [(0, n)]), r"'bad' drew for 6 robots: .*\(0, 6\)"),
         (lambda: family_of(lambda n, random: 5), "graph: edges is 5; it must be a sequence"),
         (lambda: family_of(lambda n, random: [(0, 1, 2.0)]), "weights are drawn from"),
         (lambda: Registry("family", "rv.f")["x"], r"'x' is not registered here; import .* rv\.f"),
@@ -266,10 +263,7 @@ def seen_by(imperfection):
             lambda: seen_by(lambda seen: setattr(seen, "neighbours", 0.0 * seen.neighbours)),
             "'mine' put another array into seen; change wh",
         ),
-        (
-            lambda: stepped("reward", lambda step: np.zeros(7)),
-            r"term 'mine' .*\(7,\); .* \(1,\) or",
-        ),
+        (lambda: stepped("reward", lambda step: np.zeros(7)), r"term 'mine' .*\(7,\); .*\(1,\)"),
         (lambda: stepped("reward", lambda step: np.inf + step.time), "term 'mine' .*finite"),
         (lambda: stepped("costs", lambda step: np.ones(3)), r"cost 'mine' .*\(3,\); .* \(1,\)"),
         (lambda: rv.RewardWeights(custom={"efort": 1.0}), "'efort' is unknown; did you mean 'eff"),
