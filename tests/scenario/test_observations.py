@@ -152,6 +152,8 @@ def test_splitting_gives_views_and_checks_the_shape():
         np.testing.assert_array_equal(part, other)
     for given in (flat, table):
         np.testing.assert_array_equal(layout.unflattened(given), table)
+    one_row = np.ones((5, 1, 2))  # a table, though its rows are as long as a flat one
+    assert ObservationLayout(2, 1).unflattened(one_row) is one_row
     for call, given, said in (
         (layout.split, table[:, :10], r"shape \(2, 10, 3\); this layout needs \(\.\.\., 11, 3\)"),
         (layout.split, flat[:, 1:], "this layout needs"),
