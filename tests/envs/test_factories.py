@@ -15,8 +15,7 @@ from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.envs.gymnasium_env import make_env, make_heading_env, make_heading_vec
 
 SCENARIO = rv.scenarios.get("clutter-4").replace(time_limit=0.3)
-LAYOUT = SCENARIO.observation_layout
-SIZE = LAYOUT.rows * LAYOUT.dim
+SIZE = np.prod(SCENARIO.observation_layout.shape)
 HEADING = "rendezvous_env:rendezvous/RendezvousHeading-v0"
 
 
@@ -72,19 +71,6 @@ def test_other_factories_take_flatten_too():
         assert env.reset(seed=0)[0].shape == env.observation_space.shape == (4, SIZE)
     with pytest.raises(ValueError, match="flatten is 'yes'; it must be one of True, False"):
         rv.make_vec(SCENARIO, flatten="yes")
-
-
-def test_a_layout_takes_flat_observations_apart():
-    rows, _ = rv.make_vec(SCENARIO, 2).reset(seed=0)
-    flat = rows.reshape(2, 4, SIZE)
-    for part, other in zip(LAYOUT.split(flat)[:2], LAYOUT.split(rows)[:2], strict=True):
-        np.testing.assert_array_equal(part, other)
-    np.testing.assert_array_equal(LAYOUT.unflattened(flat), rows)
-    np.testing.assert_array_equal(LAYOUT.unflattened(rows), rows)
-    with pytest.raises(ValueError, match="``unflattened`` makes these of flat ones"):
-        LAYOUT.net_bearing(flat)
-    with pytest.raises(ValueError, match="this layout needs"):
-        LAYOUT.split(flat[..., 1:])
 
 
 # ---- the single-team heading environment --------------------------------------------------------

@@ -183,37 +183,12 @@ def test_a_disabled_team_stays_ended():
     np.testing.assert_array_equal(after, obs)
 
 
-def test_one_agent_is_one_team_that_does_not_begin_anew():
-    for teams in (rv.make_vec("duo", 2, "Disabled"), rv.make_vec("duo")):
-        with pytest.raises(ValueError, match="must be one team, and AutoresetMode"):
-            type(make_env("duo"))(teams)
+def one_agent(scenario, **given):
+    return type(make_env(scenario))(rv.make_vec(scenario, **given))
 
 
-@pytest.mark.parametrize("make", [make_env, make_heading_env, rv.training_env])
+@pytest.mark.parametrize("make", [make_env, make_heading_env, rv.training_env, one_agent])
 @pytest.mark.parametrize("given", [{"num_envs": 2}, {"autoreset_mode": "SAME_STEP"}])
-def test_words_of_many_teams_are_refused_for_one(make, given):
+def test_one_agent_is_one_team_that_does_not_begin_anew(make, given):
     with pytest.raises(ValueError, match=r"it must be one team, and AutoresetMode\.DISABLED"):
         make("duo", **given)
-
-
-def test_given_starts_and_seeds_reach_the_teams():
-    venv = rv.make_vec("duo", 3)
-    starts = np.arange(12.0).reshape(3, 2, 2)
-    venv.reset(seed=5, options={"positions": starts})
-    np.testing.assert_array_equal(venv.simulator.positions, starts)
-    np.testing.assert_array_equal(venv.simulator.seeds, [5, 6, 7])
-    venv.reset(seed=[9, None, 4], options={"reset_mask": np.array([True, False, True])})
-    np.testing.assert_array_equal(venv.simulator.seeds, [9, 6, 4])
-    np.testing.assert_array_equal(venv.simulator.positions[1], starts[1])
-
-
-def test_every_step_gives_arrays_of_its_own():
-    venv = rv.make_vec("clutter-4", 20, autoreset_mode=AutoresetMode.SAME_STEP, max_cycles=3)
-    venv.reset(seed=0)
-    kept = []
-    for _ in range(4):
-        *arrays, infos = venv.step(np.ones((20, 4, 2), np.float32))
-        kept += [*arrays, *(value for value in infos.values() if isinstance(value, np.ndarray))]
-    for i, array in enumerate(kept):
-        assert array.flags.writeable
-        assert not any(np.may_share_memory(array, other) for other in kept[i + 1 :])

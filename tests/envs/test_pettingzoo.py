@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import copy
 import hashlib
+import pickle
 
 import numpy as np
 import pettingzoo
 import pytest
 from conftest import MODELS, ROOT, assert_same_state, five, law_of, run_python
-from guarantees import constant, draw, same
+from guarantees import constant, draw
 
 from rendezvous_env import Scenario, Simulator, parallel_env, rendezvous_v0
 
 
-def make(kind, maker=rendezvous_v0.parallel_env, **changes):
-    return maker(five(kind, **{"spawn_size": 4.0, "time_limit": 8.0, **changes}))
+def make(kind, **changes):
+    return parallel_env(five(kind, **{"spawn_size": 4.0, "time_limit": 8.0, **changes}))
 
 
 def act(env, value=0.1):
@@ -66,21 +66,12 @@ print(*map(fingerprint, sys.argv[1:]))
 
 def fingerprint(kind):
     """Hash of everything that two whole episodes give out."""
-    env, digest = make(kind), hashlib.sha256()
-
-    def note(*tables):
-        for name, value in (item for table in tables for item in table.items()):
-            told = value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()
-            digest.update(name.encode() + told)
-        digest.update(env.state().tobytes())
-
+    env, given = make(kind), []
     for seed in (12, None):
-        observations, infos = env.reset(seed=seed)
-        note(observations, infos)
+        given.append(env.reset(seed=seed))
         while env.agents:
-            observations, *rest = env.step(by_law(env, observations))
-            note(observations, *rest)
-    return digest.hexdigest()
+            given.append((*env.step(by_law(env, given[-1][0])), env.state()))
+    return hashlib.sha256(pickle.dumps(given)).hexdigest()
 
 
 def test_whole_episodes_are_the_same_in_every_process():
@@ -157,10 +148,6 @@ def test_makers_take_scenarios_names_files_and_overrides(tmp_path):
     metadata = parallel_env().metadata
     assert metadata["name"] == "rendezvous_v0" and metadata["is_parallelizable"] is True
     assert rendezvous_v0.env().metadata["name"] == "rendezvous_v0"
-    with pytest.raises(ValueError, match="'doo' is unknown; did you mean 'duo'"):
-        parallel_env("doo")
-    with pytest.raises(ValueError, match="no field 'n_robot'; did you mean 'n_robots'"):
-        parallel_env("duo", n_robot=4)
     with pytest.raises(ValueError, match="render_mode is 'movie'"):
         parallel_env("duo", render_mode="movie")
 
@@ -196,26 +183,6 @@ def test_robots_with_inertia_see_their_velocity():
 
 
 # ---- what a step returns ------------------------------------------------------------------------
-
-
-def test_nothing_shares_memory_between_robots_steps_and_the_state(kind):
-    env = make(kind)
-    first, _ = env.reset(seed=1)
-    kept = copy.deepcopy(first)
-    second, *_ = env.step(by_law(env, first))
-    assert same(first, kept)
-    for seen in first.values():
-        assert not any(np.shares_memory(seen, other) for other in second.values())
-    reference = copy.deepcopy(env)
-    env.state()[:] = 7
-    for seen in (*first.values(), *second.values()):
-        seen[:] = 9
-    actions = by_law(reference, kept)
-    np.testing.assert_array_equal(env.state(), reference.state())
-    assert same(env.step(actions)[0], reference.step(actions)[0])
-    for array in actions.values():
-        array[:] = np.nan
-    assert np.isfinite(env.state()).all()
 
 
 def test_a_merged_robot_ends_once_and_is_gone(kind):

@@ -28,14 +28,10 @@ FORMS = {
 }
 
 
-@pytest.fixture(params=list(FORMS))
-def form(request):
-    return FORMS[request.param]
-
-
 # ---- both environments --------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
 def test_the_environment_by_name_is_the_vector_environment_with_one_team(form):
     mode = AutoresetMode.DISABLED
     teams = rv.vector.training_env(SCENARIO, 3, autoreset_mode=mode, **form)

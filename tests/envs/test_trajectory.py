@@ -56,13 +56,6 @@ def test_shapes_and_consistency(kind):
     np.testing.assert_array_equal(traj.positions[: len(alone.times), 2], alone.positions[:, 0])
 
 
-def test_trajectories_are_equal_to_themselves_alone():
-    one, other = (
-        rollout(rv.scenarios.get("duo"), law_of(rv.scenarios.get("duo")), seed=0) for _ in range(2)
-    )
-    assert one == one and one != other  # arrays are compared by whoever wants to
-
-
 def test_a_team_that_has_finished_stays_as_it_is():
     traj = rollout(DUO, law_of(DUO), num_envs=2, options=STARTS, record="all")
     end = round(traj.rendezvous_time[0] / DUO.tau)
@@ -112,12 +105,8 @@ def test_any_callable_and_any_name_will_do():
     assert seen[0][0] == (1, 3, *traj.scenario.observation_layout.shape)
     np.testing.assert_allclose([time for _, (time,) in seen], traj.times[:-1])
     assert traj.obstacles.shape[:2] == (1, 3) and traj.merges == []
-    with pytest.raises(ValueError, match=r"actions have shape \(2, 2\)"):
-        rollout("duo", lambda observations, time: np.zeros((2, 2)))
     with pytest.raises(ValueError, match="is unknown"):
         rollout("duu", policy)
-    with pytest.raises(TypeError, match="policy is None; it must be callable"):
-        rollout("duo", None)
 
 
 # ---- what is kept --------------------------------------------------------------------------------
@@ -148,6 +137,7 @@ def test_a_policy_may_write_to_what_it_is_shown_and_give_the_same_array_again():
 
     whole, again = (rollout(DUO, policy, record="all") for policy in (law, frugal))
     assert same(vars(whole), vars(again))
+    assert whole == whole and whole != again  # arrays are compared by whoever wants to
 
 
 @pytest.mark.parametrize("record", ["everything", 3, ("actions", "rewards"), [["actions"]]])

@@ -93,21 +93,6 @@ def test_a_family_is_a_graph_like_any_other(tmp_path):
     assert rv.certificate(FAMILY).guaranteed and np.isfinite(rv.certificate(FAMILY).time_bound)
 
 
-@pytest.mark.parametrize(
-    ("draw", "said"),
-    [
-        (lambda n, random: [(0, 1)], "drew a graph that is not connected: it falls into"),
-        (lambda n, random: [(0, n)], r"drew for 6 robots: graph: edge \(0, 6\) must join"),
-        (lambda n, random: 5, "graph: edges is 5; it must be a sequence"),
-        (lambda n, random: [(k, k + 1, 2.0) for k in range(n - 1)], "weights are drawn from"),
-    ],
-)
-def test_a_bad_family_is_told_before_any_episode(draw, said):
-    graphs.family("bad", draw)
-    with pytest.raises(ValueError, match=f"family 'bad' .*{said}|{said}"):
-        FAMILY.replace(graph="bad")
-
-
 def test_a_family_that_fails_later_leaves_everything_as_it_was():
     graphs.family("moody", lambda n, random: [(i, i + 1) for i in range(n - 1)])
     simulator = Simulator(FAMILY.replace(graph="moody"), 2)
@@ -115,17 +100,6 @@ def test_a_family_that_fails_later_leaves_everything_as_it_was():
     graphs.family("moody", lambda n, random: [])
     with refusing(simulator, "'moody' drew a graph that is not connected"):
         simulator.reset(9)
-
-
-def test_names_of_families():
-    with pytest.raises(ValueError, match="name is 'path'; it must be new"):
-        graphs.family("path", ring_with_chords)
-    with pytest.raises(ValueError, match=r"must be one of .*; did you mean 'hexagon-and-chords'"):
-        FAMILY.replace(graph="hexagon-and-chord")
-    with pytest.raises(ValueError, match="family of graphs 'mine' is 5; it must be a function"):
-        graphs.family("mine", 5)
-    with pytest.raises(ValueError, match="name of a family of graphs is ''"):
-        graphs.family("")(ring_with_chords)
 
 
 # ---- an imperfection ----------------------------------------------------------------------------
@@ -140,11 +114,9 @@ def test_who_is_behind_is_not_seen():
     assert behind.any() and not seen[..., :3, :][behind].any()
     np.testing.assert_array_equal(seen[..., :3, :][~behind], exact[..., :3, :][~behind])
 
-
-def test_those_left_stand_first_where_rows_are_few():
-    ring = Scenario(n_robots=5, graph="cycle", sensing=Sensing(custom=("blind-behind",)))
+    ring = Scenario(n_robots=5, graph="cycle", sensing=blind.sensing)
     seen = Simulator(ring, 20).reset(0).any(axis=-1)
-    assert (seen[..., 0] | ~seen[..., 1]).all() and not seen.all()
+    assert (seen[..., 0] | ~seen[..., 1]).all() and not seen.all()  # those left stand first
 
 
 def test_batches_see_and_earn_what_single_teams_do():
@@ -189,16 +161,6 @@ def test_what_one_imperfection_hides_the_next_does_not_bring_back():
     rv.sensor_imperfection("sees all", lambda seen: seen.neighbours.fill(0.5))
     for names, rows in ((("sees nobody", "sees all"), 0.0), (("sees all",), 0.5)):
         assert (Simulator(Scenario(sensing=Sensing(custom=names))).reset(0) == rows).all()
-
-
-def test_rows_that_are_put_in_place_of_those_seen_are_refused():
-    def sees_nobody(seen):
-        seen.neighbours = 0.0 * seen.neighbours
-
-    rv.sensor_imperfection("another array", sees_nobody)
-    blind = Simulator(Scenario(n_robots=3, sensing=Sensing(custom=("another array",))))
-    with pytest.raises(ValueError, match="'another array' put another array into seen; change wh"):
-        blind.reset(0)
 
 
 def test_no_theorem_covers_a_custom_sensor():
@@ -252,50 +214,6 @@ def test_terms_reach_every_interface():
     assert reward[0] == pytest.approx(sum(custom.values()) / 2)
 
 
-@pytest.mark.parametrize(
-    ("make", "said"),
-    [
-        (lambda: rv.RewardWeights(custom={"efort": 1.0}), "'efort' is unknown; did you mean 'eff"),
-        (lambda: rv.RewardWeights(custom={"effort": "x"}), "reward.custom.effort is 'x'"),
-        (lambda: rv.RewardWeights(custom=5), "reward.custom is 5; it must be a mapping"),
-        (lambda: Sensing(custom=("nothing",)), "'nothing' is unknown; register it with rv.sensor"),
-        (lambda: Sensing(custom="blind-behind"), "it must be a list of names"),
-        (lambda: rv.reward_term("x", 5), "term 'x' is 5; it must be a function"),
-        (lambda: rv.reward_term("rise"), "is 'rise'; it must be none of the costs contact"),
-        (lambda: rv.reward_term(""), "name of a reward term is ''"),
-        (lambda: rv.sensor_imperfection("x", 5), "imperfection 'x' is 5; it must be a function"),
-    ],
-)
-def test_what_is_not_registered_is_refused(make, said):
-    with pytest.raises(ValueError, match=said):
-        make()
-
-
-def test_a_term_of_the_wrong_shape_is_named():
-    rv.reward_term("wide", lambda step: np.zeros(7))
-    rv.reward_term("endless", lambda step: np.full(len(step.time), np.inf))
-    for name, said in (("wide", r"shape \(7,\); it must be \(1,\) or"), ("endless", "finite")):
-        simulator = Simulator(Scenario(reward=rv.RewardWeights(custom={name: 1.0})))
-        simulator.reset(0)
-        with pytest.raises(ValueError, match=f"reward term '{name}' .*{said}"):
-            simulator.step(np.zeros((1, 5, 2)))
-
-
-@pytest.mark.parametrize("field", [name for name in RewardStep._fields if name != "scenario"])
-@pytest.mark.parametrize("role", ["reward", "costs"])
-def test_a_term_may_change_nothing(field, role):
-    @rv.reward_term("meddler")
-    def meddler(step):
-        getattr(step, field)[...] = 1
-        return step.time
-
-    paid = {"reward": {"custom": {"meddler": 1.0}}, "costs": ("meddler",)}
-    simulator = Simulator(Scenario(**{role: paid[role]}))
-    simulator.reset(0)
-    with pytest.raises(ValueError, match="read-only"):
-        simulator.step(np.zeros((1, 5, 2), np.float32))
-
-
 def test_weights_and_names_are_written_to_files(tmp_path):
     scenario = Scenario(
         name="mine",
@@ -307,6 +225,69 @@ def test_weights_and_names_are_written_to_files(tmp_path):
     assert hash(scenario) == hash(Scenario.from_plain(scenario.to_plain()))
 
 
-def test_a_name_that_this_process_has_not_registered_says_so():
-    with pytest.raises(ValueError, match=r"family 'x' is not registered here; import the .* rv\.f"):
-        Registry("family", "rv.f")["x"]
+# ---- what is refused ----------------------------------------------------------------------------
+
+
+def family_of(draw):
+    graphs.family("bad", draw)
+    return FAMILY.replace(graph="bad")
+
+
+def stepped(role, term):
+    """A step of a team that is paid by a term, or told its cost."""
+    rv.reward_term("mine", term)
+    paid = {"reward": {"custom": {"mine": 1.0}}, "costs": ("mine",)}
+    simulator = Simulator(Scenario(**{role: paid[role]}))
+    simulator.reset(0)
+    simulator.step(np.zeros((1, 5, 2), np.float32))
+
+
+def seen_by(imperfection):
+    rv.sensor_imperfection("mine", imperfection)
+    Simulator(Scenario(n_robots=3, sensing=Sensing(custom=("mine",)))).reset(0)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: graphs.family("path", ring_with_chords), "name is 'path'; it must be new"),
+        (lambda: FAMILY.replace(graph="hexagon-and-chord"), "did you mean 'hexagon-and-chords'"),
+        (lambda: graphs.family("mine", 5), "family of graphs 'mine' is 5; it must be a function"),
+        (lambda: graphs.family("")(ring_with_chords), "name of a family of graphs is ''"),
+        (lambda: family_of(lambda n, random: [(0, 1)]), "'bad' drew .* not connected: it falls in"),
+        (lambda: family_of(lambda n, random: [(0, n)]), r"'bad' drew for 6 robots: .*\(0, 6\)"),
+        (lambda: family_of(lambda n, random: 5), "graph: edges is 5; it must be a sequence"),
+        (lambda: family_of(lambda n, random: [(0, 1, 2.0)]), "weights are drawn from"),
+        (lambda: Registry("family", "rv.f")["x"], r"'x' is not registered here; import .* rv\.f"),
+        (
+            lambda: seen_by(lambda seen: setattr(seen, "neighbours", 0.0 * seen.neighbours)),
+            "'mine' put another array into seen; change wh",
+        ),
+        (lambda: stepped("reward", lambda step: np.zeros(7)), r"term 'mine' .*\(7,\); .*\(1,\)"),
+        (lambda: stepped("reward", lambda step: np.inf + step.time), "term 'mine' .*finite"),
+        (lambda: stepped("costs", lambda step: np.ones(3)), r"cost 'mine' .*\(3,\); .* \(1,\)"),
+        (lambda: rv.RewardWeights(custom={"efort": 1.0}), "'efort' is unknown; did you mean 'eff"),
+        (lambda: rv.RewardWeights(custom={"effort": "x"}), "reward.custom.effort is 'x'"),
+        (lambda: rv.RewardWeights(custom=5), "reward.custom is 5; it must be a mapping"),
+        (lambda: Sensing(custom=("nothing",)), "'nothing' is unknown; register it with rv.sensor"),
+        (lambda: Sensing(custom="blind-behind"), "it must be a list of names"),
+        (lambda: rv.reward_term("x", 5), "term 'x' is 5; it must be a function"),
+        (lambda: rv.reward_term("rise"), "is 'rise'; it must be none of the costs contact"),
+        (lambda: rv.reward_term(""), "name of a reward term is ''"),
+        (lambda: rv.sensor_imperfection("x", 5), "imperfection 'x' is 5; it must be a function"),
+    ],
+)
+def test_what_does_not_fit_is_named(make, said):
+    with pytest.raises(ValueError, match=said):
+        make()
+
+
+@pytest.mark.parametrize("field", [name for name in RewardStep._fields if name != "scenario"])
+@pytest.mark.parametrize("role", ["reward", "costs"])
+def test_a_term_may_change_nothing(field, role):
+    def meddler(step):
+        getattr(step, field)[...] = 1
+        return step.time
+
+    with pytest.raises(ValueError, match="read-only"):
+        stepped(role, meddler)

@@ -79,26 +79,16 @@ def test_lengths_are_the_gains_whatever_the_frames(kind):
     )
 
 
-def test_more_slots_than_neighbours_stay_zero():
-    path = {"graph": "path", "local_frames": "global"}
-    plain = Simulator(five("single_integrator-2d", **path)).reset(0, {"positions": START})
-    assert plain.shape == (1, 5, 2, 2)  # nobody on a path has more neighbours
-    scenario = five("single_integrator-2d", neighbour_slots=3, **path)
-    seen = Simulator(scenario).reset(0, {"positions": START})
-    assert seen.shape == (1, 5, 3, 2) and not seen[:, :, 2:].any()
-    np.testing.assert_array_equal(seen[:, :, :2], plain)
-
-
-def test_few_rows_hold_the_neighbours_in_index_order():
-    """Those of the same robots with a row for everybody, the empty ones left out."""
-    options = {"positions": START}
-    few = five("single_integrator-2d", neighbour_slots=3, local_frames="global")
+@pytest.mark.parametrize(("graph", "slots"), [(UNEQUAL, 3), ("path", 2), ("path", 3)])
+def test_few_rows_hold_the_neighbours_in_index_order(graph, slots):
+    """Those of the same robots with a row for everybody, the empty ones left out; then zeros."""
+    few = five("single_integrator-2d", graph=graph, neighbour_slots=slots, local_frames="global")
     wide = few.replace(neighbour_slots=4)
-    seen, by_index = (Simulator(scenario).reset(0, options)[0] for scenario in (few, wide))
+    seen, by_index = (Simulator(s).reset(0, {"positions": START})[0] for s in (few, wide))
     for robot in range(5):
-        rows = by_index[robot][np.linalg.norm(by_index[robot], axis=-1) > 0]
+        rows = by_index[robot][by_index[robot].any(axis=-1)]
         np.testing.assert_array_equal(seen[robot, : len(rows)], rows)
-        assert len(rows) >= 2 and not seen[robot, len(rows) :].any()
+        assert len(rows) >= 1 and not seen[robot, len(rows) :].any()
 
 
 def test_obstacles_within_range_and_beyond():
@@ -157,13 +147,25 @@ def test_splitting_gives_views_and_checks_the_shape():
     assert all(np.shares_memory(part, table) for part in split if part is not None)
     np.testing.assert_array_equal(layout.net_bearing(table), table[:, 0] + table[:, 1])
     assert ObservationLayout(2, 4).split(np.zeros((4, 2))).gravity is None
-    with pytest.raises(
-        ValueError, match=r"shape \(2, 10, 3\); this layout needs \(\.\.\., 11, 3\)"
+    flat = table.reshape(2, -1)
+    for part, other in zip(layout.split(flat)[:3], split[:3], strict=True):
+        np.testing.assert_array_equal(part, other)
+    for given in (flat, table):
+        np.testing.assert_array_equal(layout.unflattened(given), table)
+    one_row = np.ones((5, 1, 2))  # a table, though its rows are as long as a flat one
+    assert ObservationLayout(2, 1).unflattened(one_row) is one_row
+    for call, given, said in (
+        (layout.split, table[:, :10], r"shape \(2, 10, 3\); this layout needs \(\.\.\., 11, 3\)"),
+        (layout.split, flat[:, 1:], "this layout needs"),
+        (layout.net_bearing, flat, "``unflattened`` makes these of flat ones"),
     ):
-        layout.split(table[:, :10])
+        with pytest.raises(ValueError, match=said):
+            call(given)
 
 
 def test_the_layout_of_a_scenario():
     scenario = Scenario(n_robots=3, dim=3, obstacles=[Sphere((9.0, 0, 0), 1.0)], obstacle_slots=2)
     assert scenario.observation_layout == ObservationLayout(3, 2, 2, False)
     assert five("nonholonomic_3d").observation_layout == ObservationLayout(3, 4, 0, True)
+    path = five("single_integrator-2d", graph="path")  # nobody on it has more than two neighbours
+    assert path.observation_layout == ObservationLayout(2, 2)

@@ -46,9 +46,8 @@ class TestValidation:
         rng = np.random.default_rng(0)
         for k in range(300):
             angle = 0.3 if k == 0 else rng.uniform(-math.pi, math.pi)
-            turn = np.array(
-                [(math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle))]
-            )
+            c, s = math.cos(angle), math.sin(angle)
+            turn = np.array([(c, -s), (s, c)])
             size, away = 10.0 ** rng.uniform(-2, 4, 2), rng.normal(0, 1000, 2)
             for corners in (long, along * size):  # the second with a corner on a straight edge
                 Polygon(corners @ turn.T)
@@ -74,9 +73,8 @@ class TestPlainData:
         [
             ((), 2),
             ((Disc((0.1, 1 / 3), 0.7), Polygon(TRIANGLE)), 2),
-            ((Sphere((0.1, 2, 3), 0.7),), 3),
+            ((Sphere((0.1, 2, 3), 0.7), Capsule(((0.1, 2, 3), (3, 1 / 3, 3)), 0.7)), 3),
             ((Capsule(((0.1, 2), (3, 1 / 3)), 0.7),), 2),
-            ((Capsule(((0.1, 2, 3), (3, 1 / 3, 3)), 0.7),), 3),
             (FIELD, 2),
             (ObstacleField(4, (1, 1), 8, 0), 3),
         ],
@@ -85,15 +83,11 @@ class TestPlainData:
         assert parse(to_plain(value), dim) == value
         assert parse(value, dim) == value
 
-    @pytest.mark.parametrize("capsule", [LOG, TRUNK])
-    def test_the_keys_tell_the_kind(self, capsule):
-        (plain,) = to_plain((capsule,))
-        del plain["kind"]
-        assert parse(plain, capsule.dim) == (capsule,)
-
-    def test_one_obstacle_needs_no_list(self):
-        assert parse(Disc((1, 2), 3), 2) == (Disc((1, 2), 3),)
-        assert parse({"centre": [1, 2, 0], "radius": 3}, 3) == (Sphere((1, 2, 0), 3),)
+    @pytest.mark.parametrize("one", [LOG, TRUNK, Disc((1, 2), 3), Sphere((1, 2, 0), 3)])
+    def test_one_needs_no_list_and_the_keys_tell_the_kind(self, one):
+        (plain,) = to_plain((one,))
+        plain.pop("kind", None)
+        assert parse(plain, one.dim) == parse(one, one.dim) == (one,)
 
 
 class TestPacking:
@@ -104,8 +98,6 @@ class TestPacking:
         assert rows[1].tolist() == [BALL, 0, 7, 5, 6, 0, 0, 0, 0, 0, 0, 0]
         assert rows[2].tolist() == [ABSENT] + [0] * 11
         assert pack([Sphere((1, 2, 3), 4)], 1).tolist() == [[BALL, 0, 4, 1, 2, 3]]
-
-    def test_capsules_by_hand(self):
         flat = pack([Capsule(((1, 0), (5, 0)), 0.5)], 1)
         assert flat.tolist() == [[CAPSULE, 0, 2.5, 3, 0, 0, 2, 0, 0, 0.5]]
         upright = pack([Capsule(((1, 2, 0), (1, 2, 4)), 0.5)], 1)
@@ -134,10 +126,10 @@ class TestPacking:
             check_outside("positions", np.array([[2.0, 0.0], [0.0, 1.5]]), (Disc((0, 0), 2),))
 
 
-def draw(field, episode, starts, slots=6):
-    """Whether a field was drawn, and its table (slots, width)."""
+def draw(field, episode, starts):
+    """Whether a field was drawn, and its table (6, width)."""
     key = np.uint64(stream_key(11, episode, OBSTACLES))
-    table = np.full((slots, row_width(field)), 77.0)
+    table = np.full((6, row_width(field)), 77.0)
     obstacles = world_of(table, only_balls=True)
     drawn = draw_field(key, field.rules, starts, len(starts), obstacles)
     return drawn, table_of(obstacles)
@@ -152,8 +144,7 @@ class TestDrawField:
             drawn, rows = draw(FIELD, episode, starts)
             count = int((rows[:, KIND] == BALL).sum())
             counts.append(count)
-            assert drawn
-            assert np.all(rows[count:, KIND] == ABSENT)
+            assert drawn and np.all(rows[count:, KIND] == ABSENT)
             radii, centres = rows[:count, RADIUS], rows[:count, CENTRE : CENTRE + dim]
             assert not rows[:count, CENTRE + dim :].any()
             assert np.all((radii >= 0.5) & (radii < 1.5))

@@ -1,13 +1,17 @@
-"""Scenario: what it refuses, what follows from it, and its TOML form."""
+"""Scenario: what follows from its fields, its sensor, and its TOML form."""
 
 from __future__ import annotations
 
+import dataclasses
+import json
+import math
 import pickle
 
 import numpy as np
 import pytest
 from conftest import UNEQUAL
 
+import rendezvous_env as rv
 from rendezvous_env import Polygon, RewardWeights, Scenario, TimeStepWarning, graphs
 from rendezvous_env.scenario import scenarios
 
@@ -28,9 +32,8 @@ def test_a_long_step_warns_and_says_the_certified_one():
     assert caught[0].filename == __file__
 
 
-@pytest.mark.parametrize("changes", [(0.025, False), (9.0, True)])
-def test_other_steps_do_not(changes):
-    step, allowed = changes
+@pytest.mark.parametrize(("step", "allowed"), [(0.025, False), (9.0, True)])
+def test_other_steps_do_not(step, allowed):
     assert Scenario(time_step=step, allow_long_step=allowed).tau == step
 
 
@@ -121,16 +124,10 @@ def test_named_scenarios_survive_toml(name, tmp_path):
     assert list(tmp_path.iterdir()) == [tmp_path / "scenario.toml"]
 
 
-def test_a_toml_file_without_a_name_names_its_scenario(tmp_path):
-    path = tmp_path / "wheel.toml"
-    path.write_text("n_robots = 3\n")
-    assert Scenario.from_toml(path).name == "wheel"
-    path.write_text('name = "own"\n')
-    assert Scenario.from_toml(path).name == "own"
-
-
 def test_toml_by_hand(tmp_path):
     path = tmp_path / "mine.toml"
+    path.write_text("n_robots = 3\n")
+    assert Scenario.from_toml(path).name == "mine"  # without a name it is that of its file
     path.write_text(
         """
         name = "three"
@@ -151,3 +148,88 @@ def test_toml_by_hand(tmp_path):
     assert Scenario.from_toml(path) == expected
     assert scenarios.resolve(path) == expected
     assert scenarios.resolve(str(path), n_robots=3).max_degree == 2.5
+
+
+# ---- its sensor ---------------------------------------------------------------------------------
+
+WRONG = {
+    "range": (0.0, -1.0, math.nan, math.inf, "far", True, 1e12),
+    "field_of_view": (0.0, -1.0, 6.3, math.nan, math.inf, None, "wide"),
+    "noise": (-0.1, math.nan, math.inf, 7.0, None, "much", False),
+    "bias": (-1e-9, math.nan, math.inf, 7.0),
+    "error": (-0.1, 3.2, math.nan, math.inf, "left"),
+    "dropout": (-0.1, 1.1, math.nan, math.inf, None),
+    "delay": (-1, 1.5, 10_001, math.nan, None, True, 10**400),
+    "sectors": (1, 0, -4, 2.5, 10**7, math.inf, "many"),
+    "occlusion": ("all", "", None, True, ["both"]),
+}
+UNLIKE = {
+    "range": 3.0, "field_of_view": 2.0, "noise": 0.1, "bias": 0.2, "error": 0.3,
+    "dropout": 0.25, "delay": 4, "sectors": 12, "occlusion": "both",
+}  # fmt: skip
+
+
+def test_the_fields_and_defaults_of_the_design():
+    fields = {field.name: field.default for field in dataclasses.fields(rv.Sensing)}
+    assert fields == {
+        "range": None, "field_of_view": 2 * math.pi, "noise": 0.0, "bias": 0.0, "error": 0.0,
+        "dropout": 0.0, "delay": 0, "sectors": None, "occlusion": "none", "custom": (),
+    }  # fmt: skip
+    assert rv.Sensing().exact and rv.Scenario().sensing == rv.Sensing()
+
+
+def test_the_camera_is_a_sensor_like_any_other():
+    """Its numbers are those of docs/worlds.md, and what is hidden has no row."""
+    camera = rv.Sensing.camera()
+    assert camera.occlusion == "both" and not camera.exact
+    assert math.degrees(camera.noise) == pytest.approx(0.43, abs=0.01)
+    assert rv.Sensing.from_plain(camera.to_plain()) == camera == rv.Sensing.camera()
+    discs = (rv.Disc((0.0, 0.0), 0.5), rv.Capsule(((90.0, 0.0), (91.0, 0.0)), 0.5))
+    places = ((-2.0, 0.0), (2.0, 0.0), (0.0, 3.0))
+    scenario = rv.Scenario(n_robots=3, start_positions=places, obstacles=discs, sensing=camera)
+    seen = rv.Simulator(scenario, 100).reset(0)
+    shares = scenario.observation_layout.split(seen).neighbours.any(-1).mean(0).sum(-1)
+    assert shares[:2] == pytest.approx(1.0, abs=0.1) and shares[2] == pytest.approx(2.0, abs=0.2)
+    assert not rv.certificate(scenario).guaranteed
+
+
+@pytest.mark.parametrize("field", UNLIKE)
+def test_each_field_makes_another_sensor_and_survives_a_file_and_json(field, tmp_path):
+    one = rv.Sensing(**{field: UNLIKE[field]})
+    assert not one.exact and one != rv.Sensing()
+    again = rv.Sensing(**{field: UNLIKE[field]})
+    assert one == again and hash(one) == hash(again)
+    assert one.departures() == f"{field} = {UNLIKE[field]}"
+    scenario = rv.Scenario(name="erring", sensing=one)
+    assert scenario != rv.Scenario(name="erring")
+    scenario.to_toml(tmp_path / "erring.toml")
+    assert rv.Scenario.from_toml(tmp_path / "erring.toml") == scenario
+    assert "[sensing]" in (tmp_path / "erring.toml").read_text(encoding="utf-8")
+    assert rv.Scenario.from_plain(json.loads(json.dumps(scenario.to_plain()))) == scenario
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setattr(one, field, UNLIKE[field])
+
+
+@pytest.mark.parametrize(("field", "value"), [(f, v) for f, vs in WRONG.items() for v in vs])
+def test_a_wrong_value_is_refused_by_field_and_value(field, value):
+    with pytest.raises(ValueError, match=rf"^sensing\.{field} is .*; it must be ") as refused:
+        rv.Sensing(**{field: value})
+    shown = "whole number of about" if value == 10**400 else repr(value)
+    assert shown in str(refused.value)
+
+
+def test_an_unknown_field_is_refused_with_the_nearest():
+    with pytest.raises(ValueError, match="did you mean 'dropout'"):
+        rv.Sensing(drop_out=0.1)
+    with pytest.raises(ValueError, match=r"sensing has no field 'nois'.*'noise'"):
+        rv.Scenario.from_plain({"sensing": {"nois": 0.1}})
+    with pytest.raises(ValueError, match="sensing is 3; it must be a table"):
+        rv.Sensing.from_plain(3)
+
+
+def test_an_exact_sensor_is_an_absent_table(tmp_path):
+    assert "sensing" not in rv.Scenario().to_plain()
+    text = 'graph = "complete"\n[sensing]\nrange = 4\ndelay = 2\n'
+    (tmp_path / "short.toml").write_text(text, encoding="utf-8")
+    read = rv.Scenario.from_toml(tmp_path / "short.toml").sensing
+    assert read == rv.Sensing(range=4.0, delay=2) and isinstance(read.range, float)
