@@ -239,6 +239,8 @@ def test_robots_that_turn_are_certified_under_the_gate_only(model):
     scenario = Scenario(robot_model=model, dim=2 if model == "unicycle" else 3)
     law = certificate(scenario)
     assert law.continuous_time_only and "in continuous time" in law.theorem and not law.promises
+    slow = scenario.replace(time_step=1e-7, graph=graphs.complete(1e-6))
+    assert certificate(slow).continuous_time_only  # of steps that rounding swallows nothing is said
     gated = certificate(scenario, 0.3)
     assert gated.guaranteed and gated.theorem.startswith("theorem T")
     assert set(gated.promises) == {"time", "lyapunov"}

@@ -57,19 +57,6 @@ def test_the_turn_limit_is_the_smaller_one():
         np.testing.assert_allclose(steering.act(observations)[..., 1], limit, rtol=1e-6)
 
 
-def test_headings_turn_by_at_most_the_limit():
-    scenario = five("single_integrator-2d")
-    steering = HeadingFilter(scenario, 1, max_turn_rate=1.0, frame="local")
-    observations = Simulator(scenario).reset(0)
-    f = scenario.observation_layout.net_bearing(observations)[0]
-    first = f / np.linalg.norm(f, axis=-1, keepdims=True)
-    steering.hold(np.stack([-f[:, 1], f[:, 0]], axis=-1)[None])
-    for k in range(1, 4):
-        steering.act(observations)
-        cosines = np.sum(steering.headings[0] * first, axis=-1)
-        np.testing.assert_allclose(np.arccos(cosines), k * scenario.tau * 1.0, rtol=1e-6)
-
-
 @pytest.mark.parametrize("rows", [2, 3])
 def test_in_space_rounding_does_not_choose_the_second_axis(rows):
     """The parts across f of two neighbours are equal and opposite: the first row counts."""

@@ -1,6 +1,7 @@
 """Robots of a user's own whose frames turn: headings, tanks, late bearings."""
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 import rendezvous_env as rv
 from rendezvous_env import vector
-from rendezvous_env.robots.unicycle import arc_2d
+from rendezvous_env.robots.robot_models import ROBOT_MODELS
 
 
 class Omni(NamedTuple):
@@ -42,38 +43,6 @@ def init(model, key, counter):
 
 
 rv.describe_motion(Omni, rv.Motion(propose, update=update, frame=body_frame, init=init))
-
-
-class Mirrored(NamedTuple):
-    duration: float
-    speed_limit: float
-    turn_limit: float
-
-
-@rv.kernel
-def arc(model, action, frame, memory, time):
-    return arc_2d(action[0], memory[0], -action[1], time)
-
-
-@rv.kernel
-def propose_arc(model, action, frame, memory):
-    return arc(model, action, frame, memory, model.duration), abs(action[0]) * model.duration
-
-
-@rv.kernel
-def bend(model, action, memory):
-    return abs(action[0] * action[1])
-
-
-@rv.kernel
-def turn(model, action, frame, memory, displacement, contact):
-    return (memory[0] - action[1] * model.duration,)
-
-
-rv.describe_motion(
-    Mirrored,
-    rv.Motion(propose_arc, arc, bend, update=turn, frame=body_frame, init=init),
-)
 
 
 @pytest.fixture
@@ -124,37 +93,14 @@ def test_late_bearings_in_frames_that_turn_are_certified_nothing(team):
     assert fixed.guaranteed and simulator.lyapunov()[0] > fixed.lyapunov_bound
 
 
-@pytest.fixture
-def mirrored(registry):
-    """Three unicycles whose turn rates count clockwise."""
+def test_arcs_of_a_users_own_are_certified_nothing_but_their_law(registry):
+    """Theorem 3 is true of them, of the gate nothing: their rates might count clockwise."""
+    known = ROBOT_MODELS["unicycle"]
     rv.register_robot_model(
-        rv.RobotModel(
-            "mirrored",
-            dims=(2,),
-            constants=lambda given: Mirrored(given.tau, given.speed_limit, given.turn_limit),
-            bounds=lambda given: [given.speed_limit, given.turn_limit],
-            n_angles=1,
-            action="v, −ω",
-            theorem="theorem 3",
-        )
+        replace(known, name="mirrored", constants=lambda given: known.constants(given))
     )
-    return rv.Scenario(n_robots=3, robot_model="mirrored", max_turn_rate=20.0)
-
-
-def test_arcs_of_a_users_own_are_certified_nothing_but_their_law(mirrored):
-    """Theorem 3 is true of them, of the gate nothing."""
+    mirrored = rv.Scenario(n_robots=3, robot_model="mirrored")
     assert rv.certificate(mirrored).continuous_time_only
     for by in ("heading", "tank"):
         found = rv.certificate(mirrored, 0.3, by=by)
         assert not found.promises and "no theorem covers mirrored robots" in found.theorem
-
-
-def test_under_the_gate_v_rises_where_arcs_are_a_users_own(mirrored):
-    env = vector.HeadingVectorWrapper(rv.make_vec(mirrored, num_envs=4), 0.3, 20.0)
-    env.reset(seed=0)
-    simulator, random, rises = env.unwrapped.simulator, np.random.default_rng(0), []
-    for _ in range(40):
-        before = simulator.lyapunov()
-        env.step(random.uniform(-1.0, 1.0, env.action_space.shape))
-        rises.append((simulator.lyapunov() - before).max())
-    assert max(rises) > 0.01
