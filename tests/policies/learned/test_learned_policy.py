@@ -110,16 +110,6 @@ class TestActions:
             np.testing.assert_array_equal(teams.guided.steering.levels, policy.levels)
             assert (teams.guided.steering.levels != 1.2).any()
 
-    def test_order_of_neighbours_and_obstacles_does_not_matter(self):
-        layout, random = CLUTTER.observation_layout, np.random.default_rng(0)
-        neighbours = random.permutation(layout.neighbour_slots)
-        obstacles = layout.neighbour_slots + 2 * random.permutation(layout.obstacle_slots)
-        order = np.concatenate([neighbours, np.stack([obstacles, obstacles + 1], 1).reshape(-1)])
-        plain, mixed = learned(decision_time=0.2), learned(decision_time=0.2)
-        for observations in episode(CLUTTER, steps=60):
-            actions = mixed(observations[:, :, order], 0.0)
-            np.testing.assert_allclose(actions, plain(observations, 0.0), atol=2e-4)
-
     def test_teams_that_begin_at_different_moments_decide_at_different_moments(self):
         together = learned(decision_time=0.2)
         alone = [learned(decision_time=0.2) for _ in range(6)]
