@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from tuples import body_frame
+from tuples import along, body_frame
 
 import baselines
 import rendezvous_env as rv
@@ -125,12 +125,6 @@ def test_pursuit_meets_within_theorem_g(name):
     bounds = [rv.certificate(start).continuous_time_bound for start in own]
     assert (found.rendezvous_time <= bounds).all()
     assert found.success.all()
-
-
-def along(*degrees):
-    """Unit rows (k, 2)."""
-    angles = np.radians(degrees)
-    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
 class TestSmallestSector:

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from alone import alone
 from scipy.optimize import nnls
 from tuples import triple
 
@@ -110,7 +109,7 @@ THIN = np.array(
 """Round the origin, which lies in a thin tetrahedron of them."""
 
 
-@pytest.mark.parametrize("kind", ["balanced", "flat", "opposite"])
+@pytest.mark.parametrize("kind", ["balanced", "flat", "opposite", "thin"])
 def test_all_bearings_lie_along_the_point_where_they_balance(kind):
     """q·g ≥ ‖q‖² for all g: else a robot that moves along q lengthens a link."""
     random, count = np.random.default_rng(0), 100_000
@@ -119,6 +118,9 @@ def test_all_bearings_lie_along_the_point_where_they_balance(kind):
     elif kind == "flat":
         g = random.normal(size=(count, 4, 3))
         g[..., 2] *= 10.0 ** random.uniform(-16, 0, (count, 1))
+    elif kind == "thin":
+        g = THIN + 10.0 ** random.uniform(-17, -1, (count, 1, 1)) * random.normal(size=(5, 3))
+        g[0] = THIN
     else:
         pair, others = random.normal(size=(count, 1, 3)), random.normal(size=(count, 3, 3))
         g = np.concatenate([pair, -pair, others], axis=1)
@@ -127,25 +129,6 @@ def test_all_bearings_lie_along_the_point_where_they_balance(kind):
     q = least_norm_points(g)
     least = np.einsum("nkd,nd->nk", g, q).min(axis=1)
     assert (least >= (q**2).sum(axis=1) - 1e-14).all()
-
-
-def test_a_robot_in_a_thin_tetrahedron_of_neighbours_lengthens_no_link():
-    """The fourth neighbour is itself surrounded, so it stays."""
-    positions = np.vstack([np.zeros(3), THIN, THIN[3] + 2.0 * BALANCED])
-    links = [(0, k) for k in range(1, 6)] + [(4, k) for k in range(6, 10)]
-    scenario = rv.Scenario(
-        n_robots=10,
-        dim=3,
-        graph=rv.graphs.from_edges(links, 10),
-        start_positions=positions,
-        local_frames="global",
-    )
-    assert rv.certificate(scenario, by="links", share=1.0).guaranteed
-    env, simulator = alone(scenario, "links", share=1.0)
-    env.step(np.zeros((1, 10, 3), np.float32))
-    assert simulator.active.all()
-    length = np.linalg.norm(simulator.positions[0, 4] - simulator.positions[0, 0])
-    assert length <= np.linalg.norm(THIN[3]) + 1e-12
 
 
 def test_points_by_hand():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tuples import along
 
 import baselines
 from baselines.learned.feature_kernels import (
@@ -22,17 +23,13 @@ NOTHING = np.zeros((1, 3, 2))
 TIME = 0.5
 
 
-def unit(degrees):
-    return np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
-
-
 def look(f, *edges, other=None):
     """Observations (1, 3, rows, 2): robot 0 sees a neighbour at f, perhaps another, and obstacles
     between edges, in degrees; the others see nothing.
     """
     observations = np.zeros((1, 3, *PAIR.observation_layout.shape), dtype=np.float32)
     for row, angle in enumerate((f, other, *edges)):
-        observations[0, 0, row] = 0.0 if angle is None else unit(angle)
+        observations[0, 0, row] = 0.0 if angle is None else along(angle)
     return observations
 
 
@@ -57,7 +54,7 @@ def test_a_robot_by_hand():
     np.testing.assert_allclose(
         shown.neighbours[0, 0], [[0.5, -np.sqrt(0.75), 1], [0.5, np.sqrt(0.75), 1]], atol=1e-6
     )
-    np.testing.assert_allclose(shown.obstacles[0, 0, 0], [*unit(10), *unit(-5), 0, 0], atol=1e-6)
+    np.testing.assert_allclose(shown.obstacles[0, 0, 0], [*along(10, -5).ravel(), 0, 0], atol=1e-6)
     assert not shown.obstacles[0, 0, 1:].any()
     expected = [
         0.5, 1.0, 0.5, 0.0, 1.0, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0, 0,
@@ -73,7 +70,7 @@ def test_how_fast_edges_turn():
     perceive(perception, look(0, 50, 20))
     shown = perceive(perception, look(-30, 54, 20))
     np.testing.assert_allclose(
-        shown.obstacles[0, 0, 0], [*unit(84), *unit(50), np.radians(4) / 0.2, 0], atol=1e-5
+        shown.obstacles[0, 0, 0], [*along(84, 50).ravel(), np.radians(4) / 0.2, 0], atol=1e-5
     )
     perceive(perception, look(0))  # out of sight: forgotten
     again = perceive(perception, look(0, 50, 20))
@@ -85,7 +82,7 @@ def test_what_a_robot_remembers_of_its_motion():
     perception = Features(PAIR, 1, decision_time=TIME)
     headings = NOTHING.copy()
     perception.see(look(90), headings)
-    headings[0, 0] = unit(90)
+    headings[0, 0] = along(90)
     perception.see(look(90), headings)
     shown = perception.layout.split(perception.see(look(0), headings)).context[0, 0]
     short, long = np.exp(-0.5), np.exp(-0.1)
@@ -145,7 +142,7 @@ def tank_features(columns):
 def see_tank(perception, observations, level=0.0, heading=0.0, velocity=None):
     """The columns of robot 0 beyond those of ``Features``."""
     headings, velocities = NOTHING.copy(), NOTHING.copy()
-    headings[0, 0] = unit(heading)
+    headings[0, 0] = along(heading)
     velocities[0, 0] = [0.0, 0.0] if velocity is None else velocity
     levels = np.array([[level, 7.0, 7.0]])
     shown = perception.see(observations, headings, velocities=velocities, levels=levels)
@@ -183,12 +180,12 @@ def test_a_wall_is_met_walked_along_and_left():
     first = [1, np.log1p(3), TIME / 30, np.exp(-TIME / 8), 0, 0]
     np.testing.assert_allclose(met[1:7], first, rtol=1e-6)
     perception.note(np.array([[0.6, 0.0, 0.0]]))
-    along = see_tank(perception, look(30, 60, 0), level=1.0, heading=-90)
+    beside = see_tank(perception, look(30, 60, 0), level=1.0, heading=-90)
     expected = [
         np.log1p(1), 1, np.log1p(3), 2 * TIME / 30, np.exp(-2 * TIME / 8), 1 / 6, -0.5,
         np.cos(0.6), np.sin(0.6),
     ]  # fmt: skip
-    np.testing.assert_allclose(along[:9], expected, rtol=1e-5)
+    np.testing.assert_allclose(beside[:9], expected, rtol=1e-5)
     for k in range(4):  # two seconds without a wall, and it is still the same wall
         assert see_tank(perception, look(30))[1] == 1, k
     left = see_tank(perception, look(30))
@@ -224,7 +221,7 @@ def test_memory_is_kept_put_back_and_forgotten():
 def test_memory_runs_in_seconds_not_in_decisions():
     """Five seconds of the same motion along the same wall, however they are cut."""
     told, headings, moving = [], NOTHING.copy(), NOTHING.copy()
-    headings[0, 0], moving[0, 0] = unit(150), [0.0, 0.5]
+    headings[0, 0], moving[0, 0] = along(150), [0.0, 0.5]
     seen, levels = look(90, 120, 60), np.array([[2.0, 0.0, 0.0]])
     for cuts in ([1.25] * 4, [0.3, 3.1, 0.05, 1.55], [5.0]):
         perception = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
