@@ -206,12 +206,12 @@ class TestLargeSparseGraphs:
         assert (found.largest_rise_between_merges <= 0.0).all()
 
     def test_a_hub_slows_down(self):
-        """Its 59 neighbours all stand where it goes."""
+        """Thirty neighbours on the one side and 29 on the other: D_i = 59 m/s, ‖f_i‖ = 1 m/s."""
         scenario = self.sparse(graph=rv.graphs.erdos_renyi(0.03))
         seen = np.zeros((60, *scenario.observation_layout.shape), np.float32)
-        seen[0, :, 0], seen[1, 0, 0] = 1.0, 1.0
+        seen[0, :30, 0], seen[0, 30:, 0], seen[1, 0, 0] = 1.0, -1.0, 1.0
         hub, leaf, *_ = baselines.make("bearing-only", scenario)(seen, 0.0)[:, 0]
-        assert hub == pytest.approx(scenario.step_degree) and leaf == 1.0
+        assert hub == pytest.approx(scenario.step_degree / 59) and leaf == 1.0
 
     def test_the_certificate_covers_it_and_says_how(self):
         certificate = rv.certificate(self.sparse())

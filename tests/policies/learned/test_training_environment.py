@@ -153,11 +153,10 @@ def test_robots_go_on_bit_by_bit_from_their_state(scenario, settings, steps):
         np.testing.assert_array_equal(robots.bootstrap_observations, other.bootstrap_observations)
     with pytest.raises(ValueError, match="active must be an array of shape"):
         other.set_state({**state, "active": np.zeros(3)})
-    spoilt = ("touched", state["teams"])
-    if scenario is not SCENARIO:
-        spoilt = ("angles", state["teams"]["bodies"])
-    spoilt[1][spoilt[0]] = np.zeros(2)
-    with pytest.raises(ValueError, match=f"{spoilt[0]} must be an array of shape"):
+    turning = "bodies" in state["teams"]
+    owner, name = (state["teams"]["bodies"], "angles") if turning else (state["teams"], "touched")
+    owner[name] = np.zeros(2)
+    with pytest.raises(ValueError, match=f"{name} must be an array of shape"):
         other.set_state(state)
 
 
