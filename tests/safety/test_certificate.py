@@ -29,6 +29,7 @@ PURSUIT = Scenario(n_robots=4, graph=graphs.directed_cycle(), start_positions=SQ
 LED = Scenario(graph=graphs.directed([(1, 0), (2, 1), (3, 1, 2.0)]), n_robots=4)
 SWITCHING = PURSUIT.replace(graph=graphs.switching(["path", "star"], dwell=1.0))
 NEAR = Scenario(n_robots=4, graph=graphs.proximity(), sensing=Sensing(range=6.0))
+SPARSE = Scenario(n_robots=60, graph=graphs.erdos_renyi(0.06), spawn_size=12.0)
 BEHIND = Scenario(sensing=Sensing(occlusion="robots"))
 MARGINS = {"law": 1.0, "heading": 0.3, "tank": 0.3, "gains": 1.0, "links": 1.0}
 close = pytest.approx
@@ -46,6 +47,7 @@ close = pytest.approx
         (Scenario(obstacles=WALL, obstacle_contact="ignore"), 1.0, True, "theorems 1 and G"),
         (LONG, 0.1, True, "scaled to the long step"),
         (LED, 1.0, True, "theorem G: law (1)"),
+        (SPARSE, 1.0, True, "velocities scaled"),
     ],
 )
 def test_what_is_guaranteed(scenario, margin, finite, words):
@@ -66,6 +68,7 @@ def test_what_is_guaranteed(scenario, margin, finite, words):
         ("gains", Scenario(obstacles=WALL), "nothing is proven of gains"),
         ("links", Scenario(obstacles=WALL), "obstacles turn robots aside"),
         ("law", LONG, "for law .1. as it stands"),
+        ("law", SPARSE.replace(time_step=SPARSE.tau, allow_long_step=True), "for law .1. as it"),
         ("law", PIECES, "the graph is not connected"),
         ("links", PURSUIT, ".*has no theorem on directed graphs"),
         ("links", SWITCHING, ".*has no theorem on switching graphs"),
