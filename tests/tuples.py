@@ -18,6 +18,12 @@ def triple(vector: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
     return x, y, z
 
 
+def along(*degrees: float) -> np.ndarray:
+    """Unit vectors (k, 2) at these angles."""
+    angles = np.radians(degrees)
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+
+
 def world(obstacles: Sequence[Obstacle], slots: int | None = None) -> ObstacleSet:
     """Obstacles as a world, of balls if they are; slots left over are absent."""
     table = pack(obstacles, len(obstacles) if slots is None else slots)

@@ -189,25 +189,15 @@ class TestLargeSparseGraphs:
         fixed = self.sparse(50, graph=rv.graphs.from_edges(links))
         assert fixed.step_degree == 8.0 and fixed.max_degree == 49.0
 
-    @pytest.mark.parametrize(
-        ("n", "fields"),
-        [
-            (47, {}),
-            (60, {"graph": "cycle"}),
-            (60, {"graph": "complete"}),
-            (60, {"time_step": 0.001}),
-            (60, {"robot_model": "unicycle"}),
-        ],
-    )
-    def test_elsewhere_the_step_is_the_certified_one_or_given(self, n, fields):
-        scenario = self.sparse(n, **fields)
-        assert not scenario.scales_velocity
-        assert scenario.tau in (scenario.time_step, scenario.certified_step)
-
-    def test_every_scenario_of_small_teams_keeps_its_step(self):
-        for name in rv.scenarios.names():
-            scenario = rv.scenarios.get(name)
-            assert scenario.step_degree == scenario.max_degree and not scenario.scales_velocity
+    def test_elsewhere_the_step_is_the_certified_one_or_given(self):
+        others = {"graph": "cycle"}, {"graph": "complete"}, {"robot_model": "unicycle"}
+        large = [self.sparse(47), *(self.sparse(**fields) for fields in others)]
+        for scenario in (*large, *map(rv.scenarios.get, rv.scenarios.names())):
+            assert scenario.n_robots > 47 or scenario.step_degree == scenario.max_degree
+            assert scenario.tau in (scenario.time_step, scenario.certified_step)
+            assert not scenario.scales_velocity
+        given = self.sparse(time_step=0.001)
+        assert given.tau == 0.001 and not given.scales_velocity
 
     def test_all_meet_and_v_never_rises_between_merges(self):
         scenario = self.sparse(time_limit=40.0)
@@ -215,34 +205,10 @@ class TestLargeSparseGraphs:
         assert found.success.all()
         assert (found.largest_rise_between_merges <= 0.0).all()
 
-    def test_a_hub_slows_down_and_v_would_rise_if_it_did_not(self):
-        """It stands beside the middle of 59 neighbours, D_i = 59: 2τ D_i/r times too fast it ends
-        far beyond."""
-        scenario = self.sparse(graph=rv.graphs.erdos_renyi(0.03), local_frames="global")
-        star = np.zeros((60, 60))
-        star[0, 1:] = star[1:, 0] = 1.0
-        around = 2 * np.pi * np.arange(59) / 59
-        ring = 1.3 * scenario.merge_radius * np.stack([np.cos(around), np.sin(around)], axis=-1)
-        places = np.vstack([[0.02, 0.0], ring])
-        rows, law = scenario.observation_layout.neighbours, baselines.make("bearing-only", scenario)
-        change = []
-        for choose in (law, lambda seen, time: seen[..., rows, :].sum(-2)):
-            simulator = rv.Simulator(scenario)
-            seen = simulator.reset(0, {"positions": places, "weights": star})
-            before = simulator.lyapunov()[0]
-            actions = np.zeros((1, 60, 2), np.float32)
-            actions[0, 0] = choose(seen, 0.0)[0, 0]
-            simulator.step(actions)
-            change.append(simulator.lyapunov()[0] - before)
-        assert change[0] < 0.0 < change[1]
+    def test_a_hub_slows_down(self):
+        """Thirty neighbours on the one side and 29 on the other: D_i = 59 m/s, ‖f_i‖ = 1 m/s."""
+        scenario = self.sparse(graph=rv.graphs.erdos_renyi(0.03))
         seen = np.zeros((60, *scenario.observation_layout.shape), np.float32)
-        seen[0, :, 0], seen[1, 0, 0] = 1.0, 1.0
-        hub, leaf, *_ = law(seen, 0.0)[:, 0]
-        assert hub == pytest.approx(scenario.step_degree) and leaf == 1.0
-
-    def test_the_certificate_covers_it_and_says_how(self):
-        certificate = rv.certificate(self.sparse())
-        assert certificate.guaranteed and "scaled" in certificate.theorem
-        assert np.isfinite(certificate.time_bound)
-        given = self.sparse(time_step=self.sparse().tau, allow_long_step=True)
-        assert not rv.certificate(given).guaranteed
+        seen[0, :30, 0], seen[0, 30:, 0], seen[1, 0, 0] = 1.0, -1.0, 1.0
+        hub, leaf, *_ = baselines.make("bearing-only", scenario)(seen, 0.0)[:, 0]
+        assert hub == pytest.approx(scenario.step_degree / 59) and leaf == 1.0

@@ -11,7 +11,8 @@ import pytest
 import baselines
 import rendezvous_env as rv
 from baselines.policy import is_single_integrator
-from rendezvous_env.trajectory import begin
+from rendezvous_env.engine.memory import RENDEZVOUS
+from rendezvous_env.trajectory import begin, run
 
 SCENARIOS = ("clutter-8", "clutter-3d", "unicycle-6", "uav-6", "duo")
 HEAVY = rv.Scenario(n_robots=3, robot_model="double_integrator")
@@ -163,3 +164,39 @@ def test_turning_the_robots_turns_their_actions(name):
         found = turned((seen @ turn).astype(np.float32), 0.0)
         np.testing.assert_allclose(found, actions @ turn, atol=2e-4 if scenario.dim == 2 else 1e-3)
         seen = simulator.step(actions).observations
+
+
+THROUGH = {"time_limit": 25.0, "obstacle_contact": "ignore"}
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "changes"),
+    [
+        ("tangent-joined-tuned", "slab-3d", THROUGH),
+        (
+            "tangent-joined-tuned",
+            "clutter-3d-96",
+            THROUGH,
+        ),
+        ("learned", "fig4", {}),
+        ("learned", "duo", {"time_limit": 1000.0}),
+        ("learned", "clutter-24", {"n_robots": 8, "time_limit": 3.0}),
+        ("learned", "tree-12", {}),
+    ],
+)
+def test_certified_headings_keep_their_margin_and_v_never_rises(name, field, changes):
+    """Theorem C, beside obstacles where nobody touches them."""
+    scenario = rv.scenarios.get(field).replace(**changes)
+    simulator, policy = rv.Simulator(scenario, 16), baselines.make(name, scenario)
+    checked = aside = 0
+    for step in run(simulator, policy, simulator.reset(0)):
+        f, v = scenario.observation_layout.net_bearing(step.observations), step.actions
+        strength, speed = (np.linalg.norm(each, axis=-1) for each in (f, v))
+        moving = step.running[:, None] & (strength > 2 * scenario.dead_zone) & (speed > 0.01)
+        cosines = np.abs(np.sum(f * v, axis=-1))[moving] / (strength * speed)[moving]
+        assert (cosines >= policy.min_alignment - 1e-5).all()
+        calm = ~step.outcome.contact.any(axis=-1)
+        assert (simulator.lyapunov() <= step.lyapunov * (1 + 1e-7))[calm].all()
+        checked, aside = checked + moving.sum(), aside + (cosines < 0.5).sum()
+    assert checked > 500 and (aside > 500 or name == "learned")
+    assert field != "duo" or (simulator.status == RENDEZVOUS).all()

@@ -15,7 +15,7 @@ CLUTTER = rv.scenarios.get("clutter-12").replace(time_limit=4.0)
 OPEN = rv.scenarios.get("clutter-4").replace(obstacles=(), time_limit=6.0, merge_radius=0.05)
 CARS = rv.scenarios.get("unicycle-6").replace(time_limit=4.0, merge_radius=0.05)
 SPACE = rv.scenarios.get("uav-6").replace(time_limit=4.0)
-TEAMS, STEPS = 4, 40
+TEAMS = 4
 
 
 class Sideways:
@@ -61,30 +61,27 @@ class TestFunctions:
             (CLUTTER, {"bearing_error": 0.1}),
             (CARS, {"max_turn_rate": 0.5}),
             (SPACE, {}),
+            # until something touches or merges, of which tanks are not told
+            (CLUTTER.replace(obstacles=()), {"budget": 0.5, "observe_level": True}),
         ],
     )
-    def test_headings_move_robots_as_the_wrapper_does(self, scenario, options, period):
+    def test_robots_move_as_under_the_wrapper(self, scenario, options, period):
+        tank = "budget" in options
+        steps, make, wrap = 40, HeadingPolicy, HeadingVectorWrapper
+        if tank:
+            steps, make, wrap = 20, TankPolicy, EnergyTankWrapper
         venv = rv.make_vec(scenario, TEAMS, autoreset_mode="Disabled")
-        wrapper = HeadingVectorWrapper(venv, decision_period=period, **options)
+        wrapper = wrap(venv, decision_period=period, **options)
         choose = Sideways(wrapper.single_action_space.shape[-1])
-        wanted = places_of(wrapper, choose, STEPS // period)
-        policy, choose.asked = HeadingPolicy(scenario, choose, decision_period=period, **options), 0
-        found, _ = places_under(policy, scenario, STEPS, period)
-        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6)
-        assert choose.asked == STEPS // period
+        wanted = places_of(wrapper, choose, steps // period)
+        policy, choose.asked = make(scenario, choose, decision_period=period, **options), 0
+        found, simulator = places_under(policy, scenario, steps, period)
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=0.0 if tank else 1e-6)
+        assert choose.asked == steps // period
         assert np.abs(wanted[-1] - wanted[0]).max() > 0.3
-
-    def test_a_tank_does_as_the_wrapper_until_something_touches_or_merges(self):
-        scenario = CLUTTER.replace(obstacles=())
-        options = {"budget": 0.5, "observe_level": True, "decision_period": 2}
-        venv = rv.make_vec(scenario, TEAMS, autoreset_mode="Disabled")
-        wrapper, choose = EnergyTankWrapper(venv, **options), Sideways(2)
-        wanted = places_of(wrapper, choose, 10)
-        policy = TankPolicy(scenario, choose, **options)
-        found, simulator = places_under(policy, scenario, 20, 2)
-        np.testing.assert_array_equal(found, wanted)
-        assert simulator.active.all() and (policy.levels != 0.5).any()
-        np.testing.assert_array_equal(policy.levels, wrapper.tank.levels)
+        if tank:
+            assert simulator.active.all() and (policy.levels != 0.5).any()
+            np.testing.assert_array_equal(policy.levels, wrapper.tank.levels)
 
     @pytest.mark.parametrize("make", [HeadingPolicy, TankPolicy])
     def test_what_chooses_may_write_to_what_it_is_shown(self, make):

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from tuples import along, body_frame
 
 import baselines
 import rendezvous_env as rv
@@ -124,12 +125,6 @@ def test_pursuit_meets_within_theorem_g(name):
     bounds = [rv.certificate(start).continuous_time_bound for start in own]
     assert (found.rendezvous_time <= bounds).all()
     assert found.success.all()
-
-
-def along(*degrees):
-    """Unit rows (k, 2)."""
-    angles = np.radians(degrees)
-    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
 class TestSmallestSector:
@@ -304,16 +299,9 @@ class TestPursuitByRobotsWithATurnLimit:
 
     def test_yaw_and_pitch_point_the_body_at_a_bearing(self):
         random = np.random.default_rng(0)
-        yaw, pitch = random.uniform(-np.pi, np.pi, 100), random.uniform(-1.5, 1.5, 100)
-        target = random.normal(size=(100, 3))
-        target /= np.linalg.norm(target, axis=-1, keepdims=True)
-
-        def axis(a, b):
-            return np.stack([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)], axis=-1)
-
-        forward, left = axis(yaw, pitch), np.stack([-np.sin(yaw), np.cos(yaw), 0 * yaw], axis=-1)
-        up = np.cross(forward, left)
-        body = np.stack([np.sum(target * v, axis=-1) for v in (forward, left, up)], axis=-1)
-        turns = yaw_and_pitch(body, pitch)
-        pointed = axis(yaw + turns[:, 0], pitch + turns[:, 1])
-        np.testing.assert_allclose(pointed, target, atol=1e-12)
+        for yaw, pitch in random.uniform(-1.5, 1.5, (100, 2)):
+            target = random.normal(size=3)
+            target /= np.linalg.norm(target)
+            turns = yaw_and_pitch(body_frame(3, yaw, pitch).T @ target, pitch)
+            pointed = body_frame(3, yaw + turns[0], pitch + turns[1])[:, 0]
+            np.testing.assert_allclose(pointed, target, atol=1e-12)

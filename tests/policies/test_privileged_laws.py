@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import baselines
 import rendezvous_env as rv
@@ -77,6 +79,19 @@ def test_first_velocities_by_hand(name, changes, start, wanted):
 
 
 class TestEnclosingBall:
+    @given(st.integers(1, 12), st.integers(2, 3), st.integers(0, 10**6), st.booleans())
+    def test_it_encloses_and_no_ball_is_smaller(self, count, d, seed, on_a_grid):
+        """A convex function that no small step lessens is at its least."""
+        points = np.random.default_rng(seed).normal(size=(count, d)) * 4
+        points = np.round(points) if on_a_grid else points
+        centre, radius = smallest_enclosing_ball(points)
+        assert np.linalg.norm(points - centre, axis=1).max() <= radius * (1 + 1e-9) + 1e-12
+        for nudge in np.random.default_rng(0).normal(size=(200, d)) * 1e-3:
+            assert np.linalg.norm(points - centre - nudge, axis=1).max() >= radius - 1e-9
+        for no_points in (np.zeros((0, 2)), np.zeros(3), [[np.nan, 0.0]]):
+            with pytest.raises(ValueError, match="points have shape"):
+                smallest_enclosing_ball(no_points)
+
     def test_nobody_could_be_sooner(self):
         """T is at least (R − (n − 1) r/2)/v_max, and at most R/v_max and what merges cost."""
         policy = baselines.make("privileged-enclosing-ball", TEAM)

@@ -108,20 +108,22 @@ class TestWays:
 
 class TestItPasses:
     @pytest.mark.parametrize(
-        ("name", "starts"),
+        ("name", "starts", "fails"),
         [
-            ("clutter-3d-32", 10), ("clutter-3d-96", 2), ("slab-3d", 20), ("bowl-3d", 10),
-            ("window-3d", 10), ("uav-clutter-16", 3), ("unicycle-clutter-24-slower", 20),
-            ("unicycle-rooms", 20),
+            *((name, 40, "tangent-joined-tuned")
+              for name in ("trap", "corridor", "rooms", "clutter-32")),
+            ("clutter-3d-32", 10, ""), ("clutter-3d-96", 2, ""), ("slab-3d", 20, "bearing-only"),
+            ("bowl-3d", 10, ""), ("window-3d", 10, ""), ("uav-clutter-16", 3, ""),
+            ("unicycle-clutter-24-slower", 20, ""), ("unicycle-rooms", 20, ""),
         ],
     )  # fmt: skip
-    def test_every_field_is_passed(self, name, starts):
+    def test_every_field_is_passed(self, name, starts, fails):
+        """In some of them law (4) fails."""
         scenario = rv.scenarios.get(name)
-        found = rv.rollout(scenario, planner(scenario), 2000, num_envs=starts)
-        assert clean(found).all()
-        if name == "slab-3d":
-            law = baselines.make("bearing-only", scenario)
-            assert clean(rv.rollout(scenario, law, 2000, num_envs=starts)).mean() < 0.5
+        for policy in (NAME, fails) if fails else (NAME,):
+            law = baselines.make(policy, scenario)
+            passed = clean(rv.rollout(scenario, law, 2000, num_envs=starts))
+            assert passed.all() if policy == NAME else passed.mean() <= 0.8
 
     @pytest.mark.slow
     @pytest.mark.parametrize("name", ["clutter-3d-32", "slab-3d", "bowl-3d", "uav-clutter-16"])
@@ -138,15 +140,6 @@ class TestItPasses:
         kept = found.active[1:, found.success] & found.active[:-1, found.success]
         merging = (found.active[1:] != found.active[:-1]).any(axis=-1)[:, found.success]
         assert np.linalg.norm(steps, axis=-1)[kept & ~merging[..., None]].max() <= 0.05 + 1e-6
-
-    @pytest.mark.parametrize("name", ["trap", "corridor", "rooms", "clutter-32"])
-    def test_fields_in_which_law_4_fails(self, name):
-        scenario = rv.scenarios.get(name)
-        law = baselines.make("tangent-joined-tuned", scenario)
-        possible = clean(rv.rollout(scenario, planner(scenario), 1000, num_envs=40))
-        reached = clean(rv.rollout(scenario, law, 1000, num_envs=40))
-        assert possible.mean() >= 0.99
-        assert reached.mean() <= 0.8
 
     @pytest.mark.parametrize(
         ("scenario", "seed", "starts"),

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from conftest import LAWS
 from scipy.optimize import linear_sum_assignment
+from tuples import along
 
 import baselines
 import rendezvous_env as rv
@@ -16,11 +17,6 @@ CLUTTER = rv.scenarios.get("clutter-12")
 TURNING = CLUTTER.replace(robot_model="unicycle", max_turn_rate=1.5)
 ALL_ALONG = 500
 """Steps that are enough of an episode."""
-
-
-def unit(*degrees):
-    angles = np.radians(degrees)
-    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
 def measured(rows, layout, random):
@@ -115,8 +111,8 @@ class TestTime:
     def test_a_heading_turns_by_as_much_as_the_time_allows(self):
         for dt in (0.02, 0.05):
             robot = RobotPolicy(CLUTTER, "tangent-joined-certified", max_turn_rate=1.0)
-            before = robot.act(unit(0))
-            after = robot.act(unit(60), dt=dt)
+            before = robot.act(along(0))
+            after = robot.act(along(60), dt=dt)
             turned = np.arctan2(after[1], after[0]) - np.arctan2(before[1], before[0])
             assert turned == pytest.approx(dt, abs=1e-5)
 
@@ -125,7 +121,7 @@ class TestTime:
         rates = []
         for dt in (0.02, 0.05):
             robot, shown = RobotPolicy(CLUTTER), []
-            robot.act(unit(0), [unit(40, 60)], dt=dt)
+            robot.act(along(0), [along(40, 60)], dt=dt)
             guided, time = robot.policy._guided, 0.0
             show = guided.show
 
@@ -137,23 +133,23 @@ class TestTime:
             while not shown:
                 time += dt
                 turn = np.degrees(time)
-                robot.act(unit(0), [unit(40 + turn, 60 + turn)], dt=dt)
+                robot.act(along(0), [along(40 + turn, 60 + turn)], dt=dt)
             obstacles = guided.perception.layout.split(shown[0][0, 0]).obstacles
             rates.append(obstacles[obstacles.any(axis=-1)][0, 4:])
         np.testing.assert_allclose(rates, 1.0, atol=1e-4)
 
     def test_reset_begins_anew(self):
         robot = RobotPolicy(CLUTTER, "tangent-joined-certified", max_turn_rate=1.0)
-        fresh = robot.act(unit(50))
-        robot.act(unit(0), dt=1.0)
+        fresh = robot.act(along(50))
+        robot.act(along(0), dt=1.0)
         robot.reset()
-        np.testing.assert_array_equal(robot.act(unit(50)), fresh)
+        np.testing.assert_array_equal(robot.act(along(50)), fresh)
         assert robot.time == 0.0
 
     def test_a_step_cut_short_earns_in_proportion(self):
         tank = RobotPolicy(CLUTTER, "learned-tank").policy
         rows = np.zeros((1, CLUTTER.n_robots, *CLUTTER.observation_layout.shape), np.float32)
-        rows[0, 0, :2] = unit(0, 30)
+        rows[0, 0, :2] = along(0, 30)
         tank(rows, 0.0)
         steering = tank._guided.steering
         full, begun = tank.levels[0, 0], steering.budget
@@ -168,23 +164,23 @@ class TestSight:
     def test_obstacles_keep_their_slots(self):
         layout = CLUTTER.observation_layout
         sight = RobotSight(layout, 3.0)
-        a, b, c = unit(40, 20), unit(80, 60), unit(-100, -120)
-        one = layout.split(sight.rows(unit(0), [a, b], None)).obstacles
-        two = layout.split(sight.rows(unit(0), [c, unit(83, 62), unit(44, 23)], None)).obstacles
+        a, b, c = along(40, 20), along(80, 60), along(-100, -120)
+        one = layout.split(sight.rows(along(0), [a, b], None)).obstacles
+        two = layout.split(sight.rows(along(0), [c, along(83, 62), along(44, 23)], None)).obstacles
         place = [np.argmin(np.abs(one - edges).sum(axis=(1, 2))) for edges in (a, b)]
-        np.testing.assert_allclose(two[place], [unit(44, 23), unit(83, 62)], atol=1e-6)
+        np.testing.assert_allclose(two[place], [along(44, 23), along(83, 62)], atol=1e-6)
         assert two.any(axis=(1, 2)).sum() == 3
 
     def test_what_vanished_leaves_its_slot_to_nobody_at_once(self):
         """An obstacle that comes into sight as another goes does not turn as fast as that."""
         layout = CLUTTER.observation_layout
         sight = RobotSight(layout, 3.0)
-        one = layout.split(sight.rows(unit(0), [unit(40, 20)], None)).obstacles
-        two = layout.split(sight.rows(unit(0), [unit(-100, -120)], None)).obstacles
+        one = layout.split(sight.rows(along(0), [along(40, 20)], None)).obstacles
+        two = layout.split(sight.rows(along(0), [along(-100, -120)], None)).obstacles
         assert not (one.any(axis=(1, 2)) & two.any(axis=(1, 2))).any()
 
     def test_nobody_in_sight_is_rest(self):
-        assert RobotPolicy(CLUTTER).act([], [unit(10, -10)]).tolist() == [0.0, 0.0]
+        assert RobotPolicy(CLUTTER).act([], [along(10, -10)]).tolist() == [0.0, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -193,11 +189,11 @@ class TestSight:
         ({"bearings": [[1.0, 0.0], [0.6, 0.6]]}, r"bearings\[1\] is \[0\.6, 0\.6\]; .* a unit vec"),
         ({"bearings": [[np.nan, 0.0]]}, r"bearings\[0\] is \[nan, 0\.0\]; .* a unit vec"),
         ({"bearings": [1.0, 0.0]}, r"bearings have shape \(2,\); they must be \(…, 2\)"),
-        ({"bearings": unit(0, 1, 2, 3)}, r"bearings are of 4 .*for 3.*neighbour_slots"),
+        ({"bearings": along(0, 1, 2, 3)}, r"bearings are of 4 .*for 3.*neighbour_slots"),
         ({"bearings": "east"}, "bearings is 'east'"),
-        ({"obstacles": [unit(0, 1)] * 13}, r"obstacles are of 13 .*for 12.*obstacle_slots"),
-        ({"obstacles": [unit(0, 1) * 2]}, r"obstacles\[0, 0\] is \[2\.0, 0\.0\]; .* a unit vec"),
-        ({"obstacles": unit(0, 1)}, r"obstacles have shape \(2, 2\); they must be \(…, 2, 2\)"),
+        ({"obstacles": [along(0, 1)] * 13}, r"obstacles are of 13 .*for 12.*obstacle_slots"),
+        ({"obstacles": [along(0, 1) * 2]}, r"obstacles\[0, 0\] is \[2\.0, 0\.0\]; .* a unit vec"),
+        ({"obstacles": along(0, 1)}, r"obstacles have shape \(2, 2\); they must be \(…, 2, 2\)"),
         ({"dt": -0.1}, r"dt is -0\.1; it must be a positive"),
         ({"dt": np.nan}, "dt is nan; it must be a positive"),
         ({"weights": [1.0, 2.0]}, r"weights have shape \(2,\); they must be \(1,\)"),
@@ -207,12 +203,12 @@ class TestSight:
 )  # fmt: skip
 def test_bad_measurements_are_named_and_change_nothing(change, message):
     robot, other = RobotPolicy(CLUTTER), RobotPolicy(CLUTTER)
-    good = {"bearings": unit(0), "obstacles": [unit(30, 10)], "dt": 0.05}
+    good = {"bearings": along(0), "obstacles": [along(30, 10)], "dt": 0.05}
     for each in (robot, other):
         each.act(**good)
     with pytest.raises(ValueError, match=message):
         robot.act(**{**good, **change})
-    later = {"bearings": unit(3), "obstacles": [unit(35, 12)], "dt": 0.2}
+    later = {"bearings": along(3), "obstacles": [along(35, 12)], "dt": 0.2}
     np.testing.assert_array_equal(robot.act(**later), other.act(**later))
     assert robot.time == other.time == pytest.approx(0.2)
 
@@ -224,8 +220,8 @@ def test_bad_measurements_are_named_and_change_nothing(change, message):
         ("uav-6", {"gravity": [0, 0, -2.0]}, r"gravity is \[0, 0, -2.0\]; .* a unit vector \(3,\)"),
         ("uav-6", {"gravity": [0, -1.0]}, r"gravity is \[0, -1.0\]; .* a unit vector \(3,\)"),
         ("cloud-8", {"gravity": [0, 0, -1.0]}, "gravity is .*; it must be left out"),
-        ("clutter-3d", {"obstacles": [unit(0, 1)]}, r"obstacles have shape .* \(…, 8, 3\)"),
-        ("clutter-3d", {"bearings": unit(0)}, r"bearings have shape \(1, 2\); .* \(…, 3\)"),
+        ("clutter-3d", {"obstacles": [along(0, 1)]}, r"obstacles have shape .* \(…, 8, 3\)"),
+        ("clutter-3d", {"bearings": along(0)}, r"bearings have shape \(1, 2\); .* \(…, 3\)"),
     ],
 )  # fmt: skip
 def test_bad_measurements_in_space_are_named(field, change, message):

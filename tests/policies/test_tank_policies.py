@@ -7,7 +7,7 @@ import baselines
 import rendezvous_env as rv
 from baselines.steering import Steering
 from rendezvous_env import Scenario, Simulator
-from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
+from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.trajectory import run
 
 CLUTTER = rv.scenarios.get("clutter-8").replace(time_limit=20.0)
@@ -39,21 +39,18 @@ def test_v_and_the_ledger_fall_together_where_nothing_is_touched(name, budget, t
     """V + ΣA, although what robots remember turns with their bodies and is never told."""
     scenario = rv.scenarios.get(name).replace(time_limit=45.0)
     policy, simulator = made(scenario, budget=budget), Simulator(scenario, teams)
-    steering, observations = Steering(scenario), simulator.reset(0)
-    checked = away = 0
-    before = simulator.lyapunov() + scenario.n_robots * budget
-    while (on := simulator.status == RUNNING).any():
-        active, actions = simulator.active, policy(observations, simulator.time)
-        f = scenario.observation_layout.net_bearing(observations)
-        lost = np.sum(f * steering.velocities(actions, observations), axis=-1) < -1e-3
-        away += int((lost & active & on[:, None]).sum())
-        outcome = simulator.step(actions)
-        observations, whole = outcome.observations, (active == outcome.active).all(axis=-1)
-        total = simulator.lyapunov() + policy.levels.sum(axis=-1)
-        calm = on & whole & ~outcome.contact.any(axis=-1)
-        assert (total[calm] <= before[calm] * (1 + 1e-6)).all()
+    steering, checked, away = Steering(scenario), 0, 0
+    levels = scenario.n_robots * budget
+    for step in run(simulator, policy, simulator.reset(0)):
+        f = scenario.observation_layout.net_bearing(step.observations)
+        there = f.any(axis=-1) & step.running[:, None]
+        lost = np.sum(f * steering.velocities(step.actions, step.observations), axis=-1) < -1e-3
+        before, levels = step.lyapunov + levels, policy.levels.sum(axis=-1)
+        whole = (there == step.outcome.active).all(axis=-1)
+        calm = step.running & whole & ~step.outcome.contact.any(axis=-1)
+        assert ((simulator.lyapunov() + levels)[calm] <= before[calm] * (1 + 1e-6)).all()
         assert (policy.levels >= 0).all()
-        before, checked = total, checked + int(active[calm].sum())
+        checked, away = checked + there[calm].sum(), away + (lost & there).sum()
     assert checked > least and away > least / 100
     if scenario.dim == 3:  # a slab, too, which a heading does not round
         clean = np.mean((simulator.status == RENDEZVOUS) & (simulator.contacts == 0))

@@ -224,6 +224,7 @@ def test_links_are_certified_by_r():
     assert wrong.time_bound - late == close(4 * (found.time_bound - late))
     refused = certificate(team, by="links", bearing_error=math.pi / 10)
     assert not refused.guaranteed and "longer between merges even so" in refused.theorem
+    assert [*refused.promises] == ["lyapunov", "link_growth"]
 
 
 def test_links_of_limited_range():

@@ -1,19 +1,27 @@
-"""The point of least norm against another solver, on random and on degenerate bearings; law R b."""
+"""The point of least norm against another solver, on random and on degenerate bearings; law R b;
+the projection on velocities that keep links.
+"""
 
 import math
 
 import numpy as np
 import pytest
-from alone import alone
 from scipy.optimize import nnls
+from tuples import triple
 
 import baselines
 import rendezvous_env as rv
 from rendezvous_env import Simulator, graphs
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
-from rendezvous_env.safety.links import least_norm_points, link_keeping_law
+from rendezvous_env.safety.links import (
+    LinkKeeping,
+    least_norm_points,
+    link_keeping_law,
+    project_on_links,
+)
 
 SETS = 300
+BALANCED = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / math.sqrt(3)
 
 
 def by_another_solver(bearings):
@@ -28,9 +36,12 @@ def by_another_solver(bearings):
     return x / (x @ x)
 
 
+def unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
 def directions(random, count, dim):
-    g = random.normal(size=(count, dim))
-    return g / np.linalg.norm(g, axis=-1, keepdims=True)
+    return unit(random.normal(size=(count, dim)))
 
 
 def degenerate_sets(dim):
@@ -41,19 +52,18 @@ def degenerate_sets(dim):
         yield few[random.integers(len(few), size=9)]
         nearly = few[random.integers(len(few), size=9)]
         for apart in (1e-3, 1e-7, 1e-12, 1e-15):
-            close = nearly + apart * random.normal(size=nearly.shape)
-            yield close / np.linalg.norm(close, axis=-1, keepdims=True)
+            yield unit(nearly + apart * random.normal(size=nearly.shape))
         yield np.vstack([few, -few[:1]])
         yield np.vstack([few, -few])
         flat = few.copy()
         flat[:, -1] = 0.0
         if np.linalg.norm(flat, axis=-1).min() > 0.1:
-            yield flat / np.linalg.norm(flat, axis=-1, keepdims=True)
+            yield unit(flat)
         yaw, height = random.uniform(0, 7, 8), random.choice([1e-9, 0.01, 0.5])
         if dim == 3:
             level = math.sqrt(1 - height**2)
             yield np.stack([level * np.cos(yaw), level * np.sin(yaw), np.full(8, height)], axis=-1)
-            yield np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]]) / math.sqrt(3)
+            yield BALANCED
 
 
 def check(bearings, q):
@@ -87,7 +97,6 @@ def test_degenerate_bearings(dim):
     assert len(sets) > 7 * SETS
 
 
-BALANCED = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / math.sqrt(3)
 THIN = np.array(
     [
         [0.9545404540927737, 0.23722064045039334, -0.18049623055528496],
@@ -100,7 +109,7 @@ THIN = np.array(
 """Round the origin, which lies in a thin tetrahedron of them."""
 
 
-@pytest.mark.parametrize("kind", ["balanced", "flat", "opposite"])
+@pytest.mark.parametrize("kind", ["balanced", "flat", "opposite", "thin"])
 def test_all_bearings_lie_along_the_point_where_they_balance(kind):
     """q·g ≥ ‖q‖² for all g: else a robot that moves along q lengthens a link."""
     random, count = np.random.default_rng(0), 100_000
@@ -109,33 +118,17 @@ def test_all_bearings_lie_along_the_point_where_they_balance(kind):
     elif kind == "flat":
         g = random.normal(size=(count, 4, 3))
         g[..., 2] *= 10.0 ** random.uniform(-16, 0, (count, 1))
+    elif kind == "thin":
+        g = THIN + 10.0 ** random.uniform(-17, -1, (count, 1, 1)) * random.normal(size=(5, 3))
+        g[0] = THIN
     else:
         pair, others = random.normal(size=(count, 1, 3)), random.normal(size=(count, 3, 3))
         g = np.concatenate([pair, -pair, others], axis=1)
         g += 10.0 ** random.uniform(-17, -1, (count, 1, 1)) * random.normal(size=(count, 5, 3))
-    g /= np.linalg.norm(g, axis=-1, keepdims=True)
+    g = unit(g)
     q = least_norm_points(g)
     least = np.einsum("nkd,nd->nk", g, q).min(axis=1)
     assert (least >= (q**2).sum(axis=1) - 1e-14).all()
-
-
-def test_a_robot_in_a_thin_tetrahedron_of_neighbours_lengthens_no_link():
-    """The fourth neighbour is itself surrounded, so it stays."""
-    positions = np.vstack([np.zeros(3), THIN, THIN[3] + 2.0 * BALANCED])
-    links = [(0, k) for k in range(1, 6)] + [(4, k) for k in range(6, 10)]
-    scenario = rv.Scenario(
-        n_robots=10,
-        dim=3,
-        graph=rv.graphs.from_edges(links, 10),
-        start_positions=positions,
-        local_frames="global",
-    )
-    assert rv.certificate(scenario, by="links", share=1.0).guaranteed
-    env, simulator = alone(scenario, "links", share=1.0)
-    env.step(np.zeros((1, 10, 3), np.float32))
-    assert simulator.active.all()
-    length = np.linalg.norm(simulator.positions[0, 4] - simulator.positions[0, 0])
-    assert length <= np.linalg.norm(THIN[3]) + 1e-12
 
 
 def test_points_by_hand():
@@ -233,3 +226,55 @@ def test_no_link_grows_longer_and_all_meet(dim, graph, steps):
         longest = max(longest, np.where(simulator.weights > 0, grown, -1.0)[whole].max(initial=-1))
         observations = outcome.observations
     assert longest < 1e-6 and (simulator.status == RENDEZVOUS).all()
+
+
+def allowed(points, bearings, radius, error):
+    """Whether ‖v‖ ≤ 2 ρ cos(∠(v, g) + η) for all bearings, (N,)."""
+    speed = np.linalg.norm(points, axis=-1)
+    with np.errstate(invalid="ignore"):
+        angles = np.arccos(np.clip(points @ bearings.T / speed[:, None], -1, 1)) + error
+    most = 2 * radius * np.cos(np.minimum(angles, np.pi)).min(axis=-1)
+    return (speed <= most + 1e-12 * radius) | (speed == 0)
+
+
+def draw(random, dim):
+    """Bearings in a narrow or wide cone, a radius and a desired velocity."""
+    count, spread = random.integers(1, 7), random.choice([0.01, 0.3, 1.0, 2.0])
+    bearings = unit(np.eye(dim)[0] + spread * random.normal(size=(count, dim)))
+    return bearings, random.uniform(0.3, 2), random.normal(size=dim) * random.uniform(0, 3)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("error", [0.0, 0.2])
+def test_nothing_that_is_allowed_is_nearer_to_a_desired_one(dim, error):
+    """(w − x)·(z − x) ≤ 0 for all z of a convex set: z drawn everywhere, and near x."""
+    random, inner = np.random.default_rng(dim), 0
+    for _ in range(300):
+        bearings, radius, desired = draw(random, dim)
+        rows = bearings * random.uniform(0.5, 2, (len(bearings), 1))
+        found = project_on_links(triple(desired), rows, len(rows), radius, error)
+        x = np.array(found)[:dim]
+        assert allowed(x[None], bearings, radius, error).all()
+        scale = random.choice([1.0, 1e-1, 1e-2, 1e-3], (600, 1))
+        z = np.where(scale == 1.0, 0.0, x) + scale * radius * random.normal(size=(600, dim))
+        z = z[allowed(z, bearings, radius, error)]
+        assert ((z - x) @ (desired - x)).max(initial=0.0) < 1e-9
+        inner += np.linalg.norm(x) > 0 and not np.array_equal(x, desired)
+    assert inner > 50
+
+
+def test_velocities_by_hand():
+    """λ d q + (1 − λ) P(w), ρ = r/(4τ) = 1.5, with v_max = 3 and desired ones in units of it."""
+    scenario = rv.Scenario(n_robots=3, merge_radius=0.6, time_step=0.1, max_speed=3.0)
+    links = LinkKeeping(scenario, 1, share=0.25, frame="local")
+    rows = np.zeros((1, 3, *scenario.observation_layout.shape), np.float32)
+    rows[0, 0] = [[1.0, 0.0], [0.0, 1.0]]
+    rows[0, 1, 0] = [0.0, 1.0]
+    rows[0, 2] = [[1.0, 0.0], [-1.0, 0.0]]
+    links.hold([[[0.5, 0.5], [0.0, -1.0], [0.3, 0.4]]])
+    actions = links.act(rows)[0]
+    np.testing.assert_allclose(actions[0], np.array([1.0, 1.0]) * 0.25 + 0.75 * 1.5, rtol=1e-6)
+    np.testing.assert_allclose(actions[1], [0.0, 0.25], atol=1e-6)  # away is not allowed at all
+    assert not actions[2].any()  # between two robots nobody moves
+    assert links.alignment[0, 0] == pytest.approx(1.0) and np.isnan(links.alignment[0, 2])
+    assert links.lyapunov_rate[0, 1] == pytest.approx(-0.5)

@@ -1,18 +1,123 @@
-"""What rounding of positions makes of V, the hull and the last of a tolerated error, and that
-certificates promise nothing there.
+"""What rounding of positions makes of V, the hull, the last of a tolerated error and steps that are
+too short, and that certificates promise nothing there.
 """
 
 import math
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from alone import alone
+from test_certificate import MARGINS
 
+import baselines
 from rendezvous_env import Scenario, Sensing, Simulator, certificate, graphs
+from rendezvous_env.safety.theorems.theorem import CHOICES
 
 FAR = 2.0**29  # m
 ULP = float(np.spacing(FAR))
 FIXED = {"local_frames": "global", "allow_long_step": True}
+
+
+def ring(n):
+    """Places (n, 2) on a circle, m."""
+    angles = 0.3 + 2.0 * np.pi / n * np.arange(n)
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+
+
+APART = abs(np.subtract.outer(range(4), range(4)))
+ROW = np.array([(x, 0.0) for x in (-3.0, -1.0, 1.0, 3.0)])
+FAR_ROW = Scenario(
+    n_robots=4, graph=np.choose(APART, (0, 1e-9, 1e3, 1e3)), start_positions=ROW + 1e3
+)
+"""Who sees those next to it alone goes 3e-14 m in a step, at 1 km."""
+NEAR_ROW = {"start_positions": ROW, "graph": np.choose(APART, (0, 1e-6, 1, 1))}
+PAIR = Scenario(n_robots=2, start_positions=((0.0, 0.0), (1.0, 0.0)), max_speed=1.0, **FIXED)
+SLOW_PAIR = PAIR.replace(
+    start_positions=((8.0, 8.0), (8.5, 8.0)), max_speed=None, time_step=1e-9,
+    graph=graphs.complete(4e-7),
+)  # fmt: skip
+"""They go 4e-16 m in a step."""
+AT_1_KM = Scenario(n_robots=2, start_positions=((1e3, 1e3), (1001.0, 1e3)), graph="path")
+BORNE = Sensing(error=0.995 * certificate(AT_1_KM, 1e-4, by="tank").tolerated_bearing_error)
+TWO_PAIRS = Scenario(
+    n_robots=4, start_positions=((-6.0, 1.0), (-1.0, 1.0), (1.0, 1.0), (6.0, 1.0)), **FIXED,
+    graph=graphs.from_edges([(0, 1, 1e3), (1, 2, 1e-4), (2, 3, 1e3)], 4), max_speed=1e3,
+    time_step=1.0,
+)  # fmt: skip
+ALMOST = math.pi / 8.0 * (1.0 - 1e-9)
+UNICYCLES = Scenario(n_robots=2, robot_model="unicycle", start_positions=((1.0, 1.0), (2.0, 1.0)))
+TAKEN = "none: .* which rounding takes from"
+SMALLER = "the world or errors smaller"
+
+
+@pytest.mark.parametrize(
+    ("scenario", "given", "words", "better"),
+    [
+        *((SLOW_PAIR, {"by": by, "min_alignment": MARGINS[by]},
+           "none: a step may move robots by as little as .* of 8.5 m; it", {"time_step": 0.1})
+          for by in CHOICES),
+        (FAR_ROW.replace(sensing=Sensing(occlusion="robots")), {"by": "law"}, TAKEN, NEAR_ROW),
+        (FAR_ROW.replace(sensing=Sensing(range=3.0)), {"by": "links"}, TAKEN, NEAR_ROW),
+        # of two that are misled by nearly π/2: 2e-17 m nearer in a step
+        (PAIR.replace(graph=graphs.complete(2e-3), max_speed=None, time_step=1e-9,
+                      sensing=Sensing(error=math.pi / 2.0 - 1e-5)),
+         {"by": "law"}, SMALLER, {"sensing": Sensing(error=1.5)}),
+        # cones of bearings that are widened by nearly π/(2n)
+        (Scenario(n_robots=3, graph=graphs.complete(1e-3), start_positions=ring(3), time_step=1e-8,
+                  sensing=Sensing(error=math.pi / 6.0 - 1e-6)),
+         {"by": "links"}, TAKEN, {"time_step": 1e-3}),
+        (Scenario(n_robots=4, start_positions=ring(4), sensing=Sensing(error=ALMOST)),
+         {"by": "links", "share": 1.0}, "tolerate less", {"sensing": Sensing(error=ALMOST - 1e-6)}),
+        # turns of 1e-16 rad in a step, and steps of robots that turn
+        (UNICYCLES.replace(time_step=1e-7, max_turn_rate=1e-9), {"min_alignment": 0.3},
+         "rounding takes from their angles", {"max_turn_rate": None}),
+        (UNICYCLES.replace(time_step=1e-7, graph=graphs.complete(1e-6)), {"min_alignment": 0.3},
+         TAKEN, {"graph": "complete"}),
+        # 2⁻⁵⁹ of 5 m
+        (Scenario(graph=graphs.complete(1e-3), time_step=1e-2), {"min_alignment": 1e-6}, TAKEN,
+         {"min_alignment": 1e-3}),
+        # a tank has carried them where law (4) moves them by 1e-7 m, nearly across f
+        (PAIR.replace(graph=graphs.complete(1e-9)),
+         {"by": "tank", "budget": 1e9, "min_alignment": 1e-6}, TAKEN,
+         {"budget": 0.0, "min_alignment": 1e-4}),
+        # a small margin has led them 1.4 km aside, where they come 1e-13 m nearer in a step
+        *((PAIR.replace(start_positions=((0.0, 0.0), (0.7, -0.7)), graph=graphs.complete(1e-3)),
+           {"by": by, "budget": budget, "min_alignment": 1e-6}, TAKEN, {"min_alignment": 1e-3})
+          for by, budget in (("tank", 0.4), ("heading", 0.0))),
+        # their tanks allow for errors of nearly ε: 5e-8 m in a step, across f
+        (AT_1_KM.replace(sensing=BORNE), {"by": "tank", "min_alignment": 1e-4}, SMALLER,
+         {"sensing": Sensing()}),
+        (AT_1_KM.replace(sensing=BORNE), {"by": "heading", "min_alignment": 1e-4}, "tolerate less",
+         {"sensing": Sensing()}),
+        # two pairs earn 5000 m²/s by meeting, and walk 4 km apart along a light link
+        (TWO_PAIRS, {"by": "tank", "min_alignment": 1e-5}, TAKEN,
+         {"graph": "path", "min_alignment": 1e-3}),
+        (TWO_PAIRS, {"by": "tank", "min_alignment": 1e-3}, TAKEN, {"graph": "path"}),
+        # two that walk nearly across their link, aside by 4 km before they are nearer than r
+        (PAIR.replace(start_positions=0.69 * np.array([(-1, -1), (1, 1)]), merge_radius=1.0,
+                      time_step=0.1, graph=graphs.complete(6.35e-6)),
+         {"by": "links", "share": 1e-6}, TAKEN, {"share": 1e-2}),
+    ],
+)  # fmt: skip
+def test_steps_that_rounding_swallows_are_promised_no_rendezvous(scenario, given, words, better):
+    """All of these stay where they are, or go on aside, for ever."""
+    found = certificate(scenario, **given)
+    assert not found.guaranteed and math.isinf(found.time_bound)
+    assert re.search(words, found.theorem)
+    exact = scenario.replace(sensing=replace(scenario.sensing, error=0.0))
+    tolerated = certificate(exact, **given).tolerated_bearing_error
+    assert found.tolerated_bearing_error == tolerated
+    asked = {name: better.get(name, value) for name, value in given.items()}
+    fields = {name: value for name, value in better.items() if name not in given}
+    assert certificate(scenario.replace(**fields), **asked).guaranteed
+
+
+def test_a_slow_pair_stays_where_it_is():
+    simulator, law = Simulator(SLOW_PAIR), baselines.make("bearing-only", SLOW_PAIR)
+    simulator.step(law(simulator.reset(0), 0.0))
+    assert (simulator.positions[0] == SLOW_PAIR.start_positions).all()
 
 
 def _farthest(place, other, step):
@@ -63,77 +168,16 @@ def test_the_hull_grows_where_rounding_turns_steps(by):
     assert "hull" in certificate(scenario.replace(**near), by=by, **given).promises
 
 
-def test_the_last_of_a_tolerated_error_is_no_use_to_steps_that_rounding_swallows():
-    """Two robots misled by nearly π/2, and a triangle whose cones are widened by nearly π/6."""
-    places = ((0.7, 0.7), (1.4, 0.7))
-    pair = Scenario(
-        n_robots=2, graph=graphs.complete(2e-3), start_positions=places, time_step=1e-9,
-        sensing=Sensing(error=math.pi / 2.0 - 1e-5), **FIXED,
-    )  # fmt: skip
-    simulator = Simulator(pair)
-    seen = simulator.reset(0)
-    for _ in range(500):  # 2e-17 m nearer in each
-        seen = simulator.step(pair.observation_layout.net_bearing(seen)).observations
-    assert (simulator.positions[0, :, 0] == (0.7, 1.4)).all()
-    found = certificate(pair)
-    assert not found.guaranteed and "the world or errors smaller" in found.theorem
-    exact = certificate(pair.replace(sensing=Sensing()))
-    assert found.tolerated_bearing_error == exact.tolerated_bearing_error > pair.sensing.error
-    assert certificate(pair.replace(sensing=Sensing(error=1.5))).guaranteed
-    angles = 0.3 + 2.0 * np.pi / 3.0 * np.arange(3)
-    corners = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    error = math.pi / 6.0 - 1e-6
-    team = Scenario(
-        n_robots=3, graph=graphs.complete(1e-3), start_positions=corners, time_step=1e-8,
-        sensing=Sensing(error=error), **FIXED,
-    )  # fmt: skip
-    env, simulator = alone(team, "links", bearing_error=error)
-    env.step(np.zeros((1, 3, 2)))
-    assert (simulator.positions[0] == corners).all()
-    assert not certificate(team, by="links").guaranteed
-    assert certificate(team.replace(time_step=1e-3), by="links").guaranteed
-
-
-def test_the_last_of_an_error_that_tanks_tolerate_is_no_use_at_a_small_margin():
-    """Two abreast whose wrapper allows for nearly ε: they go 5e-8 of a metre across f, at 1 km."""
-    start = {"n_robots": 2, "start_positions": ((1e3, 1e3), (1001.0, 1e3)), **FIXED}
-    exact = Scenario(**start, graph="path", time_limit=1e5)
-    error = 0.995 * certificate(exact, 1e-4, by="tank").tolerated_bearing_error
-    scenario = exact.replace(sensing=Sensing(error=error))
-    env, simulator = alone(scenario, "tank", min_alignment=1e-4, bearing_error=error)
-    for _ in range(50):
-        env.step([[[0.0, 1.0], [0.0, -1.0]]])
-    places = simulator.positions[0]
-    assert (places[:, 0] == (1e3, 1001.0)).all() and np.linalg.norm(places[1] - places[0]) >= 1.0
-    for by in ("tank", "heading"):
-        found = certificate(scenario, 1e-4, by=by)
-        assert not found.guaranteed and (found.tolerated_bearing_error > error) == (by == "tank")
-        assert math.isfinite(found.lyapunov_bound) and certificate(exact, 1e-4, by=by).guaranteed
-    assert "the world or errors smaller" in certificate(scenario, 1e-4, by="tank").theorem
-
-
-def test_links_that_walk_far_aside_on_the_smallest_share_stay_there():
-    """Two robots on a diagonal, wanted nearly across their link, which a step of r/4 c along it and
-    c² nearer hardly shortens: 4 km aside they still see each other as they did, and law (b) moves
-    them by 10⁻¹² m, which is lost.
-    """
-    half, aside = 0.975 / math.sqrt(2.0) * np.ones(2), np.array([-1.0, 1.0]) / math.sqrt(2.0)
-    scenario = Scenario(
-        n_robots=2, graph=graphs.complete(6.35e-6), merge_radius=1.0, time_step=0.1, max_speed=1.0,
-        start_positions=(-half, half), time_limit=1e6, **FIXED,
-    )  # fmt: skip
-    env, simulator = alone(scenario, "links", share=1e-6, decision_period=1000)
-    steep, ahead = 8e-5, half / 0.975
-    env.step(5.0 * steep * (aside + steep * np.array([[ahead, -ahead]])))
-    after = simulator.positions[0]
-    walked = (after.mean(axis=0) @ aside) / (1.95 - np.linalg.norm(after[1] - after[0]))
-    assert walked * 0.95 > 5.8e3  # before they are nearer than r
-    state = env.get_state()
-    state["env"]["positions"] = state["env"]["positions"] + 5.8e3 * aside
-    env.set_state(state)
-    before = simulator.positions[0]
-    env.step(np.zeros((1, 2, 2)))
-    assert (simulator.positions[0] == before).all()
-    found = certificate(scenario, by="links", share=1e-6)
-    assert not found.guaranteed and "which rounding takes from" in found.theorem
-    assert certificate(scenario, by="links", share=1e-2).guaranteed
+def test_steps_that_rounding_swallows_earn_what_tanks_raise_v_by():
+    """At 1000 km steps of 5·10⁻¹¹ m towards each other are paid, and move nobody."""
+    start = {"start_positions": ((1e6, 1e6), (1e6 + 1e-5, 1e6)), "local_frames": "global"}
+    scenario = Scenario(n_robots=2, **start, merge_radius=1e-6, time_limit=10.0)
+    found, slow = certificate(scenario, 1e-6, by="tank"), 5e-11 / scenario.tau
+    env, simulator = alone(scenario, "tank", min_alignment=1e-6, decision_period=1000)
+    for _ in range(40):
+        env.step([[[slow, 0.0], [-slow, 0.0]]])
+    assert (simulator.positions[0] == scenario.start_positions).all()
+    env.decision_period = 75
+    env.step([[[-0.05, 0.0], [0.05, 0.0]]])
+    assert simulator.lyapunov()[0] > 2e-5 + 2e-6  # V(0) + 2 r W
+    assert not found.promises and "rounding takes" in found.theorem

@@ -11,10 +11,9 @@ import pytest
 from rich.console import Console
 
 import baselines
-from rendezvous_env import Scenario, Simulator, graphs
+from rendezvous_env import Scenario, graphs
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.safety.theorems.constants import merge_rise_allowance
-from rendezvous_env.trajectory import run as steps_of
 from train.cli import main
 from train.verify import claims as cases
 from train.verify.adversaries import KINDS, Adversary
@@ -225,23 +224,10 @@ def test_max_a_in_place_of_the_bottleneck_weight_is_caught(tmp_path):
     status, (row,), _ = command(tmp_path, right)
     assert status == 0 and float(row["worst_time_over_bound"]) < 0.6
 
-    scenario = light_link_left(None, 0, 0.3).scenario
-    simulator = Simulator(scenario)
-    law = baselines.make("bearing-only", scenario)
-    times = [simulator.time[0] for _ in steps_of(simulator, law, simulator.reset(0))]
-    held = 2.0  # the factor for the certified step, of which the theorem knows nothing
-    start = simulator.initial_lyapunov
-    bare = 3 * start[0] / (8 * 2.0**2)
-    assert times[-1] / bare == pytest.approx(9, rel=0.05)
-
     wrong = dataclasses.replace(right, bound=with_max_a)
     status, (row,), printed = command(tmp_path, wrong)
     assert status == 1 and int(row["violations"]) == BATCH
-    assert "bound-A is violated" in printed
-    above = (start[0] + merge_rise_allowance(scenario)) / start[0]
-    limit = held * above * bare
-    # it is stopped at its own time limit, one step past the bound: so late, and nobody has met
-    assert times[-1] > 4 * limit and row["worst_time_over_bound"] == "inf"
+    assert "bound-A is violated" in printed and row["worst_time_over_bound"] == "inf"
 
 
 def test_a_graph_of_links_one_way_is_caught_and_its_batch_repeats_it(tmp_path):

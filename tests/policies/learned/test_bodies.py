@@ -2,19 +2,16 @@
 body, and tanks on arcs.
 """
 
-import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
 
 import baselines
 import rendezvous_env as rv
 from baselines.learned import checkpoints, shipped
 from baselines.learned.guide import CommandedTank, GuidedTeams
 from baselines.learned.policy_settings import PolicySettings
-from baselines.learned.training_environment import FeatureVectorEnv
 from baselines.steady_frames import SteadyFrames, SteadyPlanes
 from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.safety.tank import certain_descent
@@ -211,33 +208,6 @@ def test_an_arc_that_is_cut_short_books_no_more_than_it_earned(scenario, kind, m
             assert exact - most <= booked <= exact + 1e-6
             tight += booked > exact - 1e-3
     assert tight > 200 or scenario.dim == 3
-
-
-@pytest.mark.parametrize(
-    ("scenario", "settings"),
-    [(CARS, HEADING), (CARS, TANK), (POINTS, TANK), (UAV, TANK)],
-    ids=["heading", "tank", "points", "nonholonomic"],
-)
-def test_episodes_go_on_bit_by_bit_from_their_state(scenario, settings):
-    def make():
-        venv = rv.make_vec(scenario, 3, autoreset_mode=AutoresetMode.SAME_STEP)
-        return FeatureVectorEnv(venv, settings)
-
-    one, other = make(), make()
-    one.reset(seed=3)
-    other.reset(seed=9)
-    length = 70 if scenario.dim == 2 else 20
-    chosen = np.random.default_rng(0).integers(9, size=(length, 3, scenario.n_robots))
-    for choices in chosen[: length // 3]:
-        one.step(choices)
-    state = pickle.loads(pickle.dumps(one.get_state()))
-    other.set_state(state)
-    for choices in chosen[length // 3 :]:
-        for a, b in zip(one.step(choices)[:4], other.step(choices)[:4], strict=True):
-            np.testing.assert_array_equal(a, b)
-    state["bodies"]["angles"] = state["bodies"]["angles"][:1]
-    with pytest.raises(ValueError, match="angles must be an array of shape"):
-        other.set_state(state)
 
 
 @pytest.mark.parametrize(

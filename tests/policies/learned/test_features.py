@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tuples import along
 
 import baselines
 from baselines.learned.feature_kernels import (
@@ -18,24 +19,22 @@ CLUTTER = scenarios.get("clutter-16")
 NO_HEADINGS = np.zeros((TEAMS, CLUTTER.n_robots, 2))
 PAIR = Scenario(n_robots=3, obstacles=CLUTTER.obstacles)
 """Two neighbour rows and sixteen obstacles."""
+NOTHING = np.zeros((1, 3, 2))
+TIME = 0.5
 
 
-def unit(degrees):
-    return np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
-
-
-def one(rows):
-    """Observations (1, 3, rows, 2): robot 0 sees these rows, the others nothing."""
+def look(f, *edges, other=None):
+    """Observations (1, 3, rows, 2): robot 0 sees a neighbour at f, perhaps another, and obstacles
+    between edges, in degrees; the others see nothing.
+    """
     observations = np.zeros((1, 3, *PAIR.observation_layout.shape), dtype=np.float32)
-    for row, vector in rows.items():
-        observations[0, 0, row] = vector
+    for row, angle in enumerate((f, other, *edges)):
+        observations[0, 0, row] = 0.0 if angle is None else along(angle)
     return observations
 
 
-def perceive(perception, observations, which=None):
-    scenario = PAIR if observations.shape[1] == 3 else CLUTTER
-    headings = np.zeros((len(observations), scenario.n_robots, 2))
-    return perception.layout.split(perception.see(observations, headings, which))
+def perceive(perception, observations):
+    return perception.layout.split(perception.see(observations, NOTHING))
 
 
 def cluttered(steps=40):
@@ -51,12 +50,11 @@ def cluttered(steps=40):
 def test_a_robot_by_hand():
     """Neighbours along 30° and 150°, gains 1 and 1: f points to 90° with length 1."""
     perception = Features(PAIR, 1, decision_time=0.2)
-    edges = {2: unit(100), 3: unit(85)}
-    shown = perceive(perception, one({0: unit(30), 1: unit(150)} | edges))
+    shown = perceive(perception, look(30, 100, 85, other=150))
     np.testing.assert_allclose(
         shown.neighbours[0, 0], [[0.5, -np.sqrt(0.75), 1], [0.5, np.sqrt(0.75), 1]], atol=1e-6
     )
-    np.testing.assert_allclose(shown.obstacles[0, 0, 0], [*unit(10), *unit(-5), 0, 0], atol=1e-6)
+    np.testing.assert_allclose(shown.obstacles[0, 0, 0], [*along(10, -5).ravel(), 0, 0], atol=1e-6)
     assert not shown.obstacles[0, 0, 1:].any()
     expected = [
         0.5, 1.0, 0.5, 0.0, 1.0, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0, 0,
@@ -69,24 +67,24 @@ def test_a_robot_by_hand():
 def test_how_fast_edges_turn():
     """The counter-clockwise edge turns by 4° in 0.2 s, f with the frame by −30°."""
     perception = Features(PAIR, 1, decision_time=0.2)
-    perceive(perception, one({0: unit(0), 2: unit(50), 3: unit(20)}))
-    shown = perceive(perception, one({0: unit(-30), 2: unit(54), 3: unit(20)}))
+    perceive(perception, look(0, 50, 20))
+    shown = perceive(perception, look(-30, 54, 20))
     np.testing.assert_allclose(
-        shown.obstacles[0, 0, 0], [*unit(84), *unit(50), np.radians(4) / 0.2, 0], atol=1e-5
+        shown.obstacles[0, 0, 0], [*along(84, 50).ravel(), np.radians(4) / 0.2, 0], atol=1e-5
     )
-    perceive(perception, one({0: unit(0)}))  # out of sight: forgotten
-    again = perceive(perception, one({0: unit(0), 2: unit(50), 3: unit(20)}))
+    perceive(perception, look(0))  # out of sight: forgotten
+    again = perceive(perception, look(0, 50, 20))
     assert not again.obstacles[0, 0, 0, 4:].any()
 
 
 def test_what_a_robot_remembers_of_its_motion():
     """f along the local y axis and then along x, at 1 m/s; the heading carried is along y."""
-    perception = Features(PAIR, 1, decision_time=0.5)
-    headings = np.zeros((1, 3, 2))
-    perception.see(one({0: unit(90)}), headings)
-    headings[0, 0] = unit(90)
-    perception.see(one({0: unit(90)}), headings)
-    shown = perception.layout.split(perception.see(one({0: unit(0)}), headings)).context[0, 0]
+    perception = Features(PAIR, 1, decision_time=TIME)
+    headings = NOTHING.copy()
+    perception.see(look(90), headings)
+    headings[0, 0] = along(90)
+    perception.see(look(90), headings)
+    shown = perception.layout.split(perception.see(look(0), headings)).context[0, 0]
     short, long = np.exp(-0.5), np.exp(-0.1)
     speed = 1.0  # hᵀf in the second decision; in the third h is across f
     expected = [
@@ -99,18 +97,15 @@ def test_what_a_robot_remembers_of_its_motion():
 @pytest.mark.parametrize(
     ("edges", "expected"),
     [
-        ({}, [0, 0, 0, 0, 0, 0]),
-        ({2: unit(50), 3: unit(40)}, [0, 1, *np.radians([50, 40, 350, 350])]),
-        ({2: unit(20), 3: unit(-20), 4: unit(60), 5: unit(10)},
-         [0, 1, *np.radians([60, -20, 280, 280])]),
-        ({2: unit(20), 3: unit(-20), 4: unit(60), 5: unit(50)},
-         [0, 1, *np.radians([20, -20, 30, 280])]),
-        ({2: unit(89), 3: unit(-89), 4: unit(-160), 5: unit(70), 6: unit(-70), 7: unit(170)},
-         [1, 0, 0, 0, 0, 0]),
+        ((), [0, 0, 0, 0, 0, 0]),
+        ((50, 40), [0, 1, *np.radians([50, 40, 350, 350])]),
+        ((20, -20, 60, 10), [0, 1, *np.radians([60, -20, 280, 280])]),
+        ((20, -20, 60, 50), [0, 1, *np.radians([20, -20, 30, 280])]),
+        ((89, -89, -160, 70, -70, 170), [1, 0, 0, 0, 0, 0]),
     ],
-)  # fmt: skip
+)
 def test_silhouettes_joined_before_f(edges, expected):
-    shown = perceive(Features(PAIR, 1, decision_time=0.2), one({0: unit(0)} | edges))
+    shown = perceive(Features(PAIR, 1, decision_time=0.2), look(0, *edges))
     np.testing.assert_allclose(shown.context[0, 0, 16:], expected, atol=1e-6)
 
 
@@ -140,31 +135,18 @@ def test_further_obstacle_slots_are_absent():
         Features(CLUTTER, TEAMS, decision_time=0.2, obstacle_slots=8)
 
 
-TWO = Scenario(n_robots=2, obstacles=CLUTTER.obstacles)
-TIME = 0.5
-NOTHING = np.zeros((1, 2, 2))
-
-
 def tank_features(columns):
-    return Features(TWO, 1, decision_time=TIME, tank_columns=columns)
-
-
-def look(f, *edges):
-    """Observations of two robots; robot 0 sees its neighbour at f and an obstacle, in degrees."""
-    observations = np.zeros((1, 2, *TWO.observation_layout.shape), dtype=np.float32)
-    for row, angle in enumerate((f, *edges)):
-        observations[0, 0, row] = unit(angle)
-    return observations
+    return Features(PAIR, 1, decision_time=TIME, tank_columns=columns)
 
 
 def see_tank(perception, observations, level=0.0, heading=0.0, velocity=None):
     """The columns of robot 0 beyond those of ``Features``."""
     headings, velocities = NOTHING.copy(), NOTHING.copy()
-    headings[0, 0] = unit(heading)
+    headings[0, 0] = along(heading)
     velocities[0, 0] = [0.0, 0.0] if velocity is None else velocity
-    levels = np.array([[level, 7.0]])
+    levels = np.array([[level, 7.0, 7.0]])
     shown = perception.see(observations, headings, velocities=velocities, levels=levels)
-    assert not shown[0, 1].any()  # no neighbour: nothing, not even a level
+    assert not shown[0, 1:].any()  # no neighbour: nothing, not even a level
     return shown[0, 0, -perception.layout.tank_columns :]
 
 
@@ -177,14 +159,13 @@ def test_the_level_keeps_its_resolution():
 
 
 def test_the_other_columns_are_those_of_perception():
-    own = Features(TWO, 1, decision_time=TIME)
+    own = Features(PAIR, 1, decision_time=TIME)
     tank = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
-    velocities, headings = np.full((1, 2, 2), 0.3), np.full((1, 2, 2), np.sqrt(0.5))
+    velocities, headings = NOTHING + 0.3, NOTHING + np.sqrt(0.5)
     for f in (0, 20, 40):
+        given = {"velocities": velocities, "levels": np.ones((1, 3))}
         plain = own.see(look(f, f + 10, f - 20), headings, velocities=velocities)
-        shown = tank.see(
-            look(f, f + 10, f - 20), headings, velocities=velocities, levels=np.ones((1, 2))
-        )
+        shown = tank.see(look(f, f + 10, f - 20), headings, **given)
         np.testing.assert_array_equal(shown[..., : plain.shape[-1]], plain)
         parts = tank.layout.split(shown)
         assert parts.context.shape[-1] == CONTEXT_COLUMNS + LEVEL_COLUMNS + WALL_COLUMNS
@@ -198,13 +179,13 @@ def test_a_wall_is_met_walked_along_and_left():
     met = see_tank(perception, look(0, 20, -20), level=3.0)
     first = [1, np.log1p(3), TIME / 30, np.exp(-TIME / 8), 0, 0]
     np.testing.assert_allclose(met[1:7], first, rtol=1e-6)
-    perception.note(np.array([[0.6, 0.0]]))
-    along = see_tank(perception, look(30, 60, 0), level=1.0, heading=-90)
+    perception.note(np.array([[0.6, 0.0, 0.0]]))
+    beside = see_tank(perception, look(30, 60, 0), level=1.0, heading=-90)
     expected = [
         np.log1p(1), 1, np.log1p(3), 2 * TIME / 30, np.exp(-2 * TIME / 8), 1 / 6, -0.5,
         np.cos(0.6), np.sin(0.6),
     ]  # fmt: skip
-    np.testing.assert_allclose(along[:9], expected, rtol=1e-5)
+    np.testing.assert_allclose(beside[:9], expected, rtol=1e-5)
     for k in range(4):  # two seconds without a wall, and it is still the same wall
         assert see_tank(perception, look(30))[1] == 1, k
     left = see_tank(perception, look(30))
@@ -225,7 +206,7 @@ def test_long_averages_are_in_the_frame_along_f():
 def test_memory_is_kept_put_back_and_forgotten():
     perception = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
     fresh = see_tank(perception, look(0, 20, -20), level=2.0)
-    perception.note(np.array([[1.0, 0.0]]))
+    perception.note(np.array([[1.0, 0.0, 0.0]]))
     state = perception.get_state()
     later = see_tank(perception, look(40, 60, 0), level=1.0)
     other = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
@@ -240,8 +221,8 @@ def test_memory_is_kept_put_back_and_forgotten():
 def test_memory_runs_in_seconds_not_in_decisions():
     """Five seconds of the same motion along the same wall, however they are cut."""
     told, headings, moving = [], NOTHING.copy(), NOTHING.copy()
-    headings[0, 0], moving[0, 0] = unit(150), [0.0, 0.5]
-    seen, levels = look(90, 120, 60), np.array([[2.0, 0.0]])
+    headings[0, 0], moving[0, 0] = along(150), [0.0, 0.5]
+    seen, levels = look(90, 120, 60), np.array([[2.0, 0.0, 0.0]])
     for cuts in ([1.25] * 4, [0.3, 3.1, 0.05, 1.55], [5.0]):
         perception = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
         shown = perception.see(seen, headings, levels=levels, velocities=NOTHING)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from test_bodies import CARS, POINTS, UAV
 
 import rendezvous_env as rv
 from baselines.learned.features import Features
@@ -38,8 +39,8 @@ def aim(observations, choices, carried):
     )
 
 
-def teams(settings=HEADING, mode=AutoresetMode.SAME_STEP, **options):
-    return FeatureVectorEnv(rv.make_vec(SCENARIO, TEAMS, autoreset_mode=mode), settings, **options)
+def teams(settings=HEADING, mode=AutoresetMode.SAME_STEP, scenario=SCENARIO, **options):
+    return FeatureVectorEnv(rv.make_vec(scenario, TEAMS, autoreset_mode=mode), settings, **options)
 
 
 def tape(length, seed=0, choices=CHOICES):
@@ -123,27 +124,39 @@ def test_with_a_tank_robots_go_where_they_choose_as_fast_as_law_one():
     np.testing.assert_allclose(np.linalg.norm(v, axis=-1), expected, rtol=1e-5)
 
 
-@pytest.mark.parametrize("settings", [HEADING, TANK], ids=["heading", "tank"])
-def test_robots_go_on_bit_by_bit_from_their_state(settings):
-    robots = RobotVecEnv(teams(settings, touch_penalty=1.0))
+@pytest.mark.parametrize(
+    ("scenario", "settings", "steps"),
+    [
+        *((SCENARIO, settings, 80) for settings in (HEADING, TANK)),
+        *((CARS, settings, 70) for settings in (HEADING, TANK)),
+        (POINTS, TANK, 20),
+        (UAV, TANK, 20),
+    ],
+)
+def test_robots_go_on_bit_by_bit_from_their_state(scenario, settings, steps):
+    robots, other = (
+        RobotVecEnv(teams(settings, scenario=scenario, touch_penalty=1.0)) for _ in range(2)
+    )
     robots.seed(8)
-    robots.reset()
-    actions = tape(80, choices=len(settings.angles)).reshape(80, -1)
-    for raw in actions[:30]:
+    for each in (robots, other):
+        each.reset()
+    shape = steps, robots.num_envs
+    actions = np.random.default_rng(0).integers(len(settings.angles), size=shape)
+    for raw in actions[: steps // 3]:
         robots.step(raw)
     state = unflatten(flatten(robots.get_state()))
-    other = RobotVecEnv(teams(settings, touch_penalty=1.0))
-    other.reset()
     other.set_state(state)
-    for raw in actions[30:]:
+    for raw in actions[steps // 3 :]:
         for a, b in zip(robots.step(raw)[:3], other.step(raw)[:3], strict=True):
             np.testing.assert_array_equal(a, b)
         np.testing.assert_array_equal(robots.bootstrapped, other.bootstrapped)
         np.testing.assert_array_equal(robots.bootstrap_observations, other.bootstrap_observations)
     with pytest.raises(ValueError, match="active must be an array of shape"):
         other.set_state({**state, "active": np.zeros(3)})
-    state["teams"]["touched"] = np.zeros(2)
-    with pytest.raises(ValueError, match="touched must be an array of shape"):
+    turning = "bodies" in state["teams"]
+    owner, name = (state["teams"]["bodies"], "angles") if turning else (state["teams"], "touched")
+    owner[name] = np.zeros(2)
+    with pytest.raises(ValueError, match=f"{name} must be an array of shape"):
         other.set_state(state)
 
 

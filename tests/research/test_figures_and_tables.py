@@ -1,0 +1,144 @@
+"""Figures of learning show the numbers that they are given; tables of the field's own measures: the
+reward by hand, and rows of few episodes.
+"""
+
+import math
+
+import numpy as np
+import pytest
+from bare_network import make_network
+from learning_figures import learning_figure, tank_figure, watch_tanks
+
+import baselines
+import rendezvous_env as rv
+from baselines.learned.learned_policy import LearnedPolicy
+from baselines.learned.policy_settings import PolicySettings
+from rendezvous_env.trajectory import run
+from research import field_tables
+from research.field_tables import diameter, markdown, mean_reward, reward
+from train import results
+from train.learn.log import EVALUATION, METRICS
+
+SETTINGS = PolicySettings(
+    4, (8,), clearance=0.2, persistence=0.5, min_alignment=0.05, max_turn_rate=100.0,
+    decision_time=0.2, guarantee="tank", budget=2.0,
+)  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path):
+    metrics = [
+        dict.fromkeys(METRICS, 0) | {"step": 10**6 * k, "clean_success": 0.05 * k}
+        for k in range(1, 12)
+    ]
+    evaluations = [
+        dict.fromkeys(EVALUATION, 0)
+        | {"step": 10**6 * k, "scenario": name, "clean_success": share, "clean_low": share - 0.1,
+           "clean_high": share + 0.05}
+        for k in (1, 2) for name, share in (("clutter-24", 0.3 * k), ("clutter-16", 0.9))
+    ]  # fmt: skip
+    results.write_csv(tmp_path / "metrics.csv", METRICS, metrics)
+    results.write_csv(tmp_path / "evaluation.csv", EVALUATION, evaluations)
+    return tmp_path
+
+
+def test_learning(folder):
+    figure = learning_figure({"tank": folder}, "clutter-24")
+    lines = {line.get_label(): line for line in figure.axes[0].get_lines()}
+    training, held_out = list(lines.values())[:2]
+    np.testing.assert_allclose(training.get_xydata(), [[9, 45], [10, 50], [11, 55]])
+    np.testing.assert_allclose(held_out.get_xydata(), [[1, 30], [2, 60]])
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["tank"]
+
+
+def test_an_update_in_which_no_episode_ended_leaves_a_gap(folder):
+    rows = results.read_csv(folder / "metrics.csv")
+    rows[9]["clean_success"] = ""
+    results.write_csv(folder / "metrics.csv", METRICS, rows)
+    training = learning_figure({"tank": folder}, "clutter-24").axes[0].get_lines()[0]
+    np.testing.assert_allclose(training.get_ydata(), [45, np.nan, 55])
+
+
+def test_spending_and_earning():
+    scenario = rv.scenarios.get("clutter-8").replace(time_limit=4.0)
+    network = make_network(SETTINGS.layout(3, 8), len(SETTINGS.angles), set_width=4, hidden=(8,))
+    weights = {name: value.detach().numpy() for name, value in network.state_dict().items()}
+    watched = watch_tanks(scenario, LearnedPolicy(scenario, weights, SETTINGS), seed=3)
+    contacts = watched.pop("contacts")
+    steps = len(contacts)
+    assert watched["levels"].shape == watched["active"].shape == (steps, 4) and steps > 20
+    total = watched["lyapunov"] + watched["levels"].sum(axis=1)
+    apart = watched["active"].all(axis=1) & (contacts == 0)
+    assert (np.diff(total[apart]) <= 1e-6).all() and watched["levels"].min() >= 0.0
+    above, below = tank_figure(**watched).axes
+    np.testing.assert_array_equal(above.get_lines()[1].get_ydata(), watched["lyapunov"])
+    np.testing.assert_allclose(above.get_lines()[0].get_ydata()[apart], total[apart])
+    assert len(below.get_lines()) == 4
+
+
+# ---- tables --------------------------------------------------------------------------------------
+
+
+def test_the_reward_by_hand():
+    """Three robots, r_c = 4: distances 3, 4 and 5, the last capped."""
+    positions = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 4.0]])
+    actions = np.array([[1.0, 0.0], [0.5, -0.5], [0.0, 0.0]])
+    wanted = -(3 / 4 + 1 + 1) / 3 - 0.001 * (1 + 0.25 + 0.25) / 6
+    assert reward(positions, actions, 4.0) == pytest.approx(wanted, rel=1e-12)
+    assert reward(np.zeros((2, 3, 2)), np.zeros((2, 3, 2)), 4.0).tolist() == [0, 0]
+
+
+def test_the_diameter_by_hand():
+    positions = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 4.0]])
+    assert diameter(np.stack([positions, 2 * positions])).tolist() == [5, 10]
+
+
+def played(team, law, num_envs, seed=0):
+    return rv.rollout(team, baselines.make(law, team), seed, num_envs=num_envs, record="actions")
+
+
+def test_rest_earns_what_the_start_is_worth_all_the_time():
+    team = rv.Scenario(n_robots=4, time_step=0.1, time_limit=1.0, allow_long_step=True)
+    found = played(team, "zero", 3, 7)
+    start = reward(found.positions[0], np.zeros((3, 4, 2)), 100.0 * math.sqrt(2.0))
+    np.testing.assert_allclose(mean_reward(found), start, rtol=1e-12)
+
+
+def test_who_has_met_earns_nothing_more():
+    """Two that stand still once they have met, step by step in the simulator."""
+    team = rv.scenarios.get("duo")
+    simulator = rv.Simulator(team, 2)
+    observations, total = simulator.reset(0), np.zeros(2)
+    for step in run(simulator, baselines.make("bearing-only", team), observations):
+        shares = step.actions / team.action_bounds
+        gained = reward(simulator.positions, shares, 100.0 * math.sqrt(2.0))
+        total += np.where(step.running, gained, 0.0)
+    found = mean_reward(played(team, "bearing-only", 2))
+    np.testing.assert_allclose(found, total / team.max_steps, rtol=1e-12)
+
+
+def test_rows_as_markdown():
+    lines = list(markdown(iter([("a", "b"), ("1", "2")])))
+    assert lines == ["| a | b |", "|---|---|", "| 1 | 2 |"]
+
+
+def test_the_sight_of_the_reward_is_that_of_the_scenario(monkeypatch):
+    asked = []
+
+    def watched(positions, actions, sight):
+        asked.append(sight)
+        return reward(positions, actions, sight)
+
+    monkeypatch.setattr(field_tables, "reward", watched)
+    sensing = rv.Sensing(range=40.0)
+    team = rv.Scenario(sensing=sensing, time_step=0.1, time_limit=0.2, allow_long_step=True)
+    mean_reward(played(team, "zero", 1))
+    assert asked == [40.0, 40.0]
+
+
+def test_an_obstacle_touched_is_not_clean():
+    found = played(rv.scenarios.get("clutter-8"), "bearing-only", 20)
+    share, _ = field_tables._shares(found)
+    touched = [bool(team.any()) for team in found.contacts.swapaxes(0, 1)]
+    met = [ok and not hit for ok, hit in zip(found.success, touched, strict=True)]
+    assert 0 < sum(met) < found.success.sum() and share == f"{5 * sum(met)} %"
