@@ -204,8 +204,7 @@ def test_code_for_a_type_is_made_from_the_functions_that_it_chooses(tmp_path, mo
     found = []
     for chosen in (lambda: 1, lambda: 1, lambda: 2):
         kernel_cache.depends_on(Own, (chosen,))
-        found.append(misses())
-        found.append(misses())
+        found += [misses(), misses()]
     assert found == [1, 0, 1, 0, 1, 0] or found == [1, 0, 0, 0, 1, 0]
     monkeypatch.setattr(Own, "__module__", "__main__")
     assert misses() == misses() == 1  # no later process finds a type of the script that is run

@@ -25,23 +25,15 @@ def links_of(arcs):
 def test_net_bearings_by_hand():
     f, diagonal = np.empty((4, 2)), np.array([2.0, 3.0]) / np.sqrt(13)
     net_bearings_of_arcs(PLACES, ARCS, f)
-    expected = [
-        [2.0, 0.0],
-        [-0.5, 1.0],
-        0.25 * diagonal * [1, -1] + [4.0, 0.0],
-        -3.0 * diagonal,
-    ]
+    expected = [2.0, 0.0], [-0.5, 1.0], 0.25 * diagonal * [1, -1] + [4.0, 0.0], -3.0 * diagonal
     np.testing.assert_allclose(f, expected, atol=1e-15)
 
 
-def test_arcs_that_go_both_ways_alike_pull_as_links_do():
+def test_arcs_that_go_both_ways_alike_are_links_and_mean_weights_have_the_v_of_all():
     both, arcs, links = ARCS + ARCS.T, np.empty((4, 2)), np.empty((4, 2))
     net_bearings_of_arcs(PLACES, both, arcs)
     net_bearings_of_links(PLACES, links_of(both), links)
     np.testing.assert_array_equal(arcs, links)
-
-
-def test_mean_weights_give_the_lyapunov_function_of_the_arcs():
     gaps = np.linalg.norm(PLACES[:, None] - PLACES, axis=-1)
     np.testing.assert_allclose(lyapunov_of_links(PLACES, links_of(ARCS)), (ARCS * gaps).sum())
 

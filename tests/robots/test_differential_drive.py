@@ -126,12 +126,9 @@ class TestKeepApart:
         ("given", "message"),
         [
             (((np.nan, 0.0), [(1.0, 0.0)]), r"velocity is \[nan, 0\.0\]; it must be two finite"),
-            (((1.0,), [(1.0, 0.0)]), r"velocity is \[1\.0\]; it must be two finite numbers"),
             (((1.0, 2.0, 3.0), []), r"velocity is \[1\.0, 2\.0, 3\.0\]; it must be two finite"),
-            (((1e300, 0.0), []), r"velocity is \[1e\+300, 0\.0\]; it must be two finite numbers"),
             (((1.0, 0.0), [(np.nan, 0.0)]), r"near is \[\[nan, 0\.0\]\]; it must be unit vectors"),
             (((1.0, 0.5), [(5.0, 0.0)]), r"near is \[\[5\.0, 0\.0\]\]; it must be unit vectors"),
-            (((0.2, 0.1), [(0.1, 0.0)]), r"near is \[\[0\.1, 0\.0\]\]; it must be unit vectors"),
             (((1.0, 0.5), [1, 0, 0]), r"near is \[\[1\.0, 0\.0, 0\.0\]\]; it must be unit vectors"),
             (((1.0, 0.5), 1.0), r"near is \[\[1\.0\]\]; it must be unit vectors, \(k, 2\)"),
             (((0.2, 0.1), [(1.0, 0.0)], np.nan), "rooms is nan; it must be one number"),
