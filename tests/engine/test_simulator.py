@@ -6,11 +6,9 @@ import copy
 
 import numpy as np
 import pytest
-from conftest import MODELS, UNEQUAL, assert_same_state, five, law_of
+from conftest import UNEQUAL, assert_same_state, five, law_of
 
-from rendezvous_env import ObstacleField, Scenario, Simulator, graphs
-from rendezvous_env.compilation import compiled
-from rendezvous_env.engine import batch_runner, threads
+from rendezvous_env import Scenario, Simulator
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING, TIME_OUT
 
 RANDOM = np.random.default_rng(11)
@@ -37,12 +35,12 @@ def start(scenario: Scenario, positions: np.ndarray, **more: object) -> dict:
     return {"positions": positions, **headed, **more}
 
 
-def follow(scenario, num_envs=32, *, steps=60, seed=5, options=None, **how):
+def follow(scenario: Scenario, options: dict) -> tuple[np.ndarray, np.ndarray, Simulator]:
     """Observations and positions of every step under the paper's law."""
-    sim, policy = Simulator(scenario, num_envs, **how), law_of(scenario)
-    observations = sim.reset(seed, options)
+    sim, policy = Simulator(scenario, 32), law_of(scenario)
+    observations = sim.reset(5, options)
     seen, places = [observations], [sim.positions]
-    for _ in range(steps):
+    for _ in range(60):
         observations = sim.step(policy(observations, sim.time)).observations
         seen.append(observations)
         places.append(sim.positions)
@@ -68,8 +66,8 @@ def test_scaling_r_and_the_step_too_a_whole_episode_looks_the_same(kind):
     near = five(kind)
     far = near.replace(merge_radius=4 * near.merge_radius)  # τ = r/(2D̄) scales along
     assert far.tau == 4 * near.tau
-    seen, places, sim = follow(near, options={"positions": STARTS[near.dim]})
-    seen_far, places_far, _ = follow(far, options={"positions": 4 * STARTS[near.dim]})
+    seen, places, sim = follow(near, {"positions": STARTS[near.dim]})
+    seen_far, places_far, _ = follow(far, {"positions": 4 * STARTS[near.dim]})
     np.testing.assert_array_equal(seen_far, seen)
     np.testing.assert_array_equal(places_far, 4 * places)
     assert not sim.active.all()
@@ -88,8 +86,8 @@ def test_rotating_and_moving_the_world_changes_no_observation(kind):
         frames = Simulator(scenario, 32)
         frames.reset(5)
         begin["frames"], turned["frames"] = frames.frames, turn @ frames.frames
-    seen, places, sim = follow(scenario, options=begin)
-    seen_turned, places_turned, _ = follow(scenario, options=turned)
+    seen, places, sim = follow(scenario, begin)
+    seen_turned, places_turned, _ = follow(scenario, turned)
     assert not sim.active.all()
     np.testing.assert_allclose(seen_turned, seen, atol=2e-4)
     np.testing.assert_allclose(places_turned - shift, places @ turn.T, atol=1e-4)
@@ -102,63 +100,14 @@ def test_relabelling_the_robots_permutes_the_trajectories(kind):
     begin = start(scenario, STARTS[scenario.dim])
     renamed = {name: table[:, order] for name, table in begin.items()}
     graph = UNEQUAL[np.ix_(order, order)]
-    _, places, sim = follow(scenario, options=begin)
-    _, renamed_places, renamed_sim = follow(scenario.replace(graph=graph), options=renamed)
+    _, places, sim = follow(scenario, begin)
+    _, renamed_places, renamed_sim = follow(scenario.replace(graph=graph), renamed)
     # float32 actions add up in another order, so trajectories agree to their rounding
     calm = sim.active.all(axis=1) | (not scenario.model.nonholonomic)
     assert calm.sum() >= 10
     np.testing.assert_allclose(renamed_places[:, calm], places[:, calm][:, :, order], atol=2e-5)
     merged, renamed_merged = (each.active[calm].sum(axis=1) for each in (sim, renamed_sim))
     np.testing.assert_array_equal(merged, renamed_merged)
-
-
-# ---- batches ------------------------------------------------------------------------------------
-
-BATCHED = {
-    **{kind: five(kind, graph=graphs.erdos_renyi(0.4, (0.5, 1.5))) for kind in MODELS},
-    "obstacles": Scenario(
-        n_robots=5,
-        graph=graphs.random_tree((0.5, 2.0)),
-        obstacles=ObstacleField(count=(1, 4), radius=(0.4, 1.0), region=8.0, keep_out=0.2),
-    ),
-}
-
-
-@pytest.fixture
-def widths(monkeypatch):
-    """How many threads each step was shared among, from here on; none if it was not."""
-    given, real_share = [], threads.share
-
-    def share(calls_of, blocks, most, ahead=0.0):
-        given.append(most)
-        real_share(calls_of, blocks, most, ahead)
-
-    monkeypatch.setattr(threads, "share", share)
-    return given
-
-
-@pytest.mark.skipif(not compiled(), reason="plain Python has no threads")
-def test_little_work_is_not_shared(widths):
-    for n, shared in ((8, []), (32, [2])):
-        simulator = Simulator(Scenario(n_robots=n, spawn_size=1e3), 512, num_threads=2)
-        simulator.reset(0)
-        widths.clear()
-        simulator.step(np.zeros((512, n, 2), np.float32))
-        assert widths == shared
-
-
-@pytest.mark.parametrize("name", BATCHED)
-def test_the_place_in_the_batch_and_the_number_of_threads_do_not_matter(name, widths, monkeypatch):
-    scenario, count = BATCHED[name], 40
-    seeds = np.arange(70, 70 + count)
-    order = np.random.default_rng(2).permutation(count)
-    monkeypatch.setattr(batch_runner, "_WORK_PER_THREAD", 1)
-    one = follow(scenario, count, seed=seeds.tolist(), num_threads=1)
-    two = follow(scenario, count, seed=seeds[order].tolist(), num_threads=2)
-    assert widths == [2] * 60
-    for x, y in zip(one[:2], two[:2], strict=True):
-        np.testing.assert_array_equal(y, x[:, order])
-    assert_same_state(two[2], {name: x[order] for name, x in one[2].get_state().items()})
 
 
 # ---- seeds and episodes -------------------------------------------------------------------------
