@@ -75,7 +75,7 @@ KERNELS = tuple(
         "engine/test_graphs_that_change.py::test_law_1",
         "engine/test_graphs_that_change.py::test_a_robot_that_comes_to_see_more",
         "engine/test_packing.py::TestMoving",
-        "engine/test_restart.py::test_both_ways_to_restart_show_the_same_start_and_leave_the_others"
+        "engine/test_restart.py::test_all_ways_to_restart_show_the_same_start_and_leave_the_others"
         "_alone[proximity",
         "engine/test_sparse.py::test_a",
         "engine/test_sparse.py::test_given",
@@ -83,7 +83,8 @@ KERNELS = tuple(
         "engine/test_sparse.py::test_lists_of_links_give_the_motion_of_all_pairs[errors",
         "engine/test_sparse.py::test_lists_of_links_give_the_motion_of_all_pairs[web",
         "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[drawn graphs]",
-        "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[errors",
+        "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[errors]",
+        "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[errors in space]",
         "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[flying among solids]",
         "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[packing]",
         "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[two rows]",
@@ -138,7 +139,7 @@ OF_THEIR_OWN_KIND = tuple(
         "engine/test_inertia.py::test_nobody_gets_into_or_through_an_obstacle[Capsule3",
         "engine/test_inertia.py::test_teams_meet_under_the_damped_law[3",
         "engine/test_own_models.py::test_a_sluggish_unicycle",
-        "engine/test_restart.py::test_both_ways_to_restart_show_the_same_start_and_leave_the_others"
+        "engine/test_restart.py::test_all_ways_to_restart_show_the_same_start_and_leave_the_others"
         "_alone[double",
         "engine/test_restart.py::test_a_team_that_has_ended_rests[double_integrator-3d",
         "engine/test_restart.py::test_the_way_is_that_of_the_robots_that_are_left[double_integrator-3d",

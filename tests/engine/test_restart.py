@@ -46,15 +46,21 @@ def halfway(scenario: Scenario) -> tuple[Simulator, np.ndarray]:
 
 
 @pytest.mark.parametrize("scenario", [*KINDS, *CHANGING], indirect=True)
-def test_both_ways_to_restart_show_the_same_start_and_leave_the_others_alone(scenario):
-    """At once in what the last step gave out, or in a step in which these teams rest."""
-    (sim, seen), (other, _), (alone, _) = (halfway(scenario) for _ in range(3))
+def test_all_ways_to_restart_show_the_same_start_and_leave_the_others_alone(scenario):
+    """At once in what the last step gave out, in a step in which these teams rest, by a reset."""
+    (sim, seen), (other, _), (alone, _), (anew, _) = (halfway(scenario) for _ in range(4))
     actions = towards_neighbours(scenario, seen)
-    for simulator in (sim, other, alone):
+    for simulator in (sim, other, alone, anew):
         outcome = simulator.step(actions)
         if simulator is sim:
             sim.restart(SOME, outcome)
             at_once = outcome.observations.copy()
+    before = anew.get_state()
+    np.testing.assert_array_equal(anew.reset(mask=SOME), at_once)
+    np.testing.assert_array_equal(anew.observe(), at_once)
+    assert_same_state(anew, sim)
+    for name, array in anew.get_state().items():
+        np.testing.assert_array_equal(array[~SOME], before[name][~SOME], err_msg=name)
     other.restart(SOME)
     assert (other.status[SOME] == AWAITING_RESET).all()
     started = other.positions[SOME]

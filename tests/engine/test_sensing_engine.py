@@ -272,8 +272,8 @@ def test_what_stands_in_the_way_hides(what):
                 for k in range(5)
                 if k not in (i, j)
             )
-            hides = walled * (what != "robots") + crowded * (what != "obstacles") > 0
-            hides &= what != "none"
+            ways = {"none": False, "obstacles": walled, "robots": crowded}
+            hides = ways.get(what, walled or crowded)
             assert (found[team, i, j] == (0.0 if hides else exact[team, i, j])).all()
             hidden += hides
     assert (hidden > 10) == (what != "none")
@@ -295,7 +295,7 @@ def test_sectors_leave_so_many_bearings():
     points = silhouettes(sim)
     for seen in (rows[:, OTHERS], points[points.any(axis=-1)]):
         turn = np.arctan2(seen[..., 1], seen[..., 0]) / (math.pi / 6)
-        assert len(turn) > 5 and turn == pytest.approx(np.round(turn), abs=1e-5)
+        assert turn.size > 30 and turn == pytest.approx(np.round(turn), abs=1e-5)
 
 
 @pytest.mark.parametrize(
