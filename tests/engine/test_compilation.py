@@ -128,8 +128,8 @@ def test_what_only_kernels_call_is_plain_python_for_python():
 
 @pytest.fixture
 def nested(monkeypatch):
-    """Three kernels within each other, one of which asks for SLP, and a function that
-    has another told of each when it is compiled.
+    """The outer one of three kernels, of which one asks for SLP; and a function that sets what is
+    called, with its name, when each has been compiled.
     """
     if not compilation.compiled():
         pytest.skip("nothing is compiled")
