@@ -83,12 +83,20 @@ DOORS: dict[str, tuple[int, Callable[[Scenario, int], Any]]] = {
 """How many teams stand behind each kind of environment, and how it is made."""
 
 
-def explore(check: Callable[..., None], count: int, *given_values: st.SearchStrategy) -> None:
-    """Run a check on many cases, the same in every run."""
-    limits = settings(
-        max_examples=count, database=None, suppress_health_check=list(HealthCheck), deadline=None
-    )
-    limits(given(*given_values)(check))()
+def fuzzed(count: int, *values: st.SearchStrategy) -> Callable[[Callable[..., None]], Any]:
+    """Make a test of a check of one case: so many for each effort, the same in every run."""
+
+    def decorate(check: Callable[..., None]) -> Any:
+        @pytest.mark.parametrize("effort", EFFORTS)
+        def test(effort: int) -> None:
+            health = list(HealthCheck)
+            limits = settings(max_examples=count * effort, database=None, deadline=None)
+            settings(limits, suppress_health_check=health)(given(*values)(check))()
+
+        test.__name__ = test.__qualname__ = check.__name__
+        return test
+
+    return decorate
 
 
 @dataclass

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+import tempfile
 import warnings
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 import soup
 from fuzzing import (
     DOORS,
-    EFFORTS,
     TEAMS,
     Refused,
     assert_finite,
     attempt,
-    explore,
+    fuzzed,
     play,
     start_and_play,
     teams,
@@ -34,39 +34,31 @@ from rendezvous_env.scenario.start_options import OPTIONS
 # ---- scenarios ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("effort", EFFORTS)
-def test_scenarios(effort, tmp_path):
-    path = tmp_path / "any.toml"
-
-    def check(fields):
-        plain = isinstance(fields.get("reward"), dict)
-        scenario = attempt(lambda: Scenario.from_plain(fields) if plain else Scenario(**fields))
-        if isinstance(scenario, Refused):
-            return
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", TimeStepWarning)
-            scenario.to_toml(path)
-            assert Scenario.from_toml(path) == scenario
-        assert_finite(scenario.action_bounds, scenario.tau, scenario.max_steps)
-        certificate = attempt(lambda: rv.certificate(scenario))
-        assert not np.isnan(certificate.time_bound)
-        start_and_play(Simulator(scenario))
-
-    explore(check, 60 * effort, soup.scenario_fields())
+FILE = Path(tempfile.mkdtemp()) / "any.toml"
 
 
-@pytest.mark.parametrize("effort", EFFORTS)
-def test_toml(effort, tmp_path):
-    path = tmp_path / "mine.toml"
-    keys = [field.name for field in dataclasses.fields(Scenario)]
+@fuzzed(60, soup.scenario_fields())
+def test_scenarios(fields):
+    plain = isinstance(fields.get("reward"), dict)
+    scenario = attempt(lambda: Scenario.from_plain(fields) if plain else Scenario(**fields))
+    if isinstance(scenario, Refused):
+        return
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TimeStepWarning)
+        scenario.to_toml(FILE)
+        assert Scenario.from_toml(FILE) == scenario
+    assert_finite(scenario.action_bounds, scenario.tau, scenario.max_steps)
+    certificate = attempt(lambda: rv.certificate(scenario))
+    assert not np.isnan(certificate.time_bound)
+    start_and_play(Simulator(scenario))
 
-    def check(text):
-        path.write_bytes(text)
-        scenario = attempt(lambda: Scenario.from_toml(path))
-        if not isinstance(scenario, Refused):
-            scenario.to_toml(path)
 
-    explore(check, 40 * effort, soup.toml_texts(keys))
+@fuzzed(40, soup.toml_texts([field.name for field in dataclasses.fields(Scenario)]))
+def test_toml(text):
+    FILE.write_bytes(text)
+    scenario = attempt(lambda: Scenario.from_toml(FILE))
+    if not isinstance(scenario, Refused):
+        scenario.to_toml(FILE)
 
 
 # ---- resets -------------------------------------------------------------------------------------
@@ -131,6 +123,7 @@ def options_of(draw: st.DrawFn, team: str, num_envs: int) -> Any:
         "position": absurd,
         "else": absurd,
     }
+    assert set(OPTIONS) < values.keys()
     keys = draw(st.lists(st.sampled_from(sorted(values)), max_size=3, unique=True))
     options: dict[Any, Any] = {key: draw(values[key]) for key in keys}
     if draw(st.integers(0, 5)) == 0:
@@ -142,18 +135,14 @@ def options_of(draw: st.DrawFn, team: str, num_envs: int) -> Any:
     return options
 
 
-@pytest.mark.parametrize("effort", EFFORTS)
-def test_options_of_a_reset(effort):
-    def check(name, team, data):
-        it = door(name, team)
-        it.env.reset(seed=1)
-        options = data.draw(options_of(team, it.num_envs))
-        reset = lambda: it.env.reset(seed=2, options=options)  # noqa: E731
-        if it.refuses_or_plays(reset, ValueError, RuntimeError):
-            play(it.simulator, 3)
-
-    explore(check, 60 * effort, names, teams, st.data())
-    assert set(OPTIONS) <= {"positions", "headings", "frames", "weights", "obstacles"}
+@fuzzed(60, names, teams, st.data())
+def test_options_of_a_reset(name, team, data):
+    it = door(name, team)
+    it.env.reset(seed=1)
+    options = data.draw(options_of(team, it.num_envs))
+    reset = lambda: it.env.reset(seed=2, options=options)  # noqa: E731
+    if it.refuses_or_plays(reset, ValueError, RuntimeError):
+        play(it.simulator, 3)
 
 
 # ---- actions ------------------------------------------------------------------------------------
@@ -179,16 +168,13 @@ def actions_of(draw: st.DrawFn, it: Door) -> Any:
     return draw(any_table(*single, it.n, it.size))
 
 
-@pytest.mark.parametrize("effort", EFFORTS)
-def test_actions(effort):
-    def check(name, team, data):
-        it = door(name, team)
-        it.env.reset(seed=data.draw(st.integers(0, 3)))
-        for _ in range(data.draw(st.integers(1, 4))):
-            actions = data.draw(actions_of(it))
-            it.refuses_or_plays(lambda given=actions: it.env.step(given), ValueError, KeyError)
-
-    explore(check, 60 * effort, names, teams, st.data())
+@fuzzed(60, names, teams, st.data())
+def test_actions(name, team, data):
+    it = door(name, team)
+    it.env.reset(seed=data.draw(st.integers(0, 3)))
+    for _ in range(data.draw(st.integers(1, 4))):
+        actions = data.draw(actions_of(it))
+        it.refuses_or_plays(lambda given=actions: it.env.step(given), ValueError, KeyError)
 
 
 # ---- states -------------------------------------------------------------------------------------
@@ -231,22 +217,18 @@ def _whole(dtype: np.dtype) -> st.SearchStrategy:
     return st.sampled_from([0, 1, 2, 5, 10**9, low, high]) | st.integers(low, high)
 
 
-@pytest.mark.parametrize("effort", EFFORTS)
-def test_states(effort):
-    def check(name, team, data):
-        it = door(name, team)
-        it.env.reset(seed=data.draw(st.integers(0, 3)))
-        play(it.simulator, data.draw(st.integers(0, 2)))
-        entry, state = data.draw(spoilt(it.state()))
-        before = it.state()
-        accepted = attempt(lambda: it.env.set_state(state))
-        if isinstance(accepted, Refused):
-            message, related = str(accepted.error), ("weights", "status", "merged_into", "agents")
-            assert (entry or "state") in message or any(name in message for name in related)
-            np.testing.assert_equal(it.state(), before)
-        else:
-            play(it.simulator, 20)
-            assert (it.simulator.status >= RUNNING).all()
-
-    stateful = st.sampled_from([name for name in NAMES if name != "aec"])
-    explore(check, 40 * effort, stateful, teams, st.data())
+@fuzzed(40, st.sampled_from([name for name in NAMES if name != "aec"]), teams, st.data())
+def test_states(name, team, data):
+    it = door(name, team)
+    it.env.reset(seed=data.draw(st.integers(0, 3)))
+    play(it.simulator, data.draw(st.integers(0, 2)))
+    entry, state = data.draw(spoilt(it.state()))
+    before = it.state()
+    accepted = attempt(lambda: it.env.set_state(state))
+    if isinstance(accepted, Refused):
+        message, related = str(accepted.error), ("weights", "status", "merged_into", "agents")
+        assert (entry or "state") in message or any(name in message for name in related)
+        np.testing.assert_equal(it.state(), before)
+    else:
+        play(it.simulator, 20)
+        assert (it.simulator.status >= RUNNING).all()

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from conftest import assert_same_state, five, law_of, refusing
+from conftest import UNEQUAL, assert_same_state, five, law_of, refusing
 from test_borders import AMONG, TEAMS
 
 import rendezvous_env as rv
@@ -20,16 +20,6 @@ from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper
 
 
-def halfway(**changes: object) -> Simulator:
-    """Teams in the midst of an episode, robots of some already merged."""
-    sim = Simulator(five("single_integrator-2d", spawn_size=3.0, **changes), TEAMS)
-    sim.reset(0)
-    law = law_of(sim.scenario)
-    while sim.active.all():
-        sim.step(law(sim.observe(), sim.time))
-    return sim
-
-
 def refused(target, state, message):
     with refusing(target, message):
         target.set_state(state)
@@ -41,6 +31,15 @@ def changed(state, name, place, value):
     return {**state, name: array}
 
 
+FAST = {"n_robots": 2, "robot_model": "double_integrator", "max_speed": 3.0}
+SIMULATORS = {
+    "team": (five("single_integrator-2d", **AMONG), TEAMS),
+    "arcs": (rv.Scenario(n_robots=5, graph=rv.graphs.directed(UNEQUAL)), 1),
+    "inertia": (rv.Scenario(**FAST, obstacles=[rv.Capsule(((90, 0), (91, 0)), 0.1)]), TEAMS),
+    "late": (five("single_integrator-2d", sensing=rv.Sensing(delay=2)), 1),
+    "ring": (rv.Scenario(n_robots=60, graph="cycle"), 2),
+}
+"""Scenarios, and of how many teams."""
 WRONG_ENTRIES = [
     ("positions", (1, 2, 0), np.nan, "positions[1, 2, 0] is nan; it must be finite"),
     ("weights", (0, 3), -1.0, "weights[0, 3] is -1.0; it must be 0 or more"),
@@ -67,13 +66,39 @@ WRONG_ENTRIES = [
     ("frames", (1, 1, 0), 3.0, "it must be a rotation"),
     ("frames", (1, 1), [1.0, 0.0, 0.0, -1.0], "it must be a rotation"),
 ]
+WRONG = [
+    *[("team", *entry) for entry in WRONG_ENTRIES],
+    ("arcs", "weights", (0, 1, 1), 1.0, "weights[0, 1, 1] is 1.0; it must be 0: no robot is its"),
+    ("inertia", "memory", (0, 1), (0.0, 3.1), "at most 3 m/s"),
+    ("late", "past", (0, 1, 2), np.nan, "past[0, 1, 2, 0, 0] is nan; it must be finite"),
+    ("late", "past", (0, 1, 2), 1e20, "it must be at most 1e+13"),
+    ("ring", "first", (0, 0), 60, "first[0, 0] is 60; it must be from 0 to 59"),
+    ("ring", "second", (1, 5), -1, "second[1, 5] is -1; it must be from 0 to 59"),
+    ("ring", "second", (0, 0), 0, "second[0, 0] is 0; it must be above the other robot"),
+    ("ring", "first", (0, 3), 0, "in the order of the links, each once"),
+    ("ring", "weights", (0, 3), 0.0, "it must be 0 after a 0"),
+    ("ring", "merged_into", (0, 1), 0, "it must be 0 for pairs with a merged-away robot"),
+]
 
 
-@pytest.mark.parametrize(("name", "place", "value", "message"), WRONG_ENTRIES)
-def test_an_entry_that_no_episode_has_is_refused(name, place, value, message):
-    sim = Simulator(five("single_integrator-2d", **AMONG), TEAMS)
+@pytest.mark.parametrize(("team", "name", "place", "value", "message"), WRONG)
+def test_an_entry_that_no_episode_has_is_refused(team, name, place, value, message):
+    sim = Simulator(*SIMULATORS[team])
     sim.reset(0)
     refused(sim, changed(sim.get_state(), name, place, value), re.escape(message))
+
+
+def test_entries_are_those_of_the_team_in_shape_and_type():
+    sim = Simulator(*SIMULATORS["late"])
+    sim.reset(0)
+    state = sim.get_state()
+    for wrong, message in (
+        ({k: v for k, v in state.items() if k != "past"}, "'past' is missing"),
+        (state | {"speed": state["steps"]}, "'speed' is unknown; it must be one of positions"),
+        (state | {"past": state["past"][:, :2]}, "past is float32 of shape"),
+        (state | {"steps": state["steps"].astype(float)}, "steps is float64 .* must be int64"),
+    ):
+        refused(sim, wrong, message)
 
 
 def test_survivors_are_their_own():
@@ -86,63 +111,57 @@ def test_survivors_are_their_own():
     assert sim.active.tolist() == [[True, False, False, True, True]]
 
 
-@pytest.mark.parametrize(
-    "name", ["positions", "weights", "steps", "seed", "merged_into", "obstacles"]
-)
-def test_lists_are_taken_or_refused_as_a_whole(name):
-    sim = halfway(**AMONG)
+def test_lists_are_taken_or_refused_as_a_whole():
+    sim, ragged = Simulator(*SIMULATORS["team"]), [[1.0], [2.0, 3.0]]
+    sim.reset(0)
+    sim.step(np.ones((TEAMS, 5, 2)))
     state = sim.get_state()
-    ragged = [[1.0], [2.0, 3.0]]
-    refused(sim, {**state, name: ragged}, f"{name} must be an array")
-    refused(sim, {**state, name: "words"}, f"{name} must be an array")
+    for name in ("positions", "weights", "steps", "seed", "merged_into", "obstacles"):
+        for wrong in (ragged, "words"):
+            refused(sim, {**state, name: wrong}, f"{name} must be an array")
     listed = {**state, "positions": state["positions"].tolist(), "steps": state["steps"].tolist()}
     sim.step(np.ones((TEAMS, 5, 2)))
     sim.set_state(listed)
     assert_same_state(sim, state)
 
 
-@pytest.mark.parametrize("wrong", [None, 3, [], "state"])
-def test_what_is_no_state_is_refused(wrong):
-    for target in (
-        Simulator(five("unicycle")),
-        parallel_env("fig3"),
-        HeadingFilter(five("unicycle"), 1),
-    ):
-        refused(target, wrong, "must be a mapping")
+def test_what_is_no_state_is_refused():
+    filtered = HeadingFilter(five("unicycle"), 1)
+    for target in (Simulator(five("unicycle")), parallel_env("fig3"), filtered):
+        for wrong in (None, 3, [], "state"):
+            refused(target, wrong, "must be a mapping")
 
 
 def test_states_of_all_moments_are_taken(kind):
     """Before the first reset, in part reset, resting, running, merged, met, timed out."""
     scenario = five(kind, time_limit=1.0, spawn_size=3.0)
     sim, other = Simulator(scenario, TEAMS), Simulator(scenario, TEAMS)
-    other.set_state(sim.get_state())
+    seen, law = set(), law_of(scenario)
+
+    def taken():
+        other.set_state(sim.get_state())
+        assert_same_state(other, sim)
+        seen.update(sim.status.tolist(), ["merged"] * (not sim.active.all()))
+
+    taken()
     with pytest.raises(RuntimeError, match="call reset"):
         other.step(np.zeros((TEAMS, 5, scenario.action_size)))
     first = np.arange(TEAMS) < 4
     for mask in (first, ~first):
         sim.reset(0, mask=mask)
-        other.set_state(sim.get_state())
-        assert_same_state(other, sim)
-    seen, merged, law = set(), False, law_of(scenario)
+        taken()
     for step in range(400):
-        other.set_state(sim.get_state())
-        assert_same_state(other, sim)
+        taken()
         np.testing.assert_array_equal(other.observe(), sim.observe())
-        seen |= set(sim.status.tolist())
         if step % 50 == 40:
             sim.restart(sim.ended)
-            seen |= set(sim.status.tolist())
-            other.set_state(sim.get_state())
+            taken()
         sim.step(law(sim.observe(), sim.time))
-        merged |= not sim.active.all()
-    assert {TIME_OUT, AWAITING_RESET} <= seen and merged
-
-
-def test_a_team_that_was_never_reset_draws_its_seed_later():
-    sim = Simulator(five("unicycle"), 2)
-    sim.set_state(Simulator(five("unicycle"), 2).get_state())
-    sim.reset()
-    assert sim.seeds.min() > 1
+    assert {TIME_OUT, AWAITING_RESET, "merged"} <= seen
+    anew = Simulator(scenario, TEAMS)  # of teams never reset the seed is drawn later
+    anew.set_state(Simulator(scenario, TEAMS).get_state())
+    anew.reset()
+    assert anew.seeds.min() > 1
 
 
 # ---- states of what stands around a simulator ---------------------------------------------------
@@ -220,13 +239,8 @@ def test_every_entry_of_a_nested_state_is_checked_before_any_is_taken(make):
             refused(target, state, path[-1])
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
-        ("returns", np.nan, "returns[1] is nan; it must be finite"),
-        ("lengths", -1, "lengths[1] is -1; it must be 0 or more"),
-    ],
-)
-def test_no_episode_of_robots_as_slots_has_these_counts(name, value, message):
+def test_no_episode_of_robots_as_slots_has_these_counts():
     target = robots()
-    refused(target, changed(target.get_state(), name, 1, value), re.escape(message))
+    for name, value, what in (("returns", np.nan, "finite"), ("lengths", -1, "0 or more")):
+        message = re.escape(f"{name}[1] is {value}; it must be {what}")
+        refused(target, changed(target.get_state(), name, 1, value), message)

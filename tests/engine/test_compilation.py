@@ -126,44 +126,14 @@ def test_what_only_kernels_call_is_plain_python_for_python():
     assert not compilation.compiled() or not squared.overloads
 
 
-@pytest.mark.skipif(not compilation.compiled(), reason="nothing is compiled")
-@pytest.mark.parametrize("at_work", [True, False])
-def test_the_collector_rests_while_compiling_and_no_longer(at_work, monkeypatch):
-    seen = []
-    monkeypatch.setattr(kernel_cache, "_folder", lambda: None)  # else it is found again
-
-    @compilation.kernel
-    def doubled_again(x):
-        return 2.0 * x
-
-    @compilation.kernel
-    def around(x):
-        return doubled_again(x)
-
-    for kernel in (doubled_again, around):  # the inner one ends first
-        inner = kernel._compiler
-        monkeypatch.setattr(
-            inner,
-            "compile",
-            lambda *a, real=inner.compile: (seen.append(gc.isenabled()), real(*a))[1],
-        )
-    was_at_work = gc.isenabled()
-    (gc.enable if at_work else gc.disable)()
-    try:
-        assert around(3.0) == 6.0
-        assert seen == [False, False] and gc.isenabled() == at_work
-        with pytest.raises(numba.core.errors.NumbaError):
-            around("three")
-        assert gc.isenabled() == at_work
-    finally:
-        (gc.enable if was_at_work else gc.disable)()
-
-
-@pytest.mark.skipif(not compilation.compiled(), reason="nothing is compiled")
-def test_a_kernel_is_compiled_with_slp_where_it_asks_for_it_and_no_other(monkeypatch):
-    """However deep within each other they are compiled."""
-    seen = {}
-    monkeypatch.setattr(kernel_cache, "_folder", lambda: None)  # else it is found again
+@pytest.fixture
+def nested(monkeypatch):
+    """The outer one of three kernels, of which one asks for SLP; and a function that sets what is
+    called, with its name, when each has been compiled.
+    """
+    if not compilation.compiled():
+        pytest.skip("nothing is compiled")
+    monkeypatch.setattr(kernel_cache, "_folder", lambda: None)  # else they are found again
 
     @compilation.inner_kernel
     def loops(x):
@@ -177,14 +147,40 @@ def test_a_kernel_is_compiled_with_slp_where_it_asks_for_it_and_no_other(monkeyp
     def around(x):
         return rows(x) + loops(x)
 
-    for kernel in (loops, rows, around):
+    def watch(look):
+        for kernel in (loops, rows, around):
 
-        def compiling(*a, real=kernel._compiler.compile, name=kernel.__name__):
-            made = real(*a)
-            seen[name] = numba.config.SLP_VECTORIZE
-            return made
+            def compiling(*a, real=kernel._compiler.compile, name=kernel.__name__):
+                made = real(*a)
+                look(name)
+                return made
 
-        monkeypatch.setattr(kernel._compiler, "compile", compiling)
+            monkeypatch.setattr(kernel._compiler, "compile", compiling)
+
+    return around, watch
+
+
+@pytest.mark.parametrize("at_work", [True, False])
+def test_the_collector_rests_while_compiling_and_no_longer(at_work, nested):
+    (around, watch), seen = nested, {}
+    watch(lambda name: seen.update({name: gc.isenabled()}))
+    was_at_work = gc.isenabled()
+    (gc.enable if at_work else gc.disable)()
+    try:
+        assert around(3.0) == 12.0  # the inner ones end first
+        assert seen == dict.fromkeys(("loops", "rows", "around"), False)
+        assert gc.isenabled() == at_work
+        with pytest.raises(numba.core.errors.NumbaError):
+            around("three")
+        assert gc.isenabled() == at_work
+    finally:
+        (gc.enable if was_at_work else gc.disable)()
+
+
+def test_a_kernel_is_compiled_with_slp_where_it_asks_for_it_and_no_other(nested):
+    """However deep within each other they are compiled."""
+    (around, watch), seen = nested, {}
+    watch(lambda name: seen.update({name: numba.config.SLP_VECTORIZE}))
     assert around(3.0) == 12.0
     assert seen == {"loops": False, "rows": True, "around": False}
     assert numba.config.SLP_VECTORIZE == 0

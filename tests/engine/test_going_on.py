@@ -28,13 +28,6 @@ CASES = {
 MERGES = CASES.keys() - {"packing", "nonholonomic_3d"}
 
 
-def restored(sim):
-    fresh = rv.Simulator(sim.scenario, TEAMS)
-    fresh.reset(99)
-    fresh.set_state(sim.get_state())
-    return fresh
-
-
 def onwards(sim, seen, steps):
     """Everything that some steps give out, and the start of the next episodes."""
     found = [seen]
@@ -63,8 +56,10 @@ def halfway():
 @pytest.mark.parametrize("name", CASES)
 def test_an_episode_goes_on_from_a_copy(name, halfway):
     sim = halfway(name)
-    copies = [copy.copy(sim), pickle.loads(pickle.dumps(sim)), restored(sim)]
-    state = sim.get_state()
+    state, restored = sim.get_state(), rv.Simulator(sim.scenario, TEAMS)
+    restored.reset(99)
+    restored.set_state(state)
+    copies = [copy.copy(sim), pickle.loads(pickle.dumps(sim)), restored]
     np.testing.assert_array_equal(copies[0].lyapunov(), sim.lyapunov())
     future = onwards(sim, sim.observe(), 30)
     for twin in copies:

@@ -190,8 +190,17 @@ class Own(NamedTuple):
     factor: float
 
 
-@pytest.mark.skipif(not compilation.compiled(), reason="nothing is compiled")
-def test_code_for_a_type_is_made_from_the_functions_that_it_chooses(tmp_path, monkeypatch):
+@pytest.fixture
+def own_folder(tmp_path, monkeypatch):
+    """Where this process keeps its kernels, of which there are none yet."""
+    if not compilation.compiled():
+        pytest.skip("nothing is compiled")
+    monkeypatch.setattr(kernel_cache, "_folder", lambda: tmp_path)
+    return tmp_path
+
+
+@pytest.mark.usefixtures("own_folder")
+def test_code_for_a_type_is_made_from_the_functions_that_it_chooses(monkeypatch):
     def misses():
         @compilation.kernel
         def first(x):
@@ -200,12 +209,10 @@ def test_code_for_a_type_is_made_from_the_functions_that_it_chooses(tmp_path, mo
         assert first((Own(3.0),)) == 3.0
         return sum(first.stats.cache_misses.values())
 
-    monkeypatch.setattr(kernel_cache, "_folder", lambda: tmp_path)
     found = []
     for chosen in (lambda: 1, lambda: 1, lambda: 2):
         kernel_cache.depends_on(Own, (chosen,))
-        found.append(misses())
-        found.append(misses())
+        found += [misses(), misses()]
     assert found == [1, 0, 1, 0, 1, 0] or found == [1, 0, 0, 0, 1, 0]
     monkeypatch.setattr(Own, "__module__", "__main__")
     assert misses() == misses() == 1  # no later process finds a type of the script that is run
@@ -243,8 +250,7 @@ def test_a_temporary_folder_of_somebody_else_is_not_trusted(tmp_path, monkeypatc
     assert other != own and other.parent == tmp_path and not other.stat().st_mode & 0o77
 
 
-@pytest.mark.skipif(not compilation.compiled(), reason="nothing is compiled")
-def test_damaged_code_is_compiled_anew(tmp_path, monkeypatch):
+def test_damaged_code_is_compiled_anew(own_folder):
     """Machine code with one bit flipped would end the process, so it is not given to it."""
 
     def misses():
@@ -255,10 +261,9 @@ def test_damaged_code_is_compiled_anew(tmp_path, monkeypatch):
         assert half(10.0) == 5.0
         return sum(half.stats.cache_misses.values())
 
-    monkeypatch.setattr(kernel_cache, "_folder", lambda: tmp_path)
     assert misses() == 1
     for damage in ("empty", "truncated", "one bit", "its digest"):
-        (file,) = tmp_path.iterdir()
+        (file,) = own_folder.iterdir()
         content = bytearray(file.read_bytes())
         content[0 if damage == "its digest" else len(content) // 2] ^= 4
         kinds = {"empty": b"", "truncated": content[: len(content) // 2]}

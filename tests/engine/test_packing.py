@@ -25,19 +25,20 @@ def packed(places, radius=1.05):
 
 
 class TestMoving:
-    def test_two_that_meet_each_take_half_of_the_gap(self):
-        places, ways = np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([[0.5, 0.1], [-0.5, 0.2]])
-        lengths = np.linalg.norm(ways, axis=1)
-        move_apart(places, ways, lengths, 0.6, (np.zeros((2, 2)), np.zeros(1)))
-        np.testing.assert_allclose(ways, [[0.2, 0.1], [-0.2, 0.2]], atol=1e-8)
-        np.testing.assert_allclose(places, [[0.2, 0.1], [0.8, 0.2]], atol=1e-8)
-        np.testing.assert_allclose(lengths, np.hypot([0.2, 0.2], [0.1, 0.2]), atol=1e-8)
-
-    def test_whoever_is_far_goes_as_it_likes(self):
-        places, ways = np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([[0.1, 0.3], [-0.1, 0.0]])
-        before, wanted = places.copy(), ways.copy()
-        move_apart(places, ways, np.zeros(2), 0.6, (np.zeros((2, 2)), np.zeros(1)))
-        np.testing.assert_array_equal(places, before + wanted)
+    @pytest.mark.parametrize(
+        ("wanted", "ways"),
+        [
+            ([(0.5, 0.1), (-0.5, 0.2)], [(0.2, 0.1), (-0.2, 0.2)]),  # each takes half of the gap
+            ([(0.1, 0.3), (-0.1, 0.0)], [(0.1, 0.3), (-0.1, 0.0)]),  # whoever is far is free
+        ],
+    )
+    def test_two_by_hand(self, wanted, ways):
+        places, moved = np.array([[0.0, 0.0], [1.0, 0.0]]), np.array(wanted)
+        lengths = np.linalg.norm(moved, axis=1)
+        move_apart(places, moved, lengths, 0.6, (np.zeros((2, 2)), np.zeros(1)))
+        np.testing.assert_allclose(moved, ways, atol=1e-8)
+        np.testing.assert_allclose(places, np.add([(0, 0), (1, 0)], ways), atol=1e-8)
+        np.testing.assert_allclose(lengths, np.linalg.norm(ways, axis=1), atol=1e-8)
 
     @pytest.mark.parametrize("n", [2, 5, 20])
     def test_no_two_overlap_whatever_they_want(self, n):
@@ -70,10 +71,7 @@ class TestEpisodes:
     @pytest.mark.parametrize("n", [4, 10])
     def test_all_meet_and_none_merges_or_overlaps(self, n):
         scenario = rv.scenarios.get(f"robotarium-{n}")
-        simulator, law = (
-            rv.Simulator(scenario, num_envs=40),
-            baselines.make("bearing-only", scenario),
-        )
+        simulator, law = rv.Simulator(scenario, 40), baselines.make("bearing-only", scenario)
         observations = simulator.reset(0)
         assert distances(simulator.positions).min() > scenario.merge_radius
         while (simulator.status == RUNNING).any():
@@ -88,17 +86,6 @@ class TestEpisodes:
         assert apart.min() <= scenario.merge_radius
         assert apart.max() < {4: 0.31, 10: 0.9}[n]
 
-    def test_a_batch_is_its_teams(self):
-        simulator, law = rv.Simulator(FOUR, num_envs=35), baselines.make("bearing-only", FOUR)
-        singles = [rv.Simulator(FOUR) for _ in range(3)]
-        seen = simulator.reset(list(range(35)))
-        each = [single.reset(k) for k, single in enumerate(singles)]
-        for _ in range(250):
-            seen = simulator.step(law(seen, 0.0)).observations
-            each = [s.step(law(o, 0.0)).observations for s, o in zip(singles, each, strict=True)]
-        for k, single in enumerate(singles):
-            np.testing.assert_array_equal(simulator.positions[k], single.positions[0])
-
     @pytest.mark.parametrize("batch", [1, 6])  # a team alone, and lanes side by side
     def test_whoever_touches_somebody_looks_at_the_others(self, batch):
         """Robot 0 touches 1, which touches 0 and 2; robot 3 is alone: who sees whom, by row."""
@@ -110,8 +97,8 @@ class TestEpisodes:
         np.testing.assert_allclose(seen[0, 0, 1:], np.array([(1, 0), (0, 1)]) / 15, rtol=1e-6)
 
     def test_whoever_touches_all_looks_at_all(self):
-        three = FOUR.replace(n_robots=3, graph="complete", local_frames="global")
-        row = three.replace(start_positions=((0.0, 0.0), (0.155, 0.0), (0.31, 0.0)))
+        row = ((0.0, 0.0), (0.155, 0.0), (0.31, 0.0))
+        row = FOUR.replace(n_robots=3, start_positions=row, local_frames="global")
         seen = rv.Simulator(row).reset(0)[0].any(axis=-1)
         np.testing.assert_array_equal(seen, [[False, True], [True, True], [True, False]])
 
@@ -127,6 +114,10 @@ class TestEpisodes:
             assert (not seen[0, 0, 1].any()) == hidden
 
 
+BODIES = {"body_radius": 0.1}
+PACK = BODIES | {"meeting": "pack"}
+
+
 class TestScenario:
     @pytest.mark.parametrize(
         ("fields", "message"),
@@ -134,19 +125,13 @@ class TestScenario:
             ({"body_radius": 0.2}, r"body_radius is 0\.2; it must be at most half the merge_rad"),
             ({"body_radius": -1.0}, "body_radius is -1.0; it must be a positive"),
             ({"meeting": "pack"}, "body_radius is None; it must be given with meeting='pack'"),
-            ({"meeting": "park", "body_radius": 0.1}, "meeting is 'park'; it must be one of"),
-            ({"body_radius": 0.1, "graph": "cycle"}, "graph must be complete with a body_radius"),
-            ({"body_radius": 0.1, "meeting": "pack", "dim": 3}, "robots in 3-D: bodies pack as"),
+            (BODIES | {"meeting": "park"}, "meeting is 'park'; it must be one of"),
+            (BODIES | {"graph": "cycle"}, "graph must be complete with a body_radius"),
+            (PACK | {"dim": 3}, "robots in 3-D: bodies pack as"),
+            (PACK | {"robot_model": "unicycle"}, "be 'merge' for unicycle robots in 2-D: bodies"),
+            (PACK | {"obstacles": (rv.Disc((9.0, 9.0), 1.0),)}, "among obstacles: bodies pack"),
             (
-                {"body_radius": 0.1, "meeting": "pack", "robot_model": "unicycle"},
-                "meeting is 'pack'; it must be 'merge' for unicycle robots in 2-D: bodies",
-            ),
-            (
-                {"body_radius": 0.1, "meeting": "pack", "obstacles": (rv.Disc((9.0, 9.0), 1.0),)},
-                "among obstacles: bodies pack",
-            ),
-            (
-                {"body_radius": 0.1, "start_positions": [(i / 10, 0.0) for i in range(5)]},
+                BODIES | {"start_positions": [(i / 10, 0.0) for i in range(5)]},
                 r"robot_\d and robot_\d stand 0\.1 m apart; it must be at least 0\.2 m",
             ),
         ],

@@ -7,12 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from conftest import MODELS, UNEQUAL, law_of
+from conftest import UNEQUAL, five, law_of
 from scipy.integrate import solve_ivp
 
 from rendezvous_env import Scenario, Simulator
 from rendezvous_env.engine.memory import RUNNING
-from rendezvous_env.trajectory import run
 
 POSITIONS = {
     2: np.array([[-3.0, 1.2], [2.1, 3.4], [3.6, -1.3], [-0.7, -3.2], [0.4, 0.9]]),
@@ -130,17 +129,6 @@ def integrate(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> Reference:
     return Reference(first[0], now, first[1], float(first[2]))
 
 
-def scenario_of(kind: str, graph: str, tau: float) -> Scenario:
-    return Scenario(
-        n_robots=5,
-        graph=GRAPHS[graph],
-        merge_radius=RADIUS,
-        time_step=tau,
-        time_limit=200.0,
-        **MODELS[kind],
-    )
-
-
 def start_of(scenario: Scenario) -> dict:
     positions = POSITIONS[scenario.dim]
     if not scenario.model.nonholonomic:
@@ -149,27 +137,22 @@ def start_of(scenario: Scenario) -> dict:
     return {"positions": positions, "headings": HEADINGS[scenario.robot_model]}
 
 
-def positions_at(scenario: Scenario, moment: float) -> tuple[float, np.ndarray]:
-    """Time and places after the last whole step before ``moment``."""
-    simulator = Simulator(scenario)
-    observations, policy = simulator.reset(0, start_of(scenario)), law_of(scenario)
-    for _ in range(math.floor(moment / scenario.tau)):
-        observations = simulator.step(policy(observations, simulator.time)).observations
-    assert simulator.active.all()
-    return float(simulator.time[0]), simulator.positions[0]
-
-
-def rendezvous_time(scenario: Scenario) -> float:
-    simulator = Simulator(scenario)
-    for _ in run(simulator, law_of(scenario), simulator.reset(0, start_of(scenario))):
-        pass
-    assert simulator.status[0] != RUNNING and not simulator.active[0, 1:].any()
-    return float(simulator.time[0])
+def played(scenario: Scenario, moment: float) -> tuple[float, np.ndarray, float]:
+    """Time and places after the last whole step before ``moment``, and the time of rendezvous."""
+    sim, policy = Simulator(scenario), law_of(scenario)
+    observations = sim.reset(0, start_of(scenario))
+    while sim.status[0] == RUNNING:
+        if sim.steps[0] == math.floor(moment / scenario.tau):
+            assert sim.active.all()
+            time, places = float(sim.time[0]), sim.positions[0]
+        observations = sim.step(policy(observations, sim.time)).observations
+    assert not sim.active[0, 1:].any()
+    return time, places, float(sim.time[0])
 
 
 @pytest.mark.parametrize("graph", GRAPHS)
 def test_positions_order_of_convergence_and_rendezvous_time(kind, graph):
-    scenario = scenario_of(kind, graph, 1e-3)
+    scenario = five(kind, graph=GRAPHS[graph], merge_radius=RADIUS, time_limit=200.0)
     start = start_of(scenario)
     angles = start.get("headings", np.zeros((5, 0)))
     expected = integrate(start["positions"], angles, GRAPHS[graph])
@@ -177,13 +160,12 @@ def test_positions_order_of_convergence_and_rendezvous_time(kind, graph):
     errors = {}
     for tau in (2e-3, 1e-3):
         moment = math.floor(0.95 * expected.first_merge / 2e-3) * 2e-3 + 1e-9
-        time, places = positions_at(scenario_of(kind, graph, tau), moment)
+        time, places, met = played(scenario.replace(time_step=tau), moment)
         assert time == pytest.approx(moment, abs=1e-6)
         errors[tau] = np.linalg.norm(places - expected.positions(time), axis=-1).max()
     assert errors[1e-3] < TOLERANCE[scenario.robot_model]
     assert errors[2e-3] / errors[1e-3] == pytest.approx(2, rel=0.1)
-    tolerance = TIME_TOLERANCE[scenario.robot_model]
-    assert rendezvous_time(scenario) == pytest.approx(expected.rendezvous, rel=tolerance)
+    assert met == pytest.approx(expected.rendezvous, rel=TIME_TOLERANCE[scenario.robot_model])
 
 
 def test_the_reference_itself_on_a_case_in_closed_form():

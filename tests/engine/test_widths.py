@@ -12,8 +12,18 @@ import pytest
 from conftest import ROOT, UNEQUAL, five, run_python
 from test_sensing_engine import SHAPES, WORST
 
-from rendezvous_env import Capsule, ObstacleField, Scenario, Simulator, Sphere, WallField
+from rendezvous_env import (
+    Capsule,
+    ObstacleField,
+    Scenario,
+    Simulator,
+    Sphere,
+    WallField,
+    graphs,
+    scenarios,
+)
 from rendezvous_env.compilation import compiled
+from rendezvous_env.engine import batch_runner, threads
 from rendezvous_env.engine.memory import ManyTeams, OneTeam
 from rendezvous_env.engine.memory_layout import MemoryLayout
 
@@ -21,6 +31,7 @@ SOLIDS = (Sphere((0.3, 0.2, 0.0), 0.5), Capsule(((-1.0, -0.5, -0.5), (-0.4, 0.6,
 TIGHT = {"spawn_size": 5.0, "merge_radius": 0.3, "obstacle_range": 2.0}
 FIELD = ObstacleField(count=(1, 3), radius=(0.2, 0.4), region=4.0, keep_out=0.1, passage=0.1)
 WALLS = WallField("rooms", (2.0, 2.5), (0.6, 0.9), thickness=0.2, region=0.5, keep_out=0.1)
+DRAWN = graphs.erdos_renyi(0.4, (0.5, 1.5))
 INERT = {"n_robots": 5, "graph": UNEQUAL, "robot_model": "double_integrator"}
 SCENARIOS = {
     "nothing in the way": five("single_integrator-2d", spawn_size=3.0),
@@ -30,7 +41,7 @@ SCENARIOS = {
     "walls": five("single_integrator-2d", obstacles=WALLS, **TIGHT),
     "spheres": five("single_integrator-3d", obstacles=SOLIDS[:1], **TIGHT),
     "solids": five("single_integrator-3d", obstacles=SOLIDS, **TIGHT),
-    "unicycles": five("unicycle", obstacles=SHAPES[:1], **TIGHT),
+    "unicycles": five("unicycle", graph=DRAWN, obstacles=SHAPES[:1], **TIGHT),
     "unicycles among shapes": five("unicycle", obstacles=SHAPES, **TIGHT),
     "flying": five("nonholonomic_3d", obstacles=SOLIDS[:1], **TIGHT),
     "flying among solids": five("nonholonomic_3d", obstacles=SOLIDS, **TIGHT),
@@ -39,13 +50,21 @@ SCENARIOS = {
     "two rows": Scenario(n_robots=6, graph="cycle", **TIGHT),
     "errors": five("single_integrator-2d", obstacles=SHAPES, sensing=WORST, **TIGHT),
     "drawn graphs": Scenario(n_robots=6, graph="random_tree", on_merge="follow", **TIGHT),
+    "errors in the open": five("single_integrator-2d", sensing=WORST, spawn_size=3.0),
+    "errors in space": five("nonholonomic_3d", obstacles=SOLIDS[:1], sensing=WORST, **TIGHT),
+    "errors in two rows": Scenario(n_robots=6, graph="cycle", sensing=WORST, **TIGHT),
+    "packing": scenarios.get("robotarium-4"),
 }
 COVERED = (
     "errors", "nothing in the way", "field", "solids", "unicycles among shapes", "flying",
     "flying among solids", "inertia in the plane", "inertia in space", "drawn graphs",
+    "errors in space", "errors in two rows",
 )  # fmt: skip
 """By the others together, but for how they are compiled."""
-MEETS_NOTHING = ("nothing in the way", "two rows", "drawn graphs")
+MEETS_NOTHING = (
+    "nothing in the way", "two rows", "drawn graphs", "errors in the open", "errors in two rows",
+    "packing",
+)  # fmt: skip
 
 
 def towards_neighbours(scenario: Scenario, observations: np.ndarray) -> np.ndarray:
@@ -78,23 +97,48 @@ def assert_equal(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) 
         np.testing.assert_array_equal(found[name], array, err_msg=name)
 
 
+@pytest.fixture
+def shared(monkeypatch):
+    """How many threads each step was shared among, from here on; none if it was not."""
+    given, real_share = [], threads.share
+
+    def share(calls_of, blocks, most, ahead=0.0):
+        given.append(most)
+        real_share(calls_of, blocks, most, ahead)
+
+    monkeypatch.setattr(threads, "share", share)
+    return given
+
+
+@pytest.mark.skipif(not compiled(), reason="plain Python has no threads")
+def test_little_work_is_not_shared(shared):
+    for n, expected in ((8, []), (32, [2])):
+        simulator = Simulator(Scenario(n_robots=n, spawn_size=1e3), 512, num_threads=2)
+        simulator.reset(0)
+        shared.clear()
+        simulator.step(np.zeros((512, n, 2), np.float32))
+        assert shared == expected
+
+
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=[pytest.mark.slow] if name in COVERED else []) for name in SCENARIOS],
 )
-def test_a_team_among_many_moves_as_it_does_alone(name):
-    """40 teams are one whole block and one that is filled up."""
+def test_a_team_among_many_moves_as_it_does_alone(name, shared, monkeypatch):
+    """40 teams are one whole block and one that is filled up, each of them for a thread."""
+    monkeypatch.setattr(batch_runner, "_WORK_PER_THREAD", 1)
     scenario, batch, steps = SCENARIOS[name], 40, 150 if compiled() else 20
     assert MemoryLayout(scenario, batch).width == ManyTeams()
     assert MemoryLayout(scenario, 1).width == OneTeam()
     together = episode(scenario, batch, 3, steps, num_threads=2)
+    assert shared == [2] * steps or not compiled()
     for team in (0, 1, 5, 31, 32, 39):
         alone = episode(scenario, 1, 3 + team, steps)
         assert_equal({key: array[:, team : team + 1] for key, array in together.items()}, alone)
     few = episode(scenario, 6, 3, steps)
     assert_equal({key: array[:, :6] for key, array in together.items()}, few)
     if compiled():
-        assert not together["active"].all()
+        assert together["active"].all() == (name == "packing")
         assert together["contact"].any() == (name not in MEETS_NOTHING)
 
 

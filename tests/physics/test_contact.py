@@ -21,6 +21,9 @@ from rendezvous_env.robots.unicycle import Unicycle
 
 MICRON, HALF = 1e-6, math.sqrt(0.5)
 WALL = Polygon(((-20, 0), (20, 0), (20, 2), (-20, 2)))  # free below y = 0
+FLOOR, UPWARDS = Polygon(((-9, -1), (9, -1), (9, 0), (-9, 0))), Polygon(((0, 0), (9, -1), (9, 9)))
+DOWNWARDS = Polygon(((4, 0), (14, -10), (14, 10), (4, 10)))
+SPHERES = [Sphere((0, 1, 0), 2**0.5), Sphere((0, -1, 0), 2**0.5), Sphere((1, 0, 1), 1.0)]
 
 
 def move_one_straight(start, displacement, scene, mode):
@@ -47,16 +50,16 @@ def move_one_curved(start, inputs, scene, mode):
 
 
 def straight(position, displacement, obstacles, mode=SLIDE):
-    """End point and contact of one straight motion."""
+    """End point and contact of one straight motion; one slot is left over."""
     scene = world(obstacles, len(obstacles) + 1)
     moved, contact = move_one_straight(position, displacement, scene, mode)
     return np.array(position, dtype=float) + moved, contact
 
 
-def curved(position, speed, yaw, yaw_rate, duration, obstacles, mode=SLIDE):
-    """Displacement and contact of one unicycle motion."""
-    scene = world(obstacles, len(obstacles) + 1)
-    return move_one_curved(position, (speed, yaw, 0.0, yaw_rate, 0.0, duration), scene, mode)
+def curved(position, speed, yaw, yaw_rate, duration, obstacle, mode=SLIDE):
+    """Displacement and contact of one unicycle motion, likewise."""
+    inputs = speed, yaw, 0.0, yaw_rate, 0.0, duration
+    return move_one_curved(position, inputs, world([obstacle], 2), mode)
 
 
 class TestStraightByHand:
@@ -87,14 +90,13 @@ class TestStraightByHand:
 
     @pytest.mark.parametrize("mode", [SLIDE, STOP])
     def test_at_the_surface_outward_and_along_are_free(self, mode):
-        for displacement in ((1, 0), (-1, 0), (1, -1), (0, -3)):
-            end, contact = straight((0.1, 0), displacement, [WALL], mode)
-            assert tuple(end) == (0.1 + displacement[0], displacement[1])
-            assert not contact
-        for displacement in ((0, 1), (0, -1), (-1, 1), (-1, -1)):
-            end, contact = straight((2, 0), displacement, [self.DISC], mode)
-            assert tuple(end) == (2 + displacement[0], displacement[1])
-            assert not contact
+        for x, obstacle, ways in (
+            (0.1, WALL, ((1, 0), (-1, 0), (1, -1), (0, -3))),
+            (2.0, self.DISC, ((0, 1), (0, -1), (-1, 1), (-1, -1))),
+        ):
+            for way in ways:
+                end, contact = straight((x, 0), way, [obstacle], mode)
+                assert tuple(end) == (x + way[0], way[1]) and not contact
 
     @pytest.mark.parametrize(
         ("depth", "contact"), [(0.99e-6, False), (1.01e-6, True), (-1e-9, False)]
@@ -130,39 +132,35 @@ class TestStraightByHand:
         np.testing.assert_allclose(out - position, (0, 1))
         assert not contact
 
-    def test_in_an_obtuse_corner_it_slides_from_one_wall_onto_the_other(self):
-        floor = Polygon(((-9, -1), (9, -1), (9, 0), (-9, 0)))
-        ramp = Polygon(((0, 0), (9, -1), (9, 9)))
-        end, contact = straight((-1, 0), (3, -1e-3), [floor, ramp])
-        np.testing.assert_allclose(end, np.full(2, 1.0 - 0.5e-3 * 2 / 3), atol=1e-6)
-        assert contact
-
-    def test_from_a_wall_onto_a_ramp_it_goes_what_is_left_of_the_way(self):
-        """A quarter of it to the wall, a third of the rest along that, then half of (2, −2)."""
-        ramp = Polygon(((4, 0), (14, -10), (14, 10), (4, 10)))
-        end, contact = straight((0, -1), (8, 4), [WALL, ramp])
-        np.testing.assert_allclose(end, (5, -1), atol=1e-5)
-        assert contact
-
-    def test_between_two_spheres_it_slides_out_along_the_common_tangent(self):
-        spheres = [Sphere((0, 1, 0), math.sqrt(2)), Sphere((0, -1, 0), math.sqrt(2))]
-        end, contact = straight((1, 0, 0), (-1, 0, 0.3), spheres)
-        np.testing.assert_allclose(end, (1, 0, 0.3), atol=1e-9)
-        assert contact
-        spheres.append(Sphere((1, 0, 1), 1.0))
-        end, contact = straight((1, 0, 0), (-1, 0, 0.3), spheres)
-        np.testing.assert_allclose(end, (1, 0, 0), atol=1e-9)
+    @pytest.mark.parametrize(
+        ("start", "displacement", "obstacles", "end", "atol"),
+        [
+            # in an obtuse corner it slides from one wall onto the other
+            ((-1, 0), (3, -1e-3), [FLOOR, UPWARDS], [1 - 1e-3 / 3] * 2, 1e-6),
+            # a quarter of the way to the wall, a third of the rest along that, half of (2, −2)
+            ((0, -1), (8, 4), [WALL, DOWNWARDS], (5, -1), 1e-5),
+            # between two spheres along the common tangent, which a third one may close
+            ((1, 0, 0), (-1, 0, 0.3), SPHERES[:2], (1, 0, 0.3), 1e-9),
+            ((1, 0, 0), (-1, 0, 0.3), SPHERES, (1, 0, 0), 1e-9),
+        ],
+    )
+    def test_between_several_it_goes_what_is_left_of_the_way(
+        self, start, displacement, obstacles, end, atol
+    ):
+        found, contact = straight(start, displacement, obstacles)
+        np.testing.assert_allclose(found, end, atol=atol)
         assert contact
 
     def test_nothing_is_fast_enough_to_pass_through(self):
         thin = Polygon(((-50, 0), (50, 0), (50, 1e-3), (-50, 1e-3)))
         for length in (1e-2, 1, 1e3, 1e6):
-            end, contact = straight((0.3, -1e-3), (0, length), [thin])
-            np.testing.assert_allclose(end, (0.3, 0), atol=1e-9)
-            assert contact
-            end, contact = straight((-1, 0.1), (length + 2, 0), [Disc((0, 0.1), 1e-3)])
-            np.testing.assert_allclose(end, (-1e-3, 0.1), atol=1e-9)
-            assert contact
+            for start, way, obstacle, wanted in (
+                ((0.3, -1e-3), (0, length), thin, (0.3, 0)),
+                ((-1, 0.1), (length + 2, 0), Disc((0, 0.1), 1e-3), (-1e-3, 0.1)),
+            ):
+                end, contact = straight(start, way, [obstacle])
+                np.testing.assert_allclose(end, wanted, atol=1e-9)
+                assert contact
 
 
 def half_plane(angle, left=True):
@@ -192,7 +190,7 @@ class TestCurvedByHand:
         ],
     )
     def test_for_pi_seconds_at_2_metres_a_second(self, start, turn, obstacle, mode, way, contact):
-        out, touched = curved(start, 2.0, 0.0, turn, math.pi, [obstacle], mode)
+        out, touched = curved(start, 2.0, 0.0, turn, math.pi, obstacle, mode)
         np.testing.assert_allclose(out, way, atol=4e-7 if turn else 1e-12)
         assert touched == contact
 
@@ -201,22 +199,22 @@ class TestCurvedByHand:
     def test_a_touching_unicycle_drives_away(self, speed, turn):
         """Tangentially: straight on, turning away, or on a wider circle than the disc's."""
         position, yaw = np.array([0.0, -1.0]), 0.0
-        out, contact = curved(position, speed, yaw, turn * np.sign(speed), 0.5, [self.DISC])
+        out, contact = curved(position, speed, yaw, turn * np.sign(speed), 0.5, self.DISC)
         expected = arc(2, speed, yaw, 0.0, turn * np.sign(speed), 0.0, 0.5)
-        assert tuple(out) == tuple(expected)
-        assert not contact
+        assert tuple(out) == tuple(expected) and not contact
 
-    def test_outwards_is_free_whatever_the_turn(self):
+    def test_outwards_and_on_the_spot_it_is_free_whatever_the_turn(self):
         for yaw in np.linspace(-math.pi + 0.3, -0.3, 9):
-            out, contact = curved((0, -1), 0.3, yaw, 0.5, 0.5, [self.DISC])
-            assert np.linalg.norm(out) > 0.14
-            assert not contact
+            out, contact = curved((0, -1), 0.3, yaw, 0.5, 0.5, self.DISC)
+            assert np.linalg.norm(out) > 0.14 and not contact
+        out, contact = curved((0, -1), 0.0, 1.0, 30.0, 1.0, self.DISC)
+        assert tuple(out) == (0, 0) and not contact
 
     def test_circling_along_the_surface_keeps_its_pace(self):
         """A unicycle whose circle is the disc itself neither sinks in nor sticks."""
         position, yaw, duration = np.array([0.0, -1.0]), 0.0, 0.05
         for step in range(1, 41):
-            out, contact = curved(position, 1.0, yaw, 1.0, duration, [self.DISC])
+            out, contact = curved(position, 1.0, yaw, 1.0, duration, self.DISC)
             position, yaw = position + out, yaw + duration
             assert not contact
             turned = duration * step
@@ -224,17 +222,9 @@ class TestCurvedByHand:
 
     def test_pressing_into_a_surface_slides_on(self):
         """A tighter circle than the disc's makes contact, and still moves at nearly full speed."""
-        out, contact = curved((0, -1), 1.0, 0.0, 1.5, 0.1, [self.DISC])
-        assert contact
-        assert 0.09 < np.linalg.norm(out) <= 0.1 + 1e-6
-        out, contact = curved((0, -1), 1.0, 0.0, 1.5, 0.1, [self.DISC], STOP)
-        assert contact
-        assert np.linalg.norm(out) < 0.01
-
-    def test_turning_on_the_spot_is_no_contact(self):
-        out, contact = curved((0, -1), 0.0, 1.0, 30.0, 1.0, [self.DISC])
-        assert tuple(out) == (0, 0)
-        assert not contact
+        for mode, least, most in ((SLIDE, 0.09, 0.1 + 1e-6), (STOP, 0.0, 0.01)):
+            out, contact = curved((0, -1), 1.0, 0.0, 1.5, 0.1, self.DISC, mode)
+            assert contact and least <= np.linalg.norm(out) <= most
 
     def test_a_fast_spiral_in_space_does_not_pass_a_sphere(self):
         position = np.array([-3.0, 0.0, 0.0])

@@ -1,4 +1,4 @@
-"""Merging (theory 5), by hand and against its bound."""
+"""Merging (theory 5), by hand and against its bound; f and contraction where a_ij is not a_ji."""
 
 from __future__ import annotations
 
@@ -9,7 +9,12 @@ from hypothesis import strategies as st
 from tuples import world
 
 from rendezvous_env import Disc, Scenario, Simulator
-from rendezvous_env.graphs.merging import merge_swept
+from rendezvous_env.graphs.merging import contract, contract_arcs, merge_swept
+from rendezvous_env.physics.potential import (
+    lyapunov_of_links,
+    net_bearings_of_arcs,
+    net_bearings_of_links,
+)
 from rendezvous_env.safety.lyapunov import lyapunov
 
 
@@ -52,12 +57,45 @@ class Moved:
         self.weights[first, second] = self.weights[second, first] = weight
 
 
-def test_nobody_near():
-    moved = Moved([[0, 0], [5, 0], [10, 0], [15, 0]], [[1, 0], [0, 1], [0, -1], [0, 0]])
-    assert moved.merges == 0 and moved.merged_into.tolist() == [0, 1, 2, 3]
-    np.testing.assert_array_equal(moved.positions, [[1, 0], [5, 1], [10, -1], [15, 0]])
-    np.testing.assert_array_equal(moved.weights, CHAIN)
-    assert moved.report.tolist() == [0, 0, 0, 0]
+PAIR = linked(2, (0, 1, 1.0))
+REST = np.zeros((4, 2))
+BY_HAND = {
+    "nobody near": ([[0, 0], [5, 0], [10, 0], [15, 0]], [[1, 0], [0, 1], [0, -1], [0, 0]],
+        CHAIN, [0, 1, 2, 3], {0: (1, 0), 1: (5, 1), 2: (10, -1), 3: (15, 0)}),
+    "through each other": ([[0, 0], [3, 0]], [[100, 0], [-100, 0]],
+        PAIR, [0, 0], {0: (1.5, 0), 1: (1.5, 0)}),
+    "past just outside r": ([[0, 0], [3, 1.0001]], [[6, 0], [0, 0]], PAIR, [0, 1], {0: (6, 0)}),
+    "past just inside r": ([[0, 0], [3, 0.9]], [[6, 0], [0, 0]], PAIR, [0, 0], {}),
+    "no neighbours": ([[0, 0], [50, 0], [0.1, 0], [50, 9]], REST, CHAIN, [0, 1, 2, 3], {}),
+    "no neighbours, through each other": ([[0, 0], [50, 0], [3, 0], [50, 9]],
+        [[6, 0], [0, 0], [-6, 0], [0, 0]], CHAIN, [0, 1, 2, 3], {0: (6, 0), 2: (-3, 0)}),
+    "below r at the start": ([[0, 0], [0.4, 0], [9, 0], [20, 0]], [[5, 0], [5, 0], [0, 0], [0, 0]],
+        CHAIN, [0, 0, 2, 3], {0: (0.2, 0)}),
+    # 1 reaches 2 before it reaches 0
+    "the earliest": ([[0, 0], [4, 0], [6, 0], [60, 0]], [[2, 0], [0, 0], [-3, 0], [0, 0]],
+        CHAIN, [0, 1, 1, 3], {0: (2, 0), 1: (4.5, 0)}),
+    # pairs (0, 1) and (1, 2) touch at the same moment: the lower index wins, and 2 has gone on
+    "a tie": ([[0, 0], [4, 0], [8, 0], [60, 0]], [[3, 0], [0, 0], [-3, 0], [0, 0]],
+        CHAIN, [0, 0, 2, 3], {0: (3.5, 0), 2: (5, 0)}),
+    # (0, 1) at 0.45 and (2, 3) at 1.25 first; those are 0.8 apart
+    "a chain within r": ([[0, 0], [0.9, 0], [1.2, 0], [1.3, 0]], REST, CHAIN, [0] * 4,
+        {0: (0.85, 0)}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BY_HAND)
+def test_who_merges_and_where_all_stand_by_hand(case):
+    positions, displacements, weights, merged_into, places = BY_HAND[case]
+    moved = Moved(positions, displacements, weights)
+    assert moved.merged_into.tolist() == merged_into
+    assert moved.merges == len(merged_into) - len(set(merged_into))
+    for robot, place in places.items():
+        np.testing.assert_allclose(moved.positions[robot], place, atol=1e-15)
+    if moved.merges == 0:
+        np.testing.assert_array_equal(moved.weights, weights)
+        assert not moved.report.any()
+    if not any(merged_into):  # one is left
+        assert not moved.weights.any() and moved.report[1] == 0
 
 
 def test_a_pair_merges_where_it_first_touches_and_rests():
@@ -76,51 +114,6 @@ def test_a_pair_merges_where_it_first_touches_and_rests():
     np.testing.assert_array_equal(moved.weights, contracted)
     assert moved.report[1] == pytest.approx(lyapunov(after, contracted))
     assert moved.report[2] == 0 and moved.report[3] == 0
-
-
-def test_no_pair_jumps_over_another():
-    moved = Moved([[0, 0], [3, 0]], [[100, 0], [-100, 0]], [[0, 1], [1, 0]])
-    assert moved.merges == 1
-    np.testing.assert_allclose(moved.positions, [[1.5, 0], [1.5, 0]])
-    passing = Moved([[0, 0], [3, 1.0001]], [[6, 0], [0, 0]], [[0, 1], [1, 0]])
-    assert passing.merges == 0  # it passes just outside r
-    touching = Moved([[0, 0], [3, 0.9]], [[6, 0], [0, 0]], [[0, 1], [1, 0]])
-    assert touching.merges == 1
-
-
-def test_only_neighbours_merge():
-    moved = Moved([[0, 0], [50, 0], [0.1, 0], [50, 9]], np.zeros((4, 2)))
-    assert moved.merges == 0  # 0 and 2 stand on each other and do not see each other
-    through = Moved([[0, 0], [50, 0], [3, 0], [50, 9]], [[6, 0], [0, 0], [-6, 0], [0, 0]])
-    assert through.merges == 0
-    np.testing.assert_array_equal(through.positions[[0, 2]], [[6, 0], [-3, 0]])
-
-
-def test_at_the_start_if_they_are_already_below():
-    moved = Moved([[0, 0], [0.4, 0], [9, 0], [20, 0]], [[5, 0], [5, 0], [0, 0], [0, 0]])
-    assert moved.merges == 1
-    np.testing.assert_allclose(moved.positions[0], [0.2, 0])
-
-
-def test_the_earliest_first_and_then_by_index():
-    # 1 reaches 2 before it reaches 0
-    moved = Moved([[0, 0], [4, 0], [6, 0], [60, 0]], [[2, 0], [0, 0], [-3, 0], [0, 0]])
-    assert moved.merged_into[2] == 1
-    # a tie: pairs (0, 1) and (1, 2) touch at the same moment, the lower index wins
-    tie = Moved([[0, 0], [4, 0], [8, 0], [60, 0]], [[3, 0], [0, 0], [-3, 0], [0, 0]])
-    np.testing.assert_allclose(tie.positions[0], [3.5, 0])
-    assert tie.merged_into[:2].tolist() == [0, 0]
-    # 2 has gone on to 5, which is 1.5 from there
-    assert tie.merged_into[2] == 2 and tie.positions[2].tolist() == [5, 0]
-
-
-def test_chains_that_stand_within_r_collapse():
-    moved = Moved([[0, 0], [0.9, 0], [1.2, 0], [1.3, 0]], np.zeros((4, 2)))
-    assert moved.merges == 3 and moved.merged_into.tolist() == [0, 0, 0, 0]
-    # (0, 1) at 0.45 and (2, 3) at 1.25 first; those are 0.8 apart
-    np.testing.assert_allclose(moved.positions[0], [0.85, 0])
-    assert not moved.weights.any()
-    assert moved.report[1] == 0
 
 
 def test_the_merged_robot_has_the_union_of_the_links_with_the_larger_weight():
@@ -199,3 +192,44 @@ def test_no_merge_raises_v_above_the_bound(n, seed, in_an_obstacle):
     assert not moved.weights[~active].any() and not moved.weights[:, ~active].any()
     assert (moved.merged_into[moved.merged_into] == moved.merged_into).all()
     assert (moved.merged_into <= np.arange(n)).all()
+
+
+# ---- arcs ---------------------------------------------------------------------------------------
+
+PLACES = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 3.0], [2.0, 3.0]])
+ARCS = np.array([[0, 2.0, 0, 0], [0.5, 0, 0, 1.0], [0, 0.25, 0, 4.0], [3.0, 0, 0, 0]])
+
+
+def links_of(arcs):
+    """What takes pairs gets of them: mean weights."""
+    mean = (arcs + arcs.T) / 2
+    first, second = np.nonzero(np.triu(mean))
+    return first, second, mean[first, second]
+
+
+def test_net_bearings_by_hand():
+    f, diagonal = np.empty((4, 2)), np.array([2.0, 3.0]) / np.sqrt(13)
+    net_bearings_of_arcs(PLACES, ARCS, f)
+    expected = [2.0, 0.0], [-0.5, 1.0], 0.25 * diagonal * [1, -1] + [4.0, 0.0], -3.0 * diagonal
+    np.testing.assert_allclose(f, expected, atol=1e-15)
+
+
+def test_arcs_that_go_both_ways_alike_are_links_and_mean_weights_have_the_v_of_all():
+    both, arcs, links = ARCS + ARCS.T, np.empty((4, 2)), np.empty((4, 2))
+    net_bearings_of_arcs(PLACES, both, arcs)
+    net_bearings_of_links(PLACES, links_of(both), links)
+    np.testing.assert_array_equal(arcs, links)
+    gaps = np.linalg.norm(PLACES[:, None] - PLACES, axis=-1)
+    np.testing.assert_allclose(lyapunov_of_links(PLACES, links_of(ARCS)), (ARCS * gaps).sum())
+
+
+def test_contraction_by_hand():
+    arcs, links = ARCS.copy(), links_of(ARCS)
+    contract(0, 1, links)
+    contract_arcs(0, 1, links, arcs)
+    # robot 1 saw 3 and was seen by 2; robot 3 saw 0 already
+    np.testing.assert_array_equal(
+        arcs, [[0, 0, 0, 1.0], [0, 0, 0, 0], [0.25, 0, 0, 4.0], [3.0, 0, 0, 0]]
+    )
+    kept = {(i, j): w for i, j, w in zip(*(a.tolist() for a in links), strict=True) if w > 0}
+    assert kept == {(0, 2): 0.125, (0, 3): 2.0, (2, 3): 2.0}

@@ -114,12 +114,10 @@ class TestDistanceAndNormal:
             assert normal[:2] in {(1.0, 0.0), (-0.0, 1.0), (0.0, 1.0), (1.0, -0.0)}
             assert normal[2] == 0
 
-    def test_absent_slot_is_infinitely_far(self):
+    def test_clear_of_obstacles_asks_for_the_margin_from_every_one_that_is_there(self):
         absent = world([], 2)
         assert distance_to(absent, 0, ORIGIN) == np.inf
         assert clear_of_obstacles(ORIGIN, absent, 1e9)
-
-    def test_clear_of_obstacles_asks_for_the_margin_from_every_one(self):
         discs = world([Disc((3, 0), 1), Disc((0, 5), 1)], 3)
         assert clear_of_obstacles(ORIGIN, discs, 2.0)
         assert not clear_of_obstacles(ORIGIN, discs, 2.0 + 1e-9)
@@ -211,14 +209,12 @@ class TestSilhouette3d:
             rays = self.rays(sphere, (0, 0, 0), net_bearing, axis_x, axis_y)
             np.testing.assert_allclose(rays[0], expected, atol=1e-15)
 
-    def test_rays_are_unit_vectors_however_long_f_is_along_the_centre(self):
+    def test_rays_are_unit_vectors_however_long_f_is_and_on_the_surface_too(self):
         for u in np.random.default_rng(5).normal(size=(50, 3)):
             rays = self.rays(Sphere(tuple(2 * u), np.linalg.norm(u)), (0, 0, 0), 1e9 * u)
             np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1, atol=1e-12)
-
-    def test_on_the_surface_the_rays_lie_in_the_tangent_plane(self):
         rays = self.rays(Sphere((2, 0, 0), 2.0), (1e-17, 0, 0), (0, 1, 0))
-        np.testing.assert_allclose(rays[:, 0], 0, atol=1e-7)
+        np.testing.assert_allclose(rays[:, 0], 0, atol=1e-7)  # in the tangent plane
         np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1, atol=1e-12)
 
 

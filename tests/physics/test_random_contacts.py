@@ -9,6 +9,7 @@ import shapely
 from test_contact import MICRON, move_one_curved, move_one_straight
 from tuples import arc, body_frame, mean_body_axis, world
 
+from rendezvous_env.obstacles.capsule import Capsule
 from rendezvous_env.obstacles.contact import SLIDE, STOP
 from rendezvous_env.obstacles.disc import Disc, Sphere
 from rendezvous_env.obstacles.polygon import Polygon
@@ -36,6 +37,9 @@ def depths(obstacles, points):
             edges = np.roll(corners, -1, axis=0) - corners
             normals = np.c_[edges[:, 1], -edges[:, 0]] / np.linalg.norm(edges, axis=1)[:, None]
             depth = -(points @ normals.T - np.sum(corners * normals, axis=1)).max(axis=1)
+        elif isinstance(obstacle, Capsule):
+            axis = shapely.LineString(obstacle.ends)
+            depth = obstacle.radius - shapely.distance(axis, shapely.points(points))
         else:
             depth = obstacle.radius - np.linalg.norm(points - obstacle.centre, axis=1)
         deepest = np.maximum(deepest, depth)
@@ -51,6 +55,10 @@ def goes_deeper(obstacles, starts, ends, depth):
             core = shapely.Polygon(obstacle.vertices).buffer(-depth, join_style="mitre")
             shapely.prepare(core)
             deeper |= shapely.intersects(core, shapely.linestrings(np.stack([starts, ends], 1)))
+        elif isinstance(obstacle, Capsule):
+            ways = shapely.linestrings(np.stack([starts, ends], 1))
+            axis = shapely.LineString(obstacle.ends)
+            deeper |= shapely.distance(axis, ways) < obstacle.radius - depth
         else:
             o = np.array(obstacle.centre) - starts
             square = np.maximum(np.sum(run**2, axis=1), 1e-300)
@@ -61,14 +69,17 @@ def goes_deeper(obstacles, starts, ends, depth):
 
 
 def random_scene(rng, dim):
-    """Eight overlapping obstacles: spheres, or discs and polygons."""
+    """Eight overlapping obstacles: spheres, or discs, polygons and capsules."""
     scene = []
     for k in range(8):
         centre, size = rng.uniform(-4, 4, dim), rng.uniform(0.3, 1.5)
         if dim == 3:
             scene.append(Sphere(tuple(centre), size))
-        elif k % 2:
+        elif k % 3 == 1:
             scene.append(Disc(tuple(centre), size))
+        elif k % 3 == 2:
+            way = rng.uniform(-1, 1, 2)
+            scene.append(Capsule((tuple(centre - way), tuple(centre + way)), 0.5 * size))
         else:
             corners = int(rng.integers(3, 7))
             angles = rng.uniform(0, 7) + 2 * math.pi * np.arange(corners) / corners
@@ -92,6 +103,8 @@ def random_starts(rng, scene, dim, count):
             on_surface[here] = shapely.get_coordinates(
                 shapely.line_interpolate_point(boundary, along)
             )
+        elif isinstance(obstacle, Capsule):  # inside beside the first end: these are left out
+            on_surface[here] = obstacle.ends[0] + obstacle.radius * rays[here]
         else:
             on_surface[here] = obstacle.centre + obstacle.radius * rays[here]
     halves = [
