@@ -9,7 +9,6 @@ from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.env import ParallelEnv
 
 from ..checks import check_action, floats, refuse, shown
-from ..engine.memory import RENDEZVOUS, TIME_OUT
 from ..simulator import Simulator
 from .spaces import of_one_robot
 from .vector_env import OneTeam
@@ -62,6 +61,14 @@ class TeamByName(OneTeam, SpacesByName[_Space], ParallelEnv[str, NDArray[np.floa
         self.agents = self.possible_agents.copy()
         return dict(zip(self.agents, observations[0], strict=True)), self._by_name(infos)
 
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """As ``OneTeam.set_state``; in ``agents`` are the robots that take actions then."""
+        super().set_state(state)
+        simulator, follow = self.simulator, self.scenario.on_merge == "follow"
+        robots = zip(self.possible_agents, simulator.active[0].tolist(), strict=True)
+        over = bool(simulator.ended[0]) or not simulator.begun
+        self.agents = [] if over else [name for name, active in robots if active or follow]
+
     def _by_name(self, infos: Mapping[str, Any]) -> Infos:
         """Infos of each robot: its own numbers, and those of its team."""
         kept = {
@@ -84,15 +91,6 @@ class TeamByName(OneTeam, SpacesByName[_Space], ParallelEnv[str, NDArray[np.floa
 def names_of(n_robots: int) -> list[str]:
     """The names of the robots of a team."""
     return [f"robot_{i}" for i in range(n_robots)]
-
-
-def alive_in(teams: Mapping[str, NDArray[Any]], on_merge: str) -> list[str]:
-    """The robots that take actions in a state of a simulator of one team."""
-    into = teams["merged_into"][0].tolist()
-    if teams["episode"][0] < 0 or teams["status"][0] in (RENDEZVOUS, TIME_OUT):
-        return []
-    names = names_of(len(into))
-    return [name for i, name in enumerate(names) if on_merge == "follow" or into[i] == i]
 
 
 def check_robots(actions: Any, alive: Sequence[str], merged_into: NDArray[np.int64]) -> None:

@@ -11,7 +11,7 @@ from gymnasium.spaces import Box, Discrete
 from ..checks import check_action, whole
 from ..render.renderer import RENDER_MODES
 from ..scenario.scenarios import ScenarioLike
-from .agents import StepReturn, TeamByName, alive_in, check_robots
+from .agents import StepReturn, TeamByName, check_robots
 from .training import training_env as vector_training_env
 from .vector_env import ONE_TEAM
 
@@ -89,8 +89,3 @@ class TrainingParallelEnv(TeamByName[Box | Discrete]):
             dict.fromkeys(names, cut),
             self._by_name(infos),
         )
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """As ``OneTeam.set_state``."""
-        super().set_state(state)
-        self.agents = alive_in(self.simulator.get_state(), "follow")
