@@ -2,19 +2,19 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields
-from typing import Any
+from typing import Any, get_args
 
 from ..checks import choice, known_fields, refuse, shown
 from . import obstacle_set
 from .disc import Disc, Sphere
 from .fields import Field, ObstacleField
-from .obstacle_set import SHAPES, Obstacle
+from .obstacle_set import Obstacle
 from .shape import DETAILS
 from .walls import WallField
 
 Obstacles = tuple[Obstacle, ...] | Field
 _KINDS: dict[str, Callable[..., Obstacle | Field]] = {
-    **SHAPES,
+    **{shape.__name__.lower(): shape for shape in get_args(Obstacle)},
     "field": ObstacleField,
     "walls": WallField,
 }
