@@ -159,7 +159,7 @@ def test_makers_take_scenarios_names_files_and_overrides(tmp_path):
     assert rendezvous_v0.env().metadata["name"] == "rendezvous_v0"
     with pytest.raises(ValueError, match="'doo' is unknown; did you mean 'duo'"):
         parallel_env("doo")
-    with pytest.raises(ValueError, match="no field 'n_robot'; did you mean 'n_robots'"):
+    with pytest.raises(ValueError, match="no argument 'n_robot'; did you mean 'n_robots'"):
         parallel_env("duo", n_robot=4)
     with pytest.raises(ValueError, match="render_mode is 'movie'"):
         parallel_env("duo", render_mode="movie")
