@@ -9,6 +9,7 @@ from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.env import ParallelEnv
 
 from ..checks import check_action, floats, refuse, shown
+from ..render.renderer import RENDER_MODES
 from ..simulator import Simulator
 from .spaces import of_one_robot
 from .vector_env import OneTeam
@@ -38,6 +39,10 @@ class SpacesByName(Generic[_Space]):
 class TeamByName(OneTeam, SpacesByName[_Space], ParallelEnv[str, NDArray[np.float32], Any]):
     """One team whose robots have names, as PettingZoo has it."""
 
+    metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo reads a plain class attribute
+        "render_modes": RENDER_MODES,
+        "is_parallelizable": True,
+    }
     _left_out: tuple[str, ...] = ("robot_rewards",)
     """Infos of the vector environment that robots are not given."""
 

@@ -7,7 +7,6 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 
 from ..engine.memory import RENDEZVOUS, RUNNING
-from ..render.renderer import RENDER_MODES
 from ..scenario.scenario import Scenario
 from ..simulator import Simulator
 from .agents import StepReturn, TeamByName, table_of
@@ -112,11 +111,7 @@ class RendezvousParallelEnv(TeamByName[Box]):
     Version history: v0, the first version.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo reads a plain class attribute
-        "name": "rendezvous_v0",
-        "render_modes": RENDER_MODES,
-        "is_parallelizable": True,
-    }
+    metadata = TeamByName.metadata | {"name": "rendezvous_v0"}
     _left_out = ("robot_rewards", "active")
 
     def __init__(
