@@ -90,7 +90,6 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
         terminations: dict[str, bool] = {}
         truncations: dict[str, bool] = {}
         infos: Infos = {}
-        costs = {name: dict.fromkeys(simulator.costs, 0.0) for name in self.agents}
         for _ in range(self.decision_period):
             table = self.filter.act(self._observed)[0]
             chosen = {name: table[self._base.index(name)] for name in self.agents}
@@ -101,11 +100,10 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
             self._add_told(told)
             for name, info in told.items():
                 rewards[name] += earned[name]
-                before = infos.get(name, info)  # a wrapper between may tell nothing
+                before = infos.get(name, {})  # a wrapper between may tell nothing
                 info["contact"] = info.get("contact", False) or before.get("contact", False)
-                for key in costs[name]:
-                    costs[name][key] += info[key]
-                info.update(costs[name])
+                for key in simulator.costs:
+                    info[key] += before.get(key, 0.0)
             infos |= told
             terminations |= ended
             truncations |= cut
