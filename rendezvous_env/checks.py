@@ -280,12 +280,18 @@ Metres = Annotated[float, partial(positive, unit="m")]
 Seconds = Annotated[float, partial(positive, unit="s")]
 
 
+def from_plain(made: type[_Made], plain: Mapping[str, Any], what: str) -> _Made:
+    """A dataclass from plain data, some keys left out; an unknown one is refused."""
+    known_fields(plain, [field.name for field in dataclasses.fields(cast(Any, made))], what)
+    return made(**plain)
+
+
 def of_class(made: Any) -> Callable[[str, Any], Any]:
     """A check for an instance of a class, or a table of its fields."""
 
     def check(field: str, value: Any) -> Any:
         if isinstance(value, Mapping):
-            return made.from_plain(value)
+            return from_plain(made, value, field)
         if not isinstance(value, made):
             refuse(field, value, f"a {made.__name__}, or a table of its fields")
         return value

@@ -17,7 +17,7 @@ from .limits import MOST_STEPS, MOST_TEAMS
 from .outcome import ELAPSED, LYAPUNOV, StepOutput
 from .rewards.costs import costs_of, no_costs
 from .rewards.custom_terms import RewardStep, add_custom_terms
-from .robots.robot_models import constants_of, is_custom
+from .robots.robot_models import is_custom
 from .scenario.scenarios import ScenarioLike, resolve
 from .scenario.start_options import StartOptions, parse_options, seeds_of_teams
 from .sensors.custom_sensors import Seen, apply_custom
@@ -77,7 +77,6 @@ class Simulator(StateView):
         options: Mapping[str, Any] | None = None,
         *,
         mask: NDArray[np.bool_] | None = None,
-        resting: bool = False,
     ) -> NDArray[np.float32]:
         """Begin a new episode in all teams, or in those of a mask.
 
@@ -89,7 +88,6 @@ class Simulator(StateView):
                 (n, d, d) rotations, "weights" (n, n) m/s, each with a leading axis B if teams
                 differ; "obstacles", those of all teams. None is as if it were not given.
             mask: (B,), which teams; None is all.
-            resting: let these teams pass the next step without moving (for autoreset).
 
         Returns:
             Observations of all teams, (B, n, rows, d) float32.
@@ -101,7 +99,7 @@ class Simulator(StateView):
                 Or if the graph drawn gives a robot more neighbours than the observation has rows.
         """
         given = parse_options(self.scenario, self.num_envs, options)
-        self._begin(self._which(mask), seeds_of_teams(seed, self.num_envs), given, resting)
+        self._begin(self._which(mask), seeds_of_teams(seed, self.num_envs), given)
         return self.observe()
 
     def restart(self, mask: NDArray[np.bool_], outcome: StepOutput | None = None) -> None:
@@ -121,7 +119,7 @@ class Simulator(StateView):
         which = self._which(mask)
         if outcome is not None:
             check_output(outcome, self._given_out)
-        self._begin(which, None, StartOptions(), resting=outcome is None)
+        self._begin(which, resting=outcome is None)
         if outcome is not None:
             outcome.contact[which], outcome.active[which] = False, True
             outcome.status[which], outcome.contacts[which] = RUNNING, 0
@@ -133,9 +131,9 @@ class Simulator(StateView):
     def _begin(
         self,
         which: NDArray[np.int64],
-        seeds: list[int | None] | None,
-        given: StartOptions,
-        resting: bool,
+        seeds: list[int | None] | None = None,
+        given: StartOptions = StartOptions(),  # noqa: B008 - immutable
+        resting: bool = False,
     ) -> None:
         self._all_running = False  # not known, should an interrupt leave from here
         self._episodes.begin(which, seeds, given, resting)
@@ -206,7 +204,7 @@ class Simulator(StateView):
     def _refuse_leaps(self, before: NDArray[np.float64], active: NDArray[np.bool_]) -> None:
         """Contact and merging rest on the speed limit, which a custom model may not keep."""
         scenario = self.scenario
-        limit = float(constants_of(scenario).speed_limit)
+        limit = float(self._runner.robot.model.speed_limit)
         # each merge may put a robot half a merge radius aside
         merged = (self.active != active).sum(axis=1, keepdims=True)
         rounding = 4.0 * np.spacing(np.abs(before).max())

@@ -122,10 +122,8 @@ class StateView:
             so_far = scores[ELAPSED], scores[ELAPSED + 1], scores[ELAPSED + 2]
         return _standing(status == RENDEZVOUS, contacts, *so_far)
 
-    def first_episode_statistics(self, outcome: StepOutput | None = None) -> dict[str, Any]:
+    def first_episode_statistics(self, outcome: StepOutput) -> dict[str, Any]:
         """``episode_statistics`` of team 0, as Python's own numbers; quicker for one."""
-        if outcome is None:
-            return {key: values[0].item() for key, values in self.episode_statistics().items()}
         met, contacts = outcome.status.item(0) == RENDEZVOUS, outcome.contacts.item(0)
         return _standing(met, contacts, *outcome.scores[ELAPSED:, 0].tolist())
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from ..checks import floats, mapping, whole
+from ..envs.guarantee import layers_of
 from ..envs.gymnasium_env import make_vec
 from ..limits import LARGEST_SEED
 from .slots import RobotSlots, SlotStep, team_options
@@ -204,7 +205,7 @@ class RobotVecEnv(VecEnv):
 
     def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:
         """Whether this class wraps the teams, for each slot; a ``Monitor`` always does."""
-        layers = self._layers()
+        layers = layers_of(self.teams)
         wrapped = wrapper_class is Monitor or any(isinstance(one, wrapper_class) for one in layers)
         return [wrapped] * len(self._get_indices(indices))
 
@@ -214,16 +215,9 @@ class RobotVecEnv(VecEnv):
         listed = [given] if isinstance(given, int | np.integer) else list(given)
         return [whole("indices", slot, 0, self.num_envs - 1) for slot in listed]
 
-    def _layers(self) -> Iterator[Any]:
-        """Wrappers from the outermost, the vector environment, its simulator."""
-        layer: Any = self.teams
-        while layer is not self.teams.unwrapped:
-            yield layer
-            layer = layer.env
-        yield from (layer, self.simulator)
-
     def _owner(self, name: str, default: Any = None) -> Any:
-        owner = next((layer for layer in self._layers() if hasattr(layer, name)), default)
+        layers = *layers_of(self.teams), self.simulator
+        owner = next((layer for layer in layers if hasattr(layer, name)), default)
         if owner is None:
             raise AttributeError(f"neither the teams nor their simulator have {name!r}")
         return owner

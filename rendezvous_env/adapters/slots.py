@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
 from ..engine.state_checks import check_entries, check_finite, check_keys, refuse_first
+from ..envs.guarantee import layers_of
 from ..envs.spaces import of_all_teams, of_one_robot
 from ..envs.training import TrainingTeams
 from ..envs.vector_env import Info, RendezvousVectorEnv, Transition, at_the_end
@@ -162,10 +164,7 @@ class RobotSlots:
     @property
     def _stateful(self) -> Any:
         """The outermost layer that has a state, as wrappers of Gymnasium's have not."""
-        layer = self.teams
-        while not hasattr(layer, "get_state"):
-            layer = layer.env
-        return layer
+        return next(layer for layer in layers_of(self.teams) if hasattr(layer, "get_state"))
 
     def get_state(self) -> dict[str, Any]:
         """The running episodes, as copies: nested arrays."""
@@ -221,13 +220,11 @@ class RewardShaping:
     def __init__(self, teams: VectorEnv[Any, Any, Any]) -> None:
         self._recorder: _Recorder | None = None
         self._follow = teams.unwrapped.simulator.scenario.on_merge == "follow"  # type: ignore[attr-defined]
-        layer: Any = teams
-        while isinstance(layer, VectorWrapper):
-            if not isinstance(layer, _OURS) and isinstance(layer.env, _OURS):
-                if not isinstance(layer.env, _Recorder):
-                    layer.env = _Recorder(layer.env)
-                self._recorder = layer.env
-            layer = layer.env
+        for layer, beneath in pairwise(layers_of(teams)):
+            if not isinstance(layer, _OURS) and isinstance(beneath, _OURS):
+                if not isinstance(beneath, _Recorder):
+                    layer.env = beneath = _Recorder(beneath)
+                self._recorder = beneath
 
     def robot_rewards(
         self, rewards: NDArray[np.float64], infos: Mapping[str, Any], acted: NDArray[np.bool_]

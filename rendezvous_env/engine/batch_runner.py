@@ -123,7 +123,8 @@ class BatchRunner:
 
     def limit(self, max_steps: int) -> None:
         """Let episodes end after so many steps."""
-        self._setup = self.layout, constants(self._state.scenario, max_steps), self.robot
+        found = constants(self._state.scenario, self.robot, max_steps)
+        self._setup = self.layout, found, self.robot
 
     def new_output(self) -> StepOutput:
         """Room for what a step gives out, fresh but for ``crowded``, in which nobody touches an

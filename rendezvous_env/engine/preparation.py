@@ -55,13 +55,13 @@ def sensor(state: State) -> Sensor | None:
     )
 
 
-def constants(scenario: Scenario, max_steps: int) -> tuple[Any, ...]:
+def constants(scenario: Scenario, robot: Robot, max_steps: int) -> tuple[Any, ...]:
     """The fields of Constants, as a plain tuple."""
     return tuple(
         Constants(
             duration=float(scenario.tau),
             merge_radius=float(scenario.merge_radius),
-            speed_limit=float(constants_of(scenario).speed_limit),
+            speed_limit=float(robot.model.speed_limit),
             max_steps=max_steps,
             contact_mode=CONTACT_MODES.index(scenario.obstacle_contact),
             obstacle_range=float(scenario.obstacle_range),

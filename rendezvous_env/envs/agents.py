@@ -9,7 +9,7 @@ from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.env import ParallelEnv
 
 from ..checks import check_action, floats, refuse, shown
-from ..engine.memory import RENDEZVOUS, TIME_OUT
+from ..render.renderer import RENDER_MODES
 from ..simulator import Simulator
 from .spaces import of_one_robot
 from .vector_env import OneTeam
@@ -39,6 +39,10 @@ class SpacesByName(Generic[_Space]):
 class TeamByName(OneTeam, SpacesByName[_Space], ParallelEnv[str, NDArray[np.float32], Any]):
     """One team whose robots have names, as PettingZoo has it."""
 
+    metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo reads a plain class attribute
+        "render_modes": RENDER_MODES,
+        "is_parallelizable": True,
+    }
     _left_out: tuple[str, ...] = ("robot_rewards",)
     """Infos of the vector environment that robots are not given."""
 
@@ -62,6 +66,14 @@ class TeamByName(OneTeam, SpacesByName[_Space], ParallelEnv[str, NDArray[np.floa
         self.agents = self.possible_agents.copy()
         return dict(zip(self.agents, observations[0], strict=True)), self._by_name(infos)
 
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """As ``OneTeam.set_state``; in ``agents`` are the robots that take actions then."""
+        super().set_state(state)
+        simulator, follow = self.simulator, self.scenario.on_merge == "follow"
+        robots = zip(self.possible_agents, simulator.active[0].tolist(), strict=True)
+        over = bool(simulator.ended[0]) or not simulator.begun
+        self.agents = [] if over else [name for name, active in robots if active or follow]
+
     def _by_name(self, infos: Mapping[str, Any]) -> Infos:
         """Infos of each robot: its own numbers, and those of its team."""
         kept = {
@@ -84,15 +96,6 @@ class TeamByName(OneTeam, SpacesByName[_Space], ParallelEnv[str, NDArray[np.floa
 def names_of(n_robots: int) -> list[str]:
     """The names of the robots of a team."""
     return [f"robot_{i}" for i in range(n_robots)]
-
-
-def alive_in(teams: Mapping[str, NDArray[Any]], on_merge: str) -> list[str]:
-    """The robots that take actions in a state of a simulator of one team."""
-    into = teams["merged_into"][0].tolist()
-    if teams["episode"][0] < 0 or teams["status"][0] in (RENDEZVOUS, TIME_OUT):
-        return []
-    names = names_of(len(into))
-    return [name for i, name in enumerate(names) if on_merge == "follow" or into[i] == i]
 
 
 def check_robots(actions: Any, alive: Sequence[str], merged_into: NDArray[np.int64]) -> None:

@@ -3,10 +3,11 @@
 import functools
 import inspect
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
 
 import numpy as np
+from gymnasium.spaces import Box
 
 from ..checks import choice, known_fields, refuse, whole
 from ..engine.state_checks import check_entries, check_finite, check_keys
@@ -19,6 +20,7 @@ from ..safety.settings import MAX_TURN_RATE, TANK_MARGIN
 from ..safety.tank import EnergyTank
 from ..simulator import Simulator
 from .overrides import arguments_of
+from .spaces import choice_box, observation_box
 
 AnyFilter = SafetyFilter | type[SafetyFilter] | str
 """A filter, or its class or name, from which settings make one."""
@@ -32,17 +34,11 @@ def check_period(decision_period: int) -> int:
     return whole("decision_period", decision_period, 1, MOST_HELD_STEPS)
 
 
-def check_not_guaranteed(env: Any, wrapper: str, layers: type, guarantees: type) -> None:
-    """Refuse one guarantee upon another; ``layers`` are all wrappers of this API, ``guarantees``
-    ours.
-    """
-    while isinstance(env, layers):
-        if isinstance(env, guarantees):
-            raise TypeError(
-                f"env is under {type(env).__name__} already, and {wrapper} cannot stand on it: one "
-                "would undo what the other guarantees; wrap the environment itself"
-            )
-        env = env.env  # type: ignore[attr-defined]
+def layers_of(env: Any) -> Iterator[Any]:
+    """An environment of either API and what it wraps, the outermost first."""
+    while env is not None:
+        yield env
+        env = getattr(env, "env", None)
 
 
 def settings_of(kind: type[SafetyFilter]) -> list[str]:
@@ -70,17 +66,22 @@ def make_filter(
 
 
 class HoldsFilter:
-    """The filter of a guarantee wrapper, and the wrapper's memory from step to step."""
+    """A guarantee wrapper of either API: its filter, and its memory from step to step."""
 
+    _wraps: tuple[type, type]
+    """Environments of this API, and ours."""
+    _wanted: str
+    """What is to be wrapped, in words that take the wrapper's name."""
+    _changing: tuple[type, ...] = ()
+    """Layers that change what robots see or do, on which no guarantee can stand."""
     env: Any
     _base: Any
     """The environment of ours under all wrappers."""
 
-    def _hold(
-        self, base: Any, safety_filter: AnyFilter, decision_period: int, settings: Mapping[str, Any]
+    def __init__(
+        self, env: Any, safety_filter: AnyFilter, decision_period: int = 1, **settings: Any
     ) -> None:
-        """Take up a filter of the teams of this environment, before anything is seen."""
-        self._base = base
+        self._base = base = self._base_of(env)
         self.decision_period = check_period(decision_period)
         self.filter = made = make_filter(safety_filter, base.simulator, settings)
         self._take_alone(made)
@@ -89,6 +90,34 @@ class HoldsFilter:
         shape = base.simulator.num_envs, scenario.n_robots, *scenario.observation_layout.shape
         self._observed = np.zeros(shape, dtype=np.float32)
         self._seen = -1
+        super().__init__(env)  # type: ignore[call-arg]  # the wrapper of the API
+        robot = observation_box(scenario, base.flatten, made)
+        self._make_spaces(robot, choice_box(made))
+
+    def _base_of(self, env: Any) -> Any:
+        """The environment of ours in one that can be wrapped; a TypeError refuses others."""
+        wrapper, (of_api, ours) = type(self).__name__, self._wraps
+        base = isinstance(env, of_api) and env.unwrapped  # type: ignore[attr-defined]
+        if not isinstance(base, ours):
+            wanted = self._wanted.format(wrapper)
+            raise TypeError(f"env is a {type(env).__name__}; it must be {wanted}")
+        for layer in layers_of(env):
+            if isinstance(layer, HoldsFilter):
+                raise TypeError(
+                    f"env is under {type(layer).__name__} already, and {wrapper} cannot stand on "
+                    "it: one would undo what the other guarantees; wrap the environment itself"
+                )
+        for layer in layers_of(env):
+            if isinstance(layer, self._changing):
+                raise TypeError(
+                    f"env is under {type(layer).__name__}, which changes what robots see or do, "
+                    f"and {wrapper} cannot stand on it; put it upon {wrapper}"
+                )
+        return base
+
+    def _make_spaces(self, observations: Box, choices: Box) -> None:
+        """Make the spaces of the API from those of one robot."""
+        raise NotImplementedError
 
     def _take_alone(self, made: SafetyFilter) -> None:
         """Refuse a filter that another wrapper holds: it remembers one batch of teams."""
@@ -160,13 +189,6 @@ class HoldsFilter:
 # ---- constructors of the four wrappers, the same for both APIs -----------------------------------
 
 
-class _Constructed:
-    """A base beside a GuaranteeWrapper, whose constructor comes from ``declared_for``."""
-
-    def _make(self, *arguments: Any, **settings: Any) -> None:
-        super().__init__(*arguments, **settings)
-
-
 def declared_for(kind: type[SafetyFilter]) -> Callable[[_Constructor], _Constructor]:
     """Turns a declaration into a constructor: arguments given, and defaults, go to the filter.
 
@@ -184,14 +206,15 @@ def declared_for(kind: type[SafetyFilter]) -> Callable[[_Constructor], _Construc
             bound = signature.bind(self, *arguments, **given)
             bound.apply_defaults()
             settings = {name: bound.arguments[name] for name in known}
-            self._make(settings.pop("env"), kind, settings.pop("decision_period"), **settings)
+            env, period = settings.pop("env"), settings.pop("decision_period")
+            HoldsFilter.__init__(self, env, kind, period, **settings)
 
         return make  # type: ignore[return-value]
 
     return fill
 
 
-class HeadingSettings(_Constructed):
+class HeadingSettings(HoldsFilter):
     """Theorem C: ``HeadingVectorWrapper``."""
 
     steering: HeadingFilter
@@ -209,7 +232,7 @@ class HeadingSettings(_Constructed):
     ) -> None: ...
 
 
-class TankSettings(_Constructed):
+class TankSettings(HoldsFilter):
     """Theorem D: ``EnergyTankWrapper``."""
 
     tank: EnergyTank
@@ -227,7 +250,7 @@ class TankSettings(_Constructed):
     ) -> None: ...
 
 
-class GainSettings(_Constructed):
+class GainSettings(HoldsFilter):
     """Theorem G: ``GainWrapper``."""
 
     gains: Gains
@@ -243,7 +266,7 @@ class GainSettings(_Constructed):
     ) -> None: ...
 
 
-class LinkSettings(_Constructed):
+class LinkSettings(HoldsFilter):
     """Theorem R: ``LinkKeepingWrapper``."""
 
     links: LinkKeeping

@@ -5,33 +5,31 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
 from typing import Any
 
-from ..checks import known_fields, nearest_word
+from ..checks import known_fields
 from ..scenario.scenario import Scenario
 
 _FIELDS = sorted(field.name for field in fields(Scenario))
 
 
-def check_overrides(factory: Callable[..., Any], given: Mapping[str, Any]) -> None:
-    """Refuse a word that is no field of the scenario but looks like an argument of the factory.
-
-    What looks like neither, the scenario refuses, with its own nearest field.
+def check_overrides(
+    factory: Callable[..., Any], given: Mapping[str, Any], of_wrapper: Collection[str] = ()
+) -> None:
+    """Refuse a word that is neither an argument of the factory or of its wrapper nor a field of the
+    scenario, with the known one that is most like it.
     """
-    own = arguments_of(factory)[:-1]
-    unknown = [key for key in given if key not in _FIELDS]
-    mistaken = [key for key in unknown if nearest_word(key, [*own, *_FIELDS]) in own]
-    known_fields(mistaken, [*own, *_FIELDS], factory.__name__, "argument")
+    known = [*of_wrapper, *arguments_of(factory)[:-1], *_FIELDS]
+    known_fields(given, known, factory.__name__, "argument")
 
 
 def sorted_overrides(
     factory: Callable[..., Any], of_wrapper: Collection[str], given: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Overrides that are arguments of a wrapper, and those of the factory and of the scenario.
+    """Overrides that are arguments of a wrapper, and those of the factory and of the scenario;
+    others are refused as by ``check_overrides``.
 
     ``max_turn_rate`` is both: it is the wrapper's, which turns no faster than the scenario allows.
-    An unknown word is refused with the known one that is most like it.
     """
-    known = [*of_wrapper, *arguments_of(factory)[:-1], *_FIELDS]
-    known_fields(given, known, factory.__name__, "argument")
+    check_overrides(factory, given, of_wrapper)
     arguments = {key: value for key, value in given.items() if key in of_wrapper}
     return arguments, {key: given[key] for key in given if key not in of_wrapper}
 

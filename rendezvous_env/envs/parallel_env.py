@@ -6,13 +6,10 @@ from typing import Any
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 
-from ..checks import shown
 from ..engine.memory import RENDEZVOUS, RUNNING
-from ..engine.state_checks import check_keys
-from ..render.renderer import RENDER_MODES
 from ..scenario.scenario import Scenario
 from ..simulator import Simulator
-from .agents import StepReturn, TeamByName, alive_in, table_of
+from .agents import StepReturn, TeamByName, table_of
 from .spaces import as_told
 from .vector_env import RendezvousVectorEnv
 
@@ -114,11 +111,7 @@ class RendezvousParallelEnv(TeamByName[Box]):
     Version history: v0, the first version.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo reads a plain class attribute
-        "name": "rendezvous_v0",
-        "render_modes": RENDER_MODES,
-        "is_parallelizable": True,
-    }
+    metadata = TeamByName.metadata | {"name": "rendezvous_v0"}
     _left_out = ("robot_rewards", "active")
 
     def __init__(
@@ -190,19 +183,3 @@ class RendezvousParallelEnv(TeamByName[Box]):
     def index(self, name: str) -> int:
         """Index of a robot by its name."""
         return self._indices[name]
-
-    def get_state(self) -> dict[str, Any]:
-        """As ``OneTeam.get_state``."""
-        return {"agents": self.agents.copy(), "simulator": self.simulator.get_state()}
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """As ``OneTeam.set_state``."""
-        check_keys(state, ("agents", "simulator"), exactly=True)
-        teams = self.simulator.check_state(state["simulator"])
-        alive, given = alive_in(teams, self.scenario.on_merge), state["agents"]
-        if not isinstance(given, list | tuple) or list(given) != alive:
-            raise ValueError(
-                f"state: agents is {shown(given)}; with this simulator's state it must be {alive}"
-            )
-        self.simulator.set_state(teams)
-        self.agents = alive

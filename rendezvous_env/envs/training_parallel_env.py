@@ -9,9 +9,8 @@ import numpy as np
 from gymnasium.spaces import Box, Discrete
 
 from ..checks import check_action, whole
-from ..render.renderer import RENDER_MODES
 from ..scenario.scenarios import ScenarioLike
-from .agents import StepReturn, TeamByName, alive_in, check_robots
+from .agents import StepReturn, TeamByName, check_robots
 from .training import training_env as vector_training_env
 from .vector_env import ONE_TEAM
 
@@ -55,11 +54,7 @@ class TrainingParallelEnv(TeamByName[Box | Discrete]):
         teams: ``TrainingTeams`` of one team, with ``AutoresetMode.DISABLED``.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo reads a plain class attribute
-        "name": "rendezvous_training_v0",
-        "render_modes": RENDER_MODES,
-        "is_parallelizable": True,
-    }
+    metadata = TeamByName.metadata | {"name": "rendezvous_training_v0"}
 
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
         """Let all robots act, those that have merged away included; errors as
@@ -89,8 +84,3 @@ class TrainingParallelEnv(TeamByName[Box | Discrete]):
             dict.fromkeys(names, cut),
             self._by_name(infos),
         )
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """As ``OneTeam.set_state``."""
-        super().set_state(state)
-        self.agents = alive_in(self.simulator.get_state(), "follow")

@@ -5,7 +5,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.spaces import Space
+from gymnasium.spaces import Box, Space
 from gymnasium.vector import AutoresetMode, VectorActionWrapper, VectorObservationWrapper
 from numpy.typing import ArrayLike, NDArray
 
@@ -13,16 +13,8 @@ from ..engine.batch_runner import Kept, Pilot, Show
 from ..engine.memory import RUNNING
 from ..rewards.costs import no_costs
 from ..scenario.start_options import as_options
-from .guarantee import (
-    AnyFilter,
-    GainSettings,
-    HeadingSettings,
-    HoldsFilter,
-    LinkSettings,
-    TankSettings,
-    check_not_guaranteed,
-)
-from .spaces import as_told, choice_box, observation_box, of_all_teams, team_box
+from .guarantee import GainSettings, HeadingSettings, HoldsFilter, LinkSettings, TankSettings
+from .spaces import as_told, of_all_teams, team_box
 from .vector_env import (
     Info,
     RendezvousVectorEnv,
@@ -44,25 +36,21 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
     """
 
     _base: RendezvousVectorEnv
+    _wraps = gymnasium.vector.VectorEnv, RendezvousVectorEnv
+    _wanted = (
+        "a RendezvousVectorEnv, as make_vec makes one (for a PettingZoo environment take "
+        "rendezvous_env.{})"
+    )
+    _changing = VectorObservationWrapper, VectorActionWrapper
     observation_space: Space[Any] = of_all_teams("single_observation_space")
     action_space: Space[Any] = of_all_teams("single_action_space")
 
-    def __init__(
-        self,
-        env: gymnasium.vector.VectorEnv[Any, Any, Any],
-        safety_filter: AnyFilter,
-        decision_period: int = 1,
-        **settings: Any,
-    ) -> None:
-        base = _base_of(env, type(self).__name__)
-        self._hold(base, safety_filter, decision_period, settings)
-        super().__init__(env)
-        rate = base.metadata["render_fps"] / self.decision_period  # a picture for each decision
-        self.metadata = base.metadata | {"render_fps": max(1, round(rate))}
-        scenario = base.scenario
-        robot, n = observation_box(scenario, base.flatten, self.filter), scenario.n_robots
-        self.single_observation_space = team_box(robot, n)
-        self.single_action_space = team_box(choice_box(self.filter), n)
+    def _make_spaces(self, observations: Box, choices: Box) -> None:
+        metadata, n = self._base.metadata, self._base.scenario.n_robots
+        rate = metadata["render_fps"] / self.decision_period  # a picture for each decision
+        self.metadata = metadata | {"render_fps": max(1, round(rate))}
+        self.single_observation_space = team_box(observations, n)
+        self.single_action_space = team_box(choices, n)
 
     @property
     def autoreset_mode(self) -> AutoresetMode:
@@ -227,28 +215,6 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
     def _forget(self, which: NDArray[np.bool_] | None) -> None:
         """Clear the memory of these teams, None is all."""
         self.filter.forget(which)
-
-
-def _base_of(env: Any, wrapper: str) -> RendezvousVectorEnv:
-    """The wrapped environment of ours; refused under a guarantee, or under a wrapper that changes
-    observations or actions.
-    """
-    layers = gymnasium.vector.VectorWrapper
-    ours = isinstance(env, gymnasium.vector.VectorEnv) and env.unwrapped
-    if not isinstance(ours, RendezvousVectorEnv):
-        raise TypeError(
-            f"env is a {type(env).__name__}; it must be a RendezvousVectorEnv, as make_vec "
-            f"makes one (for a PettingZoo environment take rendezvous_env.{wrapper})"
-        )
-    check_not_guaranteed(env, wrapper, layers, GuaranteeWrapper)
-    while isinstance(env, layers):
-        if isinstance(env, VectorObservationWrapper | VectorActionWrapper):
-            raise TypeError(
-                f"env is under {type(env).__name__}, which changes what robots see or do, and "
-                f"{wrapper} cannot stand on it; put it upon {wrapper}"
-            )
-        env = env.env
-    return ours
 
 
 class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):

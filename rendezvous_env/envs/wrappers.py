@@ -1,6 +1,7 @@
 """Guarantees for PettingZoo: choices are held, and a safety filter makes actions of them."""
 
 from collections.abc import Mapping
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -11,17 +12,9 @@ from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 from ..checks import check_action
 from .agents import Infos, Observations, SpacesByName, StepReturn, check_robots
-from .guarantee import (
-    AnyFilter,
-    GainSettings,
-    HeadingSettings,
-    HoldsFilter,
-    LinkSettings,
-    TankSettings,
-    check_not_guaranteed,
-)
+from .guarantee import GainSettings, HeadingSettings, HoldsFilter, LinkSettings, TankSettings
 from .parallel_env import RendezvousParallelEnv
-from .spaces import as_told, choice_box, observation_box
+from .spaces import as_told
 
 
 class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
@@ -48,22 +41,16 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
     """
 
     _base: RendezvousParallelEnv
+    _wraps = ParallelEnv, RendezvousParallelEnv
+    _wanted = (
+        "a PettingZoo parallel environment that parallel_env has made (for a vector environment "
+        "take rendezvous_env.vector.{})"
+    )
 
-    def __init__(
-        self,
-        env: RendezvousParallelEnv,
-        safety_filter: AnyFilter,
-        decision_period: int = 1,
-        **settings: Any,
-    ) -> None:
-        base = _base_of(env, type(self).__name__)
-        self._hold(base, safety_filter, decision_period, settings)
-        super().__init__(env)
-        names, made = base.possible_agents, self.filter
-        self.observation_spaces = {
-            name: observation_box(base.scenario, base.flatten, made) for name in names
-        }
-        self.action_spaces = {name: choice_box(made) for name in names}
+    def _make_spaces(self, observations: Box, choices: Box) -> None:
+        names = self._base.possible_agents
+        self.observation_spaces = {name: deepcopy(observations) for name in names}
+        self.action_spaces = {name: deepcopy(choices) for name in names}
 
     @property
     def max_cycles(self) -> int:
@@ -103,7 +90,6 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
         terminations: dict[str, bool] = {}
         truncations: dict[str, bool] = {}
         infos: Infos = {}
-        costs = {name: dict.fromkeys(simulator.costs, 0.0) for name in self.agents}
         for _ in range(self.decision_period):
             table = self.filter.act(self._observed)[0]
             chosen = {name: table[self._base.index(name)] for name in self.agents}
@@ -114,11 +100,10 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
             self._add_told(told)
             for name, info in told.items():
                 rewards[name] += earned[name]
-                before = infos.get(name, info)  # a wrapper between may tell nothing
+                before = infos.get(name, {})  # a wrapper between may tell nothing
                 info["contact"] = info.get("contact", False) or before.get("contact", False)
-                for key in costs[name]:
-                    costs[name][key] += info[key]
-                info.update(costs[name])
+                for key in simulator.costs:
+                    info[key] += before.get(key, 0.0)
             infos |= told
             terminations |= ended
             truncations |= cut
@@ -155,18 +140,6 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
         """Observations as the policy is given them."""
         seen = as_told(self.filter.view(self._observed)[0], self._base.flatten)
         return {name: seen[self._base.index(name)].copy() for name in observations}
-
-
-def _base_of(env: Any, wrapper: str) -> RendezvousParallelEnv:
-    """The wrapped environment of ours, refused if it is under a guarantee already."""
-    if isinstance(env, ParallelEnv) and isinstance(env.unwrapped, RendezvousParallelEnv):
-        check_not_guaranteed(env, wrapper, BaseParallelWrapper, GuaranteeWrapper)
-        return env.unwrapped
-    raise TypeError(
-        f"env is a {type(env).__name__}; it must be a PettingZoo parallel environment "
-        "that parallel_env has made (for a vector environment take "
-        f"rendezvous_env.vector.{wrapper})"
-    )
 
 
 class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):

@@ -233,11 +233,6 @@ class Graph:
             plain["probability"] = self.probability
         return plain
 
-    @classmethod
-    def from_plain(cls, plain: Mapping[str, Any]) -> Graph:
-        """As ``parse``, of the plain data of ``to_plain``, some keys left out."""
-        return parse(plain)
-
 
 @lru_cache(maxsize=16)  # as long as the team: of the last ones a certificate asks again and again
 def _groups(graph: Graph, n: int, found_by: Callable[[Any], list[list[int]]]) -> list[list[int]]:

@@ -168,7 +168,6 @@ def _outlines(row: NDArray[np.float64], _: int, dim: int) -> list[shape.Outline]
 
 CAPSULES = shape.ShapeKind(
     kind=CAPSULE,
-    classes={"capsule": Capsule},
     surface=_surface,
     entry=_entry,
     normals=shape.one_normal(_surface),

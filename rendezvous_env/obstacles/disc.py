@@ -111,7 +111,6 @@ def _cone(row, corners, point, axes, out):
 
 BALLS = shape.ShapeKind(
     kind=BALL,
-    classes={"disc": Disc, "sphere": Sphere},
     surface=_surface,
     entry=_entry,
     normals=shape.one_normal(_surface),

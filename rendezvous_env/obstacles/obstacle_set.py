@@ -22,10 +22,6 @@ from .shape import ABSENT, AHEAD, BOUND, KIND, MIDDLE, azimuth_axes, centre_dire
 Obstacle = Disc | Sphere | Polygon | Capsule
 KINDS = (BALLS, POLYGONS, CAPSULES)
 """Every kind of shape."""
-SHAPES: dict[str, type[Obstacle]] = {
-    name: made for kind in KINDS for name, made in kind.classes.items()
-}
-"""By the kind that files say."""
 _KINDS = {kind.kind: kind for kind in KINDS}
 
 

@@ -2,29 +2,22 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields
-from typing import Any
+from typing import Any, get_args
 
 from ..checks import choice, known_fields, refuse, shown
 from . import obstacle_set
 from .disc import Disc, Sphere
 from .fields import Field, ObstacleField
-from .obstacle_set import SHAPES, Obstacle
+from .obstacle_set import Obstacle
 from .shape import DETAILS
 from .walls import WallField
 
 Obstacles = tuple[Obstacle, ...] | Field
 _KINDS: dict[str, Callable[..., Obstacle | Field]] = {
-    **SHAPES,
+    **{shape.__name__.lower(): shape for shape in get_args(Obstacle)},
     "field": ObstacleField,
     "walls": WallField,
 }
-_KIND_BY_KEY = {
-    "vertices": "polygon",
-    "ends": "capsule",
-    **dict.fromkeys(("layout", "size", "opening", "thickness"), "walls"),
-    **dict.fromkeys(("count", "region", "keep_out", "overlap", "passage"), "field"),
-}
-"""What a key says of the kind, if none is given."""
 
 
 def parse(value: Any, dim: int) -> Obstacles:
@@ -59,9 +52,9 @@ def _parse_entry(field: str, entry: Any, dim: int) -> Obstacle:
 def _from_plain(plain: Mapping[str, Any], dim: int) -> Obstacle | Field:
     values = dict(plain)
     kind = values.pop("kind", None)
-    if kind is None:
-        kinds = (kind for key, kind in _KIND_BY_KEY.items() if key in values)
-        kind = next(kinds, "disc" if dim == 2 else "sphere")
+    if kind is None:  # the one that has most of the keys
+        kinds = (kind for kind in _KINDS if kind != ("sphere" if dim == 2 else "disc"))
+        kind = max(kinds, key=lambda kind: len(values.keys() & _keys(kind).keys()))
     keys = _keys(choice("obstacles: kind", kind, _KINDS))
     known_fields(values, (*keys, "kind"), f"obstacles: a {kind}", "key")
     if missing := [key for key, needed in keys.items() if needed and key not in values]:

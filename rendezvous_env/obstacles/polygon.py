@@ -187,7 +187,6 @@ def _outlines(row: NDArray[np.float64], corners: int, _: int) -> list[shape.Outl
 
 POLYGONS = shape.ShapeKind(
     kind=POLYGON,
-    classes={"polygon": Polygon},
     surface=_surface,
     entry=_entry,
     edges=_edges,

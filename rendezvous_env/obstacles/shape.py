@@ -4,7 +4,7 @@
 
 followed by what its shape needs; in the plane z = 0. Kernels take kind and number of corners by
 themselves, and the rest as the row. A new shape is a file like ``capsule`` that ends with a
-``ShapeKind``, and the name of that in ``obstacle_set.KINDS``.
+``ShapeKind``; ``obstacle_set`` names that in ``KINDS`` and the class in ``Obstacle``.
 """
 
 import math
@@ -86,8 +86,6 @@ class ShapeKind(NamedTuple):
 
     kind: int
     """Number of the kind in tables."""
-    classes: dict[str, type[Any]]
-    """What users make, by its name in files."""
     surface: Callable[..., Any]
     """(row, corners, point) → signed distance ± min_q ‖p − q‖ over the surface, m, negative inside,
     and the outward unit normal at the nearest q."""

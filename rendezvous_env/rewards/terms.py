@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Annotated, Any
 
-from ..checks import check_fields, mapping, names_unknown_fields
+from ..checks import check_fields, names_unknown_fields
 from ..compilation import kernel
 from .custom_terms import as_custom
 
@@ -53,11 +53,6 @@ class RewardWeights:
         """The weights as plain data for TOML."""
         plain = asdict(self) | {"custom": dict(self.custom)}
         return {key: value for key, value in plain.items() if value != {}}
-
-    @classmethod
-    def from_plain(cls, plain: Any) -> RewardWeights:
-        """Weights from the plain data of ``to_plain``, some keys left out."""
-        return cls(**mapping("reward", plain, "a table of its weights"))
 
 
 @kernel(inline="code")

@@ -279,8 +279,7 @@ class Scenario:
     def from_plain(cls, plain: Mapping[str, Any]) -> Scenario:
         """A scenario from plain data, as TOML or JSON hold it; checked as ever."""
         checks.mapping("a scenario's plain data", plain, "a mapping of fields to values")
-        checks.known_fields(plain, [field.name for field in dataclasses.fields(cls)], "scenario")
-        return cls(**plain)
+        return checks.from_plain(cls, plain, "scenario")
 
     def to_plain(self) -> dict[str, Any]:
         """Plain data, of which ``from_plain`` makes an equal scenario; None is an absent key."""

@@ -94,10 +94,5 @@ class Sensing:
         plain = {**dataclasses.asdict(self), "custom": list(self.custom) or None}
         return {field: value for field, value in plain.items() if value is not None}
 
-    @classmethod
-    def from_plain(cls, plain: Any) -> Sensing:
-        """A sensor from the plain data of ``to_plain``, some keys left out."""
-        return cls(**checks.mapping("sensing", plain, "a table of its fields"))
-
 
 _EXACT = Sensing()

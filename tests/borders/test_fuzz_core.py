@@ -226,7 +226,7 @@ def test_states(name, team, data):
     before = it.state()
     accepted = attempt(lambda: it.env.set_state(state))
     if isinstance(accepted, Refused):
-        message, related = str(accepted.error), ("weights", "status", "merged_into", "agents")
+        message, related = str(accepted.error), ("weights", "status", "merged_into")
         assert (entry or "state") in message or any(name in message for name in related)
         np.testing.assert_equal(it.state(), before)
     else:

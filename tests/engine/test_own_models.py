@@ -16,6 +16,7 @@ from test_kernel_cache import python
 
 import rendezvous_env as rv
 from rendezvous_env.compilation import compiled
+from rendezvous_env.engine.memory import RUNNING
 from rendezvous_env.robots import robot_models
 
 HOVER = '''"""A hovering robot: its velocity, a wind that carries it along, and two gusts."""
@@ -181,6 +182,14 @@ def test_a_hovering_robot_in_the_wind(own):
     expected = np.zeros((2, 3, 2))
     expected[1, [0, 2], 0] = 0.5 * scenario.tau
     np.testing.assert_allclose(moved, expected, atol=1e-15)
+
+
+def test_a_model_is_tried_before_robots_move_by_it_and_not_in_every_step(own, monkeypatch):
+    own("own_hover", HOVER)
+    sim = rv.Simulator(rv.Scenario(n_robots=3, robot_model="hover"), 2)
+    sim.reset(0)
+    monkeypatch.setattr(robot_models, "try_equations", None)
+    assert (sim.step(np.zeros((2, 3, 2))).status == RUNNING).all()
 
 
 def test_a_leap_that_no_check_of_the_model_found_is_told_in_the_step(own):

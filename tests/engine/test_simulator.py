@@ -169,8 +169,9 @@ def test_no_team_steps_whose_state_was_put_back_but_not_observed(monkeypatch):
 
 
 def test_a_resting_team_that_starts_within_r_meets_in_its_first_own_step():
-    sim = Simulator(Scenario(n_robots=2))
-    sim.reset(0, {"positions": [[0.0, 0.0], [0.1, 0.0]]}, resting=True)
+    sim = Simulator(Scenario(n_robots=2, start_positions=((0.0, 0.0), (0.1, 0.0))))
+    sim.reset(0)
+    sim.restart(np.array([True]))
     assert sim.step(np.zeros((1, 2, 2))).status.tolist() == [RUNNING]
     assert sim.active.all()
     outcome = sim.step(np.zeros((1, 2, 2)))

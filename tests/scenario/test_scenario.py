@@ -183,7 +183,7 @@ def test_the_camera_is_a_sensor_like_any_other():
     camera = rv.Sensing.camera()
     assert camera.occlusion == "both" and not camera.exact
     assert math.degrees(camera.noise) == pytest.approx(0.43, abs=0.01)
-    assert rv.Sensing.from_plain(camera.to_plain()) == camera == rv.Sensing.camera()
+    assert rv.Sensing(**camera.to_plain()) == camera == rv.Sensing.camera()
     discs = (rv.Disc((0.0, 0.0), 0.5), rv.Capsule(((90.0, 0.0), (91.0, 0.0)), 0.5))
     places = ((-2.0, 0.0), (2.0, 0.0), (0.0, 3.0))
     scenario = rv.Scenario(n_robots=3, start_positions=places, obstacles=discs, sensing=camera)
@@ -223,8 +223,8 @@ def test_an_unknown_field_is_refused_with_the_nearest():
         rv.Sensing(drop_out=0.1)
     with pytest.raises(ValueError, match=r"sensing has no field 'nois'.*'noise'"):
         rv.Scenario.from_plain({"sensing": {"nois": 0.1}})
-    with pytest.raises(ValueError, match="sensing is 3; it must be a table"):
-        rv.Sensing.from_plain(3)
+    with pytest.raises(ValueError, match="sensing has no field 5; known are range, "):
+        rv.Scenario(sensing={5: 0.1})
 
 
 def test_an_exact_sensor_is_an_absent_table(tmp_path):

@@ -146,7 +146,7 @@ def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
                 call, kind=kind, n_robot=3
             )
     assert "did you mean 'progress'" in refusal(RewardWeights, progres=1, kind=TypeError)
-    assert "no field 'merge_radios'" in refusal(rv.parallel_env, "duo", merge_radios=1)
+    assert "no argument 'merge_radios'" in refusal(rv.parallel_env, "duo", merge_radios=1)
     assert "did you mean 'n_robots'" in refusal(rv.make_vec, "duo", num_envs=1, num_agents=3)
     assert "did you mean 'max_cycles'" in refusal(rv.parallel_env, "duo", max_steps=9)
     with pytest.raises(TypeError, match="positional"):
