@@ -294,8 +294,7 @@ class HeadingFilter(SafetyFilter):
         size = scenario.model.n_angles if turns_body else scenario.dim
         super().__init__(scenario, num_envs, size, frame, num_threads)
         most = positive("max_turn_rate", max_turn_rate, "rad/s")
-        margin, dead_zone = check_margin(min_alignment), self._sight.dead_zone
-        robot = robot_of(scenario, margin, dead_zone, bearing_error, most)
+        robot = robot_of(scenario, check_margin(min_alignment), bearing_error, most)
         certified = flag("certified", certified)
         if robot.error_chord > 0.0 and not certified:
             refuse("bearing_error", bearing_error, "0 with certified=False: nothing is promised")

@@ -34,7 +34,7 @@ def check_margin(min_alignment: Any) -> float:
 
 
 def check_gate_constants(min_alignment: float, dead_zone: float) -> None:
-    """Refuse an ε that is no margin, or δ unless 0 < δ < ∞, m/s, in a ValueError (theorem C)."""
+    """Refuse numbers unless ε is a margin and 0 < δ < ∞, m/s, in a ValueError (theorem C)."""
     check_margin(min_alignment)
     if not 0 < real(dead_zone) < math.inf:
         refuse("dead_zone", dead_zone, "positive and finite (m/s)")

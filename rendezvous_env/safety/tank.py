@@ -263,8 +263,7 @@ class EnergyTank(SafetyFilter):
     ) -> None:
         check_inputs(scenario, "law (4)", bodies=True)
         super().__init__(scenario, num_envs, scenario.action_size, frame, num_threads)
-        margin, dead_zone = check_margin(min_alignment), self._sight.dead_zone
-        self._constants = robot_of(scenario, margin, dead_zone, bearing_error)
+        self._constants = robot_of(scenario, check_margin(min_alignment), bearing_error)
         self.budget = number("budget", budget, 0.0, unit="m²/s")
         self.observes_level = flag("observe_level", observe_level)
         team = num_envs, scenario.n_robots

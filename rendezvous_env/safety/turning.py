@@ -46,7 +46,7 @@ class Robot(NamedTuple):
 
     neighbour_slots: int
     obstacle_slots: int
-    gravity_row: int
+    gravity_row: int  # the first that shows neither neighbours nor obstacles
     turns: bool  # whether they are nonholonomic
     merge_radius: float
     speed_limit: float  # m/s
@@ -57,17 +57,17 @@ class Robot(NamedTuple):
 def robot_of(
     scenario: Scenario,
     min_alignment: float = 0.0,
-    dead_zone: float = 0.0,
     bearing_error: Any = 0.0,
     most: float = math.inf,
 ) -> Robot:
-    """The robots of a scenario; ε and δ, m/s, are of those under a guarantee, and η, rad, which is
-    checked (theorem N1'). Turn limits, rad/s: |ω| ≤ ``most``.
+    """The robots of a scenario, with a margin ε and bearing errors η, numbers, rad, the errors
+    checked, and turn limits, rad/s, |ω| ≤ ``most`` (theorem N1').
     """
     layout = scenario.observation_layout
     limits = [min(most, float(limit)) for limit in scenario.action_bounds[1:]]
     yaw, pitch, *_ = [*limits, 0.0, 0.0]
-    planar = scenario.dim == 2
+    dead_zone = float(scenario.dead_zone) if scenario.dead_zone > 0 else 1.0
+    gate = Gate(scenario.dim == 2, min_alignment, dead_zone, float(scenario.tau), yaw, pitch)
     return Robot(
         neighbour_slots=layout.neighbour_slots,
         obstacle_slots=layout.obstacle_slots,
@@ -76,7 +76,7 @@ def robot_of(
         merge_radius=float(scenario.merge_radius),
         speed_limit=float(scenario.speed_limit),
         error_chord=error_chord(check_bearing_error(bearing_error)),
-        gate=Gate(planar, min_alignment, dead_zone, float(scenario.tau), yaw, pitch),
+        gate=gate,
     )
 
 

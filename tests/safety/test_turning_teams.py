@@ -63,7 +63,7 @@ def under_the_gate(scenario, kind, teams, steps, seed=0, side=4, margin=MARGIN):
     env = rv.vector.HeadingVectorWrapper(venv, min_alignment=margin, max_turn_rate=1e6)
     observations, _ = env.reset(seed=seed)
     random = np.random.default_rng(seed)
-    gate = robot_of(scenario, margin, scenario.dead_zone).gate
+    gate = robot_of(scenario, margin).gate
     shares = np.linspace(-1, 1, side * side)[:, None]  # of the limits
     if scenario.dim == 3:
         shares = np.array(list(itertools.product(np.linspace(-1, 1, side), repeat=2)))
