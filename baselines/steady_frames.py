@@ -34,7 +34,7 @@ from rendezvous_env.physics.vectors import (
 from rendezvous_env.robots.nonholonomic_3d import body_frame_3d
 from rendezvous_env.robots.unicycle import arc_2d, clip
 from rendezvous_env.safety.heading import scale_of_step
-from rendezvous_env.safety.turning import TINY, Gate, gate_of, mean_axis, pitch_of, rates_of
+from rendezvous_env.safety.turning import TINY, Robot, mean_axis, pitch_of, rates_of, robot_of
 from rendezvous_env.scenario.scenario import Scenario
 
 from .obstacle_rules.merged_silhouettes_2d import joined_interval_2d
@@ -53,16 +53,10 @@ _WIDTHS = {"towards": (3,), "aside": (3,), "headings": (2,), "velocities": (2,)}
 """Shapes of what is remembered of a robot that is no number."""
 
 
-class _Robot(NamedTuple):
-    """What the kernels know of the robots."""
+class _Way(NamedTuple):
+    """How the kernels steer robots."""
 
-    neighbour_slots: int
-    obstacle_slots: int
-    gravity_row: int
-    turns: bool  # whether they are nonholonomic
-    merge_radius: float
-    speed_limit: float
-    gate: Gate
+    robot: Robot
     aligned: float  # as ``inputs_towards``, rad
     clearance: float = 0.0  # by which cones are widened, rad
     keeps: float = 0.0  # as ``kept_azimuth``, rad
@@ -78,24 +72,15 @@ class _Bodies(Remembering):
     _turn: Any
 
     def __init__(self, scenario: Scenario, num_envs: int, most: float, **how: Any) -> None:
-        layout, robots = scenario.observation_layout, (num_envs, scenario.n_robots)
+        robots, robot = (num_envs, scenario.n_robots), robot_of(scenario, most=most)
         arrays = (np.zeros((*robots, *_WIDTHS.get(f, ()))) for f in self._remembered._fields)
         self._kept = self._remembered._make(arrays)
-        self._robot = _Robot(
-            neighbour_slots=layout.neighbour_slots,
-            obstacle_slots=layout.obstacle_slots,
-            gravity_row=layout.gravity.start,
-            turns=scenario.model.nonholonomic,
-            merge_radius=float(scenario.merge_radius),
-            speed_limit=float(scenario.speed_limit),
-            gate=gate_of(scenario, 0.0, 0.0, most),
-            **how,
-        )
+        self._way = _Way(robot, **how)
         self.headings: Array = self._kept.headings
         """Where they are to go, (B, n, 2), in that frame or plane; zero where there is none yet."""
         self.velocities: Array = self._kept.velocities
         """Their mean velocities over the previous step, (B, n, 2), m/s."""
-        rows = layout.neighbour_slots + 2 * layout.obstacle_slots
+        rows = robot.neighbour_slots + 2 * robot.obstacle_slots
         self._seen = np.zeros((*robots, rows, 2), np.float32)
 
     @property
@@ -104,18 +89,18 @@ class _Bodies(Remembering):
 
     def seen(self, observations: Float32, teams: NDArray[np.intp]) -> Float32:
         """What some teams see in that frame or plane, (B, n, K + 2M, 2), until the next call."""
-        self._look(teams, observations, self._robot, self._kept, self._seen)
+        self._look(teams, observations, self._way, self._kept, self._seen)
         return self._seen
 
     def follow(self, teams: Part, observations: Float32, held: Array) -> None:
         """Write what some teams are to do, at law (1)'s speed, in units of their bounds: velocities
         of points; (v, ω), or where another sets the speed ω alone.
         """
-        self._follow(teams, observations, self._robot, self._kept, held)
+        self._follow(teams, observations, self._way, self._kept, held)
 
     def turn(self, teams: Part, actions: Float32) -> None:
         """Note the actions that these teams take for τ."""
-        self._turn(teams, actions, self._robot, self._kept)
+        self._turn(teams, actions, self._way, self._kept)
 
     def settle(self, share: float) -> Array:
         """Correct the last step, which lasted only a share of τ; |v| ‖ω‖ τ² of it, (B, n), m, which
@@ -128,10 +113,11 @@ class _Bodies(Remembering):
 
 
 @kernel
-def _law_speed(rows, neighbour_slots, merge_radius, duration):
+def _law_speed(rows, robot):
     """Law (1)'s speed in a step of τ, min(1, r/(2 D τ)) ‖f‖, m/s."""
-    scale = scale_of_step(degree_of(rows, neighbour_slots), merge_radius, duration)
-    return norm(net_bearing_of(rows, neighbour_slots)) * scale
+    degree = degree_of(rows, robot.neighbour_slots)
+    scale = scale_of_step(degree, robot.merge_radius, robot.gate.duration)
+    return norm(net_bearing_of(rows, robot.neighbour_slots)) * scale
 
 
 class _InFrames(NamedTuple):
@@ -145,7 +131,7 @@ class _InFrames(NamedTuple):
 
 
 @kernel
-def _look_in_frames(teams, observations, robot, memory, seen):
+def _look_in_frames(teams, observations, way, memory, seen):
     for team in teams:
         for i in range(observations.shape[1]):
             c, s = math.cos(memory.angles[team, i]), math.sin(memory.angles[team, i])
@@ -156,24 +142,24 @@ def _look_in_frames(teams, observations, robot, memory, seen):
 
 
 @kernel
-def _follow_in_frames(teams, observations, robot, memory, held):
-    K, limit, gate = robot.neighbour_slots, robot.speed_limit, robot.gate
+def _follow_in_frames(teams, observations, way, memory, held):
+    robot, limit, gate = way.robot, way.robot.speed_limit, way.robot.gate
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
             rows, desired = observations[team, i], held[team, i]
-            speed = min(_law_speed(rows, K, robot.merge_radius, gate.duration), limit)
+            speed = min(_law_speed(rows, robot), limit)
             c, s = math.cos(memory.angles[team, i]), math.sin(memory.angles[team, i])
             x, y, _ = scaled(load(memory.headings[team, i]), speed)
             wanted = c * x + s * y, c * y - s * x, 0.0
-            forward, (rate, _) = inputs_towards(wanted, 0.0, gate, robot.aligned)
+            forward, (rate, _) = inputs_towards(wanted, 0.0, gate, way.aligned)
             desired[-1] = rate / gate.yaw_limit if gate.yaw_limit > 0.0 else 0.0
             if len(desired) > 1:
                 desired[0] = forward / limit
 
 
 @kernel
-def _turn_in_frames(teams, actions, robot, memory):
-    gate = robot.gate
+def _turn_in_frames(teams, actions, way, memory):
+    robot, gate = way.robot, way.robot.gate
     for team in range(teams[0], teams[1]):
         for i in range(actions.shape[1]):
             speed = clip(np.float64(actions[team, i, 0]), robot.speed_limit)
@@ -223,8 +209,8 @@ class _InPlanes(NamedTuple):
 
 
 @kernel(allocates=True)
-def _look_in_planes(teams, observations, robot, memory, seen):
-    K, M = robot.neighbour_slots, robot.obstacle_slots
+def _look_in_planes(teams, observations, way, memory, seen):
+    robot, K, M = way.robot, way.robot.neighbour_slots, way.robot.obstacle_slots
     rays, cut, intervals = np.empty((M, 8, 3)), np.empty((M, 2, 2)), np.empty((M, 2))
     for team in teams:
         for i in range(observations.shape[1]):
@@ -241,15 +227,15 @@ def _look_in_planes(teams, observations, robot, memory, seen):
                 for k in range(K):
                     across = without(load(rows[k]), u)
                     before = across if norm(across) > norm(before) else before
-            count = widened_rays(silhouettes, robot.clearance, rays)
+            count = widened_rays(silhouettes, way.clearance, rays)
             cones = rays[:count], cut[:count], intervals[:count]
-            keeps = robot.keeps if memory.blocked[team, i] != 0.0 else 0.0
-            aside, _ = kept_azimuth(u, before, keeps, robot.clearance, cones)
+            keeps = way.keeps if memory.blocked[team, i] != 0.0 else 0.0
+            aside, _ = kept_azimuth(u, before, keeps, way.clearance, cones)
             if dot(aside, before) < 0.0:  # left stays left
                 aside = scaled(aside, -1.0)
                 cut_by(u, aside, cones[0], cones[1])
             low, high, _, _ = joined_interval_2d(X_AXIS, cones[1], cones[2])
-            blocked = low < robot.clearance and high > -robot.clearance
+            blocked = low < way.clearance and high > -way.clearance
             memory.blocked[team, i] = 1.0 if blocked else 0.0
             memory.angles[team, i] = angle
             store(to_global(frame, u), memory.towards[team, i])
@@ -291,8 +277,9 @@ def _in_plane(vector, plane):
 
 
 @kernel(allocates=True)
-def _follow_in_planes(teams, observations, robot, memory, held):
-    K, M, gate = robot.neighbour_slots, robot.obstacle_slots, robot.gate
+def _follow_in_planes(teams, observations, way, memory, held):
+    robot, gate = way.robot, way.robot.gate
+    K, M = robot.neighbour_slots, robot.obstacle_slots
     rays = np.empty((M, 8, 3))
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
@@ -300,24 +287,24 @@ def _follow_in_planes(teams, observations, robot, memory, held):
             _, (u, aside, angle) = _plane_of((team, i), memory)
             ahead, across, _ = rotated(load(memory.headings[team, i]), -angle)
             heading = combine(ahead, u, across, aside)
-            speed = _law_speed(rows, K, robot.merge_radius, gate.duration)
-            wanted = scaled(heading, WITHIN * min(speed / robot.speed_limit, 1.0))
+            share = WITHIN * min(_law_speed(rows, robot) / robot.speed_limit, 1.0)
+            wanted = scaled(heading, share)
             if not robot.turns:
                 store(wanted, desired)
                 continue
             pitch = memory.pitches[team, i]
-            forward, rates = inputs_towards(wanted, pitch, gate, robot.aligned)
+            forward, rates = inputs_towards(wanted, pitch, gate, way.aligned)
             desired[-2] = rates[0] / max(gate.yaw_limit, TINY)
             desired[-1] = rates[1] / max(gate.pitch_limit, TINY)
             if len(desired) > 2:
                 silhouettes = rows[K : K + 8 * M].reshape((M, 8, 3))
-                cones = rays[: widened_rays(silhouettes, robot.clearance, rays)]
+                cones = rays[: widened_rays(silhouettes, way.clearance, rays)]
                 desired[0] = forward if axis_is_clear_3d(rates, pitch, cones, gate) else 0.0
 
 
 @kernel
-def _turn_in_planes(teams, actions, robot, memory):
-    gate = robot.gate
+def _turn_in_planes(teams, actions, way, memory):
+    robot, gate = way.robot, way.robot.gate
     for team in range(teams[0], teams[1]):
         for i in range(actions.shape[1]):
             velocity, plane = load(actions[team, i]), _plane_of((team, i), memory)[1]

@@ -15,11 +15,11 @@ from rendezvous_env.compilation import kernel
 from rendezvous_env.physics.vectors import dot, load, norm, scaled, store, to_global, to_local
 from rendezvous_env.robots.nonholonomic_3d import body_frame_3d
 from rendezvous_env.safety.turning import (
-    gate_of,
     mean_axis,
     pitch_of,
     rates_of,
     rates_towards,
+    robot_of,
     send_rates,
 )
 from rendezvous_env.scenario.scenario import Scenario
@@ -60,7 +60,7 @@ class Steering:
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         self.turns = turns(scenario)
-        self.gate = gate_of(scenario, 0.0, 0.0) if self.turns else None
+        self.gate = robot_of(scenario).gate if self.turns else None
         """Step and turn limits for kernels; None for a single integrator."""
         self._gravity = scenario.observation_layout.gravity.start
 

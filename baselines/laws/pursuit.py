@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import real, refuse
+from rendezvous_env.checks import floats, real, refuse
 from rendezvous_env.scenario.observation_layout import ObservedRows
 from rendezvous_env.scenario.scenario import Scenario
 
@@ -41,6 +41,12 @@ class Pursuer(RememberingPolicy):
                 f"positive, less than ω_max r/2 = {fastest:.6g} m/s and at most the speed limit, "
                 f"{limit:.6g} m/s",
             )
+        if self.order is not None:
+            n, rows = self.scenario.n_robots, self.scenario.observation_layout.neighbour_slots
+            order = floats("order", self.order)
+            if order.shape[-2:] != (n, rows) or not np.isin(order, np.arange(rows)).all():
+                refuse("order", self.order, f"rows below {rows}, ([B,] n, K) = ([B,] {n}, {rows})")
+            self.order = order.astype(np.int64)
 
     def _start(self, teams: int) -> None:
         self._targets = np.full((teams, self.scenario.n_robots), -1)

@@ -61,37 +61,29 @@ class Walls(NamedTuple):
     averages: Array  # (2, 2), of velocity and direction of f
 
 
-class Constants(NamedTuple):
-    """What the kernels know of a scenario."""
-
-    neighbour_slots: int
-    context: int  # number of columns before the context
-    merge_radius: float
-    duration: float
-    speed_limit: float
-
-
 @kernel
-def _velocity(robot, velocities, f, degree, h, constants):
+def _velocity(place, velocities, f, degree, h, robot):
     """That of a robot, a triple, m/s, or where there are none law (4)'s along its heading (2,)."""
     if velocities is not None:
-        return load(velocities[robot])
+        return load(velocities[place])
     speed = h[0] * f[0] + h[1] * f[1]
-    speed *= scale_of_step(degree, constants.merge_radius, constants.duration)
-    speed = min(max(speed, -constants.speed_limit), constants.speed_limit)
+    speed *= scale_of_step(degree, robot.merge_radius, robot.gate.duration)
+    speed = min(max(speed, -robot.speed_limit), robot.speed_limit)
     return speed * h[0], speed * h[1], 0.0
 
 
 @kernel
-def show(part, which, observations, moving, constants, memory, tanks, shown):
+def show(part, which, observations, moving, known, memory, tanks, shown):
     """Fill the rows of ``shown`` (B, n, size) of some teams, and update their memory.
 
     ``which`` are teams and the s since they decided, (B,), ``part`` a range of these; ``moving``
     headings and velocities, ``tanks`` levels or None, as in ``Features.see``, and Walls or None.
-    With the memory comes working memory for intervals, (M, 2).
+    ``known`` are a Robot and the number of columns before the context. With the memory comes
+    working memory for intervals, (M, 2).
     """
     (teams, elapsed), (memory, intervals), (headings, velocities) = which, memory, moving
-    K, M = constants.neighbour_slots, intervals.shape[0]
+    robot, before_context = known
+    K, M = robot.neighbour_slots, intervals.shape[0]
     for k in range(part[0], part[1]):
         team = teams[k]
         time = elapsed[team]
@@ -106,12 +98,12 @@ def show(part, which, observations, moving, constants, memory, tanks, shown):
             f, degree = net_bearing_of(rows, K), degree_of(rows, K)
             strength = math.sqrt(f[0] * f[0] + f[1] * f[1])
             u = (f[0] / strength, f[1] / strength, 0.0) if strength > 0.0 else X_AXIS
-            velocity = _velocity((team, i), velocities, f, degree, h, constants)
-            context = out[constants.context :]
+            velocity = _velocity((team, i), velocities, f, degree, h, robot)
+            context = out[before_context:]
             context[0], context[1] = strength / degree, min(strength, 2.0)
             context[2] = 1.0 / count
-            _show_neighbours(rows, u, constants, out)
-            _show_obstacles(rows, u, memory.edges[team, i], time, constants, out)
+            _show_neighbours(rows, u, K, out)
+            _show_obstacles(rows, u, memory.edges[team, i], time, K, out)
             _show_motion((team, i), u, (h, velocity), (time, kept), memory, context[3:16])
             silhouettes = rows[K : K + 2 * M].reshape((M, 2, 2))
             _show_joined(joined_interval_2d(u, silhouettes, intervals), context[_BLOCKED:])
@@ -141,8 +133,8 @@ def _turn_rate(before, now, time):
 
 
 @kernel
-def _show_neighbours(rows, u, constants, out):
-    for k in range(constants.neighbour_slots):
+def _show_neighbours(rows, u, neighbour_slots, out):
+    for k in range(neighbour_slots):
         gain = math.sqrt(np.float64(rows[k, 0]) ** 2 + np.float64(rows[k, 1]) ** 2)
         if gain > 0.0:
             place = out[k * NEIGHBOUR_COLUMNS : (k + 1) * NEIGHBOUR_COLUMNS]
@@ -151,11 +143,11 @@ def _show_neighbours(rows, u, constants, out):
 
 
 @kernel
-def _show_obstacles(rows, u, before, time, constants, out):
+def _show_obstacles(rows, u, before, time, neighbour_slots, out):
     """Write both edges of each obstacle, and how fast they turned since ``before``, (M, 2, 2)."""
     for m in range(before.shape[0]):
-        row, column = constants.neighbour_slots + 2 * m, m * OBSTACLE_COLUMNS
-        column += constants.neighbour_slots * NEIGHBOUR_COLUMNS
+        row, column = neighbour_slots + 2 * m, m * OBSTACLE_COLUMNS
+        column += neighbour_slots * NEIGHBOUR_COLUMNS
         known = before[m, 0, 0] != 0.0 or before[m, 0, 1] != 0.0
         if rows[row, 0] == 0.0 and rows[row, 1] == 0.0:
             before[m, :] = 0.0

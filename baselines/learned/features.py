@@ -17,6 +17,7 @@ from rendezvous_env.engine.state_checks import (
 )
 from rendezvous_env.engine.threads import Calls, Part
 from rendezvous_env.safety.safety_filter import over_teams
+from rendezvous_env.safety.turning import robot_of
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..policy import Float32, Mask
@@ -27,7 +28,6 @@ from .feature_kernels import (
     NEIGHBOUR_COLUMNS,
     OBSTACLE_COLUMNS,
     Array,
-    Constants,
     Memory,
     Walls,
     show,
@@ -109,13 +109,7 @@ class Features(Remembering):
             )
         self.layout = FeatureLayout(rows.neighbour_slots, slots, tank_columns)
         self._rows, self._decision_time = rows, float(decision_time)
-        self._constants = Constants(
-            neighbour_slots=rows.neighbour_slots,
-            context=self.layout.size - self.layout.context_columns,
-            merge_radius=float(scenario.merge_radius),
-            duration=float(scenario.tau),
-            speed_limit=float(scenario.speed_limit),
-        )
+        self._known = robot_of(scenario), self.layout.size - self.layout.context_columns
         robots = num_envs, scenario.n_robots
         shapes: list[tuple[int, ...]] = [(rows.obstacle_slots, 2, 2), (2,), (4, 2), ()]
         self._kept = Memory._make(np.zeros((*robots, *shape)) for shape in shapes)
@@ -167,7 +161,7 @@ class Features(Remembering):
             times[:] = check_numbers("elapsed", elapsed, robots[:1], "(B,)")
         if shown is None:
             shown = np.zeros((*robots, self.layout.size), dtype=np.float32)
-        given = (teams, times), observations, (headings, velocities), self._constants
+        given = (teams, times), observations, (headings, velocities), self._known
         remembered, weight = (levels, self._walls), _WEIGHT * robots[1]
 
         def calls_of(part: Part) -> Calls:

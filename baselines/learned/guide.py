@@ -108,9 +108,9 @@ class HeadingTankFilter(CommandedTank):
 
 
 @kernel
-def _desired_velocities(teams, observations, constants, headings, held):
+def _desired_velocities(teams, observations, robot, headings, held):
     """The velocities of a HeadingTankFilter, in units of v_max, along headings (B, n, d)."""
-    robot, K = constants.robot, constants.robot.neighbour_slots
+    K = robot.neighbour_slots
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
             rows = observations[team, i]
@@ -118,7 +118,7 @@ def _desired_velocities(teams, observations, constants, headings, held):
             for k in range(K):  # each length in float32, as ``ObservationLayout.degree`` has it
                 degree += np.float64(np.sqrt(rows[k, 0] * rows[k, 0] + rows[k, 1] * rows[k, 1]))
             law_speed = scale_of_step(degree, robot.merge_radius, robot.gate.duration) * strength
-            share = WITHIN * min(law_speed / constants.speed_limit, 1.0)
+            share = WITHIN * min(law_speed / robot.speed_limit, 1.0)
             store(scaled(load(headings[team, i]), share), held[team, i])
 
 

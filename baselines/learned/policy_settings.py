@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rendezvous_env.safety.settings import check_margin
 from rendezvous_env.scenario.scenario import Scenario
 
 from .feature_kernels import LEVEL_COLUMNS, WALL_COLUMNS
@@ -24,8 +25,8 @@ CHOICES = len(ANGLES)
 _WIDEST = 2**12
 _RANGES = {
     "set_width": (1, _WIDEST), "clearance": (0.0, math.pi), "persistence": (0.0, 1e9),
-    "min_alignment": (1e-9, 1.0), "max_turn_rate": (1e-9, 1e9), "decision_time": (1e-9, 1e9),
-    "budget": (0.0, 1e9), "memory_units": (1, _WIDEST),
+    "max_turn_rate": (1e-9, 1e9), "decision_time": (1e-9, 1e9), "budget": (0.0, 1e9),
+    "memory_units": (1, _WIDEST),
 }  # fmt: skip
 
 
@@ -54,6 +55,7 @@ class PolicySettings:
     def __post_init__(self) -> None:
         """Refuse what no network and no heading can have."""
         check_field_types(self)
+        check_margin(self.min_alignment)
         for name, (least, most) in _RANGES.items():
             if not least <= getattr(self, name) <= most:
                 raise ValueError(

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import number, refuse, whole
 from rendezvous_env.engine.batch_runner import Pilot
-from rendezvous_env.engine.state_checks import check_entries, check_finite, check_keys
+from rendezvous_env.engine.state_checks import check_keys
 from rendezvous_env.envs.spaces import team_box
 from rendezvous_env.envs.training import FirstContacts
 from rendezvous_env.envs.vector_env import Info, RendezvousVectorEnv, Transition
@@ -131,37 +131,20 @@ class FeatureVectorEnv(GuaranteeWrapper):
     def _forget(self, which: NDArray[np.bool_] | None) -> None:
         self.guided.forget(which)
 
-    def get_state(self) -> dict[str, Any]:
-        """The running episodes and all memory, as copies."""
-        memory = {name: part.get_state() for name, part in self._parts.items()}
-        return super().get_state() | memory | {name: a.copy() for name, a in self._arrays.items()}
-
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Put back what ``get_state`` gave; a ValueError names what does not fit, and nothing has
-        changed.
-        """
-        check_keys(state, (*self._parts, "touched"))
-        given = {"shown": self._shown, **state}  # runs of older versions kept none
-        arrays = check_entries(self._arrays, given)
-        check_finite(arrays, ("shown",))
-        checked = {name: part.check_state(state[name]) for name, part in self._parts.items()}
-        own = {*self._parts, *self._arrays}
-        super().set_state({key: value for key, value in state.items() if key not in own})
-        for name, part in self._parts.items():
-            part.set_state(checked[name])
-        for name, array in self._arrays.items():
-            array[...] = arrays[name]
+        """As ``GuaranteeWrapper.set_state``."""
+        check_keys(state, tuple(self._parts))
+        super().set_state({"shown": self._shown, **state})  # runs of older versions kept none
 
     @property
     def _arrays(self) -> dict[str, NDArray[Any]]:
-        """What else is of a state, (B, ...): a reset of some teams tells again what others see."""
-        return {"touched": self._touches.touched, "shown": self._shown}
+        # a reset of some teams tells again what others see
+        return super()._arrays | {"touched": self._touches.touched, "shown": self._shown}
 
     @property
     def _parts(self) -> dict[str, Any]:
-        """What remembers something beside the filter, by its key in a state."""
         bodies = self.guided.bodies
-        parts: dict[str, Any] = {"perception": self.guided.perception}
+        parts = super()._parts | {"perception": self.guided.perception}
         return parts if bodies is None else parts | {"bodies": bodies}
 
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import between, number, positive, real, shown
+from rendezvous_env.checks import number, positive, real, shown
 from rendezvous_env.compilation import kernel
 from rendezvous_env.safety.heading import certified_heading, flexible_velocity, step_scale
-from rendezvous_env.safety.settings import check_vectors
+from rendezvous_env.safety.settings import check_margin, check_vectors
 from rendezvous_env.safety.turning import rates_of
 from rendezvous_env.scenario.observation_layout import SILHOUETTE_POINTS
 from rendezvous_env.scenario.scenario import Scenario
@@ -163,7 +163,7 @@ class CertifiedHeadingPolicy(RememberingPolicy):
     max_turn_rate: float = 3.0  # ω_max of the heading, rad/s
 
     def __post_init__(self) -> None:
-        between("min_alignment", self.min_alignment, 0, 1)
+        check_margin(self.min_alignment)
         positive("max_turn_rate", self.max_turn_rate, "rad/s")
         self._steering = Steering(self.scenario)
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import between, number, positive
+from rendezvous_env.checks import number, positive
 from rendezvous_env.compilation import kernel
 from rendezvous_env.physics.vectors import (
     ORIGIN,
@@ -24,13 +24,14 @@ from rendezvous_env.physics.vectors import (
     split,
     store,
 )
+from rendezvous_env.safety.settings import check_margin
 from rendezvous_env.safety.tank import (
     EnergyTank,
     certain_descent,
     descent_scale,
     promised_descent,
 )
-from rendezvous_env.safety.turning import Gate, gate_of, mean_axis, send_rates
+from rendezvous_env.safety.turning import Robot, mean_axis, robot_of, send_rates
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..policy import Float32, Mask, RememberingPolicy, register
@@ -57,17 +58,12 @@ one side, ever opposite, would otherwise never turn back."""
 
 
 class _Settings(NamedTuple):
-    """What the kernels know of the robots, and of how they follow walls."""
+    """How robots follow walls."""
 
+    robot: Robot
     clearance: float  # rad; in space within the plane, and across it
     patience: float  # m back that a first try may lead; each turn doubles it
-    min_alignment: float  # ε of the tank
-    merge_radius: float
-    duration: float  # τ, s
-    speed_limit: float
-    turns: bool  # whether robots are nonholonomic
-    gate: Gate  # step and turn limits of these
-    aligned: float  # rad; within this angle of where they are to go these drive
+    aligned: float  # rad; within this angle of where they are to go robots that turn drive
 
 
 @kernel(allocates=True)
@@ -83,14 +79,14 @@ def wall_following_velocities(
     (N,), m/s, silhouettes (N, M, S, d), Aᵢ, (N,), m²/s, and βᵢ, (N,), rad, of robots of space that
     turn; ``memory``, (N, MEMORY), changes. To ``out``, (N, a), m/s, or m/s and rad/s.
     """
-    dim, slots, gate = net_bearing.shape[1], silhouettes.shape[1], settings.gate
+    dim, slots, robot = net_bearing.shape[1], silhouettes.shape[1], settings.robot
     rays, cut, intervals = np.empty((slots, 8, 3)), np.empty((slots, 2, 2)), np.empty((slots, 2))
     for i in range(out.shape[0]):
         f = load(net_bearing[i])
         strength, towards = split(f)
         before = load(memory[i, HEADING : HEADING + dim])
         spent = memory[i, SHORT] > 0.0 or memory[i, WORK] < -memory[i, PATIENCE] * strength
-        if settings.turns and before[0] < math.cos(settings.aligned):
+        if robot.turns and before[0] < math.cos(settings.aligned):
             spent = False  # it has still to turn on the spot
         memory[i, SHORT] = 0.0
         if strength == 0.0:
@@ -107,17 +103,17 @@ def wall_following_velocities(
             views = rays[:seen], cut[:seen], intervals[:seen]
             free, heading, aside = _way_in_space(towards, before, spent, settings, memory[i], views)
         account = degrees[i], levels[i]
-        if not settings.turns:
+        if not robot.turns:
             plane = towards, aside
-            store(_affordable(f, plane, account, heading, free, settings, memory[i]), out[i])
+            store(_affordable(f, plane, account, heading, free, robot, memory[i]), out[i])
             continue
         speed, rates = _inputs(f, account, heading, free, pitches[i], settings, memory[i])
         if dim == 2:
-            clear = axis_is_clear(rates, silhouettes[i], gate)
+            clear = axis_is_clear(rates, silhouettes[i], robot.gate)
         else:
-            clear = axis_is_clear_3d(rates, pitches[i], rays[:seen], gate)
+            clear = axis_is_clear_3d(rates, pitches[i], rays[:seen], robot.gate)
         out[i, 0] = speed if clear else 0.0
-        send_rates(rates, out[i], gate)
+        send_rates(rates, out[i], robot.gate)
 
 
 @kernel
@@ -190,16 +186,16 @@ def _edge(joined, side):
 
 
 @kernel
-def _affordable(f, plane, account, heading, free, settings, memory):
+def _affordable(f, plane, account, heading, free, robot, memory):
     """The velocity along a heading, or rest where the tank would not last; ``plane`` is f/‖f‖ and a
     unit vector across it, ``account`` D, m/s, and A, m²/s.
     """
     (towards, aside), (degree, level), strength = plane, account, norm(f)
-    r, duration = settings.merge_radius, settings.duration
-    scale = descent_scale(strength, degree, r, duration, settings.speed_limit)
+    r, margin, duration = robot.merge_radius, robot.gate.min_alignment, robot.gate.duration
+    scale = descent_scale(strength, degree, r, duration, robot.speed_limit)
     speed = scale * strength
     moved = combine(speed * duration, heading, 0.0, heading)
-    owed = promised_descent(strength, scale, settings.min_alignment, duration)
+    owed = promised_descent(strength, scale, margin, duration)
     deposit = certain_descent(f, degree, moved, r) - owed
     reserve = owed * _REST_TIME / duration
     if free and (deposit >= 0.0 or level + deposit >= reserve):
@@ -208,7 +204,7 @@ def _affordable(f, plane, account, heading, free, settings, memory):
     if level >= owed:
         return 0.0, 0.0, 0.0
     # law (4) will drive it: then as little as can be, and away from the wall
-    turn = math.copysign(math.acos(settings.min_alignment), dot(aside, heading))
+    turn = math.copysign(math.acos(margin), dot(aside, heading))
     return combine(speed * math.cos(turn), towards, speed * math.sin(turn), aside)
 
 
@@ -216,10 +212,10 @@ def _affordable(f, plane, account, heading, free, settings, memory):
 def _inputs(f, account, heading, free, pitch, settings, memory):
     """Speed and turn rates to a heading, where a robot that turns drives while its tank lasts."""
     (degree, level), strength = account, norm(f)
-    r, duration = settings.merge_radius, settings.duration
-    speed = strength * descent_scale(strength, degree, r, duration, settings.speed_limit)
-    speed, rates = inputs_towards(scaled(heading, speed), pitch, settings.gate, settings.aligned)
-    moved = scaled(mean_axis(rates, pitch, settings.gate), speed * duration)
+    robot, gate, r = settings.robot, settings.robot.gate, settings.robot.merge_radius
+    speed = strength * descent_scale(strength, degree, r, gate.duration, robot.speed_limit)
+    speed, rates = inputs_towards(scaled(heading, speed), pitch, gate, settings.aligned)
+    moved = scaled(mean_axis(rates, pitch, gate), speed * gate.duration)
     if not free or level + certain_descent(f, degree, moved, r) < _ROUNDING:
         memory[SHORT] = 1.0 if speed > 0.0 else 0.0
         speed = 0.0
@@ -261,19 +257,14 @@ class TankJoinedPolicy(RememberingPolicy):
         patience: float = 1.0,
     ) -> None:
         self.scenario, self.budget = scenario, number("budget", budget, 0.0, unit="m²/s")
-        self._margin = between("min_alignment", min_alignment, 0, 1)
+        self._margin = check_margin(min_alignment)
         check_clearance(clearance)
         steering = self._steering = Steering(scenario)
         self._unit = np.array(scenario.action_bounds if steering.turns else scenario.speed_limit)
         self._settings = _Settings(
+            robot_of(scenario, 0.0 if steering.turns else self._margin),  # guarantees 8
             clearance=float(clearance) / (scenario.dim - 1),
             patience=positive("patience", patience, "m"),
-            min_alignment=0.0 if steering.turns else self._margin,  # guarantees 8
-            merge_radius=float(scenario.merge_radius),
-            duration=float(scenario.tau),
-            speed_limit=float(scenario.speed_limit),
-            turns=steering.turns,
-            gate=gate_of(scenario, 0.0, 0.0),
             aligned=ALIGNED if scenario.dim == 2 else ALIGNED_IN_SPACE,
         )
 

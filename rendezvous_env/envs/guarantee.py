@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from gymnasium.spaces import Box
+from numpy.typing import NDArray
 
 from ..checks import choice, known_fields, refuse, whole
 from ..engine.state_checks import check_entries, check_finite, check_keys
@@ -163,26 +164,37 @@ class HoldsFilter:
             )
         return told
 
+    @property
+    def _parts(self) -> dict[str, Any]:
+        """What remembers something, by its key in a state."""
+        return {self.filter.state_key: self.filter}
+
+    @property
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        """What else is of a state, (B, ...)."""
+        return {"observed": self._observed}
+
     def get_state(self) -> dict[str, Any]:
         """The running episodes and the wrapper's memory, as copies."""
-        return {
-            "env": self._base.get_state(),
-            self.filter.state_key: self.filter.get_state(),
-            "observed": self._observed.copy(),
-        }
+        memory = {name: part.get_state() for name, part in self._parts.items()}
+        memory |= {name: array.copy() for name, array in self._arrays.items()}
+        return {"env": self._base.get_state(), **memory}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Put back what ``get_state`` took out; a ValueError names what does not fit, and nothing
         has changed then.
         """
-        key = self.filter.state_key
-        check_keys(state, ("env", key, "observed"), exactly=True)
-        checked = check_entries({"observed": self._observed}, state)
-        check_finite(checked, ("observed",))
-        remembered = self.filter.check_state(state[key])
+        parts = self._parts
+        check_keys(state, ("env", *parts, *self._arrays), exactly=True)
+        arrays = check_entries(self._arrays, state)
+        check_finite(arrays, arrays)
+        remembered = {name: part.check_state(state[name]) for name, part in parts.items()}
         self._base.set_state(state["env"])
-        self.filter.set_state(remembered)
-        self._observed = checked["observed"].copy()
+        for name, part in parts.items():
+            part.set_state(remembered[name])
+        self._observed = self._observed.copy()  # others hold what was given
+        for name, array in self._arrays.items():
+            array[...] = arrays[name]
         self._note_seen()
 
 

@@ -2,8 +2,6 @@
 the robot (theory 7).
 """
 
-from typing import NamedTuple
-
 from ..compilation import inner_kernel, kernel
 from ..engine.memory import read, write
 from ..physics.neighbour_rows import net_bearing_of
@@ -17,16 +15,8 @@ _CLEARLY_LONGER = 1.001
 """Rounding must not choose among equal rows: two neighbours' parts across f always are."""
 
 
-class Sight(NamedTuple):
-    """What looking along f takes to know."""
-
-    neighbour_slots: int
-    visible_rows: int  # so many rows, from the first, may give a frame of space its y
-    dead_zone: float  # m/s
-
-
 @kernel
-def look_along_net_bearing(axes, teams, constants, arrays, work):
+def look_along_net_bearing(axes, teams, robot, arrays, work):
     """Turn observations (B, n, rows, d), m/s, of some teams into frames with x along f: row ← Fᵀ
     row, F = (f/‖f‖, …) (theory 7). Where ‖f‖ < δ the last frame is kept.
     """
@@ -34,12 +24,12 @@ def look_along_net_bearing(axes, teams, constants, arrays, work):
     if len(axes) == 2:
         for first in range(robots[0], robots[1], LANES):
             stop = min(first + LANES, robots[1])
-            _aim_in_plane(axes, observations, constants, frames, first, stop, work)
+            _aim_in_plane(axes, observations, robot, frames, first, stop, work)
             for i in range(first, stop):
                 _turn_in_plane(observations[i], frames[i], seen[i])
     else:
         for i in range(robots[0], robots[1]):
-            _aim_in_space(observations[i], constants, frames[i])
+            _aim_in_space(observations[i], robot, frames[i])
             x, y, z = load(frames[i, :, 0]), load(frames[i, :, 1]), load(frames[i, :, 2])
             for row in range(observations.shape[1]):
                 v = load(observations[i, row])
@@ -56,35 +46,35 @@ def _turn_in_plane(rows, frame, seen):
 
 
 @inner_kernel(inline="code")
-def _aim_in_plane(axes, observations, constants, frames, first, stop, work):
+def _aim_in_plane(axes, observations, robot, frames, first, stop, work):
     """The only right-handed frames with x along f; columns are axes in the local frame."""
     if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
         return
     lanes = lanes_of(work)
-    read_rows(axes, observations, first, stop, constants.neighbour_slots, False, work)
+    read_rows(axes, observations, first, stop, robot.neighbour_slots, False, work)
     for lane in range(LANES):
         strength, towards = split(read(lanes.f, lane, axes))
         write(towards, lanes.heading, lane)
         lanes.level[lane] = strength
     turned = frames[first:stop]
     for lane in range(len(turned)):
-        if lanes.level[lane] >= constants.dead_zone:
+        if lanes.level[lane] >= robot.gate.dead_zone:
             x, y = lanes.heading[0, lane], lanes.heading[1, lane]
             turned[lane, 0, 0], turned[lane, 0, 1] = x, 0.0 - y
             turned[lane, 1, 0], turned[lane, 1, 1] = y, x
 
 
 @inner_kernel(inline="code")
-def _aim_in_space(rows, constants, frame):
+def _aim_in_space(rows, robot, frame):
     """A right-handed frame, x along f, y the longest part across x of a row, the first of equals,
     or of a local axis; columns are its axes in the local frame.
     """
-    strength, towards = split(net_bearing_of(rows, constants.neighbour_slots))
-    if strength < constants.dead_zone:
+    strength, towards = split(net_bearing_of(rows, robot.neighbour_slots))
+    if strength < robot.gate.dead_zone:
         return
     store(towards, frame[:, 0])
     longest, across = _NEARLY_ALONG, (0.0, 0.0, 0.0)
-    for k in range(constants.visible_rows):
+    for k in range(robot.gravity_row):  # of neighbours and obstacles
         length, direction = split(without(load(rows[k]), towards))
         if length > _CLEARLY_LONGER * longest + _NEARLY_ALONG:
             longest, across = length, direction

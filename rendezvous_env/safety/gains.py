@@ -75,7 +75,7 @@ class Gains(SafetyFilter):
         size = scenario.observation_layout.neighbour_slots
         super().__init__(scenario, num_envs, size, frame, num_threads)
         limits = *gain_range(scenario, min_gain, max_gain), scenario.speed_limit
-        self._constants = _Constants(self._sight.neighbour_slots, *map(float, limits))
+        self._constants = _Constants(self._robot.neighbour_slots, *map(float, limits))
         self.gain = np.zeros((num_envs, scenario.n_robots))
 
     @property

@@ -29,7 +29,7 @@ from ..physics.vectors import (
 from ..scenario.scenario import Scenario
 from .robot_lanes import LANES, by_robot, give_out, lanes_of, read_rows, report, take_in
 from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
-from .settings import MAX_TURN_RATE, check_gate_constants, check_vectors
+from .settings import MAX_TURN_RATE, check_gate_constants, check_margin, check_vectors
 from .turning import Robot, desired_rates, gated_rates, pitch_of, robot_of, turn
 
 NO_CAP = -2.0  # a margin that every heading keeps
@@ -294,7 +294,7 @@ class HeadingFilter(SafetyFilter):
         size = scenario.model.n_angles if turns_body else scenario.dim
         super().__init__(scenario, num_envs, size, frame, num_threads)
         most = positive("max_turn_rate", max_turn_rate, "rad/s")
-        robot = robot_of(scenario, self._sight.dead_zone, min_alignment, bearing_error, most)
+        robot = robot_of(scenario, check_margin(min_alignment), bearing_error, most)
         certified = flag("certified", certified)
         if robot.error_chord > 0.0 and not certified:
             refuse("bearing_error", bearing_error, "0 with certified=False: nothing is promised")

@@ -193,7 +193,7 @@ class LinkKeeping(SafetyFilter):
             raise ValueError(f"scenario: {reason}")
         super().__init__(scenario, num_envs, scenario.action_size, frame, num_threads)
         self._constants = _Constants(
-            neighbour_slots=self._sight.neighbour_slots,
+            neighbour_slots=self._robot.neighbour_slots,
             radius=scenario.merge_radius / (4.0 * scenario.tau),
             speed_limit=float(scenario.speed_limit),
             share=check_share("share", share),

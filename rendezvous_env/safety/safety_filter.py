@@ -20,8 +20,9 @@ from ..engine.threads import Calls, Part
 from ..limits import MOST_TEAMS
 from ..physics.vectors import dot, load
 from ..scenario.scenario import Scenario
-from .frames import FRAMES, Sight, look_along_net_bearing
+from .frames import FRAMES, look_along_net_bearing
 from .robot_lanes import room_for
+from .turning import robot_of
 
 Float32 = NDArray[np.float32]
 _ROBOTS_PER_THREAD = 4096
@@ -130,8 +131,7 @@ class SafetyFilter(Remembering):
         self.scenario, self.action_size = scenario, action_size
         self.turns_body = scenario.model.nonholonomic
         self.along_net_bearing = frame == "net_bearing" and not self.turns_body
-        dead_zone = float(scenario.dead_zone) if scenario.dead_zone > 0 else 1.0
-        self._sight = Sight(layout.neighbour_slots, layout.obstacles.stop, dead_zone)
+        self._robot = robot_of(scenario)
         self._batch = num_envs, n, num_threads
         self._seen = (num_envs, n, *layout.shape)
         self._acted = (num_envs, n, scenario.action_size)
@@ -182,7 +182,7 @@ class SafetyFilter(Remembering):
         """What does as ``view``, of some teams and unchecked."""
         if self.along_net_bearing:
             arrays = observations, self._frames, shown
-            return over_robots(look_along_net_bearing, teams, self._sight, *arrays)
+            return over_robots(look_along_net_bearing, teams, self._robot, *arrays)
         mine = slice(*teams[:2])
         return [partial(np.copyto, shown[mine, :, : self._seen[2]], observations[mine])]
 

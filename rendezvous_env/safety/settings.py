@@ -26,10 +26,16 @@ def check_share(name: str, value: Any) -> float:
     return share
 
 
-def check_gate_constants(min_alignment: float, dead_zone: float) -> None:
-    """Refuse numbers of theorem C's margin unless 10⁻⁶ ≤ ε < 1, 0 < δ < ∞, m/s: a ValueError."""
-    if not SMALLEST_MARGIN <= real(min_alignment) < 1:
+def check_margin(min_alignment: Any) -> float:
+    """ε, a number without unit, if 10⁻⁶ ≤ ε < 1, else a ValueError (theorems C and D)."""
+    if not SMALLEST_MARGIN <= (margin := real(min_alignment)) < 1:
         refuse("min_alignment", min_alignment, f"at least {SMALLEST_MARGIN:g} and less than 1")
+    return margin
+
+
+def check_gate_constants(min_alignment: float, dead_zone: float) -> None:
+    """Refuse numbers unless ε is a margin and 0 < δ < ∞, m/s, in a ValueError (theorem C)."""
+    check_margin(min_alignment)
     if not 0 < real(dead_zone) < math.inf:
         refuse("dead_zone", dead_zone, "positive and finite (m/s)")
 

@@ -4,9 +4,8 @@ docs/guarantees.md, section 8. Each robot keeps this account alone, from its own
 are pairs or triples in one frame. Bearing errors η make f wrong by e = 2 sin(η/2) D, m/s, at most.
 """
 
-import math
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +23,8 @@ from ..scenario.scenario import Scenario
 from .heading import into_cap, scale_of_step, without_error
 from .robot_lanes import LANES, by_robot, lanes_of, read_rows, report, take_in, tell
 from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
-from .settings import TANK_MARGIN, levels_follow_v
-from .turning import Robot, desired_rates, gated_rates, pitch_of, rates_of, robot_of, turn
+from .settings import TANK_MARGIN, check_margin, levels_follow_v
+from .turning import desired_rates, gated_rates, pitch_of, rates_of, robot_of, turn
 
 
 @kernel(inline="code")
@@ -74,13 +73,8 @@ def descending_velocity(wanted, net_bearing, scale, min_alignment, error=0.0):
     return scaled(h, scale * (max(along - error, 0.0) if error > 0.0 else along))
 
 
-class _Constants(NamedTuple):
-    robot: Robot
-    speed_limit: float
-
-
 @kernel
-def _spend(axes, teams, constants, arrays, work):
+def _spend(axes, teams, robot, arrays, work):
     """Actions of robots that go anywhere, carried out where A + G(Δ) ≥ 0, and what is told of them
     (theorem D). Those that see nobody rest, and owe nothing.
     """
@@ -89,8 +83,8 @@ def _spend(axes, teams, constants, arrays, work):
     robots, flat = by_robot(teams, arrays)
     observations, held, levels, actions, linked, deposits, carried_out = flat[:7]
     alignment, lyapunov_rate = flat[7:]
-    lanes, robot, limit = lanes_of(work), constants.robot, constants.speed_limit
-    radius, margin, duration = robot.merge_radius, robot.gate.min_alignment, robot.gate.duration
+    lanes, limit, radius = lanes_of(work), robot.speed_limit, robot.merge_radius
+    margin, duration = robot.gate.min_alignment, robot.gate.duration
     for first in range(robots[0], robots[1], LANES):
         stop = min(first + LANES, robots[1])
         read_rows(axes, observations, first, stop, robot.neighbour_slots, True, work)
@@ -143,13 +137,12 @@ def _moved(sent, limit, duration):
 
 
 @kernel
-def _spend_bodies(axes, teams, constants, arrays, work):
+def _spend_bodies(axes, teams, robot, arrays, work):
     """As ``_spend``, for nonholonomic robots, in their body frames."""
     robots, flat = by_robot(teams, arrays)
     observations, held, levels, actions, linked, deposits, carried_out = flat[:7]
     alignment, lyapunov_rate = flat[7:]
-    robot, limit, gate = constants.robot, constants.speed_limit, constants.robot.gate
-    radius = robot.merge_radius
+    limit, radius, gate = robot.speed_limit, robot.merge_radius, robot.gate
     for i in range(robots[0], robots[1]):
         deposits[i], carried_out[i] = 0.0, False
         alignment[i], lyapunov_rate[i] = np.nan, 0.0
@@ -270,10 +263,9 @@ class EnergyTank(SafetyFilter):
     ) -> None:
         check_inputs(scenario, "law (4)", bodies=True)
         super().__init__(scenario, num_envs, scenario.action_size, frame, num_threads)
-        robot = robot_of(scenario, self._sight.dead_zone, min_alignment, bearing_error, math.inf)
+        self._constants = robot_of(scenario, check_margin(min_alignment), bearing_error)
         self.budget = number("budget", budget, 0.0, unit="m²/s")
         self.observes_level = flag("observe_level", observe_level)
-        self._constants = _Constants(robot, float(scenario.action_bounds[0]))
         team = num_envs, scenario.n_robots
         self._levels = np.full(team, self.budget)
         self._deposits, self._linked = np.zeros(team), np.zeros(team, np.bool_)

@@ -15,7 +15,7 @@ from ..physics.vectors import dot, load
 from ..robots.nonholonomic_3d import arc_3d
 from ..robots.unicycle import clip, mean_cos_sin
 from ..scenario.scenario import Scenario
-from .settings import check_bearing_error, check_gate_constants, error_chord
+from .settings import check_bearing_error, error_chord
 
 SMALLEST_COSINE = 1e-9
 """Law (17) takes |cos β| for no less than this: its rate is then far over any limit."""
@@ -41,40 +41,42 @@ class Gate(NamedTuple):
     pitch_limit: float  # rad/s; 0 in the plane
 
 
-def gate_of(
-    scenario: Scenario, min_alignment: float, dead_zone: float, most: float = math.inf
-) -> Gate:
-    """The gate of a scenario's robots, numbers; turn limits, rad/s: |ω| ≤ ``most``."""
-    limits = [min(most, float(limit)) for limit in scenario.action_bounds[1:]]
-    yaw, pitch, *_ = [*limits, 0.0, 0.0]
-    planar = scenario.dim == 2
-    return Gate(planar, float(min_alignment), dead_zone, scenario.tau, yaw, pitch)
-
-
 class Robot(NamedTuple):
-    """What kernels know of a robot under law (4) or an energy tank."""
+    """What kernels know of the robots of a scenario."""
 
     neighbour_slots: int
-    gravity_row: int
+    obstacle_slots: int
+    gravity_row: int  # the first that shows neither neighbours nor obstacles
+    turns: bool  # whether they are nonholonomic
     merge_radius: float
+    speed_limit: float  # m/s
     error_chord: float  # 2 sin(η/2), without unit: f is wrong by so much of D
     gate: Gate
 
 
 def robot_of(
-    scenario: Scenario, dead_zone: float, min_alignment: Any, bearing_error: Any, most: float
+    scenario: Scenario,
+    min_alignment: float = 0.0,
+    bearing_error: Any = 0.0,
+    most: float = math.inf,
 ) -> Robot:
-    """A scenario's robots with a margin ε and bearing errors η, numbers, rad, each checked; else as
-    ``gate_of`` (theorem N1').
+    """The robots of a scenario, with a margin ε and bearing errors η, numbers, rad, the errors
+    checked, and turn limits, rad/s, |ω| ≤ ``most`` (theorem N1').
     """
-    check_gate_constants(min_alignment, dead_zone)
     layout = scenario.observation_layout
+    limits = [min(most, float(limit)) for limit in scenario.action_bounds[1:]]
+    yaw, pitch, *_ = [*limits, 0.0, 0.0]
+    dead_zone = float(scenario.dead_zone) if scenario.dead_zone > 0 else 1.0
+    gate = Gate(scenario.dim == 2, min_alignment, dead_zone, float(scenario.tau), yaw, pitch)
     return Robot(
         neighbour_slots=layout.neighbour_slots,
+        obstacle_slots=layout.obstacle_slots,
         gravity_row=layout.gravity.start,
-        merge_radius=scenario.merge_radius,
+        turns=scenario.model.nonholonomic,
+        merge_radius=float(scenario.merge_radius),
+        speed_limit=float(scenario.speed_limit),
         error_chord=error_chord(check_bearing_error(bearing_error)),
-        gate=gate_of(scenario, min_alignment, dead_zone, most),
+        gate=gate,
     )
 
 

@@ -198,6 +198,7 @@ CLUTTER = Scenario(n_robots=2, obstacle_slots=2)
             if not (field == "seed" and value is HUGE)
             if not (field == "persistence" and value is None)
         ],
+        ("tangent-joined-tuned", {"min_alignment": 1e-9}, "min_alignment is 1e-09; .*least 1e-06"),
         (["zero"], {}, r"policy \['zero'\] is unknown; those that fit are"),
         (5, {}, "policy 5 is unknown"),
         (None, {}, "policy None is unknown"),

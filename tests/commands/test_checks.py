@@ -119,6 +119,8 @@ MISTAKES = {
     f"verify --trials {10**12}": "it must be 100000000 or less",
     "verify --only-batch -2": "--only-batch is -2",
     "verify --min-alignment 1": "--min-alignment is 1.0",
+    "verify --any --only-batch 3": "--only-batch is 3; --any tries no claims: leave it out",
+    "verify --kinds 3": "--kinds is 3; add --any",
     "verify --claims bound-D": "claim 'bound-D' is unknown; did you mean 'bound-",
     "bench --only btached": "btached",
     "bench --json missing/bench.json": "no folder",

@@ -269,6 +269,9 @@ class TestPursuitByRobotsWithATurnLimit:
         [
             ("pursuit", {"speed": 0.5}, r"speed is 0\.5; .* less than ω_max r/2 = 0\.4 m/s"),
             ("pursuit", {"speed": 0.35}, r"at most the speed limit, 0\.3 m/s"),
+            ("pursuit", {"order": "x"}, "order is 'x'; it must be numbers"),
+            ("pursuit", {"order": [[0, 1]]}, r"order is .*; it must be rows below \d+, "),
+            ("pursuit", {"order": np.full((CARS.n_robots, CARS.n_robots - 1), 0.5)}, "rows below"),
             ("windshield", {"half_angle": 2}, "half_angle is 2; .* less than π/2"),
         ],
     )

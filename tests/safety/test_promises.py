@@ -101,7 +101,7 @@ def test_law_1_meets_as_it_steps_within_the_bound(graph):
 MISTAKES = {
     "Δ² does not matter": (
         EnergyTank,
-        lambda known: {"robot": known.robot._replace(merge_radius=1e9)},
+        lambda known: {"merge_radius": 1e9},
         (longer(FIVE[ANYWHERE[0]], 2.0), "tank", {"min_alignment": 0.1, "budget": 1.0}),
     ),
     "errors do not matter": (

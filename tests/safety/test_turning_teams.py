@@ -16,10 +16,10 @@ from rendezvous_env.safety.theorems.turning import gated_window, turning_window
 from rendezvous_env.safety.turning import (
     Gate,
     desired_rates,
-    gate_of,
     gated_rates,
     mean_axis,
     pitch_of,
+    robot_of,
 )
 
 MODELS = ("nonholonomic_3d", "unicycle")
@@ -62,7 +62,8 @@ def under_the_gate(scenario, kind, teams, steps, seed=0, side=4, margin=MARGIN):
     venv = rv.make_vec(scenario, num_envs=teams, autoreset_mode="Disabled", num_threads=1)
     env = rv.vector.HeadingVectorWrapper(venv, min_alignment=margin, max_turn_rate=1e6)
     observations, _ = env.reset(seed=seed)
-    random, gate = np.random.default_rng(seed), gate_of(scenario, margin, scenario.dead_zone)
+    random = np.random.default_rng(seed)
+    gate = robot_of(scenario, margin).gate
     shares = np.linspace(-1, 1, side * side)[:, None]  # of the limits
     if scenario.dim == 3:
         shares = np.array(list(itertools.product(np.linspace(-1, 1, side), repeat=2)))

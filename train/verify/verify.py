@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from tyro.conf import arg
 
-from ..checks import UserError, check_bounds, meant
+from ..checks import UserError, check_bounds, flag, meant
 from ..console import Console
 from ..results import write_csv
 from ..resume import Part, claimed, program
@@ -72,6 +72,11 @@ def check_config(config: Config) -> None:
         raise UserError(
             f"--min-alignment is {config.min_alignment}; it must lie between 0 and 1, exclusive"
         )
+    unused = ("claims", "only_batch", "min_alignment") if config.any else ("kinds",)
+    for name in unused:
+        if (value := getattr(config, name)) != getattr(Config, name):
+            why = "--any tries no claims: leave it out" if config.any else "add --any"
+            raise UserError(f"{flag(name)} is {value}; {why}")
     known = [claim.name for claim in CLAIMS]
     for name in config.claims:
         if name not in known:

@@ -29,6 +29,12 @@ HEAVY = Scenario(robot_model="double_integrator")
 CLUTTER = scenarios.get("clutter-12").replace(time_limit=10.0)
 
 
+@pytest.mark.parametrize("margin", [1e-9, 1.0])
+def test_settings_have_a_margin_that_filters_take(margin):
+    with pytest.raises(ValueError, match=r"min_alignment is .* at least 1e-06 and less than 1"):
+        PolicySettings(**SETTINGS.__dict__ | {"min_alignment": margin})
+
+
 def network(trained=True, **changes):
     torch.manual_seed(5)
     settings = PolicySettings(**SETTINGS.__dict__ | changes)
