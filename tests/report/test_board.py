@@ -78,6 +78,11 @@ def test_it_carries_every_replay_and_says_of_each_what_its_card_says(board):
     assert starts == len(shown) > 36
 
 
+def with_half_a_row(folder):
+    text = (folder / TABLE).read_text(encoding="utf-8")
+    (folder / TABLE).write_text(text.rpartition(",")[0], encoding="utf-8")
+
+
 def with_a_replay_of_other_results(folder):
     path = folder / "replays" / "ppo-tank" / "clutter-8-v1-seed-0.json"
     path.write_text(path.read_text().replace('{"sha256":"', '{"sha256":"0'))
@@ -95,7 +100,8 @@ def with_a_replay_of_no_start_of_its_card(folder):
     ("changed", "message"),
     [
         (lambda folder: shutil.rmtree(folder / "cells"), r"leaderboard\.csv: without its cells"),
-        (lambda folder: os.truncate(folder / TABLE, 200), r"leaderboard\.csv: without its cells"),
+        (lambda folder: os.truncate(folder / TABLE, 0), r"leaderboard\.csv: without its cells"),
+        (with_half_a_row, r"leaderboard\.csv: without its cells"),
         (lambda folder: (folder / TABLE).write_bytes(b"\xff"), r"leaderboard\.csv: not readable: "),
         (with_a_replay_of_other_results, r"seed-0\.json: no replay of its card \(changed, or of"),
         (with_a_replay_of_no_start_of_its_card, r"not readable \(IndexError.* run rendezvous lead"),

@@ -38,6 +38,17 @@ def rows_of(shown):
     return lengths[..., None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
+def run_of(folder):
+    return json.loads((folder / "run.json").read_text())
+
+
+def rewrite(folder, change):
+    """What says the names of scenarios and policies, with others in it."""
+    for name in ("results.csv", "episodes.csv", "paired.csv", "run.json"):
+        path = folder / name
+        path.write_text(change(path.read_text()))
+
+
 @pytest.fixture(scope="module")
 def text(compared):
     """The page of what ``compared`` holds."""
@@ -99,33 +110,24 @@ class TestPage:
     def test_names_are_text_and_without_trajectories_there_are_tables(self, folder, reseal, capsys):
         """A scenario called </script><b> stays a name."""
         name = "</script><b>&</b>"
-        for file in ("results.csv", "episodes.csv", "paired.csv", "run.json"):
-            path = folder / file
-            path.write_text(re.sub(r'"fig4"|fig4(?=,)', lambda m: m[0].replace("fig4", name),
-                                   path.read_text()))  # fmt: skip
+        rewrite(folder, lambda text: re.sub(r'(?<=")fig4(?=")|fig4(?=,)', name, text))
         (folder / "trajectories-fig4.png").unlink()
-        run = json.loads((folder / "run.json").read_text())
-        results.write_arrays(folder / "trajectories.npz", {}, run["run"])
+        results.write_arrays(folder / "trajectories.npz", {}, run_of(folder)["run"])
         reseal(folder)
         assert cli.main(["report", str(folder)]) == 0
         text = (folder / "report.html").read_text(encoding="utf-8")
         assert "<b>&</b>" not in text
         rows = data_of(text)[0]["results"]
         assert len(rows) == 5 and {row["scenario"] for row in rows} == {name, "uav-6"}
-        assert (
-            "--keep-trajectories 0" in text
-            and "--keep-trajectories 0" in capsys.readouterr().out.replace("\n", " ")
-        )
+        for said in (text, capsys.readouterr().out.replace("\n", " ")):
+            assert "--keep-trajectories 0" in said
         assert 'id="player"' not in text
 
     def test_a_policy_may_have_slashes_in_its_name(self, folder, reseal):
-        run = json.loads((folder / "run.json").read_text())["run"]
         with np.load(folder / "trajectories.npz") as arrays:
             renamed = {n.replace("/zero/", "/learned:a/b/"): arrays[n] for n in arrays.files}
-        results.write_arrays(folder / "trajectories.npz", renamed, run)
-        for file in ("results.csv", "episodes.csv", "paired.csv", "run.json"):
-            path = folder / file
-            path.write_text(path.read_text().replace("zero", "learned:a/b"))
+        results.write_arrays(folder / "trajectories.npz", renamed, run_of(folder)["run"])
+        rewrite(folder, lambda text: text.replace("zero", "learned:a/b"))
         reseal(folder)
         assert ("fig4", "learned:a/b", 0) in read(folder).recordings
 
@@ -166,10 +168,6 @@ def refused(one_line):
         return said
 
     return refuse
-
-
-def run_of(folder):
-    return json.loads((folder / "run.json").read_text())
 
 
 def test_no_folder(tmp_path, refused):
