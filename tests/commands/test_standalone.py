@@ -223,7 +223,7 @@ def test_a_file_of_a_policy_far_away_is_known_again(exported, tmp_path):
     text, path = exported("learned").read_text(encoding="utf-8"), tmp_path / "robot.py"
     path.write_text(text.replace("'learned'", repr("learned:" + "far/" * 200), 1), encoding="utf-8")
     assert standalone.is_written(path)
-    path.write_text('"""My own."""\n# not of `rendezvous export --standalone`')
+    path.write_text('"""The policy is my own."""\n# not of `rendezvous export --standalone`')
     assert not standalone.is_written(path)
 
 
