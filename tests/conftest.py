@@ -1,7 +1,5 @@
 """What several test modules share: the four kinds of team, and one way to run a law to its end."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -56,7 +54,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 LONG = (
-    "test_any", "test_kills", "test_inertia", "test_widths", "test_sensing_engine", "test_paper",
+    "test_any", "test_inertia", "test_widths", "test_sensing_engine", "test_paper",
     "test_guarantee_wrappers", "test_docs", "test_fuzz_files", "test_fuzz_core", "test_installed",
     "test_examples", "test_package", "test_resuming", "test_interrupts", "test_shipped",
     "test_site",
@@ -188,6 +186,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 ROOT = Path(__file__).parent.parent
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
+needs_browser = pytest.mark.skipif(
+    CHROMIUM is None and not os.environ.get("CI"),
+    reason="no chromium on this machine; apt-get install chromium",
+)
 MODELS = {
     "single_integrator-2d": {"robot_model": "single_integrator", "dim": 2},
     "single_integrator-3d": {"robot_model": "single_integrator", "dim": 3},
@@ -316,7 +319,7 @@ def compared(tmp_path_factory):
     return out
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def reseal():
     """Make run.json fit the files beside it again, as if ``compare`` had written them."""
     from train.compare import out_folder
@@ -352,6 +355,18 @@ def registry():
     for entries, before in zip(registries, known, strict=True):
         entries.clear()
         entries.update(before)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    from playwright.sync_api import sync_playwright
+
+    assert CHROMIUM, "no chromium on this machine; .ci/run installs it"
+    with sync_playwright() as playwright:
+        flags = ["--no-sandbox"] if os.geteuid() == 0 else []
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
+        yield browser
+        browser.close()
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,5 @@
 """What tests of learners share: a small world, and what its robots live through one by one."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import rendezvous_env as rv

@@ -1,7 +1,5 @@
 """Values for fuzzing: right ones, nearly right ones, and some that no one would send on purpose."""
 
-from __future__ import annotations
-
 import datetime
 import math
 from collections.abc import Callable

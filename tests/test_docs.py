@@ -1,7 +1,5 @@
 """What README and docs show is true: code runs, commands parse, names and links exist."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import sys
@@ -11,13 +9,13 @@ from pkgutil import resolve_name
 
 import pytest
 import tyro
+from conftest import ROOT
 
 import rendezvous_env as rv
 from baselines import policy
 from train.cli import COMMANDS
 from train.results import FORMAT_VERSION
 
-ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 TARGETS = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
 
@@ -27,12 +25,12 @@ def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
 
 
+def each(pages: list[Path]) -> list[object]:
+    return [pytest.param(page, id=page.relative_to(ROOT).as_posix()) for page in pages]
+
+
 def with_blocks(language: str, pages: list[Path] = PAGES) -> list[object]:
-    return [
-        pytest.param(page, id=page.relative_to(ROOT).as_posix())
-        for page in pages
-        if blocks(page, language)
-    ]
+    return each([page for page in pages if blocks(page, language)])
 
 
 @pytest.fixture
@@ -110,9 +108,7 @@ def test_no_other_languages_hide_code():
         assert shown <= {"python", "bash", "text", "toml"}, page
 
 
-@pytest.mark.parametrize(
-    "page", [pytest.param(p, id=p.relative_to(ROOT).as_posix()) for p in PAGES]
-)
+@pytest.mark.parametrize("page", each(PAGES))
 def test_links_lead_somewhere(page):
     text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", text):
@@ -123,9 +119,7 @@ def test_links_lead_somewhere(page):
 MODULE = re.compile(r"`((?:train|rendezvous_env|baselines)(?:\.\w+)+)`")
 
 
-@pytest.mark.parametrize(
-    "page", [pytest.param(p, id=p.relative_to(ROOT).as_posix()) for p in PAGES]
-)
+@pytest.mark.parametrize("page", each(PAGES))
 def test_modules_and_files_shown_exist(page):
     """Of a page about the past the first cells of tables, which name what was, are left out."""
     text = page.read_text(encoding="utf-8")

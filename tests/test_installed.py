@@ -1,7 +1,5 @@
 """The package as a user installs it: a wheel, not the folder that it is written in."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -82,19 +80,6 @@ def test_names_of_a_users_own_files_hide_nothing(python, hidden, tmp_path):
     assert printed[4:] == ["True"] * hidden
     again = call(python, script, cwd=tmp_path)  # from the kernels' cache
     assert again.splitlines() == printed
-
-
-@pytest.mark.slow
-def test_a_script_called_train_compares(python, tmp_path):
-    (tmp_path / "train.py").write_text(
-        "from rendezvous_env.train.compare import compare\n"
-        "import pathlib\n"
-        "assert __name__ == '__main__', 'imported as a module of the package'\n"
-        "compare.run(compare.Config(scenarios=('duo',), policies=('bearing-only',), jobs=1,\n"
-        "                           episodes=2, out=pathlib.Path('out'), figures=False))\n"
-    )
-    call(python, "train.py", cwd=tmp_path)
-    assert (tmp_path / "out" / "results.csv").read_text().count("duo,bearing-only,2,1") == 1
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from conftest import UNEQUAL, five, law_of, unequal_matrix
+from conftest import MODELS, UNEQUAL, five, law_of, unequal_matrix
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import pdist
@@ -187,49 +187,38 @@ class TestTheoremA:
         assert (result.times <= time_bound(scenario, result.start)).all()
 
 
-class TestHeldInputs:
-    """The certified step: r/(2D̄) is safe, much longer steps are not (theory 4)."""
-
-    def test_far_too_long_a_step_is_caught_by_the_same_measurements(self):
-        scenario = Scenario(n_robots=8, graph=graphs.path(), allow_long_step=True, time_limit=60.0)
-        long = scenario.replace(time_step=20 * scenario.certified_step)
-        result = run_to_end(long, 64)
-        assert result.largest_rise > 1 and result.least_progress < -1
-        assert not certificate(long).guaranteed
+def test_far_too_long_a_step_is_caught_by_the_same_measurements():
+    """r/(2D̄) is safe, much longer steps are not (theory 4)."""
+    scenario = Scenario(n_robots=8, graph=graphs.path(), allow_long_step=True, time_limit=60.0)
+    long = scenario.replace(time_step=20 * scenario.certified_step)
+    result = run_to_end(long, 64)
+    assert result.largest_rise > 1 and result.least_progress < -1
+    assert not certificate(long).guaranteed
 
 
-def check_bodies(theorem, policy, family, n):
-    """What theorems 3 and 4 promise, and that they are named."""
-    scenario = Scenario(
-        n_robots=n,
-        dim=theorem - 1,
-        graph=FAMILIES[family](n),
-        robot_model={3: "unicycle", 4: "nonholonomic_3d"}[theorem],
-        time_limit=600.0,
-        neighbour_slots=n - 1,  # all families are one kind to the compiler
+class TestTheorems3And4:
+    """Unicycles meet under (7) with ω of (8), and with ω = cos t; 3-D nonholonomic robots meet
+    under (12) and (17).
+    """
+
+    @pytest.mark.parametrize(
+        ("theorem", "model", "policy"),
+        [
+            (3, "unicycle", "unicycle"),
+            (3, "unicycle", "unicycle-cosine"),
+            (4, "nonholonomic_3d", "nonholonomic-3d"),
+        ],
     )
-    result = run_to_end(scenario, 36, seed=n, policy=policy)
-    assert result.met.all() and result.largest_excess <= ROUNDING
-    assert certificate(scenario).theorem.startswith(f"theorem {theorem}")
-
-
-@pytest.mark.parametrize("n", [2, 3, 5, 8])
-@pytest.mark.parametrize("family", FAMILIES)
-class TestTheorem3:
-    """Unicycles meet under (7) with ω of (8), and with ω = cos t."""
-
-    @pytest.mark.parametrize("policy", ["unicycle", "unicycle-cosine"])
-    def test_all_meet(self, policy, family, n):
-        check_bodies(3, policy, family, n)
-
-
-class TestTheorem4:
-    """3-D nonholonomic robots meet under (12) and (17)."""
-
     @pytest.mark.parametrize("n", [2, 3, 5, 8])
     @pytest.mark.parametrize("family", FAMILIES)
-    def test_all_meet(self, family, n):
-        check_bodies(4, "nonholonomic-3d", family, n)
+    def test_all_meet(self, theorem, model, policy, family, n):
+        scenario = Scenario(
+            **MODELS[model], n_robots=n, graph=FAMILIES[family](n), time_limit=600.0,
+            neighbour_slots=n - 1,  # all families are one kind to the compiler
+        )  # fmt: skip
+        result = run_to_end(scenario, 36, seed=n, policy=policy)
+        assert result.met.all() and result.largest_excess <= ROUNDING
+        assert certificate(scenario).theorem.startswith(f"theorem {theorem}")
 
     def test_also_from_attitudes_at_the_singularity(self):
         scenario = five("nonholonomic_3d", time_limit=200.0)

@@ -1,20 +1,15 @@
 """The site and its tutorial: both are made without a complaint, and pages fetch nothing."""
 
-from __future__ import annotations
-
 import http.server
 import json
-import os
 import re
 import shutil
-import subprocess
-import sys
 import threading
 from functools import partial
 from html.parser import HTMLParser
 
 import pytest
-from conftest import ROOT
+from conftest import ROOT, needs_browser, run_python
 
 pytestmark = pytest.mark.slow
 NOTEBOOK = ROOT / "docs" / "tutorial.ipynb"
@@ -25,22 +20,12 @@ LOADS = {
 """Attributes that make a browser fetch something; links that a reader follows are not among
 them."""
 ELSEWHERE = re.compile(r"^\s*(?:https?:)?//")
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
 
 
 def run(*words: object, **environment: str) -> str:
     """What a Python program says, on both streams."""
-    done = subprocess.run(
-        [sys.executable, *map(str, words)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
-        timeout=900,
-    )
-    assert done.returncode == 0, done.stdout[-5000:]
-    return done.stdout
+    done = run_python(ROOT, *words, PYTHONPATH=str(ROOT), **environment)
+    return done.stdout + done.stderr
 
 
 @pytest.fixture(scope="module", params=["mkdocs", "zensical"])
@@ -112,23 +97,12 @@ class Silent(http.server.SimpleHTTPRequestHandler):
         """Say nothing."""
 
 
-@pytest.mark.skipif(
-    CHROMIUM is None and not os.environ.get("CI"),
-    reason="no chromium on this machine; apt-get install chromium",
-)
-def test_a_browser_asks_nobody_else_and_finds_words(site):
-    from playwright.sync_api import sync_playwright
-
-    folder, _ = site
-    handler = partial(Silent, directory=folder)
-    with (
-        http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server,
-        sync_playwright() as playwright,
-    ):
+@needs_browser
+def test_a_browser_asks_nobody_else_and_finds_words(site, browser):
+    handler = partial(Silent, directory=site[0])
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         home = f"http://127.0.0.1:{server.server_port}/"
-        flags = ["--no-sandbox"] if os.geteuid() == 0 else []
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
         page = browser.new_page()
         asked, complaints = [], []
         page.on("request", lambda request: asked.append(request.url))
@@ -139,7 +113,7 @@ def test_a_browser_asks_nobody_else_and_finds_words(site):
         page.keyboard.press("/")
         page.locator("input:focus").press_sequentially("epsilon")
         page.locator("mark").first.wait_for()
-        browser.close()
+        page.close()
         server.shutdown()
     assert complaints == [] and len(asked) > 10
     assert [address for address in asked if not address.startswith((home, "data:", "blob:"))] == []

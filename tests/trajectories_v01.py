@@ -4,8 +4,6 @@
 in ``tests/data/trajectories_v01.npz`` were written by version 0.1.0.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """How tests call the equations: vectors as triples, obstacles as worlds, results as arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

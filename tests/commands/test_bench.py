@@ -1,13 +1,15 @@
-"""The benchmark's cases do what their names say, and its files hold what was measured."""
-
-from __future__ import annotations
+"""The benchmark's cases do what their names say, and its files hold what was measured; what is
+said of compilation.
+"""
 
 import json
 
 import numpy as np
 import pytest
+from conftest import run_python
 
-from train import checks
+from rendezvous_env import compilation, kernel_cache
+from train import checks, cli
 from train.bench import learners
 from train.bench.bench import GROUPS, Config, measure, run
 from train.bench.cases import Case, Running, Size, among_discs, bare_step, batched, tape_of
@@ -112,3 +114,36 @@ def test_the_actions_of_a_case_are_those_of_the_space():
 
     env = training_env("clutter-8", 3, discrete=True)
     assert env.action_space.contains(next(tape_of(env.single_action_space, 3)))
+
+
+def test_a_warmup_readies_the_scenarios_asked_for(capsys):
+    assert cli.main(["warmup", "--scenarios", "duo", "ring-12"]) == 0
+    assert "2 scenarios are ready" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(not compilation.compiled(), reason="nothing is compiled")
+@pytest.mark.parametrize(("seconds", "said"), [(2.5, 1), (1.5, 0)])
+def test_long_compilation_is_announced_once(seconds, said, monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(kernel_cache, "_folder", lambda: tmp_path)  # else it may be found there
+    clock = iter(range(100))
+    compilation._say_once.cache_clear()
+    monkeypatch.setattr(compilation.time, "monotonic", lambda: seconds * next(clock))
+
+    @compilation.kernel
+    def thrice(x):
+        return 3 * x
+
+    assert thrice(2) == 6 and thrice(2.0) == 6.0
+    assert capsys.readouterr().err.count("rendezvous warmup") == said
+
+
+@pytest.mark.slow
+def test_a_cold_first_step_says_that_it_compiles(tmp_path):
+    code = (
+        "import rendezvous_env as rv; env = rv.parallel_env('duo'); env.reset(seed=0);"
+        "env.step({a: env.action_space(a).sample() for a in env.agents})"
+    )
+    cold = {"NUMBA_CACHE_DIR": str(tmp_path)}
+    first, second = (run_python(tmp_path, "-c", code, **cold).stderr for _ in range(2))
+    assert first.count("rendezvous warmup") == 1 and first.count("\n") == 1
+    assert second == ""

@@ -9,7 +9,7 @@ import pytest
 
 from baselines.learned.plain_data import check_types
 from train import cli
-from train.checks import UserError, check_fields, typed
+from train.checks import UserError, typed
 from train.compare import compare
 from train.learn import ppo
 
@@ -74,6 +74,8 @@ MISTAKES = {
     f"compare --scenarios {'a' * 300}.toml": "it is too long for a file",
     f"compare --policies learned:{'a' * 300}": "File name too long",
     f"compare --out {'a' * 253}": "File name too long",
+    "compare --scenarios duo --out /dev/null/out": "cannot write there",
+    "compare --scenarios duo --set n_robots=30 spawn_size=0.5": "no room for the start",
     "compare --jobs 0": "--jobs is 0; it must be 1 or more",
     "compare --address auto": "--address is auto; only --backend ray has one",
     "compare --scenario fig4 --against tangent-joind": "did you mean 'tangent-joined'",
@@ -89,7 +91,6 @@ MISTAKES = {
     "compare --scenario duo --sensing noise=0,-1": "--sensing noise=-1: sensing.noise is -1",
     "compare --scenario duo --sensing delay=0,1.5": "--sensing delay=1.5: sensing.delay is 1.5",
     "compare --scenario duo --sensing occlusion=none,fog": "--sensing occlusion=fog",
-    f"train --scenario {'a' * 300}.toml": "it is too long for a file",
     "train --num-threads 0": "--num-threads is 0; it must be 1 or more",
     "train --clearance 4": "--clearance is 4.0; it must be an angle in [0, π) rad",
     "train --persistence -1": "--persistence is -1.0; it must be 0 or more",
@@ -135,7 +136,6 @@ MISTAKES = {
     "export --policy learned:nowhere": "nowhere: no such folder",
     "export --out policy.pt": "--out policy.pt: unknown ending; it must be .onnx",
     "render --out a.avi": "unknown ending '.avi'; known are .gif, .mp4, .png, .pdf",
-    f"render --policy learned:{'a' * 300}": "File name too long",
     "render --scenario uav-6 --policy tangent-joined": "does not fit nonholonomic_3d",
     "render --fps 0": "--fps is 0; it must be 1 or more",
     "render --size 10": "--size is 10; it must be 120 or more",
@@ -149,18 +149,6 @@ def test_mistakes_are_one_line_and_change_nothing(words, one_line, monkeypatch, 
     monkeypatch.chdir(tmp_path)
     assert MISTAKES[words] in one_line(*words.split())
     assert list(tmp_path.iterdir()) == []
-
-
-@dataclasses.dataclass(frozen=True)
-class Settings:
-    numbers: tuple[float, ...] = ()
-    place: Path | None = None
-
-
-def test_fields_of_any_dataclass():
-    check_fields(Settings((1.0, 2.0), Path("x")))
-    with pytest.raises(UserError, match="--numbers is nan; it must be a finite number"):
-        check_fields(Settings((1.0, float("nan"))))
 
 
 def test_types_of_plain_data():
@@ -187,8 +175,6 @@ def test_text_and_lists_stand_for_paths_and_tuples():
         (compare.run, compare.Config(out=5), "out is 5; it must be of type Path"),
         (ppo.run, ppo.Config(total_steps=True), "total_steps is True; it must be of type int"),
         (ppo.run, ppo.Config(out="a", resume=7), "resume is 7; it must be of type"),
-        (ppo.run, ppo.Config(guarantee="oracle"), "guarantee is 'oracle'; it must be of type"),
-        (ppo.run, ppo.Config(memory="oracle"), "memory is 'oracle'; it must be of type"),
         (ppo.run, ppo.Config(critic="oracle"), "critic is 'oracle'; it must be of type"),
         (ppo.run, ppo.Config(hidden=(64, "64")), r"hidden is \(64, '64'\); it must be of type"),
     ],

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from baselines.learned import checkpoints, learned_policy
 from train import cli, results
-from train.compare import compare, out_folder
+from train.compare import compare
 from train.learn import ppo
 
 
@@ -169,35 +169,25 @@ _NONE_ANY_MORE = (ValueError, TypeError, AttributeError, LookupError, OSError, R
 
 
 @pytest.fixture(scope="module")
-def compared_files(tmp_path_factory):
+def compared_files(tmp_path_factory, reseal):
     """Files of a small comparison with an obstacle and a figure."""
     out = tmp_path_factory.mktemp("fuzz") / "out"
     given = {"scenarios": ("fig4",), "policies": ("bearing-only", "zero"), "episodes": 2, "keep": 1}
     assert compare.run(compare.Config(**given, figures=False, out=out)) == 0
     (out / "success.png").write_bytes(b"a picture")
-    seal(out, "success.png")
+    reseal(out, files=[path.name for path in out.iterdir() if path.name != "run.json"])
     return contents(out)
 
 
-def seal(folder, *more):
-    """Make run.json fit the files again, where it still is one."""
-    try:
-        about = json.loads((folder / "run.json").read_text())
-        names = [*(name for name in about["files"] if (folder / name).is_file()), *more]
-        rest = {key: about[key] for key in about if key not in ("files", "sha256")}
-        out_folder.seal(folder, names, rest)
-    except _NONE_ANY_MORE:
-        return
-
-
 @cases(60, 250)
-def test_damaged_result_folders(count, compared_files, tmp_path, capsys):
+def test_damaged_result_folders(count, compared_files, reseal, tmp_path, capsys):
     @tried(count, st.lists(damages(len(compared_files)), min_size=1, max_size=2))
     def _(found):
         files = hurt(compared_files, found)
         lay(tmp_path / "out", files)
         if found[0].sealed:
-            seal(tmp_path / "out")
+            with suppress(*_NONE_ANY_MORE):
+                reseal(tmp_path / "out")
         with warnings.catch_warnings(action="ignore"):  # of NumPy, at what nobody has measured
             status = said_by(["report", tmp_path / "out"], tmp_path, capsys)
         if files != compared_files and not found[0].sealed:
@@ -223,14 +213,12 @@ def sign(folder):
     """Make the descriptions of checkpoints fit their files again, where they still are some."""
     for place in (folder / "checkpoints").glob("step-*"):
         path = place / checkpoints.DESCRIPTION
-        try:
+        with suppress(*_NONE_ANY_MORE):
             about = json.loads(path.read_text())
             for name in about["files"]:
                 about["files"][name] = results.entry(place / name)
             about["sha256"] = checkpoints.digest_of(about)
             path.write_text(json.dumps(about))
-        except _NONE_ANY_MORE:
-            continue
 
 
 class TestRuns:

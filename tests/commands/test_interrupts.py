@@ -1,6 +1,9 @@
-"""Ctrl-C and SIGTERM end every command soon, with one line; what was finished is kept."""
+"""Ctrl-C and SIGTERM end every command soon, with one line; what was finished is kept, after a
+kill as well.
+"""
 
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -12,6 +15,8 @@ import pytest
 
 from baselines.obstacle_rules.merged_silhouettes_2d import TWO_PI, counter_clockwise
 from train import cli, interrupts
+from train.compare.out_folder import RUN, part_of
+from train.report.input import read
 
 COMMANDS = {
     "compare": ["--scenarios", "clutter-24", "--episodes", "3000", "--out", "out"],
@@ -22,6 +27,7 @@ COMMANDS = {
 }
 """Those that can take long; the others go through the same lines of cli.py."""
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
+KILLS = 16
 
 
 def start(words, folder, before=""):
@@ -136,3 +142,62 @@ def test_a_kernel_that_turns_an_angle_turn_by_turn_ends():
         assert 0 <= found < TWO_PI
         assert np.exp(1j * found) == pytest.approx(np.exp(1j * angle), abs=1e-9)
     assert np.isnan([counter_clockwise(x) for x in (np.inf, -np.inf, np.nan)]).all()
+
+
+def live(words, folder, seconds=None):
+    """The exit status of a command, which is killed after so many seconds, if any."""
+    process = start(words, folder)
+    try:
+        _, wrong = process.communicate(timeout=seconds)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        _, wrong = process.communicate()
+    assert "Traceback" not in wrong
+    return process.returncode
+
+
+def files(folder):
+    """All but what tells of time."""
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != RUN}
+
+
+def comparison(out, seed):
+    names = ["--scenarios", "duo", "clutter-4", "--policies", "bearing-only", "tangent-joined"]
+    numbers = ["--episodes", "20", "--keep", "2", "--seed", str(seed)]
+    return ["compare", *names, *numbers, "--out", str(out)]
+
+
+@pytest.mark.slow
+def test_a_comparison_that_is_killed_at_any_moment_leaves_a_folder_that_is_whole(tmp_path, capsys):
+    """It is the old one or the new one, the same command goes on, and what comes of it in the end
+    is equal to what an uninterrupted run finds, bit for bit.
+    """
+    whole, took = {}, 0.0
+    for seed in (0, 1):
+        began = time.monotonic()
+        assert live(comparison(tmp_path / f"whole-{seed}", seed), tmp_path) == 0
+        took = time.monotonic() - began
+        whole[seed] = files(tmp_path / f"whole-{seed}")
+    out, moments = tmp_path / "out", random.Random(0)
+    kills, found, runs, seed = 0, {"old": 0, "new": 0, "none": 0}, 0, 0
+    while kills < KILLS:
+        due = runs < kills // 6  # some come to their end, however busy the machine is
+        moment = None if due else moments.uniform(0.4, 0.9) * took  # at work, or about to be
+        status = live(comparison(out, seed), tmp_path, moment)
+        assert status in (0, -signal.SIGKILL)
+        kills += status != 0
+        if out.exists():
+            there = read(out).run["seed"]  # refuses what is not whole
+            assert files(out) == whole[there]
+            found["new" if there == seed else "old"] += status != 0
+        else:
+            assert runs == 0 or (part_of(out) / RUN).exists()
+            found["none"] += status != 0
+        if status == 0:
+            assert there == seed
+            seed, runs = 1 - seed, runs + 1
+    assert live(comparison(out, seed), tmp_path) == 0 and files(out) == whole[seed]
+    left = {path.name for path in tmp_path.iterdir()} - {"whole-0", "whole-1"}
+    assert left == {"out"}
+    with capsys.disabled():
+        print(f"\ncompare: {kills} kills of {KILLS}, {runs} runs to the end, left: {found}")

@@ -22,19 +22,20 @@ CLUTTER = rv.scenarios.get("clutter-12")
 SPACE = [("learned-tank", name) for name in ("clutter-3d-32", "window-3d", "uav-clutter-16")]
 SPACE += [("tangent-joined-tuned", "uav-clutter-16")]
 TURNING = [("learned", "unicycle-6"), ("learned", "uav-6")]
+LONG = [*SPACE, *product(POLICIES, ["trap"])]
+LONG += product(["learned-tank", "bearing-only"], ["robotarium-10"])
 
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     """path(policy, scenario) of a file, written once."""
-    folder, written = tmp_path_factory.mktemp("standalone"), {}
+    folder = tmp_path_factory.mktemp("standalone")
 
     def path(policy, scenario="clutter-12"):
         file = folder / f"{policy}-{scenario}.py"
-        if file not in written:
+        if not file.exists():
             words = ["export", "--policy", policy, "--standalone", str(file)]
             assert cli.main([*words, "--scenario", scenario, "--checks", "150"]) == 0
-            written[file] = True
         return file
 
     return path
@@ -66,35 +67,21 @@ def act_along(file, scenario, policy, seed, steps):
 
 
 class TestAgreement:
-    @pytest.mark.parametrize("policy", POLICIES)
-    def test_it_does_what_the_policy_does(self, exported, policy):
-        assert act_along(standalone.load(exported(policy)), CLUTTER, policy, 3, 120) < 1e-5
-
-    @pytest.mark.parametrize(("policy", "name"), SPACE)
-    def test_in_space(self, exported, policy, name):
-        file = standalone.load(exported(policy, name))
-        assert act_along(file, rv.scenarios.get(name), policy, 4, 60) < 1e-5
-        text = exported(policy, name).read_text(encoding="utf-8")
-        assert policy != "learned-tank" or "SteadyFrames:\n" in text
-        assert not hasattr(file, "DifferentialDrive") and "drive" not in file.__doc__
-
-    @pytest.mark.parametrize(("policy", "name"), TURNING)
-    def test_headings_of_robots_that_turn(self, exported, policy, name):
-        file = standalone.load(exported(policy, name))
-        assert act_along(file, rv.scenarios.get(name), policy, 2, 60) < 1e-5
-
-    @pytest.mark.slow
     @pytest.mark.parametrize(
-        ("policy", "name"),
+        ("policy", "name", "steps"),
         [
-            *SPACE,
-            *product(POLICIES, ["trap"]),
-            *product(["learned-tank", "bearing-only"], ["robotarium-10"]),
+            *((policy, "clutter-12", 120) for policy in POLICIES),
+            *((*one, 60) for one in SPACE + TURNING),
+            *(pytest.param(*one, 10_000, marks=pytest.mark.slow) for one in LONG),
         ],
     )
-    def test_whole_episodes(self, exported, policy, name):
+    def test_it_does_what_the_policy_does(self, exported, policy, name, steps):
         file, scenario = standalone.load(exported(policy, name)), rv.scenarios.get(name)
-        assert act_along(file, scenario, policy, 1, 10_000) < 1e-5
+        assert act_along(file, scenario, policy, 2, steps) < 1e-5
+        in_space = scenario.dim == 3
+        assert hasattr(file, "DifferentialDrive") == ("drive" in file.__doc__) == (not in_space)
+        steady = "SteadyFrames:\n" in exported(policy, name).read_text(encoding="utf-8")
+        assert steady == (in_space and policy.startswith("learned"))
 
     def test_reset_begins_anew_and_bad_measurements_are_named(self, exported):
         file = standalone.load(exported("learned-tank"))
@@ -236,7 +223,7 @@ def test_a_file_of_a_policy_far_away_is_known_again(exported, tmp_path):
     text, path = exported("learned").read_text(encoding="utf-8"), tmp_path / "robot.py"
     path.write_text(text.replace("'learned'", repr("learned:" + "far/" * 200), 1), encoding="utf-8")
     assert standalone.is_written(path)
-    path.write_text('"""My own."""\n# not of `rendezvous export --standalone`')
+    path.write_text('"""The policy is my own."""\n# not of `rendezvous export --standalone`')
     assert not standalone.is_written(path)
 
 
@@ -255,3 +242,67 @@ class TestBundle:
     def test_what_uses_a_module_as_such_is_refused(self):
         with pytest.raises(ValueError, match=r"resolve_scenario uses the module rendezvous"):
             Bundle([Name("train.policies", "resolve_scenario")], {}).text()
+
+
+ARENA, TICK = np.array([1.6, 1.0]), 0.033
+"""Half its size, m; s."""
+WHEEL, BASE, FASTEST = 0.016, 0.105, 12.5
+"""Radius and distance of wheels, m; rad/s."""
+AHEAD, COLLISION, NEAR = 0.025, 0.135, 0.17
+"""Where ahead of the axle collisions are counted, below which distance, and from where a robot's
+proximity sensors tell that another is near, m."""
+
+
+def simulate(file, n, seed, seconds, careful=True):
+    """Robots of the Robotarium that a file drives: unicycles in Euler's steps, wheels cut off one
+    by one where they are too fast. How often they collided, were outside and had wheels too fast,
+    how close they came, and how wide they stand.
+    """
+    random, poses = np.random.default_rng(seed), np.zeros((0, 3))
+    while len(poses) < n:
+        drawn = random.uniform([-1.3, -0.75, -np.pi], [1.3, 0.75, np.pi])
+        if len(poses) == 0 or np.hypot(*(poses - drawn).T[:2]).min() > 0.25:
+            poses = np.vstack([poses, drawn])
+    robots, drives = (
+        [kind() for _ in range(n)] for kind in (file.RobotPolicy, file.DifferentialDrive)
+    )
+    errors, closest, pairs = np.zeros(3, int), np.inf, np.triu_indices(n, 1)
+    for _ in range(round(seconds / TICK)):
+        heads = np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=-1)
+        points = poses[:, :2] + AHEAD * heads
+        offsets = points - points[:, np.newaxis]
+        apart = np.linalg.norm(offsets, axis=-1)
+        outside = (np.abs(poses[:, :2]) > ARENA).any(axis=1)
+        errors[:2] += (apart[pairs] <= COLLISION).sum(), outside.sum()
+        closest = min(closest, apart[pairs].min())
+        for i in range(n):
+            others = np.arange(n) != i
+            bearings = offsets[i, others] / apart[i, others, np.newaxis]
+            wanted = robots[i].act(bearings, [], TICK)
+            if careful:
+                wanted = file.keep_apart(wanted, bearings[apart[i, others] < NEAR])
+            v, omega = drives[i].command(wanted, poses[i, 2], TICK)
+            speeds = (v + np.array([-0.5, 0.5]) * BASE * omega) / WHEEL
+            errors[2] += (np.abs(speeds) > FASTEST).any()
+            left, right = np.clip(speeds, -FASTEST, FASTEST)
+            v, omega = 0.5 * WHEEL * (left + right), WHEEL * (right - left) / BASE
+            poses[i] += TICK * np.array([v * heads[i, 0], v * heads[i, 1], omega])
+    return errors.tolist(), closest, apart.max()
+
+
+def test_a_team_of_the_robotarium_packs_and_touches_nothing(exported):
+    file = standalone.load(exported("bearing-only", "robotarium-4"))
+    errors, closest, diameter = simulate(file, 4, seed=0, seconds=20.0)
+    assert errors == [0, 0, 0] and closest > 0.15 and diameter < 0.34
+    (collisions, _, wheels), *_ = simulate(file, 4, seed=0, seconds=20.0, careful=False)
+    assert collisions > 100 and wheels == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("policy", ["bearing-only", "learned", "learned-tank"])
+@pytest.mark.parametrize(("n", "wide"), [(4, 0.34), (10, 0.75), (20, 1.25)])
+def test_teams_of_the_robotarium(exported, policy, n, wide):
+    file = standalone.load(exported(policy, f"robotarium-{n}"))
+    errors, closest, diameter = simulate(file, n, 1, seconds=20.0)
+    assert errors == [0, 0, 0] and closest > 0.15
+    assert diameter < wide or policy == "learned-tank"  # which takes its time

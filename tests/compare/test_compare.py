@@ -15,18 +15,7 @@ from train import policies, recording, results
 from train.compare import compare, playing, statistics
 from train.compare import evaluation as episodes
 from train.compare.evaluation import Episodes, play
-from train.recording import whole
 from train.report.input import read
-
-QUICK = {"scenarios": ("duo", "fig4"), "policies": ("bearing-only", "tangent-joined", "zero")}
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """What a small comparison writes."""
-    out = tmp_path_factory.mktemp("compare")
-    assert compare.run(compare.Config(**QUICK, episodes=7, seed=3, keep=2, out=out)) == 0
-    return out
 
 
 def batch(**changed):
@@ -45,23 +34,24 @@ def batch(**changed):
 
 
 class TestFiles:
-    def test_all_are_there_with_the_columns_of_the_design(self, folder):
-        written = {path.name for path in folder.iterdir()}
+    def test_all_are_there_with_the_columns_of_the_design(self, compared):
+        written = {path.name for path in compared.iterdir()}
         tables = {"results.csv", "episodes.csv", "paired.csv", "trajectories.npz", "run.json"}
-        assert written == tables | {"success.png", "times.png", "trajectories-fig4.png"}
-        assert (folder / "results.csv").read_text().splitlines()[0] == (
+        figures = {"success.png", "times.png", "trajectories-fig4.png"}
+        assert written - {"report.html"} == tables | figures  # which other tests make of it
+        assert (compared / "results.csv").read_text().splitlines()[0] == (
             "scenario,policy,episodes,success,success_low,success_high,clean_success,clean_low,"
             "clean_high,median_time,time_low,time_high,time_over_bound,path_length,min_clearance,"
             "max_rise_between_merges,min_alignment,contacts"
         )
 
-    def test_results_follow_from_episodes(self, folder):
-        rows = results.read_csv(folder / "episodes.csv")
-        for row in results.read_csv(folder / "results.csv"):
+    def test_results_follow_from_episodes(self, compared):
+        rows = results.read_csv(compared / "episodes.csv")
+        for row in results.read_csv(compared / "results.csv"):
             own = [
                 r for r in rows if (r["scenario"], r["policy"]) == (row["scenario"], row["policy"])
             ]
-            starts = {"duo": 7, "fig4": 1}[row["scenario"]]  # that of fig4 is given
+            starts = {"uav-6": 4, "fig4": 1}[row["scenario"]]  # that of fig4 is given
             assert [int(r["start"]) for r in own] == list(range(starts))
             assert int(row["episodes"]) == starts
             column = lambda name, own=own: [float(r[name]) for r in own if r[name]]  # noqa: E731
@@ -73,62 +63,59 @@ class TestFiles:
             assert float(row["max_rise_between_merges"]) == max(column("max_rise_between_merges"))
             if row["min_clearance"]:
                 assert float(row["min_clearance"]) == min(column("clearance"))
-            if row["time_over_bound"]:
-                shares = np.divide(column("time"), column("time_bound"))
-                assert float(row["time_over_bound"]) == max(shares) < 1
 
-    def test_cells_are_plain_numbers_or_empty(self, folder):
-        rows = results.read_csv(folder / "results.csv")
+    def test_cells_are_plain_numbers_or_empty(self, compared):
+        rows = results.read_csv(compared / "results.csv")
         for row in rows:
             assert all(math.isfinite(float(row[n] or 0)) for n in results.RESULT_COLUMNS[2:])
             ends = [row[name] for name in row if name.endswith(("_low", "_high"))]
-            assert all(ends) == (row["scenario"] == "duo") and any(ends) == all(ends)
-        assert rows[0]["scenario"] == "duo" and rows[0]["min_clearance"] == ""
+            assert all(ends) == (row["scenario"] == "uav-6") and any(ends) == all(ends)
+            assert (row["min_clearance"] == "") == (row["scenario"] == "uav-6")
 
-    def test_policies_start_alike(self, folder):
-        rows = results.read_csv(folder / "episodes.csv")
+    def test_policies_start_alike(self, compared):
+        rows = results.read_csv(compared / "episodes.csv")
         law, zero = (
-            [r["initial_lyapunov"] for r in rows if r["policy"] == policy]
-            for policy in ("bearing-only", "zero")
+            [r["initial_lyapunov"] for r in rows if r["policy"] in names]
+            for names in (("bearing-only", "nonholonomic-3d"), ("zero",))
         )
-        assert law == zero and len(set(zero)) == 7 + 1  # seven starts of duo, the one of fig4
+        assert law == zero and len(set(zero)) == 1 + 4  # the start of fig4, four of uav-6
 
-    def test_trajectories(self, folder):
-        law = baselines.make("bearing-only", scenarios.get("duo"))
-        alone = rollout("duo", law, seed=4, record="all")
-        with np.load(folder / "trajectories.npz") as arrays:
-            key = "duo/bearing-only/1/"
+    def test_trajectories(self, compared):
+        law = baselines.make("nonholonomic-3d", scenarios.get("uav-6"))
+        alone = rollout("uav-6", law, seed=4, record="all")
+        with np.load(compared / "trajectories.npz") as arrays:
+            key = "uav-6/nonholonomic-3d/1/"
             assert np.array_equal(arrays[key + "positions"], alone.positions[:, 0])
-            seen = read(folder).recordings["duo", "bearing-only", 1]["observations"]
+            seen = read(compared).recordings["uav-6", "nonholonomic-3d", 1]["observations"]
             assert np.array_equal(seen, alone.observations[:, 0])
             assert not any(name.endswith("observations") for name in arrays)
             assert np.array_equal(arrays[key + "lyapunov"], alone.lyapunov[:, 0])
             assert arrays[key + "times"][-1] == alone.rendezvous_time[0]
             jumps = np.flatnonzero(~np.isnan(arrays[key + "lyapunov_before_merge"]))
-            assert jumps.tolist() == [len(alone.times) - 1]
+            assert jumps[-1] == len(alone.times) - 1 and len(jumps) > 1
             assert arrays[key + "lyapunov_after_merge"][-1] == 0
             assert {name.split("/")[2] for name in arrays.files} == {"0", "1"}
 
-    def test_run_json_is_enough_to_run_again(self, folder):
-        run = json.loads((folder / "run.json").read_text())
-        assert (run["seed"], run["episodes"]) == (3, 7)
+    def test_run_json_is_enough_to_run_again(self, compared):
+        run = json.loads((compared / "run.json").read_text())
+        assert (run["seed"], run["episodes"]) == (3, 4)
         assert run["format_version"] == results.FORMAT_VERSION
         assert Scenario.from_plain(run["scenarios"]["fig4"]) == scenarios.get("fig4")
-        assert run["policies"]["duo"] == ["bearing-only", "zero"]
+        assert run["policies"]["uav-6"] == ["nonholonomic-3d", "zero"]
         assert run["versions"]["rendezvous-env"] and run["merges_above_bound"] == 0
         digests = scenarios.digests()
         assert run["versioned"] == {
             name: {"field": f"rendezvous/{name}-v1", "digest": digests[f"{name}-v1"]}
-            for name in ("duo", "fig4")
+            for name in ("fig4", "uav-6")
         }
         assert results.versioned(scenarios.get("duo").replace(time_limit=2.0)) == {}
 
-    def test_paired(self, folder):
-        rows = {(r["scenario"], r["policy"]): r for r in results.read_csv(folder / "paired.csv")}
+    def test_paired(self, compared):
+        rows = {(r["scenario"], r["policy"]): r for r in results.read_csv(compared / "paired.csv")}
         joined = rows["fig4", "tangent-joined"]
         assert joined["against"] == "bearing-only"
         assert float(joined["clean_difference"]) == 1.0  # law (1) touches every obstacle
-        assert float(rows["duo", "zero"]["probability_of_improvement"]) == 0.0
+        assert float(rows["uav-6", "zero"]["probability_of_improvement"]) == 0.0
 
     def test_a_half_written_file_is_removed(self, tmp_path):
         def rows():
@@ -178,12 +165,10 @@ class TestMeasures:
         fixed, _ = run_play(scenarios.get("duo"), "bearing-only", 2)
         assert np.isnan(fixed.max_rise_of_size).all()
 
-    def test_certified_headings_keep_their_margin(self):
+    def test_certified_headings_keep_their_margin_and_nothing_is_promised_for_others(self):
         done, _ = run_play(scenarios.get("fig3"), "tangent-certified", 2)
         assert (done.min_alignment >= 0.1 - 1e-6).all()
         assert np.isfinite(done.time_bound).all()
-
-    def test_nothing_is_promised_for_others(self):
         done, _ = run_play(scenarios.get("fig3").replace(time_limit=1.0), "tangent-joined", 2)
         assert np.isnan(done.time_bound).all()
 
@@ -318,21 +303,6 @@ def test_excess_at_a_merge_is_an_error(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(playing, "play", broken)
     assert compare.run(config) == 1
     assert "in 1 episodes a merge raised V above its bound" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("name", ["cloud-8", "unicycle-6"])
-def test_recorded_frames_turn_what_is_seen_into_the_world(name):
-    scenario = scenarios.get(name)
-    law = "unicycle" if name == "unicycle-6" else "bearing-only"
-    _, (kept,) = run_play(scenario, law, 1, keep=1)
-    kept = whole(kept, scenario)
-    merges = np.flatnonzero(~np.isnan(kept["lyapunov_before_merge"]))
-    seen = kept["observations"][: merges[0], 2, 0]  # robot 2 sees robot 0
-    way = kept["positions"][: merges[0], 0] - kept["positions"][: merges[0], 2]
-    bearing = way / np.linalg.norm(way, axis=-1, keepdims=True)
-    turned = np.einsum("tij,tj->ti", kept["frames"][: merges[0], 2], seen)
-    assert len(turned) > 3
-    np.testing.assert_allclose(turned, bearing, atol=1e-5)
 
 
 def test_the_first_failure_of_a_policy_is_recorded_too(tmp_path):

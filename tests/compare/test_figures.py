@@ -1,7 +1,5 @@
 """Figures of compare and reproduce: a policy has one colour, axes are equal, data are right."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 from itertools import combinations
@@ -55,20 +53,19 @@ class TestColours:
             assert np.linalg.norm(lightness_and_hue(one) - lightness_and_hue(other)) > 0.1
 
 
-class TestWhatDoesNotApply:
-    def test_no_mark_where_nothing_is_clean_and_no_bar_from_a_single_start(self, tmp_path):
-        nothing = dict.fromkeys(("success_low", "success_high", "time_low", "time_high"), np.nan)
-        alone = row("fig3", "tangent", np.nan, episodes=1, **nothing)
-        figure = figures.success_figure([alone])
-        axes = figure.axes[0]
-        assert axes.get_title() == "fig3, one start"
-        [success] = axes.containers  # and none of collision-free success
-        assert success.lines[0].get_xdata() == [100.0]
-        [bars] = success.lines[2]
-        assert np.ptp(bars.get_segments()[0][:, 0]) == 0
-        times = figures.time_figure([alone])
-        assert times.axes[0].get_xlim()[1] == pytest.approx(1.15 * 4.0)
-        style.save(times, tmp_path / "times.png")
+def test_no_mark_where_nothing_is_clean_and_no_bar_from_a_single_start(tmp_path):
+    nothing = dict.fromkeys(("success_low", "success_high", "time_low", "time_high"), np.nan)
+    alone = row("fig3", "tangent", np.nan, episodes=1, **nothing)
+    figure = figures.success_figure([alone])
+    axes = figure.axes[0]
+    assert axes.get_title() == "fig3, one start"
+    [success] = axes.containers  # and none of collision-free success
+    assert success.lines[0].get_xdata() == [100.0]
+    [bars] = success.lines[2]
+    assert np.ptp(bars.get_segments()[0][:, 0]) == 0
+    times = figures.time_figure([alone])
+    assert times.axes[0].get_xlim()[1] == pytest.approx(1.15 * 4.0)
+    style.save(times, tmp_path / "times.png")
 
 
 class TestSweeps:

@@ -1,12 +1,9 @@
 """``rendezvous render``: films and figures of one episode."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np
 import pytest
-from conftest import run_python
 from PIL import Image
 
 import baselines
@@ -141,14 +138,3 @@ class TestMistakes:
         with pytest.raises(ZeroDivisionError):
             make(tmp_path / "a.gif")
         assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]
-
-
-def test_a_still_loads_no_pygame_and_a_film_no_torch(tmp_path):
-    code = (
-        "import sys, train.cli as c;"
-        "c.main(['render', '--out', 'a.png']); assert 'pygame' not in sys.modules;"
-        "c.main(['render', '--size', '120', '--fps', '5', '--speed', '2', '--out', 'a.gif']);"
-        "assert not {'torch', 'matplotlib.pyplot'} & set(sys.modules)"
-    )
-    run_python(tmp_path, "-c", code)
-    assert (tmp_path / "a.gif").stat().st_size > 1000

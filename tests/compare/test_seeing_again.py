@@ -11,14 +11,8 @@ from train import policies
 from train.compare import Job, play_job
 from train.recording import observations, whole
 
-TEAMS = {
-    "fig4": scenarios.get("fig4"),
-    "trap": scenarios.get("trap"),
-    "clutter-16-team-8": scenarios.get("clutter-16-team-8"),
-    "random-10": scenarios.get("random-10"),
-    "unicycle-6": scenarios.get("unicycle-6"),
-    "uav-6": scenarios.get("uav-6"),
-    "cloud-8": scenarios.get("cloud-8"),
+NAMES = "fig4", "trap", "clutter-16-team-8", "random-10", "unicycle-6", "uav-6", "cloud-8"
+TEAMS = {name: scenarios.get(name) for name in NAMES} | {
     "listed links": rv.Scenario(name="ring", n_robots=40, graph=graphs.cycle((0.5, 1.5))),
     "inertia": rv.Scenario(
         name="heavy", n_robots=4, robot_model="double_integrator", obstacles=FAR

@@ -1,7 +1,5 @@
 """What the tests of pictures share: an environment that is drawn, and colours at places."""
 
-from __future__ import annotations
-
 import os
 
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")

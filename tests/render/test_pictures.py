@@ -1,7 +1,5 @@
 """Pictures show what the data say: colours stand where the robots and the obstacles are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import five

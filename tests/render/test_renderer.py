@@ -1,7 +1,5 @@
 """One interface of pictures for every kind of environment; tiles of teams; the drawing library."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 import sys

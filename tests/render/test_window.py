@@ -1,7 +1,5 @@
 """The window that plays an episode: keys, closing, copies."""
 
-from __future__ import annotations
-
 import copy
 
 import pygame

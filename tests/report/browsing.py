@@ -1,7 +1,5 @@
 """The page of ``rendezvous report`` in headless Chromium: fixtures and what a reader does."""
 
-import os
-import shutil
 import time
 from contextlib import contextmanager
 
@@ -9,24 +7,6 @@ import pytest
 
 from train.report import build as report
 from train.report.input import read
-
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
-needs_browser = pytest.mark.skipif(
-    CHROMIUM is None and not os.environ.get("CI"),
-    reason="no chromium on this machine; apt-get install chromium",
-)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    from playwright.sync_api import sync_playwright
-
-    assert CHROMIUM, "no chromium on this machine; .ci/run installs it"
-    with sync_playwright() as playwright:
-        flags = ["--no-sandbox"] if os.geteuid() == 0 else []
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")

@@ -1,13 +1,14 @@
 """The page of a leaderboard's folder, made of the results in the repository."""
 
 import json
+import os
 import re
 import shlex
 import shutil
 
 import pytest
-from browsing import browser, chosen, clock, needs_browser, picture, reloaded, visited
-from conftest import ROOT
+from browsing import chosen, clock, picture, reloaded, visited
+from conftest import ROOT, needs_browser
 from page_reading import data_of
 from rendezvous_env.baselines.learned import plain_data
 
@@ -17,10 +18,8 @@ from train.leaderboard.replays import path_of, read_replay
 from train.report import build as report
 from train.results import read_csv
 
-__all__ = ["browser"]
 SMOKE = ROOT / "results" / "leaderboard" / "smoke"
-
-
+TABLE = "leaderboard.csv"
 BARE = "replays/ppo-none/clutter-8-v1-seed-0.json"
 """The one that this folder has not."""
 
@@ -42,7 +41,7 @@ def read(folder):
 
 def test_the_page_has_every_row_and_where_every_card_is(board):
     text, data, _ = read(board)
-    assert data["board"] == read_csv(board / "leaderboard.csv")
+    assert data["board"] == read_csv(board / TABLE)
     found = cards.read_cards(board)
     assert len(data["cells"]) == len(found)
     for row, card in zip(data["cells"], found, strict=True):
@@ -79,23 +78,42 @@ def test_it_carries_every_replay_and_says_of_each_what_its_card_says(board):
     assert starts == len(shown) > 36
 
 
-def test_a_replay_of_other_results_is_refused(board, tmp_path):
-    folder = tmp_path / "other"
-    shutil.copytree(board, folder)
+def with_half_a_row(folder):
+    text = (folder / TABLE).read_text(encoding="utf-8")
+    (folder / TABLE).write_text(text.rpartition(",")[0], encoding="utf-8")
+
+
+def with_a_replay_of_other_results(folder):
     path = folder / "replays" / "ppo-tank" / "clutter-8-v1-seed-0.json"
     path.write_text(path.read_text().replace('{"sha256":"', '{"sha256":"0'))
-    with pytest.raises(
-        UserError, match=r"seed-0\.json: no replay of its card \(changed, or of other results"
-    ):
-        report.run(report.Config(folder))
 
 
-def test_a_folder_without_its_cards_is_refused(board, tmp_path):
-    folder = tmp_path / "bare"
-    folder.mkdir()
-    shutil.copy(board / "leaderboard.csv", folder)
-    with pytest.raises(UserError, match="without its cells"):
+def with_a_replay_of_no_start_of_its_card(folder):
+    card = cards.read_cards(folder)[0]
+    path = path_of(cards.path_in(folder, card))
+    starts = {"999": json.loads(path.read_text())["starts"]["0"]}
+    sealed = plain_data.digest({"results": card["results"], "starts": starts})
+    path.write_text(json.dumps({"sha256": sealed, "starts": starts}))
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        (lambda folder: shutil.rmtree(folder / "cells"), r"leaderboard\.csv: without its cells"),
+        (lambda folder: os.truncate(folder / TABLE, 0), r"leaderboard\.csv: without its cells"),
+        (with_half_a_row, r"leaderboard\.csv: without its cells"),
+        (lambda folder: (folder / TABLE).write_bytes(b"\xff"), r"leaderboard\.csv: not readable: "),
+        (with_a_replay_of_other_results, r"seed-0\.json: no replay of its card \(changed, or of"),
+        (with_a_replay_of_no_start_of_its_card, r"not readable \(IndexError.* run rendezvous lead"),
+    ],
+)
+def test_a_folder_that_is_not_whole_is_refused(changed, message, board, tmp_path):
+    shutil.copytree(board, folder := tmp_path / "changed")
+    (folder / "report.html").unlink()
+    changed(folder)
+    with pytest.raises(UserError, match=message):
         report.run(report.Config(folder))
+    assert not (folder / "report.html").exists()
 
 
 @needs_browser
@@ -104,7 +122,7 @@ def test_it_sorts_and_shows_one_field(browser, board):
         cells = page.locator("#board-table tbody td[data-column=time]")
         page.get_by_role("button", name="time s").first.click()
         shown = [float(cell.get_attribute("data-value")) for cell in cells.all()]
-        assert shown == sorted(shown) and len(shown) == len(read_csv(board / "leaderboard.csv"))
+        assert shown == sorted(shown) and len(shown) == len(read_csv(board / TABLE))
         page.select_option("#table-scenario", "rendezvous/clutter-8-v1")
         fields = [card["field"] for card in cards.read_cards(board)]
         rows = page.locator("#cells-table tbody tr")
@@ -153,29 +171,6 @@ def test_a_click_on_a_cell_replays_it(browser, board):
             cell(page, "tank-joined", 1).locator("a").press("Enter")
         assert page.input_value("#scenario") == "rendezvous/clutter-8-v1"
         assert "tank-joined" in chosen(page) and clock(page) == 0.0
-
-
-@pytest.mark.parametrize("cut", [lambda text: text[:-9], lambda text: "", lambda text: "\udcff"])
-def test_a_table_that_is_not_of_its_cells_is_refused(board, tmp_path, cut):
-    shutil.copytree(board, folder := tmp_path / "cut", ignore=shutil.ignore_patterns("replays"))
-    (folder / "report.html").unlink()
-    path = folder / "leaderboard.csv"
-    text = cut(path.read_text(encoding="utf-8").rpartition(",")[0])
-    path.write_text(text, encoding="utf-8", errors="surrogateescape")
-    with pytest.raises(UserError, match=r"leaderboard\.csv: (without its cells|not readable: )"):
-        report.run(report.Config(folder))
-    assert not (folder / "report.html").exists()
-
-
-def test_a_replay_of_no_start_of_its_card_is_refused(board, tmp_path):
-    shutil.copytree(board, folder := tmp_path / "forged")
-    card = cards.read_cards(folder)[0]
-    path = path_of(cards.path_in(folder, card))
-    starts = {"999": json.loads(path.read_text())["starts"]["0"]}
-    sealed = plain_data.digest({"results": card["results"], "starts": starts})
-    path.write_text(json.dumps({"sha256": sealed, "starts": starts}))
-    with pytest.raises(UserError, match=r"not readable \(IndexError.* run rendezvous leaderboard"):
-        report.run(report.Config(folder))
 
 
 def test_commands_are_those_of_a_folder_whose_name_has_blanks(board, tmp_path):

@@ -7,7 +7,8 @@ import re
 import browsing
 import numpy as np
 import pytest
-from browsing import needs_browser, picture, scrub, shown_rows, visited, wait_for, wait_until
+from browsing import picture, scrub, shown_rows, visited, wait_for, wait_until
+from conftest import needs_browser
 from matplotlib.image import imread
 
 import rendezvous_env as rv
@@ -17,8 +18,7 @@ from train.compare import compare
 from train.report import build as report
 
 pytestmark = needs_browser
-address, browser = browsing.address, browsing.browser  # fixtures, as are the next
-opened, recorded = browsing.opened, browsing.recorded
+address, opened, recorded = browsing.address, browsing.opened, browsing.recorded  # fixtures
 
 
 class TestTables:

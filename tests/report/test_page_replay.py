@@ -5,21 +5,11 @@ from urllib.parse import parse_qs, urlsplit
 import browsing
 import numpy as np
 import pytest
-from browsing import (
-    chosen,
-    clock,
-    needs_browser,
-    picture,
-    reloaded,
-    scrub,
-    shown_rows,
-    wait_for,
-    wait_until,
-)
+from browsing import chosen, clock, picture, reloaded, scrub, shown_rows, wait_for, wait_until
+from conftest import needs_browser
 
 pytestmark = needs_browser
-address, browser = browsing.address, browsing.browser  # fixtures, as are the next
-opened, recorded = browsing.opened, browsing.recorded
+address, opened, recorded = browsing.address, browsing.opened, browsing.recorded  # fixtures
 
 
 class TestReplay:
