@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .. import results
-from ..checks import typed
 from ..console import Console
 from ..resume import Part, claimed
 from ..tasks import Workers, each
@@ -56,7 +55,7 @@ def run(config: Config) -> int:
     """Compare, print the answer, write all files; exit status 1 if a merge raised V above its
     proven bound, else 0.
     """
-    config, console, clock = typed(config), Console(), _Clock()
+    console, clock = Console(), _Clock()
     jobs = plan(config)
     out = out_folder.destination(config.out)
     with claimed(out.parent, f".{out.name}.lock", f"--out {config.out}"):

@@ -5,7 +5,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import inf
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -15,7 +14,7 @@ from tyro.conf import arg
 from rendezvous_env.scenario import scenarios
 
 from .. import results
-from ..checks import UserError, check_bounds
+from ..checks import Bounds, UserError
 from ..compare import out_folder, statistics
 from ..compare.playing import Task, play_all
 from ..console import Console
@@ -69,11 +68,11 @@ class Config(Workers):
     libraries are installed."""
     fields: Annotated[tuple[str, ...], arg(aliases=("--scenarios",))] = ()
     """Other fields than the tier's: named scenarios, with or without version."""
-    seeds: tuple[int, ...] = ()
+    seeds: Annotated[tuple[int, ...], Bounds(0, MOST_SEED)] = ()
     """Other seeds than the tier's, which are 0, 1, and so on."""
-    decisions: int | None = None
+    decisions: Annotated[int | None, Bounds(1)] = None
     """Another budget than the tier's, in decisions of single robots."""
-    starts: int | None = None
+    starts: Annotated[int | None, Bounds(1)] = None
     """Another number of held-out starts than the tier's."""
     repeat: Path | None = None
     """A results card: its cell is done again, and compared with it bit by bit; status 1 if it
@@ -90,7 +89,6 @@ class Config(Workers):
 
 def plan(config: Config) -> list[Place]:
     """The cells that a configuration asks for, those that fit; a UserError if there are none."""
-    check_bounds(config, seeds=(0, MOST_SEED), decisions=(1, inf), starts=(1, inf))
     tier = TIERS[config.tier]
     able = tuple(name for name, one in registry.known().items() if not one.missing)
     decisions, starts = config.decisions or tier.decisions, config.starts or tier.starts
