@@ -90,42 +90,49 @@ def claimed(folder: Path, lock: str, what: str) -> Iterator[None]:
 
 
 class Part:
-    """The folder of unfinished work: a plan, as plain data; ``what`` names the work in a word."""
+    """The folder of unfinished work: a plan, as plain data; ``what`` names the work in a word. What
+    comes of it may be made in its folder ``whole``, to be put in place at once.
+    """
 
     def __init__(self, folder: Path, plan: Mapping[str, Any], what: str) -> None:
         self.folder, self.run = folder, run_id(plan)
         self._plan, self._what, self._cells = plan, what, folder / "cells"
+        self.whole = folder / "whole"
 
     @contextmanager
     def at_work(self, given: Path, console: Console, *, fresh: bool) -> Iterator[None]:
-        """Make the folder, or resume what is there, and say so; ``given`` is what --out said.
-        Nothing stays where no task was finished.
+        """Make the folder, or resume what is there, and say so, with its lock held; ``given`` is
+        what --out said. Nothing stays where no task was finished.
 
         Raises:
-            UserError: if it is of another command, and not to be thrown away for a fresh start.
+            UserError: if it is of another command, and not to be thrown away for a fresh start, or
+                another process is at work.
         """
-        if any(self.folder.glob("[!.]*")):
-            if fresh and (self.folder / PLAN).is_file():
-                self.discard()
-            else:
-                self._check_same(given)
-        results.prepare_folder(self.folder)
-        try:
-            results.write_json(self.folder / PLAN, {**self._plan, "run": self.run})
-            self._cells.mkdir(exist_ok=True)
-            if count := self._count():
-                said = f"resumes with {count} finished tasks in {self.folder}"
-                console.print(said, soft_wrap=True)
-            yield
-        except KeyboardInterrupt as error:
-            if count := self._count():
-                error.add_note(
-                    f"{count} finished tasks lie in {self.folder}; the same command resumes"
-                )
-            raise
-        finally:
-            if self.folder.is_dir() and not self._count():
-                self.discard()
+        with claimed(self.folder.parent, f".{self.folder.stem}.lock", f"--out {given}"):
+            if any(self.folder.glob("[!.]*")):
+                if fresh and (self.folder / PLAN).is_file():
+                    self.discard()
+                else:
+                    self._check_same(given)
+            results.prepare_folder(self.folder)
+            try:
+                results.write_json(self.folder / PLAN, {**self._plan, "run": self.run})
+                self._cells.mkdir(exist_ok=True)
+                shutil.rmtree(self.whole, ignore_errors=True)
+                self.whole.mkdir()
+                if count := self._count():
+                    said = f"resumes with {count} finished tasks in {self.folder}"
+                    console.print(said, soft_wrap=True)
+                yield
+            except KeyboardInterrupt as error:
+                if count := self._count():
+                    error.add_note(
+                        f"{count} finished tasks lie in {self.folder}; the same command resumes"
+                    )
+                raise
+            finally:
+                if self.folder.is_dir() and not self._count():
+                    self.discard()
 
     def save(self, name: str, result: Any) -> None:
         """Keep the result of a task."""
@@ -165,13 +172,11 @@ class Part:
                 yield left[number], result, True
 
     def discard(self) -> None:
-        """Remove the folder; the plan goes last, so that a kill leaves what can be resumed."""
-        for path in self.folder.iterdir():
-            if path.is_dir():
-                shutil.rmtree(path)
-            elif path.name != PLAN:
-                path.unlink()
-        shutil.rmtree(self.folder)
+        """Remove the folder: a kill leaves what can be resumed, or nothing at its place."""
+        gone = self.folder.with_name(f".{self.folder.name}.gone")
+        shutil.rmtree(gone, ignore_errors=True)
+        self.folder.rename(gone)
+        shutil.rmtree(gone)
 
     def _digest(self, content: bytes) -> bytes:
         return hashlib.sha256(self.run.encode() + content).digest()

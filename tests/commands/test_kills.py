@@ -61,7 +61,7 @@ def test_compare(tmp_path, capsys):
             assert files(out) == whole[there]
             found["new" if there == seed else "old"] += status != 0
         else:
-            assert runs == 0 or (part_of(out) / RUN).exists()
+            assert runs == 0 or (part_of(out) / "whole" / RUN).exists()
             found["none"] += status != 0
         if status == 0:
             assert there == seed

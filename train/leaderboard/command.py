@@ -20,7 +20,7 @@ from ..compare.playing import Task, play_all
 from ..console import Console
 from ..learn.settings import MOST_SEED
 from ..policies import resolve_scenario
-from ..resume import Part, claimed, program
+from ..resume import Part, program
 from ..tasks import Workers
 from . import registry, tables
 from .cards import Card, Place, Run, has_replay, place_of, read_card, read_cards, run_of, write_run
@@ -126,30 +126,29 @@ def run(config: Config) -> int:
         wanted = ", ".join(sorted({package for own in lacking.values() for package in own}))
         console.print(f"left out without {wanted}: {', '.join(lacking)}", soft_wrap=True)
     asked = {**program(), "cells": [list(p) for p in places], "record": config.record}
-    with claimed(out.parent, f".{out.name}.lock", f"--out {config.out}"):
+    part = Part(out_folder.part_of(out), asked, "leaderboard")
+    with part.at_work(config.out, console, fresh=config.fresh):
         if out.exists():
             results.prepare_folder(out, f"--out {config.out}")
         kept = _kept(out, places)
         if config.record:
             kept = {p: c for p, c in kept.items() if p not in places or has_replay(out, c)}
-        part = Part(out_folder.part_of(out), asked, "leaderboard")
-        with part.at_work(config.out, console, fresh=config.fresh):
-            tasks = {
-                place: Task(
-                    name=f"cell-{number:04d}",
-                    label=f"{place.algorithm} · {place.field} · {place.seed}",
-                    scenario=scenarios.get(place.field),
-                    count=1,
-                    work=partial(run_of, place, config.record or place.seed == places[0].seed),
-                )
-                for number, place in enumerate(places)
-                if place not in kept
-            }
-            done, _ = play_all(list(tasks.values()), config, part, console)
-            runs = {place: (card, None) for place, card in kept.items()}
-            runs |= {place: done[task.name] for place, task in tasks.items()}
-            write(out, [runs[place] for place in sorted(runs)], console)
-            part.discard()
+        tasks = {
+            place: Task(
+                name=f"cell-{number:04d}",
+                label=f"{place.algorithm} · {place.field} · {place.seed}",
+                scenario=scenarios.get(place.field),
+                count=1,
+                work=partial(run_of, place, config.record or place.seed == places[0].seed),
+            )
+            for number, place in enumerate(places)
+            if place not in kept
+        }
+        done, _ = play_all(list(tasks.values()), config, part, console)
+        runs = {place: (card, None) for place, card in kept.items()}
+        runs |= {place: done[task.name] for place, task in tasks.items()}
+        write(out, [runs[place] for place in sorted(runs)], console)
+        part.discard()
     console.print(f"{len(runs)} cells; files in {config.out}", soft_wrap=True)
     return 0
 

@@ -18,7 +18,7 @@ from tyro.conf import arg
 from ..checks import Bounds, UserError, meant
 from ..console import Console
 from ..results import write_csv
-from ..resume import Part, claimed, program
+from ..resume import Part, program
 from ..tasks import Workers, each
 from . import claims as cases
 from .claims import BATCH, CLAIMS, Claim
@@ -87,7 +87,6 @@ def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | Non
     tasks = _tasks_of_any(config) if config.any else _tasks_of_claims(config, chosen)
     tallies = {task.group: Tally() for task in tasks}
     with (
-        claimed(config.out, ".verify.lock", f"--out {config.out}"),
         part.at_work(config.out, console, fresh=config.fresh),
         Progress(*_BAR, console=console, transient=True) as progress,
     ):
