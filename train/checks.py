@@ -2,7 +2,7 @@
 
 import importlib.util
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -100,11 +100,13 @@ def _check_value(name: str, value: Any) -> None:
             )
 
 
-def meant(word: str, known: Sequence[str]) -> str:
-    """The question whether a known word was meant that is nearly this one; empty without one."""
-    from rendezvous_env import checks  # not for --help
+def unknown(what: str, word: str, known: Iterable[str]) -> UserError:
+    """The error that nothing of a kind has a name, with the known ones and the nearest."""
+    from rendezvous_env.checks import meant  # not for --help
 
-    return checks.meant(word, known, after=" ")
+    listed = list(known)
+    near = meant(word, listed, after=" ")
+    return UserError(f"{what} {word!r} is unknown; {near}known are {', '.join(listed)}")
 
 
 def check_text(name: str, text: str) -> None:

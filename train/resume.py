@@ -153,12 +153,11 @@ class Part:
     def finish(
         self,
         tasks: Sequence[Task],
-        do: Callable[[list[Task]], Generator[tuple[int, Any], None, None]],
+        do: Callable[[Sequence[Task]], Generator[tuple[int, Any], None, None]],
     ) -> Iterator[tuple[Task, Any, bool]]:
         """Tasks, each with a name of its own, their results and whether they were done now: first
-        those that are finished, then the others as they end, each kept.
-
-        ``do`` does those that are left, in an order that it may change, as ``tasks.each`` does.
+        those that are finished, then the others as they end, each kept; ``do`` does these, as
+        ``tasks.each``.
         """
         left = []
         for task in tasks:

@@ -82,7 +82,7 @@ MISTAKES = {
     "compare --scenario fig4 --json out/compare/x.json": "lies in OUT or OUT.part",
     "compare --scenario fig4 --json out/compare.part/x.json": "lies in OUT or OUT.part",
     "compare --scenario fig4 --json .": "is a folder",
-    "compare --scenario duo --sensing noice=0,1": "is no field of a sensor; did you mean 'noise'",
+    "compare --scenario duo --sensing noice=0,1": "is unknown; did you mean 'noise'",
     "compare --scenario duo --sensing noise": "name two or more levels, as in noise=0,0.1",
     "compare --scenario duo --sensing noise=0,0": "name two or more levels",
     "compare --scenario duo --sensing noise=0,1 noise=0,2": "noise is named twice",

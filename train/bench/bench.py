@@ -18,7 +18,7 @@ from rich.table import Table
 import rendezvous_env as rv
 from rendezvous_env.engine.threads import available_cores
 
-from ..checks import Bounds, Flags, UserError, installed
+from ..checks import Bounds, Flags, UserError, installed, unknown
 from ..console import Console
 from ..results import provenance, write_json
 from . import cases, learners
@@ -62,8 +62,8 @@ median over turns of this rate divided by that of the case against which it is m
 
 def check(config: Config) -> None:
     """Refuse settings that cannot be measured."""
-    if unknown := sorted(set(config.only) - set(GROUPS)):
-        raise UserError(f"--only: {unknown[0]!r} is unknown; known are {', '.join(GROUPS)}")
+    if others := sorted(set(config.only) - set(GROUPS)):
+        raise unknown("--only: group", others[0], GROUPS)
     if not config.robots:
         raise UserError("--robots names none; give sizes of teams, 2 or more")
     if (bearings := config.num_envs * max(config.robots) ** 2) > _MOST_BEARINGS:

@@ -8,11 +8,12 @@ from typing import Annotated
 from tyro.conf import arg
 
 from rendezvous_env import baselines
+from rendezvous_env.checks import meant
 from rendezvous_env.scenario import scenarios as named_scenarios
 from rendezvous_env.scenario.scenario import Scenario
 
 from .. import policies, results
-from ..checks import Bounds, UserError, meant
+from ..checks import Bounds, UserError
 from ..tasks import Workers
 from . import sweep as levels
 from .evaluation import starts_of
@@ -141,9 +142,9 @@ def plan(config: Config) -> list[Job]:
         jobs += [Job(scenario, name) for name in fitting]
     played = list(dict.fromkeys(job.policy for job in jobs))
     if config.against is not None and config.against not in played:
+        near = meant(config.against, played, after=" ")
         raise UserError(
-            f"--against {config.against!r} is not compared; {meant(config.against, played)}"
-            f"these are: {', '.join(played)}"
+            f"--against {config.against!r} is not compared; {near}these are: {', '.join(played)}"
         )
     if config.json is not None:
         path, out = (Path(os.path.realpath(one)) for one in (config.json, config.out))

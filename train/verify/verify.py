@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from tyro.conf import arg
 
-from ..checks import Bounds, UserError, meant
+from ..checks import Bounds, unknown
 from ..console import Console
 from ..results import write_csv
 from ..resume import Part, program
@@ -68,8 +68,7 @@ def check_config(config: Config) -> None:
     known = [claim.name for claim in CLAIMS]
     for name in config.claims:
         if name not in known:
-            words = f"{meant(name, known)}known are {', '.join(known)}"
-            raise UserError(f"claim {name!r} is unknown; {words}")
+            raise unknown("claim", name, known)
 
 
 def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | None = None) -> int:
