@@ -246,7 +246,7 @@ def test_whatever_is_registered_is_part_of_a_plan(in_file, tmp_path, registry):
         ):
             scenario = rv.Scenario(n_robots=3, **how)
             policy = "zero" if how else "plan-law"
-            config = compare.Config(scenarios=(scenario,), policies=(policy,), out=tmp_path)
+            config = compare.Config(policies=(policy,), out=tmp_path)
             yield resume.run_id(playing.plan_of([playing.Job(scenario, policy)], config))
 
     first, same, other = (list(planned(OWN.replace("1.0", rate))) for rate in ("1.0", "1.0", "2.0"))
