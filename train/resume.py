@@ -25,7 +25,7 @@ import rendezvous_env
 from rendezvous_env import baselines
 
 from . import results
-from .checks import UserError
+from .checks import UserError, user_error
 from .console import Console
 
 PLAN = "plan.json"
@@ -186,9 +186,12 @@ class Part:
 
     def _check_same(self, given: Path) -> None:
         """Refuse to resume another command than the one that began."""
-        if not (self.folder / PLAN).is_file():
+        path = self.folder / PLAN
+        if not path.is_file():
             raise UserError(f"{self.folder}: holds no {PLAN}, so it is none of ours; move it away")
-        stored = read(self.folder / PLAN)
+        unreadable = f"{path}: not readable; remove {self.folder}: "
+        with user_error(unreadable, OSError, ValueError, TypeError):
+            stored = dict(plain_data.read_json(path))
         if stored.get("run") == self.run:
             return
         plain = json.loads(json.dumps(self._plan))
@@ -202,11 +205,3 @@ class Part:
             f"{here}): give its command to resume it, --overwrite to throw it away, or another "
             f"folder than --out {given}"
         )
-
-
-def read(path: Path) -> dict[str, Any]:
-    """Plain data of a folder of work; a UserError if it cannot be read."""
-    try:
-        return dict(plain_data.read_json(path))
-    except (OSError, ValueError, TypeError) as error:
-        raise UserError(f"{path}: not readable ({error}); remove {path.parent}") from error

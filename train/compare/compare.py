@@ -61,29 +61,23 @@ def run(config: Config) -> int:
     part = Part(out_folder.part_of(out), plan_of(jobs, config), "comparison")
     with part.at_work(config.out, console, fresh=config.fresh):
         results.put_back(out)
-        return _run(config, jobs, out, part, console, clock)
-
-
-def _run(
-    config: Config, jobs: Sequence[Job], out: Path, part: Part, console: Console, clock: _Clock
-) -> int:
-    clock.now("setting up")
-    found, clock["compiling"] = _play(config, jobs, part, console)
-    clock.now("playing")
-    files = write(part, found, config)
-    _show(found, config, console)
-    clock.now("tables")
-    if config.figures:
-        files += _draw(part, found, config, console)
-        clock.now("drawing")
-    timing = {f"{name.replace(' ', '_')}_s": seconds for name, seconds in clock.items()}
-    about = description(config, found, timing | {"total_s": clock.total})
-    if config.json is not None:
-        kept = {name: about[name] for name in ("seed", "command_line", "versions", "timing")}
-        write_summary(config.json, found, kept)
-    out_folder.seal(part.whole, files, {**about, "run": part.run})
-    results.put_in_place(part.whole, out)
-    part.discard()
+        clock.now("setting up")
+        found, clock["compiling"] = _play(config, jobs, part, console)
+        clock.now("playing")
+        files = write(part, found, config)
+        _show(found, config, console)
+        clock.now("tables")
+        if config.figures:
+            files += _draw(part, found, config, console)
+            clock.now("drawing")
+        timing = {f"{name.replace(' ', '_')}_s": seconds for name, seconds in clock.items()}
+        about = description(config, found, timing | {"total_s": clock.total})
+        if config.json is not None:
+            kept = {name: about[name] for name in ("seed", "command_line", "versions", "timing")}
+            write_summary(config.json, found, kept)
+        out_folder.seal(part.whole, files, {**about, "run": part.run})
+        results.put_in_place(part.whole, out)
+        part.discard()
     episodes = sum(len(done.episodes.success) for done in found.played)
     split = ", ".join(f"{name} {seconds:.1f}" for name, seconds in clock.items())
     said = f"{episodes} episode{'s' * (episodes != 1)} in {clock.total:.1f} s: {split}; files in "
