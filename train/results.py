@@ -82,7 +82,8 @@ def atomic(path: Path) -> Iterator[Path]:
     finally:
         if temporary.is_dir():
             shutil.rmtree(temporary, ignore_errors=True)
-        temporary.unlink(missing_ok=True)
+        else:
+            temporary.unlink(missing_ok=True)
 
 
 def put_in_place(made: Path, place: Path) -> None:
