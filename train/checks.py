@@ -2,13 +2,12 @@
 
 import importlib.util
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, NamedTuple, get_args, get_type_hints
 
-_Settings = TypeVar("_Settings", bound=Any)
 _LONGEST_NAME = 255  # bytes of one part of a path, on every common file system
 
 
@@ -40,57 +39,74 @@ def check_installed(what: str, extra: str, *packages: str) -> None:
             raise UserError(f"{what} needs {package}; pip install 'rendezvous-env[{extra}]'")
 
 
-def typed(config: _Settings) -> _Settings:
-    """Settings that were made in Python, with tuples and paths where lists and text stand for them;
-    a UserError names a field of another type.
+class Bounds(NamedTuple):
+    """Least and most of a number, or of each of several; an end in a round bracket is left out."""
+
+    least: float
+    most: float = math.inf
+    ends: str = "[]"
+
+    def check(self, name: str, value: float) -> None:
+        """Refuse a number beyond them, by the name of its flag."""
+        above, below = self.ends[0] == "(", self.ends[1] == ")"
+        if value < self.least or (value == self.least and above):
+            right = f"more than {self.least}" if above else f"{self.least} or more"
+        elif value > self.most or (value == self.most and below):
+            right = f"less than {self.most}" if below else f"{self.most} or less"
+        else:
+            return
+        raise UserError(f"{name} is {value}; it must be {right}")
+
+
+@dataclass(frozen=True)
+class Flags:
+    """The flags of a command, a field each. Once made they are what they can be, or a UserError:
+    of their types and within their ``Bounds``, numbers finite, text the name of a file. In Python
+    lists and text may stand for tuples and paths.
     """
-    from rendezvous_env.baselines.learned.plain_data import check_field_types  # not for --help
 
-    given, hints = vars(config), get_type_hints(type(config))
-    paths = [name for name, hint in hints.items() if Path in (hint, *get_args(hint))]
-    changed: dict[str, Any] = {k: tuple(v) for k, v in given.items() if isinstance(v, list)}
-    changed |= {name: Path(given[name]) for name in paths if isinstance(given[name], str)}
-    config = replace(config, **changed)
-    with user_error("", ValueError):
-        check_field_types(config)
-    return config
+    def __post_init__(self) -> None:
+        """Convert and check all fields."""
+        from rendezvous_env.baselines.learned.plain_data import check_types  # not for --help
 
-
-def check_fields(config: Any) -> None:
-    """Refuse what no field of any settings may be: NaN, ±∞, text that is no name of a file."""
-    for field in fields(config):
-        name = field.name if "Positional" in str(field.type) else flag(field.name)
-        for value in _each(config, field.name):
-            if isinstance(value, float) and not math.isfinite(value):
-                raise UserError(f"{name} is {value}; it must be a finite number")
-            if isinstance(value, str | Path):
-                check_text(name, str(value))
-            for part in value.parts if isinstance(value, Path) else ():
-                if (size := len(part.encode())) > _LONGEST_NAME:
-                    raise UserError(
-                        f"{name}: {part[:20]}… has {size} bytes; a name may have {_LONGEST_NAME}"
-                    )
+        kinds, marked = get_type_hints(type(self)), get_type_hints(type(self), include_extras=True)
+        for name, value in list(vars(self).items()):
+            if isinstance(value, list):
+                object.__setattr__(self, name, tuple(value))
+            elif isinstance(value, str) and Path in (kinds[name], *get_args(kinds[name])):
+                object.__setattr__(self, name, Path(value))
+        with user_error("", ValueError):
+            check_types(vars(self), kinds)
+        for field in fields(self):
+            name = field.name if "Positional" in str(field.type) else flag(field.name)
+            value = getattr(self, field.name)
+            for one in value if isinstance(value, tuple) else (value,):
+                _check_value(name, one)
+                for mark in getattr(marked[field.name], "__metadata__", ()):
+                    if isinstance(mark, Bounds) and one is not None:
+                        mark.check(name, one)
 
 
-def check_bounds(config: Any, **bounds: tuple[float, float]) -> None:
-    """Refuse numbers in fields of a dataclass below the least or above the most; None passes."""
-    for name, (least, most) in bounds.items():
-        for one in _each(config, name):
-            if one is not None and not least <= one <= most:
-                bound = f"{most} or less" if one > most else f"{least} or more"
-                raise UserError(f"{flag(name)} is {one}; it must be {bound}")
+def _check_value(name: str, value: Any) -> None:
+    """Refuse what no flag may be: NaN, ±∞, text that is no name of a file."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise UserError(f"{name} is {value}; it must be a finite number")
+    if isinstance(value, str | Path):
+        check_text(name, str(value))
+    for part in value.parts if isinstance(value, Path) else ():
+        if (size := len(part.encode())) > _LONGEST_NAME:
+            raise UserError(
+                f"{name}: {part[:20]}… has {size} bytes; a name may have {_LONGEST_NAME}"
+            )
 
 
-def _each(config: Any, name: str) -> tuple[Any, ...]:
-    value = getattr(config, name)
-    return value if isinstance(value, tuple) else (value,)
+def unknown(what: str, word: str, known: Iterable[str]) -> UserError:
+    """The error that nothing of a kind has a name, with the known ones and the nearest."""
+    from rendezvous_env.checks import meant  # not for --help
 
-
-def meant(word: str, known: Sequence[str]) -> str:
-    """The question whether a known word was meant that is nearly this one; empty without one."""
-    from rendezvous_env import checks  # not for --help
-
-    return checks.meant(word, known, after=" ")
+    listed = list(known)
+    near = meant(word, listed, after=" ")
+    return UserError(f"{what} {word!r} is unknown; {near}known are {', '.join(listed)}")
 
 
 def check_text(name: str, text: str) -> None:

@@ -1,6 +1,6 @@
 """The command line ``rendezvous``: finds the command, reads its flags, and ends it cleanly.
 
-Each command is a module with a frozen dataclass ``Config``, whose fields are the flags, and a
+Each command is a module with a frozen dataclass ``Config`` of ``Flags``, and a
 function ``run(config)`` that returns the exit status. Only the module of the command is imported.
 """
 
@@ -79,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(command: str, flags: Sequence[str]) -> int:
     import tyro
 
-    from .checks import check_fields, check_text
+    from .checks import check_text
     from .console import Console
 
     for number, word in enumerate(flags, start=1):
@@ -89,7 +89,6 @@ def _run(command: str, flags: Sequence[str]) -> int:
         Console(highlight=False).print(help_of(command, module), soft_wrap=True)
         return 0
     config = tyro.cli(module.Config, prog=f"rendezvous {command}", args=flags)
-    check_fields(config)
     return int(module.run(config) or 0)
 
 

@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,11 +29,10 @@ from rendezvous_env.baselines.robot_policy import RobotPolicy
 from rendezvous_env.scenario.scenario import Scenario
 
 from . import policies, standalone
-from .checks import UserError, check_bounds, check_installed, user_error
+from .checks import Bounds, Flags, UserError, check_installed, user_error
 from .console import Console
 from .results import atomic, prepare_folder
 
-_MOST_CHECKS = 10**7
 _SLOTS = ((3, 12), (1, 0), (31, 24), (7, 1))
 """Neighbours and obstacles of the tables on which a file is checked."""
 _AT_ONCE = 512
@@ -47,7 +46,7 @@ EXAMPLES = (
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(Flags):
     """Write the network of a learned policy as an ONNX file, or a policy as one Python file that
     needs NumPy alone, and check it against the policy.
     """
@@ -62,7 +61,7 @@ class Config:
     scenario: str = "clutter-8"
     """Whose robot it is for: the name of a scenario or a TOML file. An ONNX file is for all robots
     of that model."""
-    checks: int = 10_000
+    checks: Annotated[int, Bounds(1, 10**7)] = 10_000
     """On how many random inputs the file is compared with the policy before it takes its place."""
 
 
@@ -75,7 +74,6 @@ def run(config: Config) -> int:
         raise UserError(f"{flag} {path}: unknown ending; it must be {ending}")
     if path.is_dir():
         raise UserError(f"{flag} {path}: is a folder; it must be a file")
-    check_bounds(config, checks=(1, _MOST_CHECKS))
     said = _write_onnx(config, path) if ending == SUFFIX else _write_python(config, path)
     Console().print(f"{path}: {config.policy}{said} at most")
     return 0

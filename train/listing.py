@@ -17,13 +17,14 @@ from rendezvous_env.scenario import scenarios
 from rendezvous_env.scenario.scenario import Scenario
 
 from . import policies
+from .checks import Flags
 from .console import Console
 
 EXAMPLES = ("scenarios", "policies")
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(Flags):
     """List scenarios and policies, a line for each, with which policies fit which."""
 
     what: Positional[Literal["all", "scenarios", "policies"]] = "all"

@@ -23,7 +23,7 @@ from rendezvous_env.baselines.policy import builder_of, file_of
 from rendezvous_env.baselines.steering import can_steer
 
 from rendezvous_env import baselines
-from rendezvous_env.checks import shown
+from rendezvous_env.checks import meant, shown
 from rendezvous_env.graphs.random_graphs import FAMILIES, CustomFamily
 from rendezvous_env.rewards.custom_terms import COSTS, TERMS
 from rendezvous_env.robots.robot_models import is_custom
@@ -33,7 +33,7 @@ from rendezvous_env.sensors.custom_sensors import IMPERFECTIONS
 from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, begin
 
-from .checks import UserError, meant, user_error
+from .checks import UserError, unknown, user_error
 
 _AT_PATH = "learned:"
 _BEST = ("learned-tank", "tank-joined", "learned", "tangent-joined-tuned", "tangent-joined")
@@ -133,10 +133,7 @@ def check_names(wanted: Sequence[str]) -> None:
             with user_error(f"policy {name!r}: ", ValueError):
                 make(name, Scenario(n_robots=2))
         elif name not in known:
-            raise UserError(
-                f"policy {name!r} is unknown; {meant(name, known)}known are {', '.join(known)}, "
-                f"{_AT_PATH}PATH, MODULE:FUNCTION"
-            )
+            raise unknown("policy", name, (*known, f"{_AT_PATH}PATH", "MODULE:FUNCTION"))
 
 
 def promised_margin(name: str, policy: Policy) -> float | None:
@@ -214,9 +211,8 @@ def find_function(name: str) -> Callable[[Scenario], Policy | None]:
         module = _imported(name, module_name)
     if (function := getattr(module, function_name, None)) is None:
         place = getattr(module, "__file__", None) or "built in"
-        hint = meant(function_name, [key for key in vars(module) if key[0] != "_"])
-        what = f"{module_name} ({place}) has no {function_name!r}; {hint}".rstrip("; ")
-        raise UserError(f"policy {name!r}: {what}")
+        hint = meant(function_name, (key for key in vars(module) if key[0] != "_"), before="; ")
+        raise UserError(f"policy {name!r}: {module_name} ({place}) has no {function_name!r}{hint}")
     if not callable(function):
         raise UserError(
             f"policy {name!r}: {function_name} in {module_name} is {shown(function)}; it must be a "

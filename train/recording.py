@@ -51,40 +51,37 @@ def seen_again(scenario: Scenario) -> bool:
     return scenario.sensing.exact and scenario.sensing_graph.undirected
 
 
-class Snapshot:
-    """The state of a batch at one moment; each array is read once and only if it is asked for."""
-
-    def __init__(self, simulator: Simulator) -> None:
-        self._simulator = simulator
-
-    def __getattr__(self, name: str) -> NDArray[Any]:
-        """The simulator's array of that name, kept in the instance."""
-        value = getattr(self._simulator, name)
-        self.__dict__[name] = value() if callable(value) else value
-        return self.__dict__[name]
-
-    def links(self, team: int) -> Recording:
-        """The links of a team, by the names that its state has for them."""
-        return {name: self.get_state[name][team] for name in LINKS if name in self.get_state}
+def state_of(simulator: Simulator) -> Recording:
+    """What frames are made of, read once for the recorders of a batch."""
+    names = ("time", "steps", "positions", "headings", "velocities", "frames", "active")
+    state = {name: getattr(simulator, name) for name in (*names, "merged_into")}
+    return state | {"lyapunov": simulator.lyapunov()}
 
 
 class Recorder:
     """Records one team of a batch that was just reset, with what it sees unless that is exact."""
 
     def __init__(
-        self, start: Snapshot, team: int, observations: NDArray[np.float32], exact: bool
+        self, simulator: Simulator, team: int, observations: NDArray[np.float32], exact: bool
     ) -> None:
-        self._team, self._exact = team, exact
-        self._obstacles = start.obstacles[team]
-        self._active = start.active[team]
+        self._simulator, self._team, self._exact = simulator, team, exact
+        self._obstacles = simulator.obstacles[team]
+        self._active = simulator.active[team]
         self._contacts = np.zeros(len(self._active), dtype=np.int64)
         self._stride = 1
-        self._links = [start.links(team)]
+        self._links = [self._links_now()]
         self._frames: list[tuple[int, Recording]] = []
-        self._add(start, observations[team], np.full(len(self._active), np.nan))
+        nothing = np.full(len(self._active), np.nan)
+        self._add(state_of(simulator), observations[team], nothing)
 
-    def see(self, step: Step, alignments: NDArray[np.float64], after: Snapshot) -> None:
-        """Record a step, with the alignments (B, n) of its robots and the state after it."""
+    def _links_now(self) -> Recording:
+        state = self._simulator.get_state()
+        return {name: state[name][self._team] for name in LINKS if name in state}
+
+    def see(self, step: Step, alignments: NDArray[np.float64], after: Recording) -> None:
+        """Record a step, with the alignments (B, n) of its robots and the ``state_of`` the batch
+        after it.
+        """
         team, outcome = self._team, step.outcome
         if not step.running[team]:
             return
@@ -93,15 +90,15 @@ class Recorder:
         self._active = outcome.active[team]
         kept = outcome.observations[team], alignments[team]
         if merged:
-            self._links.append(after.links(team))
+            self._links.append(self._links_now())
             jump = outcome.lyapunov_before_merge[team], outcome.lyapunov_after_merge[team]
             self._add(after, *kept, jump)
-        elif after.steps[team] % self._stride == 0 or outcome.status[team] != RUNNING:
+        elif after["steps"][team] % self._stride == 0 or outcome.status[team] != RUNNING:
             self._add(after, *kept)
 
     def _add(
         self,
-        state: Snapshot,
+        state: Recording,
         observations: NDArray[np.float32],
         alignment: NDArray[np.float64],
         jump: tuple[float, float] = (np.nan, np.nan),
@@ -110,10 +107,10 @@ class Recorder:
         team = self._team
         kept = ("positions", "headings", "velocities", "frames", "active")
         frame = {
-            "times": state.time[team],
-            **{name: getattr(state, name)[team].copy() for name in kept},
-            "merged_into": state.merged_into[team].astype(np.int32),
-            "lyapunov": state.lyapunov[team],
+            "times": state["time"][team],
+            **{name: state[name][team].copy() for name in kept},
+            "merged_into": state["merged_into"][team].astype(np.int32),
+            "lyapunov": state["lyapunov"][team],
             "lyapunov_before_merge": np.float64(jump[0]),
             "lyapunov_after_merge": np.float64(jump[1]),
             "contacts": self._contacts.copy(),
@@ -128,7 +125,7 @@ class Recorder:
                 for step, one in self._frames
                 if step % self._stride == 0 or not np.isnan(one["lyapunov_before_merge"])
             ]
-        self._frames.append((int(state.steps[team]), frame))
+        self._frames.append((int(state["steps"][team]), frame))
 
     def finish(self) -> Recording:
         """The recording, once the team has finished."""

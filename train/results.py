@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import platform
+import shutil
 import sys
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -71,13 +72,41 @@ _PACKAGES = ("rendezvous-env", "numpy", "numba", "scipy", "gymnasium", "pettingz
 
 @contextmanager
 def atomic(path: Path) -> Iterator[Path]:
-    """A name to write to; the file takes its place once it is whole, unless the body raises."""
+    """A name for a file or a folder, which takes its place once it is whole, unless the body
+    raises.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part{path.suffix}")
     try:
         yield temporary
-        temporary.replace(path)
+        put_in_place(temporary, path)
     finally:
-        temporary.unlink(missing_ok=True)
+        if temporary.is_dir():
+            shutil.rmtree(temporary, ignore_errors=True)
+        else:
+            temporary.unlink(missing_ok=True)
+
+
+def put_in_place(made: Path, place: Path) -> None:
+    """Rename what is whole, in place of an older one: of a folder a kill between two renamings
+    leaves the older one for ``put_back``.
+    """
+    older = _older(place)
+    if made.is_dir() and place.exists():
+        shutil.rmtree(older, ignore_errors=True)
+        place.rename(older)
+    made.replace(place)
+    if place.is_dir():
+        shutil.rmtree(older, ignore_errors=True)
+
+
+def put_back(place: Path) -> None:
+    """Put back an older folder if nothing has taken its place."""
+    if not place.exists() and _older(place).exists():
+        _older(place).rename(place)
+
+
+def _older(place: Path) -> Path:
+    return place.with_name(f".{place.name}.older.part")
 
 
 def prepare_folder(folder: Path, flag: str | None = None) -> Path:

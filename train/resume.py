@@ -25,7 +25,7 @@ import rendezvous_env
 from rendezvous_env import baselines
 
 from . import results
-from .checks import UserError
+from .checks import UserError, user_error
 from .console import Console
 
 PLAN = "plan.json"
@@ -90,42 +90,49 @@ def claimed(folder: Path, lock: str, what: str) -> Iterator[None]:
 
 
 class Part:
-    """The folder of unfinished work: a plan, as plain data; ``what`` names the work in a word."""
+    """The folder of unfinished work: a plan, as plain data; ``what`` names the work in a word. What
+    comes of it may be made in its folder ``whole``, to be put in place at once.
+    """
 
     def __init__(self, folder: Path, plan: Mapping[str, Any], what: str) -> None:
         self.folder, self.run = folder, run_id(plan)
         self._plan, self._what, self._cells = plan, what, folder / "cells"
+        self.whole = folder / "whole"
 
     @contextmanager
     def at_work(self, given: Path, console: Console, *, fresh: bool) -> Iterator[None]:
-        """Make the folder, or resume what is there, and say so; ``given`` is what --out said.
-        Nothing stays where no task was finished.
+        """Make the folder, or resume what is there, and say so, with its lock held; ``given`` is
+        what --out said. Nothing stays where no task was finished.
 
         Raises:
-            UserError: if it is of another command, and not to be thrown away for a fresh start.
+            UserError: if it is of another command, and not to be thrown away for a fresh start, or
+                another process is at work.
         """
-        if any(self.folder.glob("[!.]*")):
-            if fresh and (self.folder / PLAN).is_file():
-                self.discard()
-            else:
-                self._check_same(given)
-        results.prepare_folder(self.folder)
-        try:
-            results.write_json(self.folder / PLAN, {**self._plan, "run": self.run})
-            self._cells.mkdir(exist_ok=True)
-            if count := self._count():
-                said = f"resumes with {count} finished tasks in {self.folder}"
-                console.print(said, soft_wrap=True)
-            yield
-        except KeyboardInterrupt as error:
-            if count := self._count():
-                error.add_note(
-                    f"{count} finished tasks lie in {self.folder}; the same command resumes"
-                )
-            raise
-        finally:
-            if self.folder.is_dir() and not self._count():
-                self.discard()
+        with claimed(self.folder.parent, f".{self.folder.stem}.lock", f"--out {given}"):
+            if any(self.folder.glob("[!.]*")):
+                if fresh and (self.folder / PLAN).is_file():
+                    self.discard()
+                else:
+                    self._check_same(given)
+            results.prepare_folder(self.folder)
+            try:
+                results.write_json(self.folder / PLAN, {**self._plan, "run": self.run})
+                self._cells.mkdir(exist_ok=True)
+                shutil.rmtree(self.whole, ignore_errors=True)
+                self.whole.mkdir()
+                if count := self._count():
+                    said = f"resumes with {count} finished tasks in {self.folder}"
+                    console.print(said, soft_wrap=True)
+                yield
+            except KeyboardInterrupt as error:
+                if count := self._count():
+                    error.add_note(
+                        f"{count} finished tasks lie in {self.folder}; the same command resumes"
+                    )
+                raise
+            finally:
+                if self.folder.is_dir() and not self._count():
+                    self.discard()
 
     def save(self, name: str, result: Any) -> None:
         """Keep the result of a task."""
@@ -146,12 +153,11 @@ class Part:
     def finish(
         self,
         tasks: Sequence[Task],
-        do: Callable[[list[Task]], Generator[tuple[int, Any], None, None]],
+        do: Callable[[Sequence[Task]], Generator[tuple[int, Any], None, None]],
     ) -> Iterator[tuple[Task, Any, bool]]:
         """Tasks, each with a name of its own, their results and whether they were done now: first
-        those that are finished, then the others as they end, each kept.
-
-        ``do`` does those that are left, in an order that it may change, as ``tasks.each`` does.
+        those that are finished, then the others as they end, each kept; ``do`` does these, as
+        ``tasks.each``.
         """
         left = []
         for task in tasks:
@@ -165,13 +171,11 @@ class Part:
                 yield left[number], result, True
 
     def discard(self) -> None:
-        """Remove the folder; the plan goes last, so that a kill leaves what can be resumed."""
-        for path in self.folder.iterdir():
-            if path.is_dir():
-                shutil.rmtree(path)
-            elif path.name != PLAN:
-                path.unlink()
-        shutil.rmtree(self.folder)
+        """Remove the folder: a kill leaves what can be resumed, or nothing at its place."""
+        gone = self.folder.with_name(f".{self.folder.name}.gone")
+        shutil.rmtree(gone, ignore_errors=True)
+        self.folder.rename(gone)
+        shutil.rmtree(gone)
 
     def _digest(self, content: bytes) -> bytes:
         return hashlib.sha256(self.run.encode() + content).digest()
@@ -182,9 +186,12 @@ class Part:
 
     def _check_same(self, given: Path) -> None:
         """Refuse to resume another command than the one that began."""
-        if not (self.folder / PLAN).is_file():
+        path = self.folder / PLAN
+        if not path.is_file():
             raise UserError(f"{self.folder}: holds no {PLAN}, so it is none of ours; move it away")
-        stored = read(self.folder / PLAN)
+        unreadable = f"{path}: not readable; remove {self.folder}: "
+        with user_error(unreadable, OSError, ValueError, TypeError):
+            stored = dict(plain_data.read_json(path))
         if stored.get("run") == self.run:
             return
         plain = json.loads(json.dumps(self._plan))
@@ -198,11 +205,3 @@ class Part:
             f"{here}): give its command to resume it, --overwrite to throw it away, or another "
             f"folder than --out {given}"
         )
-
-
-def read(path: Path) -> dict[str, Any]:
-    """Plain data of a folder of work; a UserError if it cannot be read."""
-    try:
-        return dict(plain_data.read_json(path))
-    except (OSError, ValueError, TypeError) as error:
-        raise UserError(f"{path}: not readable ({error}); remove {path.parent}") from error

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from threadpoolctl import ThreadpoolController
 from tyro.conf import arg
 
-from .checks import UserError, check_bounds, check_installed
+from .checks import Bounds, Flags, UserError, check_installed
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -28,7 +28,6 @@ _ALONE = 2.0
 """s for which this process works by itself; only what takes longer is worth starting others."""
 _TRIES = 3
 """Times in a row that workers may be lost without a task being done."""
-_MOST = 2**12
 _ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"), "1")
 """Environment of a worker."""
 NAME = "rendezvous"
@@ -42,10 +41,10 @@ _MODE = "RAY_AUTH_MODE"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Workers:
+class Workers(Flags):
     """The flags that say who does the tasks of a command."""
 
-    jobs: int | None = None
+    jobs: Annotated[int | None, Bounds(1, 2**12)] = None
     """How many processes work at once: one on each core by default, or all that a cluster
     has. Results are the same, bit for bit, whatever their number."""
     on: Annotated[Literal["here", "ray"], arg(name="backend", aliases=("--on",))] = "here"
@@ -53,9 +52,9 @@ class Workers:
     address: str | None = None
     """The address of the Ray cluster; without one a cluster starts on this machine."""
 
-    def check_workers(self) -> None:
-        """Raise a UserError for an impossible number, or a cluster that cannot be asked."""
-        check_bounds(self, jobs=(1, _MOST))
+    def __post_init__(self) -> None:
+        """Refuse a cluster that cannot be asked, too."""
+        super().__post_init__()
         if self.on == "here" and self.address is not None:
             raise UserError(f"--address is {self.address}; only --backend ray has one")
         if self.on == "ray":
@@ -95,7 +94,6 @@ def each(
         UserError: if workers are lost again and again, or there is no such cluster.
         Exception: what a task raised.
     """
-    workers.check_workers()
     left = dict(enumerate(tasks))
     alone = workers.on == "here" and workers.worker_count == 1
     began, matrices = time.monotonic(), ThreadpoolController().select(user_api="blas")

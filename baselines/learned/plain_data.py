@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any, get_args
 
 
 def read_json(path: Path) -> Any:
@@ -42,8 +42,3 @@ def check_types(values: Mapping[str, Any], hints: Mapping[str, Any]) -> None:
             text = repr(values[name])
             text = text if len(text) <= 60 else f"{text[:60]}…"
             raise ValueError(f"{name} is {text}; it must be of type {wanted or hint}") from None
-
-
-def check_field_types(made: Any) -> None:
-    """Refuse a dataclass whose fields are of other types than it declares; as ``check_types``."""
-    check_types(vars(made), get_type_hints(type(made)))

@@ -5,29 +5,27 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, fields
-from typing import Any, Literal
+from functools import partial
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rendezvous_env.checks import check_fields, is_sequence, number, refuse, whole
 from rendezvous_env.safety.settings import check_margin
 from rendezvous_env.scenario.scenario import Scenario
 
 from .feature_kernels import LEVEL_COLUMNS, WALL_COLUMNS
 from .features import VERSION, FeatureLayout
-from .plain_data import check_field_types, check_types
 
 ANGLES = np.array([0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0, 1.4, -1.4])
 """Choices where headings are certified, rad counter-clockwise from f; 0 is the rule itself."""
 ALL_ROUND = np.array([*ANGLES, 1.9, -1.9, 2.5, -2.5, np.pi])
 """Choices where a tank pays for going away from f, rad."""
 CHOICES = len(ANGLES)
-_WIDEST = 2**12
-_RANGES = {
-    "set_width": (1, _WIDEST), "clearance": (0.0, math.pi), "persistence": (0.0, 1e9),
-    "max_turn_rate": (1e-9, 1e9), "decision_time": (1e-9, 1e9), "budget": (0.0, 1e9),
-    "memory_units": (1, _WIDEST),
-}  # fmt: skip
+_Width = Annotated[int, partial(whole, least=1, most=2**12)]
+_Positive = Annotated[float, partial(number, least=1e-9, most=1e9)]
+_NotNegative = Annotated[float, partial(number, least=0.0, most=1e9)]
 
 
 def memory_of(written: Any) -> Any:
@@ -35,34 +33,34 @@ def memory_of(written: Any) -> Any:
     return ("none", "features")[written] if isinstance(written, bool) else written
 
 
+def _widths(field: str, value: Any) -> tuple[int, ...]:
+    """Those of layers; JSON has a list of them."""
+    if not is_sequence(value):
+        refuse(field, value, "whole numbers")
+    return tuple(whole(field, width, 1, 2**12) for width in value)
+
+
 @dataclass(frozen=True)
 class PolicySettings:
     """All that a policy is, beside its weights."""
 
-    set_width: int  # of the networks that read one row
-    hidden: tuple[int, ...]  # widths of the layers behind them
-    clearance: float  # of the guide, rad
-    persistence: float  # of the guide
-    min_alignment: float  # ε, which the certified heading keeps, or which the tank owes
-    max_turn_rate: float  # of the certified heading, rad/s
-    decision_time: float  # s between decisions
+    set_width: _Width  # of the networks that read one row
+    hidden: Annotated[tuple[int, ...], _widths]  # widths of the layers behind them
+    clearance: Annotated[float, partial(number, least=0.0, most=math.pi)]  # of the guide, rad
+    persistence: _NotNegative  # of the guide
+    min_alignment: Annotated[float, lambda _, margin: check_margin(margin)]
+    """ε, which the certified heading keeps, or which the tank owes."""
+    max_turn_rate: _Positive  # of the certified heading, rad/s
+    decision_time: _Positive  # s between decisions
     guarantee: Literal["heading", "tank"] = "heading"
-    budget: float = 0.0  # of each tank at the start, in units of r D̄, for teams of any size
+    budget: _NotNegative = 0.0  # of each tank at the start, in units of r D̄, for teams of any size
     memory: Literal["none", "features", "recurrent"] = "none"
     """Beside the last decisions nothing, with a tank features of walls, or a recurrent unit's."""
-    memory_units: int = 64  # of the recurrent unit
+    memory_units: _Width = 64  # of the recurrent unit
 
     def __post_init__(self) -> None:
         """Refuse what no network and no heading can have."""
-        check_field_types(self)
-        check_margin(self.min_alignment)
-        for name, (least, most) in _RANGES.items():
-            if not least <= getattr(self, name) <= most:
-                raise ValueError(
-                    f"{name} is {getattr(self, name)}; it must be in [{least}, {most}]"
-                )
-        if not all(1 <= width <= _WIDEST for width in self.hidden):
-            raise ValueError(f"hidden is {self.hidden}; each must be in [1, {_WIDEST}]")
+        check_fields(self)
 
     def to_plain(self) -> dict[str, Any]:
         """As plain data, with the version of the features that the weights belong to."""
@@ -80,9 +78,7 @@ class PolicySettings:
         given |= {key: value for key, value in plain.items() if key != "perception"}
         if wrong := sorted(set(given) ^ set(cls.__dataclass_fields__)):
             raise ValueError(f"field {wrong[0]!r} is missing or unknown")
-        check_types(given, {"hidden": list[int] | tuple[int, ...]})
-        memory = memory_of(given["memory"])
-        return cls(**given | {"hidden": tuple(given["hidden"]), "memory": memory})
+        return cls(**given | {"memory": memory_of(given["memory"])})
 
     @property
     def promised_margin(self) -> float | None:

@@ -18,7 +18,7 @@ import baselines
 from baselines import policy
 from rendezvous_env.obstacles.obstacle_set import distance_to, world_of
 from rendezvous_env.scenario import scenarios
-from train import cli, results
+from train import cli, results, tasks
 from train.compare import Config
 from train.listing import columns_of
 from train.policies import resolve_scenario
@@ -104,7 +104,8 @@ def test_names_and_paths_are_no_markup(tmp_path, monkeypatch, capsys):
         assert all(one in said for one in shown), said
 
 
-def test_flags_have_their_older_names_too():
+def test_flags_have_their_older_names_too(monkeypatch):
+    monkeypatch.setattr(tasks, "check_installed", lambda *needs: None)
     old = "--scenarios duo --policies zero --fresh --keep 2 --ceiling 3 --on ray"
     new = "--scenario duo --policy zero --overwrite --keep-trajectories 2 --oracle-runs 3 "
     new += "--backend ray"

@@ -301,7 +301,11 @@ def no_work(monkeypatch):
     from train.learn import trainer
     from train.verify import falsification, verify
 
-    monkeypatch.setattr(compare, "_run", lambda *given: 0)
+    nothing = compare.Found([], [], [], [], [])
+    monkeypatch.setattr(compare, "_play", lambda *given: (nothing, 0.0))
+    monkeypatch.setattr(compare, "description", lambda *given: defaultdict(str))
+    for name in ("write", "_draw", "_show", "write_summary"):
+        monkeypatch.setattr(compare, name, lambda *given: [])
     monkeypatch.setattr(trainer, "_loop", lambda *given: SimpleNamespace(status=0))
     monkeypatch.setattr(bench, "_compared", lambda *given: iter(()))
     monkeypatch.setattr(bench, "_bytes_per_team", lambda *given: (0, 0))

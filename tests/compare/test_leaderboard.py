@@ -281,7 +281,7 @@ def test_what_is_not_installed_is_left_out_or_said(monkeypatch, capsys, tmp_path
 
 def test_what_is_refused():
     for changes, said in (
-        ({"algorithms": ("ppo-hedding",)}, "algorithm 'ppo-hedding' is unknown; known are"),
+        ({"algorithms": ("ppo-hedding",)}, "unknown; did you mean 'ppo-heading'"),
         ({"fields": ("clutter-8-v2",)}, "of another version"),
         ({"fields": ("uav-6",), "algorithms": ("ppo-tank",)}, "none of these algorithms fits"),
         ({"seeds": (1, 1)}, "named twice"),

@@ -176,13 +176,13 @@ class TestPlace:
         return settings
 
     def killed_at(self, settings, monkeypatch, name, call):
-        """Run another seed until call number ``call`` of a function of the file system."""
-        where = Path if name == "rename" else out_folder
+        """Run another seed until call number ``call`` of a function with a folder."""
+        where = out_folder if name == "seal" else Path
         real, calls = getattr(where, name), 0
 
         def gone(*given, **options):
             nonlocal calls
-            calls += 1
+            calls += given[0].is_dir()
             if calls == call:
                 raise SystemExit("killed")
             return real(*given, **options)
@@ -195,29 +195,37 @@ class TestPlace:
         return changed
 
     @pytest.mark.parametrize(
-        ("name", "call"), [("seal", 1), ("promote", 1), ("rename", 1), ("rename", 2)]
+        ("name", "call", "seed"),
+        [("seal", 1, 0), ("rename", 1, 0), ("replace", 1, None), ("rename", 2, 9)],
     )
-    def test_old_or_new(self, name, call, finished, monkeypatch):
+    def test_old_or_new(self, name, call, seed, finished, monkeypatch):
         changed = self.killed_at(finished, monkeypatch, name, call)
-        between = (name, call) == ("rename", 2)  # the one moment at which OUT is not there
-        assert finished.out.exists() is not between
-        if not between:
-            assert read(finished.out).run["seed"] == 0
+        if seed is None:  # the one moment at which OUT is not there
+            assert not finished.out.exists()
+        else:
+            assert read(finished.out).run["seed"] == seed
         assert compare.run(changed) == 0
         assert read(finished.out).run["seed"] == 9
         assert [path.name for path in finished.out.parent.iterdir()] == ["out"]
 
-    def test_a_finished_part_is_put_in_place_and_not_played_again(self, finished, monkeypatch):
+    def test_what_is_finished_is_not_played_again(self, finished, monkeypatch):
         summary = finished.out.with_name("short.json")
         settings = compare.Config(**vars(finished) | {"json": summary})
-        changed = self.killed_at(settings, monkeypatch, "promote", 1)
+        changed = self.killed_at(settings, monkeypatch, "replace", 1)
         with monkeypatch.context() as patch:
             patch.setattr(playing, "play_job", lambda *given, **options: 1 / 0)
             assert compare.run(changed) == 0
         assert read(finished.out).run["seed"] == json.loads(summary.read_text())["seed"] == 9
-        self.killed_at(finished, monkeypatch, "promote", 1)
-        assert compare.run(compare.Config(**vars(finished) | {"seed": 3})) == 0
-        assert read(finished.out).run["seed"] == 3
+
+    def test_older_results_are_put_back(self, finished, monkeypatch):
+        self.killed_at(finished, monkeypatch, "replace", 1)
+        other = vars(finished) | {"seed": 3}
+        with pytest.raises(UserError, match=r"holds an unfinished comparison of other seed \(9,"):
+            compare.run(compare.Config(**other))
+        with pytest.raises(SystemExit), monkeypatch.context() as patch:
+            patch.setattr(out_folder, "seal", lambda *given: sys.exit("killed"))
+            compare.run(compare.Config(**other | {"fresh": True}))
+        assert read(finished.out).run["seed"] == 0
 
     def test_older_results_go_as_a_whole(self, finished):
         assert compare.run(compare.Config(**vars(finished) | {"figures": True, "pdf": True})) == 0

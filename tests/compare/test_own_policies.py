@@ -187,9 +187,9 @@ def test_a_scenario_of_ones_own_is_played_where_it_is_known():
 
     own = rv.Scenario(n_robots=2, sensing=rv.Sensing(custom=("of this process",)))
     for scenario, stays in ((own, True), (rv.Scenario(n_robots=2, costs=("contact",)), False)):
-        config = compare.Config(scenarios=(scenario,), policies=("bearing-only",), episodes=3)
+        config = compare.Config(policies=("bearing-only",), episodes=3)
         job = playing.Job(scenario, "bearing-only")
-        assert {*map(playing.stays_here, playing.blocks_of(0, job, config))} == {stays}
+        assert {task.stays for task in playing.blocks_of(0, job, config)} == {stays}
 
 
 def test_a_function_of_the_program_itself_is_played_in_it(monkeypatch, tmp_path):
@@ -246,7 +246,7 @@ def test_whatever_is_registered_is_part_of_a_plan(in_file, tmp_path, registry):
         ):
             scenario = rv.Scenario(n_robots=3, **how)
             policy = "zero" if how else "plan-law"
-            config = compare.Config(scenarios=(scenario,), policies=(policy,), out=tmp_path)
+            config = compare.Config(policies=(policy,), out=tmp_path)
             yield resume.run_id(playing.plan_of([playing.Job(scenario, policy)], config))
 
     first, same, other = (list(planned(OWN.replace("1.0", rate))) for rate in ("1.0", "1.0", "2.0"))

@@ -119,17 +119,26 @@ def test_a_task_reads_back_bit_by_bit(numbers, first, tmp_path):
 
 
 def test_a_folder_on_its_way_out_can_still_be_gone_on_with(tmp_path, monkeypatch):
-    """Of files in any order the plan goes last."""
+    """It is there with all that it holds, or not at all."""
     part = resume.Part(tmp_path / "part", {"seed": 1}, "test")
     with part.at_work(tmp_path, Console(), fresh=False):
         part.save("one", {"x": 1})
-    (part.folder / "table.csv").touch()
-    with monkeypatch.context() as patch:
-        patch.setattr(resume.Path, "unlink", lambda path: 1 / 0)
-        with pytest.raises(ZeroDivisionError):
-            part.discard()
+    for name, stays in (("rename", True), ("rmtree", False)):
+        with monkeypatch.context() as patch:
+            where = resume.Path if name == "rename" else resume.shutil
+            real = getattr(where, name)
+
+            def killed(*given, ignore_errors=False, real=real):
+                return real(*given, ignore_errors=True) if ignore_errors else 1 / 0
+
+            patch.setattr(where, name, killed)
+            with pytest.raises(ZeroDivisionError):
+                part.discard()
+        assert part.folder.exists() is stays
     with part.at_work(tmp_path, Console(), fresh=False):
+        assert part.load("one") is None
         part.discard()
+    assert list(tmp_path.iterdir()) == []
     part.folder.mkdir()  # or a kill before there was a plan
     with part.at_work(tmp_path, Console(), fresh=False):
         assert (part.folder / resume.PLAN).is_file()

@@ -10,16 +10,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from itertools import chain
-from math import inf
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from rich.table import Table
 
 import rendezvous_env as rv
 from rendezvous_env.engine.threads import available_cores
 
-from ..checks import UserError, check_bounds, installed
+from ..checks import Bounds, Flags, UserError, installed, unknown
 from ..console import Console
 from ..results import provenance, write_json
 from . import cases, learners
@@ -29,17 +28,13 @@ GROUPS = tuple("one-team batched obstacles wrapped training sensing adapters hea
 _PEERS = ("stable-baselines3", "torch", "mpe2", "torchrl", "pufferlib-core")
 _SHOWN = ("group", "name", "n_robots", "num_envs", "unit", "against")
 _MOST_BEARINGS = 2**31
-_BOUNDS = {
-    "robots": (2, 2**12), "num_envs": (1, 2**24), "num_threads": (1, 2**10), "repeats": (1, inf),
-    "seconds": (0, 3600),
-}  # fmt: skip
 _TAUGHT = (("clutter-8", "heading"), ("clutter-24", "tank"))
 
 EXAMPLES = ("", "--only batched wrapped --robots 8 --json out/bench.json")
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(Flags):
     """Measure the speed of the environments."""
 
     json: Path | None = None
@@ -47,15 +42,15 @@ class Config:
     only: tuple[str, ...] = ()
     """The groups of rows to measure: one-team, batched, obstacles, wrapped, training, sensing,
     adapters, heading-ppo. Without it all are."""
-    robots: tuple[int, ...] = (3, 8, 32)
+    robots: Annotated[tuple[int, ...], Bounds(2, 2**12)] = (3, 8, 32)
     """The sizes of teams."""
-    num_envs: int = 1024
+    num_envs: Annotated[int, Bounds(1, 2**24)] = 1024
     """How many environments step together."""
-    num_threads: int | None = None
+    num_threads: Annotated[int | None, Bounds(1, 2**10)] = None
     """The most threads a step may use: one for each core by default."""
-    repeats: int = 5
+    repeats: Annotated[int, Bounds(1)] = 5
     """Of how many measurements the median is taken; cases that are compared take turns."""
-    seconds: float = 0.3
+    seconds: Annotated[float, Bounds(0, 3600, "(]")] = 0.3
     """The length of a measurement, s."""
 
 
@@ -67,11 +62,8 @@ median over turns of this rate divided by that of the case against which it is m
 
 def check(config: Config) -> None:
     """Refuse settings that cannot be measured."""
-    if unknown := sorted(set(config.only) - set(GROUPS)):
-        raise UserError(f"--only: {unknown[0]!r} is unknown; known are {', '.join(GROUPS)}")
-    if not config.seconds > 0:
-        raise UserError(f"--seconds is {config.seconds}; it must be positive")
-    check_bounds(config, **_BOUNDS)
+    if others := sorted(set(config.only) - set(GROUPS)):
+        raise unknown("--only: group", others[0], GROUPS)
     if not config.robots:
         raise UserError("--robots names none; give sizes of teams, 2 or more")
     if (bearings := config.num_envs * max(config.robots) ** 2) > _MOST_BEARINGS:

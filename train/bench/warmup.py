@@ -9,6 +9,7 @@ from tyro.conf import arg
 from rendezvous_env import baselines
 from rendezvous_env.scenario.scenarios import names
 
+from ..checks import Flags
 from ..compare.playing import TOGETHER, make_ready
 from ..compare.settings import Job
 from ..console import Console
@@ -16,7 +17,7 @@ from ..policies import resolve_scenario
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(Flags):
     """Compile beforehand what the first use of a scenario would compile."""
 
     scenarios: Annotated[tuple[str, ...], arg(aliases=("--scenario",))] = ()

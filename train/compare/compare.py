@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .. import results
-from ..checks import typed
 from ..console import Console
-from ..resume import Part, claimed
+from ..resume import Part
 from ..tasks import Workers, each
 from . import out_folder, statistics, sweep, tables, upper_bound
 from .evaluation import EPISODE_COLUMNS
@@ -56,38 +55,29 @@ def run(config: Config) -> int:
     """Compare, print the answer, write all files; exit status 1 if a merge raised V above its
     proven bound, else 0.
     """
-    config, console, clock = typed(config), Console(), _Clock()
+    console, clock = Console(), _Clock()
     jobs = plan(config)
     out = out_folder.destination(config.out)
-    with claimed(out.parent, f".{out.name}.lock", f"--out {config.out}"):
-        part = Part(out_folder.part_of(out), plan_of(jobs, config), "comparison")
-        if out_folder.settle(out) == part.run:
-            said = f"{out} holds this comparison: it was finished, but not renamed yet"
-            console.print(said, soft_wrap=True)
-            return 0
-        with part.at_work(config.out, console, fresh=config.fresh):
-            return _run(config, jobs, out, part, console, clock)
-
-
-def _run(
-    config: Config, jobs: Sequence[Job], out: Path, part: Part, console: Console, clock: _Clock
-) -> int:
-    clock.now("setting up")
-    found, clock["compiling"] = _play(config, jobs, part, console)
-    clock.now("playing")
-    files = write(part, found, config)
-    _show(found, config, console)
-    clock.now("tables")
-    if config.figures:
-        files += _draw(part, found, config, console)
-        clock.now("drawing")
-    timing = {f"{name.replace(' ', '_')}_s": seconds for name, seconds in clock.items()}
-    about = description(config, found, timing | {"total_s": clock.total})
-    if config.json is not None:  # before OUT.part counts as finished, and is not played again
-        kept = {name: about[name] for name in ("seed", "command_line", "versions", "timing")}
-        write_summary(config.json, found, kept)
-    out_folder.seal(part.folder, files, {**about, "run": part.run})
-    out_folder.promote(out)
+    part = Part(out_folder.part_of(out), plan_of(jobs, config), "comparison")
+    with part.at_work(config.out, console, fresh=config.fresh):
+        results.put_back(out)
+        clock.now("setting up")
+        found, clock["compiling"] = _play(config, jobs, part, console)
+        clock.now("playing")
+        files = write(part, found, config)
+        _show(found, config, console)
+        clock.now("tables")
+        if config.figures:
+            files += _draw(part, found, config, console)
+            clock.now("drawing")
+        timing = {f"{name.replace(' ', '_')}_s": seconds for name, seconds in clock.items()}
+        about = description(config, found, timing | {"total_s": clock.total})
+        if config.json is not None:
+            kept = {name: about[name] for name in ("seed", "command_line", "versions", "timing")}
+            write_summary(config.json, found, kept)
+        out_folder.seal(part.whole, files, {**about, "run": part.run})
+        results.put_in_place(part.whole, out)
+        part.discard()
     episodes = sum(len(done.episodes.success) for done in found.played)
     split = ", ".join(f"{name} {seconds:.1f}" for name, seconds in clock.items())
     said = f"{episodes} episode{'s' * (episodes != 1)} in {clock.total:.1f} s: {split}; files in "
@@ -182,14 +172,14 @@ def write(part: Part, found: Found, config: Config) -> list[str]:
         levels = (sweep.rows_of(one, found.rows) for one in sweeps)
         files["levels.csv"] = sweep.COLUMNS, chain.from_iterable(levels)
     for name, (columns, rows) in files.items():
-        results.write_csv(part.folder / name, columns, rows)
+        results.write_csv(part.whole / name, columns, rows)
     arrays = {
         f"{done.job.scenario.name}/{done.job.policy}/{start}/{name}": array
         for done in found.played
         for start, recording in done.recordings.items()
         for name, array in recording.items()
     }
-    results.write_arrays(part.folder / "trajectories.npz", arrays, part.run)
+    results.write_arrays(part.whole / "trajectories.npz", arrays, part.run)
     return [*files, "trajectories.npz"]
 
 
@@ -241,7 +231,7 @@ def _plain(row: Row, columns: Sequence[str]) -> Row:
 def _draw(part: Part, found: Found, config: Config, console: Console) -> list[str]:
     """Draw all figures; the names of their files."""
     pictures, endings = list(_pictures(found, config)), ("png", "pdf") if config.pdf else ("png",)
-    work = partial(_draw_one, folder=part.folder, run=part.run, endings=endings)
+    work = partial(_draw_one, folder=part.whole, run=part.run, endings=endings)
     # on this machine, wherever was played: its files are wanted here
     drawn = each(work, pictures, Workers(jobs=config.jobs))
     with console.status("drawing …"), closing(drawn):

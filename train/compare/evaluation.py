@@ -20,7 +20,7 @@ from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, Step, run
 
 from ..checks import user_error
-from ..recording import Recorder, Recording, Snapshot, seen_again
+from ..recording import Recorder, Recording, seen_again, state_of
 
 CHUNK = 1024
 """Most teams simulated at once; more starts are played one chunk after the other."""
@@ -116,11 +116,11 @@ def play(
         with user_error(f"{scenario.name}: ", RuntimeError):  # no room for a start
             observations = simulator.reset(seed + first)
         kept = range(min(keep, episodes)) if first == 0 else ()
-        start, exact = Snapshot(simulator), seen_again(scenario)
-        recorders = [Recorder(start, team, observations, exact) for team in kept]
+        exact = seen_again(scenario)
+        recorders = [Recorder(simulator, team, observations, exact) for team in kept]
         meter = _Meter(simulator)
         for step in islice(run(simulator, make_policy(), observations), steps):
-            aligned, after = meter.see(step), Snapshot(simulator)
+            aligned, after = meter.see(step), state_of(simulator) if recorders else {}
             for recorder in recorders:
                 recorder.see(step, aligned, after)
         parts.append(meter.episodes(margin))

@@ -1,21 +1,19 @@
 """A result folder stands at OUT whole, or not at all.
 
-OUT.part holds an unfinished comparison (``resume``). It gets tables, figures and, last of all,
-run.json with the digests of all of them; then the rest goes and it is renamed to OUT. So wherever a
-kill strikes, OUT.part with a run.json is whole, OUT.part without one is resumed, and the older OUT
-stays until then.
+OUT.part holds an unfinished comparison (``resume``). In a folder there it gets tables, figures and,
+last of all, run.json with the digests of all of them; then that is renamed to OUT, and the rest
+goes. So wherever a kill strikes, the same command resumes, and the older OUT stays until then.
 """
 
 import os
 import re
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from rendezvous_env.baselines.learned import plain_data
 
-from .. import results, resume
+from .. import results
 from ..checks import UserError, user_error
 
 RUN = "run.json"
@@ -35,11 +33,6 @@ def is_ours(name: str) -> bool:
 def part_of(out: Path) -> Path:
     """Where a comparison stands until it is finished."""
     return out.with_name(f"{out.name}.part")
-
-
-def _replaced(out: Path) -> Path:
-    """Where an older OUT stands while the new one takes its place."""
-    return out.with_name(f".{out.name}.replaced")
 
 
 def destination(
@@ -77,32 +70,3 @@ def is_sealed(about: Mapping[str, Any]) -> bool:
     """Whether the content of run.json is what ``seal`` wrote."""
     content = {key: value for key, value in about.items() if key != "sha256"}
     return about.get("sha256") == plain_data.digest(content)
-
-
-def settle(out: Path) -> str | None:
-    """Put in place what a kill has left finished beside OUT; the id of its run, if any."""
-    if (part_of(out) / RUN).is_file():
-        return promote(out)
-    if not out.exists() and _replaced(out).exists():
-        _replaced(out).rename(out)
-    shutil.rmtree(_replaced(out), ignore_errors=True)
-    return None
-
-
-def promote(out: Path) -> str:
-    """Rename a finished OUT.part to OUT, which it replaces as a whole; id of the run."""
-    part, replaced = part_of(out), _replaced(out)
-    about = resume.read(part / RUN)
-    if not is_sealed(about):
-        raise UserError(f"{part / RUN}: its content was changed; remove {part}")
-    for path in part.iterdir():
-        if path.is_dir():
-            shutil.rmtree(path)
-        elif path.name not in (*about["files"], RUN):
-            path.unlink()
-    if out.exists():
-        shutil.rmtree(replaced, ignore_errors=True)
-        out.rename(replaced)
-    part.rename(out)
-    shutil.rmtree(replaced, ignore_errors=True)
-    return str(about["run"])

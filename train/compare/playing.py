@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
-from operator import methodcaller
+from operator import attrgetter, methodcaller
 from typing import Any
 
 import numpy as np
@@ -126,7 +126,8 @@ def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
     starts, kept = config.starts(job.scenario), config.kept(job.scenario)
     # what was registered from outside is known to this process alone
     has_file = ":" in job.policy and not job.policy.startswith("__main__:")
-    typed_in = policies.kind_of(job.policy) == "own" and not has_file
+    stays = policies.kind_of(job.policy) == "own" and not has_file
+    stays |= bool(policies.registered(job.scenario))
     weights = _weights(job.policy, [job.scenario]) if ":" in job.policy else None
     return [
         Task(
@@ -137,15 +138,10 @@ def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
             work=partial(
                 play_block, job, first, count, config.seed, min(count, kept - first), weights
             ),
-            stays=typed_in,
+            stays=stays,
         )
         for first in range(0, starts, BLOCK)
     ]
-
-
-def stays_here(task: Task) -> bool:
-    """Whether only this process can do a task."""
-    return task.stays or bool(policies.registered(task.scenario))
 
 
 def play_block(
@@ -195,16 +191,15 @@ def play_all(
     how long each worker made kernels ready, s.
     """
 
-    def do(left: list[Task]) -> Generator[tuple[int, Any], None, None]:
-        left[:] = _one_of_each_first(left)
+    def do(left: Sequence[Task]) -> Generator[tuple[int, Any], None, None]:
         long = len(left) >= _MANY
-        return each(methodcaller("work"), left, workers, stays_here, long=long)
+        return each(methodcaller("work"), left, workers, attrgetter("stays"), long=long)
 
     found, ready = {}, 0.0
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
         bar = progress.add_task("playing", total=sum(task.count for task in tasks))
-        for task, result, now in part.finish(tasks, do):
+        for task, result, now in part.finish(_one_of_each_first(tasks), do):
             found[task.name] = result
             ready += result.ready if now and isinstance(result, Played) else 0.0
             progress.update(bar, advance=task.count, description=task.label.ljust(40))

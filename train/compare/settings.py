@@ -2,18 +2,18 @@
 
 import os
 from dataclasses import dataclass
-from math import inf
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import arg
 
 from rendezvous_env import baselines
+from rendezvous_env.checks import meant
 from rendezvous_env.scenario import scenarios as named_scenarios
 from rendezvous_env.scenario.scenario import Scenario
 
 from .. import policies, results
-from ..checks import UserError, check_bounds, meant
+from ..checks import Bounds, UserError
 from ..tasks import Workers
 from . import sweep as levels
 from .evaluation import starts_of
@@ -57,18 +57,20 @@ class Config(Workers):
     scenario that gives a policy, or None where it does not fit. Without this flag every policy that
     fits is compared, but for those that see nothing and for references, which see everything. Where
     a policy does not fit it is left out."""
-    episodes: int | None = None
+    episodes: Annotated[int | None, Bounds(1)] = None
     """How many starts of each scenario are played: 100 by default, and fewer for more than
     eight robots among obstacles, 800 over their number. A scenario whose start is given is played
     once."""
-    seed: int = 0
+    seed: Annotated[int, Bounds(0)] = 0
     """Start k of every scenario has the seed SEED + k, whatever the policy."""
     out: Path = Path("out/compare")
     """The folder for tables, trajectories and figures; one that is there is replaced at the end.
     Until then what is finished lies in OUT.part, and the same command resumes it."""
     fresh: Annotated[bool, arg(name="overwrite", aliases=("--fresh",))] = False
     """Throws away what another command has left unfinished in OUT.part."""
-    keep: Annotated[int | None, arg(name="keep-trajectories", aliases=("--keep",))] = None
+    keep: Annotated[int | None, Bounds(0), arg(name="keep-trajectories", aliases=("--keep",))] = (
+        None
+    )
     """Of how many starts the trajectories are kept: 3 by default, and fewer where there are
     fewer starts. Where a policy fails and none of these fails, its first failure is kept too."""
     sensing: tuple[str, ...] = ()
@@ -77,7 +79,7 @@ class Config(Workers):
     an exact sensor."""
     set: tuple[str, ...] = ()
     """Other values for fields of every scenario, as in n_robots=9 time_limit=60."""
-    ceiling: Annotated[int, arg(name="oracle-runs", aliases=("--ceiling",))] = 0
+    ceiling: Annotated[int, Bounds(0), arg(name="oracle-runs", aliases=("--ceiling",))] = 0
     """Randomised runs of law (4) on each start, the best of which says what any heading policy can
     reach (a hindsight upper bound), beside what a planner can that knows the map. With 0 this is
     left out."""
@@ -123,11 +125,9 @@ class Job:
 
 def plan(config: Config) -> list[Job]:
     """The jobs that a configuration asks for; a UserError where it cannot be."""
-    check_bounds(config, episodes=(1, inf), seed=(0, inf), keep=(0, inf), ceiling=(0, inf))
     episodes = config.episodes or _STARTS
     if config.seed + episodes > 2**63:
         raise UserError(f"--seed is {config.seed}; with {episodes} starts it is too large")
-    config.check_workers()
     policies.check_names(config.policies)
     scenarios = _resolve(config)
     if swept := levels.sweeps(scenarios, config.sensing):
@@ -142,9 +142,9 @@ def plan(config: Config) -> list[Job]:
         jobs += [Job(scenario, name) for name in fitting]
     played = list(dict.fromkeys(job.policy for job in jobs))
     if config.against is not None and config.against not in played:
+        near = meant(config.against, played, after=" ")
         raise UserError(
-            f"--against {config.against!r} is not compared; {meant(config.against, played)}"
-            f"these are: {', '.join(played)}"
+            f"--against {config.against!r} is not compared; {near}these are: {', '.join(played)}"
         )
     if config.json is not None:
         path, out = (Path(os.path.realpath(one)) for one in (config.json, config.out))

@@ -8,7 +8,7 @@ from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.sensors.sensing import Sensing
 
 from .. import results
-from ..checks import UserError, meant
+from ..checks import UserError, unknown, user_error
 
 Level = float | str | None
 _EXACT = "none"
@@ -51,10 +51,7 @@ def sweeps(scenarios: Sequence[Scenario], words: Sequence[str]) -> list[Sweep]:
     for word in words:
         name, _, listed = word.partition("=")
         if name not in _FIELDS:
-            raise UserError(
-                f"--sensing {word}: {name!r} is no field of a sensor; {meant(name, _FIELDS)}"
-                f"they are {', '.join(_FIELDS)}"
-            )
+            raise unknown(f"--sensing {word}: field of a sensor", name, _FIELDS)
         levels = tuple(_level(name, text) for text in listed.split(",") if text)
         if len(levels) < 2 or len(set(levels)) < len(levels):
             raise UserError(f"--sensing {word}: name two or more levels, as in {name}=0,0.1")
@@ -82,15 +79,13 @@ def _level(field: str, text: str) -> Level:
 
 def _at(base: Scenario, field: str, level: Level) -> Scenario:
     """The scenario at a level; the scenario itself where that is its own."""
-    try:
-        change: dict[str, Any] = {field: level}
+    change: dict[str, Any] = {field: level}
+    with user_error(f"--sensing {field}={level}: ", ValueError, TypeError):
         sensing = replace(base.sensing, **change)
         if sensing == base.sensing:
             return base
         name = f"{base.name}-{field.replace('_', '-')}-{_shown(level)}"
         return base.replace(name=name, sensing=sensing)
-    except (ValueError, TypeError) as error:
-        raise UserError(f"--sensing {field}={level}: {error}") from error
 
 
 COLUMNS = ("base", "field", "level", *results.RESULT_COLUMNS)

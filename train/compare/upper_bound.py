@@ -22,6 +22,7 @@ from rendezvous_env import baselines
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.trajectory import Policy
 
+from .. import policies
 from .evaluation import Episodes, counts_contacts, play
 from .playing import Task
 from .settings import Config
@@ -69,6 +70,7 @@ def tasks_of(scenario: Scenario, config: Config) -> list[Task]:
             scenario=scenario,
             count=starts,
             work=partial(play_run, scenario, run, starts, config.seed),
+            stays=bool(policies.registered(scenario)),
         )
         for run in (*range(config.ceiling), None)
     ]

@@ -20,7 +20,7 @@ from rendezvous_env.trajectory import Step, Trajectory, rollout
 from rendezvous_env.trajectory import run as steps_of
 
 from .. import policies
-from ..checks import UserError, check_bounds, check_installed, user_error
+from ..checks import Bounds, Flags, UserError, check_installed, user_error
 from ..console import Console
 from ..results import atomic, prepare_folder
 from . import path_figures, style
@@ -30,7 +30,6 @@ STILLS = (".png", ".pdf")
 _USUAL_LENGTH = 8.0  # s, of a video whose speed is not given
 _LEAST_STEPS = 15  # in a second of such a video; fewer would not look like motion
 _LAST_PICTURE = 1.5  # s, for which a video shows the end of the episode
-_LIMITS = {"seed": (0, 2**63 - 1), "size": (120, 4096), "fps": (1, 100), "speed": (1e-3, 1e3)}
 
 Frame = NDArray[np.uint8]
 """(height, width, 3); those of a video are of equal and even size."""
@@ -42,7 +41,7 @@ EXAMPLES = (
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(Flags):
     """Make a video (.gif, .mp4) or a figure (.png, .pdf) of one episode."""
 
     scenario: Annotated[str, arg(aliases=("--scenarios",))] = "fig4"
@@ -50,15 +49,15 @@ class Config:
     policy: Annotated[str | None, arg(aliases=("--policies",))] = None
     """The name of a policy; learned and learned:PATH are among them. Without it the best that fits
     is taken."""
-    seed: int = 0
+    seed: Annotated[int, Bounds(0, 2**63 - 1)] = 0
     """The seed of the start."""
     out: Path = Path("out/render.gif")
     """The file to write; its ending says what: .gif, .mp4, .png or .pdf."""
-    size: int = 600
+    size: Annotated[int, Bounds(120, 4096)] = 600
     """The edge of a video's square picture, pixels; an odd one is made even."""
-    fps: int = 25
+    fps: Annotated[int, Bounds(1, 100)] = 25
     """How many pictures a second of video has."""
-    speed: float | None = None
+    speed: Annotated[float | None, Bounds(1e-3, 1e3)] = None
     """How many simulated seconds a second of video shows. Without it the video is 8 s long, or
     shorter if the episode has few steps."""
     set: tuple[str, ...] = ()
@@ -92,7 +91,6 @@ def _check(config: Config) -> tuple[Scenario, str]:
         raise UserError(
             f"--out {config.out}: unknown ending {ending!r}; known are {', '.join(known)}"
         )
-    check_bounds(config, **_LIMITS)
     policies.check_names([config.policy] if config.policy else [])
     scenario = policies.resolve_scenario(config.scenario, config.set)
     name = config.policy or policies.best(scenario)

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from tyro.conf import Positional
@@ -20,7 +20,7 @@ from rendezvous_env.scenario import scenarios
 from rendezvous_env.trajectory import Trajectory, rollout
 
 from .. import policies, results
-from ..checks import UserError, check_bounds, check_installed
+from ..checks import Bounds, Flags, UserError, check_installed
 from ..console import Console
 from ..recording import Recording
 from . import bounds, path_figures, style
@@ -50,7 +50,7 @@ _COMPILING = "the first use on a machine compiles …"
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(Flags):
     """Draw a figure of the paper: (a) the paths, (b) V(t) with its jumps at merges.
 
     The paper prints no coordinates; start positions and obstacles are our own choice. Or draw
@@ -69,10 +69,10 @@ class Config:
     fig4, and for pixels, which shows four."""
     out: Path = Path("out/reproduce")
     """The folder for the picture and its data; it is made if there is none."""
-    seed: int = 0
+    seed: Annotated[int, Bounds(0, 2**63 - 1)] = 0
     """The seed of the robots' local frames, which do not change what is drawn; of tank, bounds and
     pixels that of the first start."""
-    episodes: int = 256
+    episodes: Annotated[int, Bounds(1, 10**6)] = 256
     """How many starts each point of tank has, each row of bounds and each policy of pixels."""
     page: Path | None = None
     """A Markdown page in which the table of bounds takes the place of the one with its head."""
@@ -80,7 +80,6 @@ class Config:
 
 def run(config: Config) -> int:
     """Simulate, draw, and write FIGURE.png, FIGURE.pdf, FIGURE.npz and FIGURE.csv."""
-    check_bounds(config, seed=(0, 2**63 - 1), episodes=(1, 10**6))
     if config.page is not None and config.figure != "bounds":
         raise UserError(f"--page is {config.page}; {config.figure} makes no table for it")
     if config.figure == "pixels":

@@ -5,7 +5,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import inf
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -15,13 +14,13 @@ from tyro.conf import arg
 from rendezvous_env.scenario import scenarios
 
 from .. import results
-from ..checks import UserError, check_bounds
+from ..checks import Bounds, UserError
 from ..compare import out_folder, statistics
 from ..compare.playing import Task, play_all
 from ..console import Console
 from ..learn.settings import MOST_SEED
 from ..policies import resolve_scenario
-from ..resume import Part, claimed, program
+from ..resume import Part, program
 from ..tasks import Workers
 from . import registry, tables
 from .cards import Card, Place, Run, has_replay, place_of, read_card, read_cards, run_of, write_run
@@ -69,11 +68,11 @@ class Config(Workers):
     libraries are installed."""
     fields: Annotated[tuple[str, ...], arg(aliases=("--scenarios",))] = ()
     """Other fields than the tier's: named scenarios, with or without version."""
-    seeds: tuple[int, ...] = ()
+    seeds: Annotated[tuple[int, ...], Bounds(0, MOST_SEED)] = ()
     """Other seeds than the tier's, which are 0, 1, and so on."""
-    decisions: int | None = None
+    decisions: Annotated[int | None, Bounds(1)] = None
     """Another budget than the tier's, in decisions of single robots."""
-    starts: int | None = None
+    starts: Annotated[int | None, Bounds(1)] = None
     """Another number of held-out starts than the tier's."""
     repeat: Path | None = None
     """A results card: its cell is done again, and compared with it bit by bit; status 1 if it
@@ -90,7 +89,6 @@ class Config(Workers):
 
 def plan(config: Config) -> list[Place]:
     """The cells that a configuration asks for, those that fit; a UserError if there are none."""
-    check_bounds(config, seeds=(0, MOST_SEED), decisions=(1, inf), starts=(1, inf))
     tier = TIERS[config.tier]
     able = tuple(name for name, one in registry.known().items() if not one.missing)
     decisions, starts = config.decisions or tier.decisions, config.starts or tier.starts
@@ -128,30 +126,29 @@ def run(config: Config) -> int:
         wanted = ", ".join(sorted({package for own in lacking.values() for package in own}))
         console.print(f"left out without {wanted}: {', '.join(lacking)}", soft_wrap=True)
     asked = {**program(), "cells": [list(p) for p in places], "record": config.record}
-    with claimed(out.parent, f".{out.name}.lock", f"--out {config.out}"):
+    part = Part(out_folder.part_of(out), asked, "leaderboard")
+    with part.at_work(config.out, console, fresh=config.fresh):
         if out.exists():
             results.prepare_folder(out, f"--out {config.out}")
         kept = _kept(out, places)
         if config.record:
             kept = {p: c for p, c in kept.items() if p not in places or has_replay(out, c)}
-        part = Part(out_folder.part_of(out), asked, "leaderboard")
-        with part.at_work(config.out, console, fresh=config.fresh):
-            tasks = {
-                place: Task(
-                    name=f"cell-{number:04d}",
-                    label=f"{place.algorithm} · {place.field} · {place.seed}",
-                    scenario=scenarios.get(place.field),
-                    count=1,
-                    work=partial(run_of, place, config.record or place.seed == places[0].seed),
-                )
-                for number, place in enumerate(places)
-                if place not in kept
-            }
-            done, _ = play_all(list(tasks.values()), config, part, console)
-            runs = {place: (card, None) for place, card in kept.items()}
-            runs |= {place: done[task.name] for place, task in tasks.items()}
-            write(out, [runs[place] for place in sorted(runs)], console)
-            part.discard()
+        tasks = {
+            place: Task(
+                name=f"cell-{number:04d}",
+                label=f"{place.algorithm} · {place.field} · {place.seed}",
+                scenario=scenarios.get(place.field),
+                count=1,
+                work=partial(run_of, place, config.record or place.seed == places[0].seed),
+            )
+            for number, place in enumerate(places)
+            if place not in kept
+        }
+        done, _ = play_all(list(tasks.values()), config, part, console)
+        runs = {place: (card, None) for place, card in kept.items()}
+        runs |= {place: done[task.name] for place, task in tasks.items()}
+        write(out, [runs[place] for place in sorted(runs)], console)
+        part.discard()
     console.print(f"{len(runs)} cells; files in {config.out}", soft_wrap=True)
     return 0
 

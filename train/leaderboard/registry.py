@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..checks import UserError
+from ..checks import UserError, unknown
 from .playing import Player
 
 
@@ -62,7 +62,7 @@ def known() -> dict[str, Algorithm]:
 def find(name: str) -> Algorithm:
     """The algorithm of a name; a UserError for an unknown one, or if a package is missing."""
     if name not in known():
-        raise UserError(f"algorithm {name!r} is unknown; known are {', '.join(known())}")
+        raise unknown("algorithm", name, known())
     if missing := known()[name].missing:
         raise UserError(
             f"algorithm {name!r} needs {', '.join(missing)}; pip install {' '.join(missing)}"

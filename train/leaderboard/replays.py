@@ -20,7 +20,7 @@ from .. import results
 from ..checks import UserError
 from ..compare.evaluation import alignments
 from ..encoding import Encoded, encode_all
-from ..recording import Recorder, Recording, Snapshot
+from ..recording import Recorder, Recording, state_of
 from .playing import Player, play
 
 BUDGET = 20_000
@@ -40,15 +40,15 @@ def play_and_record(
     recorders: list[Recorder] = []
 
     def begin(simulator: Simulator) -> None:
-        step, seen, start = simulator.step, simulator.observe(), Snapshot(simulator)
-        recorders.extend(Recorder(start, team, seen, exact=False) for team in starts)
+        step, seen = simulator.step, simulator.observe()
+        recorders.extend(Recorder(simulator, team, seen, exact=False) for team in starts)
 
         def watched(actions: NDArray[np.float32]) -> StepOutput:
             nonlocal seen
             running, before = simulator.status == RUNNING, simulator.lyapunov()
             outcome = step(actions)
             done = Step(running, seen, actions, before, outcome)
-            aligned, after = alignments(simulator.scenario, done), Snapshot(simulator)
+            aligned, after = alignments(simulator.scenario, done), state_of(simulator)
             for recorder in recorders:
                 recorder.see(done, aligned, after)
             seen = outcome.observations

@@ -50,34 +50,27 @@ def write(run: Path, step: int, description: Mapping[str, Any], tables: Tables) 
 
 
 def write_folder(place: Path, description: Mapping[str, Any], tables: Tables) -> None:
-    """Write one checkpoint under a temporary name and rename it, in place of an older one there."""
+    """Write one checkpoint, whole or not at all, in place of an older one there."""
     from safetensors.numpy import save
 
     for left in place.parent.glob(".*.part"):
         shutil.rmtree(left, ignore_errors=True)
-    temporary, replaced = (place.with_name(f".{place.name}{end}.part") for end in ("", ".old"))
-    try:
+    contents = {
+        f"{name}.safetensors": save({k: np.ascontiguousarray(v) for k, v in arrays.items()})
+        for name, arrays in tables.items()
+    }
+    files = {name: entry(content) for name, content in contents.items()}
+    about = {"format_version": checkpoints.FORMAT_VERSION, **description, "files": files}
+    about["sha256"] = checkpoints.digest_of(about)
+    contents[checkpoints.DESCRIPTION] = (json.dumps(about, indent=2) + "\n").encode()
+    with results.atomic(place) as temporary:
         temporary.mkdir()
-        contents = {
-            f"{name}.safetensors": save({k: np.ascontiguousarray(v) for k, v in arrays.items()})
-            for name, arrays in tables.items()
-        }
-        files = {name: entry(content) for name, content in contents.items()}
-        about = {"format_version": checkpoints.FORMAT_VERSION, **description, "files": files}
-        about["sha256"] = checkpoints.digest_of(about)
-        contents[checkpoints.DESCRIPTION] = (json.dumps(about, indent=2) + "\n").encode()
         for name, content in contents.items():
             with (temporary / name).open("wb") as file:
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
         _sync(temporary)
-        if place.exists():  # never a moment without either
-            place.rename(replaced)
-        temporary.rename(place)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-        shutil.rmtree(replaced, ignore_errors=True)
 
 
 def _sync(folder: Path) -> None:

@@ -1,6 +1,6 @@
 """PPO learns headings; a run can be stopped at any moment and resumed."""
 
-from ..checks import check_installed, typed
+from ..checks import check_installed
 from .log import OnUpdate, Result
 from .settings import EVALUATION_SEEDS, Config, check
 
@@ -23,7 +23,6 @@ def run(config: Config, on_update: OnUpdate | None = None) -> Result:
         UserError: for an impossible setting, a run that cannot be resumed, or a folder or disk that
             cannot be written.
     """
-    config = typed(config)
     check(config)
     check_installed("training", "train", "torch", "stable_baselines3")
     from . import trainer

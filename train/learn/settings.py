@@ -18,7 +18,7 @@ from rendezvous_env.safety.settings import SMALLEST_MARGIN
 from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..checks import UserError, check_bounds, check_fields, flag, typed, user_error
+from ..checks import Bounds, Flags, UserError, flag, user_error
 from ..policies import resolve_scenario
 from .sensing_ranges import Ranges, check_ranges
 
@@ -67,18 +67,18 @@ class Unsaid(int):
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(Flags):
     """Train a policy; the team keeps its guarantee whatever the network says."""
 
     scenario: Annotated[str, arg(aliases=("--scenarios",))] = "clutter-24"
     """A scenario's name or TOML file; its robots are anything but double integrators."""
-    curriculum: tuple[int, ...] = ()
+    curriculum: Annotated[tuple[int, ...], Bounds(0, 2**10)] = ()
     """The most obstacles of an episode, in stages of equal length; without it the scenario's."""
-    fewest_obstacles: int | None = None
+    fewest_obstacles: Annotated[int | None, Bounds(0, 2**10)] = None
     """The fewest obstacles of an episode with a curriculum; without it always the most."""
-    total_steps: int = Unsaid(3_000_000)
+    total_steps: Annotated[int, Bounds(1, 2**62)] = Unsaid(3_000_000)
     """How many decisions of single robots the run takes, in whole updates."""
-    seed: int = 0
+    seed: Annotated[int, Bounds(0, MOST_SEED)] = 0
     """The seed of weights, exploration and starts, below 2²⁹."""
     out: Path = Path("runs/heading")
     """The folder of the run."""
@@ -91,21 +91,21 @@ class Config:
     set: tuple[str, ...] = ()
     """Other values for fields of the scenario, as in n_robots=9 time_limit=60."""
 
-    num_teams: int = 256
+    num_teams: Annotated[int, Bounds(1)] = 256
     """How many environments are simulated at once."""
-    n_steps: int = 16
+    n_steps: Annotated[int, Bounds(2)] = 16
     """How many decisions each robot takes between updates."""
-    batch_size: int = 2048
+    batch_size: Annotated[int, Bounds(2, 2**31)] = 2048
     """How many samples a gradient step has."""
-    epochs: int = 4
+    epochs: Annotated[int, Bounds(1, 2**31)] = 4
     """How often an update passes over its samples."""
-    learning_rate: float = 1e-3
+    learning_rate: Annotated[float, Bounds(0, 1e6, "(]")] = 1e-3
     """The learning rate at the start; it falls linearly to a twentieth."""
-    gamma: float = 0.995
+    gamma: Annotated[float, Bounds(0, 1)] = 0.995
     """The discount for each decision."""
-    gae_lambda: float = 0.95
+    gae_lambda: Annotated[float, Bounds(0, 1)] = 0.95
     """λ of the generalised advantages."""
-    clip_range: float = 0.2
+    clip_range: Annotated[float, Bounds(0, ends="(]")] = 0.2
     """By how much the probability ratio may leave 1."""
     ent_coef: float = 0.001
     """The weight of the entropy."""
@@ -113,30 +113,30 @@ class Config:
     """How much likelier the analytic rule is than any other choice at the start, as a logarithm: 3
     if nothing is said under headings, where it is hard to beat; with a tank 0."""
 
-    set_width: int = 32
+    set_width: Annotated[int, Bounds(1, 2**12)] = 32
     """The width of the networks that read one neighbour or one obstacle."""
-    hidden: tuple[int, ...] = (64, 64)
+    hidden: Annotated[tuple[int, ...], Bounds(1, 2**12)] = (64, 64)
     """The widths of the layers behind them, for actor and critic."""
-    clearance: float = 0.2
+    clearance: Annotated[float, Bounds(0, math.pi, "[)")] = 0.2
     """The angle by which the guide stays clear of an edge, rad."""
-    persistence: float = 0.5
+    persistence: Annotated[float, Bounds(0)] = 0.5
     """How firmly the guide commits to a side."""
 
-    decision_period: int = 12
+    decision_period: Annotated[int, Bounds(1, 10**6)] = 12
     """For how many base steps a choice is held."""
-    min_alignment: float = 0.05
+    min_alignment: Annotated[float, Bounds(SMALLEST_MARGIN, 1, "[)")] = 0.05
     """The alignment margin ε of the certified heading, or of what a tank owes."""
-    max_turn_rate: float = 100.0
+    max_turn_rate: Annotated[float, Bounds(0, ends="(]")] = 100.0
     """The most that the certified heading turns, rad/s."""
     guarantee: Literal["heading", "tank"] = "heading"
     """Which guarantee holds: certified headings (theorem C), or an energy tank for each robot
     (theorem D)."""
-    budget: float = 0.0
+    budget: Annotated[float, Bounds(0, 1e9)] = 0.0
     """The level of each tank at the start, m²/s; the policy keeps it in units of r D̄."""
     memory: Literal["none", "features", "recurrent"] = "none"
     """What robots remember beside the last decisions: nothing; with a tank, features of the wall
     that they are at; whatever a recurrent unit learns to keep."""
-    memory_units: int = 64
+    memory_units: Annotated[int, Bounds(1, 2**12)] = 64
     """How many numbers the recurrent unit keeps for each robot."""
     critic: Literal["local", "global"] = "local"
     """What values are estimated from: what the robot is shown, or the state of the whole team too.
@@ -159,9 +159,9 @@ class Config:
     """The least and most delay, steps."""
     sensing_chance: float = 0.5
     """The chance that a sensor departs from the scenario's in a field that has a range."""
-    sensing_groups: int = 16
+    sensing_groups: Annotated[int, Bounds(1, 2**20)] = 16
     """How many groups of environments have a sensor each, where sensors are sampled."""
-    sensing_updates: int = 8
+    sensing_updates: Annotated[int, Bounds(1, 2**31)] = 8
     """For how many updates a group keeps its sensor; with the next one it begins new episodes."""
 
     progress: float | None = None
@@ -171,22 +171,22 @@ class Config:
     """What an episode costs that lasts to the time limit, paid evenly."""
     collision_penalty: float | None = None
     """What the team pays for each robot in contact, in each base step."""
-    touch_penalty: float = 1.0
+    touch_penalty: Annotated[float, Bounds(0)] = 1.0
     """What a robot pays for its first contact."""
     rendezvous_bonus: float | None = None
     """What the team earns when all have met."""
 
-    eval_every: int = Unsaid(500_000)
+    eval_every: Annotated[int, Bounds(0, 2**62)] = Unsaid(500_000)
     """How many decisions lie between evaluations; with 0 there is none."""
-    eval_starts: int = Unsaid(200)
+    eval_starts: Annotated[int, Bounds(1, 2**32)] = Unsaid(200)
     """How many held-out starts an evaluation has."""
     eval_scenarios: tuple[str, ...] = ()
     """The scenarios to evaluate on; without any it is the one that is trained on."""
-    checkpoint_every: int = Unsaid(500_000)
+    checkpoint_every: Annotated[int, Bounds(1, 2**62)] = Unsaid(500_000)
     """How many decisions lie between checkpoints."""
     tensorboard: bool = True
     """Writes events for TensorBoard beside metrics.csv."""
-    num_threads: int | None = None
+    num_threads: Annotated[int | None, Bounds(1, 2**10)] = None
     """The threads of torch and of the simulator: one for each core if nothing is said. On one
     thread a run repeats bit by bit."""
     device: str = "cpu"
@@ -207,7 +207,7 @@ class Config:
         if unknown := sorted(set(plain) - {field.name for field in fields(cls)}):
             raise ValueError(f"field {unknown[0]!r} of the configuration is unknown")
         memory = {"memory": memory_of(plain["memory"])} if "memory" in plain else {}
-        return typed(cls(**plain | memory))
+        return cls(**plain | memory)
 
     @property
     def first_seed(self) -> int:
@@ -269,42 +269,18 @@ class Config:
         )
 
 
-_BOUNDS = {
-    "total_steps": (1, 2**62), "seed": (0, MOST_SEED), "num_teams": (1, math.inf),
-    "n_steps": (2, math.inf), "batch_size": (2, 2**31), "epochs": (1, 2**31), "gamma": (0, 1),
-    "gae_lambda": (0, 1), "learning_rate": (0, 1e6), "touch_penalty": (0, math.inf),
-    "curriculum": (0, 2**10), "fewest_obstacles": (0, 2**10), "set_width": (1, 2**12),
-    "hidden": (1, 2**12), "persistence": (0, math.inf), "decision_period": (1, 10**6),
-    "budget": (0, 1e9), "memory_units": (1, 2**12), "sensing_groups": (1, 2**20),
-    "sensing_updates": (1, 2**31), "eval_every": (0, 2**62), "eval_starts": (1, 2**32),
-    "checkpoint_every": (1, 2**62), "num_threads": (1, 2**10),
-}  # fmt: skip
-"""Least and most of numbers, or of each of several."""
 _MOST_SAMPLES = 2**31
 MAY_CHANGE = ("total_steps", "eval_every", "eval_starts", "checkpoint_every", "num_threads")
 """Fields that a resumed run may change."""
 
 
 def check(config: Config) -> None:
-    """Refuse impossible settings with a UserError that names the flag and what would be right;
-    types are those that ``typed`` has let through.
+    """Refuse settings that do not go together with a UserError that names the flag and what would
+    be right.
     """
-    check_fields(config)
-    check_bounds(config, **_BOUNDS)
-    rules: dict[str, tuple[bool, str]] = {}
-    for name in ("learning_rate", "clip_range", "max_turn_rate"):
-        rules[name] = getattr(config, name) > 0, "positive"
-    rules["clearance"] = 0 <= config.clearance < math.pi, "an angle in [0, π) rad"
-    margins = SMALLEST_MARGIN <= config.min_alignment < 1  # as filters say
-    rules["min_alignment"] = margins, f"at least {SMALLEST_MARGIN:g} and less than 1"
-    for name, (holds, rule) in rules.items():
-        if not holds:
-            raise UserError(f"{flag(name)} is {getattr(config, name)!r}; it must be {rule}")
     _check_unused(config)
-    try:
+    with user_error("", ValueError):
         _check_scenarios(config)
-    except (ValueError, OSError) as error:
-        raise UserError(str(error)) from error
 
 
 def _check_unused(config: Config) -> None:

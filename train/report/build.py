@@ -10,7 +10,7 @@ from string import Template
 import numpy as np
 from tyro.conf import Positional
 
-from ..checks import UserError, user_error
+from ..checks import Flags, UserError, user_error
 from ..compare.evaluation import Episodes
 from ..compare.playing import Played
 from ..compare.ranking import Ranking, answer, leaders, rank
@@ -33,7 +33,7 @@ EXAMPLES = ("out/compare", "results/leaderboard/smoke")
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(Flags):
     """Make OUT/report.html of the results in OUT: tables, figures and an interactive replay; of a
     leaderboard's folder a page of its tables, figures, cards and replays.
 

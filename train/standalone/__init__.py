@@ -50,13 +50,9 @@ def levels_follow_v(scenario):
     """Tanks shrink with V where a merge is told; nobody tells a robot alone."""
     return False
 ''',
-    Name("rendezvous_env.baselines.learned.plain_data", "check_types"): '''
-def check_types(values, hints):
-    """Types were checked when this file was written."""
-''',
-    Name("rendezvous_env.baselines.learned.plain_data", "check_field_types"): '''
-def check_field_types(made):
-    """As ``check_types``."""
+    Name("rendezvous_env.checks", "check_fields"): '''
+def check_fields(made):
+    """Values were checked when this file was written."""
 ''',
 }
 _OF_OTHER_DIMENSIONS = {

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import inf
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -16,10 +15,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from tyro.conf import arg
 
-from ..checks import UserError, check_bounds, flag, meant
+from ..checks import Bounds, UserError, flag, unknown
 from ..console import Console
 from ..results import write_csv
-from ..resume import Part, claimed, program
+from ..resume import Part, program
 from ..tasks import Workers, each
 from . import claims as cases
 from .claims import BATCH, CLAIMS, Claim
@@ -40,24 +39,24 @@ FLAG_GROUPS = {"Workers": ("jobs", "on", "address")}
 class Config(Workers):
     """Check every claim of the theory on random teams; exit status 1 if one is violated."""
 
-    trials: int = 1000
+    trials: Annotated[int, Bounds(1, 10**8)] = 1000
     """Teams for each claim, or with --any scenarios."""
-    seed: int = 0
+    seed: Annotated[int, Bounds(0)] = 0
     """Other seeds draw other teams."""
     out: Path = Path("out/verify")
     """Folder for verify.csv. Until it is written what is finished lies in OUT/verify.part, and the
     same command goes on with it."""
-    min_alignment: float = 0.3
+    min_alignment: Annotated[float, Bounds(0, 1, "()")] = 0.3
     """Least margin ε that is drawn; waiting times grow with 1/ε²."""
     claims: tuple[str, ...] = ()
     """Names of the claims to check; all if none is given."""
-    only_batch: int | None = None
+    only_batch: Annotated[int | None, Bounds(0)] = None
     """Repeat one batch of teams, as a violation's report names it."""
     any: bool = False
     """Try whole scenarios drawn at random instead of claims: ask for every certificate, and hold
     each of its numbers against what adversaries can do. What is violated is made small and written
     to OUT as a TOML file with the choices that repeat it."""
-    kinds: int | None = None
+    kinds: Annotated[int | None, Bounds(1)] = None
     """Most kinds of scenarios for --any: to compile for one takes as long as to play a thousand.
     Without it one for every 300 scenarios."""
     fresh: Annotated[bool, arg(name="overwrite", aliases=("--fresh",))] = False
@@ -66,12 +65,6 @@ class Config(Workers):
 
 def check_config(config: Config) -> None:
     """Refuse what cannot be run in a UserError: the flag, its value and what would be right."""
-    check_bounds(config, trials=(1, 10**8), seed=(0, inf), only_batch=(0, inf), kinds=(1, inf))
-    config.check_workers()
-    if not 0 < config.min_alignment < 1:
-        raise UserError(
-            f"--min-alignment is {config.min_alignment}; it must lie between 0 and 1, exclusive"
-        )
     unused = ("claims", "only_batch", "min_alignment") if config.any else ("kinds",)
     for name in unused:
         if (value := getattr(config, name)) != getattr(Config, name):
@@ -80,8 +73,7 @@ def check_config(config: Config) -> None:
     known = [claim.name for claim in CLAIMS]
     for name in config.claims:
         if name not in known:
-            words = f"{meant(name, known)}known are {', '.join(known)}"
-            raise UserError(f"claim {name!r} is unknown; {words}")
+            raise unknown("claim", name, known)
 
 
 def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | None = None) -> int:
@@ -99,7 +91,6 @@ def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | Non
     tasks = _tasks_of_any(config) if config.any else _tasks_of_claims(config, chosen)
     tallies = {task.group: Tally() for task in tasks}
     with (
-        claimed(config.out, ".verify.lock", f"--out {config.out}"),
         part.at_work(config.out, console, fresh=config.fresh),
         Progress(*_BAR, console=console, transient=True) as progress,
     ):

@@ -161,7 +161,7 @@ class TestFiles:
     @pytest.mark.parametrize(
         ("changes", "message"),
         [
-            ({"guarantee": "hope"}, "guarantee is 'hope'; it must be of type"),
+            ({"guarantee": "hope"}, "guarantee is 'hope'; it must be one of"),
             ({"budget": -1.0}, "budget is -1.0"),
             ({"guarantee": "tank"}, "size mismatch"),
             ({"perception": 99}, "perception is 99; this version has"),
