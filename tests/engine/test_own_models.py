@@ -14,6 +14,8 @@ from test_kernel_cache import python
 
 import rendezvous_env as rv
 from rendezvous_env.compilation import compiled
+from train.compare import Job, play_job
+from train.recording import whole
 
 HOVER = '''"""A hovering robot: its velocity, a wind that carries it along, and two gusts."""
 
@@ -312,6 +314,9 @@ def test_a_sluggish_unicycle_moves_as_its_equations_say(own):
     assert touches
     sim.reset(0, {"positions": [[0.0, 0.0], [-9.0, 0.0]], "headings": [0.5, 1.0]})
     np.testing.assert_array_equal(sim.get_state()["memory"][0], [[0.5, 0.0], [1.0, 0.0]])
+    # no recording has its speed, by which what was seen could be found again
+    (kept,) = play_job(Job(scenario, "random"), episodes=1, seed=0, keep=1).recordings.values()
+    assert whole(kept, scenario) is kept
 
 
 PIECE = """
