@@ -57,6 +57,11 @@ def test_a_filter_of_ones_own_serves_every_environment():
     assert rv.vector.GuaranteeWrapper(venv, made).filter is made
     teams = rv.vector.training_env("fig3", 2, guarantee="half_speed", least=0.75)
     assert teams.env.filter.least == 0.75
+    # choices are held as under the guarantees of the package
+    assert teams.env.decision_period == round(0.6 / teams.scenario.tau)
+    for own in ({"decision_period": 3}, {"learning_preset": False}):
+        held = rv.vector.training_env("fig3", 2, guarantee="half_speed", **own)
+        assert held.env.decision_period == own.get("decision_period", 1)
     teams.reset(seed=0)
     teams.step(np.zeros(teams.action_space.shape, np.float32))
 
