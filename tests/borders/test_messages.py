@@ -200,7 +200,7 @@ CLUTTER = Scenario(n_robots=2, obstacle_slots=2)
                 ("random", "seed"),
             )
             if not (field == "seed" and value is HUGE)
-            if not (field == "persistence" and value is None)
+            if not (field in ("persistence", "budget", "patience") and value is None)
         ],
         (["zero"], {}, r"policy \['zero'\] is unknown; those that fit are"),
         (5, {}, "policy 5 is unknown"),
