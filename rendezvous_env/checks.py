@@ -219,11 +219,10 @@ def bools(field: str, value: Any, shape: tuple[int, ...] | None, of_what: str) -
         array = np.asarray(value)
     except (TypeError, ValueError, OverflowError, RecursionError):
         array = np.empty(0, dtype=object)
-    shape = array.shape if shape is None else shape
-    if array.shape != shape or array.dtype != np.bool_:
+    if (shape is not None and array.shape != shape) or array.dtype != np.bool_:
         is_array = array.dtype != object
         found = f"{array.dtype} of shape {array.shape}" if is_array else shown(value)
-        count = " × ".join(map(str, shape))
+        count = "the" if shape is None else " × ".join(map(str, shape))
         raise ValueError(f"{field} is {found}; it must be bool, one for each of {count} {of_what}")
     return array
 

@@ -28,6 +28,7 @@ BUDGET = 3_500_000
 
 ANGLE = 2 * np.pi / 2**16
 """Of one in 16 bits, rad: angles wrap round as integers do."""
+_DIGITS = 6  # of lengths, beside the largest one
 _COARSE = 4
 """Angles are multiples of so many of these; finer ones would take more room than they show."""
 
@@ -94,9 +95,10 @@ def encode(recording: Recording, stride: int = 1) -> Encoded:
         parts.append(_differences(values))
     packed = gzip.compress(b"".join(parts), compresslevel=6, mtime=0)
     extent = np.stack([points.min(axis=0), points.max(axis=0)], axis=1).tolist()
+    digits = max(5, _DIGITS - math.floor(math.log10(np.ptp(points, axis=0).max() or 1.0)))
     text = base64.b64encode(packed).decode("ascii")
-    plain = [  # to a hundredth of a millimetre
-        {name: np.round(value, 5).tolist() for name, value in one._asdict().items()}
+    plain = [  # to a hundredth of a millimetre, or finer in a small world
+        {name: np.round(value, digits).tolist() for name, value in one._asdict().items()}
         for one in outlines(table, dim)
     ]
     return Encoded(fields, text, stride, extent, plain)

@@ -27,8 +27,8 @@ ARRAYS = {
     "lyapunov_after_merge": "(T,), V just after the last merge of that step, m²/s, or NaN",
     "contacts": "(T, n), steps with a contact up to the frame",
     "alignment": "(T, n), of the step that led to the frame; NaN where there is none",
-    "observations": "(T, n, rows, d), what the robots saw; only where sensors err or links are not "
-    "fixed and undirected, else ``report`` finds it again",
+    "observations": "(T, n, rows, d), what the robots saw; only where sensors err, links are not "
+    "fixed and undirected, or a model keeps more, else ``report`` finds it again",
     "weights": "(changes, links), elsewhere: the links at the start and after each merge, as "
     "``Simulator.get_state`` gives them",
     "first": "(changes, links), lower robot of each link, likewise; of large sparse teams only",
@@ -47,8 +47,13 @@ LINKS = ("weights", "first", "second")
 
 
 def seen_again(scenario: Scenario) -> bool:
-    """Whether what robots saw follows from where they were: exact sensors, fixed links."""
-    return scenario.sensing.exact and scenario.sensing_graph.undirected
+    """Whether what robots saw follows from where they were: exact sensors, fixed links, and no
+    state of a user's own model beyond what is recorded.
+    """
+    model = scenario.model
+    recorded = model.n_angles + scenario.dim * model.keeps_velocity
+    plain = model.memory_size(scenario.dim) == recorded
+    return plain and scenario.sensing.exact and scenario.sensing_graph.undirected
 
 
 def state_of(simulator: Simulator) -> Recording:

@@ -17,7 +17,7 @@ from rendezvous_env.physics.neighbour_rows import net_bearing_of
 from rendezvous_env.physics.vectors import X_AXIS, load, norm, scaled, split, store
 from rendezvous_env.safety.heading import HeadingFilter, scale_of_step
 from rendezvous_env.safety.safety_filter import over_teams
-from rendezvous_env.safety.tank import EnergyTank, unit_of_tanks
+from rendezvous_env.safety.tank import EnergyTank
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..obstacle_rules.merged_silhouettes_2d import joined_heading_2d
@@ -197,7 +197,7 @@ class GuidedTeams:
             heading: dict[str, Any] = common | {"max_turn_rate": most, "frame": "local"}
             self.steering = HeadingFilter(scenario, num_envs, **heading)
         else:
-            budget = settings.budget * unit_of_tanks(scenario)
+            budget = settings.budget_of(scenario)
             make_tank = HeadingTankFilter if self.bodies is None else CommandedTank
             self.tank = self.steering = make_tank(scenario, num_envs, budget=budget, **common)
         self.angles = settings.angles

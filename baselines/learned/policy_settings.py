@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env.checks import check_fields, is_sequence, number, refuse, whole
+from rendezvous_env.limits import LARGEST
 from rendezvous_env.safety.settings import check_margin
+from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
 from .feature_kernels import LEVEL_COLUMNS, WALL_COLUMNS
@@ -102,6 +104,10 @@ class PolicySettings:
     def decision_period(self, scenario: Scenario) -> int:
         """Base steps between decisions in a scenario; 1 where a step is longer."""
         return max(1, round(self.decision_time / scenario.tau))
+
+    def budget_of(self, scenario: Scenario) -> float:
+        """B of each tank in a scenario, m²/s."""
+        return min(self.budget * unit_of_tanks(scenario), LARGEST)
 
     def layout(self, neighbour_slots: int, obstacle_slots: int) -> FeatureLayout:
         """What the network is shown, with so many slots."""

@@ -166,7 +166,7 @@ class ShippedPreset:
         settings = preset(guarantee, scenario).settings
         held: dict[str, Any] = {"decision_period": settings.decision_period(scenario)}
         if guarantee == "tank":
-            held |= {"budget": settings.budget * unit_of_tanks(scenario), "observe_level": True}
+            held |= {"budget": settings.budget_of(scenario), "observe_level": True}
         return held
 
     def wrap(

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import number, positive
 from rendezvous_env.compilation import kernel
+from rendezvous_env.limits import LARGEST
 from rendezvous_env.physics.vectors import (
     ORIGIN,
     X_AXIS,
@@ -49,8 +50,11 @@ its heading (3); in space the unit vector across f of the plane that it keeps to
 _JUMP = 1.5  # rad; an edge so far from the heading is another wall's
 _LOST = 2.4  # rad; farther round than this no wall is felt for
 _BEHIND_EDGE = 0.9  # of the clearance: how far beside the heading the wall is felt for
-_LARGEST_PATIENCE = 1e3  # m
-_ROUNDING = 1e-6  # m²/s; what a tank must have left, as actions are sent in float32
+_LARGEST_PATIENCE = 1e3  # of the first try's
+_BUDGET = 250.0  # in units of r max a_ij: 50 m²/s where r is 0.2 m and weights are 1 m/s
+_PATIENCE = 5.0  # in units of r
+_ROUNDING = 5e-6
+"""In units of r max a_ij; what a tank must have left, as actions are sent in float32."""
 _REST_TIME = 30.0  # s for which the tank must last at rest after any step that costs something
 _TOIL = 0.15
 """Share of ‖f‖ times its way that a robot that turns counts as lost: two that go round one thing on
@@ -64,6 +68,7 @@ class _Settings(NamedTuple):
     clearance: float  # rad; in space within the plane, and across it
     patience: float  # m back that a first try may lead; each turn doubles it
     aligned: float  # rad; within this angle of where they are to go robots that turn drive
+    rounding: float  # m²/s that a tank must have left
 
 
 @kernel(allocates=True)
@@ -151,7 +156,7 @@ def _turn(towards, before, spent, silhouettes, settings, memory, intervals):
         memory[WORK] = 0.0
     elif spent:
         memory[SIDE] = -held
-        memory[PATIENCE] = min(2.0 * memory[PATIENCE], _LARGEST_PATIENCE)
+        memory[PATIENCE] = min(2.0 * memory[PATIENCE], _LARGEST_PATIENCE * settings.patience)
     side, kept = memory[SIDE], math.atan2(dot(perpendicular(towards), before), dot(towards, before))
     edge, gap = _edge(joined, side)
     apart = edge - kept
@@ -216,7 +221,7 @@ def _inputs(f, account, heading, free, pitch, settings, memory):
     speed = strength * descent_scale(strength, degree, r, gate.duration, robot.speed_limit)
     speed, rates = inputs_towards(scaled(heading, speed), pitch, gate, settings.aligned)
     moved = scaled(mean_axis(rates, pitch, gate), speed * gate.duration)
-    if not free or level + certain_descent(f, degree, moved, r) < _ROUNDING:
+    if not free or level + certain_descent(f, degree, moved, r) < settings.rounding:
         memory[SHORT] = 1.0 if speed > 0.0 else 0.0
         speed = 0.0
     return speed, rates
@@ -242,20 +247,24 @@ class TankJoinedPolicy(RememberingPolicy):
 
     Args:
         scenario: whose robots it steers.
-        budget: B of each robot, m²/s.
+        budget: B of each robot, m²/s; None is 250 r max a_ij, which is 50 in the shipped fields.
         min_alignment: ε of the tank, in (0, 1).
         clearance: angle by which to stay clear of an edge, rad.
-        patience: how far from f a first try may lead, m.
+        patience: how far from f a first try may lead, m; None is 5 r, which is 1 there.
     """
 
     def __init__(
         self,
         scenario: Scenario,
-        budget: float = 50.0,
+        budget: float | None = None,
         min_alignment: float = 0.05,
         clearance: float = 0.2,
-        patience: float = 1.0,
+        patience: float | None = None,
     ) -> None:
+        r = float(scenario.merge_radius)
+        unit = r * scenario.sensing_graph.extreme_weights(scenario.n_robots)[1]
+        budget = min(_BUDGET * unit, LARGEST) if budget is None else budget
+        patience = min(_PATIENCE * r, LARGEST) if patience is None else patience
         self.scenario, self.budget = scenario, number("budget", budget, 0.0, unit="m²/s")
         self._margin = check_margin(min_alignment)
         check_clearance(clearance)
@@ -265,6 +274,7 @@ class TankJoinedPolicy(RememberingPolicy):
             robot_of(scenario, 0.0 if steering.turns else self._margin),  # guarantees 8
             clearance=float(clearance) / (scenario.dim - 1),
             patience=positive("patience", patience, "m"),
+            rounding=_ROUNDING * unit,
             aligned=ALIGNED if scenario.dim == 2 else ALIGNED_IN_SPACE,
         )
 

@@ -14,8 +14,8 @@ from .privileged_laws import PrivilegedPolicy, within_a_step
 from .roadmap import Array, Roadmap, WaysTo
 
 NAME = "privileged-planner"
-_CLEARANCES = tuple(0.1 * 0.5**k for k in range(8))
-"""m; the widest with which all robots can meet is kept."""
+_CLEARANCES = tuple(0.5**k for k in range(1, 9))
+"""In merge radii; the widest with which all robots can meet is kept."""
 _GRID = {2: 13, 3: 7}  # places along each side of a grid
 _ARRIVED = 1e-5  # of a full step; a turn is reached within what float32 leaves of it
 
@@ -56,13 +56,13 @@ def _best(places: Array, ways: Array) -> Meeting:
     return Meeting(places[chosen], int(left_out[chosen]))
 
 
-def plan(table: Array, positions: Array) -> WaysTo:
-    """The ways on which a team at (n, d), m, meets soonest among the obstacles of a table; robots
-    that cannot get there stay where they are.
+def plan(table: Array, positions: Array, merge_radius: float) -> WaysTo:
+    """The ways on which a team at (n, d), m, with a merge radius r, m, meets soonest among the
+    obstacles of a table; robots that cannot get there stay where they are.
     """
     found: list[tuple[Roadmap, Meeting]] = []
     for clearance in _CLEARANCES:
-        roadmap = Roadmap(table, clearance, positions.shape[1])
+        roadmap = Roadmap(table, clearance * merge_radius, positions.shape[1])
         found.append((roadmap, meeting_place(roadmap, positions)))
         if found[-1][1].left_out == 0:
             break
@@ -76,7 +76,7 @@ class PrivilegedPlanner(PrivilegedPolicy):
 
     It goes at full speed from turn to turn, and shortens the step before one so that it never
     leaves its way; robots that turn do so on the spot. After a merge, which moves the survivor,
-    ways are planned again. It keeps some centimetres from obstacles where it can; its V may rise.
+    ways are planned again. It keeps r/2 from obstacles, or less where it must; its V may rise.
     """
 
     name = NAME
@@ -111,7 +111,8 @@ class PrivilegedPlanner(PrivilegedPolicy):
         for team in np.flatnonzero((begun | merged) & (active.sum(axis=1) > 1)).tolist():
             here, goal = positions[team], self._goals[team]
             if begun[team] or goal is None:
-                goal = self._goals[team] = plan(simulator.obstacles[team], here[active[team]])
+                table, radius = simulator.obstacles[team], simulator.scenario.merge_radius
+                goal = self._goals[team] = plan(table, here[active[team]], radius)
             for robot in np.flatnonzero(active[team]).tolist():
                 way = goal.way(here[robot])
                 if (more := len(way) - self._turns.shape[2]) > 0:

@@ -103,12 +103,12 @@ class RobotVecEnv(VecEnv):
         """Take the actions (slots, a) of the next step; a ValueError for another shape, or what is
         no array of numbers.
         """
-        given = floats("actions", actions)
+        is_box = isinstance(self.action_space, Box)
+        given = floats("actions", actions, np.float32 if is_box else np.float64)
         wanted = self.num_envs, *(self.action_space.shape or ())
         if given.shape != wanted:
             raise ValueError(f"actions have shape {given.shape}; they must be {wanted}, by slot")
-        is_box = isinstance(self.action_space, Box)
-        self._actions = given.astype(np.float32) if is_box else np.asarray(actions)
+        self._actions = given if is_box else np.asarray(actions)
 
     def step_wait(self) -> VecEnvStepReturn:
         """Advance every team; observations, rewards, dones and infos of the slots."""
@@ -212,7 +212,7 @@ class RobotVecEnv(VecEnv):
     def _get_indices(self, indices: Indices) -> list[int]:
         """The slots that are meant, refused where there are none."""
         given = range(self.num_envs) if indices is None else indices
-        listed = [given] if isinstance(given, int | np.integer) else list(given)
+        listed = list(given) if isinstance(given, Iterable) else [given]
         return [whole("indices", slot, 0, self.num_envs - 1) for slot in listed]
 
     def _owner(self, name: str, default: Any = None) -> Any:

@@ -9,13 +9,21 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
-from ..engine.state_checks import check_entries, check_finite, check_keys, refuse_first
+from ..checks import floats
+from ..engine.state_checks import (
+    check_entries,
+    check_finite,
+    check_keys,
+    check_mask,
+    refuse_first,
+)
 from ..envs.guarantee import layers_of
 from ..envs.spaces import of_all_teams, of_one_robot
 from ..envs.training import TrainingTeams
 from ..envs.vector_env import Info, RendezvousVectorEnv, Transition, at_the_end
 from ..envs.vector_wrappers import GuaranteeWrapper
 from ..obstacles.parsing import parse
+from ..scenario.start_options import OPTIONS, as_options
 from ..simulator import Simulator
 from ..state_view import STANDING
 
@@ -90,14 +98,15 @@ class RobotSlots:
         """Begin a new episode in all teams, or in those of a mask, with their arguments;
         observations (slots, ...).
         """
-        mask = (options or {}).get("reset_mask")  # some wrappers take it out
-        observations, infos = self.teams.reset(seed=seeds, options=options)
-        self.begin(np.ones(self.num_teams, np.bool_) if mask is None else np.asarray(mask))
+        mask = (given := as_options(options)).get("reset_mask")  # some wrappers take it out
+        observations, infos = self.teams.reset(seed=seeds, options=given)
+        self.begin(np.ones(self.num_teams, np.bool_) if mask is None else mask)
         self.active = infos["active"].copy()
         return self.by_slot(observations)
 
     def begin(self, which: NDArray[np.bool_]) -> None:
         """Take note of new episodes of these teams, (B,), that began by other means."""
+        which = check_mask(which, self.num_teams)
         self.active[which] = True
         for count in self._counts.values():
             count[which] = 0
@@ -106,7 +115,11 @@ class RobotSlots:
         """Advance every team with actions (slots, a), or (slots,) where they are discrete; errors
         as the teams.
         """
-        observations, rewards, met, late, infos = self.teams.step(actions.reshape(self._acting))
+        given = actions if isinstance(actions, np.ndarray) else floats("actions", actions)
+        by_slot = self.num_envs, *self._acting[2:]
+        if given.shape not in (by_slot, self._acting):
+            raise ValueError(f"actions have shape {given.shape}; they must be {by_slot}, by slot")
+        observations, rewards, met, late, infos = self.teams.step(given.reshape(self._acting))
         over, last = met | late, observations
         if over.any():
             last = observations.copy()
@@ -186,12 +199,28 @@ class RobotSlots:
 
 
 def team_options(options: Sequence[Mapping[str, Any]], dim: int) -> dict[str, Any]:
-    """Options of all teams, stacked, from those of each; kinds and obstacles must be the same."""
+    """Options of all teams, stacked, from those of each; keys, shapes and obstacles must be the
+    same. A mask of teams is none of them.
+    """
 
     def of_all(own: Mapping[str, Any]) -> tuple[Any, ...]:
         return own.keys(), parse(own.get("obstacles", ()), dim)
 
-    given = {id(own): {k: v for k, v in own.items() if v is not None} for own in options}
+    def stacked(key: str) -> NDArray[np.float64]:
+        arrays = [floats(key, own[key]) for own in options]
+        shape = arrays[0].shape
+        for team, array in enumerate(arrays):
+            if array.shape != shape:
+                raise ValueError(
+                    f"set_options: {key} of team {team} has shape {array.shape}; that of team 0 "
+                    f"has {shape}, and all must have the same"
+                )
+        return np.stack(arrays)
+
+    def kept(own: Mapping[str, Any]) -> dict[str, Any]:
+        return {k: v for k, v in own.items() if v is not None and k != "reset_mask"}
+
+    given = {id(own): kept(own) for own in options}
     options = [given[id(own)] for own in options]
     first = options[0]
     for other in options[1:]:
@@ -200,10 +229,8 @@ def team_options(options: Sequence[Mapping[str, Any]], dim: int) -> dict[str, An
                 f"set_options: all teams need the same keys and obstacles; one has {first}, "
                 f"another {other}"
             )
-    return {
-        key: first[key] if key == "obstacles" else np.stack([each[key] for each in options])
-        for key in first
-    }
+    own_of_each = {*OPTIONS} - {"obstacles"}  # keys that are not ours are ignored, or meant
+    return {key: stacked(key) if key in own_of_each else first[key] for key in first}
 
 
 # ---- rewards that a wrapper has changed ---------------------------------------------------------

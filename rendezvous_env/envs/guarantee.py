@@ -20,6 +20,7 @@ from ..safety.safety_filter import FILTERS, SafetyFilter
 from ..safety.settings import MAX_TURN_RATE, TANK_MARGIN
 from ..safety.tank import EnergyTank
 from ..simulator import Simulator
+from ..state_view import STANDING
 from .overrides import arguments_of
 from .spaces import choice_box, observation_box
 
@@ -28,6 +29,12 @@ AnyFilter = SafetyFilter | type[SafetyFilter] | str
 _Constructor = TypeVar("_Constructor", bound=Callable[..., None])
 _holders: weakref.WeakValueDictionary[int, Any] = weakref.WeakValueDictionary()
 """The wrapper that holds a filter, by the filter's id; not on filters, which are pickled."""
+_OF_STATES = ("bodies", "decision_period", "env", "observed", "perception", "shown", "touched")
+_OF_INFOS = (
+    *STANDING, "active", "clearance", "contact", "final_info", "final_obs", "merged_into",
+    "robot_rewards", "summary",
+)  # fmt: skip
+"""Names that filters cannot have."""
 
 
 def check_period(decision_period: int) -> int:
@@ -61,8 +68,18 @@ def make_filter(
     kind: Any = safety_filter
     if not isinstance(kind, type):
         kind = FILTERS[choice("safety_filter", kind, FILTERS)]
+    if not issubclass(kind, SafetyFilter):
+        refuse("safety_filter", kind, "a SafetyFilter, a subclass of it, or the name of one")
     known_fields(settings, [*settings_of(kind), *own], kind.__name__, "setting")
-    made: SafetyFilter = kind(scenario, num_envs, num_threads=simulator.num_threads, **settings)
+    arguments = {"num_threads": simulator.num_threads, **settings}
+    try:
+        inspect.signature(kind).bind(scenario, num_envs, **arguments)
+    except TypeError as error:
+        takes = "it must take (scenario, num_envs, *, num_threads=None, …)"
+        raise TypeError(
+            f"safety_filter: constructor of {kind.__name__}: {error}; {takes}"
+        ) from None
+    made: SafetyFilter = kind(scenario, num_envs, **arguments)
     return made
 
 
@@ -85,6 +102,7 @@ class HoldsFilter:
         self._base = base = self._base_of(env)
         self.decision_period = check_period(decision_period)
         self.filter = made = make_filter(safety_filter, base.simulator, settings)
+        self._check_names(made)
         self._take_alone(made)
         setattr(self, made.state_key, made)
         scenario = base.scenario
@@ -119,6 +137,20 @@ class HoldsFilter:
     def _make_spaces(self, observations: Box, choices: Box) -> None:
         """Make the spaces of the API from those of one robot."""
         raise NotImplementedError
+
+    def _check_names(self, made: SafetyFilter) -> None:
+        """Refuse a filter that calls its memory, or what it tells, what others are called."""
+        kind, key = type(made).__name__, made.state_key
+        if not (isinstance(key, str) and key.isidentifier()) or key[0] == "_":
+            refuse(f"state_key of {kind}", key, "a word that does not begin with _")
+        if key in _OF_STATES or hasattr(type(self), key) or hasattr(self._base, key):
+            refuse(f"state_key of {kind}", key, "no name of an environment's own, which this is")
+        of_infos = {*_OF_INFOS, *self._base.simulator.costs}
+        if taken := sorted(of_infos & set(made.told)):
+            raise ValueError(
+                f"{kind} tells {taken[0]!r}, which environments tell in infos themselves; give it "
+                "another name"
+            )
 
     def _take_alone(self, made: SafetyFilter) -> None:
         """Refuse a filter that another wrapper holds: it remembers one batch of teams."""

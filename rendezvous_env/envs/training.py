@@ -121,7 +121,7 @@ def training_env(
         if "reward" not in changes and chosen.reward == RewardWeights():
             chosen = chosen.replace(reward=reward)
         shown = preset.shows(chosen, guarantee)
-        if guarantee in WRAPPERS and not shown:
+        if guarantee is not None and not shown:
             arguments = preset.held_arguments(chosen, guarantee) | arguments
     if not flag("flatten", flatten) and shown:
         refuse("flatten", flatten, "True, or learning_preset False: what Features shows is flat")
@@ -197,7 +197,8 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         self.teams, self.simulator, self.scenario = base, base.simulator, base.scenario
         self.autoreset_mode = base.autoreset_mode
         self.layout: Any = getattr(teams, "layout", self.scenario.observation_layout)
-        """What takes observations apart (``split``): of the scenario, or of ``Features``."""
+        """What takes observations apart (``split``): of the scenario, or of ``Features``. The row
+        that ``observe_level`` adds, the last one, is to be taken off first."""
         self.touch_penalty = touch_penalty
         self._touches = FirstContacts(teams.num_envs, self.scenario.n_robots)
 

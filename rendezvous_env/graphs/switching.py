@@ -45,7 +45,8 @@ class SwitchingGraph(Graph, kinds=("switching",)):
     graphs: Annotated[tuple[Graph, ...], _check_graphs] = ()
     """Fixed graphs for the same robots, undirected or directed."""
     dwell: Seconds = 1.0
-    """How long each holds, s; the switch is at the first step that begins then or later."""
+    """How long each holds, s: switches are due at its multiples, and each is at the first step that
+    begins then or later."""
     order: Literal["cyclic", "random"] = "cyclic"
     """One after another, or each time drawn anew from the list."""
 

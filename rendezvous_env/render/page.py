@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pygame
 
+from ..engine.memory import RENDEZVOUS
 from ..simulator import Simulator
 from . import ink
 from .camera import Area, cell, columns_of, nice_step
@@ -92,8 +93,9 @@ class Page:
         """Number and time of a team above its picture, and a frame about both."""
         area, moment, unit = self._pictures[team].area, history.moments[-1], self._unit
         caption = round(_CAPTION * unit)
-        left = int(moment.active.sum())
-        text = f"{team}    {moment.time:.1f} s    {f'{left} robots' if left > 1 else 'met'}"
+        met = self._simulator.status[team] == RENDEZVOUS
+        left = "met" if met else f"{int(moment.active.sum())} robots"
+        text = f"{team}    {moment.time:.1f} s    {left}"
         place = area.left + 8 * unit, area.top - caption / 2 + unit
         ink.write(self._fine, text, place, 16 * unit, anchor="midleft")
         frame = (area.left, area.top - caption, area.width + 1, area.height + caption + 1)

@@ -70,7 +70,7 @@ def reward_term(name: str, term: Term | None = None) -> Any:
     Raises:
         ValueError: for what is no name, or that of a built-in cost, or cannot be called.
     """
-    if name in list(COSTS):
+    if isinstance(name, str) and name in COSTS:
         refuse("name of a reward term", name, f"none of the costs {', '.join(COSTS)}")
     return TERMS.add(name, term)
 

@@ -89,10 +89,12 @@ class DifferentialDrive:
     """The wheels of one robot, from tick to tick.
 
     Raises:
-        ValueError: naming the field of the machine, its value and what would be right.
+        ValueError: naming the machine or a field of it, its value and what would be right.
     """
 
     def __init__(self, machine: Machine = Machine()) -> None:  # noqa: B008 - immutable
+        if not isinstance(machine, Machine):
+            refuse("machine", machine, "a Machine")
         for name, value in machine._asdict().items():
             if not (name == "wheel_acceleration" and value == math.inf):
                 positive(name, value)

@@ -253,6 +253,7 @@ def test_what_cannot_be_followed_is_refused():
         (np.zeros((6, 3)), r"actions have shape \(6, 3\); they must be \(6, 2\)"),
         (np.zeros((2, 3, 2)), r"actions have shape \(2, 3, 2\)"),
         (np.full((6, 2), np.nan), "robot_0"),
+        (np.full((6, 2), 1e40), "robot_0"),
     ],
 )
 def test_actions_that_are_none_are_refused_in_words(actions, message):
@@ -309,10 +310,42 @@ def test_bad_seeds_options_and_slots_are_refused():
         env.set_options([{}] * 5)
     with pytest.raises(ValueError, match="options is 3"):
         env.set_options([3] * 6)
-    for indices in (99, [0, 99], [-1]):
+    for indices in (99, [0, 99], [-1], 1.5):
         with pytest.raises(ValueError, match="indices is"):
             env.env_method("set_max_steps", 9, indices=indices)
     assert env.get_attr("max_steps") != [9] * 6
+
+
+def test_slots_refuse_what_is_no_reset_and_no_step_of_theirs():
+    slots = RobotSlots(make_robots(SCENARIO, 2).teams)
+    for wrong in ([1], 5):
+        with pytest.raises(ValueError, match=r"options is .*; it must be None or a dict"):
+            slots.reset(0, wrong)
+    slots.reset(0)
+    for wrong in (np.zeros(12), np.zeros((2, 6)), np.zeros((5, 2)), [[0.0, 0.0]]):
+        with pytest.raises(ValueError, match=r"actions have shape .*; they must be \(6, 2\)"):
+            slots.step(wrong)
+    with pytest.raises(ValueError, match="actions is None"):
+        slots.step(None)
+    slots.step([[0.0, 0.0]] * 6)
+    for wrong in (np.array([1, 0]), 1):  # indices of teams are no mask
+        with pytest.raises(ValueError, match=r"mask is .*; it must be bool, one for each of 2"):
+            slots.begin(wrong)
+
+
+def test_options_of_slots_are_of_one_shape_or_refused_by_team():
+    env = make_robots(SCENARIO, 2)
+    start = np.zeros((ROBOTS, 2))
+    for wrong, message in (
+        (start[:2], r"positions of team 1 has shape \(2, 2\); that of team 0 has \(3, 2\)"),
+        ("x", "positions is 'x'"),
+    ):
+        env.set_options([{"positions": start}] * ROBOTS + [{"positions": wrong}] * ROBOTS)
+        with pytest.raises(ValueError, match=message):
+            env.reset()
+    # what is no option of ours is ignored, and a mask of teams is none
+    env.set_options([{"note": [1], "reset_mask": 1}] * ROBOTS + [{"note": 2, "reset_mask": 0}] * 3)
+    env.reset()
 
 
 def test_every_slot_is_told_what_a_step_cost():

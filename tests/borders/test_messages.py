@@ -196,7 +196,7 @@ CLUTTER = Scenario(n_robots=2, obstacle_slots=2)
                 ("random", "seed"),
             )
             if not (field == "seed" and value is HUGE)
-            if not (field == "persistence" and value is None)
+            if not (field in ("persistence", "budget", "patience") and value is None)
         ],
         ("tangent-joined-tuned", {"min_alignment": 1e-9}, "min_alignment is 1e-09; .*least 1e-06"),
         (["zero"], {}, r"policy \['zero'\] is unknown; those that fit are"),

@@ -252,6 +252,25 @@ class TestEpisodes:
             style.save(figure, tmp_path / "drawn.png")
             assert any(name in text.get_text() for text in figure.findobj(Text))
 
+    @pytest.mark.parametrize("axis", [0, 1])
+    @pytest.mark.parametrize("u", [1e-6, 1.0, 1e6])
+    def test_robots_in_a_row_have_a_picture_too(self, u, axis):
+        """Its height was that of a line, and in a small world its width nothing."""
+        start = np.zeros((3, 2))
+        start[:, axis] = u * np.arange(3)
+        scenario = rv.Scenario(
+            n_robots=3, merge_radius=0.1 * u, spawn_size=u, graph=rv.graphs.complete(u),
+            start_positions=start,
+        )  # fmt: skip
+        met = rv.rollout(scenario, baselines.make("bearing-only", scenario))
+        figure = path_figures.team_figure(scenario, reproduce.one_team(met), "bearing-only")
+        figure.canvas.draw()
+        sides = np.diff([figure.axes[0].get_xlim(), figure.axes[0].get_ylim()])[:, 0] / u
+        box = figure.axes[0].get_window_extent()
+        assert sides[axis] == pytest.approx(2.0, rel=0.5)
+        assert 0.15 < sides.min() / sides.max() < 0.3
+        assert min(box.width, box.height) / max(box.width, box.height) > 0.15
+
     def test_space_is_drawn_in_equal_axes_with_its_spheres(self):
         scenario = rv.scenarios.get("clutter-3d")
         trajectory = rv.rollout(scenario, baselines.make("bearing-only", scenario))

@@ -2,11 +2,13 @@
 
 import io
 import json
+import re
 
 import numpy as np
 import pytest
 from rich.console import Console
 
+from rendezvous_env import graphs
 from rendezvous_env.scenario import scenarios
 from train.compare import compare, ranking, statistics, tables
 from train.compare.evaluation import Episodes
@@ -152,6 +154,16 @@ class TestTables:
         lines = {line.split()[0]: line for line in text.splitlines() if line.strip()}
         assert " none " in lines["tangent"] and " 0.25 " in lines["zero"]
         assert "fig4, one start" in text and "nan" not in text and "[" not in lines["tangent"]
+
+    def test_small_worlds_are_not_rounded_to_zeros(self):
+        """In one of micrometres V may double by a rise of 10⁻⁹ m²/s."""
+        tiny = scenarios.get("fig4").replace(merge_radius=1e-6, graph=graphs.complete(1e-6))
+        found = played("fig4", "tangent", np.ones(1, bool))
+        row = statistics.summarise(scenarios.get("fig4"), "tangent", found.episodes)
+        small = {"max_rise_between_merges": 1e-9, "path_length": 3.4e-5, "min_clearance": 2.1e-6}
+        console = Console(file=io.StringIO(), width=tables.WIDTH)
+        console.print(tables.results_table([row | small], {"fig4": tiny}))
+        assert re.search(r" 3\.4e-05 +1e-09 +2\.1e-06 ", console.file.getvalue())
 
     def test_pairs(self):
         pair = {"bearing-only": played("fig4", "bearing-only", 0.5).episodes}

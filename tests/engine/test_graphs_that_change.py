@@ -254,6 +254,22 @@ def test_graphs_take_turns_in_order():
         np.testing.assert_array_equal(found[:, team], np.repeat([1, 2, 3] * 4, 5))
 
 
+def test_switches_are_due_at_multiples_of_the_dwell_time():
+    """And not so long after the last one, which was late: 0.3, 0.5, 0.8, 1 s, not 0.3, 0.6, 0.9."""
+    pair = graphs.from_edges([(1, 2)])
+    made = scenario(
+        n_robots=3,
+        graph=graphs.switching(["path", pair], 0.25),
+        time_step=0.1,
+        allow_long_step=True,
+        start_positions=((0, 0), (100, 0), (0, 100)),
+    )
+    sim = rv.Simulator(made)
+    sim.reset(0)
+    linked = [sim.step(np.zeros((1, 3, 2))) and sim.weights[0, 0, 1] > 0 for _ in range(10)]
+    assert (np.flatnonzero(np.diff(linked)) + 2).tolist() == [3, 5, 8, 10]
+
+
 def test_graphs_are_drawn_for_every_team_and_the_same_again():
     found = graph_of_each_step("random", steps=400)
     blocks = found.reshape(80, 5, 3)

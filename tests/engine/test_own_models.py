@@ -18,6 +18,8 @@ import rendezvous_env as rv
 from rendezvous_env.compilation import compiled
 from rendezvous_env.engine.memory import RUNNING
 from rendezvous_env.robots import robot_models
+from train.compare import Job, play_job
+from train.recording import whole
 
 HOVER = '''"""A hovering robot: its velocity, a wind that carries it along, and two gusts."""
 
@@ -256,6 +258,9 @@ def test_a_sluggish_unicycle_moves_as_its_equations_say(own):
     assert touches
     sim.reset(0, {"positions": [[0.0, 0.0], [-9.0, 0.0]], "headings": [0.5, 1.0]})
     np.testing.assert_array_equal(sim.get_state()["memory"][0], [[0.5, 0.0], [1.0, 0.0]])
+    # no recording has its speed, by which what was seen could be found again
+    (kept,) = play_job(Job(scenario, "random"), episodes=1, seed=0, keep=1).recordings.values()
+    assert whole(kept, scenario) is kept
 
 
 PIECE = """

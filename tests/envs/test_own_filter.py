@@ -57,6 +57,11 @@ def test_a_filter_of_ones_own_serves_every_environment():
     assert rv.vector.GuaranteeWrapper(venv, made).filter is made
     teams = rv.vector.training_env("fig3", 2, guarantee="half_speed", least=0.75)
     assert teams.env.filter.least == 0.75
+    # choices are held as under the guarantees of the package
+    assert teams.env.decision_period == round(0.6 / teams.scenario.tau)
+    for own in ({"decision_period": 3}, {"learning_preset": False}):
+        held = rv.vector.training_env("fig3", 2, guarantee="half_speed", **own)
+        assert held.env.decision_period == own.get("decision_period", 1)
     teams.reset(seed=0)
     teams.step(np.zeros(teams.action_space.shape, np.float32))
 
@@ -92,6 +97,7 @@ def test_what_is_no_filter_is_refused_by_name():
             rv.GuaranteeWrapper(base, safety_filter, decision_periods=2)
     for call, arguments, message in (
         (rv.GuaranteeWrapper, (base, "half_sped"), "safety_filter is 'half_sped'"),
+        (rv.GuaranteeWrapper, (base, dict), "safety_filter is <class 'dict'>; .* a subclass of it"),
         (rv.GuaranteeWrapper, (base, HalfSpeed(base.scenario, 2)), "this scenario and 1 teams"),
         (rv.register_filter, ("heading", HalfSpeed), "which are taken"),
         (rv.register_filter, ("other", dict), "subclass of SafetyFilter"),
@@ -99,6 +105,28 @@ def test_what_is_no_filter_is_refused_by_name():
     ):
         with pytest.raises(ValueError, match=message):
             call(*arguments)
+
+
+@pytest.mark.parametrize("wrapper", [rv.GuaranteeWrapper, rv.vector.GuaranteeWrapper])
+def test_a_filter_takes_no_name_of_an_environments(wrapper):
+    """It took the place of a method, or of what stands in states or infos."""
+    base = rv.parallel_env("fig3") if wrapper is rv.GuaranteeWrapper else rv.make_vec("fig3", 2)
+    for key in ("env", "observed", "step", "simulator", "reset", "_seen", "no word", 3):
+        named = type("Named", (HalfSpeed,), {"state_key": key})
+        with pytest.raises(ValueError, match=f"state_key of Named is {key!r}; it must be"):
+            wrapper(base, named)
+    for key in ("contact", "lyapunov", "robot_rewards"):
+        told = type("Tells", (HalfSpeed,), {"told": property(lambda _, k=key: {k: None})})
+        with pytest.raises(ValueError, match=f"Tells tells '{key}', which environments tell"):
+            wrapper(base, told)
+
+
+def test_a_constructor_of_another_form_is_named():
+    made = type("Made", (HalfSpeed,), {"__init__": lambda self, scenario: None})
+    with pytest.raises(
+        TypeError, match=r"constructor of Made: .*; it must take \(scenario, num_envs"
+    ):
+        rv.GuaranteeWrapper(rv.parallel_env("fig3"), made)
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))

@@ -218,3 +218,14 @@ def test_overrides_reach_the_wrapper_the_preset_and_the_scenario():
 def test_what_cannot_be_is_refused(arguments, error, message):
     with pytest.raises(error, match=message):
         rv.training_env(**({"scenario": SCENARIO} | arguments))
+
+
+def test_the_layout_takes_apart_all_but_the_level():
+    plain = {"guarantee": "tank", "budget": 1.0, "learning_preset": False, "flatten": False}
+    teams = rv.vector.training_env(SCENARIO, 2, observe_level=True, **plain)
+    shown, _ = teams.reset(seed=0)
+    np.testing.assert_allclose(shown[..., -1, 0], 1.0 / 0.6)  # in units of r D̄
+    without = rv.vector.training_env(SCENARIO, 2, **plain)
+    expected = without.layout.split(without.reset(seed=0)[0])
+    for found, wanted in zip(teams.layout.split(shown[..., :-1, :])[:2], expected, strict=False):
+        np.testing.assert_array_equal(found, wanted)

@@ -15,6 +15,7 @@ from gymnasium.wrappers.vector import RecordVideo
 
 import rendezvous_env as rv
 from rendezvous_env import rendezvous_v0
+from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.envs.gymnasium_env import make_env
 from rendezvous_env.render.palette import OBSTACLE, ROBOTS
 from rendezvous_env.render.renderer import MOST_TEAMS, Renderer
@@ -250,3 +251,14 @@ def test_without_the_library_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
     with pytest.raises(ImportError, match=r"a picture needs pygame: pip .*\[render\]"):
         env.render()
+
+
+def test_a_tile_says_of_a_packed_team_that_it_has_met():
+    """All its robots are left, and they were counted."""
+    env = rv.make_vec("robotarium-4", 2, render_mode="rgb_array", autoreset_mode="Disabled")
+    env.reset(seed=0)
+    before, state = env.render(), env.get_state()
+    state["status"][0] = RENDEZVOUS
+    env.set_state(state)
+    after = env.render()
+    assert not np.array_equal(before[0], after[0]) and np.array_equal(before[1], after[1])

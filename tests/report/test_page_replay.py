@@ -5,8 +5,21 @@ from urllib.parse import parse_qs, urlsplit
 import browsing
 import numpy as np
 import pytest
-from browsing import chosen, clock, picture, reloaded, scrub, shown_rows, wait_for, wait_until
+from browsing import (
+    chosen,
+    clock,
+    picture,
+    reloaded,
+    scrub,
+    shown_rows,
+    visited,
+    wait_for,
+    wait_until,
+)
 from conftest import needs_browser
+
+from train.compare import compare
+from train.report import build as report
 
 pytestmark = needs_browser
 address, opened, recorded = browsing.address, browsing.opened, browsing.recorded  # fixtures
@@ -234,3 +247,23 @@ class TestSight:
         assert len(shown_rows(opened)) > 0
         opened.keyboard.press("End")
         assert shown_rows(opened) == {}
+
+
+def test_a_team_that_has_packed_has_met(browser, tmp_path):
+    """All its robots are left, so that it was said to have run out of time."""
+    config = compare.Config(
+        ("robotarium-4",), ("bearing-only",), episodes=1, keep=1, out=tmp_path, figures=False
+    )
+    assert compare.run(config) == 0 and report.run(report.Config(tmp_path)) == 0
+    with visited(browser, (tmp_path / "report.html").as_uri()) as page:
+        page.keyboard.press("End")
+        state = page.locator(".state").first.text_content()
+        assert state.startswith("met at ") and "4 of 4 robots left" in state
+
+
+def test_a_world_of_millimetres_fills_its_picture(opened):
+    """The room about it was 8 cm, and its numbers were zeros."""
+    bounds = opened.evaluate("boundsOf([{extent: [[0, 1e-3], [2e-4, 2e-4]]}])")
+    np.testing.assert_allclose(bounds, [[-8e-5, 1.08e-3], [1.2e-4, 2.8e-4]])
+    assert opened.evaluate('[metres("0.00034", 2), metres("0.34", 2)]') == ["0.00034", "0.34"]
+    assert opened.evaluate("[0, 2.5e-4, -1e-7].map(tick)") == ["0", "0.00025", "−1e−7"]

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from page_reading import arrays_of, data_of
 
+from rendezvous_env import Disc
+from rendezvous_env.obstacles.obstacle_set import pack
 from train import cli, results
 from train import encoding as report_encoding
 from train.compare import compare
@@ -92,6 +94,16 @@ class TestPage:
             assert entry["outcome"].items() <= row.items() and "clean" in entry["outcome"]
             corners = [len(one["vertices"]) for one in data["obstacles"][entry["obstacles"]]]
             assert sorted(corners) == ([0, 0, 4] if entry["scenario"] == "fig4" else [])
+
+    def test_obstacles_of_a_small_world_are_not_rounded_away(self, compared):
+        recording = read(compared).recordings["fig4", "bearing-only", 0]
+        small = {
+            "positions": 1e-4 * recording["positions"],
+            "obstacles": pack([Disc((1.234e-4, 0.0), 3.21e-5)], 1),
+        }
+        [kept] = report_encoding.encode(recording | small).obstacles
+        assert kept["radius"] == pytest.approx(3.21e-5, rel=1e-3)
+        assert kept["centre"] == pytest.approx([1.234e-4, 0.0], rel=1e-3)
 
     def test_what_is_said_of_starts_and_rounding(self, compared, text):
         assert "4 starts each (seeds 3–6); one of fig4, whose start is given" in text

@@ -59,6 +59,8 @@ def test_machines_that_cannot_be_are_named():
     for field, value in (("wheel_radius", 0.0), ("lead", -0.1), ("wheel_speed", np.inf)):
         with pytest.raises(ValueError, match=f"{field} is {value}; it must be a positive"):
             DifferentialDrive(Machine(**{field: value}))
+    with pytest.raises(ValueError, match=r"machine is 0\.05; it must be a Machine"):
+        DifferentialDrive(0.05)
 
 
 @pytest.mark.parametrize(

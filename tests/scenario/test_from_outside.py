@@ -274,6 +274,7 @@ def seen_by(imperfection):
         (lambda: rv.reward_term("x", 5), "term 'x' is 5; it must be a function"),
         (lambda: rv.reward_term("rise"), "is 'rise'; it must be none of the costs contact"),
         (lambda: rv.reward_term(""), "name of a reward term is ''"),
+        (lambda: rv.reward_term(np.zeros(3)), "name of a reward term is array"),
         (lambda: rv.sensor_imperfection("x", 5), "imperfection 'x' is 5; it must be a function"),
     ],
 )

@@ -10,6 +10,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
 from .. import policies
@@ -18,7 +19,7 @@ from ..results import grouped
 from .ranking import Ranking
 from .sweep import Sweep, rows_of
 
-_ROUNDING = 1e-9  # m²/s, of V
+_ROUNDING = 1e-9  # of V, in units of r D̄
 
 WIDTH = 118
 """Characters that the table needs; on a narrower terminal its lines wrap."""
@@ -41,7 +42,8 @@ def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Tab
     for column in table.columns:
         column.no_wrap = True
     for name, own in grouped(rows, "scenario").items():
-        first, limit = own[0], scenarios[name].max_steps * scenarios[name].tau
+        first, scenario = own[0], scenarios[name]
+        limit, rounding = scenario.max_steps * scenario.tau, _ROUNDING * unit_of_tanks(scenario)
         starts = "one start" if first["episodes"] == 1 else f"{first['episodes']} starts"
         table.add_row(f"{name}, {starts}", style="bold")
         for row in own:
@@ -53,9 +55,9 @@ def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Tab
                 _percent(row, "clean_success", "clean"),
                 f"{median} [{low}, {high}]" if row["time_low"] < limit else median,
                 number(row["time_over_bound"], ".2g"),
-                number(row["path_length"], ".1f"),
-                "none" if (rise := row["max_rise_between_merges"]) <= _ROUNDING else f"{rise:.2g}",
-                number(row["min_clearance"], ".2f"),
+                _metres(row["path_length"], 1),
+                "none" if (rise := row["max_rise_between_merges"]) <= rounding else f"{rise:.2g}",
+                _metres(row["min_clearance"], 2),
                 number(row["min_alignment"], ".2f"),
             )
     table.caption = (
@@ -78,6 +80,11 @@ def _percent(row: Row, value: str, interval: str, style: str = ".0f") -> str:
 def number(value: float, style: str) -> str:
     """A number, without a minus sign on a rounded zero; – where it does not apply."""
     return "–" if value != value else format(value, "z" + style)
+
+
+def _metres(value: float, digits: int) -> str:
+    """A length, to so many digits after the point, or to two that count where these are zeros."""
+    return number(value, ".2g" if 0.0 < abs(value) < 10.0**-digits else f".{digits}f")
 
 
 def paired_table(rows: Sequence[Row]) -> Table:

@@ -28,6 +28,8 @@ _PATHS, _VALUE = 3.1, 2.2
 """Heights of both parts of the picture of a team, inch."""
 _ARROWS = 4
 """Headings drawn along each path."""
+_LEAST_SHARE = 0.2
+"""Of the larger side of a picture of paths that the other one has, so that a row has room, too."""
 _NARROW = 0.6
 """A panel whose sides have a smaller ratio has fewer ticks on the short one."""
 _LATE = 0.7
@@ -83,6 +85,11 @@ def draw_paths(axes: Any, recording: Mapping[str, NDArray[Any]], scenario: Scena
             _draw_headings(axes, path, along)
     for frame, robot in ended(active):
         axes.plot(*positions[frame, robot][:, None], "x", color=BLACK, markersize=4, zorder=5)
+    if flat:
+        low, high = positions.min(axis=(0, 1)), positions.max(axis=(0, 1))
+        lacking = np.maximum(0.0, _LEAST_SHARE * ((high - low).max() or 1.0) - (high - low)) / 2
+        axes.update_datalim([low - lacking, high + lacking])
+        axes.autoscale_view()
     axes.set_aspect("equal", adjustable="box" if flat else "datalim")
 
 

@@ -78,7 +78,7 @@ class Pane {
       .reduce((a, b) => a + b, 0);
     const [left, contacts] = [sum(rec.active), sum(rec.contacts)];
     const over = frame === rec.times.length - 1;
-    const end = left === 1 ? "met" : "time out";
+    const end = rec.outcome.success === "1" ? "met" : "time out";
     this.part(".state").textContent =
       `${over ? `${end} at ${rec.times[frame].toFixed(2)} s · ` : ""}${left} of ${robots} robots left` +
       (contacts ? ` · ${inContact(contacts)}` : "");
@@ -103,8 +103,8 @@ class Pane {
     this.part(".outcome").textContent =
       `${row.success === "1" ? "met" : "not met"} after ${fixed(row.time, 2)} s · ` +
       inContact(row.contacts) +
-      (row.path_length ? ` · path ${fixed(row.path_length, 1)} m` : "") +
-      (row.clearance ? ` · clearance ≥ ${fixed(row.clearance, 2)} m` : "") +
+      (row.path_length ? ` · path ${metres(row.path_length, 1)} m` : "") +
+      (row.clearance ? ` · clearance ≥ ${metres(row.clearance, 2)} m` : "") +
       (row.min_alignment ? ` · alignment ≥ ${fixed(row.min_alignment, 2)}` : "") +
       (this.rec.stride > 1 ? ` · one in ${this.rec.stride} recorded frames is shown` : "");
   }

@@ -24,7 +24,8 @@ function plot(box, series, data, yRange, xMax, seek) {
     scales: { x: { time: false, range: [0, xMax] }, y: { range: yRange } },
     axes: [
       { ...axis, size: 26, gap: 7, values: (_, at) => at.map((x) => `${x} s`) },
-      { ...axis, size: (_, texts) => 12 + 7 * longest(texts), gap: 4, space: 26 },
+      { ...axis, size: (_, texts) => 12 + 7 * longest(texts), gap: 4, space: 26,
+        values: (_, at) => at.map(tick) },
     ],
     series: [{}, ...series],
   };

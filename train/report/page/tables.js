@@ -1,12 +1,23 @@
 // Sortable tables; every cell carries the text of the file that it is from.
 
-const MINUS = (text) => text.replace("-", "−");
+const MINUS = (text) => text.replaceAll("-", "−");
 
 /** A number to so many digits after the point, without a sign on a rounded zero. */
 function fixed(cell, digits, factor = 1) {
   if (cell === "") return "–";
   const text = (factor * Number(cell)).toFixed(digits);
   return MINUS(Number(text) === 0 ? text.replace("-", "") : text);
+}
+
+/** A length, to so many digits after the point, or to two that count where these would be zeros. */
+function metres(cell, digits) {
+  const isSmall = Number(cell) !== 0 && Math.abs(Number(cell)) < 10 ** -digits;
+  return isSmall ? short(cell) : fixed(cell, digits);
+}
+
+/** A number beside an axis. */
+function tick(value) {
+  return MINUS(String(Number(value.toPrecision(6))));
 }
 
 function short(cell) {

@@ -10,7 +10,7 @@ function boundsOf(recordings) {
     Math.min(low, ...others.map((extent) => extent[axis][0])),
     Math.max(high, ...others.map((extent) => extent[axis][1])),
   ]);
-  const room = 0.08 * Math.max(1, ...bounds.map(([low, high]) => high - low));
+  const room = 0.08 * (Math.max(...bounds.map(([low, high]) => high - low)) || 1);
   return bounds.map(([low, high]) => [low - room, high + room]);
 }
 
@@ -84,16 +84,15 @@ function drawGrid(pen, view, width, height) {
     const count = Math.floor(high / step) - Math.ceil(low / step) + 1;
     return Array.from({ length: count }, (_, k) => (Math.ceil(low / step) + k) * step);
   };
-  const text = (value) => String(Number(value.toPrecision(6))).replace("-", "−");
   pen.textAlign = "center";
   for (const value of ticks(view.range[0])) {
     line(pen, view.x(value), top, view.x(value), bottom);
-    if (view.x(value) < right - 42) pen.fillText(text(value), view.x(value), bottom + 14);
+    if (view.x(value) < right - 42) pen.fillText(tick(value), view.x(value), bottom + 14);
   }
   pen.textAlign = "right";
   for (const value of ticks(view.range[1])) {
     line(pen, left, view.y(value), right, view.y(value));
-    if (view.y(value) > top + 18) pen.fillText(text(value), left - 5, view.y(value) + 4);
+    if (view.y(value) > top + 18) pen.fillText(tick(value), left - 5, view.y(value) + 4);
   }
   pen.fillStyle = colour("ink");
   pen.fillText(`${"xyz"[view.axes[0]]} / m`, right, bottom + 14);
