@@ -13,6 +13,7 @@ from conftest import ROOT
 
 import rendezvous_env as rv
 from baselines import policy
+from train import tasks
 from train.cli import COMMANDS
 from train.results import FORMAT_VERSION
 
@@ -80,8 +81,9 @@ def test_the_readme_names_every_command_and_scenarios_that_there_are():
 
 
 @pytest.mark.parametrize("page", with_blocks("bash"))
-def test_every_command_shown_is_understood(page):
-    """Long ones are not run; their own parser reads them."""
+def test_every_command_shown_is_understood(page, monkeypatch):
+    """Long ones are not run; their own parser reads them, also where Ray is not installed."""
+    monkeypatch.setattr(tasks, "check_installed", lambda *needed: None)
     seen = 0
     for line in "\n".join(blocks(page, "bash")).replace("\\\n", " ").splitlines():
         words = shlex.split(line, comments=True)

@@ -87,7 +87,7 @@ def test_who_is_gone_remembers_nothing(collected):
 
 def test_a_merged_robot_is_valued_by_its_survivor(monkeypatch):
     """Its observation, and what it remembers before it forgets."""
-    made, told, merges = model(steps=1), [], 0
+    made, told, merges = model(steps=2), [], 0
     robots, real = made.get_env(), made.policy.predict_values
 
     def predict_values(seen, hidden=None):
@@ -96,8 +96,8 @@ def test_a_merged_robot_is_valued_by_its_survivor(monkeypatch):
         return real(seen, hidden)
 
     monkeypatch.setattr(made.policy, "predict_values", predict_values)
-    for _ in range(90):
-        made.learn(made.n_envs, reset_num_timesteps=False)
+    for _ in range(240):
+        made.learn(2 * made.n_envs, reset_num_timesteps=False)
         if robots.bootstrapped.size:
             seen, hidden, all_hidden = told.pop()
             np.testing.assert_array_equal(hidden, all_hidden[robots.survivors])

@@ -1,5 +1,6 @@
 """The replay of ``rendezvous report`` in headless Chromium, used as a reader uses it."""
 
+from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 import browsing
@@ -261,9 +262,13 @@ def test_a_team_that_has_packed_has_met(browser, tmp_path):
         assert state.startswith("met at ") and "4 of 4 robots left" in state
 
 
-def test_a_world_of_millimetres_fills_its_picture(opened):
+def test_a_world_of_millimetres_fills_its_picture(browser):
     """The room about it was 8 cm, and its numbers were zeros."""
-    bounds = opened.evaluate("boundsOf([{extent: [[0, 1e-3], [2e-4, 2e-4]]}])")
+    page = browser.new_page()
+    for name in ("tables.js", "world.js"):
+        page.add_script_tag(path=Path(report.__file__).with_name("page") / name)
+    bounds = page.evaluate("boundsOf([{extent: [[0, 1e-3], [2e-4, 2e-4]]}])")
     np.testing.assert_allclose(bounds, [[-8e-5, 1.08e-3], [1.2e-4, 2.8e-4]])
-    assert opened.evaluate('[metres("0.00034", 2), metres("0.34", 2)]') == ["0.00034", "0.34"]
-    assert opened.evaluate("[0, 2.5e-4, -1e-7].map(tick)") == ["0", "0.00025", "−1e−7"]
+    assert page.evaluate('[metres("0.00034", 2), metres("0.34", 2)]') == ["0.00034", "0.34"]
+    assert page.evaluate("[0, 2.5e-4, -1e-7].map(tick)") == ["0", "0.00025", "−1e−7"]
+    page.close()

@@ -52,7 +52,7 @@ def test_two_are_kept_and_the_pointer_names_the_newest(tmp_path):
     assert checkpoints.find(tmp_path).name == names[0]
 
 
-@pytest.mark.parametrize("when", ["fsync", "rename"])
+@pytest.mark.parametrize("when", ["fsync", "replace"])
 def test_a_full_disk_leaves_the_last_one(place, tmp_path, monkeypatch, when):
     def full(*arguments, **options):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
