@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from test_certificate import MARGINS
 
 import baselines
-from rendezvous_env import Scenario, Sensing, Simulator, certificate, graphs, rollout
+from rendezvous_env import Disc, Scenario, Sensing, Simulator, certificate, graphs, rollout
 from rendezvous_env.safety.theorems.constants import most_neighbours
 from rendezvous_env.safety.theorems.theorem import CHOICES
 from rendezvous_env.vector import EnergyTankWrapper
@@ -100,6 +100,42 @@ def test_starts_of_options_are_asked_for_in_a_scenario():
     assert own.lyapunov_bound < simulator.lyapunov()[0] <= given.lyapunov_bound
     assert own.time_bound < 40.0 < given.time_bound  # each goes 1 m/s
     assert "scenario.replace(start_positions=…" in certificate.__doc__
+
+
+def test_weights_of_options_are_asked_for_in_an_environment_of_their_own():
+    """The wrapper's least gain is a* of its own scenario, a hundred times less than theirs."""
+    light = Scenario(n_robots=2, graph=graphs.complete((0.01, 1.0)), spawn_size=2.0)
+    heavy = light.replace(graph=graphs.complete(1.0))
+    found, met = certificate(heavy, by="gains"), []
+    for scenario in (light, heavy):
+        env, simulator = alone(scenario, "gains")
+        env.reset(seed=0, options={"weights": 1.0 - np.eye(2)})
+        while simulator.time[0] < found.time_bound:
+            if env.step([[[1e-6], [1e-6]]])[2].any():
+                break
+        met.append(simulator.active.sum() == 1)
+    assert met == [False, True]
+    assert "made of that scenario" in certificate.__doc__
+
+
+def test_obstacles_of_options_are_asked_for_in_an_environment_of_their_own():
+    """Tanks of a scenario with obstacles do not shrink at merges: the last two may spend all."""
+    places = 4.0 * np.random.default_rng(5).normal(size=(8, 2))
+    free = Scenario(n_robots=8, start_positions=places, local_frames="global", time_limit=500.0)
+    other = free.replace(obstacles=Disc((100.0, 0.0), 1.0))
+    bound, met = certificate(free, 0.5, by="tank").time_bound, []
+    for scenario in (free, other):
+        env, simulator = alone(scenario, "tank", min_alignment=0.5)
+        seen, _ = env.reset(seed=0, options={"obstacles": ()})
+        while simulator.time[0] < bound:
+            f = scenario.observation_layout.net_bearing(seen)
+            f *= simulator.active.sum() > 2  # then they rest
+            seen, _, ended, *_ = env.step(0.6 * f / scenario.speed_limit)
+            if ended.any():
+                break
+        met.append(simulator.active.sum() == 1)
+    assert met == [True, False]
+    assert "Of other weights or obstacles" in certificate.__doc__
 
 
 @pytest.mark.parametrize("by", CHOICES)
