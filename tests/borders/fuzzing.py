@@ -7,8 +7,6 @@ finite; and neither takes longer than a few seconds, compiling aside. A few case
 thousands under the ``slow`` marker.
 """
 
-from __future__ import annotations
-
 import time
 import traceback
 import warnings

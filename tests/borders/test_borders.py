@@ -1,7 +1,5 @@
 """What reaches compiled code has been checked: outcomes, masks, actions, and what robots see."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fuzzing of scenarios, resets, actions and states, see ``fuzzing``."""
 
-from __future__ import annotations
-
 import dataclasses
 import tempfile
 import warnings

@@ -1,7 +1,5 @@
 """Fuzzing of wrappers, headings, certificates and obstacles, see ``fuzzing``."""
 
-from __future__ import annotations
-
 import inspect
 import math
 

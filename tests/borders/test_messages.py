@@ -1,7 +1,5 @@
 """What the borders of the core say to values of the wrong kind: field, value and remedy."""
 
-from __future__ import annotations
-
 import math
 import re
 from contextlib import suppress

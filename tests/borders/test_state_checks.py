@@ -1,7 +1,5 @@
 """States from outside: every entry is checked, and all of them before any is taken."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

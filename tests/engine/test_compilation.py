@@ -1,7 +1,5 @@
 """How kernels are compiled: what they may do, and who may call them."""
 
-from __future__ import annotations
-
 import gc
 import importlib
 import pkgutil

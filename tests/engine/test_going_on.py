@@ -1,7 +1,5 @@
 """Running episodes of every kind are taken out, put back, copied and pickled, and go on alike."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 

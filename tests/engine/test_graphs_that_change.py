@@ -2,8 +2,6 @@
 state that can be taken out, put back and begun again.
 """
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

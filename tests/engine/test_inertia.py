@@ -1,7 +1,5 @@
 """Teams of robots with inertia, step by step: contacts, merges, rest, state."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import UNEQUAL

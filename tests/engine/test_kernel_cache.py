@@ -1,7 +1,5 @@
 """Where compiled kernels are kept, and when they are compiled anew."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import tempfile

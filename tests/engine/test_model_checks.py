@@ -1,7 +1,5 @@
 """What is wrong with a robot model of one's own is said when it is registered."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import pickle

@@ -1,7 +1,5 @@
 """Robot models of a user's own, in files outside the package, and the code compiled from them."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import math

@@ -1,7 +1,5 @@
 """The simulator against an independent integrator: DOP853, global positions, own merging."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

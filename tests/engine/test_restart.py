@@ -1,7 +1,5 @@
 """Teams that begin anew beside others that go on; teams that have ended, and rest."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import MODELS, UNEQUAL, assert_same_state

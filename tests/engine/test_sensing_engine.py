@@ -3,8 +3,6 @@
 Teams are looked at many at a time: each kind of team that is stepped has to be compiled first.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 

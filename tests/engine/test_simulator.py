@@ -1,7 +1,5 @@
 """Symmetries, batching, state and refusals of the simulator."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np

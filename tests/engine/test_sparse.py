@@ -2,8 +2,6 @@
 links.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import assert_same_state, refusing

@@ -1,7 +1,5 @@
 """What is given to a simulator: starts, seeds, masks, actions; what of it is refused."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Kernels on several threads: slices of the batch, and what interrupts them."""
 
-from __future__ import annotations
-
 import gc
 import multiprocessing
 import os

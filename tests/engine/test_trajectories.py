@@ -1,7 +1,5 @@
 """The motions of version 0.1, kept as numbers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from trajectories_v01 import EVERY, KEPT, STEPS, trajectory

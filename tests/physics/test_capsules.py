@@ -1,7 +1,5 @@
 """Capsules: distance, normal, way in and silhouette, by hand and against sampling."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Turns by chance: the inverse of the normal distribution, and small rotations."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Merging (theory 5), by hand and against its bound; f and contraction where a_ij is not a_ji."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """What a sensor does not see, and how it turns bearings: as equations."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One exact step of each robot model: against formulas by hand and fine numerical integration."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
