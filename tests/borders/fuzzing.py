@@ -50,13 +50,10 @@ TEAMS = {
 teams = st.sampled_from(sorted(TEAMS))
 
 
-def guaranteed(name: str, scenario: Scenario, _: int) -> Any:
-    """A PettingZoo environment under a guarantee."""
-    return rv.GuaranteeWrapper(rv.parallel_env(scenario), name, **GUARANTEES[name])
-
-
-def teams_guaranteed(name: str, scenario: Scenario, num_envs: int) -> Any:
-    """A vector environment under a guarantee."""
+def guaranteed(name: str, scenario: Scenario, num_envs: int | None = None) -> Any:
+    """A PettingZoo environment under a guarantee, or so many teams."""
+    if num_envs is None:
+        return rv.GuaranteeWrapper(rv.parallel_env(scenario), name, **GUARANTEES[name])
     env = rv.make_vec(scenario, num_envs, max_cycles=3)
     return vector.GuaranteeWrapper(env, name, **GUARANTEES[name])
 
@@ -75,8 +72,8 @@ DOORS: dict[str, tuple[int, Callable[[Scenario, int], Any]]] = {
     "vector": (3, lambda scenario, b: rv.make_vec(scenario, b, max_cycles=2)),
     "same step": (2, lambda scenario, b: rv.make_vec(scenario, b, "SameStep", max_cycles=2)),
     "disabled": (2, lambda scenario, b: rv.make_vec(scenario, b, "Disabled", max_cycles=2)),
-    **{name: (1, partial(guaranteed, name)) for name in GUARANTEES},
-    **{f"vector {name}": (2, partial(teams_guaranteed, name)) for name in GUARANTEES},
+    **{name: (1, lambda scenario, _, n=name: guaranteed(n, scenario)) for name in GUARANTEES},
+    **{f"vector {name}": (2, partial(guaranteed, name)) for name in GUARANTEES},
 }
 """How many teams stand behind each kind of environment, and how it is made."""
 

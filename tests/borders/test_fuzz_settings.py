@@ -9,6 +9,7 @@ from fuzzing import TEAMS, Refused, assert_finite, attempt, fuzzed, teams
 from hypothesis import example
 from hypothesis import strategies as st
 from soup import absurd, any_table, nearly
+from tuples import along
 
 import rendezvous_env as rv
 from rendezvous_env import vector
@@ -110,8 +111,7 @@ def test_obstacles(shape, name, value, as_data):
             assert found.replace(obstacles=found.obstacles) == found
 
 
-RING = 2 * np.pi * np.arange(1000) / 1000
-ROUND = rv.Polygon(2.0 * np.stack([np.cos(RING), np.sin(RING)], axis=-1))
+ROUND = rv.Polygon(2.0 * along(*0.36 * np.arange(1000)))
 wild = st.sampled_from([1e-3, 1.0, 30.0, 1e3, 1e6])
 
 

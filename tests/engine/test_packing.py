@@ -87,20 +87,19 @@ class TestEpisodes:
         assert apart.max() < {4: 0.31, 10: 0.9}[n]
 
     @pytest.mark.parametrize("batch", [1, 6])  # a team alone, and lanes side by side
-    def test_whoever_touches_somebody_looks_at_the_others(self, batch):
+    def test_whoever_touches_somebody_looks_at_the_others_or_at_all_if_it_touches_all(self, batch):
         """Robot 0 touches 1, which touches 0 and 2; robot 3 is alone: who sees whom, by row."""
         places = ((0.0, 0.0), (0.155, 0.0), (0.31, 0.0), (0.0, 1.0))
-        scenario = FOUR.replace(start_positions=places, local_frames="global")
-        seen = rv.Simulator(scenario, num_envs=batch).reset(0)
-        expected = [[0, 1, 1], [0, 0, 1], [1, 0, 1], [1, 1, 1]]
-        np.testing.assert_array_equal(seen.any(axis=-1), [expected] * batch)
-        np.testing.assert_allclose(seen[0, 0, 1:], np.array([(1, 0), (0, 1)]) / 15, rtol=1e-6)
-
-    def test_whoever_touches_all_looks_at_all(self):
-        row = ((0.0, 0.0), (0.155, 0.0), (0.31, 0.0))
-        row = FOUR.replace(n_robots=3, start_positions=row, local_frames="global")
-        seen = rv.Simulator(row).reset(0)[0].any(axis=-1)
-        np.testing.assert_array_equal(seen, [[False, True], [True, True], [True, False]])
+        for n, expected in (
+            (4, [[0, 1, 1], [0, 0, 1], [1, 0, 1], [1, 1, 1]]),
+            (3, [[0, 1], [1, 1], [1, 0]]),
+        ):
+            row = FOUR.replace(n_robots=n, start_positions=places[:n], local_frames="global")
+            seen = rv.Simulator(row, num_envs=batch).reset(0)
+            np.testing.assert_array_equal(seen.any(axis=-1), [expected] * batch)
+            if n == 4:
+                to_others = np.array([(1, 0), (0, 1)]) / 15
+                np.testing.assert_allclose(seen[0, 0, 1:], to_others, rtol=1e-6)
 
     def test_bodies_hide_one_another(self):
         """In a row of three the outer two do not see each other past a body of 0.1 m."""

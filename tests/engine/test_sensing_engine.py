@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from conftest import UNEQUAL, actions_shape
 from scipy import stats
-from tuples import triple, world
+from tuples import along, triple, world
 
 import rendezvous_env as rv
 from rendezvous_env.physics.worst_bias import outward_directions
@@ -193,9 +193,7 @@ def test_the_adversary_turns_every_bearing_outwards(scenario):
 
 def test_regular_polygons_grow_from_the_angle_of_theorem_n_on():
     """Law (1) on a cycle: the threshold π/n of theorem N is sharp."""
-    turn = 2 * math.pi * np.arange(5) / 5
-    start = 3.0 * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    grows = {}
+    start, grows = 3.0 * along(*72 * np.arange(5)), {}
     for share in (0.9, 1.05):
         cycle = PLANE.replace(graph="cycle", neighbour_slots=4)
         scenario = sensing(cycle, error=share * math.pi / 5)

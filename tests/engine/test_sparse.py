@@ -4,7 +4,8 @@ links.
 
 import numpy as np
 import pytest
-from conftest import assert_same_state, refusing
+from conftest import assert_same_state, refusing, unequal_matrix
+from tuples import along
 
 import baselines
 import rendezvous_env as rv
@@ -15,20 +16,10 @@ from rendezvous_env.engine import memory_layout
 SEED = 4
 
 
-def random_links(n: int, seed: int) -> list[tuple[int, int, float]]:
-    """A random spanning tree and as many further links, of unequal weights: mean degree 4."""
-    random = np.random.default_rng(seed)
-    links = {(int(random.integers(i)), i) for i in range(1, n)}
-    while len(links) < 2 * n:
-        i, j = sorted(random.choice(n, 2, replace=False).tolist())
-        links.add((i, j))
-    return [(i, j, float(random.uniform(0.5, 2.0))) for i, j in sorted(links)]
-
-
 RING = Scenario(n_robots=60, graph="cycle", spawn_size=12.0)
 WEB = Scenario(
     n_robots=60,
-    graph=graphs.from_edges(random_links(60, 1)),
+    graph=unequal_matrix(60, seed=1, share=0.035),
     spawn_size=12.0,
     merge_radius=0.4,
     time_step=0.02,
@@ -125,9 +116,7 @@ def test_a_robot_with_more_neighbours_than_rows_is_named(sparse):
     scenario = Scenario(n_robots=n, graph=graphs.from_edges(links), neighbour_slots=n // 2)
     sim = Simulator(scenario)
     assert ("first" in sim.get_state()) == sparse
-    turns = 2 * np.pi * np.arange(n) / n
-    positions = 9.0 * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
-    r = scenario.merge_radius
+    positions, r = 9.0 * along(*360 / n * np.arange(n)), scenario.merge_radius
     positions[:2] = [[-0.55 * r, 0.0], [0.55 * r, 0.0]]
     frames = np.tile(np.eye(2), (n, 1, 1))
     sim.reset(0, {"positions": positions, "frames": frames})

@@ -19,15 +19,15 @@ def one_of_each_scenario() -> list[str]:
     return chosen
 
 
-def assert_same_motion(case: str, steps: int) -> None:
+@pytest.mark.parametrize(
+    ("case", "steps"),
+    [(case, 2 * EVERY) for case in one_of_each_scenario()]
+    + [pytest.param(case, STEPS, marks=pytest.mark.slow) for case in MOTIONS],
+)
+def test_motions_are_those_of_version_01(case, steps):
     expected = MOTIONS[case][: 1 + steps // EVERY]
     found = trajectory(*case.split("|"), steps=steps)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("case", one_of_each_scenario())
-def test_motions_are_those_of_version_01(case):
-    assert_same_motion(case, 2 * EVERY)
 
 
 def test_what_is_kept_are_motions():
@@ -36,9 +36,3 @@ def test_what_is_kept_are_motions():
     moving_policies = {case.split("|")[1] for case in MOTIONS.keys() - still}
     assert len(MOTIONS) == 154 and all(case.startswith("wall|") for case in still - ZEROS)
     assert moving_policies == {case.split("|")[1] for case in MOTIONS} - {"zero"}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", MOTIONS)
-def test_all_motions_are_those_of_version_01(case):
-    assert_same_motion(case, STEPS)
