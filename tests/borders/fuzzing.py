@@ -28,11 +28,7 @@ import rendezvous_env as rv
 from rendezvous_env import Scenario, Simulator, TimeStepWarning, vector
 from rendezvous_env.envs.gymnasium_env import make_env
 
-FEW, MANY = 2, 14
-EFFORTS = [
-    pytest.param(FEW, id="few"),
-    pytest.param(MANY, id="many", marks=pytest.mark.slow),
-]
+EFFORTS = [pytest.param(2, id="few"), pytest.param(14, id="many", marks=pytest.mark.slow)]
 LONGEST = 5.0
 """Seconds of its thread's processor time that one call may take."""
 OURS = tuple(str(Path(module.__file__).parent) for module in (rv, baselines))

@@ -248,9 +248,6 @@ def test_counts_of_the_wrong_kind(value):
     assert f"max_cycles is {shown(value)}" in refusal(Simulator(PAIR).set_max_steps, value)
     assert "num_envs is" in refusal(Simulator, PAIR, value)
     assert "num_threads is" in refusal(Simulator, PAIR, 1, num_threads=value)
-    assert "num_envs is" in refusal(rv.make_vec, PAIR, num_envs=value)
-    assert "max_cycles is" in refusal(rv.make_vec, PAIR, max_cycles=value)
-    assert "max_cycles is" in refusal(rv.parallel_env, PAIR, max_cycles=value)
     env = rv.parallel_env(PAIR, max_cycles=MOST_STEPS)
     with pytest.raises(ValueError, match="max_cycles is"):
         env.max_cycles = value

@@ -10,8 +10,6 @@ import rendezvous_env as rv
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
 from rendezvous_env.physics.packing import is_packed, move_apart
 
-FOUR = rv.scenarios.get("robotarium-4")
-
 
 def distances(positions):
     pairs = np.triu_indices(positions.shape[-2], 1)
@@ -89,12 +87,13 @@ class TestEpisodes:
     @pytest.mark.parametrize("batch", [1, 6])  # a team alone, and lanes side by side
     def test_whoever_touches_somebody_looks_at_the_others_or_at_all_if_it_touches_all(self, batch):
         """Robot 0 touches 1, which touches 0 and 2; robot 3 is alone: who sees whom, by row."""
+        four = rv.scenarios.get("robotarium-4").replace(local_frames="global")
         places = ((0.0, 0.0), (0.155, 0.0), (0.31, 0.0), (0.0, 1.0))
         for n, expected in (
             (4, [[0, 1, 1], [0, 0, 1], [1, 0, 1], [1, 1, 1]]),
             (3, [[0, 1], [1, 1], [1, 0]]),
         ):
-            row = FOUR.replace(n_robots=n, start_positions=places[:n], local_frames="global")
+            row = four.replace(n_robots=n, start_positions=places[:n])
             seen = rv.Simulator(row, num_envs=batch).reset(0)
             np.testing.assert_array_equal(seen.any(axis=-1), [expected] * batch)
             if n == 4:

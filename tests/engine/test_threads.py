@@ -304,12 +304,6 @@ def test_a_process_keeps_to_its_share_of_the_cores(monkeypatch):
         assert threads.available_cores() == left
 
 
-def _step_in_child(sim: Simulator, actions: np.ndarray, pipe) -> None:
-    sim.step(actions)
-    pipe.send(sim.positions)
-    pipe.close()
-
-
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
 def test_a_fork_after_a_threaded_step_works(monkeypatch):
@@ -320,7 +314,7 @@ def test_a_fork_after_a_threaded_step_works(monkeypatch):
     sim.step(actions)
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
-    child = context.Process(target=_step_in_child, args=(sim, actions, sender))
+    child = context.Process(target=lambda: sender.send((sim.step(actions), sim.positions)[1]))
     child.start()
     assert receiver.poll(60), "the forked child hangs"
     positions = receiver.recv()

@@ -111,7 +111,6 @@ class TestKeepApart:
             (((1.0, 0.0), [(np.nan, 0.0)]), r"near is \[\[nan, 0\.0\]\]; it must be unit vectors"),
             (((1.0, 0.5), [(5.0, 0.0)]), r"near is \[\[5\.0, 0\.0\]\]; it must be unit vectors"),
             (((1.0, 0.5), [1, 0, 0]), r"near is \[\[1\.0, 0\.0, 0\.0\]\]; it must be unit vectors"),
-            (((1.0, 0.5), 1.0), r"near is \[\[1\.0\]\]; it must be unit vectors, \(k, 2\)"),
             (((0.2, 0.1), [(1.0, 0.0)], np.nan), "rooms is nan; it must be one number"),
             (((0.2, 0.1), [(1.0, 0.0)], (0.1, 0.2)), r"rooms is \[0\.1, 0\.2\]; .* each of 1 dir"),
         ],

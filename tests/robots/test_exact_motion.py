@@ -158,9 +158,3 @@ def test_a_contact_takes_what_goes_into_the_wall_and_nothing_else(action, veloci
     assert np.linalg.norm(slid) <= np.linalg.norm(free) * (1 + 1e-12)
     stopped = motion.update_memory(MODEL, action, GLOBAL, velocity, executed, motion.STOPPED)
     assert np.array_equal(np.abs(stopped), (0.0, 0.0))
-
-
-def test_it_starts_at_rest_and_observes_its_velocity_in_its_own_frame():
-    assert motion.init_memory(MODEL, np.uint64(1), 0) == (0.0, 0.0)
-    quarter = (0.0, -1.0, 1.0, 0.0)
-    assert motion.proprioception(MODEL, quarter, (0.0, 1.5)) == (1.5, 0.0)
