@@ -65,17 +65,12 @@ def test_toml(text):
 class Door:
     """One kind of environment, and how to look at its episode."""
 
-    def __init__(self, name: str, scenario: Scenario) -> None:
+    def __init__(self, name: str, team: str) -> None:
         self.num_envs, make = DOORS[name]
-        self.size, self.n = scenario.action_size, scenario.n_robots
-        self.env = make(scenario, self.num_envs)
-        if "heading" in name:
-            self.size = self.env.filter.action_size
-
-    @property
-    def simulator(self) -> Simulator:
-        """What everything is around."""
-        return self.env if isinstance(self.env, Simulator) else self.env.unwrapped.simulator
+        self.env = env = make(TEAMS[team], self.num_envs)
+        self.n = TEAMS[team].n_robots
+        self.size = (env.filter if "heading" in name else TEAMS[team]).action_size
+        self.simulator = env if isinstance(env, Simulator) else env.unwrapped.simulator
 
     def state(self) -> Any:
         """All that a refusal must leave as it is."""
@@ -95,12 +90,8 @@ class Door:
         return True
 
 
-@cache
-def door(name: str, team: str) -> Door:
-    """Made once, for all cases."""
-    return Door(name, TEAMS[team])
-
-
+door = cache(Door)
+"""Made once, for all cases."""
 NAMES = [name for name in DOORS if not name.endswith(("gains", "links"))]
 """Those that robots of all models may stand behind."""
 names = st.sampled_from(NAMES)

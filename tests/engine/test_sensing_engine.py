@@ -70,8 +70,7 @@ def by_robot(rows: np.ndarray) -> np.ndarray:
     """Rows (B, n, n − 1, d) with one for the robot itself, (B, n, n, d)."""
     batch, n, _, d = rows.shape
     table = np.zeros((batch, n, n, d))
-    for i in range(n):
-        table[:, i, [j for j in range(n) if j != i]] = rows[:, i]
+    table[:, ~np.eye(n, dtype=bool)] = rows.reshape(batch, -1, d)
     return table
 
 
@@ -279,7 +278,7 @@ def test_in_space_spheres_hide_what_is_behind_them():
     sim = simulator(sensing(SPACE, occlusion="both"))
     places = np.array([[-3, 0.2, 0], [3, 0.2, 0], [0.3, 3, 0.05], [0.3, 5, 0.05], [0, 0, 4.0]])
     sim.reset(0, {"positions": places})
-    expected = ~np.eye(5, dtype=bool)
+    expected = OTHERS.copy()
     expected[0, 1] = expected[1, 0] = False  # behind the sphere
     assert (by_robot(neighbours(sim)).any(axis=-1) == expected).all()
 
