@@ -11,7 +11,6 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -90,15 +89,8 @@ def fuzzed(count: int, *values: st.SearchStrategy) -> Callable[[Callable[..., No
     return decorate
 
 
-@dataclass
-class Refused:
-    """How a call refused."""
-
-    error: Exception
-
-
 def attempt(call: Callable[[], Any], *kinds: type[Exception]) -> Any:
-    """What a call returns, or how it refused; any other end is a failure."""
+    """What a call returns, or the error with which it refused; any other end is a failure."""
     begun, refusals = time.thread_time(), kinds or (ValueError,)
     try:
         with warnings.catch_warnings(), install_recorder("numba:compile") as compiling:
@@ -107,11 +99,11 @@ def attempt(call: Callable[[], Any], *kinds: type[Exception]) -> Any:
     except refusals as error:
         assert len(str(error)) < 2000
         if isinstance(error, OSError):  # as the system puts it
-            return Refused(error)
+            return error
         last = traceback.extract_tb(error.__traceback__)[-1]
         assert last.filename.startswith(OURS), f"refused by {last.filename}: {error!r}"
         assert (last.line or "").startswith("raise"), f"refused by {last.line}: {error!r}"
-        return Refused(error)
+        return error
     finally:
         # what has to be compiled on the way hangs on what other tests have left on the disk
         assert compiling.buffer or time.thread_time() - begun < LONGEST
@@ -142,6 +134,6 @@ def play(simulator: Simulator, steps: int, seed: int = 0) -> None:
 def start_and_play(simulator: Simulator, steps: int = 6) -> None:
     """An episode, if there is room for its start, which may be too little."""
     begun = attempt(lambda: simulator.reset(0), ValueError, RuntimeError)
-    if not isinstance(begun, Refused):
+    if not isinstance(begun, Exception):
         assert_finite(begun, simulator.positions, simulator.lyapunov())
         play(simulator, steps)

@@ -156,7 +156,7 @@ class TestScenario:
     def test_weights_that_leave_bodies_unlinked_are_refused_at_a_reset(self):
         """Two that do not see each other would pass through each other."""
         simulator = rv.Simulator(rv.Scenario(n_robots=3, body_radius=0.1))
-        path = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+        path = rv.graphs.path().base_weights(3)
         with pytest.raises(ValueError, match="weights must link all robots with a body_radius"):
             simulator.reset(0, {"weights": path})
         simulator.reset(0, {"weights": 1.0 - np.eye(3)})

@@ -137,7 +137,7 @@ def test_a_start_with_too_many_neighbours_is_refused():
     drawn = Scenario(n_robots=6, graph=graphs.erdos_renyi(0.9), neighbour_slots=1)
     with pytest.raises(RuntimeError, match=r"robot_\d of team 0 has more .* after step 0"):
         Simulator(drawn, 2).reset(0)
-    path = np.eye(4, k=1) + np.eye(4, k=-1)
+    path = graphs.path().base_weights(4)
     sim = Simulator(Scenario(n_robots=4, graph="star", neighbour_slots=2, spawn_size=30.0))
     sim.reset(0, {"weights": path})
     outcome = sim.step(np.zeros((1, 4, 2)))
@@ -186,9 +186,7 @@ def test_a_state_with_more_neighbours_than_rows_is_refused(n):
 def test_given_weights_are_those_of_the_team():
     n = 60
     scenario = RING.replace(graph=graphs.cycle((0.5, 2.0)))
-    ring = np.eye(n, k=1) + np.eye(n, k=-1)
-    ring[0, -1] = ring[-1, 0] = 1.0
-    path = np.eye(n, k=1) + np.eye(n, k=-1)
+    ring, path = (graph.base_weights(n) for graph in (graphs.cycle(), graphs.path()))
     sim = Simulator(scenario, 2)
     sim.reset(0, {"weights": np.stack([ring, path])})
     np.testing.assert_array_equal(sim.weights, [ring, path])
