@@ -16,12 +16,6 @@ def distances(positions):
     return np.linalg.norm(positions[..., pairs[0], :] - positions[..., pairs[1], :], axis=-1)
 
 
-def packed(places, radius=1.05):
-    places = np.array(places, float)
-    work = np.zeros(len(places), np.int64), np.zeros(len(places), np.bool_)
-    return is_packed(places, radius, work)
-
-
 class TestMoving:
     @pytest.mark.parametrize(
         ("wanted", "ways"),
@@ -62,7 +56,8 @@ class TestMoving:
     ],
 )
 def test_what_is_packed(places, is_so):
-    assert packed(places) is is_so
+    work = np.zeros(len(places), np.int64), np.zeros(len(places), np.bool_)
+    assert is_packed(np.array(places, float), 1.05, work) is is_so
 
 
 class TestEpisodes:

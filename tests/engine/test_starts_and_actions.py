@@ -4,8 +4,9 @@ import copy
 
 import numpy as np
 import pytest
-from conftest import UNEQUAL, assert_same_state, five, refusing
-from test_simulator import STARTS, attitudes, halfway, start
+from conftest import UNEQUAL, actions_shape, assert_same_state, five, refusing
+from test_restart import halfway
+from test_simulator import STARTS, attitudes, start
 
 from rendezvous_env import Disc, Scenario, Simulator, graphs
 from rendezvous_env.engine.stages.step import step_blocks
@@ -180,9 +181,9 @@ def test_the_inputs_of_nonholonomic_robots_are_clipped_one_by_one():
 
 
 def test_what_merged_away_robots_are_given_is_ignored(kind):
-    sim = halfway(kind)
+    sim, _ = halfway(five(kind, spawn_size=6.0, merge_radius=0.4))
     other, gone = copy.deepcopy(sim), ~sim.active
-    actions = np.zeros((20, 5, sim.scenario.action_size))
+    actions = np.zeros(actions_shape(sim))
     sim.step(actions)
     actions[gone] = 3.0
     other.step(actions)
