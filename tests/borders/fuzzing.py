@@ -80,8 +80,8 @@ def fuzzed(count: int, *values: st.SearchStrategy) -> Callable[[Callable[..., No
         @pytest.mark.parametrize("effort", EFFORTS)
         def test(effort: int) -> None:
             health = list(HealthCheck)
-            limits = settings(max_examples=count * effort, database=None, deadline=None)
-            settings(limits, suppress_health_check=health)(given(*values)(check))()
+            limits = {"max_examples": count * effort, "suppress_health_check": health}
+            settings(**limits, database=None, deadline=None)(given(*values)(check))()
 
         test.__name__ = test.__qualname__ = check.__name__
         return test

@@ -113,13 +113,13 @@ def test_a_robot_with_more_neighbours_than_rows_is_named(sparse):
     """A double star: when its two centres merge, robot 0 has the neighbours of both."""
     n = 60 if sparse else 8
     links = [(0, 1)] + [(k % 2, k) for k in range(2, n)]
-    scenario = Scenario(n_robots=n, graph=graphs.from_edges(links), neighbour_slots=n // 2)
+    star = graphs.from_edges(links)
+    scenario = Scenario(n_robots=n, graph=star, neighbour_slots=n // 2, local_frames="global")
     sim = Simulator(scenario)
     assert ("first" in sim.get_state()) == sparse
     positions, r = 9.0 * along(*360 / n * np.arange(n)), scenario.merge_radius
     positions[:2] = [[-0.55 * r, 0.0], [0.55 * r, 0.0]]
-    frames = np.tile(np.eye(2), (n, 1, 1))
-    sim.reset(0, {"positions": positions, "frames": frames})
+    sim.reset(0, {"positions": positions})
     actions = np.zeros((1, n, 2))
     sim.step(actions)
     actions[0, 0, 0] = scenario.speed_limit
