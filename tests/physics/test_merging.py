@@ -121,9 +121,10 @@ def test_a_pair_merges_where_it_first_touches_and_rests():
 
 
 def test_the_merged_robot_has_the_union_of_the_links_with_the_larger_weight():
-    weights = linked(5, (0, 1, 1), (0, 2, 0.5), (1, 2, 0.9), (1, 3, 0.3), (2, 4, 2))
+    links = (0, 1, 1), (0, 2, 0.5), (1, 2, 0.9), (1, 3, 0.3), (0, 4, 0.7), (1, 4, 0.2), (2, 4, 2)
+    weights = linked(5, *links)
     moved = Moved([[0, 0], [0.5, 0], [20, 0], [0, 20], [-20, 0]], np.zeros((5, 2)), weights)
-    expected = linked(5, (0, 2, 0.9), (0, 3, 0.3), (2, 4, 2))
+    expected = linked(5, (0, 2, 0.9), (0, 3, 0.3), (0, 4, 0.7), (2, 4, 2))
     np.testing.assert_array_equal(moved.weights, expected)
 
 
