@@ -11,16 +11,10 @@ from scipy.integrate import solve_ivp
 from rendezvous_env import Scenario, Simulator
 from rendezvous_env.engine.memory import RUNNING
 
-POSITIONS = {
-    2: np.array([[-3.0, 1.2], [2.1, 3.4], [3.6, -1.3], [-0.7, -3.2], [0.4, 0.9]]),
-    3: np.array(
-        [[-3.0, 1.2, 0.4], [2.1, 3.4, -0.9], [3.6, -1.3, 0.8], [-0.7, -3.2, -1.1], [0.4, 0.9, 1.7]]
-    ),
-}
-HEADINGS = {
-    "unicycle": np.array([[0.3], [-2.1], [1.4], [2.9], [-0.8]]),
-    "nonholonomic_3d": np.array([[0.3, 0.2], [-2.1, -0.3], [1.4, 0.1], [2.9, 0.4], [-0.8, -0.2]]),
-}
+POSITIONS = np.array(
+    [[-3.0, 1.2, 0.4], [2.1, 3.4, -0.9], [3.6, -1.3, 0.8], [-0.7, -3.2, -1.1], [0.4, 0.9, 1.7]]
+)
+HEADINGS = np.array([[0.3, 0.2], [-2.1, -0.3], [1.4, 0.1], [2.9, 0.4], [-0.8, -0.2]])
 GRAPHS = {"unequal": UNEQUAL, "complete": np.ones((5, 5)) - np.eye(5)}
 RADIUS = 0.25
 
@@ -124,11 +118,12 @@ def integrate(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> Reference:
 
 
 def start_of(scenario: Scenario) -> dict:
-    positions = POSITIONS[scenario.dim]
+    positions = POSITIONS[:, : scenario.dim]
     if not scenario.model.nonholonomic:
         return {"positions": positions}
     flatter = np.array([1.0, 1.0, 0.2])[: scenario.dim]  # near a pitch of ±π/2 their law is stiff
-    return {"positions": positions * flatter, "headings": HEADINGS[scenario.robot_model]}
+    headings = HEADINGS[:, : scenario.model.n_angles]
+    return {"positions": positions * flatter, "headings": headings}
 
 
 def played(scenario: Scenario, moment: float) -> tuple[float, np.ndarray, float]:
