@@ -214,10 +214,10 @@ UNEQUAL = np.array(
 """Five robots, six links, no symmetry."""
 
 
-def unequal_matrix(n: int, seed: int = 0) -> np.ndarray:
+def unequal_matrix(n: int, seed: int = 0, share: float = 0.3) -> np.ndarray:
     """A connected weight matrix with a random spanning tree, further links and unequal weights."""
     random = np.random.default_rng(seed)
-    links = np.triu(random.random((n, n)) < 0.3, 1)
+    links = np.triu(random.random((n, n)) < share, 1)
     for i in range(1, n):
         links[random.integers(i), i] = True
     weights = np.where(links, random.uniform(0.5, 2.0, (n, n)), 0.0)

@@ -7,13 +7,10 @@ finite; and neither takes longer than a few seconds, compiling aside. A few case
 thousands under the ``slow`` marker.
 """
 
-from __future__ import annotations
-
 import time
 import traceback
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,11 +27,7 @@ import rendezvous_env as rv
 from rendezvous_env import Scenario, Simulator, TimeStepWarning, vector
 from rendezvous_env.envs.gymnasium_env import make_env
 
-FEW, MANY = 2, 14
-EFFORTS = [
-    pytest.param(FEW, id="few"),
-    pytest.param(MANY, id="many", marks=pytest.mark.slow),
-]
+EFFORTS = [pytest.param(2, id="few"), pytest.param(14, id="many", marks=pytest.mark.slow)]
 LONGEST = 5.0
 """Seconds of its thread's processor time that one call may take."""
 OURS = tuple(str(Path(module.__file__).parent) for module in (rv, baselines))
@@ -52,13 +45,10 @@ TEAMS = {
 teams = st.sampled_from(sorted(TEAMS))
 
 
-def guaranteed(name: str, scenario: Scenario, _: int) -> Any:
-    """A PettingZoo environment under a guarantee."""
-    return rv.GuaranteeWrapper(rv.parallel_env(scenario), name, **GUARANTEES[name])
-
-
-def teams_guaranteed(name: str, scenario: Scenario, num_envs: int) -> Any:
-    """A vector environment under a guarantee."""
+def guaranteed(name: str, scenario: Scenario, num_envs: int | None = None) -> Any:
+    """A PettingZoo environment under a guarantee, or so many teams."""
+    if num_envs is None:
+        return rv.GuaranteeWrapper(rv.parallel_env(scenario), name, **GUARANTEES[name])
     env = rv.make_vec(scenario, num_envs, max_cycles=3)
     return vector.GuaranteeWrapper(env, name, **GUARANTEES[name])
 
@@ -77,8 +67,8 @@ DOORS: dict[str, tuple[int, Callable[[Scenario, int], Any]]] = {
     "vector": (3, lambda scenario, b: rv.make_vec(scenario, b, max_cycles=2)),
     "same step": (2, lambda scenario, b: rv.make_vec(scenario, b, "SameStep", max_cycles=2)),
     "disabled": (2, lambda scenario, b: rv.make_vec(scenario, b, "Disabled", max_cycles=2)),
-    **{name: (1, partial(guaranteed, name)) for name in GUARANTEES},
-    **{f"vector {name}": (2, partial(teams_guaranteed, name)) for name in GUARANTEES},
+    **{name: (1, lambda scenario, _, n=name: guaranteed(n, scenario)) for name in GUARANTEES},
+    **{f"vector {name}": (2, partial(guaranteed, name)) for name in GUARANTEES},
 }
 """How many teams stand behind each kind of environment, and how it is made."""
 
@@ -90,8 +80,8 @@ def fuzzed(count: int, *values: st.SearchStrategy) -> Callable[[Callable[..., No
         @pytest.mark.parametrize("effort", EFFORTS)
         def test(effort: int) -> None:
             health = list(HealthCheck)
-            limits = settings(max_examples=count * effort, database=None, deadline=None)
-            settings(limits, suppress_health_check=health)(given(*values)(check))()
+            limits = {"max_examples": count * effort, "suppress_health_check": health}
+            settings(**limits, database=None, deadline=None)(given(*values)(check))()
 
         test.__name__ = test.__qualname__ = check.__name__
         return test
@@ -99,15 +89,8 @@ def fuzzed(count: int, *values: st.SearchStrategy) -> Callable[[Callable[..., No
     return decorate
 
 
-@dataclass
-class Refused:
-    """How a call refused."""
-
-    error: Exception
-
-
 def attempt(call: Callable[[], Any], *kinds: type[Exception]) -> Any:
-    """What a call returns, or how it refused; any other end is a failure."""
+    """What a call returns, or the error with which it refused; any other end is a failure."""
     begun, refusals = time.thread_time(), kinds or (ValueError,)
     try:
         with warnings.catch_warnings(), install_recorder("numba:compile") as compiling:
@@ -116,11 +99,11 @@ def attempt(call: Callable[[], Any], *kinds: type[Exception]) -> Any:
     except refusals as error:
         assert len(str(error)) < 2000
         if isinstance(error, OSError):  # as the system puts it
-            return Refused(error)
+            return error
         last = traceback.extract_tb(error.__traceback__)[-1]
         assert last.filename.startswith(OURS), f"refused by {last.filename}: {error!r}"
         assert (last.line or "").startswith("raise"), f"refused by {last.line}: {error!r}"
-        return Refused(error)
+        return error
     finally:
         # what has to be compiled on the way hangs on what other tests have left on the disk
         assert compiling.buffer or time.thread_time() - begun < LONGEST
@@ -151,6 +134,6 @@ def play(simulator: Simulator, steps: int, seed: int = 0) -> None:
 def start_and_play(simulator: Simulator, steps: int = 6) -> None:
     """An episode, if there is room for its start, which may be too little."""
     begun = attempt(lambda: simulator.reset(0), ValueError, RuntimeError)
-    if not isinstance(begun, Refused):
+    if not isinstance(begun, Exception):
         assert_finite(begun, simulator.positions, simulator.lyapunov())
         play(simulator, steps)

@@ -1,7 +1,5 @@
 """What reaches compiled code has been checked: outcomes, masks, actions, and what robots see."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -110,11 +108,8 @@ def test_perception_refuses_other_teams():
     headings = np.zeros((TEAMS, 4, 2))
     for wrong, carried, name in (
         (seen[:2], headings, "observations"),
-        (seen[:, :2], headings, "observations"),
-        (seen[:, :, :-1], headings, "observations"),
         (seen.astype(complex), headings, "observations"),
         (seen, headings[:2], "headings"),
-        (seen, headings[..., :1], "headings"),
     ):
         with refusing(perception, f"{name} (have shape|are)"):
             perception.see(wrong, carried)
@@ -131,10 +126,8 @@ def test_heading_rules_refuse_what_does_not_fit_together():
         for bearing, silhouettes, message in (
             (f, points[:2], "silhouettes has shape"),
             (f, points[..., :1, :], "silhouettes has shape"),
-            (f, np.ones((3, 4, 5, 8, 3)), "silhouettes has shape"),
             (np.ones((3, 4, 3)), points, "silhouettes has shape"),
             (np.ones((3, 4, 1)), points, "net_bearing has shape"),
-            (np.ones((3, 4, 4)), points, "net_bearing has shape"),
             (f * np.nan, points, r"net_bearing is \[nan, .*\]; it must be finite"),
             (f, points.astype(np.int64), "silhouettes are int64"),
         ):

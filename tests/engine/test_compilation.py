@@ -1,7 +1,5 @@
 """How kernels are compiled: what they may do, and who may call them."""
 
-from __future__ import annotations
-
 import gc
 import importlib
 import pkgutil
@@ -126,11 +124,9 @@ def test_what_only_kernels_call_is_plain_python_for_python():
     assert not compilation.compiled() or not squared.overloads
 
 
-@pytest.fixture
-def nested(monkeypatch):
-    """The outer one of three kernels, of which one asks for SLP; and a function that sets what is
-    called, with its name, when each has been compiled.
-    """
+@pytest.mark.parametrize("at_work", [True, False])
+def test_the_collector_rests_while_compiling_and_slp_is_for_who_asks_for_it(at_work, monkeypatch):
+    """However deep within each other they are compiled; and no longer."""
     if not compilation.compiled():
         pytest.skip("nothing is compiled")
     monkeypatch.setattr(kernel_cache, "_folder", lambda: None)  # else they are found again
@@ -147,40 +143,23 @@ def nested(monkeypatch):
     def around(x):
         return rows(x) + loops(x)
 
-    def watch(look):
-        for kernel in (loops, rows, around):
+    seen = {}
+    for kernel in (loops, rows, around):
 
-            def compiling(*a, real=kernel._compiler.compile, name=kernel.__name__):
-                made = real(*a)
-                look(name)
-                return made
+        def compiling(*a, real=kernel._compiler.compile, name=kernel.__name__):
+            made = real(*a)
+            seen[name] = gc.isenabled(), numba.config.SLP_VECTORIZE
+            return made
 
-            monkeypatch.setattr(kernel._compiler, "compile", compiling)
-
-    return around, watch
-
-
-@pytest.mark.parametrize("at_work", [True, False])
-def test_the_collector_rests_while_compiling_and_no_longer(at_work, nested):
-    (around, watch), seen = nested, {}
-    watch(lambda name: seen.update({name: gc.isenabled()}))
+        monkeypatch.setattr(kernel._compiler, "compile", compiling)
     was_at_work = gc.isenabled()
     (gc.enable if at_work else gc.disable)()
     try:
         assert around(3.0) == 12.0  # the inner ones end first
-        assert seen == dict.fromkeys(("loops", "rows", "around"), False)
-        assert gc.isenabled() == at_work
+        assert seen == {"loops": (False, 0), "rows": (False, 1), "around": (False, 0)}
+        assert gc.isenabled() == at_work and numba.config.SLP_VECTORIZE == 0
         with pytest.raises(numba.core.errors.NumbaError):
             around("three")
         assert gc.isenabled() == at_work
     finally:
         (gc.enable if was_at_work else gc.disable)()
-
-
-def test_a_kernel_is_compiled_with_slp_where_it_asks_for_it_and_no_other(nested):
-    """However deep within each other they are compiled."""
-    (around, watch), seen = nested, {}
-    watch(lambda name: seen.update({name: numba.config.SLP_VECTORIZE}))
-    assert around(3.0) == 12.0
-    assert seen == {"loops": False, "rows": True, "around": False}
-    assert numba.config.SLP_VECTORIZE == 0

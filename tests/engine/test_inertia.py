@@ -1,14 +1,13 @@
 """Teams of robots with inertia, step by step: contacts, merges, rest, state."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import UNEQUAL
+from tuples import triple, world
 
 import baselines
 from rendezvous_env import Capsule, Disc, Polygon, Scenario, Simulator, Sphere
-from rendezvous_env.obstacles.obstacle_set import distance_to, pack, world_of
+from rendezvous_env.obstacles.obstacle_set import distance_to
 
 FLAT = (
     Disc((0.0, 0.0), 1.0),
@@ -52,9 +51,8 @@ def push(sim: Simulator, acceleration) -> object:
 
 
 def clearance(scenario: Scenario, point) -> float:
-    world = world_of(pack(scenario.obstacles, len(scenario.obstacles)))
-    where = (*np.asarray(point).tolist(), 0.0)[:3]
-    return min(distance_to(world, m, where) for m in range(len(scenario.obstacles)))
+    scene = world(scenario.obstacles)
+    return min(distance_to(scene, m, triple(point)) for m in range(len(scenario.obstacles)))
 
 
 @pytest.mark.parametrize("dim", [2, 3])

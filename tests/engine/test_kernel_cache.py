@@ -1,7 +1,5 @@
 """Where compiled kernels are kept, and when they are compiled anew."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import tempfile
@@ -60,10 +58,10 @@ def package(folder: Path, factor: float) -> None:
     (folder / "demo" / "inner.py").write_text(INNER.format(factor=factor))
 
 
-def call(folder: Path, module: str = "demo.outer", **environment: str) -> tuple[float, int, int]:
+def call(folder: Path, **environment: str) -> tuple[float, int, int]:
     """f(10) in a fresh process, and how often its compiled code was found and not found."""
     script = (
-        f"{BARE}from {module} import f; print(f(10.0), "
+        f"{BARE}from demo.outer import f; print(f(10.0), "
         "sum(f.stats.cache_hits.values()), sum(f.stats.cache_misses.values()))"
     )
     value, hits, misses = python(script, folder, **environment).stdout.split()

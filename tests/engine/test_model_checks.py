@@ -1,7 +1,5 @@
 """What is wrong with a robot model of one's own is said when it is registered."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import pickle
@@ -102,10 +100,8 @@ BAD_EQUATIONS = {
         "speed_limit times",
     ),
     "raises": ({"propose": lambda *_: [][0]}, {}, "propose of .* fails: IndexError"),
-    "wants other arguments": ({"propose": lambda: 0}, {}, "propose of .* fails: TypeError"),
     "a frame that is none": ({"frame": lambda *_: (2.0, 0.0, 0.0, 2.0)}, {}, "a rotation"),
     "forgets": ({**TURNS, "update": lambda *_: ()}, KEEPS, "update .* 1 finite"),
-    "keeps NaN": ({**TURNS, "update": lambda *_: (math.nan,)}, KEEPS, "update .* 1 finite"),
     "begins with nothing": ({}, KEEPS, "init .* 1 finite"),
     "goes elsewhere": ({**TURNS, "displacement_at": lambda *_: (9.0, 9.0)}, KEEPS, "_at .* what"),
     "negative bend": ({**TURNS, "chord_error_bound": lambda *_: -1.0}, KEEPS, "bound .* 0 or more"),
@@ -138,7 +134,6 @@ BAD_FIELDS = {
     "dims of lists": ({"dims": ([2],)}, "must be a tuple of 2 and 3"),
     "taken": ({"name": "unicycle"}, "is already registered; replace=True"),
     "no name": ({"name": ""}, "must be a word"),
-    "name of lines": ({"name": "a\nb"}, "must be a word"),
     "name a number": ({"name": 3}, "must be a word"),
     "action": ({"action": None}, "action of .* is None; it must be a text"),
     "bounded": ({"bounded": True}, r"speed_limit .* is 6\.0; it must be the scenario's 4 m/s, si"),

@@ -1,7 +1,5 @@
 """Robot models of a user's own, in files outside the package, and the code compiled from them."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import math
@@ -159,15 +157,11 @@ def own(tmp_path, monkeypatch, registry):
         sys.modules.pop(name, None)
 
 
-def follow(observations, time):
-    """A law for three robots, by the first two rows."""
-    return observations[..., :2, :].sum(axis=-2)
-
-
 def test_a_hovering_robot_in_the_wind(own):
     own("own_hover", HOVER)
     scenario = rv.Scenario(n_robots=3, robot_model="hover", time_limit=20.0)
     start = {"positions": [[0.0, 0.0], [1.0, 0.0], [0.0, 4.0]]}
+    follow = lambda seen, time: seen[..., :2, :].sum(axis=-2)  # noqa: E731
     assert rv.rollout(scenario, follow, options=start, num_envs=2).success.all()
     assert "no theorem covers hover robots" in rv.certificate(scenario).theorem
     with pytest.raises(ValueError, match="scenario has hover robots"):

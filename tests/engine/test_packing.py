@@ -10,18 +10,10 @@ import rendezvous_env as rv
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
 from rendezvous_env.physics.packing import is_packed, move_apart
 
-FOUR = rv.scenarios.get("robotarium-4")
-
 
 def distances(positions):
     pairs = np.triu_indices(positions.shape[-2], 1)
     return np.linalg.norm(positions[..., pairs[0], :] - positions[..., pairs[1], :], axis=-1)
-
-
-def packed(places, radius=1.05):
-    places = np.array(places, float)
-    work = np.zeros(len(places), np.int64), np.zeros(len(places), np.bool_)
-    return is_packed(places, radius, work)
 
 
 class TestMoving:
@@ -64,7 +56,8 @@ class TestMoving:
     ],
 )
 def test_what_is_packed(places, is_so):
-    assert packed(places) is is_so
+    work = np.zeros(len(places), np.int64), np.zeros(len(places), np.bool_)
+    assert is_packed(np.array(places, float), 1.05, work) is is_so
 
 
 class TestEpisodes:
@@ -87,20 +80,20 @@ class TestEpisodes:
         assert apart.max() < {4: 0.31, 10: 0.9}[n]
 
     @pytest.mark.parametrize("batch", [1, 6])  # a team alone, and lanes side by side
-    def test_whoever_touches_somebody_looks_at_the_others(self, batch):
+    def test_whoever_touches_somebody_looks_at_the_others_or_at_all_if_it_touches_all(self, batch):
         """Robot 0 touches 1, which touches 0 and 2; robot 3 is alone: who sees whom, by row."""
+        four = rv.scenarios.get("robotarium-4").replace(local_frames="global")
         places = ((0.0, 0.0), (0.155, 0.0), (0.31, 0.0), (0.0, 1.0))
-        scenario = FOUR.replace(start_positions=places, local_frames="global")
-        seen = rv.Simulator(scenario, num_envs=batch).reset(0)
-        expected = [[0, 1, 1], [0, 0, 1], [1, 0, 1], [1, 1, 1]]
-        np.testing.assert_array_equal(seen.any(axis=-1), [expected] * batch)
-        np.testing.assert_allclose(seen[0, 0, 1:], np.array([(1, 0), (0, 1)]) / 15, rtol=1e-6)
-
-    def test_whoever_touches_all_looks_at_all(self):
-        row = ((0.0, 0.0), (0.155, 0.0), (0.31, 0.0))
-        row = FOUR.replace(n_robots=3, start_positions=row, local_frames="global")
-        seen = rv.Simulator(row).reset(0)[0].any(axis=-1)
-        np.testing.assert_array_equal(seen, [[False, True], [True, True], [True, False]])
+        for n, expected in (
+            (4, [[0, 1, 1], [0, 0, 1], [1, 0, 1], [1, 1, 1]]),
+            (3, [[0, 1], [1, 1], [1, 0]]),
+        ):
+            row = four.replace(n_robots=n, start_positions=places[:n])
+            seen = rv.Simulator(row, num_envs=batch).reset(0)
+            np.testing.assert_array_equal(seen.any(axis=-1), [expected] * batch)
+            if n == 4:
+                to_others = np.array([(1, 0), (0, 1)]) / 15
+                np.testing.assert_allclose(seen[0, 0, 1:], to_others, rtol=1e-6)
 
     def test_bodies_hide_one_another(self):
         """In a row of three the outer two do not see each other past a body of 0.1 m."""
@@ -158,7 +151,7 @@ class TestScenario:
     def test_weights_that_leave_bodies_unlinked_are_refused_at_a_reset(self):
         """Two that do not see each other would pass through each other."""
         simulator = rv.Simulator(rv.Scenario(n_robots=3, body_radius=0.1))
-        path = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+        path = rv.graphs.path().base_weights(3)
         with pytest.raises(ValueError, match="weights must link all robots with a body_radius"):
             simulator.reset(0, {"weights": path})
         simulator.reset(0, {"weights": 1.0 - np.eye(3)})

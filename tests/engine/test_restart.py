@@ -1,15 +1,20 @@
-"""Teams that begin anew beside others that go on; teams that have ended, and rest."""
+"""Teams that begin anew beside others that go on, or go on from a copy; and teams that have ended,
+and rest.
+"""
 
-from __future__ import annotations
+import copy
+import pickle
 
 import numpy as np
 import pytest
-from conftest import MODELS, UNEQUAL, assert_same_state
+import test_graphs_that_change as changing
+from conftest import MODELS, UNEQUAL, assert_same_state, five
 from test_inertia import FAR
-from test_sensing_engine import WORST
+from test_sensing_engine import PLANE, WORST
+from test_sparse import RING, WEB
 from test_widths import towards_neighbours
 
-from rendezvous_env import ObstacleField, Scenario, Sensing, Simulator
+from rendezvous_env import ObstacleField, Scenario, Sensing, Simulator, scenarios
 from rendezvous_env.engine.memory import AWAITING_RESET, RUNNING, TIME_OUT
 
 KINDS = {
@@ -36,11 +41,11 @@ def scenario(request) -> Scenario:
     return Scenario(**team | (KINDS | CHANGING)[request.param])
 
 
-def halfway(scenario: Scenario) -> tuple[Simulator, np.ndarray]:
+def halfway(scenario: Scenario, merges: bool = True) -> tuple[Simulator, np.ndarray]:
     """Teams that move, in some of which robots have merged."""
     sim = Simulator(scenario, TEAMS)
     observations = sim.reset(0)
-    while sim.steps.max() < 10 or sim.active.all():
+    while sim.steps.max() < 10 or (merges and sim.active.all()):
         observations = sim.step(towards_neighbours(scenario, observations)).observations
     return sim, observations
 
@@ -138,3 +143,44 @@ def test_every_team_sees_the_obstacles_of_its_own_episode():
     gaps = np.linalg.norm(places - table[..., 3:5], axis=-1) - table[..., 2]
     nearest = np.where(table[..., 0] == 0, np.inf, gaps).min(axis=2)
     np.testing.assert_allclose(seen.clearance, nearest, rtol=1e-12)
+
+
+# ---- copies -------------------------------------------------------------------------------------
+
+CASES = {
+    **{kind: five(kind) for kind in MODELS},
+    **{
+        kind: changing.scenario(**fields, require_connected=False)
+        for kind, fields in changing.KINDS.items()
+    },
+    "sensing": PLANE.replace(sensing=WORST),
+    "packing": scenarios.get("robotarium-4"),
+    "ring": RING,
+    "web": WEB,
+}
+
+
+def onwards(sim: Simulator, steps: int = 30) -> list[np.ndarray]:
+    """Everything that some steps give out, and the start of the next episodes."""
+    found = [sim.observe()]
+    for _ in range(steps):
+        outcome = sim.step(towards_neighbours(sim.scenario, found[-1]))
+        found += [outcome.rewards, outcome.contact, sim.positions, sim.weights]
+        found.append(outcome.observations)
+    return [*found, sim.reset()]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_an_episode_goes_on_from_a_copy(name):
+    sim, _ = halfway(CASES[name], merges=name not in ("packing", "nonholonomic_3d"))
+    state, restored = sim.get_state(), Simulator(sim.scenario, TEAMS)
+    restored.reset(99)
+    restored.set_state(state)
+    copies = [copy.copy(sim), pickle.loads(pickle.dumps(sim)), restored]
+    np.testing.assert_array_equal(copies[0].lyapunov(), sim.lyapunov())
+    future = onwards(sim)
+    for twin in copies:
+        assert_same_state(twin, state)  # independent of the original
+        for own, other in zip(onwards(twin), future, strict=True):
+            np.testing.assert_array_equal(own, other)
+        assert_same_state(sim, twin)

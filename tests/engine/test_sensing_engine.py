@@ -3,8 +3,6 @@
 Teams are looked at many at a time: each kind of team that is stepped has to be compiled first.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 
@@ -12,7 +10,7 @@ import numpy as np
 import pytest
 from conftest import UNEQUAL, actions_shape
 from scipy import stats
-from tuples import triple, world
+from tuples import along, triple, world
 
 import rendezvous_env as rv
 from rendezvous_env.physics.worst_bias import outward_directions
@@ -72,8 +70,7 @@ def by_robot(rows: np.ndarray) -> np.ndarray:
     """Rows (B, n, n − 1, d) with one for the robot itself, (B, n, n, d)."""
     batch, n, _, d = rows.shape
     table = np.zeros((batch, n, n, d))
-    for i in range(n):
-        table[:, i, [j for j in range(n) if j != i]] = rows[:, i]
+    table[:, ~np.eye(n, dtype=bool)] = rows.reshape(batch, -1, d)
     return table
 
 
@@ -195,9 +192,7 @@ def test_the_adversary_turns_every_bearing_outwards(scenario):
 
 def test_regular_polygons_grow_from_the_angle_of_theorem_n_on():
     """Law (1) on a cycle: the threshold π/n of theorem N is sharp."""
-    turn = 2 * math.pi * np.arange(5) / 5
-    start = 3.0 * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    grows = {}
+    start, grows = 3.0 * along(*72 * np.arange(5)), {}
     for share in (0.9, 1.05):
         cycle = PLANE.replace(graph="cycle", neighbour_slots=4)
         scenario = sensing(cycle, error=share * math.pi / 5)
@@ -283,7 +278,7 @@ def test_in_space_spheres_hide_what_is_behind_them():
     sim = simulator(sensing(SPACE, occlusion="both"))
     places = np.array([[-3, 0.2, 0], [3, 0.2, 0], [0.3, 3, 0.05], [0.3, 5, 0.05], [0, 0, 4.0]])
     sim.reset(0, {"positions": places})
-    expected = ~np.eye(5, dtype=bool)
+    expected = OTHERS.copy()
     expected[0, 1] = expected[1, 0] = False  # behind the sphere
     assert (by_robot(neighbours(sim)).any(axis=-1) == expected).all()
 

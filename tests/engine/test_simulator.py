@@ -1,12 +1,11 @@
 """Symmetries, batching, state and refusals of the simulator."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np
 import pytest
-from conftest import UNEQUAL, assert_same_state, five, law_of
+from conftest import UNEQUAL, actions_shape, assert_same_state, five, law_of
+from test_restart import halfway
 
 from rendezvous_env import Scenario, Simulator
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING, TIME_OUT
@@ -191,31 +190,18 @@ def test_the_end_of_an_episode():
     assert sim.steps.tolist() == [10, 2]  # (0.5 − 0.2)/2 = 0.15 s
     np.testing.assert_allclose(sim.time, [1.0, 0.2])
     np.testing.assert_allclose(sim.path_length, [2.0, 0.3], rtol=1e-6)
-
-
-def test_set_max_steps():
-    sim = Simulator(five("unicycle"))
     sim.set_max_steps(2)
     sim.reset(0)
-    statuses = [int(sim.step(np.zeros((1, 5, 2))).status[0]) for _ in range(2)]
-    assert statuses == [RUNNING, TIME_OUT] and copy.deepcopy(sim).max_steps == 2
+    statuses = [sim.step(np.zeros((2, 2, 2))).status.tolist() for _ in range(2)]
+    assert statuses == [[RUNNING] * 2, [TIME_OUT] * 2] and copy.deepcopy(sim).max_steps == 2
 
 
 # ---- state --------------------------------------------------------------------------------------
 
 
-def halfway(kind: str, **changes: object) -> Simulator:
-    sim = Simulator(five(kind, **changes), 20)
-    policy, observations = law_of(sim.scenario), sim.reset(6)
-    while sim.active.sum() > 90:
-        observations = sim.step(policy(observations, sim.time)).observations
-    assert (sim.active.sum(axis=1) > 1).any()
-    return sim
-
-
 def test_what_the_simulator_hands_out_is_not_its_memory(kind):
-    sim = halfway(kind)
-    outcome = sim.step(np.zeros((20, 5, sim.scenario.action_size)))
+    sim, _ = halfway(five(kind, spawn_size=6.0, merge_radius=0.4))
+    outcome = sim.step(np.zeros(actions_shape(sim)))
     before = sim.get_state()
     handed = [getattr(sim, name) for name in (
         "positions", "headings", "frames", "weights", "obstacles", "merged_into", "active",

@@ -2,11 +2,10 @@
 links.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from conftest import assert_same_state, refusing
+from conftest import assert_same_state, refusing, unequal_matrix
+from tuples import along
 
 import baselines
 import rendezvous_env as rv
@@ -17,20 +16,10 @@ from rendezvous_env.engine import memory_layout
 SEED = 4
 
 
-def random_links(n: int, seed: int) -> list[tuple[int, int, float]]:
-    """A random spanning tree and as many further links, of unequal weights: mean degree 4."""
-    random = np.random.default_rng(seed)
-    links = {(int(random.integers(i)), i) for i in range(1, n)}
-    while len(links) < 2 * n:
-        i, j = sorted(random.choice(n, 2, replace=False).tolist())
-        links.add((i, j))
-    return [(i, j, float(random.uniform(0.5, 2.0))) for i, j in sorted(links)]
-
-
 RING = Scenario(n_robots=60, graph="cycle", spawn_size=12.0)
 WEB = Scenario(
     n_robots=60,
-    graph=graphs.from_edges(random_links(60, 1)),
+    graph=unequal_matrix(60, seed=1, share=0.035),
     spawn_size=12.0,
     merge_radius=0.4,
     time_step=0.02,
@@ -124,15 +113,13 @@ def test_a_robot_with_more_neighbours_than_rows_is_named(sparse):
     """A double star: when its two centres merge, robot 0 has the neighbours of both."""
     n = 60 if sparse else 8
     links = [(0, 1)] + [(k % 2, k) for k in range(2, n)]
-    scenario = Scenario(n_robots=n, graph=graphs.from_edges(links), neighbour_slots=n // 2)
+    star = graphs.from_edges(links)
+    scenario = Scenario(n_robots=n, graph=star, neighbour_slots=n // 2, local_frames="global")
     sim = Simulator(scenario)
     assert ("first" in sim.get_state()) == sparse
-    turns = 2 * np.pi * np.arange(n) / n
-    positions = 9.0 * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
-    r = scenario.merge_radius
+    positions, r = 9.0 * along(*360 / n * np.arange(n)), scenario.merge_radius
     positions[:2] = [[-0.55 * r, 0.0], [0.55 * r, 0.0]]
-    frames = np.tile(np.eye(2), (n, 1, 1))
-    sim.reset(0, {"positions": positions, "frames": frames})
+    sim.reset(0, {"positions": positions})
     actions = np.zeros((1, n, 2))
     sim.step(actions)
     actions[0, 0, 0] = scenario.speed_limit
@@ -150,7 +137,7 @@ def test_a_start_with_too_many_neighbours_is_refused():
     drawn = Scenario(n_robots=6, graph=graphs.erdos_renyi(0.9), neighbour_slots=1)
     with pytest.raises(RuntimeError, match=r"robot_\d of team 0 has more .* after step 0"):
         Simulator(drawn, 2).reset(0)
-    path = np.eye(4, k=1) + np.eye(4, k=-1)
+    path = graphs.path().base_weights(4)
     sim = Simulator(Scenario(n_robots=4, graph="star", neighbour_slots=2, spawn_size=30.0))
     sim.reset(0, {"weights": path})
     outcome = sim.step(np.zeros((1, 4, 2)))
@@ -199,9 +186,7 @@ def test_a_state_with_more_neighbours_than_rows_is_refused(n):
 def test_given_weights_are_those_of_the_team():
     n = 60
     scenario = RING.replace(graph=graphs.cycle((0.5, 2.0)))
-    ring = np.eye(n, k=1) + np.eye(n, k=-1)
-    ring[0, -1] = ring[-1, 0] = 1.0
-    path = np.eye(n, k=1) + np.eye(n, k=-1)
+    ring, path = (graph.base_weights(n) for graph in (graphs.cycle(), graphs.path()))
     sim = Simulator(scenario, 2)
     sim.reset(0, {"weights": np.stack([ring, path])})
     np.testing.assert_array_equal(sim.weights, [ring, path])

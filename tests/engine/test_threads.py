@@ -1,7 +1,5 @@
 """Kernels on several threads: slices of the batch, and what interrupts them."""
 
-from __future__ import annotations
-
 import gc
 import multiprocessing
 import os
@@ -152,18 +150,18 @@ def test_what_a_slice_raises_reaches_the_caller(most, wrong):
 
 
 @contextmanager
-def interrupts():
-    """Interrupts by a timer, as Ctrl-C sends them: a function that sets it for a time, s."""
+def interrupts(handler):
+    """By a timer, as Ctrl-C interrupts: a function that sets it for a time, s, and again after
+    another; not any more, without times.
+    """
     if not hasattr(signal, "setitimer"):
         pytest.skip("needs timers")
-
-    def interrupt(*_):
-        raise KeyboardInterrupt
-
-    before, random = signal.signal(signal.SIGALRM, interrupt), np.random.default_rng(0)
+    before, random = signal.signal(signal.SIGALRM, handler), np.random.default_rng(0)
     gc.disable()  # what is raised in a callback of the collector (hypothesis has one) is lost
     try:
-        yield lambda least, most: signal.setitimer(signal.ITIMER_REAL, random.uniform(least, most))
+        yield lambda least=0.0, most=0.0, again=0.0: signal.setitimer(
+            signal.ITIMER_REAL, random.uniform(least, most), again
+        )
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         time.sleep(1e-2)  # one may be on its way still, and Python says so if nobody wants it
@@ -187,19 +185,17 @@ def test_an_interrupted_job_is_done_or_was_never_begun(again, most, kind):
             heard += 1
             raise TimeoutError
 
-    with interrupts():
-        signal.signal(signal.SIGALRM, late)
-        random = np.random.default_rng(0)
+    with interrupts(late) as within:
         for _ in range(200):
             marks = np.zeros(64)
             try:
-                signal.setitimer(signal.ITIMER_REAL, random.uniform(1e-5, 1e-3), again)
+                within(1e-5, 1e-3, again)
                 threads.share(kind(marks, 5_000), 64, most)
             except TimeoutError:
                 seen = marks.copy()
                 time.sleep(1e-3)
                 np.testing.assert_array_equal(marks, seen)
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            within()
             assert (marks == marks[0]).all() and marks[0] in (0.0, 1.0)
     assert heard > (200 if again else 100)
     np.testing.assert_array_equal(marked(9, most), 1.0)  # and the threads still work
@@ -220,7 +216,7 @@ def test_an_interrupted_step_is_one_for_all_teams_or_none(around, monkeypatch):
     actions = np.full((256, 20, 2), 1e-3, np.float32)
     env.step(actions)
     assert sim._runner._pace.most == 4
-    with interrupts() as within:
+    with interrupts(signal.default_int_handler) as within:
         for _ in range(300):
             try:
                 within(1e-4, 5e-3)
@@ -306,12 +302,6 @@ def test_a_process_keeps_to_its_share_of_the_cores(monkeypatch):
         assert threads.available_cores() == left
 
 
-def _step_in_child(sim: Simulator, actions: np.ndarray, pipe) -> None:
-    sim.step(actions)
-    pipe.send(sim.positions)
-    pipe.close()
-
-
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
 def test_a_fork_after_a_threaded_step_works(monkeypatch):
@@ -322,7 +312,7 @@ def test_a_fork_after_a_threaded_step_works(monkeypatch):
     sim.step(actions)
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
-    child = context.Process(target=_step_in_child, args=(sim, actions, sender))
+    child = context.Process(target=lambda: sender.send((sim.step(actions), sim.positions)[1]))
     child.start()
     assert receiver.poll(60), "the forked child hangs"
     positions = receiver.recv()

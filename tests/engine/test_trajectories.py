@@ -1,14 +1,11 @@
 """The motions of version 0.1, kept as numbers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from trajectories_v01 import EVERY, KEPT, STEPS, trajectory
 
 with np.load(KEPT) as _file:
     MOTIONS = dict(_file)
-ZEROS = {case for case in MOTIONS if case.endswith("|zero")}
 NAMES = sorted({case.split("|")[0] for case in MOTIONS})
 
 
@@ -21,26 +18,21 @@ def one_of_each_scenario() -> list[str]:
     return chosen
 
 
-def assert_same_motion(case: str, steps: int) -> None:
+@pytest.mark.parametrize(
+    ("case", "steps"),
+    [(case, 2 * EVERY) for case in one_of_each_scenario()]
+    + [pytest.param(case, STEPS, marks=pytest.mark.slow) for case in MOTIONS],
+)
+def test_motions_are_those_of_version_01(case, steps):
     expected = MOTIONS[case][: 1 + steps // EVERY]
     found = trajectory(*case.split("|"), steps=steps)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("case", one_of_each_scenario())
-def test_motions_are_those_of_version_01(case):
-    assert_same_motion(case, 2 * EVERY)
 
 
 def test_what_is_kept_are_motions():
     """Of nearly all cases: "zero" stands still, and before a wall a rule may, too."""
     still = {case for case, places in MOTIONS.items() if np.ptp(places, axis=0).max() < 0.01}
     moving_policies = {case.split("|")[1] for case in MOTIONS.keys() - still}
-    assert len(MOTIONS) == 154 and all(case.startswith("wall|") for case in still - ZEROS)
+    assert len(MOTIONS) == 154
+    assert all(case.startswith("wall|") or case.endswith("|zero") for case in still)
     assert moving_policies == {case.split("|")[1] for case in MOTIONS} - {"zero"}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", MOTIONS)
-def test_all_motions_are_those_of_version_01(case):
-    assert_same_motion(case, STEPS)

@@ -2,8 +2,6 @@
 the same numbers, bit for bit.
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Capsules: distance, normal, way in and silhouette, by hand and against sampling."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -9,6 +7,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.optimize import minimize_scalar
+from tuples import along
 
 from rendezvous_env.obstacles.capsule import CAPSULES
 from rendezvous_env.obstacles.shape import azimuth_axes, centre_direction
@@ -28,12 +28,6 @@ def row(half, radius) -> np.ndarray:
 
 def surface(point, half, radius):
     return CAPSULES.surface(row(half, radius), 0, tuple(point))
-
-
-def distance_to_segment(point, half) -> float:
-    """From a point to the segment from −half to half, by trying many places of it."""
-    shares = np.linspace(-1, 1, 4001)[:, None]
-    return float(np.linalg.norm(np.asarray(point) - shares * np.asarray(half), axis=1).min())
 
 
 @pytest.mark.parametrize(
@@ -61,7 +55,8 @@ def test_a_segment_along_z_has_a_normal_too():
 @given(points, points, radii)
 def test_distance_against_sampling(point, half, radius):
     found, normal = surface(point, half, radius)
-    wanted = distance_to_segment(point, half) - radius
+    places = np.linspace(-1, 1, 4001)[:, None] * half
+    wanted = np.linalg.norm(point - places, axis=1).min() - radius
     assert wanted - 1e-3 * (1 + np.linalg.norm(half)) <= found <= wanted + 1e-12
     assert np.linalg.norm(normal) == pytest.approx(1)
     if found > 1e-6:  # a step along the normal leads away, one against it to the surface
@@ -95,20 +90,14 @@ def test_way_in_by_hand():
     assert enter((0.0, 0.5, 0.0), (0.0, 1.0, 0.0)) == math.inf  # leaving
 
 
-def stadium(half, radius, count=20_000) -> np.ndarray:
-    """Fine polygon of a capsule of the plane about the origin."""
-    angles = np.linspace(0, 2 * math.pi, count)
-    circle = radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    return np.concatenate([circle + np.asarray(half)[:2], circle - np.asarray(half)[:2]])
-
-
 @given(points, points, radii)
 def test_silhouette_against_a_fine_polygon(point, half, radius):
     point[2] = half[2] = 0.0
     distance, _ = surface(point, half, radius)
     assume(distance > 0.05)
     left, right = CAPSULES.edges(row(half, radius), 0, tuple(point))
-    rays = stadium(half, radius) - point[:2]
+    circle = radius * along(*np.linspace(0, 360, 20_000)) - point[:2]
+    rays = np.concatenate([circle + half[:2], circle - half[:2]])
     middle = math.atan2(-point[1], -point[0])
     turned = np.angle(np.exp(1j * (np.arctan2(rays[:, 1], rays[:, 0]) - middle)))
     for edge, extreme in ((left, turned.max()), (right, turned.min())):
@@ -129,19 +118,10 @@ def test_every_ray_in_space_grazes(point, half, net_bearing, radius):
     CAPSULES.cone(row(half, radius), 0, point, (towards, e, w), rays)
     for k, ray in enumerate(rays):
         assert np.linalg.norm(ray) == pytest.approx(1)
-        nearest = nearest_along(np.array(point), ray, np.array(half))
-        assert nearest == pytest.approx(radius, abs=1e-6)
+        to_axis = lambda t, ray=ray: surface(np.add(point, t * ray), half, 0.0)[0]  # noqa: E731
+        nearest = minimize_scalar(to_axis, bounds=(0.0, 40.0), method="bounded")  # convex
+        assert nearest.fun == pytest.approx(radius, abs=1e-6)
         aside = math.cos(k * math.pi / 4) * np.array(e) + math.sin(k * math.pi / 4) * np.array(w)
         across = ray - np.dot(ray, towards) * np.array(towards)
         assert np.linalg.norm(across - np.dot(across, aside) * aside) < 1e-9  # at its azimuth
         assert np.dot(across, aside) >= 0
-
-
-def nearest_along(point, ray, half) -> float:
-    """Least distance of a half-line to the segment from −half to half: convex, so by bisection."""
-    low, high = 0.0, 40.0
-    inside = lambda t: surface(point + t * ray, half, 0.0)[0]  # noqa: E731
-    for _ in range(200):
-        a, b = low + (high - low) / 3, high - (high - low) / 3
-        low, high = (low, b) if inside(a) < inside(b) else (a, high)
-    return inside(0.5 * (low + high))

@@ -1,7 +1,5 @@
 """Turns by chance: the inverse of the normal distribution, and small rotations."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -22,12 +20,10 @@ SEED, EPISODE = 3, 1
 
 
 @kernel
-def fill_words(seed, step, out):
-    """Words of the streams of seeds from one on, (teams, counters)."""
-    for team in range(out.shape[0]):
-        key = step_key(stream_key(seed + team, EPISODE, SENSING), step)
-        for counter in range(out.shape[1]):
-            out[team, counter] = word_of(key, counter)
+def fill_words(out):
+    key = step_key(stream_key(SEED, EPISODE, SENSING), 0)
+    for counter in range(out.shape[0]):
+        out[counter] = word_of(key, counter)
 
 
 @kernel
@@ -51,20 +47,16 @@ def fill_turned(rows, deviation, small, words, others, out):
         )
 
 
-def words_of(teams: int, counters: int, step: int = 0, seed: int = SEED) -> np.ndarray:
-    """Words of a step, (teams, counters), uint64."""
-    fill_words(seed, step, words := np.empty((teams, counters), np.uint64))
-    return words
+def halves(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of the words of a step, uint32."""
+    fill_words(words := np.empty(count, np.uint64))
+    return (words >> np.uint64(32)).astype(np.uint32), words.astype(np.uint32)
 
 
 def gaussians(words: np.ndarray) -> np.ndarray:
     """As many numbers as there are words of 32 bits, float64."""
-    fill_gaussians(words.reshape(-1), numbers := np.empty(words.size, np.float32))
-    return numbers.astype(np.float64).reshape(words.shape)
-
-
-def halves(words: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return (words >> np.uint64(32)).astype(np.uint32), words.astype(np.uint32)
+    fill_gaussians(words, numbers := np.empty(words.size, np.float32))
+    return numbers.astype(np.float64)
 
 
 def rotations(angles: np.ndarray, small: bool) -> np.ndarray:
@@ -89,11 +81,11 @@ class TestOneNumber:
         assert 6.3 < found.max() < 6.34
 
     def test_plain_python_gives_the_same_bits(self):
-        words = words_of(1, 300).astype(np.uint32)[0]
+        _, words = halves(100)
         plain = getattr(gaussian, "py_func", gaussian)
-        numbers = [plain(word) for word in words[:100]]
+        numbers = [plain(word) for word in words]
         assert {type(number) for number in numbers} == {np.float32}
-        assert numbers == gaussians(words[:100]).tolist()
+        assert numbers == gaussians(words).tolist()
 
 
 class TestOneTurn:
@@ -116,7 +108,7 @@ class TestOneTurn:
         count = 400_000
         rows = np.random.default_rng(0).normal(size=(count, 3)).astype(np.float32)
         rows[:10], rows[10:20, :2], rows[20:30] = 0.0, 0.0, 1e-9
-        words, others = halves(words_of(1, count)[0])
+        words, others = halves(count)
         found, deviation = np.empty_like(rows), np.float32(deviation)
         fill_turned(rows, deviation, is_small(deviation), words, others, found)
         assert not found[:10].any()

@@ -164,10 +164,7 @@ class TestStraightByHand:
 
 
 def half_plane(angle, left=True):
-    """A big triangle-like block whose edge is the ray at an angle from the origin.
-
-    The free side is on the left of the ray (or else on its right).
-    """
+    """A big block with an edge on the ray at an angle from the origin, free on one side."""
     along = 50 * np.array([math.cos(angle), math.sin(angle)])
     across = np.array([along[1], -along[0]]) * (1 if left else -1)
     corners = [-along, along, along + across, -along + across]

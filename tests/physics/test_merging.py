@@ -1,7 +1,5 @@
 """Merging (theory 5), by hand and against its bound; f and contraction where a_ij is not a_ji."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -26,6 +24,13 @@ def linked(n, *links):
     return weights
 
 
+def links_of(arcs):
+    """What takes pairs gets of them: mean weights."""
+    mean = (arcs + arcs.T) / 2
+    first, second = np.nonzero(np.triu(mean))
+    return first, second, mean[first, second]
+
+
 CHAIN = linked(4, (0, 1, 2.0), (1, 2, 0.5), (2, 3, 1.0))
 
 
@@ -36,9 +41,8 @@ class Moved:
         self.positions = np.array(positions, dtype=float)
         self.displacements = np.array(displacements, dtype=float)
         self.lengths = np.linalg.norm(self.displacements, axis=1)
-        n, matrix = len(self.positions), np.array(weights, dtype=float)
-        first, second = np.nonzero(np.triu(matrix))
-        links = first, second, matrix[first, second]
+        n = len(self.positions)
+        links = links_of(np.array(weights, dtype=float))
         self.merged_into, self.report = np.arange(n), np.zeros(4)
         here, resting = np.empty_like(self.positions), np.empty(n, dtype=bool)
         self.merges = merge_swept(
@@ -50,7 +54,7 @@ class Moved:
             self.merged_into,
             obstacles,
             radius,
-            (np.empty(len(first)), here, resting, self.report),
+            (np.empty(len(links[0])), here, resting, self.report),
         )
         first, second, weight = (array[links[2] > 0] for array in links)
         self.weights = np.zeros((n, n))
@@ -117,9 +121,10 @@ def test_a_pair_merges_where_it_first_touches_and_rests():
 
 
 def test_the_merged_robot_has_the_union_of_the_links_with_the_larger_weight():
-    weights = linked(5, (0, 1, 1), (0, 2, 0.5), (1, 2, 0.9), (1, 3, 0.3), (2, 4, 2))
+    links = (0, 1, 1), (0, 2, 0.5), (1, 2, 0.9), (1, 3, 0.3), (0, 4, 0.7), (1, 4, 0.2), (2, 4, 2)
+    weights = linked(5, *links)
     moved = Moved([[0, 0], [0.5, 0], [20, 0], [0, 20], [-20, 0]], np.zeros((5, 2)), weights)
-    expected = linked(5, (0, 2, 0.9), (0, 3, 0.3), (2, 4, 2))
+    expected = linked(5, (0, 2, 0.9), (0, 3, 0.3), (0, 4, 0.7), (2, 4, 2))
     np.testing.assert_array_equal(moved.weights, expected)
 
 
@@ -198,13 +203,6 @@ def test_no_merge_raises_v_above_the_bound(n, seed, in_an_obstacle):
 
 PLACES = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 3.0], [2.0, 3.0]])
 ARCS = np.array([[0, 2.0, 0, 0], [0.5, 0, 0, 1.0], [0, 0.25, 0, 4.0], [3.0, 0, 0, 0]])
-
-
-def links_of(arcs):
-    """What takes pairs gets of them: mean weights."""
-    mean = (arcs + arcs.T) / 2
-    first, second = np.nonzero(np.triu(mean))
-    return first, second, mean[first, second]
 
 
 def test_net_bearings_by_hand():

@@ -1,7 +1,5 @@
 """Counter-based random numbers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """The size L of a team: hulls against the integral that defines them, flat ones too."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

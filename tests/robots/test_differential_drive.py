@@ -68,7 +68,6 @@ def test_machines_that_cannot_be_are_named():
     [
         (((np.nan, 0.0), 0.0, 0.1), r"velocity is \[nan, 0\.0\]; it must be two finite numbers"),
         (((1e308, 1e308), 0.0, 0.1), r"velocity is \[1e\+308, 1e\+308\]; it must be two finite"),
-        (((1.0,), 0.0, 0.1), r"velocity is \[1\.0\]; it must be two finite numbers"),
         (((1.0, 0.0), np.inf, 0.1), "yaw is inf; it must be a finite number"),
         (((1.0, 0.0), 0.0, 0.0), r"dt is 0\.0; it must be a positive"),
     ],
@@ -108,12 +107,10 @@ class TestKeepApart:
     @pytest.mark.parametrize(
         ("given", "message"),
         [
-            (((np.nan, 0.0), [(1.0, 0.0)]), r"velocity is \[nan, 0\.0\]; it must be two finite"),
             (((1.0, 2.0, 3.0), []), r"velocity is \[1\.0, 2\.0, 3\.0\]; it must be two finite"),
             (((1.0, 0.0), [(np.nan, 0.0)]), r"near is \[\[nan, 0\.0\]\]; it must be unit vectors"),
             (((1.0, 0.5), [(5.0, 0.0)]), r"near is \[\[5\.0, 0\.0\]\]; it must be unit vectors"),
             (((1.0, 0.5), [1, 0, 0]), r"near is \[\[1\.0, 0\.0, 0\.0\]\]; it must be unit vectors"),
-            (((1.0, 0.5), 1.0), r"near is \[\[1\.0\]\]; it must be unit vectors, \(k, 2\)"),
             (((0.2, 0.1), [(1.0, 0.0)], np.nan), "rooms is nan; it must be one number"),
             (((0.2, 0.1), [(1.0, 0.0)], (0.1, 0.2)), r"rooms is \[0\.1, 0\.2\]; .* each of 1 dir"),
         ],
