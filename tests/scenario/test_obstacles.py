@@ -30,11 +30,6 @@ TRUNK = Capsule(((-1.0, 0.0, 1.0), (1.0, 2.0, 3.0)), 0.5)
 
 
 class TestValidation:
-    def test_a_pentagram_is_refused(self):
-        turns = 4 * math.pi / 5 * np.arange(5)
-        with pytest.raises(ValueError, match="cross over"):
-            Polygon(tuple(zip(np.cos(turns), np.sin(turns), strict=True)))
-
     def test_clockwise_vertices_are_turned_round(self):
         assert Polygon(TRIANGLE[::-1]) == Polygon(((0, 3), (0, 0), (3, 0)))
         assert Polygon(((0, 0), (0, 3), (3, 0))) == Polygon(TRIANGLE)

@@ -3,6 +3,7 @@
 import math
 import re
 import resource
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,11 +24,13 @@ from rendezvous_env import (
 from rendezvous_env import graphs as g
 from rendezvous_env.checks import UnknownFieldError
 from rendezvous_env.limits import MOST_OBSTACLES, MOST_ROBOTS
+from rendezvous_env.obstacles.parsing import parse
 from rendezvous_env.scenario import scenarios
 
 PAIR = Scenario(n_robots=2)
 TRIANGLE = Polygon(((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))
 ROW = [[k, 0.0] for k in range(5)]
+WALLS = rv.WallField("trap", (7.0, 8.0), (2.0, 3.0), 0.5, region=2.0, keep_out=1)
 
 
 def matrix(**entries: float) -> np.ndarray:
@@ -103,6 +106,15 @@ REFUSED = [
     ({"graph": g.from_edges([(0, 3), (1, 2)], 5)},
         r"not connected: it falls into \[0, 3\] and \[1, 2\] and \[4\].*require_connected"),
     ({"graph": np.zeros((5, 5)), "require_connected": False}, r"time_step is None; .* no edge"),
+    ({"graph": g.directed([(0, 1), (0, 2)]), "n_robots": 3},
+        r"\[\d\] and \[\d\] each see nobody outside"),
+    ({"graph": g.switching([g.from_edges([(0, 1)], 5)])}, "not connected"),
+    ({"graph": g.switching(["path"], 0.01)}, r"dwell is 0\.01 s, shorter than the time"),
+    ({"graph": g.switching([1 - np.eye(2)])}, "is for 2 robots, not for 5"),
+    ({"graph": "proximity"}, "give sensing a range or a field_of_view"),
+    ({"graph": "proximity", "sensing": rv.Sensing(range=0.6)}, r"range is 0\.6; .* = 0\.2 m"),
+    ({"graph": g.directed([(1, 0)]), "n_robots": 2, "start_positions": ((0, 0), (0, 0))},
+        "neighbours robot_0 and robot_1 both stand at"),
     ({"graph": DEEP}, r"graph is \[\[\[\[\[\[\.\.\.\]\]\]\]\]\]"),
     ({"graph": {"kind": ["path"]}}, r"graph is \['path'\]; it must be one of 'complete'"),
     ({"graph": {"kind": "path", "weight_range": 5.0j}}, "graph: weight_range is 5j; .* finite num"),
@@ -169,6 +181,7 @@ def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
         (lambda: Polygon(((0, 0), (3, 0), (0, 3), (0, 0))), r"vertices\[3\] .* repeats another"),
         (lambda: Polygon(((0, 0), (1, 0), (2, 1e-7))), "degenerate"),
         (lambda: Polygon(((0, 0), (1, 1), (1, 0), (0, 1))), "cross over; list them in order"),
+        (lambda: Polygon(((3, 0), (-2, 2), (1, -3), (1, 3), (-2, -2))), "cross over"),  # a star
         (lambda: ObstacleField(-1, (1, 2), 9, 1), r"ObstacleField\.count is -1; it must be"),
         (lambda: ObstacleField((5, 2), (1, 2), 9, 1), "count is .* low <= high"),
         (lambda: ObstacleField(10**9, (1, 2), 1, 1), "count is 1000000000; .* <= 10000"),
@@ -176,6 +189,18 @@ def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
         (lambda: ObstacleField(2, (1, 2), -9, 1), "region is -9; it must be .* from 0"),
         (lambda: ObstacleField(1, (1, 2), 1, 1e300), r"keep_out is 1e\+300; .* to 1e\+09"),
         (lambda: ObstacleField(2, (1, 2), 9, 1, "no"), "overlap is 'no'; .* True, False"),
+        (lambda: ObstacleField(3, (1, 2), 9, 0.5, passage=1.1), "at most twice keep_out, 1 m"),
+        (lambda: ObstacleField(3, (1, 2), 9, 0.5, passage=-1), "passage is -1; .* from 0"),
+        (lambda: parse(ObstacleField(3, (1, 2), 9, 0.5, passage=0.1), 3), r"0\.1; .* be 0 in 3-D"),
+        (lambda: replace(WALLS, layout="tarp"), "WallField.layout .* mean 'trap'"),
+        (lambda: replace(WALLS, layout=3), "is 3; .* of 'trap', 'corridor', 'rooms'"),
+        (lambda: replace(WALLS, opening=(0, 3)), r"opening is \(0, 3\); .* 1e-05 <= low"),
+        (lambda: replace(WALLS, thickness=0), r"WallField\.thickness is 0"),
+        (lambda: replace(WALLS, keep_out=math.nan), "keep_out is nan; it must be"),
+        (lambda: replace(WALLS, layout="rooms", size=(3, 5)), r"\(3.0, 5.0\); .* at least 4.5 m"),
+        (lambda: parse(WALLS, 3), "obstacles is WallField.*an ObstacleField in 3-D"),
+        (lambda: parse([WALLS], 2), "stands alone, not in a list"),
+        (lambda: parse({"layout": "trap", "size": [3, 5]}, 2), "a walls needs opening"),
         (lambda: g.path("a"), "weight_range is 'a'"),
         *[
             (lambda weight=weight: g.path(weight), r"weight_range is .* finite.* 1e-09 <= low <=")
@@ -192,6 +217,19 @@ def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
         (lambda: g.from_edges([(0, HUGE)]), "n_nodes is a whole number of about 401"),
         (lambda: g.Graph("edges"), "n_nodes is None"),
         (lambda: g.Graph("path", edges=((0, 1, 1.0),)), "a path has neither edges"),
+        (lambda: g.directed([(0, 1), (0, 1)]), r"edge \(0, 1\) must join .* once"),
+        (lambda: g.directed(np.eye(2)), r"a\[0, 0\] = 1\.0 must be 0"),
+        (lambda: g.switching([]), r"graphs is \(\); it must be a list of at least one"),
+        (lambda: g.switching("path"), "graphs is 'path'; it must be a list of graphs"),
+        (lambda: g.switching(["path", "proximity"]), r"graphs\[1\] is 'proximity'; switch"),
+        (lambda: g.switching([g.random_tree()]), r"graphs\[0\] is 'random_tree'"),
+        (lambda: g.switching(["path"], 0.0), "dwell is 0.0; it must be a positive"),
+        (lambda: g.switching(["path"], order="back"), "order is 'back'; .*'cyclic', 'random'"),
+        (lambda: g.Graph("switching", 2.0, graphs=["path"]), "has the weights of its list"),
+        (lambda: g.parse({"kind": "switching", "weight_range": 1}), "no key 'weight_range'"),
+        (lambda: g.switching([{"kind": "switching"}]), "is itself a switching graph"),
+        (lambda: g.parse({"kind": "proximity", "dwell": 1.0}), "graph has no key 'dwell'"),
+        (lambda: g.from_matrix([[0, 1], [2, 0]]), "graphs.directed takes others"),
     ],
 )  # fmt: skip
 def test_obstacles_and_graphs_say_what_is_wrong(make, message):
@@ -233,7 +271,6 @@ EVERY_FIELD = Scenario(
 )
 
 
-WALLS = rv.WallField("trap", (7.0, 8.0), (2.0, 3.0), 0.5, region=2.0, keep_out=1)
 DRAWN = [Scenario(obstacles=one) for one in (ObstacleField(2, (7.0, 8.0), 20.0, 0.5), WALLS)]
 
 
