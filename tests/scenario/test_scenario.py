@@ -106,12 +106,6 @@ def test_equal_fields_make_equal_hashable_scenarios():
     assert Scenario() == Scenario(graph="complete")
 
 
-def test_replace_checks_again():
-    assert Scenario().replace(n_robots=8).max_degree == 7
-    with pytest.raises(ValueError, match=r"start_positions has shape \(3, 2\)"):
-        scenarios.get("fig3").replace(n_robots=4)
-
-
 @pytest.mark.parametrize("name", scenarios.names())
 def test_named_scenarios_survive_toml(name, tmp_path):
     scenario = scenarios.get(name)
@@ -214,15 +208,6 @@ def test_a_wrong_value_is_refused_by_field_and_value(field, value):
         rv.Sensing(**{field: value})
     shown = "whole number of about" if value == 10**400 else repr(value)
     assert shown in str(refused.value)
-
-
-def test_an_unknown_field_is_refused_with_the_nearest():
-    with pytest.raises(ValueError, match="did you mean 'dropout'"):
-        rv.Sensing(drop_out=0.1)
-    with pytest.raises(ValueError, match=r"sensing has no field 'nois'.*'noise'"):
-        rv.Scenario.from_plain({"sensing": {"nois": 0.1}})
-    with pytest.raises(ValueError, match="sensing has no field 5; known are range, "):
-        rv.Scenario(sensing={5: 0.1})
 
 
 def test_an_exact_sensor_is_an_absent_table(tmp_path):

@@ -78,6 +78,11 @@ REFUSED = [
     ({"reward": 5}, r"reward is 5; it must be a RewardWeights, or a table"),
     ({"reward": {"progress": 1e300}}, r"reward\.progress is 1e\+300; it must be a finite"),
     ({"sensing": 0.1}, "sensing is 0.1; it must be a Sensing, or a table"),
+    ({"sensing": {"nois": 0.1}}, r"sensing has no field 'nois'.*'noise'"),
+    ({"sensing": {5: 0.1}}, "sensing has no field 5; known are range, "),
+    ({"costs": "contacts"}, "did you mean 'contact'"),
+    ({"costs": 7}, "costs is 7; it must be names"),
+    ({"costs": ("rise", "rise")}, "each name once"),
     ({"neighbour_slots": 5}, r"neighbour_slots is 5; .* from 1 to n_robots - 1 = 4"),
     ({"neighbour_slots": 0}, r"neighbour_slots is 0; .* from 1 to n_robots - 1 = 4"),
     ({"obstacle_slots": 1, "obstacles": [TRIANGLE, TRIANGLE]},
@@ -156,9 +161,7 @@ def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
                 call, kind=kind, n_robot=3
             )
     assert "did you mean 'progress'" in refusal(RewardWeights, progres=1, kind=TypeError)
-    assert "no argument 'merge_radios'" in refusal(rv.parallel_env, "duo", merge_radios=1)
-    assert "did you mean 'n_robots'" in refusal(rv.make_vec, "duo", num_envs=1, num_agents=3)
-    assert "did you mean 'max_cycles'" in refusal(rv.parallel_env, "duo", max_steps=9)
+    assert "did you mean 'dropout'" in refusal(rv.Sensing, drop_out=0.1)
     with pytest.raises(TypeError, match="positional"):
         RewardWeights(1, 2, 3, 4, 5, 6)
 
