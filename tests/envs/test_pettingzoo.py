@@ -42,16 +42,6 @@ def until_a_merge(env, seed=3):
     return result
 
 
-def test_max_cycles_may_be_set_at_any_time():
-    env = parallel_env("duo")
-    assert env.max_cycles == env.scenario.max_steps
-    for steps in (7, 2):
-        env.max_cycles = steps
-        env.reset(seed=0)
-        taken = [env.step(act(env, 0.0))[3] for _ in range(steps)]
-        assert all(taken[-1].values()) and env.agents == [] and not any(taken[-2].values())
-
-
 # ---- determinism over whole episodes ------------------------------------------------------------
 
 EPISODE = """

@@ -80,10 +80,18 @@ def test_a_family_is_drawn_for_every_seed_and_episode_and_no_batch():
     assert not np.array_equal(simulator.weights, weights)
 
 
-def test_a_family_is_a_graph_like_any_other(tmp_path):
-    assert Scenario.from_plain(FAMILY.to_plain()) == FAMILY
-    FAMILY.to_toml(tmp_path / "mine.toml")
-    assert Scenario.from_toml(tmp_path / "mine.toml").graph == FAMILY.graph
+def test_what_is_a_users_own_is_written_to_files(tmp_path):
+    scenario = FAMILY.replace(
+        name="mine",
+        reward=rv.RewardWeights(custom={"spread": 2, "effort": np.float32(-0.5)}),
+        sensing=Sensing(custom=("blind-behind",)),
+    )
+    scenario.to_toml(tmp_path / "mine.toml")
+    assert Scenario.from_toml(tmp_path / "mine.toml") == scenario
+    assert hash(scenario) == hash(Scenario.from_plain(scenario.to_plain()))
+
+
+def test_a_family_is_a_graph_like_any_other():
     assert FAMILY.max_degree == 5.0 and FAMILY.bottleneck_weight == 1.0
     assert FAMILY.observation_layout.neighbour_slots == 5
     met = rv.rollout(FAMILY, towards(FAMILY), seed=0, num_envs=3)
@@ -210,17 +218,6 @@ def test_terms_reach_every_interface():
     _, reward, _, _, infos = venv.step(actions[None])
     assert infos["robot_rewards"][0].tolist() == list(custom.values())
     assert reward[0] == pytest.approx(sum(custom.values()) / 2)
-
-
-def test_weights_and_names_are_written_to_files(tmp_path):
-    scenario = Scenario(
-        name="mine",
-        reward=rv.RewardWeights(custom={"spread": 2, "effort": np.float32(-0.5)}),
-        sensing=Sensing(custom=("blind-behind",)),
-    )
-    scenario.to_toml(tmp_path / "mine.toml")
-    assert Scenario.from_toml(tmp_path / "mine.toml") == scenario
-    assert hash(scenario) == hash(Scenario.from_plain(scenario.to_plain()))
 
 
 # ---- what is refused ----------------------------------------------------------------------------

@@ -271,6 +271,7 @@ EVERY_FIELD = Scenario(
     start_positions=((0, 0), (1, 0), (0, 1)),
     sensing=rv.Sensing(range=5.0, noise=0.1, delay=2, sectors=8),
     reward=RewardWeights(clearance_penalty=0.1),
+    costs=("contact", "rise"),
 )
 
 
