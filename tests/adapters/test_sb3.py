@@ -265,7 +265,7 @@ def test_teams_can_be_filmed(tmp_path, monkeypatch):
     assert first.dtype == np.uint8 and second.size >= pictures[0].size + pictures[1].size
 
 
-def test_obstacles_of_slots_may_be_of_arrays():
+def test_options_of_slots_are_alike_in_all_teams_or_refused():
     env = make_robots(SCENARIO.replace(obstacle_slots=1), 2)
     places = [np.array([0.5, 3.0]), [0.5, 3.0]] * ROBOTS
     env.set_options([{"obstacles": [{"centre": place, "radius": 0.1}]} for place in places])
@@ -278,6 +278,17 @@ def test_obstacles_of_slots_may_be_of_arrays():
     env.set_options([{"obstacles": [rv.Disc((slot, 0.0), 0.1)]} for slot in range(2 * ROBOTS)])
     with pytest.raises(ValueError, match="all teams need the same keys and obstacles"):
         env.reset()
+    start = np.zeros((ROBOTS, 2))
+    for wrong, message in (
+        (start[:2], r"positions of team 1 has shape \(2, 2\); that of team 0 has \(3, 2\)"),
+        ("x", "positions is 'x'"),
+    ):
+        env.set_options([{"positions": start}] * ROBOTS + [{"positions": wrong}] * ROBOTS)
+        with pytest.raises(ValueError, match=message):
+            env.reset()
+    # what is no option of ours is ignored, and a mask of teams is none
+    env.set_options([{"note": [1], "reset_mask": 1}] * ROBOTS + [{"note": 2, "reset_mask": 0}] * 3)
+    env.reset()
 
 
 def test_bad_actions_seeds_options_and_slots_are_refused():
@@ -305,34 +316,16 @@ def test_bad_actions_seeds_options_and_slots_are_refused():
 
 def test_slots_refuse_what_is_no_reset_and_no_step_of_theirs():
     slots = RobotSlots(make_robots(SCENARIO, 2).teams)
-    for wrong in ([1], 5):
-        with pytest.raises(ValueError, match=r"options is .*; it must be None or a dict"):
-            slots.reset(0, wrong)
     slots.reset(0)
-    for wrong in (np.zeros(12), [[0.0, 0.0]]):
-        with pytest.raises(ValueError, match=r"actions have shape .*; they must be \(6, 2\)"):
-            slots.step(wrong)
-    with pytest.raises(ValueError, match="actions is None"):
-        slots.step(None)
     slots.step([[0.0, 0.0]] * 6)
-    for wrong in (np.array([1, 0]), 1):  # indices of teams are no mask
-        with pytest.raises(ValueError, match=r"mask is .*; it must be bool, one for each of 2"):
-            slots.begin(wrong)
-
-
-def test_options_of_slots_are_of_one_shape_or_refused_by_team():
-    env = make_robots(SCENARIO, 2)
-    start = np.zeros((ROBOTS, 2))
-    for wrong, message in (
-        (start[:2], r"positions of team 1 has shape \(2, 2\); that of team 0 has \(3, 2\)"),
-        ("x", "positions is 'x'"),
+    for call, given, message in (
+        (slots.reset, {"options": 5}, "options is 5; it must be None or a dict"),
+        (slots.step, {"actions": np.zeros(12)}, r"shape \(12,\); they must be \(6, 2\), by slot"),
+        (slots.step, {"actions": None}, "actions is None"),
+        (slots.begin, {"which": np.array([1, 0])}, "mask is .* must be bool, one for each of 2"),
     ):
-        env.set_options([{"positions": start}] * ROBOTS + [{"positions": wrong}] * ROBOTS)
         with pytest.raises(ValueError, match=message):
-            env.reset()
-    # what is no option of ours is ignored, and a mask of teams is none
-    env.set_options([{"note": [1], "reset_mask": 1}] * ROBOTS + [{"note": 2, "reset_mask": 0}] * 3)
-    env.reset()
+            call(**given)
 
 
 def test_every_slot_is_told_what_a_step_cost():
