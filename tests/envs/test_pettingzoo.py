@@ -9,7 +9,15 @@ import pytest
 from conftest import MODELS, ROOT, assert_same_state, five, law_of, run_python
 from guarantees import constant, draw
 
-from rendezvous_env import Scenario, Simulator, parallel_env, rendezvous_v0
+from rendezvous_env import (
+    RewardWeights,
+    Scenario,
+    Simulator,
+    make_vec,
+    parallel_env,
+    rendezvous_v0,
+    reward_term,
+)
 
 
 def make(kind, **changes):
@@ -71,22 +79,28 @@ def test_whole_episodes_are_the_same_in_every_process():
 
 def test_the_environment_is_the_simulator(kind):
     """Dicts around a batch of one: no arithmetic of its own, and types of Python's own."""
-    env, simulator = make(kind), Simulator(five(kind, spawn_size=4.0, time_limit=8.0))
+    reward_term("speed asked for", lambda step: step.actions[..., 0])
+    env = make(kind, reward=RewardWeights(custom={"speed asked for": 1.0}))
+    simulator, venv = Simulator(env.scenario), make_vec(env.scenario, 1)
     observations, infos = env.reset(seed=3)
     assert list(observations) == list(infos) == env.possible_agents
     table, policy = simulator.reset(3), law_of(env.scenario)
+    venv.reset(seed=3)
     while env.agents:
         alive = list(env.agents)
         observations, rewards, ends, cuts, infos = env.step(by_law(env, observations))
-        outcome = simulator.step(policy(table, 0.0))
+        actions = policy(table, 0.0)
+        outcome, (_, team, _, _, told) = simulator.step(actions), venv.step(actions)
         table = outcome.observations
+        np.testing.assert_array_equal(team, outcome.rewards)
+        np.testing.assert_array_equal(told["robot_rewards"], outcome.robot_rewards)
         for told in (observations, rewards, ends, cuts, infos):
             assert list(told) == alive
         for name in alive:
-            seen, info = observations[name], infos[name]
-            np.testing.assert_array_equal(seen, table[0, env.possible_agents.index(name)])
+            seen, info, i = observations[name], infos[name], env.index(name)
+            np.testing.assert_array_equal(seen, table[0, i])
             assert seen.dtype == np.float32
-            assert type(rewards[name]) is float and rewards[name] == outcome.rewards[0]
+            assert type(rewards[name]) is float and rewards[name] == outcome.robot_rewards[0, i]
             assert type(ends[name]) is bool and type(cuts[name]) is bool
             assert ("summary" in info) == (not env.agents)
             assert [type(info[key]) for key in ("contact", "merged_into", "success")] == [

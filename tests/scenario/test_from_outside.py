@@ -202,24 +202,6 @@ def test_terms_are_added_with_their_weights(on_merge):
         np.testing.assert_allclose(each_earned[k] - each_usual[k], each, atol=1e-6)
 
 
-def test_terms_reach_every_interface():
-    scenario = Scenario(n_robots=2, reward=rv.RewardWeights(custom={"effort": -1.0}))
-    actions = np.array([[0.6, 0.8], [0.0, 0.5]], np.float32)
-    expected = {}
-    for weights in (scenario.reward, rv.RewardWeights()):
-        env = rv.parallel_env(scenario, reward=weights)
-        env.reset(seed=0)
-        expected[weights] = env.step(dict(zip(env.agents, actions, strict=True)))[1]
-    custom, usual = expected.values()
-    assert custom["robot_0"] - usual["robot_0"] == pytest.approx(-1.0)
-    assert custom["robot_1"] - usual["robot_1"] == pytest.approx(-0.5)
-    venv = rv.make_vec(scenario, num_envs=1)
-    venv.reset(seed=0)
-    _, reward, _, _, infos = venv.step(actions[None])
-    assert infos["robot_rewards"][0].tolist() == list(custom.values())
-    assert reward[0] == pytest.approx(sum(custom.values()) / 2)
-
-
 # ---- what is refused ----------------------------------------------------------------------------
 
 

@@ -128,6 +128,9 @@ def test_toml_by_hand(tmp_path):
         time_limit = 12
         [reward]
         time_penalty = 0
+        [sensing]
+        range = 4
+        delay = 2
         """
     )
     expected = Scenario(
@@ -136,8 +139,9 @@ def test_toml_by_hand(tmp_path):
         graph=[[0, 2.0, 0], [2.0, 0, 0.5], [0, 0.5, 0]],
         time_limit=12.0,
         reward=RewardWeights(time_penalty=0.0),
+        sensing=rv.Sensing(range=4.0, delay=2),
     )
-    assert Scenario.from_toml(path) == expected
+    assert Scenario.from_toml(path) == expected and "sensing" not in Scenario().to_plain()
     assert scenarios.resolve(path) == expected
     assert scenarios.resolve(str(path), n_robots=3).max_degree == 2.5
 
@@ -208,11 +212,3 @@ def test_a_wrong_value_is_refused_by_field_and_value(field, value):
         rv.Sensing(**{field: value})
     shown = "whole number of about" if value == 10**400 else repr(value)
     assert shown in str(refused.value)
-
-
-def test_an_exact_sensor_is_an_absent_table(tmp_path):
-    assert "sensing" not in rv.Scenario().to_plain()
-    text = 'graph = "complete"\n[sensing]\nrange = 4\ndelay = 2\n'
-    (tmp_path / "short.toml").write_text(text, encoding="utf-8")
-    read = rv.Scenario.from_toml(tmp_path / "short.toml").sensing
-    assert read == rv.Sensing(range=4.0, delay=2) and isinstance(read.range, float)
