@@ -98,6 +98,7 @@ def test_what_is_no_filter_is_refused_by_name():
             rv.GuaranteeWrapper(base, safety_filter, decision_periods=2)
     for call, arguments, message in (
         (rv.GuaranteeWrapper, (base, "half_sped"), "safety_filter is 'half_sped'"),
+        (rv.GuaranteeWrapper, (base, 5), "safety_filter is 5; it must be one of"),
         (rv.GuaranteeWrapper, (base, dict), "safety_filter is <class 'dict'>; .* a subclass of it"),
         (rv.GuaranteeWrapper, (base, HalfSpeed(base.scenario, 2)), "this scenario and 1 teams"),
         (rv.register_filter, ("heading", HalfSpeed), "which are taken"),

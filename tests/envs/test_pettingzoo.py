@@ -9,15 +9,8 @@ import pytest
 from conftest import MODELS, ROOT, assert_same_state, five, law_of, run_python
 from guarantees import constant, draw
 
-from rendezvous_env import (
-    RewardWeights,
-    Scenario,
-    Simulator,
-    make_vec,
-    parallel_env,
-    rendezvous_v0,
-    reward_term,
-)
+import rendezvous_env as rv
+from rendezvous_env import Scenario, Simulator, parallel_env, rendezvous_v0
 
 
 def make(kind, **changes):
@@ -79,9 +72,9 @@ def test_whole_episodes_are_the_same_in_every_process():
 
 def test_the_environment_is_the_simulator(kind):
     """Dicts around a batch of one: no arithmetic of its own, and types of Python's own."""
-    reward_term("speed asked for", lambda step: step.actions[..., 0])
-    env = make(kind, reward=RewardWeights(custom={"speed asked for": 1.0}))
-    simulator, venv = Simulator(env.scenario), make_vec(env.scenario, 1)
+    rv.reward_term("speed asked for", lambda step: step.actions[..., 0])
+    env = make(kind, reward=rv.RewardWeights(custom={"speed asked for": 1.0}))
+    simulator, venv = Simulator(env.scenario), rv.make_vec(env.scenario, 1)
     observations, infos = env.reset(seed=3)
     assert list(observations) == list(infos) == env.possible_agents
     table, policy = simulator.reset(3), law_of(env.scenario)

@@ -11,16 +11,7 @@ from conftest import UNEQUAL
 from soup import DEEP, HUGE, in_numpy, refusal
 
 import rendezvous_env as rv
-from rendezvous_env import (
-    Capsule,
-    Disc,
-    ObstacleField,
-    Polygon,
-    RewardWeights,
-    Scenario,
-    Sphere,
-    checks,
-)
+from rendezvous_env import Capsule, Disc, ObstacleField, Polygon, Scenario, Sphere, checks
 from rendezvous_env import graphs as g
 from rendezvous_env.checks import UnknownFieldError
 from rendezvous_env.limits import MOST_OBSTACLES, MOST_ROBOTS
@@ -160,10 +151,10 @@ def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
             assert "scenario has no field 'n_robot'; did you mean 'n_robots'" in refusal(
                 call, kind=kind, n_robot=3
             )
-    assert "did you mean 'progress'" in refusal(RewardWeights, progres=1, kind=TypeError)
+    assert "did you mean 'progress'" in refusal(rv.RewardWeights, progres=1, kind=TypeError)
     assert "did you mean 'dropout'" in refusal(rv.Sensing, drop_out=0.1)
     with pytest.raises(TypeError, match="positional"):
-        RewardWeights(1, 2, 3, 4, 5, 6)
+        rv.RewardWeights(1, 2, 3, 4, 5, 6)
 
 
 # ---- obstacles and graphs -----------------------------------------------------------------------
@@ -270,7 +261,7 @@ EVERY_FIELD = Scenario(
     neighbour_slots=2,
     start_positions=((0, 0), (1, 0), (0, 1)),
     sensing=rv.Sensing(range=5.0, noise=0.1, delay=2, sectors=8),
-    reward=RewardWeights(clearance_penalty=0.1),
+    reward=rv.RewardWeights(clearance_penalty=0.1),
     costs=("contact", "rise"),
 )
 
