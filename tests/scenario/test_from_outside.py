@@ -43,6 +43,11 @@ def spread(step):
 
 
 FAMILY = Scenario(n_robots=6, graph="hexagon-and-chords")
+OWN = FAMILY.replace(
+    name="mine",
+    reward=rv.RewardWeights(custom={"spread": 2, "effort": np.float32(-0.5)}),
+    sensing=Sensing(custom=("blind-behind", "half-lost"), noise=0.1),
+)
 
 
 def towards(scenario):
@@ -81,14 +86,9 @@ def test_a_family_is_drawn_for_every_seed_and_episode_and_no_batch():
 
 
 def test_what_is_a_users_own_is_written_to_files(tmp_path):
-    scenario = FAMILY.replace(
-        name="mine",
-        reward=rv.RewardWeights(custom={"spread": 2, "effort": np.float32(-0.5)}),
-        sensing=Sensing(custom=("blind-behind",)),
-    )
-    scenario.to_toml(tmp_path / "mine.toml")
-    assert Scenario.from_toml(tmp_path / "mine.toml") == scenario
-    assert hash(scenario) == hash(Scenario.from_plain(scenario.to_plain()))
+    OWN.to_toml(tmp_path / "mine.toml")
+    assert Scenario.from_toml(tmp_path / "mine.toml") == OWN
+    assert hash(OWN) == hash(Scenario.from_plain(OWN.to_plain()))
 
 
 def test_a_family_is_a_graph_like_any_other():
@@ -126,14 +126,9 @@ def test_who_is_behind_is_not_seen():
 
 
 def test_batches_see_and_earn_what_single_teams_do():
-    scenario = Scenario(
-        n_robots=4,
-        sensing=Sensing(custom=("blind-behind", "half-lost"), noise=0.1),
-        reward=rv.RewardWeights(custom={"effort": -0.01, "spread": -0.1}),
-    )
-    batch = walk(scenario, 3, 4)
+    batch = walk(OWN, 3, 4)
     for team in range(4):
-        single = walk(scenario, 3 + team, 1)
+        single = walk(OWN, 3 + team, 1)
         for many, one in zip(batch, single, strict=True):
             np.testing.assert_array_equal(many[:, team], one[:, 0])
 
