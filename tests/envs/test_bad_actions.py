@@ -7,10 +7,9 @@ import pytest
 from conftest import MODELS
 from guarantees import GUARANTEES, constant, draw, make, same
 from test_pettingzoo import merged, until_a_merge
+from test_training_env import SCENARIO
 
 import rendezvous_env as rv
-
-CLUTTER = rv.scenarios.get("clutter-8").replace(time_limit=6.0)
 
 
 def _with(name, value):
@@ -67,7 +66,7 @@ def test_bad_actions_are_refused_name_the_robot_and_change_nothing(after_a_merge
     [({}, [0.0, np.nan]), ({"discrete": True}, 9), ({"discrete": True}, 0.5)],
 )
 def test_training_environments_name_the_robot(form, bad):
-    env = rv.training_env(CLUTTER, **form)
+    env = rv.training_env(SCENARIO, **form)
     env.reset(seed=0)
     actions, before = draw(env, np.random.default_rng(0)), env.get_state()
     with pytest.raises(ValueError, match="action of robot_2 is"):
@@ -92,7 +91,7 @@ def test_training_environments_name_the_robot(form, bad):
     ],
 )
 def test_training_teams_name_team_and_robot(form, bad, message):
-    teams = rv.vector.training_env(CLUTTER, 2, **form)
+    teams = rv.vector.training_env(SCENARIO, 2, **form)
     teams.reset(seed=0)
     before = teams.get_state()["env"]["env"]
     with pytest.raises(ValueError, match=message):

@@ -191,7 +191,7 @@ def test_a_merged_robot_ends_once_and_is_gone(kind):
         if name in gone:
             survivor = f"robot_{info['merged_into']}"
             assert survivor in env.agents
-            assert env.possible_agents.index(survivor) < env.possible_agents.index(name)
+            assert env.index(survivor) < env.index(name)
             assert not observations[name][env.scenario.observation_layout.neighbours].any()
             assert rewards[name] == rewards[survivor]
     assert not set(env.step(by_law(env, observations))[0]) & set(gone)

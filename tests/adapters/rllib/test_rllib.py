@@ -31,13 +31,8 @@ TEAMS = 8
 
 @pytest.fixture(scope="module")
 def local_ray():
-    ray.init(
-        address="local",
-        num_cpus=1,
-        include_dashboard=False,
-        log_to_driver=False,
-        configure_logging=False,
-    )
+    quiet = dict.fromkeys(("include_dashboard", "log_to_driver", "configure_logging"), False)
+    ray.init(address="local", num_cpus=1, **quiet)
     yield
     ray.shutdown()
 
