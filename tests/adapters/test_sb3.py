@@ -1,7 +1,5 @@
 """Slots, ends and advantages, recomputed from single environments in plain Python."""
 
-from __future__ import annotations
-
 import sys
 from collections import Counter
 from types import ModuleType
@@ -244,32 +242,13 @@ def test_what_cannot_be_followed_is_refused():
         RobotPPO("MlpPolicy", VecNormalize(counted_twice), **SETTINGS).learn(10)
 
 
-@pytest.mark.parametrize(
-    ("actions", "message"),
-    [
-        (None, "actions is None"),
-        ("left", "actions is 'left'"),
-        ([[10**400] * 2] * 6, "actions is"),
-        (np.zeros((6, 3)), r"actions have shape \(6, 3\); they must be \(6, 2\)"),
-        (np.zeros((2, 3, 2)), r"actions have shape \(2, 3, 2\)"),
-        (np.full((6, 2), np.nan), "robot_0"),
-        (np.full((6, 2), 1e40), "robot_0"),
-    ],
-)
-def test_actions_that_are_none_are_refused_in_words(actions, message):
-    env = make_robots(SCENARIO, 2)
-    env.reset()
-    with pytest.raises(ValueError, match=message):
-        env.step(actions)
-
-
-@pytest.mark.parametrize("wrong", [1.5, np.nan, -1, 9])
-def test_a_choice_that_is_none_is_not_rounded_to_one(wrong):
-    robots = RobotVecEnv(rv.vector.training_env("clutter-8", 1, discrete=True))
+def test_a_choice_that_is_none_is_not_rounded_to_one():
+    robots = RobotVecEnv(training_env("clutter-8", 1, discrete=True))
     robots.reset()
     robots.step(np.full(4, 8))
-    with pytest.raises(ValueError, match=f"robot_0 in team 0 is {wrong}; .* whole number below 9"):
-        robots.step(np.full(4, wrong))
+    for wrong in (1.5, np.nan, 9):
+        with pytest.raises(ValueError, match=f"team 0 is {wrong}; .* whole number below 9"):
+            robots.step(np.full(4, wrong))
 
 
 def test_teams_can_be_filmed(tmp_path, monkeypatch):
@@ -286,7 +265,7 @@ def test_teams_can_be_filmed(tmp_path, monkeypatch):
     assert first.dtype == np.uint8 and second.size >= pictures[0].size + pictures[1].size
 
 
-def test_obstacles_of_slots_may_be_of_arrays():
+def test_options_of_slots_are_alike_in_all_teams_or_refused():
     env = make_robots(SCENARIO.replace(obstacle_slots=1), 2)
     places = [np.array([0.5, 3.0]), [0.5, 3.0]] * ROBOTS
     env.set_options([{"obstacles": [{"centre": place, "radius": 0.1}]} for place in places])
@@ -299,10 +278,29 @@ def test_obstacles_of_slots_may_be_of_arrays():
     env.set_options([{"obstacles": [rv.Disc((slot, 0.0), 0.1)]} for slot in range(2 * ROBOTS)])
     with pytest.raises(ValueError, match="all teams need the same keys and obstacles"):
         env.reset()
+    start = np.zeros((ROBOTS, 2))
+    for wrong, message in (
+        (start[:2], r"positions of team 1 has shape \(2, 2\); that of team 0 has \(3, 2\)"),
+        ("x", "positions is 'x'"),
+    ):
+        env.set_options([{"positions": start}] * ROBOTS + [{"positions": wrong}] * ROBOTS)
+        with pytest.raises(ValueError, match=message):
+            env.reset()
+    # what is no option of ours is ignored, and a mask of teams is none
+    env.set_options([{"note": [1], "reset_mask": 1}] * ROBOTS + [{"note": 2, "reset_mask": 0}] * 3)
+    env.reset()
 
 
-def test_bad_seeds_options_and_slots_are_refused():
+def test_bad_actions_seeds_options_and_slots_are_refused():
     env = make_robots(SCENARIO, 2)
+    env.reset()
+    for actions, message in (
+        ("left", "actions is 'left'"),
+        (np.zeros((2, 3, 2)), r"actions have shape \(2, 3, 2\); they must be \(6, 2\)"),
+        (np.full((6, 2), 1e40), "action of robot_0 in team 0"),  # of float32 it is infinite
+    ):
+        with pytest.raises(ValueError, match=message):
+            env.step(actions)
     for seed in ("x", -1, 1.5, 10**400):
         with pytest.raises(ValueError, match="seed is"):
             env.seed(seed)
@@ -318,34 +316,16 @@ def test_bad_seeds_options_and_slots_are_refused():
 
 def test_slots_refuse_what_is_no_reset_and_no_step_of_theirs():
     slots = RobotSlots(make_robots(SCENARIO, 2).teams)
-    for wrong in ([1], 5):
-        with pytest.raises(ValueError, match=r"options is .*; it must be None or a dict"):
-            slots.reset(0, wrong)
     slots.reset(0)
-    for wrong in (np.zeros(12), np.zeros((2, 6)), np.zeros((5, 2)), [[0.0, 0.0]]):
-        with pytest.raises(ValueError, match=r"actions have shape .*; they must be \(6, 2\)"):
-            slots.step(wrong)
-    with pytest.raises(ValueError, match="actions is None"):
-        slots.step(None)
     slots.step([[0.0, 0.0]] * 6)
-    for wrong in (np.array([1, 0]), 1):  # indices of teams are no mask
-        with pytest.raises(ValueError, match=r"mask is .*; it must be bool, one for each of 2"):
-            slots.begin(wrong)
-
-
-def test_options_of_slots_are_of_one_shape_or_refused_by_team():
-    env = make_robots(SCENARIO, 2)
-    start = np.zeros((ROBOTS, 2))
-    for wrong, message in (
-        (start[:2], r"positions of team 1 has shape \(2, 2\); that of team 0 has \(3, 2\)"),
-        ("x", "positions is 'x'"),
+    for call, given, message in (
+        (slots.reset, {"options": 5}, "options is 5; it must be None or a dict"),
+        (slots.step, {"actions": np.zeros(12)}, r"shape \(12,\); they must be \(6, 2\), by slot"),
+        (slots.step, {"actions": None}, "actions is None"),
+        (slots.begin, {"which": np.array([1, 0])}, "mask is .* must be bool, one for each of 2"),
     ):
-        env.set_options([{"positions": start}] * ROBOTS + [{"positions": wrong}] * ROBOTS)
         with pytest.raises(ValueError, match=message):
-            env.reset()
-    # what is no option of ours is ignored, and a mask of teams is none
-    env.set_options([{"note": [1], "reset_mask": 1}] * ROBOTS + [{"note": 2, "reset_mask": 0}] * 3)
-    env.reset()
+            call(**given)
 
 
 def test_every_slot_is_told_what_a_step_cost():

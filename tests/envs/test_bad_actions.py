@@ -1,18 +1,15 @@
 """Bad actions: refused by the name of their robot, and nothing has changed."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np
 import pytest
-from conftest import MODELS, five
+from conftest import MODELS
 from guarantees import GUARANTEES, constant, draw, make, same
 from test_pettingzoo import merged, until_a_merge
+from test_training_env import SCENARIO
 
 import rendezvous_env as rv
-
-CLUTTER = rv.scenarios.get("clutter-8").replace(time_limit=6.0)
 
 
 def _with(name, value):
@@ -21,13 +18,9 @@ def _with(name, value):
 
 BAD_ACTIONS = {
     "nan": (_with("robot_0", lambda a: a * np.nan), ValueError, r"action of robot_0 .*nan"),
-    "inf": (_with("robot_0", lambda a: a + np.inf), ValueError, r"action of robot_0 .*inf"),
     "short": (_with("robot_0", lambda a: a[1:]), ValueError, "action of robot_0 .* finite numbers"),
-    "matrix": (_with("robot_0", lambda a: a[None]), ValueError, "action of robot_0 "),
     "number": (_with("robot_0", lambda a: 1.0), ValueError, "action of robot_0 is 1.0"),
     "text": (_with("robot_0", lambda a: "left"), ValueError, "action of robot_0 is 'left'"),
-    "none": (_with("robot_0", lambda a: None), ValueError, "action of robot_0 is None"),
-    "too large": (_with("robot_0", lambda a: [10**400] * len(a)), ValueError, "action of robot_0 "),
     "no dict": (lambda a, gone: list(a.values()), ValueError, "it must be a dict with an action"),
     "missing": (lambda a, gone: {k: v for k, v in a.items() if k != "robot_0"}, KeyError,
         "robot_0 is alive but has no action"),
@@ -68,21 +61,12 @@ def test_bad_actions_are_refused_name_the_robot_and_change_nothing(after_a_merge
     assert same(env.step(choices), copy.deepcopy(after_a_merge[0]).step(choices))
 
 
-def test_huge_finite_actions_and_lists_are_fine():
-    env = rv.parallel_env(five("single_integrator-2d"))
-    env.reset(seed=0)
-    before = env.simulator.positions
-    env.step({name: [3e38, 3e38] for name in env.agents})
-    speed = np.linalg.norm(env.simulator.positions - before, axis=-1) / env.scenario.tau
-    np.testing.assert_allclose(speed, env.scenario.speed_limit, rtol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("form", "bad"),
     [({}, [0.0, np.nan]), ({"discrete": True}, 9), ({"discrete": True}, 0.5)],
 )
 def test_training_environments_name_the_robot(form, bad):
-    env = rv.training_env(CLUTTER, **form)
+    env = rv.training_env(SCENARIO, **form)
     env.reset(seed=0)
     actions, before = draw(env, np.random.default_rng(0)), env.get_state()
     with pytest.raises(ValueError, match="action of robot_2 is"):
@@ -98,18 +82,16 @@ def test_training_environments_name_the_robot(form, bad):
     [
         ({}, np.full((2, 4, 2), np.nan), "action of robot_0 in team 0 is .*must be finite"),
         ({}, np.zeros((2, 4)), r"shape \(2, 4\); they must be \(B, n, 2\) = \(2, 4, 2\)"),
-        ({}, "ahead", "actions is 'ahead'"),
         ({"discrete": True}, np.full((2, 4), 9), "robot_0 in team 0 is 9.*whole number below 9"),
         ({"discrete": True}, np.full((2, 4), 1.5), "robot_0 in team 0 is 1.5"),
         ({"discrete": True}, [[0, 0, 0, 0], [0, 0, -1, 0]], "robot_2 in team 1 is -1"),
         ({"discrete": True}, np.zeros((2, 4, 2)), r"they must be \(B, n\) = \(2, 4\)"),
         ({"discrete": True}, np.full((2, 4), np.inf), "robot_0 in team 0 is inf"),
-        ({"discrete": True}, [["a"] * 4] * 2, "actions is .* must be numbers"),
         ({"discrete": True}, [[None] * 4] * 2, "actions is .* must be numbers"),
     ],
 )
 def test_training_teams_name_team_and_robot(form, bad, message):
-    teams = rv.vector.training_env(CLUTTER, 2, **form)
+    teams = rv.vector.training_env(SCENARIO, 2, **form)
     teams.reset(seed=0)
     before = teams.get_state()["env"]["env"]
     with pytest.raises(ValueError, match=message):

@@ -1,7 +1,5 @@
 """What all factories have in common: flat observations, unknown words, tensors, state."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 import pytest
@@ -106,6 +104,8 @@ def test_the_heading_environment_is_the_wrapped_one():
     [
         (rv.make_vec, "num_env", "num_envs"),
         (rv.make_vec, "n_robot", "n_robots"),
+        (rv.make_vec, "num_agents", "n_robots"),
+        (rv.parallel_env, "max_steps", "max_cycles"),
         (rv.parallel_env, "rendermode", "render_mode"),
         (rv.parallel_env, "flaten", "flatten"),
         (make_env, "max_cycle", "max_cycles"),
@@ -119,19 +119,11 @@ def test_an_unknown_word_is_a_type_error_with_the_nearest_one(make, word, meant)
         make("fig3", **{word: 1})
 
 
-@pytest.mark.parametrize(
-    ("name", "word", "meant"),
-    [
-        ("HeadingVectorWrapper", "min_alignmet", "min_alignment"),
-        ("EnergyTankWrapper", "bugdet", "budget"),
-        ("GainWrapper", "max_gains", "max_gain"),
-        ("LinkKeepingWrapper", "bearing_errors", "bearing_error"),
-    ],
-)
+@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("home", [rv, vector])
-def test_so_it_is_for_a_wrapper(home, name, word, meant):
+def test_so_it_is_for_a_wrapper(home, name):
     env = rv.parallel_env(SCENARIO) if home is rv else rv.make_vec(SCENARIO, 2)
-    wrapper = getattr(home, name)
+    wrapper, word, meant = getattr(home, name), "decisionperiod", "decision_period"
     with pytest.raises(TypeError, match=f"{name} has no argument '{word}'; did you mean '{meant}'"):
         wrapper(env, **{word: 1})
     with pytest.raises(TypeError, match=f"{name} has no argument 'zzz'; known are env, .*{meant}"):

@@ -1,7 +1,5 @@
 """All guarantee wrappers alike: API suites, spaces, one API as the other, periods, refusals."""
 
-from __future__ import annotations
-
 import copy
 import itertools
 import pickle
@@ -13,6 +11,7 @@ import pytest
 from conftest import five
 from guarantees import GUARANTEES, NAMES, draw, make, same, tape, which_and_kind
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers.vector import FlattenObservation, TransformAction
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 from soup import HUGE
 
@@ -227,6 +226,8 @@ def test_only_environments_of_ours_are_wrapped(which):
         (around_teams, rv.parallel_env("duo"), rf"take rendezvous_env\.{name}"),
         (around, None, "env is a NoneType"),
         (around_teams, gymnasium.make_vec("CartPole-v1", num_envs=1), "env is a CartPoleVectorEnv"),
+        (around_teams, TransformAction(rv.make_vec("duo"), abs), "TransformAction.*put it upon"),
+        (around_teams, FlattenObservation(rv.make_vec("duo")), "FlattenObservation.*put it upon"),
         (around, make_env("duo"), "RendezvousEnv"),
         (around_teams, make_env("duo"), "RendezvousEnv"),
         (around, rv.training_env("duo"), "TrainingParallelEnv; it must be"),

@@ -1,7 +1,5 @@
 """The PettingZoo environment: API suites, whole-episode determinism, what a step returns."""
 
-from __future__ import annotations
-
 import hashlib
 import pickle
 
@@ -11,6 +9,7 @@ import pytest
 from conftest import MODELS, ROOT, assert_same_state, five, law_of, run_python
 from guarantees import constant, draw
 
+import rendezvous_env as rv
 from rendezvous_env import Scenario, Simulator, parallel_env, rendezvous_v0
 
 
@@ -44,16 +43,6 @@ def until_a_merge(env, seed=3):
     return result
 
 
-def test_max_cycles_may_be_set_at_any_time():
-    env = parallel_env("duo")
-    assert env.max_cycles == env.scenario.max_steps
-    for steps in (7, 2):
-        env.max_cycles = steps
-        env.reset(seed=0)
-        taken = [env.step(act(env, 0.0))[3] for _ in range(steps)]
-        assert all(taken[-1].values()) and env.agents == [] and not any(taken[-2].values())
-
-
 # ---- determinism over whole episodes ------------------------------------------------------------
 
 EPISODE = """
@@ -83,22 +72,28 @@ def test_whole_episodes_are_the_same_in_every_process():
 
 def test_the_environment_is_the_simulator(kind):
     """Dicts around a batch of one: no arithmetic of its own, and types of Python's own."""
-    env, simulator = make(kind), Simulator(five(kind, spawn_size=4.0, time_limit=8.0))
+    rv.reward_term("speed asked for", lambda step: step.actions[..., 0])
+    env = make(kind, reward=rv.RewardWeights(custom={"speed asked for": 1.0}))
+    simulator, venv = Simulator(env.scenario), rv.make_vec(env.scenario, 1)
     observations, infos = env.reset(seed=3)
     assert list(observations) == list(infos) == env.possible_agents
     table, policy = simulator.reset(3), law_of(env.scenario)
+    venv.reset(seed=3)
     while env.agents:
         alive = list(env.agents)
         observations, rewards, ends, cuts, infos = env.step(by_law(env, observations))
-        outcome = simulator.step(policy(table, 0.0))
+        actions = policy(table, 0.0)
+        outcome, (_, team, _, _, told) = simulator.step(actions), venv.step(actions)
         table = outcome.observations
+        np.testing.assert_array_equal(team, outcome.rewards)
+        np.testing.assert_array_equal(told["robot_rewards"], outcome.robot_rewards)
         for told in (observations, rewards, ends, cuts, infos):
             assert list(told) == alive
         for name in alive:
-            seen, info = observations[name], infos[name]
-            np.testing.assert_array_equal(seen, table[0, env.possible_agents.index(name)])
+            seen, info, i = observations[name], infos[name], env.index(name)
+            np.testing.assert_array_equal(seen, table[0, i])
             assert seen.dtype == np.float32
-            assert type(rewards[name]) is float and rewards[name] == outcome.rewards[0]
+            assert type(rewards[name]) is float and rewards[name] == outcome.robot_rewards[0, i]
             assert type(ends[name]) is bool and type(cuts[name]) is bool
             assert ("summary" in info) == (not env.agents)
             assert [type(info[key]) for key in ("contact", "merged_into", "success")] == [
@@ -196,7 +191,7 @@ def test_a_merged_robot_ends_once_and_is_gone(kind):
         if name in gone:
             survivor = f"robot_{info['merged_into']}"
             assert survivor in env.agents
-            assert env.possible_agents.index(survivor) < env.possible_agents.index(name)
+            assert env.index(survivor) < env.index(name)
             assert not observations[name][env.scenario.observation_layout.neighbours].any()
             assert rewards[name] == rewards[survivor]
     assert not set(env.step(by_law(env, observations))[0]) & set(gone)

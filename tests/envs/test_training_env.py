@@ -1,7 +1,5 @@
 """Teams to train in: what generic learners see, do, earn and are told."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from guarantees import draw
@@ -122,16 +120,9 @@ def test_a_direction_is_the_choice_of_its_angle(guarantee, angles):
 def test_a_first_touch_is_paid_for_once_in_every_autoreset_mode():
     """Straight ahead into obstacles: the bare reward is the team's, less 1 at a first touch."""
     for mode in AutoresetMode:
+        bare = {"guarantee": None, "autoreset_mode": mode, "max_cycles": 90}
         free, paid = (
-            rv.vector.training_env(
-                SCENARIO,
-                8,
-                guarantee=None,
-                autoreset_mode=mode,
-                touch_penalty=price,
-                max_cycles=90,
-            )
-            for price in (0.0, 1.0)
+            rv.vector.training_env(SCENARIO, 8, touch_penalty=price, **bare) for price in (0.0, 1.0)
         )
         rows, _ = free.reset(seed=0)
         paid.reset(seed=0)

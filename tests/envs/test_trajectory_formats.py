@@ -58,14 +58,6 @@ def test_a_row_holds_what_its_moment_team_and_robot_had(fig4):
     assert table["contact"].sum() == fig4.contacts.sum()
 
 
-def test_all_angles_have_names_that_a_robot_model_can_keep(fig4):
-    angles = np.random.default_rng(0).normal(size=(*fig4.active.shape, MOST_KEPT))
-    turned = dataclasses.replace(fig4, headings=angles)
-    names = ["yaw", "pitch", "roll", "angle_3"]
-    np.testing.assert_array_equal(turned.to_dataframe().loc[1, 2][names], angles[:, 1, 2])
-    np.testing.assert_array_equal(turned.to_xarray().headings.sel(angle=names), angles)
-
-
 def test_a_dataset_holds_every_array_with_dimensions_and_units(fig4):
     found = fig4.to_xarray()
     assert set(found.data_vars) == set(trajectory_formats.DIMENSIONS)
@@ -79,14 +71,16 @@ def test_a_dataset_holds_every_array_with_dimensions_and_units(fig4):
     assert again == fig4.scenario
 
 
-def test_attitudes_have_names_in_space():
+def test_heights_and_all_angles_that_a_robot_model_can_keep_have_names():
     scenario = five("nonholonomic_3d", time_limit=0.1)
     flown = rv.rollout(scenario, baselines.make("nonholonomic-3d", scenario))
-    table = flown.to_dataframe()
-    np.testing.assert_array_equal(table.loc[0, 4]["pitch"], flown.headings[:, 0, 4, 1])
+    angles = np.random.default_rng(0).normal(size=(*flown.active.shape, MOST_KEPT))
+    turned = dataclasses.replace(flown, headings=angles)
+    table, found = turned.to_dataframe(), turned.to_xarray()
+    names = ["yaw", "pitch", "roll", "angle_3"]
+    np.testing.assert_array_equal(table.loc[0, 2][names], angles[:, 0, 2])
     np.testing.assert_array_equal(table.loc[0, 1]["z"], flown.positions[:, 0, 1, 2])
-    found = flown.to_xarray()
-    np.testing.assert_array_equal(found.headings.sel(angle="yaw"), flown.headings[..., 0])
+    np.testing.assert_array_equal(found.headings.sel(angle=names), angles)
     assert "observations" not in found
 
 

@@ -1,7 +1,5 @@
 """Sensing graphs: weights, worst cases and families; graphs that are directed or change."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np
@@ -113,56 +111,6 @@ def test_what_it_is_can_be_asked():
     assert both_ways.most_links(4) == 5  # 0 and 1 are linked in both
     for graph in MUTUAL:
         assert graph.undirected and not graph.directed and not graph.changes
-
-
-@pytest.mark.parametrize(
-    ("make", "said"),
-    [
-        (lambda: graphs.directed([(0, 1), (0, 1)]), r"edge \(0, 1\) must join .* once"),
-        (lambda: graphs.directed(np.eye(2)), r"a\[0, 0\] = 1\.0 must be 0"),
-        (lambda: graphs.switching([]), r"graphs is \(\); it must be a list of at least one"),
-        (lambda: graphs.switching("path"), "graphs is 'path'; it must be a list of graphs"),
-        (lambda: graphs.switching(["path", "proximity"]), r"graphs\[1\] is 'proximity'; switch"),
-        (lambda: graphs.switching([graphs.random_tree()]), r"graphs\[0\] is 'random_tree'"),
-        (lambda: graphs.switching(["path"], 0.0), "dwell is 0.0; it must be a positive"),
-        (lambda: graphs.switching(["path"], order="back"), "order is 'back'; .*'cyclic', 'random'"),
-        (lambda: graphs.Graph("switching", 2.0, graphs=["path"]), "has the weights of its list"),
-        (lambda: graphs.parse({"kind": "switching", "weight_range": 1}), "no key 'weight_range'"),
-        (lambda: graphs.switching([{"kind": "switching"}]), "is itself a switching graph"),
-        (lambda: graphs.parse({"kind": "proximity", "dwell": 1.0}), "graph has no key 'dwell'"),
-        (lambda: graphs.from_matrix([[0, 1], [2, 0]]), "graphs.directed takes others"),
-    ],
-)
-def test_what_is_no_graph_is_refused(make, said):
-    with pytest.raises(ValueError, match=said):
-        make()
-
-
-@pytest.mark.parametrize(
-    ("fields", "said"),
-    [
-        (
-            {"graph": graphs.directed([(0, 1), (0, 2)])},
-            r"\[\d\] and \[\d\] each see nobody outside",
-        ),
-        ({"graph": graphs.switching([graphs.from_edges([(0, 1)], 3)])}, "not connected"),
-        ({"graph": graphs.switching(["path"], 0.01)}, r"dwell is 0\.01 s, shorter than the time"),
-        ({"graph": "proximity"}, "give sensing a range or a field_of_view"),
-        ({"graph": "proximity", "sensing": Sensing(range=0.6)}, r"range is 0\.6; .* = 0\.4 m"),
-        ({"graph": graphs.switching([np.ones((2, 2)) - np.eye(2)])}, "is for 2 robots, not for 3"),
-        (
-            {
-                "graph": graphs.directed([(1, 0)]),
-                "n_robots": 2,
-                "start_positions": ((0, 0), (0, 0)),
-            },
-            "neighbours robot_0 and robot_1 both stand at",
-        ),
-    ],
-)
-def test_what_does_not_fit_a_scenario_is_refused(fields, said):
-    with pytest.raises(ValueError, match=said):
-        Scenario(**({"n_robots": 3} | fields))
 
 
 def test_what_is_connected_by_turns_or_need_not_be_is_taken():

@@ -1,7 +1,5 @@
 """The team reward, by hand and over whole episodes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import five, law_of
@@ -35,26 +33,7 @@ def test_progress_telescopes_and_each_term_is_its_own(kind, name):
     np.testing.assert_allclose(total, expected)
 
 
-def test_each_robot_in_contact_costs_in_each_step():
-    walls = [Disc((-3.0, 0.0), 1.0), Disc((3.0, 0.0), 1.0)]
-    scenario = Scenario(
-        n_robots=3,
-        obstacles=walls,
-        local_frames="global",
-        obstacle_contact="stop",
-        reward=RewardWeights(0.0, 0.0, 0.5, 0.0),
-    )
-    sim = Simulator(scenario)
-    sim.reset(0, {"positions": [[-1.9, 0.0], [1.9, 0.0], [0.0, 5.0]]})
-    into = np.array([[[-9.0, 0], [9.0, 0], [0, 0]]])
-    for _ in range(4):
-        outcome = sim.step(into)
-    assert outcome.contact.tolist() == [[True, True, False]]
-    assert outcome.rewards[0] == pytest.approx(-1.0)
-    assert sim.contacts[0] >= 6
-
-
-# ---- keeping clear of obstacles -----------------------------------------------------------------
+# ---- touching obstacles, and keeping clear ------------------------------------------------------
 
 ONLY = RewardWeights(0.0, 0.0, 0.0, 0.0, clearance_penalty=0.5)
 WORLD = (Disc((0.0, 0.0), 1.0), Capsule(((-1.0, 6.0), (1.0, 6.0)), 0.5))
@@ -65,6 +44,18 @@ PLACES = [[1.5, 0.0], [0.0, 4.5], [8.0, 0.0]]
 def team(**changes: object) -> Scenario:
     given = {"n_robots": 3, "obstacles": WORLD, "obstacle_range": 2.0, "reward": ONLY}
     return Scenario(**given | {"local_frames": "global", "time_limit": 5.0} | changes)
+
+
+def test_each_robot_in_contact_costs_in_each_step():
+    walls, paid = (Disc((-3.0, 0.0), 1.0), Disc((3.0, 0.0), 1.0)), RewardWeights(0.0, 0.0, 0.5, 0.0)
+    sim = Simulator(team(obstacles=walls, obstacle_contact="stop", reward=paid))
+    sim.reset(0, {"positions": [[-1.9, 0.0], [1.9, 0.0], [0.0, 5.0]]})
+    into = np.array([[[-9.0, 0], [9.0, 0], [0, 0]]])
+    for _ in range(4):
+        outcome = sim.step(into)
+    assert outcome.contact.tolist() == [[True, True, False]]
+    assert outcome.rewards[0] == pytest.approx(-1.0)
+    assert sim.contacts[0] >= 6
 
 
 def test_it_follows_the_clearances_of_every_step():

@@ -1,10 +1,9 @@
 """What scenarios, graphs and obstacles say to what they refuse: field, value and remedy."""
 
-from __future__ import annotations
-
 import math
 import re
 import resource
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,24 +11,17 @@ from conftest import UNEQUAL
 from soup import DEEP, HUGE, in_numpy, refusal
 
 import rendezvous_env as rv
-from rendezvous_env import (
-    Capsule,
-    Disc,
-    ObstacleField,
-    Polygon,
-    RewardWeights,
-    Scenario,
-    Sphere,
-    checks,
-)
+from rendezvous_env import Capsule, Disc, ObstacleField, Polygon, Scenario, Sphere, checks
 from rendezvous_env import graphs as g
 from rendezvous_env.checks import UnknownFieldError
 from rendezvous_env.limits import MOST_OBSTACLES, MOST_ROBOTS
+from rendezvous_env.obstacles.parsing import parse
 from rendezvous_env.scenario import scenarios
 
 PAIR = Scenario(n_robots=2)
 TRIANGLE = Polygon(((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))
 ROW = [[k, 0.0] for k in range(5)]
+WALLS = rv.WallField("trap", (7.0, 8.0), (2.0, 3.0), 0.5, region=2.0, keep_out=1)
 
 
 def matrix(**entries: float) -> np.ndarray:
@@ -77,6 +69,11 @@ REFUSED = [
     ({"reward": 5}, r"reward is 5; it must be a RewardWeights, or a table"),
     ({"reward": {"progress": 1e300}}, r"reward\.progress is 1e\+300; it must be a finite"),
     ({"sensing": 0.1}, "sensing is 0.1; it must be a Sensing, or a table"),
+    ({"sensing": {"nois": 0.1}}, r"sensing has no field 'nois'.*'noise'"),
+    ({"sensing": {5: 0.1}}, "sensing has no field 5; known are range, "),
+    ({"costs": "contacts"}, "did you mean 'contact'"),
+    ({"costs": 7}, "costs is 7; it must be names"),
+    ({"costs": ("rise", "rise")}, "each name once"),
     ({"neighbour_slots": 5}, r"neighbour_slots is 5; .* from 1 to n_robots - 1 = 4"),
     ({"neighbour_slots": 0}, r"neighbour_slots is 0; .* from 1 to n_robots - 1 = 4"),
     ({"obstacle_slots": 1, "obstacles": [TRIANGLE, TRIANGLE]},
@@ -105,6 +102,15 @@ REFUSED = [
     ({"graph": g.from_edges([(0, 3), (1, 2)], 5)},
         r"not connected: it falls into \[0, 3\] and \[1, 2\] and \[4\].*require_connected"),
     ({"graph": np.zeros((5, 5)), "require_connected": False}, r"time_step is None; .* no edge"),
+    ({"graph": g.directed([(0, 1), (0, 2)]), "n_robots": 3},
+        r"\[\d\] and \[\d\] each see nobody outside"),
+    ({"graph": g.switching([g.from_edges([(0, 1)], 5)])}, "not connected"),
+    ({"graph": g.switching(["path"], 0.01)}, r"dwell is 0\.01 s, shorter than the time"),
+    ({"graph": g.switching([1 - np.eye(2)])}, "is for 2 robots, not for 5"),
+    ({"graph": "proximity"}, "give sensing a range or a field_of_view"),
+    ({"graph": "proximity", "sensing": rv.Sensing(range=0.6)}, r"range is 0\.6; .* = 0\.2 m"),
+    ({"graph": g.directed([(1, 0)]), "n_robots": 2, "start_positions": ((0, 0), (0, 0))},
+        "neighbours robot_0 and robot_1 both stand at"),
     ({"graph": DEEP}, r"graph is \[\[\[\[\[\[\.\.\.\]\]\]\]\]\]"),
     ({"graph": {"kind": ["path"]}}, r"graph is \['path'\]; it must be one of 'complete'"),
     ({"graph": {"kind": "path", "weight_range": 5.0j}}, "graph: weight_range is 5j; .* finite num"),
@@ -145,12 +151,10 @@ def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
             assert "scenario has no field 'n_robot'; did you mean 'n_robots'" in refusal(
                 call, kind=kind, n_robot=3
             )
-    assert "did you mean 'progress'" in refusal(RewardWeights, progres=1, kind=TypeError)
-    assert "no argument 'merge_radios'" in refusal(rv.parallel_env, "duo", merge_radios=1)
-    assert "did you mean 'n_robots'" in refusal(rv.make_vec, "duo", num_envs=1, num_agents=3)
-    assert "did you mean 'max_cycles'" in refusal(rv.parallel_env, "duo", max_steps=9)
+    assert "did you mean 'progress'" in refusal(rv.RewardWeights, progres=1, kind=TypeError)
+    assert "did you mean 'dropout'" in refusal(rv.Sensing, drop_out=0.1)
     with pytest.raises(TypeError, match="positional"):
-        RewardWeights(1, 2, 3, 4, 5, 6)
+        rv.RewardWeights(1, 2, 3, 4, 5, 6)
 
 
 # ---- obstacles and graphs -----------------------------------------------------------------------
@@ -171,6 +175,7 @@ def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
         (lambda: Polygon(((0, 0), (3, 0), (0, 3), (0, 0))), r"vertices\[3\] .* repeats another"),
         (lambda: Polygon(((0, 0), (1, 0), (2, 1e-7))), "degenerate"),
         (lambda: Polygon(((0, 0), (1, 1), (1, 0), (0, 1))), "cross over; list them in order"),
+        (lambda: Polygon(((3, 0), (-2, 2), (1, -3), (1, 3), (-2, -2))), "cross over"),  # a star
         (lambda: ObstacleField(-1, (1, 2), 9, 1), r"ObstacleField\.count is -1; it must be"),
         (lambda: ObstacleField((5, 2), (1, 2), 9, 1), "count is .* low <= high"),
         (lambda: ObstacleField(10**9, (1, 2), 1, 1), "count is 1000000000; .* <= 10000"),
@@ -178,6 +183,18 @@ def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
         (lambda: ObstacleField(2, (1, 2), -9, 1), "region is -9; it must be .* from 0"),
         (lambda: ObstacleField(1, (1, 2), 1, 1e300), r"keep_out is 1e\+300; .* to 1e\+09"),
         (lambda: ObstacleField(2, (1, 2), 9, 1, "no"), "overlap is 'no'; .* True, False"),
+        (lambda: ObstacleField(3, (1, 2), 9, 0.5, passage=1.1), "at most twice keep_out, 1 m"),
+        (lambda: ObstacleField(3, (1, 2), 9, 0.5, passage=-1), "passage is -1; .* from 0"),
+        (lambda: parse(ObstacleField(3, (1, 2), 9, 0.5, passage=0.1), 3), r"0\.1; .* be 0 in 3-D"),
+        (lambda: replace(WALLS, layout="tarp"), "WallField.layout .* mean 'trap'"),
+        (lambda: replace(WALLS, layout=3), "is 3; .* of 'trap', 'corridor', 'rooms'"),
+        (lambda: replace(WALLS, opening=(0, 3)), r"opening is \(0, 3\); .* 1e-05 <= low"),
+        (lambda: replace(WALLS, thickness=0), r"WallField\.thickness is 0"),
+        (lambda: replace(WALLS, keep_out=math.nan), "keep_out is nan; it must be"),
+        (lambda: replace(WALLS, layout="rooms", size=(3, 5)), r"\(3.0, 5.0\); .* at least 4.5 m"),
+        (lambda: parse(WALLS, 3), "obstacles is WallField.*an ObstacleField in 3-D"),
+        (lambda: parse([WALLS], 2), "stands alone, not in a list"),
+        (lambda: parse({"layout": "trap", "size": [3, 5]}, 2), "a walls needs opening"),
         (lambda: g.path("a"), "weight_range is 'a'"),
         *[
             (lambda weight=weight: g.path(weight), r"weight_range is .* finite.* 1e-09 <= low <=")
@@ -194,6 +211,19 @@ def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
         (lambda: g.from_edges([(0, HUGE)]), "n_nodes is a whole number of about 401"),
         (lambda: g.Graph("edges"), "n_nodes is None"),
         (lambda: g.Graph("path", edges=((0, 1, 1.0),)), "a path has neither edges"),
+        (lambda: g.directed([(0, 1), (0, 1)]), r"edge \(0, 1\) must join .* once"),
+        (lambda: g.directed(np.eye(2)), r"a\[0, 0\] = 1\.0 must be 0"),
+        (lambda: g.switching([]), r"graphs is \(\); it must be a list of at least one"),
+        (lambda: g.switching("path"), "graphs is 'path'; it must be a list of graphs"),
+        (lambda: g.switching(["path", "proximity"]), r"graphs\[1\] is 'proximity'; switch"),
+        (lambda: g.switching([g.random_tree()]), r"graphs\[0\] is 'random_tree'"),
+        (lambda: g.switching(["path"], 0.0), "dwell is 0.0; it must be a positive"),
+        (lambda: g.switching(["path"], order="back"), "order is 'back'; .*'cyclic', 'random'"),
+        (lambda: g.Graph("switching", 2.0, graphs=["path"]), "has the weights of its list"),
+        (lambda: g.parse({"kind": "switching", "weight_range": 1}), "no key 'weight_range'"),
+        (lambda: g.switching([{"kind": "switching"}]), "is itself a switching graph"),
+        (lambda: g.parse({"kind": "proximity", "dwell": 1.0}), "graph has no key 'dwell'"),
+        (lambda: g.from_matrix([[0, 1], [2, 0]]), "graphs.directed takes others"),
     ],
 )  # fmt: skip
 def test_obstacles_and_graphs_say_what_is_wrong(make, message):
@@ -231,11 +261,11 @@ EVERY_FIELD = Scenario(
     neighbour_slots=2,
     start_positions=((0, 0), (1, 0), (0, 1)),
     sensing=rv.Sensing(range=5.0, noise=0.1, delay=2, sectors=8),
-    reward=RewardWeights(clearance_penalty=0.1),
+    reward=rv.RewardWeights(clearance_penalty=0.1),
+    costs=("contact", "rise"),
 )
 
 
-WALLS = rv.WallField("trap", (7.0, 8.0), (2.0, 3.0), 0.5, region=2.0, keep_out=1)
 DRAWN = [Scenario(obstacles=one) for one in (ObstacleField(2, (7.0, 8.0), 20.0, 0.5), WALLS)]
 
 
@@ -297,7 +327,9 @@ def test_names_and_paths_that_no_file_can_have(tmp_path):
         Scenario().to_toml(tmp_path / "absent" / "x.toml")
 
 
-def test_a_full_disk_leaves_what_was_there(tmp_path):
+def test_what_cannot_be_written_leaves_what_was_there(tmp_path):
+    """A disk is full; a folder has the name."""
+    (tmp_path / "taken.toml").mkdir()
     Scenario(n_robots=2).to_toml(tmp_path / "x.toml")
     free = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (10, free[1]))
@@ -306,15 +338,10 @@ def test_a_full_disk_leaves_what_was_there(tmp_path):
             Scenario().to_toml(tmp_path / "x.toml")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, free)
-    assert [path.name for path in tmp_path.iterdir()] == ["x.toml"]
-    assert Scenario.from_toml(tmp_path / "x.toml").n_robots == 2
-
-
-def test_a_file_that_cannot_be_replaced_leaves_nothing_behind(tmp_path):
-    (tmp_path / "taken.toml").mkdir()
     with pytest.raises(OSError, match="taken"):
         Scenario().to_toml(tmp_path / "taken.toml")
-    assert [path.name for path in tmp_path.iterdir()] == ["taken.toml"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["taken.toml", "x.toml"]
+    assert Scenario.from_toml(tmp_path / "x.toml").n_robots == 2
 
 
 def test_simulators_and_certificates_take_names_and_files(tmp_path):

@@ -1,7 +1,5 @@
 """Episodes that RLlib is given, beside each team played on its own; and the set network."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete
@@ -33,13 +31,8 @@ TEAMS = 8
 
 @pytest.fixture(scope="module")
 def local_ray():
-    ray.init(
-        address="local",
-        num_cpus=1,
-        include_dashboard=False,
-        log_to_driver=False,
-        configure_logging=False,
-    )
+    quiet = dict.fromkeys(("include_dashboard", "log_to_driver", "configure_logging"), False)
+    ray.init(address="local", num_cpus=1, **quiet)
     yield
     ray.shutdown()
 
