@@ -7,7 +7,7 @@ import shlex
 import shutil
 
 import pytest
-from browsing import chosen, clock, picture, reloaded, visited
+from browsing import chosen, clock, column, picture, reloaded, visited
 from conftest import ROOT, needs_browser
 from page_reading import data_of
 from rendezvous_env.baselines.learned import plain_data
@@ -119,9 +119,8 @@ def test_a_folder_that_is_not_whole_is_refused(changed, message, board, tmp_path
 @needs_browser
 def test_it_sorts_and_shows_one_field(browser, board):
     with visited(browser, (board / "report.html").as_uri()) as page:
-        cells = page.locator("#board-table tbody td[data-column=time]")
         page.get_by_role("button", name="time s").first.click()
-        shown = [float(cell.get_attribute("data-value")) for cell in cells.all()]
+        shown = [float(value) for value in column(page, "time", "board")]
         assert shown == sorted(shown) and len(shown) == len(read_csv(board / TABLE))
         page.select_option("#table-scenario", "rendezvous/clutter-8-v1")
         fields = [card["field"] for card in cards.read_cards(board)]
