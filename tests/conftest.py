@@ -357,6 +357,16 @@ def registry():
         entries.update(before)
 
 
+@pytest.fixture
+def set_threads():
+    """torch.set_num_threads; afterwards there are as many as before."""
+    import torch
+
+    before = torch.get_num_threads()
+    yield torch.set_num_threads
+    torch.set_num_threads(before)
+
+
 @pytest.fixture(scope="module")
 def browser():
     from playwright.sync_api import sync_playwright

@@ -241,21 +241,19 @@ class TestLemma1:
         assert np.linalg.norm(f, axis=-1).tolist() == [0.7, 0.0, 0.7]
 
 
-class TestLyapunovRate:
+@given(teams(), st.integers(0, 2**32))
+def test_the_rate_of_v_against_central_differences(team, seed):
     """V̇ = −2 Σ‖f_i‖² under law (1) and −2 Σ (h_iᵀf_i)² under law (4), against differences of V."""
-
-    @given(teams(), st.integers(0, 2**32))
-    def test_against_central_differences(self, team, seed):
-        positions, weights = team
-        f = net_bearings(positions, weights)
-        h = np.random.default_rng(seed).normal(size=f.shape)
-        h /= np.linalg.norm(h, axis=-1, keepdims=True)
-        along = np.sum(h * f, axis=-1, keepdims=True)
-        scale = weights.sum() ** 2
-        for velocities, rate in ((f, -2 * np.sum(f**2)), (h * along, -2 * np.sum(along**2))):
-            assert lyapunov_rate(velocities, f) == pytest.approx(rate, abs=1e-12 * scale)
-            assert rate <= 0
-            dt = 1e-5 / weights.sum()
-            ahead = lyapunov(positions + dt * velocities, weights)
-            behind = lyapunov(positions - dt * velocities, weights)
-            assert (ahead - behind) / (2 * dt) == pytest.approx(rate, abs=1e-5 * scale)
+    positions, weights = team
+    f = net_bearings(positions, weights)
+    h = np.random.default_rng(seed).normal(size=f.shape)
+    h /= np.linalg.norm(h, axis=-1, keepdims=True)
+    along = np.sum(h * f, axis=-1, keepdims=True)
+    scale = weights.sum() ** 2
+    for velocities, rate in ((f, -2 * np.sum(f**2)), (h * along, -2 * np.sum(along**2))):
+        assert lyapunov_rate(velocities, f) == pytest.approx(rate, abs=1e-12 * scale)
+        assert rate <= 0
+        dt = 1e-5 / weights.sum()
+        ahead = lyapunov(positions + dt * velocities, weights)
+        behind = lyapunov(positions - dt * velocities, weights)
+        assert (ahead - behind) / (2 * dt) == pytest.approx(rate, abs=1e-5 * scale)

@@ -28,12 +28,6 @@ def pages():
         yield import_module("pages")
 
 
-@pytest.fixture(scope="module")
-def attributes(pages):
-    """The module that makes tables of dataclasses."""
-    return import_module("attributes")
-
-
 def section(page: str, title: str) -> str:
     """What stands under a heading."""
     (found,) = re.findall(rf"^## `{re.escape(title)}`\n(.*?)(?=^## |\Z)", page, re.DOTALL | re.M)
@@ -54,8 +48,8 @@ class Sample:
     """And others."""
 
 
-def test_a_table_of_fields_by_hand(attributes):
-    rows = attributes.fields_table(Sample).splitlines()
+def test_a_table_of_fields_by_hand(pages):
+    rows = import_module("attributes").fields_table(Sample).splitlines()
     assert rows[2:] == [
         r"| `least` | `float` | – | Of two \| three values, m; never negative. |",
         "| `names` | `tuple[str, ...]` | `a` `b` |  |",

@@ -1,34 +1,18 @@
-"""The trajectories of version 0.1, to tell whether a change of the engine changes any motion.
-
-``python tests/trajectories_v01.py OUT.npz`` writes those of the installed version; the ones kept
-in ``tests/data/trajectories_v01.npz`` were written by version 0.1.0.
+"""The trajectories that version 0.1.0 wrote, to tell whether a change of the engine changes any
+motion.
 """
 
-import sys
 from pathlib import Path
 
 import numpy as np
 
 import baselines
 import rendezvous_env as rv
-from baselines.policy import kind_of
 
 KEPT = Path(__file__).parent / "data" / "trajectories_v01.npz"
 STEPS = 150
 EVERY = 30
 TEAMS = 2
-SCENARIOS = (
-    "fig3 fig4 duo swarm-20 ring-12 tree-12 random-10 unicycle-6 uav-6 cloud-8 clutter-4 clutter-8 "
-    "clutter-12 clutter-16 clutter-24 clutter-16-team-3 clutter-16-team-8 clutter-16-team-16 "
-    "clutter-16-team-32 clutter-3d wall"
-).split()
-
-
-def policies(scenario: rv.Scenario) -> list[str]:
-    """All scripted policies that fit and read observations only, in a fixed order."""
-    return sorted(
-        n for n in baselines.names(scenario) if kind_of(n) not in ("privileged", "learned")
-    )
 
 
 def trajectory(name: str, policy_name: str, steps: int = STEPS) -> np.ndarray:
@@ -46,13 +30,3 @@ def trajectory(name: str, policy_name: str, steps: int = STEPS) -> np.ndarray:
         if step % EVERY == 0:
             places.append(simulator.positions)
     return np.stack(places)
-
-
-def cases() -> list[tuple[str, str]]:
-    """Every pair of a named scenario and a policy that fits it."""
-    return [(name, policy) for name in SCENARIOS for policy in policies(rv.scenarios.get(name))]
-
-
-if __name__ == "__main__":
-    found = {f"{name}|{policy}": trajectory(name, policy) for name, policy in cases()}
-    np.savez_compressed(sys.argv[1], **found)

@@ -37,21 +37,19 @@ def test_usage(words):
     assert run(*words) == 2
 
 
-class TestOutput:
-    COMMAND = (sys.executable, "-m", "train.cli")
+def test_a_terminal_without_greek_letters():
+    words = "-m", "train.cli", "list", "policies"
+    said = run_python(ROOT, *words, PYTHONIOENCODING="ascii").stdout
+    assert said.isascii() and r"\u03c9" in said
 
-    def test_a_terminal_without_greek_letters(self):
-        words = [*self.COMMAND[1:], "list", "policies"]
-        said = run_python(ROOT, *words, PYTHONIOENCODING="ascii").stdout
-        assert said.isascii() and r"\u03c9" in said
 
-    def test_where_nobody_reads_any_more_work_goes_on(self, tmp_path):
-        words = ["compare", "--scenarios", "duo", "--policies", "zero", "--episodes", "1"]
-        words += ["--no-figures", "--details", "--out", str(tmp_path / "out")]
-        command = subprocess.Popen([*self.COMMAND, *words], stdout=subprocess.PIPE)
-        command.stdout.close()
-        assert command.wait(120) == 0
-        assert (tmp_path / "out" / "run.json").exists()
+def test_where_nobody_reads_any_more_work_goes_on(tmp_path):
+    words = "-m train.cli compare --scenarios duo --policies zero --episodes 1 --no-figures"
+    words = [sys.executable, *words.split(), "--details", "--out", tmp_path / "out"]
+    command = subprocess.Popen(words, stdout=subprocess.PIPE)
+    command.stdout.close()
+    assert command.wait(120) == 0
+    assert (tmp_path / "out" / "run.json").exists()
 
 
 class TestHelp:

@@ -23,8 +23,9 @@ from train.compare.settings import Config, Job
 from train.learn.recurrent import RecurrentNetwork
 
 CLUTTER = rv.scenarios.get("clutter-12")
+WIDTHS = {"set_width": 8, "hidden": (16,)}
 RECURRENT = PolicySettings(
-    set_width=8, hidden=(16,), clearance=0.1, persistence=0.5, min_alignment=0.1, max_turn_rate=3.0,
+    **WIDTHS, clearance=0.1, persistence=0.5, min_alignment=0.1, max_turn_rate=3.0,
     decision_time=0.2, guarantee="tank", memory="recurrent", memory_units=5,
 )  # fmt: skip
 
@@ -42,14 +43,6 @@ def exported(tmp_path_factory):
 def shipped_network(name):
     about, tables = checkpoints.read(shipped.folder(name), ["network"])
     return tables["network"], PolicySettings.from_plain(about["policy"])
-
-
-def drawn_weights(settings):
-    """Of all arrays of a network that remembers, by name."""
-    width, own = {"set_width": settings.set_width, "hidden": settings.hidden}, settings.units
-    layout, choices = settings.layout(0, 0), len(settings.angles)
-    made = stirred(make_network(layout, choices, RecurrentNetwork, {"units": own}, **width))
-    return {name: weights.numpy() for name, weights in made.state_dict().items()}
 
 
 BEFORE_DIGEST = DIGEST_KEY.encode() + b'\x12\x42"'
@@ -90,8 +83,11 @@ class TestNetwork:
         assert len(choices) > 4
 
     def test_what_is_remembered_goes_in_and_comes_out(self, tmp_path):
-        weights, random = drawn_weights(RECURRENT), np.random.default_rng(3)
         path, layout = tmp_path / "recurrent.onnx", RECURRENT.layout(3, 12)
+        own, choices = {"units": RECURRENT.units}, len(RECURRENT.angles)
+        made = stirred(make_network(layout, choices, RecurrentNetwork, own, **WIDTHS))
+        weights = {name: array.numpy() for name, array in made.state_dict().items()}
+        random = np.random.default_rng(3)
         onnx.save(export.model_of(weights, RECURRENT), path)
         networks = NumpyActor(weights, RECURRENT, layout), OnnxNetwork(path)
         networks[1].layout = layout

@@ -34,8 +34,8 @@ def tried(count, *strategies):
     """Call a function with so many drawn cases."""
 
     def run(check):
-        options = {"max_examples": count, "deadline": None, "derandomize": True}
-        settings(**options, suppress_health_check=list(HealthCheck))(given(*strategies)(check))()
+        limits = settings(max_examples=count, suppress_health_check=list(HealthCheck))
+        limits(given(*strategies)(check))()
 
     return run
 

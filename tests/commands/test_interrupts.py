@@ -77,32 +77,29 @@ class TestCommands:
             assert "Traceback" not in wrong and wrong.count("\n") <= 1
 
 
-class TestStuck:
-    """Where no exception gets through, the process ends all the same."""
-
-    @pytest.mark.parametrize(
-        ("number", "body"),
-        [
-            (signal.SIGINT, "print('at work', flush=True)\n    while True:\n"
-             "        try: time.sleep(60)\n        except BaseException: pass"),
-            (signal.SIGTERM, "work = numba.njit(nogil=True)(spin)\n    work(numpy.ones(1))\n"
-             "    print('at work', flush=True)\n    work(numpy.zeros(1))"),
-        ],
-        ids=["exception-lost", "compiled-code"],
-    )  # fmt: skip
-    def test_it_ends_in_time(self, number, body, tmp_path):
-        before = (
-            "import time, numba, numpy\n"
-            "def spin(x):\n    while x[0] == 0: pass\n"
-            f"def run(*words):\n    {body}\n"
-            "c._run = run"
-        )
-        process = start(["compare"], tmp_path, before)
-        assert process.stdout.readline() == "at work\n"
-        time.sleep(1.0)
-        status, _, wrong, took = stop(process, number)
-        assert status == 128 + number and interrupts.GRACE - 0.1 < took < 5.0
-        assert wrong.startswith("rendezvous compare: interrupted; it did not stop by itself")
+@pytest.mark.parametrize(
+    ("number", "body"),
+    [
+        (signal.SIGINT, "print('at work', flush=True)\n    while True:\n"
+         "        try: time.sleep(60)\n        except BaseException: pass"),
+        (signal.SIGTERM, "work = numba.njit(nogil=True)(spin)\n    work(numpy.ones(1))\n"
+         "    print('at work', flush=True)\n    work(numpy.zeros(1))"),
+    ],
+    ids=["exception-lost", "compiled-code"],
+)  # fmt: skip
+def test_where_no_exception_gets_through_it_ends_in_time(number, body, tmp_path):
+    before = (
+        "import time, numba, numpy\n"
+        "def spin(x):\n    while x[0] == 0: pass\n"
+        f"def run(*words):\n    {body}\n"
+        "c._run = run"
+    )
+    process = start(["compare"], tmp_path, before)
+    assert process.stdout.readline() == "at work\n"
+    time.sleep(1.0)
+    status, _, wrong, took = stop(process, number)
+    assert status == 128 + number and interrupts.GRACE - 0.1 < took < 5.0
+    assert wrong.startswith("rendezvous compare: interrupted; it did not stop by itself")
 
 
 class TestInside:
@@ -168,7 +165,7 @@ def comparison(out, seed):
 
 
 @pytest.mark.slow
-def test_a_comparison_that_is_killed_at_any_moment_leaves_a_folder_that_is_whole(tmp_path, capsys):
+def test_a_comparison_that_is_killed_at_any_moment_leaves_a_folder_that_is_whole(tmp_path):
     """It is the old one or the new one, the same command goes on, and what comes of it in the end
     is equal to what an uninterrupted run finds, bit for bit.
     """
@@ -179,7 +176,7 @@ def test_a_comparison_that_is_killed_at_any_moment_leaves_a_folder_that_is_whole
         took = time.monotonic() - began
         whole[seed] = files(tmp_path / f"whole-{seed}")
     out, moments = tmp_path / "out", random.Random(0)
-    kills, found, runs, seed = 0, {"old": 0, "new": 0, "none": 0}, 0, 0
+    kills, runs, seed = 0, 0, 0
     while kills < KILLS:
         due = runs < kills // 6  # some come to their end, however busy the machine is
         moment = None if due else moments.uniform(0.4, 0.9) * took  # at work, or about to be
@@ -189,15 +186,11 @@ def test_a_comparison_that_is_killed_at_any_moment_leaves_a_folder_that_is_whole
         if out.exists():
             there = read(out).run["seed"]  # refuses what is not whole
             assert files(out) == whole[there]
-            found["new" if there == seed else "old"] += status != 0
         else:
             assert runs == 0 or (part_of(out) / "whole" / RUN).exists()
-            found["none"] += status != 0
         if status == 0:
             assert there == seed
             seed, runs = 1 - seed, runs + 1
     assert live(comparison(out, seed), tmp_path) == 0 and files(out) == whole[seed]
     left = {path.name for path in tmp_path.iterdir()} - {"whole-0", "whole-1"}
     assert left == {"out"}
-    with capsys.disabled():
-        print(f"\ncompare: {kills} kills of {KILLS}, {runs} runs to the end, left: {found}")

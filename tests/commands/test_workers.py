@@ -41,19 +41,12 @@ class TestEach:
         processes = {result[1] for result in found.values()}
         assert os.getpid() not in processes and 1 <= len(processes) <= 2
 
-    def test_matrices_are_multiplied_alike_whoever_does_it(self):
-        """OpenBLAS rounds otherwise on several threads, as many as cores unless told."""
-        alone, others = (dict(each(product, range(8), Workers(jobs=count))) for count in (1, 2))
-        assert alone == others
-
-    def test_torch_multiplies_alike_whoever_does_it(self):
-        before = torch.get_num_threads()
-        torch.set_num_threads(2)
-        try:
-            runs = [dict(each(torch_product, range(8), Workers(jobs=count))) for count in (1, 2)]
-            assert runs[0] == runs[1] and torch.get_num_threads() == 2
-        finally:
-            torch.set_num_threads(before)
+    @pytest.mark.parametrize("multiply", [product, torch_product])
+    def test_matrices_are_multiplied_alike_whoever_does_it(self, multiply, set_threads):
+        """OpenBLAS and torch round otherwise on several threads, as many as cores unless told."""
+        set_threads(2)
+        runs = [dict(each(multiply, range(8), Workers(jobs=count))) for count in (1, 2)]
+        assert runs[0] == runs[1] and torch.get_num_threads() == 2
 
     def test_what_must_stay_here_stays(self):
         found = dict(each(where, range(6), Workers(jobs=2), here=lambda task: task % 2 == 0))

@@ -128,17 +128,17 @@ def assert_readable(figure):
         assert not (across > 1 and down > 1), (one, other)
 
 
-@pytest.fixture(scope="module")
-def drawn():
-    """A function: the picture of one episode; each is drawn once."""
+@cache
+def recorded(name, policy):
+    """One episode."""
+    scenario = rv.scenarios.get(name)
+    return reproduce.one_team(rv.rollout(scenario, baselines.make(policy, scenario)))
 
-    @cache
-    def draw(name, policy):
-        scenario = rv.scenarios.get(name)
-        recording = reproduce.one_team(rv.rollout(scenario, baselines.make(policy, scenario)))
-        return path_figures.team_figure(scenario, recording, policy)
 
-    return draw
+@cache
+def drawn(name, policy):
+    """Its picture."""
+    return path_figures.team_figure(rv.scenarios.get(name), recorded(name, policy), policy)
 
 
 class TestPrint:
@@ -147,7 +147,7 @@ class TestPrint:
         [("fig3", "bearing-only"), ("fig4", "tangent-joined"), ("unicycle-6", "unicycle"),
          ("clutter-8", "tangent-joined")],
     )  # fmt: skip
-    def test_an_episode_fits_a_column_and_is_readable(self, name, policy, drawn):
+    def test_an_episode_fits_a_column_and_is_readable(self, name, policy):
         figure = drawn(name, policy)
         assert figure.get_figwidth() == style.COLUMN == 3.5
         assert_readable(figure)
@@ -182,18 +182,16 @@ class TestPrint:
         assert {"10,000", "1,000,000"} <= {t.get_text() for t in figure.axes[1].get_yticklabels()}
         assert line.get_ydata() == pytest.approx(90.0) and "%" in figure.axes[0].get_ylabel()
 
-    def test_headings_are_arrows(self, drawn):
+    def test_headings_are_arrows(self):
         paths = drawn("unicycle-6", "unicycle").axes[0]
         arrows = [text for text in paths.texts if isinstance(text, Annotation)]
         assert len(arrows) >= 6 * 3
-        scenario = rv.scenarios.get("unicycle-6")
-        start = reproduce.one_team(rv.rollout(scenario, baselines.make("unicycle", scenario)))
         along = np.subtract(arrows[0].get_position(), arrows[0].xy) * -1
-        yaw = start["headings"][0, 0, 0]
+        yaw = recorded("unicycle-6", "unicycle")["headings"][0, 0, 0]
         assert along / np.hypot(*along) == pytest.approx([np.cos(yaw), np.sin(yaw)])
         assert "headings" in paths.get_title()
 
-    def test_nothing_crosses_the_curve(self, drawn):
+    def test_nothing_crosses_the_curve(self):
         figure = drawn("fig4", "tangent-joined")
         figure.draw_without_rendering()
         value = figure.axes[1]
@@ -205,7 +203,7 @@ class TestPrint:
         box = inset.get_tightbbox()
         assert not box.count_contains(curve)
 
-    def test_fonts_are_those_that_journals_take(self, drawn, tmp_path):
+    def test_fonts_are_those_that_journals_take(self, tmp_path):
         for name, figure in {
             "sweep": figures.success_figure([row("duo", "zero", 0.5)]),
             "paths": drawn("fig4", "tangent-joined"),
@@ -242,7 +240,7 @@ class TestEpisodes:
         """It is no formula, and every other text is none either."""
         name, policy = r"m$x$ $\bad{$", r"runs/$\worse{$"
         scenario = rv.scenarios.get("clutter-4").replace(name=name)
-        recording = reproduce.one_team(rv.rollout(scenario, baselines.make("zero", scenario)))
+        recording = recorded("clutter-4", "zero")
         for figure in (
             path_figures.team_figure(scenario, recording, policy),
             path_figures.trajectories_figure(scenario, {policy: recording}),
@@ -272,10 +270,7 @@ class TestEpisodes:
         assert min(box.width, box.height) / max(box.width, box.height) > 0.15
 
     def test_space_is_drawn_in_equal_axes_with_its_spheres(self):
-        scenario = rv.scenarios.get("clutter-3d")
-        trajectory = rv.rollout(scenario, baselines.make("bearing-only", scenario))
-        recording = reproduce.one_team(trajectory)
-        axes = path_figures.team_figure(scenario, recording, "bearing-only").axes[0]
+        axes = drawn("clutter-3d", "bearing-only").axes[0]
         extents = np.diff([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])[:, 0]
         box = axes.get_box_aspect()
         assert extents / extents[0] == pytest.approx(box / box[0])

@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -19,15 +20,15 @@ from train.compare import compare, out_folder, playing, upper_bound
 from train.compare.out_folder import part_of
 from train.report.input import read
 
-NAMES = ("duo", "clutter-4")
-SHORT = ("time_limit=3",)
-POLICIES = ("bearing-only", "zero", "tangent-joined")
 SAME = ("results.csv", "episodes.csv", "paired.csv", "ceiling.csv", "trajectories.npz")
 
 
 def config(out, **changes):
-    given = {"scenarios": NAMES, "policies": POLICIES, "episodes": 3, "keep": 1, "ceiling": 2}
-    return compare.Config(**{**given, "set": SHORT, "figures": False, "out": out, **changes})
+    given = {
+        "scenarios": ("duo", "clutter-4"), "policies": ("bearing-only", "zero", "tangent-joined"),
+        "episodes": 3, "keep": 1, "ceiling": 2, "set": ("time_limit=3",), "figures": False,
+    }  # fmt: skip
+    return compare.Config(**given | {"out": out} | changes)
 
 
 @pytest.fixture(scope="module")
@@ -187,7 +188,7 @@ class TestPlace:
                 raise SystemExit("killed")
             return real(*given, **options)
 
-        changed = compare.Config(**vars(settings) | {"seed": 9})
+        changed = replace(settings, seed=9)
         with monkeypatch.context() as patch:
             patch.setattr(where, name, gone)
             with pytest.raises(SystemExit):
@@ -210,8 +211,7 @@ class TestPlace:
 
     def test_what_is_finished_is_not_played_again(self, finished, monkeypatch):
         summary = finished.out.with_name("short.json")
-        settings = compare.Config(**vars(finished) | {"json": summary})
-        changed = self.killed_at(settings, monkeypatch, "replace", 1)
+        changed = self.killed_at(replace(finished, json=summary), monkeypatch, "replace", 1)
         with monkeypatch.context() as patch:
             patch.setattr(playing, "play_job", lambda *given, **options: 1 / 0)
             assert compare.run(changed) == 0
@@ -219,16 +219,16 @@ class TestPlace:
 
     def test_older_results_are_put_back(self, finished, monkeypatch):
         self.killed_at(finished, monkeypatch, "replace", 1)
-        other = vars(finished) | {"seed": 3}
+        other = replace(finished, seed=3)
         with pytest.raises(UserError, match=r"holds an unfinished comparison of other seed \(9,"):
-            compare.run(compare.Config(**other))
+            compare.run(other)
         with pytest.raises(SystemExit), monkeypatch.context() as patch:
             patch.setattr(out_folder, "seal", lambda *given: sys.exit("killed"))
-            compare.run(compare.Config(**other | {"fresh": True}))
+            compare.run(replace(other, fresh=True))
         assert read(finished.out).run["seed"] == 0
 
     def test_older_results_go_as_a_whole(self, finished):
-        assert compare.run(compare.Config(**vars(finished) | {"figures": True, "pdf": True})) == 0
+        assert compare.run(replace(finished, figures=True, pdf=True)) == 0
         assert cli.main(["report", str(finished.out)]) == 0
         assert (finished.out / "times.pdf").exists() and (finished.out / "report.html").exists()
         assert compare.run(finished) == 0

@@ -20,17 +20,18 @@ STARTS = 200
 
 def played(scenario, policy, clean, time=5.0):
     """Made-up episodes: clean on the given share of the starts, the first ones."""
-    count = len(clean) if isinstance(clean, np.ndarray) else STARTS
-    hits = clean if isinstance(clean, np.ndarray) else np.arange(count) < clean * count
+    hits = clean if isinstance(clean, np.ndarray) else np.arange(STARTS) < clean * STARTS
+    count = len(hits)
     values = dict.fromkeys(Episodes.__dataclass_fields__, np.zeros(count))
     values |= {"success": np.ones(count, bool), "clean": hits.astype(float)}
     values |= {"time": np.full(count, time), "time_bound": np.full(count, 10.0)}
     return Played(Job(scenarios.get(scenario), policy), Episodes(**values), [])
 
 
-def shown(rankings, width):
+def shown(table, width=tables.WIDTH):
+    """A table, or the matrix of some rankings, as it is printed."""
     console = Console(file=io.StringIO(), width=width)
-    tables.show_matrix(rankings, console)
+    tables.show_matrix(table, console) if isinstance(table, list) else console.print(table)
     return console.file.getvalue()
 
 
@@ -146,11 +147,9 @@ class TestTables:
     def test_a_rise_is_said_in_words_where_there_is_none(self):
         found = played("fig4", "tangent", np.ones(1, bool))
         row = statistics.summarise(scenarios.get("fig4"), "tangent", found.episodes)
-        console = Console(file=io.StringIO(), width=tables.WIDTH)
         fell = {**row, "max_rise_between_merges": -0.5}
         rose = {**row, "policy": "zero", "max_rise_between_merges": 0.25}
-        console.print(tables.results_table([fell, rose], {"fig4": scenarios.get("fig4")}))
-        text = console.file.getvalue()
+        text = shown(tables.results_table([fell, rose], {"fig4": scenarios.get("fig4")}))
         lines = {line.split()[0]: line for line in text.splitlines() if line.strip()}
         assert " none " in lines["tangent"] and " 0.25 " in lines["zero"]
         assert "fig4, one start" in text and "nan" not in text and "[" not in lines["tangent"]
@@ -169,13 +168,9 @@ class TestTables:
         pair = {"bearing-only": played("fig4", "bearing-only", 0.5).episodes}
         pair["tangent"] = played("fig4", "tangent", 0.75).episodes
         rows = statistics.compare_pairs("fig4", pair, "bearing-only")
-        console = Console(file=io.StringIO(), width=80)
-        console.print(tables.paired_table(rows))
-        [line] = [text for text in console.file.getvalue().splitlines() if "tangent" in text]
+        printed = shown(tables.paired_table(rows), 80)
+        [line] = [text for text in printed.splitlines() if "tangent" in text]
         assert "+25.0 [+" in line and " 62 [" in line  # better on a quarter, even on the rest
-
-
-QUICK = {"scenarios": ("fig4",), "episodes": 3, "keep": 0, "figures": False}
 
 
 @pytest.fixture(scope="module")
@@ -184,7 +179,9 @@ def said(tmp_path_factory):
     out = tmp_path_factory.mktemp("answer")
     places = {"out": out / "out", "json": out / "new" / "short.json"}
     names = ("bearing-only", "tangent-joined", "zero")
-    config = compare.Config(**QUICK, **places, policies=names, against="tangent-joined")
+    config = compare.Config(
+        ("fig4",), names, episodes=3, keep=0, against="tangent-joined", figures=False, **places
+    )
     with pytest.MonkeyPatch.context() as patch:
         console = Console(file=io.StringIO(), width=80)
         patch.setattr(compare, "Console", lambda **options: console)

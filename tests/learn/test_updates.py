@@ -17,13 +17,6 @@ from train.learn.trainer import Trainer
 STEPS = 40
 
 
-@pytest.fixture
-def threads():
-    before = torch.get_num_threads()
-    yield torch.set_num_threads
-    torch.set_num_threads(before)
-
-
 def collected(memory, batch_size=10**6):
     """A model after it has filled its buffer, before it learns from that."""
     config = Config(
@@ -77,11 +70,11 @@ def test_it_is_that_of_stable_baselines3(memory):
 
 
 @pytest.mark.parametrize("memory", ["none", "recurrent"])
-def test_threads_share_it_without_a_trace(memory, threads):
+def test_threads_share_it_without_a_trace(memory, set_threads):
     model = collected(memory, batch_size=600)
     found = []
     for number in (1, 2, 3):
-        threads(number)
+        set_threads(number)
         found.append(after(model, type(model).train))
         assert torch.get_num_threads() == number
     for weights, told in found[1:]:

@@ -1,9 +1,12 @@
 """The page of ``rendezvous report`` in headless Chromium: fixtures and what a reader does."""
 
+import base64
+import io
 import time
 from contextlib import contextmanager
 
 import pytest
+from matplotlib.image import imread
 
 from train.report import build as report
 from train.report.input import read
@@ -53,8 +56,26 @@ def clock(page):
     return float(page.text_content("#clock").removesuffix(" s"))
 
 
-def picture(page, pane=0):
-    return page.locator(".world canvas").nth(pane).evaluate("canvas => canvas.toDataURL()")
+def picture(page, pane=0, of=".world"):
+    return page.locator(f"{of} canvas").nth(pane).evaluate("canvas => canvas.toDataURL()")
+
+
+def pixels(page, of=".world"):
+    """The first picture as an array (height, width, 3) of 0 to 255."""
+    data = picture(page, of=of).split(",")[1]
+    return 255 * imread(io.BytesIO(base64.b64decode(data)))[..., :3]
+
+
+def place_of(page, position):
+    """Where a position, m, stands in the first picture: column and row."""
+    to_pixels = "(canvas, [x, y]) => [canvas.view.x(x), canvas.view.y(y)]"
+    return page.locator(".world canvas").first.evaluate(to_pixels, position.tolist())
+
+
+def column(page, name, table="results"):
+    """The values of a column of a table, as they stand there."""
+    cells = page.locator(f"#{table}-table td[data-column={name}]")
+    return cells.evaluate_all("all => all.map(cell => cell.dataset.value)")
 
 
 def scrub(page, time):

@@ -7,7 +7,7 @@ import shlex
 import shutil
 
 import pytest
-from browsing import chosen, clock, picture, reloaded, visited
+from browsing import chosen, clock, column, picture, reloaded, visited
 from conftest import ROOT, needs_browser
 from page_reading import data_of
 from rendezvous_env.baselines.learned import plain_data
@@ -31,6 +31,12 @@ def board(tmp_path_factory):
     (folder / BARE).unlink()
     assert report.run(report.Config(folder)) == 0
     return folder
+
+
+@pytest.fixture
+def page(browser, board):
+    with visited(browser, (board / "report.html").as_uri()) as shown:
+        yield shown
 
 
 def read(folder):
@@ -117,18 +123,16 @@ def test_a_folder_that_is_not_whole_is_refused(changed, message, board, tmp_path
 
 
 @needs_browser
-def test_it_sorts_and_shows_one_field(browser, board):
-    with visited(browser, (board / "report.html").as_uri()) as page:
-        cells = page.locator("#board-table tbody td[data-column=time]")
-        page.get_by_role("button", name="time s").first.click()
-        shown = [float(cell.get_attribute("data-value")) for cell in cells.all()]
-        assert shown == sorted(shown) and len(shown) == len(read_csv(board / TABLE))
-        page.select_option("#table-scenario", "rendezvous/clutter-8-v1")
-        fields = [card["field"] for card in cards.read_cards(board)]
-        rows = page.locator("#cells-table tbody tr")
-        assert rows.count() == fields.count("rendezvous/clutter-8-v1")
-        card = board / rows.first.locator("a").first.get_attribute("href")
-        assert json.loads(card.read_text())["field"] == "rendezvous/clutter-8-v1"
+def test_it_sorts_and_shows_one_field(page, board):
+    page.get_by_role("button", name="time s").first.click()
+    shown = [float(value) for value in column(page, "time", "board")]
+    assert shown == sorted(shown) and len(shown) == len(read_csv(board / TABLE))
+    page.select_option("#table-scenario", "rendezvous/clutter-8-v1")
+    fields = [card["field"] for card in cards.read_cards(board)]
+    rows = page.locator("#cells-table tbody tr")
+    assert rows.count() == fields.count("rendezvous/clutter-8-v1")
+    card = board / rows.first.locator("a").first.get_attribute("href")
+    assert json.loads(card.read_text())["field"] == "rendezvous/clutter-8-v1"
 
 
 def cell(page, algorithm, column):
@@ -138,39 +142,36 @@ def cell(page, algorithm, column):
 
 
 @needs_browser
-def test_a_click_on_a_cell_replays_it(browser, board):
+def test_a_click_on_a_cell_replays_it(page, board):
     found = {(c["algorithm"], c["field"], c["seed"]): c["results"] for c in cards.read_cards(board)}
     field = "rendezvous/clutter-16-v1"
-    with visited(browser, (board / "report.html").as_uri()) as page:
-        shares = [found["ppo-cbf", field, seed]["clean"] for seed in (0, 1, 2)]
-        box = cell(page, "ppo-cbf", 2)
-        assert float(box.text_content()) == pytest.approx(
-            100 * sum(map(sum, shares)) / 150, abs=0.06
-        )
-        with reloaded(page):
-            box.click(position={"x": 3, "y": 3})  # beside its text: the cell's, not the row's first
-        assert page.input_value("#scenario") == field and "ppo-cbf, seed 0" in chosen(page)
-        assert page.locator("#player").evaluate("one => one.getBoundingClientRect().top < 600")
-        start = int(page.input_value("#start"))
-        seed = page.locator("#start option:checked").text_content()
-        assert seed == f"{start} (seed {2**61 + start})"
-        results, side = found["ppo-cbf", field, 0], chosen(page).index("ppo-cbf, seed 0")
-        before = picture(page, side)
-        page.keyboard.press("End")
-        pane = page.locator(".pane").nth(side)
-        state = pane.locator(".state").text_content()
-        met, time = results["success"][start], results["time"][start]
-        assert f"{'met' if met else 'time out'} at {time:.2f} s" in state
-        touches = results["touches"][start]
-        assert ("in contact" in state) == bool(touches) and (not touches or f"{touches} r" in state)
-        assert picture(page, side) != before
-        page.keyboard.press("Home")
-        page.keyboard.press("ArrowRight")
-        assert 0.0 < clock(page) < 2.0
-        with reloaded(page):
-            cell(page, "tank-joined", 1).locator("a").press("Enter")
-        assert page.input_value("#scenario") == "rendezvous/clutter-8-v1"
-        assert "tank-joined" in chosen(page) and clock(page) == 0.0
+    shares = [found["ppo-cbf", field, seed]["clean"] for seed in (0, 1, 2)]
+    box = cell(page, "ppo-cbf", 2)
+    assert float(box.text_content()) == pytest.approx(100 * sum(map(sum, shares)) / 150, abs=0.06)
+    with reloaded(page):
+        box.click(position={"x": 3, "y": 3})  # beside its text: the cell's, not the row's first
+    assert page.input_value("#scenario") == field and "ppo-cbf, seed 0" in chosen(page)
+    assert page.locator("#player").evaluate("one => one.getBoundingClientRect().top < 600")
+    start = int(page.input_value("#start"))
+    seed = page.locator("#start option:checked").text_content()
+    assert seed == f"{start} (seed {2**61 + start})"
+    results, side = found["ppo-cbf", field, 0], chosen(page).index("ppo-cbf, seed 0")
+    before = picture(page, side)
+    page.keyboard.press("End")
+    pane = page.locator(".pane").nth(side)
+    state = pane.locator(".state").text_content()
+    met, time = results["success"][start], results["time"][start]
+    assert f"{'met' if met else 'time out'} at {time:.2f} s" in state
+    touches = results["touches"][start]
+    assert ("in contact" in state) == bool(touches) and (not touches or f"{touches} r" in state)
+    assert picture(page, side) != before
+    page.keyboard.press("Home")
+    page.keyboard.press("ArrowRight")
+    assert 0.0 < clock(page) < 2.0
+    with reloaded(page):
+        cell(page, "tank-joined", 1).locator("a").press("Enter")
+    assert page.input_value("#scenario") == "rendezvous/clutter-8-v1"
+    assert "tank-joined" in chosen(page) and clock(page) == 0.0
 
 
 def test_commands_are_those_of_a_folder_whose_name_has_blanks(board, tmp_path):
@@ -181,31 +182,29 @@ def test_commands_are_those_of_a_folder_whose_name_has_blanks(board, tmp_path):
 
 
 @needs_browser
-def test_a_narrow_screen_shows_what_was_clicked(browser, board):
-    with visited(browser, (board / "report.html").as_uri()) as page:
-        page.set_viewport_size({"width": 390, "height": 800})
-        for name, label in (("bearing-only", "bearing-only"), ("ppo-cbf", "ppo-cbf, seed 0")):
-            with reloaded(page):
-                cell(page, name, 2).click()
-            assert page.locator(".pane:not(.behind) select.policy").input_value() == label
-        assert page.evaluate("document.documentElement.scrollWidth") == 390
+def test_a_narrow_screen_shows_what_was_clicked(page):
+    page.set_viewport_size({"width": 390, "height": 800})
+    for name, label in (("bearing-only", "bearing-only"), ("ppo-cbf", "ppo-cbf, seed 0")):
+        with reloaded(page):
+            cell(page, name, 2).click()
+        assert page.locator(".pane:not(.behind) select.policy").input_value() == label
+    assert page.evaluate("document.documentElement.scrollWidth") == 390
 
 
 @needs_browser
-def test_a_cell_without_a_replay_says_what_makes_one(browser, board):
-    with visited(browser, (board / "report.html").as_uri()) as page:
-        note = page.locator("#missing")
-        assert not note.is_visible()
-        cell(page, "ppo-none", 1).click()
-        said = note.text_content()
-        path = board / "cells" / "ppo-none" / "clutter-8-v1-seed-0.json"
-        assert path.is_file() and f"rendezvous leaderboard --repeat {path} --record" in said
-        assert f"rendezvous report {board}" in said
-        with reloaded(page):
-            cell(page, "ppo-none", 2).click()
-        assert not note.is_visible()
-        page.locator("#cells-table tr:has(td[data-column=seed][data-value='1']) td").last.click()
-        assert "seed 1" in (said := note.text_content()) and "seed-1.json --record" in said
+def test_a_cell_without_a_replay_says_what_makes_one(page, board):
+    note = page.locator("#missing")
+    assert not note.is_visible()
+    cell(page, "ppo-none", 1).click()
+    said = note.text_content()
+    path = board / "cells" / "ppo-none" / "clutter-8-v1-seed-0.json"
+    assert path.is_file() and f"rendezvous leaderboard --repeat {path} --record" in said
+    assert f"rendezvous report {board}" in said
+    with reloaded(page):
+        cell(page, "ppo-none", 2).click()
+    assert not note.is_visible()
+    page.locator("#cells-table tr:has(td[data-column=seed][data-value='1']) td").last.click()
+    assert "seed 1" in (said := note.text_content()) and "seed-1.json --record" in said
 
 
 @needs_browser

@@ -1,13 +1,11 @@
 """Tables and looks of the page of ``rendezvous report``, and what it says of a sensor that errs."""
 
-import base64
-import io
 import re
 
 import browsing
 import numpy as np
 import pytest
-from browsing import picture, scrub, shown_rows, visited, wait_for, wait_until
+from browsing import column, picture, pixels, scrub, visited, wait_for, wait_until
 from conftest import needs_browser
 from matplotlib.image import imread
 
@@ -47,11 +45,7 @@ class TestTables:
     def test_a_click_sorts_and_another_turns_round(self, opened, compared):
         head = opened.locator("#results-table th", has_text="path m")
         values = [float(row["path_length"]) for row in results.read_csv(compared / "results.csv")]
-
-        def shown():
-            cells = opened.locator("#results-table td[data-column=path_length]")
-            return [float(v) for v in cells.evaluate_all("all => all.map(c => c.dataset.value)")]
-
+        shown = lambda: [float(value) for value in column(opened, "path_length")]  # noqa: E731
         assert shown() == values != sorted(values)
         head.locator("button").click()
         assert shown() == sorted(values) and head.get_attribute("aria-sort") == "ascending"
@@ -62,21 +56,17 @@ class TestTables:
     def test_empty_cells_come_last(self, opened):
         for _ in range(2):
             opened.click("#results-table th:has-text('clearance') button")
-            cells = opened.locator("#results-table td[data-column=min_clearance]")
-            last = cells.evaluate_all("all => all.map(c => c.dataset.value)")[-2:]
-            assert last == ["", ""]
+            assert column(opened, "min_clearance")[-2:] == ["", ""]
 
     def test_the_first_click_sorts_best_first(self, opened):
-        for title, column, best in (
+        for title, name, best in (
             ("collision-free", "clean_success", max),
             ("median time", "median_time", min),
             ("contacts", "contacts", min),
             ("alignment", "min_alignment", max),
         ):
             opened.click(f"#results-table th:has-text('{title}') button")
-            cells = opened.locator(f"#results-table td[data-column={column}]")
-            values = cells.evaluate_all("all => all.map(c => c.dataset.value)")
-            numbers = [float(value) for value in values if value]
+            numbers = [float(value) for value in column(opened, name) if value]
             assert numbers[0] == best(numbers) and len(set(numbers)) > 1
 
     def test_every_column_is_seen_and_titles_stay(self, opened):
@@ -128,10 +118,10 @@ def test_pictures_are_saved(opened, compared):
     with opened.expect_download() as saved:
         opened.locator("button.png").nth(1).click()
     assert saved.value.suggested_filename == "fig4-0-tangent-joined-0.05_s.png"
-    pixels = imread(saved.value.path())
+    image = imread(saved.value.path())
     world = opened.locator(".world canvas").nth(1).bounding_box()
-    assert pixels.shape[0] > world["height"] and pixels.shape[1] > 1.4 * world["width"]
-    assert (np.abs(pixels[..., :3] - np.array([0xE6, 0x9F, 0x00]) / 255).max(-1) < 0.01).any()
+    assert image.shape[0] > world["height"] and image.shape[1] > 1.4 * world["width"]
+    assert (np.abs(image[..., :3] - np.array([0xE6, 0x9F, 0x00]) / 255).max(-1) < 0.01).any()
     with opened.expect_download() as saved:
         opened.click("figure#success button.save")
     assert saved.value.path().read_bytes() == (compared / "success.png").read_bytes()
@@ -154,11 +144,11 @@ class TestNarrow:
         assert first.get_attribute("aria-pressed") == "true"
         phone.keyboard.press("End")
         assert phone.locator(".state").first.text_content().startswith("met at")
-        assert imread(io.BytesIO(base64.b64decode(picture(phone).split(",")[1]))).std() > 0.05
+        assert pixels(phone).std() > 13
 
     def test_key_numbers_are_on_the_screen(self, phone):
-        for column in ("policy", "clean_success", "median_time"):
-            for cell in phone.locator(f"#results-table td[data-column={column}]").all():
+        for name in ("policy", "clean_success", "median_time"):
+            for cell in phone.locator(f"#results-table td[data-column={name}]").all():
                 box = cell.bounding_box()
                 assert box["x"] >= 0 and box["x"] + box["width"] <= 390
                 assert cell.evaluate("cell => cell.scrollWidth <= cell.clientWidth + 1")
@@ -183,18 +173,13 @@ def test_no_number_is_cut(width, scenario, opened):
 
 def test_the_world_shows_what_is_there(opened, recorded):
     """Orange obstacles at their place, the robot's own colour at its start."""
-    canvas = opened.locator(".world canvas").first
-    pixels = imread(io.BytesIO(base64.b64decode(picture(opened).split(",")[1])))[..., :3]
-
-    def colour(place, right=0):
-        """At a place in m, so many pixels further to the right."""
-        to_pixels = "(canvas, [x, y]) => [canvas.view.x(x), canvas.view.y(y)]"
-        column, row = canvas.evaluate(to_pixels, place.tolist())
-        return np.rint(255 * pixels[round(row), round(column) + right]).tolist()
-
-    centre = next(one.centre for one in outlines(recorded("obstacles"), 2) if not len(one.vertices))
-    assert colour(centre) == [0xE6, 0x9F, 0x00]
-    assert colour(recorded("positions")[0, 1], right=6) == [0xD5, 0x5E, 0x00]
+    disc = next(one for one in outlines(recorded("obstacles"), 2) if not len(one.vertices))
+    for position, right, colour in (
+        (disc.centre, 0, [0xE6, 0x9F, 0x00]),
+        (recorded("positions")[0, 1], 6, [0xD5, 0x5E, 0x00]),
+    ):
+        x, y = browsing.place_of(opened, position)
+        assert np.rint(pixels(opened)[round(y), round(x) + right]).tolist() == colour
 
 
 @pytest.fixture(scope="module")
@@ -256,14 +241,12 @@ class TestErringSensor:
         frame, robot = np.argwhere(hidden.all(axis=-1))[0]
         scrub(seen_page, times[frame])
         x, y = offsets[frame, robot] @ kept("frames", "blurred")[frame, 0]
-        canvas = seen_page.locator(".eye canvas").first
-        data = canvas.evaluate("canvas => canvas.toDataURL()").split(",")[1]
-        pixels = 255 * imread(io.BytesIO(base64.b64decode(data)))[..., :3]
-        middle = np.array(pixels.shape[:2]) / 2
+        eye = pixels(seen_page, ".eye")
+        middle = np.array(eye.shape[:2]) / 2
         radius = middle.min() - 20
         way = np.linspace(0.25, 0.95, 40)[:, None] * radius * np.array([-y, x]) / np.hypot(x, y)
         off = (
-            np.abs(pixels[r - 1 : r + 2, c - 1 : c + 2] - [92, 102, 114]).max(-1).min()
+            np.abs(eye[r - 1 : r + 2, c - 1 : c + 2] - [92, 102, 114]).max(-1).min()
             for r, c in np.rint(middle + way).astype(int)
         )
         assert np.mean([one < 80 for one in off]) > 0.8
@@ -271,9 +254,9 @@ class TestErringSensor:
     def test_a_ring_names_the_neighbours_that_are_seen(self, seen_page):
         wait_for(seen_page, "ring-12", [])
         assert not seen_page.locator(".rows tr.true").count()
-        assert list(shown_rows(seen_page)) == ["robot 1", "robot 11"]
+        assert list(browsing.shown_rows(seen_page)) == ["robot 1", "robot 11"]
         seen_page.click("#robots button:nth-child(5)")
-        assert list(shown_rows(seen_page)) == ["robot 3", "robot 5"]
+        assert list(browsing.shown_rows(seen_page)) == ["robot 3", "robot 5"]
 
     def test_a_single_policy_stands_alone(self, seen_page):
         panes = seen_page.locator(".pane")

@@ -203,25 +203,18 @@ class TestAddress:
 
 
 class TestSight:
-    def click_robot(self, page, robot, place):
-        spot = page.locator(".world canvas").first.evaluate(
-            "(canvas, [x, y]) => [canvas.view.x(x), canvas.view.y(y)]", place
-        )
-        page.locator(".world canvas").first.click(position={"x": spot[0], "y": spot[1]})
-        assert (
-            page.get_attribute(f"#robots button:nth-child({robot + 1})", "aria-pressed") == "true"
-        )
-
     @pytest.mark.parametrize("robot", [1, 2])
     def test_a_click_shows_the_recorded_rows(self, robot, opened, recorded):
         times, observations = recorded("times"), recorded("observations")
         frame = int(np.flatnonzero(recorded("contacts")[:, robot])[0])
         scrub(opened, times[frame])
-        before = opened.locator(".eye canvas").first.evaluate("canvas => canvas.toDataURL()")
-        self.click_robot(opened, robot, recorded("positions")[frame, robot].tolist())
+        before = picture(opened, of=".eye")
+        x, y = browsing.place_of(opened, recorded("positions")[frame, robot])
+        opened.locator(".world canvas").first.click(position={"x": x, "y": y})
+        button = f"#robots button:nth-child({robot + 1})"
+        assert opened.get_attribute(button, "aria-pressed") == "true"
         assert f"What robot {robot} sees" in opened.locator(".sight h3").first.text_content()
-        after = opened.locator(".eye canvas").first.evaluate("canvas => canvas.toDataURL()")
-        assert after != before
+        assert picture(opened, of=".eye") != before
         own = observations[frame, robot]
         present = own[(own != 0).any(axis=1)]
         rows = shown_rows(opened)
