@@ -107,37 +107,30 @@ def test_a_state_is_taken_as_a_whole(spoil, message):
     assert not tank.get_state()["held"].any() and (tank.levels == 3.0).all()
 
 
-LAW_4, THEOREM_G, THEOREM_R = r"law \(4\)", "theorem G", "theorem R"
-OTHER_ROBOTS = [
-    (Gains, "unicycle", THEOREM_G),
-    (Gains, "double_integrator", THEOREM_G),
-    (LinkKeeping, "unicycle", THEOREM_R),
-    (LinkKeeping, "nonholonomic_3d", THEOREM_R),
-    (LinkKeeping, "double_integrator", THEOREM_R),
-    (EnergyTank, "double_integrator", LAW_4),
-    (HeadingFilter, "double_integrator", LAW_4),
-]
 ONE_WAY = graphs.directed_cycle()
-SIGHT_THAT_IS_NOT_MUTUAL = [
-    ({"field_of_view": 3.0}, "field_of_view is 3 rad"),
-    ({"dropout": 0.1}, "dropout is 0.1"),
-    ({"occlusion": "robots"}, "occlusion is 'robots'"),
-    ({"occlusion": "obstacles"}, "occlusion is 'obstacles'"),
-]
 
 
 @pytest.mark.parametrize(
     ("made", "changes", "options", "message"),
     [
         *(
-            (made, {"robot_model": model, "dim": 3 if model == "nonholonomic_3d" else 2}, {},
-             f"scenario has {model} robots.*{theorem} needs")
-            for made, model, theorem in OTHER_ROBOTS
+            (made, {"robot_model": model}, {}, f"scenario has {model} robots.*{theorem} needs")
+            for made, model, theorem in (
+                (Gains, "unicycle", "theorem G"), (LinkKeeping, "unicycle", "theorem R"),
+                (LinkKeeping, "double_integrator", "theorem R"),
+                (EnergyTank, "double_integrator", r"law \(4\)"),
+                (HeadingFilter, "double_integrator", r"law \(4\)"),
+            )
         ),
         *(
             (LinkKeeping, {"sensing": Sensing(range=3.0, **sensing)}, {},
              rf"scenario: sensing\.{field}; theorem R needs")
-            for sensing, field in SIGHT_THAT_IS_NOT_MUTUAL
+            for sensing, field in (
+                ({"field_of_view": 3.0}, "field_of_view is 3 rad"),
+                ({"dropout": 0.1}, "dropout is 0.1"),
+                ({"occlusion": "robots"}, "occlusion is 'robots'"),
+                ({"occlusion": "obstacles"}, "occlusion is 'obstacles'"),
+            )
         ),
         (LinkKeeping, {"graph": ONE_WAY}, {}, "graph is a directed one; theorem R needs"),
         (LinkKeeping, {"graph": graphs.switching([ONE_WAY, "path"])}, {},

@@ -86,9 +86,8 @@ class TestActions:
             actions = ours(observations, 0.0)
             np.testing.assert_allclose(actions, rule(observations, 0.0), atol=2e-4)
             f = CLUTTER.observation_layout.net_bearing(observations)
-            turned += (
-                np.abs(f[..., 0] * actions[..., 1] - f[..., 1] * actions[..., 0]) > 0.1
-            ).sum()
+            across = f[..., 0] * actions[..., 1] - f[..., 1] * actions[..., 0]
+            turned += (np.abs(across) > 0.1).sum()
         assert turned > 100
 
     @pytest.mark.parametrize("period", [1, 4])
@@ -180,13 +179,6 @@ class TestFiles:
         with pytest.raises(checkpoints.CheckpointError, match=message):
             learned_policy.load(tmp_path, CLUTTER)
 
-    def test_of_a_version_without_tanks(self, tmp_path):
-        place = write(tmp_path)
-        about, tables = checkpoints.read(place, ["network"])
-        policy = {k: v for k, v in about["policy"].items() if k not in TANK}
-        checkpoint.write_folder(place, {"policy": policy}, tables)
-        assert learned_policy.load(tmp_path, CLUTTER).settings == SETTINGS
-
 
 class TestNames:
     def test_by_path(self, tmp_path):
@@ -198,13 +190,10 @@ class TestNames:
         made = policies.make(name, CLUTTER)
         assert policies.promised_margin(name, made) == 0.1
 
-    def test_what_cannot_be_read_ends_the_command(self, tmp_path, without_rights):
+    def test_what_cannot_be_read_ends_the_command(self, tmp_path):
         with pytest.raises(UserError, match="no checkpoint in it"):
             policies.check_names([f"learned:{tmp_path}"])
-        place = write(tmp_path)
-        with without_rights(tmp_path), pytest.raises(UserError, match="Permission denied"):
-            policies.check_names([f"learned:{tmp_path}"])
-        path = place / "checkpoint.json"
+        path = write(tmp_path) / "checkpoint.json"
         path.write_text(json.dumps(json.loads(path.read_text()) | {"policy": {}}))
         with pytest.raises(UserError, match="was changed"):
             policies.check_names([f"learned:{tmp_path}"])
