@@ -2,6 +2,7 @@
 
 import json
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -32,12 +33,12 @@ CLUTTER = scenarios.get("clutter-12").replace(time_limit=10.0)
 @pytest.mark.parametrize("margin", [1e-9, 1.0])
 def test_settings_have_a_margin_that_filters_take(margin):
     with pytest.raises(ValueError, match=r"min_alignment is .* at least 1e-06 and less than 1"):
-        PolicySettings(**SETTINGS.__dict__ | {"min_alignment": margin})
+        replace(SETTINGS, min_alignment=margin)
 
 
 def network(trained=True, **changes):
     torch.manual_seed(5)
-    settings = PolicySettings(**SETTINGS.__dict__ | changes)
+    settings = replace(SETTINGS, **changes)
     sizes = {"set_width": settings.set_width, "hidden": settings.hidden}
     made = make_network(settings.layout(3, 12), len(settings.angles), **sizes)
     if trained:
@@ -46,21 +47,18 @@ def network(trained=True, **changes):
     return made
 
 
-def learned(scenario=CLUTTER, trained=True, **changes):
-    settings = PolicySettings(**SETTINGS.__dict__ | changes)
-    return LearnedPolicy(scenario, weights(network(trained, **changes)), settings)
+def learned(scenario=CLUTTER, **changes):
+    return LearnedPolicy(scenario, weights(network(**changes)), replace(SETTINGS, **changes))
 
 
 def weights(made):
     return {name: value.detach().numpy() for name, value in made.state_dict().items()}
 
 
-def write(folder, **changes):
+def write(folder):
     """A checkpoint of a trained network; its folder."""
-    tables = {"network": weights(network(**changes))}
-    settings = PolicySettings(**SETTINGS.__dict__ | changes)
-    folder.mkdir(parents=True, exist_ok=True)
-    return checkpoint.write(folder, 3, {"policy": settings.to_plain()}, tables)
+    tables = {"network": weights(network())}
+    return checkpoint.write(folder, 3, {"policy": SETTINGS.to_plain()}, tables)
 
 
 def episode(scenario, teams=6, seed=2, steps=150):
@@ -164,7 +162,6 @@ class TestFiles:
             ({"budget": -1.0}, "budget is -1.0"),
             ({"guarantee": "tank"}, "size mismatch"),
             ({"perception": 99}, "perception is 99; this version has"),
-            ({"set_width": 9}, "size mismatch"),
             ({"colour": "blue"}, "field 'colour' is missing or unknown"),
             ({"hidden": None}, "is no policy of this version"),
             ({}, r"action_net\.bias must be finite"),
