@@ -110,7 +110,7 @@ KERNELS = tuple(
         "safety/test_filters.py::test_a_batch",
         "safety/test_heading.py",
         "safety/test_link_keeping.py::test_nothing_that_is_allowed",
-        "safety/test_link_keeping.py::test_random_bearings",
+        "safety/test_link_keeping.py::test_random",
         "safety/test_tank.py::TestEquations",
         "safety/test_turning.py",
         "scenario/test_from_outside.py::test_what_is_seen_follows_from_the_state",

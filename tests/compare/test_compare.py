@@ -117,14 +117,16 @@ class TestFiles:
         assert float(joined["clean_difference"]) == 1.0  # law (1) touches every obstacle
         assert float(rows["uav-6", "zero"]["probability_of_improvement"]) == 0.0
 
-    def test_a_half_written_file_is_removed(self, tmp_path):
+    def test_a_half_written_file_is_removed_and_the_old_one_stays(self, tmp_path):
+        results.write_csv(table := tmp_path / "table.csv", ["a"], [{"a": 0}])
+
         def rows():
             yield {"a": 1}
             raise OSError("disk full")
 
         with pytest.raises(OSError, match="disk full"):
-            results.write_csv(tmp_path / "table.csv", ["a"], rows())
-        assert list(tmp_path.iterdir()) == []
+            results.write_csv(table, ["a"], rows())
+        assert [*tmp_path.iterdir()] == [table] and results.read_csv(table) == [{"a": "0"}]
 
 
 class TestMeasures:

@@ -173,11 +173,7 @@ THROUGH = {"time_limit": 25.0, "obstacle_contact": "ignore"}
     ("name", "field", "changes"),
     [
         ("tangent-joined-tuned", "slab-3d", THROUGH),
-        (
-            "tangent-joined-tuned",
-            "clutter-3d-96",
-            THROUGH,
-        ),
+        ("tangent-joined-tuned", "clutter-3d-96", THROUGH),
         ("learned", "fig4", {}),
         ("learned", "duo", {"time_limit": 1000.0}),
         ("learned", "clutter-24", {"n_robots": 8, "time_limit": 3.0}),

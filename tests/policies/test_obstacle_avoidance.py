@@ -13,6 +13,7 @@ from baselines.obstacle_rules.obstacle_avoidance import (
     tangent_joined_heading,
 )
 from rendezvous_env.scenario.scenario import Scenario
+from train.verify.monitors import unit
 
 CLEARANCE = 0.05
 DEGREE = math.pi / 180
@@ -38,9 +39,8 @@ def edges(*intervals, slots=6):
 
 def ring(centre, half, towards=(1.0, 0.0, 0.0)):
     """Eight boundary rays of a cone; azimuth 0 points to the part of ``towards`` across."""
-    centre = np.array(centre) / np.linalg.norm(centre)
-    first = np.array(towards) - centre * (centre @ np.array(towards))
-    first /= np.linalg.norm(first)
+    centre = unit(np.array(centre))
+    first = unit(towards - centre * (centre @ np.array(towards)))
     second, turn = np.cross(centre, first), np.arange(8)[:, None] * math.pi / 4
     return math.cos(half) * centre + math.sin(half) * (np.cos(turn) * first + np.sin(turn) * second)
 
@@ -152,8 +152,7 @@ def test_joined_rule_in_space_takes_the_nearest_free_way_out_of_all_that_hang_to
     for _ in range(400):
         f, count = random.normal(size=3), random.integers(1, 16)
         towards = f / np.linalg.norm(f)
-        centres = towards + 0.5 * random.normal(size=(count, 3))
-        centres /= np.linalg.norm(centres, axis=-1, keepdims=True)
+        centres = unit(towards + 0.5 * random.normal(size=(count, 3)))
         halves = random.uniform(0.1, 0.5, count)
         at_start = np.arccos(centres @ towards) - halves
         overlap = np.arccos(np.clip(centres @ centres.T, -1, 1)) < halves + halves[:, None]
@@ -181,8 +180,7 @@ def test_who_touches_an_obstacle_leaves_it_along_f_and_does_not_press_into_it(di
     """Its silhouette is half of all directions, and opposite points add up to nothing."""
     random = np.random.default_rng(3)
     axes = [*np.eye(dim), *-np.eye(dim)]
-    for towards in [*axes, *random.normal(size=(40, dim))]:
-        towards = towards / np.linalg.norm(towards)
+    for towards in [*axes, *unit(random.normal(size=(40, dim)))]:
         along = np.roll(towards, 1) - towards * (np.roll(towards, 1) @ towards)
         f = random.normal() * along - random.uniform(0.1, 2.0) * towards
         if dim == 2:

@@ -14,6 +14,7 @@ from baselines.obstacle_rules.planes_in_space import (
     lies_outside,
     widened_rays,
 )
+from train.verify.monitors import unit
 
 X, Y, Z = np.eye(3)
 NONE = (0.0, 0.0, 0.0)
@@ -128,8 +129,7 @@ def test_the_tuned_rule_keeps_to_its_plane_and_side_while_something_is_before_f(
 def test_who_touches_a_sphere_leaves_it_and_does_not_press_into_it():
     """Eight rays in a plane add up to rounding."""
     random = np.random.default_rng(4)
-    for centre in random.normal(size=(60, 3)):
-        centre /= np.linalg.norm(centre)
+    for centre in unit(random.normal(size=(60, 3))):
         rays = cone(centre, math.pi / 2).astype(np.float32)[None]
         seen = np.zeros(rays.shape)
         widened_rays(rays, 0.1, seen)

@@ -161,22 +161,22 @@ class TestTime:
 
 
 class TestSight:
+    A, B, C = along(40, 20), along(80, 60), along(-100, -120)
+
+    def shown(self, *looks):
+        """The obstacle slots after each look of one robot at some obstacles."""
+        sight = RobotSight(layout := CLUTTER.observation_layout, 3.0)
+        return [layout.split(sight.rows(along(0), look, None)).obstacles for look in looks]
+
     def test_obstacles_keep_their_slots(self):
-        layout = CLUTTER.observation_layout
-        sight = RobotSight(layout, 3.0)
-        a, b, c = along(40, 20), along(80, 60), along(-100, -120)
-        one = layout.split(sight.rows(along(0), [a, b], None)).obstacles
-        two = layout.split(sight.rows(along(0), [c, along(83, 62), along(44, 23)], None)).obstacles
-        place = [np.argmin(np.abs(one - edges).sum(axis=(1, 2))) for edges in (a, b)]
+        one, two = self.shown([self.A, self.B], [self.C, along(83, 62), along(44, 23)])
+        place = [np.argmin(np.abs(one - edges).sum(axis=(1, 2))) for edges in (self.A, self.B)]
         np.testing.assert_allclose(two[place], [along(44, 23), along(83, 62)], atol=1e-6)
         assert two.any(axis=(1, 2)).sum() == 3
 
     def test_what_vanished_leaves_its_slot_to_nobody_at_once(self):
         """An obstacle that comes into sight as another goes does not turn as fast as that."""
-        layout = CLUTTER.observation_layout
-        sight = RobotSight(layout, 3.0)
-        one = layout.split(sight.rows(along(0), [along(40, 20)], None)).obstacles
-        two = layout.split(sight.rows(along(0), [along(-100, -120)], None)).obstacles
+        one, two = self.shown([self.A], [self.C])
         assert not (one.any(axis=(1, 2)) & two.any(axis=(1, 2))).any()
 
     def test_nobody_in_sight_is_rest(self):
@@ -195,7 +195,6 @@ class TestSight:
         ({"obstacles": [along(0, 1) * 2]}, r"obstacles\[0, 0\] is \[2\.0, 0\.0\]; .* a unit vec"),
         ({"obstacles": along(0, 1)}, r"obstacles have shape \(2, 2\); they must be \(…, 2, 2\)"),
         ({"dt": -0.1}, r"dt is -0\.1; it must be a positive"),
-        ({"dt": np.nan}, "dt is nan; it must be a positive"),
         ({"weights": [1.0, 2.0]}, r"weights have shape \(2,\); they must be \(1,\)"),
         ({"weights": [3.1]}, r"weights sum to 3\.1 m/s; this scenario's come to D̄ = 3 m/s at"),
         ({"weights": [-1.0]}, r"weights\[0\] is -1\.0; it must be positive"),
@@ -221,7 +220,6 @@ def test_bad_measurements_are_named_and_change_nothing(change, message):
         ("uav-6", {"gravity": [0, -1.0]}, r"gravity is \[0, -1.0\]; .* a unit vector \(3,\)"),
         ("cloud-8", {"gravity": [0, 0, -1.0]}, "gravity is .*; it must be left out"),
         ("clutter-3d", {"obstacles": [along(0, 1)]}, r"obstacles have shape .* \(…, 8, 3\)"),
-        ("clutter-3d", {"bearings": along(0)}, r"bearings have shape \(1, 2\); .* \(…, 3\)"),
     ],
 )  # fmt: skip
 def test_bad_measurements_in_space_are_named(field, change, message):

@@ -10,7 +10,7 @@ from rendezvous_env import Scenario, Sensing, Simulator, rollout
 from rendezvous_env.safety.gains import Gains
 from rendezvous_env.safety.links import least_norm_points, link_keeping_law
 from rendezvous_env.trajectory import run
-from train.verify.monitors import directions, extents
+from train.verify.monitors import directions, extents, unit
 
 
 def test_two_robots_meet_when_they_should():
@@ -86,8 +86,7 @@ def test_extents_average_to_the_size(dim):
 @pytest.mark.parametrize("dim", [2, 3])
 def test_bearings_are_turned_by_the_error(dim):
     random = np.random.default_rng(1)
-    g = random.normal(size=(4, 3, 3, dim))
-    g /= np.linalg.norm(g, axis=-1, keepdims=True)
+    g = unit(random.normal(size=(4, 3, 3, dim)))
     towards = random.normal(size=g.shape)
     towards[0], towards[1] = g[0], -2.0 * g[1]  # towards where they point already, and away
     wrong = turned(g, towards, 0.3)

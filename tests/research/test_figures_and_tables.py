@@ -79,17 +79,13 @@ def test_spending_and_earning():
 # ---- tables --------------------------------------------------------------------------------------
 
 
-def test_the_reward_by_hand():
+def test_the_reward_and_the_diameter_by_hand():
     """Three robots, r_c = 4: distances 3, 4 and 5, the last capped."""
     positions = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 4.0]])
     actions = np.array([[1.0, 0.0], [0.5, -0.5], [0.0, 0.0]])
     wanted = -(3 / 4 + 1 + 1) / 3 - 0.001 * (1 + 0.25 + 0.25) / 6
     assert reward(positions, actions, 4.0) == pytest.approx(wanted, rel=1e-12)
     assert reward(np.zeros((2, 3, 2)), np.zeros((2, 3, 2)), 4.0).tolist() == [0, 0]
-
-
-def test_the_diameter_by_hand():
-    positions = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 4.0]])
     assert diameter(np.stack([positions, 2 * positions])).tolist() == [5, 10]
 
 

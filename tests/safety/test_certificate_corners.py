@@ -9,9 +9,8 @@ import re
 
 import numpy as np
 import pytest
-from alone import alone
 from scipy.sparse.csgraph import connected_components
-from test_certificate import MARGINS
+from test_certificate import MARGINS, alone
 
 import baselines
 from rendezvous_env import Disc, Scenario, Sensing, Simulator, certificate, graphs, rollout

@@ -59,11 +59,8 @@ def test_held_inputs_are_covered_nowhere_else():
 
 def test_equal_gains_bear_errors_and_held_inputs():
     team = Scenario(n_robots=6, time_step=0.002, graph=graphs.complete((0.5, 2.0)))
-    even, sine, extent = (
-        {"by": "gains", "min_gain": 1.0, "max_gain": 1.0},
-        math.sin(math.pi / 6),
-        40,
-    )
+    even, extent = {"by": "gains", "min_gain": 1.0, "max_gain": 1.0}, 40
+    sine = math.sin(math.pi / 6)
     held = math.asin(2 * team.tau / team.merge_radius)
     found, kappa_6 = certificate(team, **even), float(kappa(6))
     assert found.tolerated_bearing_error == close(math.pi / 6 - held)

@@ -16,6 +16,7 @@ from rendezvous_env.safety.heading import (
     step_scale,
     turn_limit,
 )
+from train.verify.monitors import unit
 
 CONSTANTS = {"min_alignment": 0.1, "dead_zone": 0.1, "max_turn": 0.2}
 numbers = st.floats(-3, 3, allow_nan=False, width=32)
@@ -37,10 +38,6 @@ constants = st.fixed_dictionaries(
         "max_turn": st.floats(1e-6, 4.0),
     }
 )
-
-
-def unit(vector):
-    return vector / np.linalg.norm(vector, axis=-1, keepdims=True)
 
 
 def polar(degrees):
@@ -105,14 +102,8 @@ def test_step_scale_by_hand():
 def test_certified_heading_by_hand(raw, previous, expected, tilt):
     c, s = polar(tilt)
     rotation = np.array([[c, -s], [s, c]])
-    h = certified_heading(
-        rotation @ raw,
-        rotation @ [1.0, 0.0],
-        rotation @ previous,
-        min_alignment=0.5,
-        dead_zone=0.5,
-        max_turn=math.radians(30),
-    )
+    vectors = (rotation @ each for each in (raw, [1.0, 0.0], previous))
+    h = certified_heading(*vectors, min_alignment=0.5, dead_zone=0.5, max_turn=math.radians(30))
     np.testing.assert_allclose(h, rotation @ polar(expected), atol=1e-7 if tilt else 1e-14)
 
 
@@ -180,7 +171,6 @@ def test_it_is_theorem_c_in_angles(angles, strength, options):
     np.testing.assert_allclose(h, by_angles(raw, f, previous, **options), atol=1e-6)
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32 - 1), dims, st.floats(1e-3, 1e3), constants)
 def test_scaling_raw_and_previous_and_rotating_all_changes_nothing(seed, dim, scale, options):
     random = np.random.default_rng(seed)
@@ -213,9 +203,8 @@ def test_a_batch_is_a_stack_of_singles(dim):
     assert h.shape == (4, 5, dim) and h.dtype == np.float64
     single = certified_heading(raw[2, 3], f[2, 3], previous[2, 3], **CONSTANTS)
     np.testing.assert_array_equal(h[2, 3], single)
-    strided = certified_heading(
-        raw.swapaxes(0, 1), f.swapaxes(0, 1), previous.swapaxes(0, 1), **CONSTANTS
-    )
+    swapped = (each.swapaxes(0, 1) for each in (raw, f, previous))
+    strided = certified_heading(*swapped, **CONSTANTS)
     np.testing.assert_array_equal(strided.swapaxes(0, 1), h)
     in_place = previous.reshape(-1, dim).copy()
     certify(raw.reshape(-1, dim), f.reshape(-1, dim), in_place, 0.1, 0.1, 0.2, in_place)
@@ -234,7 +223,6 @@ def test_lengths_far_from_one_are_safe(huge):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"min_alignment": 0.0}, "min_alignment is 0.0"),
         ({"min_alignment": 0.99e-6}, "at least 1e-06"),
         ({"min_alignment": 1.0}, "min_alignment is 1.0"),
         ({"min_alignment": math.nan}, "min_alignment is nan"),

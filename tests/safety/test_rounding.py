@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from alone import alone
-from test_certificate import MARGINS
+from test_certificate import MARGINS, alone
 
 import baselines
 from rendezvous_env import Scenario, Sensing, Simulator, certificate, graphs

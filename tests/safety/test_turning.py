@@ -56,7 +56,6 @@ def test_mean_axis_is_the_integral(yaw_rate, pitch_rate, pitch, duration):
     np.testing.assert_allclose(flat, mean_body_axis(yaw_rate, 0.0, 0.0, duration), atol=1e-14)
 
 
-@settings(max_examples=100, deadline=None)
 @given(bearings, bearings, bearings, st.floats(-1.4, 1.4), st.floats(-3, 3))
 def test_law_17_turns_the_axis_like_the_equation_without_singularity(f_x, f_y, f_z, pitch, yaw):
     """ḣ = (I − h hᵀ) f  (eqs. 14, 15)."""

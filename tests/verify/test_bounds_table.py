@@ -1,16 +1,15 @@
 """``rendezvous reproduce bounds``: certified times over those that teams take, in docs."""
 
-import csv
 import math
-from pathlib import Path
 
 import pytest
+from conftest import ROOT
 
 import rendezvous_env as rv
 from train.cli import main
 from train.figures import bounds
+from train.results import read_csv
 
-PAGE = Path(__file__).parents[2] / "docs/guarantees.md"
 FEW = (bounds.Row("law", "complete-3", 6.0), bounds.Row("tank", "complete-3", math.inf))
 
 
@@ -37,8 +36,7 @@ def test_the_command_writes_the_table_and_the_page(rows, tmp_path, monkeypatch, 
     assert main(flags) == 0
     assert page.read_text().split("\n") == ["# A", "", *table, "", "after"]
     assert table[3] in capsys.readouterr().out and table[3].endswith(" none |")
-    with (tmp_path / "bounds.csv").open(newline="", encoding="utf-8") as file:
-        assert [row["by"] for row in csv.DictReader(file)] == ["law", "tank"]
+    assert [row["by"] for row in read_csv(tmp_path / "bounds.csv")] == ["law", "tank"]
     page.write_text("no table")
     assert main(flags) == 2 and page.read_text() == "no table"
     assert main([*flags[:2], "--policy", "zero"]) == 2
@@ -46,7 +44,7 @@ def test_the_command_writes_the_table_and_the_page(rows, tmp_path, monkeypatch, 
 
 def test_the_page_shows_the_bounds_of_today():
     head, rule, *_ = bounds.table_of([])
-    lines = PAGE.read_text(encoding="utf-8").split("\n")
+    lines = (ROOT / "docs/guarantees.md").read_text(encoding="utf-8").split("\n")
     first = lines.index(head)
     assert lines[first + 1] == rule
     for row, line in zip(bounds.ROWS, lines[first + 2 :], strict=False):

@@ -5,11 +5,7 @@ import pytest
 from tuples import along
 
 import baselines
-from baselines.learned.feature_kernels import (
-    CONTEXT_COLUMNS,
-    LEVEL_COLUMNS,
-    WALL_COLUMNS,
-)
+from baselines.learned.feature_kernels import CONTEXT_COLUMNS, LEVEL_COLUMNS, WALL_COLUMNS
 from baselines.learned.features import Features
 from rendezvous_env import Scenario, Simulator
 from rendezvous_env.scenario import scenarios

@@ -2,6 +2,7 @@
 
 import json
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -32,12 +33,12 @@ CLUTTER = scenarios.get("clutter-12").replace(time_limit=10.0)
 @pytest.mark.parametrize("margin", [1e-9, 1.0])
 def test_settings_have_a_margin_that_filters_take(margin):
     with pytest.raises(ValueError, match=r"min_alignment is .* at least 1e-06 and less than 1"):
-        PolicySettings(**SETTINGS.__dict__ | {"min_alignment": margin})
+        replace(SETTINGS, min_alignment=margin)
 
 
 def network(trained=True, **changes):
     torch.manual_seed(5)
-    settings = PolicySettings(**SETTINGS.__dict__ | changes)
+    settings = replace(SETTINGS, **changes)
     sizes = {"set_width": settings.set_width, "hidden": settings.hidden}
     made = make_network(settings.layout(3, 12), len(settings.angles), **sizes)
     if trained:
@@ -46,21 +47,18 @@ def network(trained=True, **changes):
     return made
 
 
-def learned(scenario=CLUTTER, trained=True, **changes):
-    settings = PolicySettings(**SETTINGS.__dict__ | changes)
-    return LearnedPolicy(scenario, weights(network(trained, **changes)), settings)
+def learned(scenario=CLUTTER, **changes):
+    return LearnedPolicy(scenario, weights(network(**changes)), replace(SETTINGS, **changes))
 
 
 def weights(made):
     return {name: value.detach().numpy() for name, value in made.state_dict().items()}
 
 
-def write(folder, **changes):
+def write(folder):
     """A checkpoint of a trained network; its folder."""
-    tables = {"network": weights(network(**changes))}
-    settings = PolicySettings(**SETTINGS.__dict__ | changes)
-    folder.mkdir(parents=True, exist_ok=True)
-    return checkpoint.write(folder, 3, {"policy": settings.to_plain()}, tables)
+    tables = {"network": weights(network())}
+    return checkpoint.write(folder, 3, {"policy": SETTINGS.to_plain()}, tables)
 
 
 def episode(scenario, teams=6, seed=2, steps=150):
@@ -86,9 +84,8 @@ class TestActions:
             actions = ours(observations, 0.0)
             np.testing.assert_allclose(actions, rule(observations, 0.0), atol=2e-4)
             f = CLUTTER.observation_layout.net_bearing(observations)
-            turned += (
-                np.abs(f[..., 0] * actions[..., 1] - f[..., 1] * actions[..., 0]) > 0.1
-            ).sum()
+            across = f[..., 0] * actions[..., 1] - f[..., 1] * actions[..., 0]
+            turned += (np.abs(across) > 0.1).sum()
         assert turned > 100
 
     @pytest.mark.parametrize("period", [1, 4])
@@ -165,7 +162,6 @@ class TestFiles:
             ({"budget": -1.0}, "budget is -1.0"),
             ({"guarantee": "tank"}, "size mismatch"),
             ({"perception": 99}, "perception is 99; this version has"),
-            ({"set_width": 9}, "size mismatch"),
             ({"colour": "blue"}, "field 'colour' is missing or unknown"),
             ({"hidden": None}, "is no policy of this version"),
             ({}, r"action_net\.bias must be finite"),
@@ -180,13 +176,6 @@ class TestFiles:
         with pytest.raises(checkpoints.CheckpointError, match=message):
             learned_policy.load(tmp_path, CLUTTER)
 
-    def test_of_a_version_without_tanks(self, tmp_path):
-        place = write(tmp_path)
-        about, tables = checkpoints.read(place, ["network"])
-        policy = {k: v for k, v in about["policy"].items() if k not in TANK}
-        checkpoint.write_folder(place, {"policy": policy}, tables)
-        assert learned_policy.load(tmp_path, CLUTTER).settings == SETTINGS
-
 
 class TestNames:
     def test_by_path(self, tmp_path):
@@ -198,13 +187,10 @@ class TestNames:
         made = policies.make(name, CLUTTER)
         assert policies.promised_margin(name, made) == 0.1
 
-    def test_what_cannot_be_read_ends_the_command(self, tmp_path, without_rights):
+    def test_what_cannot_be_read_ends_the_command(self, tmp_path):
         with pytest.raises(UserError, match="no checkpoint in it"):
             policies.check_names([f"learned:{tmp_path}"])
-        place = write(tmp_path)
-        with without_rights(tmp_path), pytest.raises(UserError, match="Permission denied"):
-            policies.check_names([f"learned:{tmp_path}"])
-        path = place / "checkpoint.json"
+        path = write(tmp_path) / "checkpoint.json"
         path.write_text(json.dumps(json.loads(path.read_text()) | {"policy": {}}))
         with pytest.raises(UserError, match="was changed"):
             policies.check_names([f"learned:{tmp_path}"])

@@ -1,5 +1,7 @@
 """The policies that are shipped: there, light, and as good as the documentation says."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from conftest import ROOT, run_python
@@ -58,11 +60,6 @@ def test_it_steers_robots_whose_sensors_err(name):
 def test_the_tank_meets_cleanly_where_headings_do_not():
     """On 100 starts that no training used; certified headings reach about 80 %."""
     scenario = scenarios.get("clutter-24")
-    found, _ = play(
-        scenario,
-        lambda: policies.make("learned-tank", scenario),
-        margin=None,
-        episodes=100,
-        seed=1000,
-    )
+    tank = partial(policies.make, "learned-tank", scenario)
+    found, _ = play(scenario, tank, margin=None, episodes=100, seed=1000)
     assert found.clean.mean() >= 0.94

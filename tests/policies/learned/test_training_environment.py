@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import test_bodies
 from gymnasium.vector import AutoresetMode
 from test_bodies import CARS, POINTS, UAV
 
 import rendezvous_env as rv
 from baselines.learned.features import Features
 from baselines.learned.guide import GuidedTeams
-from baselines.learned.policy_settings import ALL_ROUND, ANGLES, CHOICES, PolicySettings
+from baselines.learned.policy_settings import ALL_ROUND, ANGLES, CHOICES
 from baselines.learned.training_environment import FeatureVectorEnv
 from baselines.obstacle_rules.obstacle_avoidance import tangent_joined_heading
 from rendezvous_env.adapters.sb3 import RobotVecEnv
@@ -19,24 +20,19 @@ from train.learn.checkpoint import flatten, unflatten
 
 TEAMS, PERIOD = 5, 3
 SCENARIO = rv.scenarios.get("clutter-12").replace(time_limit=6.0)
-HEADING = PolicySettings(
-    8, (16,), clearance=0.1, persistence=0.5, min_alignment=0.1, max_turn_rate=3.0,
-    decision_time=PERIOD * SCENARIO.tau,
-)  # fmt: skip
-TANK = replace(HEADING, guarantee="tank", budget=0.5, memory="features")
+CHANGES = {"clearance": 0.1, "max_turn_rate": 3.0, "decision_time": PERIOD * SCENARIO.tau}
+HEADING = replace(test_bodies.HEADING, **CHANGES)
+TANK = replace(test_bodies.TANK, budget=0.5, **CHANGES)
 
 
 def aim(observations, choices, carried):
     """The joined rule, as if f pointed the chosen angle to the side."""
     layout, (c, s) = SCENARIO.observation_layout, (np.cos(ANGLES[choices]), np.sin(ANGLES[choices]))
     x, y = np.moveaxis(layout.net_bearing(observations), -1, 0)
-    return tangent_joined_heading(
-        np.stack((c * x - s * y, s * x + c * y), axis=-1),
-        layout.split(observations).obstacles,
-        clearance=0.1,
-        carried=carried,
-        persistence=0.5,
-    )
+    turned = np.stack((c * x - s * y, s * x + c * y), axis=-1)
+    limits = {"clearance": HEADING.clearance, "persistence": HEADING.persistence}
+    obstacles = layout.split(observations).obstacles
+    return tangent_joined_heading(turned, obstacles, carried=carried, **limits)
 
 
 def teams(settings=HEADING, mode=AutoresetMode.SAME_STEP, scenario=SCENARIO, **options):
