@@ -1,5 +1,7 @@
 """Recordings of single teams of a batch, in no more frames than a picture can show."""
 
+from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -56,11 +58,16 @@ def seen_again(scenario: Scenario) -> bool:
     return plain and scenario.sensing.exact and scenario.sensing_graph.undirected
 
 
-def state_of(simulator: Simulator) -> Recording:
-    """What frames are made of, read once for the recorders of a batch."""
-    names = ("time", "steps", "positions", "headings", "velocities", "frames", "active")
-    state = {name: getattr(simulator, name) for name in (*names, "merged_into")}
-    return state | {"lyapunov": simulator.lyapunov()}
+def state_of(simulator: Simulator) -> Callable[[], Recording]:
+    """What frames are made of, read for all recorders of a batch once the first one asks."""
+
+    @cache
+    def read() -> Recording:
+        names = ("time", "positions", "headings", "velocities", "frames", "active", "merged_into")
+        state = {name: getattr(simulator, name) for name in names}
+        return state | {"lyapunov": simulator.lyapunov()}
+
+    return read
 
 
 class Recorder:
@@ -77,13 +84,18 @@ class Recorder:
         self._links = [self._links_now()]
         self._frames: list[tuple[int, Recording]] = []
         nothing = np.full(len(self._active), np.nan)
-        self._add(state_of(simulator), observations[team], nothing)
+        self._add(state_of(simulator)(), observations[team], nothing)
+
+    def _step(self) -> int:
+        return int(self._simulator.steps[self._team])
 
     def _links_now(self) -> Recording:
         state = self._simulator.get_state()
         return {name: state[name][self._team] for name in LINKS if name in state}
 
-    def see(self, step: Step, alignments: NDArray[np.float64], after: Recording) -> None:
+    def see(
+        self, step: Step, alignments: NDArray[np.float64], after: Callable[[], Recording]
+    ) -> None:
         """Record a step, with the alignments (B, n) of its robots and the ``state_of`` the batch
         after it.
         """
@@ -97,9 +109,9 @@ class Recorder:
         if merged:
             self._links.append(self._links_now())
             jump = outcome.lyapunov_before_merge[team], outcome.lyapunov_after_merge[team]
-            self._add(after, *kept, jump)
-        elif after["steps"][team] % self._stride == 0 or outcome.status[team] != RUNNING:
-            self._add(after, *kept)
+            self._add(after(), *kept, jump)
+        elif self._step() % self._stride == 0 or outcome.status[team] != RUNNING:
+            self._add(after(), *kept)
 
     def _add(
         self,
@@ -130,7 +142,7 @@ class Recorder:
                 for step, one in self._frames
                 if step % self._stride == 0 or not np.isnan(one["lyapunov_before_merge"])
             ]
-        self._frames.append((int(state["steps"][team]), frame))
+        self._frames.append((self._step(), frame))
 
     def finish(self) -> Recording:
         """The recording, once the team has finished."""

@@ -120,7 +120,7 @@ def play(
         recorders = [Recorder(simulator, team, observations, exact) for team in kept]
         meter = _Meter(simulator)
         for step in islice(run(simulator, make_policy(), observations), steps):
-            aligned, after = meter.see(step), state_of(simulator) if recorders else {}
+            aligned, after = meter.see(step), state_of(simulator)
             for recorder in recorders:
                 recorder.see(step, aligned, after)
         parts.append(meter.episodes(margin))
