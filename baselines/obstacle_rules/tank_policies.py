@@ -248,7 +248,7 @@ class TankJoinedPolicy(RememberingPolicy):
     Args:
         scenario: whose robots it steers.
         budget: B of each robot, m²/s; None is 250 r max a_ij, which is 50 in the shipped fields.
-        min_alignment: ε of the tank, in (0, 1).
+        min_alignment: ε of the tank, at least 10⁻⁶ and less than 1.
         clearance: angle by which to stay clear of an edge, rad.
         patience: how far from f a first try may lead, m; None is 5 r, which is 1 there.
     """

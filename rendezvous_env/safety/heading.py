@@ -95,7 +95,7 @@ def certified_heading(
         net_bearing: fᵢ, (..., d), m/s, in the same frame.
         previous: the headings of the step before, likewise; zero = none yet: fᵢ/‖fᵢ‖ is carried
             then, or the local x axis where fᵢ = 0.
-        min_alignment: ε, in (0, 1).
+        min_alignment: ε, at least 10⁻⁶ and less than 1.
         dead_zone: δ = a*/(2n), m/s.
         max_turn: ω_max τ, rad; π or more (inf too) is no limit.
 
@@ -269,7 +269,7 @@ class HeadingFilter(SafetyFilter):
 
     Args:
         scenario, num_envs, frame, num_threads: as ``SafetyFilter``.
-        min_alignment: ε, in (0, 1).
+        min_alignment: ε, at least 10⁻⁶ and less than 1.
         max_turn_rate: of a heading or of a body axis, rad/s; the scenario's limit holds too.
         certified: False lets the raw vector through: law (4) bare, without margin or gate.
         bearing_error: η, rad: robots go slower by what errors no larger could feign (theorem N1').

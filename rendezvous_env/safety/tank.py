@@ -241,7 +241,7 @@ class EnergyTank(SafetyFilter):
     Args:
         scenario, num_envs, frame, num_threads: as ``SafetyFilter``.
         budget: B_i, the level of every robot's tank at the start of an episode, m²/s.
-        min_alignment: ε, in (0, 1).
+        min_alignment: ε, at least 10⁻⁶ and less than 1.
         observe_level: whether ``view`` shows one row more, (A/(r D̄), 0, …).
         bearing_error: η, rad: the account stays right while no bearing is wrong by more.
     """
