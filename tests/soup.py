@@ -209,8 +209,5 @@ def toml_texts(draw: st.DrawFn, keys: list[str]) -> bytes:
         )
     )
     whole = "\n".join(lines).encode()
-    return draw(st.sampled_from([whole] * 4) | st.text(max_size=40).map(_encoded) | st.binary())
-
-
-def _encoded(text: str) -> bytes:
-    return text.encode("utf-8", "surrogatepass")
+    text = st.text(max_size=40).map(lambda found: found.encode("utf-8", "surrogatepass"))
+    return draw(st.sampled_from([whole] * 4) | text | st.binary())

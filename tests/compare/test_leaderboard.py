@@ -210,15 +210,9 @@ def test_what_is_done_is_not_done_again(board, tmp_path, monkeypatch):
 
 
 def test_cells_are_added_to_those_of_a_folder(board, tmp_path, monkeypatch, capsys):
-    done, out = [], tmp_path / "out"
-    shutil.copytree(board, out)
-    run_of = command.run_of
-
-    def counted(place, record):
-        done.append(place)
-        return run_of(place, record)
-
-    monkeypatch.setattr(command, "run_of", counted)
+    done, run_of = [], command.run_of
+    shutil.copytree(board, out := tmp_path / "out")
+    monkeypatch.setattr(command, "run_of", lambda *given: done.append(given[0]) or run_of(*given))
     more = replace(SMALL, algorithms=("tank-joined", "bearing-only"), out=out)
     assert command.run(more) == 0
     assert [place.name for place in done] == ["tank-joined/clutter-8-v1-seed-0"]
@@ -237,8 +231,7 @@ def test_cells_are_added_to_those_of_a_folder(board, tmp_path, monkeypatch, caps
 
 
 def test_cells_without_a_replay_are_done_again_for_one(board, tmp_path):
-    out = tmp_path / "out"
-    shutil.copytree(board, out)
+    shutil.copytree(board, out := tmp_path / "out")
     cards = [card["results"] for card in cards_of.read_cards(out)]
     before = (out / "cells/bearing-only/clutter-8-v1-seed-0.json").read_bytes()
     assert command.run(replace(SMALL, out=out, record=True)) == 0

@@ -65,17 +65,13 @@ def mine(tmp_path, monkeypatch):
     sys.modules.pop(name, None)
 
 
-def rows(folder):
-    found = read_csv(folder / "results.csv")
-    return {(row["scenario"], row["policy"]): row for row in found}
-
-
 def test_it_is_compared_under_its_name_by_workers_too(mine, tmp_path, monkeypatch):
     monkeypatch.setattr(tasks, "_ALONE", 0.0)
     names = [f"{mine}:law", f"{mine}:sideways", f"{mine}:Away", "bearing-only"]
     words = ["--scenarios", "duo", "swarm-20", "--policies", *names, "--episodes", "4"]
     assert cli.main(["compare", *words, "--jobs", "2", "--out", str(tmp_path / "out")]) == 0
-    found = rows(tmp_path / "out")
+    rows = read_csv(tmp_path / "out" / "results.csv")
+    found = {(row["scenario"], row["policy"]): row for row in rows}
     assert {policy for _, policy in found} == set(names)
     law, same = found["swarm-20", "bearing-only"], found["swarm-20", f"{mine}:law"]
     for column in ("success", "median_time", "path_length", "min_clearance"):

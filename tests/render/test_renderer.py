@@ -21,13 +21,6 @@ from rendezvous_env.render.palette import OBSTACLE, ROBOTS
 from rendezvous_env.render.renderer import MOST_TEAMS, Renderer
 from rendezvous_env.vector import HeadingVectorWrapper
 
-MAKERS = {
-    "parallel": rv.parallel_env,
-    "aec": rendezvous_v0.env,
-    "gymnasium": make_env,
-    "vector": rv.make_vec,
-}
-
 
 def forward(env, steps):
     """An environment after some steps along x of each robot's own frame."""
@@ -36,7 +29,7 @@ def forward(env, steps):
     return env
 
 
-@pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
+@pytest.mark.parametrize("make", [rv.parallel_env, rendezvous_v0.env, make_env, rv.make_vec])
 def test_every_kind_renders_by_its_mode(make):
     env = make("duo", render_mode="rgb_array")
     env.reset(seed=0)

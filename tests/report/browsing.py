@@ -107,9 +107,9 @@ def chosen(page):
     return [page.locator("select.policy").nth(pane).input_value() for pane in (0, 1)]
 
 
-def shown_rows(page, pane=0):
-    """Name and numbers of each row that the chosen robot sees."""
-    rows = page.locator(".rows").nth(pane).locator("tr").all()
+def shown_rows(page):
+    """Name and numbers of each row that the chosen robot sees, on the first side."""
+    rows = page.locator(".rows").first.locator("tr").all()
     cells = [row.locator("td").all_text_contents() for row in rows]
     return {name: [*map(number, numbers)] for name, *numbers in cells}
 
