@@ -39,7 +39,7 @@ def edges(*intervals, slots=6):
 
 def ring(centre, half, towards=(1.0, 0.0, 0.0)):
     """Eight boundary rays of a cone; azimuth 0 points to the part of ``towards`` across."""
-    centre = unit(np.array(centre))
+    centre = unit(np.array(centre, float))
     first = unit(towards - centre * (centre @ np.array(towards)))
     second, turn = np.cross(centre, first), np.arange(8)[:, None] * math.pi / 4
     return math.cos(half) * centre + math.sin(half) * (np.cos(turn) * first + np.sin(turn) * second)
