@@ -138,7 +138,7 @@ def test_what_is_remembered_counts_and_other_teams_are_refused():
     assert not np.array_equal(rule(last, 0.0), made("tangent-certified")[0](last, 0.0))
     with pytest.raises(ValueError, match=r"observations have shape .* needs \(\.\.\., 4, 19, 2\)"):
         rule(first[:, :1], 0.0)
-    sights(tank, scenario)
+    sights(tank, scenario, steps=6)
     assert (tank.levels != tank.budget).all()
     tank.reset(np.array([False, True, False]))
     assert (tank.levels == tank.budget).all(axis=1).tolist() == [False, True, False]
