@@ -131,21 +131,17 @@ def test_teams_of_a_mask_begin_anew_and_the_others_do_not(name):
     same(name, policy(last[0], 0.0), anew[0])
 
 
-@pytest.mark.parametrize("name", ["tangent-certified", "learned", "tank-joined"])
-def test_what_is_remembered_counts_and_a_wrong_mask_is_refused(name):
-    policy, scenario = made(name)
-    policy.reset(np.array([True]))  # nothing to forget yet
-    first, *_, last = sights(policy, scenario, steps=6)
-    if name == "tank-joined":
-        assert (policy.levels != policy.budget).all()
-        policy.reset(np.array([False, True, False]))
-        assert (policy.levels == policy.budget).all(axis=1).tolist() == [False, True, False]
-    elif name == "tangent-certified":
-        assert not np.array_equal(policy(last, 0.0), made(name)[0](last, 0.0))
-    with pytest.raises(ValueError, match="mask"):
-        policy.reset(np.array([True, False]))
-    with pytest.raises(ValueError, match="observations have shape"):
-        policy(first[:, :1], 0.0)
+def test_what_is_remembered_counts_and_other_teams_are_refused():
+    (tank, scenario), (rule, _) = made("tank-joined"), made("tangent-certified")
+    rule.reset(np.array([True]))  # nothing to forget yet
+    first, *_, last = sights(rule, scenario, steps=6)
+    assert not np.array_equal(rule(last, 0.0), made("tangent-certified")[0](last, 0.0))
+    with pytest.raises(ValueError, match=r"observations have shape .* needs \(\.\.\., 4, 19, 2\)"):
+        rule(first[:, :1], 0.0)
+    sights(tank, scenario, steps=6)
+    assert (tank.levels != tank.budget).all()
+    tank.reset(np.array([False, True, False]))
+    assert (tank.levels == tank.budget).all(axis=1).tolist() == [False, True, False]
 
 
 @pytest.mark.parametrize(

@@ -116,12 +116,10 @@ def test_a_robot_whose_tank_would_not_last_rests():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"budget": -1.0}, "budget is -1"),
         ({"min_alignment": 1e-9}, "min_alignment is 1e-09"),
         ({"min_alignment": 1.0}, "min_alignment is 1"),
         ({"clearance": -0.1}, "clearance is -0.1"),
         ({"patience": 0.0}, "patience is 0"),
-        ({"persistance": 1.0}, "no option 'persistance'; it has budget, min_alignment"),
     ],
 )
 def test_options_are_checked(options, message):

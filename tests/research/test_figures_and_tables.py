@@ -76,9 +76,6 @@ def test_spending_and_earning():
     assert len(below.get_lines()) == 4
 
 
-# ---- tables --------------------------------------------------------------------------------------
-
-
 def test_the_reward_and_the_diameter_by_hand():
     """Three robots, r_c = 4: distances 3, 4 and 5, the last capped."""
     positions = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 4.0]])

@@ -108,9 +108,6 @@ def test_a_robot_goes_slower_by_what_errors_could_feign():
     np.testing.assert_allclose(wary.lyapunov_rate, -2 * strength * slower, atol=1e-5)
 
 
-# ---- robots of a user's own whose frames turn ----------------------------------------------------
-
-
 class Omni(NamedTuple):
     duration: float
     speed_limit: float

@@ -42,9 +42,6 @@ def caught(tmp_path, claim, trials=4 * BATCH):
     return int(row["violations"]) / int(row["trials"]), float(row["worst_margin"])
 
 
-# ---- it passes -----------------------------------------------------------------------------------
-
-
 def test_nothing_is_violated(tmp_path):
     status, rows, printed = command(tmp_path, trials=40)
     assert status == 0 and "0 violations" in printed
@@ -96,9 +93,6 @@ def test_merges_do_raise_v_and_stay_below_their_bound():
         excess.append(wrapped.unwrapped.outcome.merge_excess.max())
     assert 0 < max(rises) < merge_rise_allowance(trial.scenario)
     assert max(excess) <= 1e-12
-
-
-# ---- it fails ------------------------------------------------------------------------------------
 
 
 def flipped(trial, random):

@@ -210,8 +210,6 @@ def test_memory_is_kept_put_back_and_forgotten():
     np.testing.assert_array_equal(see_tank(other, look(40, 60, 0), level=1.0), later)
     perception.forget(np.array([True]))
     np.testing.assert_array_equal(see_tank(perception, look(0, 20, -20), level=2.0), fresh)
-    with pytest.raises(ValueError, match="wall_since must be an array of shape"):
-        other.set_state({**state, "wall_since": np.zeros(3)})
 
 
 def test_memory_runs_in_seconds_not_in_decisions():

@@ -147,13 +147,10 @@ def test_robots_go_on_bit_by_bit_from_their_state(scenario, settings, steps):
             np.testing.assert_array_equal(a, b)
         np.testing.assert_array_equal(robots.bootstrapped, other.bootstrapped)
         np.testing.assert_array_equal(robots.bootstrap_observations, other.bootstrap_observations)
-    with pytest.raises(ValueError, match="active must be an array of shape"):
-        other.set_state({**state, "active": np.zeros(3)})
-    turning = "bodies" in state["teams"]
-    owner, name = (state["teams"]["bodies"], "angles") if turning else (state["teams"], "touched")
-    owner[name] = np.zeros(2)
-    with pytest.raises(ValueError, match=f"{name} must be an array of shape"):
-        other.set_state(state)
+    if bodies := state["teams"].get("bodies"):
+        bodies["angles"] = np.zeros(2)
+        with pytest.raises(ValueError, match="angles must be an array of shape"):
+            other.set_state(state)
 
 
 def test_autoreset_modes_differ_only_after_an_end():
