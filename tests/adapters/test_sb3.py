@@ -1,7 +1,5 @@
 """Slots, ends and advantages, recomputed from single environments in plain Python."""
 
-from __future__ import annotations
-
 import sys
 from collections import Counter
 from types import ModuleType

@@ -1,7 +1,5 @@
 """What tests of environments share: the four guarantees, ways to drive either API, comparisons."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The suites of PettingZoo and Gymnasium, on every kind of environment."""
 
-from __future__ import annotations
-
 import itertools
 import warnings
 from functools import partial

@@ -1,7 +1,5 @@
 """Bad actions: refused by the name of their robot, and nothing has changed."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Each guarantee on its own: headings, tanks, gains, links; and graphs that change."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

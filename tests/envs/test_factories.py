@@ -1,7 +1,5 @@
 """What all factories have in common: flat observations, unknown words, tensors, state."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """All guarantee wrappers alike: API suites, spaces, one API as the other, periods, refusals."""
 
-from __future__ import annotations
-
 import copy
 import itertools
 import pickle

@@ -1,7 +1,5 @@
 """One action tape through every kind of environment gives the same transitions."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """What environments of every kind remember: in states, pickles and copies, and over resets."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from functools import partial

@@ -1,7 +1,5 @@
 """A safety filter of a user's own, from outside the package, and wrappers under a guarantee."""
 
-from __future__ import annotations
-
 import copy
 import gc
 import logging

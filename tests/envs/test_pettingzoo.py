@@ -1,7 +1,5 @@
 """The PettingZoo environment: API suites, whole-episode determinism, what a step returns."""
 
-from __future__ import annotations
-
 import hashlib
 import pickle
 

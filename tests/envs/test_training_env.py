@@ -1,7 +1,5 @@
 """Teams to train in: what generic learners see, do, earn and are told."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from guarantees import draw

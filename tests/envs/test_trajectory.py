@@ -1,7 +1,5 @@
 """Rollouts: what a trajectory holds, what is kept on request, what is announced."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import five, law_of

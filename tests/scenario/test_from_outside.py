@@ -1,7 +1,5 @@
 """A family of graphs, an imperfection and a reward term from a user's own file."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import refusing

@@ -1,7 +1,5 @@
 """Sensing graphs: weights, worst cases and families; graphs that are directed or change."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The table of vectors seen, by hand, and its layout."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The team reward, by hand and over whole episodes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import five, law_of

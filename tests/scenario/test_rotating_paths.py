@@ -1,7 +1,5 @@
 """Law (4) does not survive a graph that switches; what restores it (guarantees, section 10)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

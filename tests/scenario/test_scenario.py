@@ -1,7 +1,5 @@
 """Scenario: what follows from its fields, its sensor, and its TOML form."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -1,7 +1,5 @@
 """What scenarios, graphs and obstacles say to what they refuse: field, value and remedy."""
 
-from __future__ import annotations
-
 import math
 import re
 import resource

@@ -1,7 +1,5 @@
 """What the scripts of all frameworks share: how speed and success are measured."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import time

@@ -6,8 +6,6 @@ Prints a row of docs/learners.md for each; a frame is a decision of one robot. O
 does not install or run the row has the last line of its output.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

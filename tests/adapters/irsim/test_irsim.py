@@ -1,7 +1,5 @@
 """Four differential drives meet in ir-sim, without a touch, by what their lidars return."""
 
-from __future__ import annotations
-
 import re
 from importlib import util
 

@@ -1,7 +1,5 @@
 """Robots that see with cameras: what the detector finds, what it throws away, and who meets."""
 
-from __future__ import annotations
-
 import re
 from importlib import util
 from itertools import groupby

@@ -1,7 +1,5 @@
 """What stands in PufferLib's buffers, beside the teams themselves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from small_world import BARE, ROBOTS, SCENARIO, SEED

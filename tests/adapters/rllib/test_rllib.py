@@ -1,7 +1,5 @@
 """Episodes that RLlib is given, beside each team played on its own; and the set network."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete

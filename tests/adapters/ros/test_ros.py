@@ -1,7 +1,5 @@
 """The ROS 2 node of docs/robot.md, run: four of them and a world, each a process of its own."""
 
-from __future__ import annotations
-
 import ctypes
 import signal
 from importlib import util

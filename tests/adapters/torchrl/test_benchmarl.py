@@ -1,7 +1,5 @@
 """BenchMARL's algorithms run on scenarios as tasks, and are judged on held-out starts."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """BenchMARL's learners on the leaderboard: the teams of all others, and runs that repeat."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

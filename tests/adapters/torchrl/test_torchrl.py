@@ -1,7 +1,5 @@
 """The TorchRL environment keeps its contract and is the vector environment, number by number."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

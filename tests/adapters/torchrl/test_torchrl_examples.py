@@ -1,7 +1,5 @@
 """The examples with TorchRL and BenchMARL learn, judged on starts they were not trained on."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
