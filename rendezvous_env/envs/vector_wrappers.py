@@ -79,7 +79,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
             self._note_seen()
         self._forget(which)
         reset = np.ones(self.num_envs, dtype=np.bool_) if which is None else which
-        return self._see(which), infos | masked(self._told(), reset)
+        return self._see(which).copy(), infos | masked(self._told(), reset)
 
     def step(self, actions: ArrayLike) -> Transition:
         """Hold the choices (B, n, k) for ``decision_period`` base steps; rewards are summed. A
