@@ -251,19 +251,17 @@ def file_of(build: Callable[..., Any]) -> Path | None:
     return Path(found) if found is not None and Path(found).is_file() else None
 
 
-def is_single_integrator(scenario: Scenario) -> bool:
-    """Whether actions are velocities."""
-    return scenario.robot_model == "single_integrator"
+def of_model(*models: str, dim: int | None = None) -> Callable[[Scenario], bool]:
+    """What tells whether a scenario's robots are of one of these models, of so many dimensions."""
+    return lambda scenario: scenario.robot_model in models and dim in (None, scenario.dim)
 
 
-def in_the_plane(scenario: Scenario) -> bool:
-    """Whether actions are velocities in the plane."""
-    return is_single_integrator(scenario) and scenario.dim == 2
-
-
-def is_double_integrator(scenario: Scenario) -> bool:
-    """Whether actions are accelerations."""
-    return scenario.robot_model == "double_integrator"
+is_single_integrator = of_model("single_integrator")
+"""Whether actions are velocities."""
+in_the_plane = of_model("single_integrator", dim=2)
+"""Whether actions are velocities in the plane."""
+is_double_integrator = of_model("double_integrator")
+"""Whether actions are accelerations."""
 
 
 def within_limits(actions: NDArray[np.float64], scenario: Scenario) -> Float32:

@@ -24,6 +24,8 @@ from rendezvous_env.safety.turning import (
 )
 from rendezvous_env.scenario.scenario import Scenario
 
+from .policy import of_model
+
 Array = NDArray[np.float64]
 Rows = NDArray[Any]
 ALIGNED = 0.5  # rad; within this angle of where it is to go a robot that turns drives
@@ -33,14 +35,10 @@ WITHIN = 1.0 - 1e-6
 sent is what the tank has booked."""
 
 
-def turns(scenario: Scenario) -> bool:
-    """Whether the robots are unicycles or nonholonomic robots of space, whose frames turn."""
-    return scenario.robot_model in ("unicycle", "nonholonomic_3d")
-
-
-def can_steer(scenario: Scenario) -> bool:
-    """Whether ``Steering`` knows a scenario's robots."""
-    return scenario.robot_model == "single_integrator" or turns(scenario)
+turns = of_model("unicycle", "nonholonomic_3d")
+"""Whether a scenario's robots are unicycles or nonholonomic ones of space, whose frames turn."""
+can_steer = of_model("single_integrator", "unicycle", "nonholonomic_3d")
+"""Whether ``Steering`` knows a scenario's robots."""
 
 
 def check_steerable(scenario: Scenario, what_steers: str = "learned policies steer") -> None:

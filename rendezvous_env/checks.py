@@ -121,13 +121,6 @@ def positive(field: str, value: Any, unit: str = "") -> float:
     return real(value)
 
 
-def between(field: str, value: Any, low: float, high: float) -> float:
-    """A number strictly between two others."""
-    if not low < real(value) < high:
-        refuse(field, value, f"a number between {exact(low)} and {exact(high)}, exclusive")
-    return real(value)
-
-
 def whole(field: str, value: Any, least: int, most: int) -> int:
     """A whole number within bounds."""
     if not is_whole(value) or not least <= value <= most:

@@ -42,6 +42,10 @@ def _widths(field: str, value: Any) -> tuple[int, ...]:
     return tuple(whole(field, width, 1, 2**12) for width in value)
 
 
+def _margin(_: str, value: Any) -> float:
+    return check_margin(value)
+
+
 @dataclass(frozen=True)
 class PolicySettings:
     """All that a policy is, beside its weights."""
@@ -50,7 +54,7 @@ class PolicySettings:
     hidden: Annotated[tuple[int, ...], _widths]  # widths of the layers behind them
     clearance: Annotated[float, partial(number, least=0.0, most=math.pi)]  # of the guide, rad
     persistence: _NotNegative  # of the guide
-    min_alignment: Annotated[float, lambda _, margin: check_margin(margin)]
+    min_alignment: Annotated[float, _margin]
     """ε, which the certified heading keeps, or which the tank owes."""
     max_turn_rate: _Positive  # of the certified heading, rad/s
     decision_time: _Positive  # s between decisions
