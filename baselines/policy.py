@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar, overload, runtime_checkab
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import Registry, bools, choice, meant, refuse, shown
+from rendezvous_env.checks import Registry, bools, choice, known_fields, meant, refuse, shown
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
@@ -235,10 +235,7 @@ def make(name: str, scenario: ScenarioLike, **options: Any) -> Policy:
         raise ValueError(f"policy {shown(name)} {known}; {right}")
     build = _registry[name].build
     allowed = [option for option in inspect.signature(build).parameters if option != "scenario"]
-    for option in options:
-        if option not in allowed:
-            right = f"it has {', '.join(allowed) or 'none'}"
-            raise ValueError(f"policy {name!r} has no option {shown(option)}; {right}")
+    known_fields(options, allowed, f"policy {name!r}", "option")
     return build(scenario, **options)
 
 

@@ -251,7 +251,7 @@ def known_fields(
     known = list(known)
     for key in given:
         if key not in known:
-            hint = meant(key, known) or f"known are {', '.join(known)}"
+            hint = meant(key, known) or f"known are {', '.join(known) or 'none'}"
             if key in _STEPS and nearest_word(key, known) == "time_limit":
                 hint += " it is in s, not in steps"
             raise UnknownFieldError(f"{what} has no {noun} {shown(key)}; {hint}")

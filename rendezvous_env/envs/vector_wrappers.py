@@ -103,9 +103,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
             shown = None
         ended = terminations | truncations
         seen = self._see(None) if shown is None else as_told(shown, base.flatten)
-        if not ended.any():
-            return seen, rewards, terminations, truncations, infos
-        if tell_ends(seen, ended, infos, mode):
+        if ended.any() and tell_ends(seen, ended, infos, mode):
             self._begin_anew(ended, infos)
             seen[ended] = self._see(ended)[ended]
         return seen, rewards, terminations, truncations, infos
