@@ -185,6 +185,14 @@ def floats(field: str, value: Any, dtype: type[np.floating[Any]] = np.float64) -
         return array.astype(dtype)
 
 
+def check_shape(name: str, array: NDArray[Any], *shapes: tuple[int, ...], axes: str = "") -> None:
+    """Refuse an array, called by its name, of another shape than these, whose axes are ``axes``."""
+    if array.shape not in shapes:
+        wanted = f"{axes} = " * bool(axes) + " or ".join(dict.fromkeys(map(str, shapes)))
+        has, it = ("have", "they") if name.endswith("s") else ("has", "it")
+        raise ValueError(f"{name} {has} shape {array.shape}; {it} must be {wanted}")
+
+
 def _unreadable(value: Any) -> str:
     """What keeps NumPy from reading a tensor, and what to do; nothing for anything else."""
     if not all(hasattr(value, name) for name in ("detach", "requires_grad", "device", "dtype")):

@@ -15,7 +15,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from ..checks import floats, mapping, whole
+from ..checks import check_shape, floats, mapping, whole
 from ..envs.guarantee import layers_of
 from ..envs.gymnasium_env import make_vec
 from ..limits import LARGEST_SEED
@@ -105,9 +105,7 @@ class RobotVecEnv(VecEnv):
         """
         is_box = isinstance(self.action_space, Box)
         given = floats("actions", actions, np.float32 if is_box else np.float64)
-        wanted = self.num_envs, *(self.action_space.shape or ())
-        if given.shape != wanted:
-            raise ValueError(f"actions have shape {given.shape}; they must be {wanted}, by slot")
+        check_shape("actions", given, (self.num_envs, *(self.action_space.shape or ())))
         self._actions = given if is_box else np.asarray(actions)
 
     def step_wait(self) -> VecEnvStepReturn:

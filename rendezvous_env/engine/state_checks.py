@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import bools, exact, floats, shown
+from ..checks import bools, check_shape, exact, floats, shown
 from ..obstacles.obstacle_set import faults
 from ..obstacles.parsing import only_balls
 from ..outcome import StepOutput
@@ -260,8 +260,7 @@ def check_numbers(name: str, value: Any, shape: tuple[int, ...], axes: str) -> N
     refuses others by name.
     """
     array = np.asarray(value)
-    if array.shape != shape:
-        raise ValueError(f"{name} have shape {array.shape}; they must be {axes} = {shape}")
+    check_shape(name, array, shape, axes=axes)
     if array.dtype not in _FLOATS:
         raise ValueError(f"{name} are {array.dtype}; they must be float32 or float64")
     return array
@@ -277,8 +276,7 @@ def check_actions(actions: ArrayLike, shape: tuple[int, ...], axes: str) -> NDAr
     plain = getattr(actions, "dtype", None) is not _FLOAT32
     given = floats("actions", actions, np.float32) if plain else actions
     table = np.ascontiguousarray(given)
-    if table.shape != shape:
-        raise ValueError(f"actions have shape {table.shape}; they must be {axes} = {shape}")
+    check_shape("actions", table, shape, axes=axes)
     wrong = first_not_finite(table.reshape(-1))
     if wrong >= 0:
         team, robot, *_ = np.unravel_index(wrong, shape)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import is_whole, real, refuse, shown
+from ..checks import check_shape, is_whole, real, refuse, shown
 from ..limits import LARGEST, SMALLEST
 
 
@@ -112,9 +112,7 @@ def check_weights(
     ``directed``, symmetric; the first wrong entry is named.
     """
     size = n if n is not None else max((2, *weights.shape[:1]))
-    if weights.shape != (size, size):
-        wanted = f"they must be ({size}, {size})" + ", a row for each robot" * (n is None)
-        raise ValueError(f"{field}: weights have shape {weights.shape}; {wanted}")
+    check_shape(f"{field}: weights", weights, (size, size), axes="(n, n)")
     out_of_limits = (weights != 0) & ((weights < SMALLEST) | (weights > LARGEST))
     reasons = (
         (~np.isfinite(weights), "must be finite"),

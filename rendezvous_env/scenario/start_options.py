@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import graphs
-from ..checks import exact, floats, mapping, nearest_word, refuse, shown, whole
+from ..checks import check_shape, exact, floats, mapping, nearest_word, refuse, shown, whole
 from ..graphs.weights import check_weights
 from ..limits import LARGEST, LARGEST_SEED
 from ..obstacles import parsing as obstacles
@@ -175,8 +175,7 @@ OPTIONS = tuple(_READERS)
 def check_table(field: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """A float64 array of a shape, of numbers within the limits; a wrong robot is named."""
     table = np.array(floats(field, value))
-    if table.shape != shape:
-        raise ValueError(f"{field} has shape {table.shape}; it must be {shape}")
+    check_shape(field, table, shape)
     if not (wanted := np.abs(table) <= LARGEST).all():
         at = tuple(int(k) for k in np.argwhere(~wanted)[0])
         bounds = f"finite, and from {-LARGEST:g} to {LARGEST:g}"

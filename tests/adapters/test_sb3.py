@@ -320,7 +320,7 @@ def test_slots_refuse_what_is_no_reset_and_no_step_of_theirs():
     slots.step([[0.0, 0.0]] * 6)
     for call, given, message in (
         (slots.reset, {"options": 5}, "options is 5; it must be None or a dict"),
-        (slots.step, {"actions": np.zeros(12)}, r"shape \(12,\); they must be \(6, 2\), by slot"),
+        (slots.step, {"actions": np.zeros(12)}, r"shape \(12,\); they must be \(6, 2\)"),
         (slots.step, {"actions": None}, "actions is None"),
         (slots.begin, {"which": np.array([1, 0])}, "mask is .* must be bool, one for each of 2"),
     ):

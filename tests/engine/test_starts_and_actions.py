@@ -48,17 +48,17 @@ def spoilt(table: np.ndarray, at: tuple[int, ...], value: float) -> np.ndarray:
 PLANE, SPACE, UNICYCLE = "single_integrator-2d", "single_integrator-3d", "unicycle"
 PLACES, ALONE = STARTS[2][0], np.outer(np.arange(5) != 4, np.arange(5) != 4)
 BAD_OPTIONS = [
-    (PLANE, "positions", np.zeros((4, 2)), r"has shape \(4, 2\); it must be \(5, 2\)"),
-    (SPACE, "positions", PLACES, r"has shape \(5, 2\); it must be \(5, 3\)"),
-    (PLANE, "positions", STARTS[2][:7], r"has shape \(7, 5, 2\); it must be \(3, 5, 2\)"),
+    (PLANE, "positions", np.zeros((4, 2)), r"have shape \(4, 2\); they must be \(5, 2\)"),
+    (SPACE, "positions", PLACES, r"have shape \(5, 2\); they must be \(5, 3\)"),
+    (PLANE, "positions", STARTS[2][:7], r"have shape \(7, 5, 2\); they must be \(3, 5, 2\)"),
     (PLANE, "positions", spoilt(PLACES, (3, 1), np.nan), r"of robot_3 is \[.*nan\]; .* finite"),
     (UNICYCLE, "positions", np.zeros((5, 2)), "neighbours robot_0 and robot_1 both stand at"),
     (PLANE, "headings", np.zeros(5), 'single_integrator robots have none; give "frames"'),
-    ("nonholonomic_3d", "headings", np.zeros(5), r"has shape \(5,\); it must be \(5, 2\)"),
+    ("nonholonomic_3d", "headings", np.zeros(5), r"have shape \(5,\); they must be \(5, 2\)"),
     (UNICYCLE, "frames", np.tile(np.eye(2), (5, 1, 1)), 'give "headings"'),
     (PLANE, "frames", np.tile(np.diag([1, -1]), (5, 1, 1)), "that of robot_0 is .* be a rotation"),
     (SPACE, "frames", np.tile(2 * np.eye(3), (5, 1, 1)), "must be a rotation"),
-    (SPACE, "frames", np.eye(3), r"has shape \(3, 3\); it must be \(5, 3, 3\)"),
+    (SPACE, "frames", np.eye(3), r"have shape \(3, 3\); they must be \(5, 3, 3\)"),
     (UNICYCLE, "weights", spoilt(UNEQUAL, (0, 1), 1.0), r"a\[0, 1\] = 1\.0 must equal its mirror"),
     (UNICYCLE, "weights", UNEQUAL[:3], r"have shape \(3, 5\)"),
     (UNICYCLE, "weights", UNEQUAL * ALONE, r"are not connected: .*\[4\]"),
