@@ -124,9 +124,9 @@ def test_heading_rules_refuse_what_does_not_fit_together():
     ):
         assert rule(f, points).shape == f.shape
         for bearing, silhouettes, message in (
-            (f, points[:2], "silhouettes has shape"),
-            (f, points[..., :1, :], "silhouettes has shape"),
-            (np.ones((3, 4, 3)), points, "silhouettes has shape"),
+            (f, points[:2], "silhouettes have shape"),
+            (f, points[..., :1, :], "silhouettes have shape"),
+            (np.ones((3, 4, 3)), points, "silhouettes have shape"),
             (np.ones((3, 4, 1)), points, "net_bearing has shape"),
             (f * np.nan, points, r"net_bearing is \[nan, .*\]; it must be finite"),
             (f, points.astype(np.int64), "silhouettes are int64"),
