@@ -72,14 +72,10 @@ class Steering:
 
     def actions(self, wanted: Rows, observations: Rows) -> Array:
         """Actions (..., a) that follow velocities (..., d), m/s; see ``inputs_towards``."""
-        if not self.turns:
-            return np.asarray(wanted, dtype=np.float64)
         return self._over_robots(_steer, wanted, observations, self.scenario.action_size)
 
     def velocities(self, actions: Rows, observations: Rows) -> Array:
         """Mean velocity (..., d) over a step, v m, m/s, of robots that take actions (..., a)."""
-        if not self.turns:
-            return np.asarray(actions, dtype=np.float64)
         return self._over_robots(_mean_velocities, actions, observations, self.scenario.dim)
 
     def turned(
@@ -95,6 +91,8 @@ class Steering:
     def _over_robots(
         self, function: Any, values: Rows, observations: Rows, size: int, gate: Any = None
     ) -> Array:
+        if not self.turns:  # they go as they are told
+            return np.asarray(values, dtype=np.float64)
         given = np.ascontiguousarray(values, np.float64).reshape(-1, values.shape[-1])
         rows = np.ascontiguousarray(observations).reshape(-1, *observations.shape[-2:])
         out = np.zeros((len(given), size))

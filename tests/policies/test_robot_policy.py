@@ -195,7 +195,7 @@ class TestSight:
         ({"obstacles": [along(0, 1) * 2]}, r"obstacles\[0, 0\] is \[2\.0, 0\.0\]; .* a unit vec"),
         ({"obstacles": along(0, 1)}, r"obstacles have shape \(2, 2\); they must be \(…, 2, 2\)"),
         ({"dt": -0.1}, r"dt is -0\.1; it must be a positive"),
-        ({"weights": [1.0, 2.0]}, r"weights have shape \(2,\); they must be \(1,\)"),
+        ({"weights": [1.0, 2.0]}, r"weights have shape \(2,\); they must be \(k,\) = \(1,\)"),
         ({"weights": [3.1]}, r"weights sum to 3\.1 m/s; this scenario's come to D̄ = 3 m/s at"),
         ({"weights": [-1.0]}, r"weights\[0\] is -1\.0; it must be positive"),
     ],
