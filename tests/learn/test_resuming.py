@@ -247,6 +247,14 @@ class TestRefusals:
         learned_policy.load(folder, scenarios.get("clutter-4"))
         assert cli.main(["train", "--resume", str(folder)]) == 0
 
+    def test_a_folder_where_a_file_belongs(self, copied, one_line):
+        pointer = copied / "checkpoints" / "latest.json"
+        pointer.unlink()
+        pointer.mkdir()
+        said = one_line("train", "--resume", copied, "--total-steps", 20 * UPDATE)
+        assert f"cannot write {pointer}: Is a directory; the last good checkpoint" in said
+        assert f"put that right, then --resume {copied}" in said
+
     @pytest.mark.parametrize(
         ("name", "old", "new", "message"),
         [
