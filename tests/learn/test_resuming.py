@@ -205,6 +205,7 @@ class TestRefusals:
         assert "holds a run; --resume it" in one_line("train", *flags(whole))
         words = "--scenario", "clutter-8"
         refused("was trained with clutter-4: leave it out", whole, *words)
+        refused("--hidden is 8 16; ", whole, "--hidden", "8", "16")
         refused("goes on in its own folder: leave it out", whole, "--out", "elsewhere")
         refused("--num-threads is 0; it must be 1", whole, "--num-threads", "0")
 
