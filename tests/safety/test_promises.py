@@ -130,7 +130,9 @@ def test_a_filter_with_a_mistake_is_caught(mistake, monkeypatch):
     @functools.wraps(begin)  # whose arguments the wrappers read
     def wrong(self, *args, **options):
         begin(self, *args, **options)
-        self._constants = self._constants._replace(**changes(self._constants))
+        name = "_robot" if made is EnergyTank else "_constants"
+        known = getattr(self, name)
+        setattr(self, name, known._replace(**changes(known)))
 
     assert played(scenario, by, **arguments).violation is None
     monkeypatch.setattr(made, "__init__", wrong)
