@@ -114,6 +114,11 @@ MISTAKES = {
         lambda known: {"min_gain": 40.0, "max_gain": 40.0, "speed_limit": 40.0},
         (SIX.replace(graph="path", max_speed=1e3), "gains", {}),
     ),
+    "balls may be three times as large": (
+        LinkKeeping,
+        lambda known: {"radius": 3.0 * known.radius},
+        (FIVE[ANYWHERE[0]], "links", {}),
+    ),
     "any velocity of the dual cone will do": (
         LinkKeeping,
         lambda known: {"radius": 1e6, "share": 0.0},
