@@ -42,7 +42,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
     Args:
         env: teams of any robots but double integrators, in any autoreset mode.
         settings: of the policy that is trained.
-        touch_penalty: taken from ``robot_rewards`` of a robot at its first contact in an episode.
+        touch_penalty: of a robot's first contact in an episode, see ``TrainingTeams``.
         obstacle_slots: of ``Features``, whose refusals are raised.
         global_state: of what follows what is shown, for critics; None is nothing. It has a
             ``size``, numbers for each robot, and ``states(simulator, f, levels)``, (B, n, size), of
@@ -89,9 +89,9 @@ class FeatureVectorEnv(GuaranteeWrapper):
         return self.guided.steering.alignment
 
     def step(self, actions: ArrayLike) -> Transition:
-        """As ``GuaranteeWrapper.step``, with first contacts paid for in ``robot_rewards``."""
+        """As ``GuaranteeWrapper.step``, with first contacts paid for."""
         seen, rewards, ends, cuts, infos = super().step(actions)
-        infos["robot_rewards"] -= self.touch_penalty * self._touches.note(infos, ends | cuts)
+        rewards = self._touches.charge(self.touch_penalty, rewards, infos, ends | cuts)
         return seen, rewards, ends, cuts, infos
 
     def _take(self, actions: ArrayLike) -> None:

@@ -216,12 +216,8 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
     def step(self, actions: ArrayLike) -> Transition:
         """Let all robots act; errors as the wrapper of the guarantee."""
         seen, rewards, ends, cuts, infos = self.env.step(actions)  # type: ignore[arg-type]
-        first = self._touches.note(infos, ends | cuts)
-        if first.any():
-            infos["robot_rewards"] -= self.touch_penalty * first
-            rewards = rewards - self.touch_penalty * first.mean(axis=1)
+        rewards = self._touches.charge(self.touch_penalty, rewards, infos, ends | cuts)
         if "final_info" in infos:
-            infos["final_info"]["robot_rewards"] = infos["robot_rewards"].copy()
             leave_out_summary(infos["final_info"])
         leave_out_summary(infos)
         return seen, rewards, ends, cuts, infos
@@ -248,16 +244,24 @@ class FirstContacts:
     def __init__(self, num_envs: int, n_robots: int) -> None:
         self.touched = np.zeros((num_envs, n_robots), dtype=np.bool_)
 
-    def note(self, infos: Info, over: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """The robots (B, n) whose first touch of the episode was in the last step, from its infos
-        and the teams (B,) whose episode it ended.
+    def charge(
+        self, price: float, rewards: NDArray[Any], infos: Info, over: NDArray[np.bool_]
+    ) -> NDArray[Any]:
+        """Take the price of each robot's first touch of the episode from its ``robot_rewards`` in
+        the infos of a step, which ended the episodes of the teams ``over``, (B,); returns the
+        rewards of teams, (B,), less the mean of that.
         """
         contact = at_the_end(infos, over, "contact")
-        first: NDArray[np.bool_] = contact & ~self.touched
+        first = contact & ~self.touched
         self.touched |= contact
         if over.any():
             self.forget(over)
-        return first
+        if not first.any():
+            return rewards
+        infos["robot_rewards"] -= price * first
+        if "final_info" in infos:
+            infos["final_info"]["robot_rewards"] = infos["robot_rewards"].copy()
+        return rewards - price * first.mean(axis=1)
 
     def forget(self, which: ArrayLike | None = None) -> None:
         """New episodes of all teams, or of those of a mask (B,)."""
