@@ -41,16 +41,19 @@ def xarray_dataset(trajectory: Any) -> xarray.Dataset:
     """An xarray Dataset with the arrays under their own names, shaped as ``DIMENSIONS`` says.
 
     Coordinates ``time`` (T + 1,), s, and ``step_end`` (T,), s, when each step ended; the attribute
-    ``scenario`` holds the scenario as JSON. An ImportError says how to get xarray.
+    ``scenario`` holds the scenario as JSON. Arrays without an entry, as headings of robots that
+    have none, are left out: NetCDF 3 cannot hold them. An ImportError says how to get xarray.
     """
     library = load("xarray", "to_xarray()", _EXTRA)
-    scenario, times, arrays = trajectory.scenario, trajectory.times, _arrays(trajectory)
+    scenario, times = trajectory.scenario, trajectory.times
+    arrays = {name: array for name, array in _arrays(trajectory).items() if array.size}
     coordinates: dict[str, Any] = {
         "time": ("time", times, {"units": "s"}),
         "step_end": ("step", times[1:], {"units": "s"}),
         "axis": list(_AXES[: scenario.dim]),
-        "angle": list(_ANGLES[: arrays["headings"].shape[-1]]),
     }
+    if "headings" in arrays:
+        coordinates["angle"] = list(_ANGLES[: arrays["headings"].shape[-1]])
     variables = {}
     for name, array in arrays.items():
         dimensions, unit = DIMENSIONS[name]

@@ -125,6 +125,11 @@ _FLAGS = {
 """Flags that are not called as their fields."""
 
 
+def written(value: Any) -> str:
+    """What is written after a flag for a value."""
+    return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
 def flag(name: str) -> str:
     """What the command line calls a field."""
     return "--" + _FLAGS.get(name, name.replace("_", "-"))

@@ -102,7 +102,7 @@ class HeadingTankFilter(CommandedTank):
     ) -> Calls:
         """As ``CommandedTank.act_of``."""
         memory, mine = (self.carried, self._held), slice(*teams[:2])
-        desire = partial(_desired_velocities, teams, observations, self._constants, *memory)
+        desire = partial(_desired_velocities, teams, observations, self._robot, *memory)
         note = partial(np.copyto, self._velocities[mine], actions[mine])
         return [desire, *super().act_of(teams, observations, actions), note]
 

@@ -40,7 +40,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
     Args:
         env: teams of any robots but double integrators, in any autoreset mode.
         settings: of the policy that is trained.
-        touch_penalty: taken from ``robot_rewards`` of a robot at its first contact in an episode.
+        touch_penalty: of a robot's first contact in an episode, see ``TrainingTeams``.
         obstacle_slots: of ``Features``, whose refusals are raised.
         global_state: of what follows what is shown, for critics; None is nothing. It has a
             ``size``, numbers for each robot, and ``states(simulator, f, levels)``, (B, n, size), of
@@ -87,12 +87,12 @@ class FeatureVectorEnv(GuaranteeWrapper):
         return self.guided.steering.alignment
 
     def _drive(self) -> tuple[NDArray[np.float32] | None, Any, Any, Any, Info]:
-        """As ``GuaranteeWrapper._drive``, with first contacts paid for in ``robot_rewards``."""
-        driven = super()._drive()
-        infos = driven[-1]
-        infos["robot_rewards"] -= self.touch_penalty * (infos["contact"] & ~self._touched)
-        self._touched |= infos["contact"]
-        return driven
+        """As ``GuaranteeWrapper._drive``, with first contacts paid for."""
+        shown, rewards, ends, cuts, infos = super()._drive()
+        first = infos["contact"] & ~self._touched
+        self._touched |= first
+        infos["robot_rewards"] -= self.touch_penalty * first
+        return shown, rewards - self.touch_penalty * first.mean(axis=1), ends, cuts, infos
 
     def _take(self, actions: ArrayLike) -> None:
         (self.guided.choose if self.discrete else self.guided.head)(actions)

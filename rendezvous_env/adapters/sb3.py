@@ -81,11 +81,17 @@ class RobotVecEnv(VecEnv):
         self.metadata["render_fps"] = self.teams.metadata["render_fps"]
 
     def reset(self) -> NDArray[np.float32]:
-        """Begin a new episode in all teams; observations (slots, rows, d)."""
+        """Begin a new episode in all teams; observations (slots, rows, d). Where options are
+        refused nothing begins, and they are forgotten; seeds still wait for the next reset.
+        """
         seeds = self._seeds[:: self.n_robots]
         given = None if all(seed is None for seed in seeds) else seeds
-        options = team_options(self._options[:: self.n_robots], self.simulator.scenario.dim)
-        observations = self.slots.reset(given, options)
+        try:
+            options = team_options(self._options[:: self.n_robots], self.simulator.scenario.dim)
+            observations = self.slots.reset(given, options)
+        except (TypeError, ValueError):
+            self._reset_options()
+            raise
         self._told[:] = 0
         self._forget_step()
         self._reset_seeds()

@@ -133,6 +133,9 @@ class Graph:
             object.__setattr__(self, "edges", kept)
         elif self.edges != () or self.n_nodes is not None:
             raise ValueError(f"graph: a {self.kind} has neither edges nor n_nodes")
+        if self.probability != Graph.probability and self.kind != "erdos_renyi":
+            kinds = f"only kind 'erdos_renyi' has one, not {self.kind!r}"
+            raise ValueError(f"graph: probability is {self.probability}; {kinds}")
 
     def check_fits(self, scenario: Any) -> None:
         """Refuse a scenario whose other fields this graph does not fit."""

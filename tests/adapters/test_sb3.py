@@ -291,6 +291,24 @@ def test_options_of_slots_are_alike_in_all_teams_or_refused():
     env.reset()
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [{"positions": np.full((ROBOTS, 2), np.nan)}, {"positions": "x"}, {"obstacles": 3}],
+)
+def test_options_that_are_refused_wait_for_no_other_reset(wrong):
+    env, other = make_robots(SCENARIO, 2), make_robots(SCENARIO, 2)
+    for one in (env, other):
+        one.seed(1)
+        one.reset()
+        one.seed(7)
+    env.set_options(wrong)
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        env.reset()
+    np.testing.assert_array_equal(env.simulator.positions, other.simulator.positions)
+    np.testing.assert_array_equal(env.reset(), other.reset())  # with the seeds that were given
+    assert env.get_attr("seeds") == [7] * ROBOTS + [8] * ROBOTS
+
+
 def test_bad_actions_seeds_options_and_slots_are_refused():
     env = make_robots(SCENARIO, 2)
     env.reset()

@@ -117,6 +117,7 @@ MISTAKES = {
     "verify --only-batch -2": "--only-batch is -2",
     "verify --min-alignment 1": "--min-alignment is 1.0; it must be less than 1",
     "verify --any --only-batch 3": "--only-batch is 3; --any tries no claims: leave it out",
+    "verify --any --claims lemma-1 bound-A": "--claims is lemma-1 bound-A; --any tries no claims",
     "verify --kinds 3": "--kinds is 3; add --any",
     "verify --claims bound-D": "claim 'bound-D' is unknown; did you mean 'bound-",
     "bench --only btached": "btached",

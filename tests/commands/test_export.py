@@ -162,7 +162,7 @@ class TestErrors:
 
     def test_a_file_that_errs_does_not_take_its_place(self, monkeypatch, one_line, tmp_path):
         path, made = tmp_path / "policy.onnx", export.model_of
-        path.write_bytes(b"before")
+        path.write_bytes(before := f"before, {SETTINGS_KEY}".encode())
 
         def wrong(weights, settings):
             bias = weights["action_net.bias"] + np.arange(len(settings.angles))
@@ -171,7 +171,20 @@ class TestErrors:
         monkeypatch.setattr(export, "model_of", wrong)
         said = one_line("export", "--out", path, "--checks", "10")
         assert "the file differs from the policy by" in said
-        assert path.read_bytes() == b"before" and len(list(tmp_path.iterdir())) == 1
+        assert path.read_bytes() == before and len(list(tmp_path.iterdir())) == 1
+
+    @pytest.mark.parametrize(("flag", "name"), [("--out", "x.onnx"), ("--standalone", "x.py")])
+    def test_a_file_of_its_own_is_replaced_and_no_other(self, flag, name, one_line, tmp_path):
+        path = tmp_path / name
+        path.write_bytes(b"a network of somebody's")
+        said = one_line("export", flag, path)
+        assert f"{flag} {path}: is there already, and not of this command's making" in said
+        assert path.read_bytes() == b"a network of somebody's"
+        path.unlink()
+        for policy in ("learned", "learned-tank"):
+            words = ["export", "--policy", policy, flag, str(path), "--checks", "10"]
+            assert cli.main(words) == 0
+        assert path.stat().st_size > 1000
 
     def test_a_damaged_file_drives_no_robot(self, exported, tmp_path):
         """Any byte; of the digest and its name every one: else it would not be found."""

@@ -293,18 +293,28 @@ def test_nobody_gets_round_the_wall():
         assert not done.success.any(), name
 
 
-def test_excess_at_a_merge_is_an_error(tmp_path, monkeypatch, capsys):
-    config = compare.Config(("duo",), ("bearing-only",), episodes=2, out=tmp_path, figures=False)
+@pytest.mark.parametrize(
+    ("merge_radius", "excess", "status"),
+    [(0.2, 0.5, 1), (1e-5, 1e-11, 1), (200.0, 1e-8, 0)],
+)
+def test_excess_at_a_merge_is_an_error(tmp_path, monkeypatch, capsys, merge_radius, excess, status):
+    """Of V as much is rounding as 10⁻⁹ r D̄, here of D̄ = 1 m/s."""
+    scenario = scenarios.get("duo").replace(start_positions=None, merge_radius=merge_radius)
+    scenario.replace(spawn_size=10 * merge_radius).to_toml(path := tmp_path / "a.toml")
+    config = compare.Config(
+        (str(path),), ("bearing-only",), episodes=2, out=tmp_path / "out", figures=False
+    )
     real = playing.play
 
     def broken(*args, **options):
         done, recordings = real(*args, **options)
-        done.merge_excess[0] = 0.5
+        done.merge_excess[0] = excess
         return done, recordings
 
     monkeypatch.setattr(playing, "play", broken)
-    assert compare.run(config) == 1
-    assert "in 1 episodes a merge raised V above its bound" in capsys.readouterr().err
+    assert compare.run(config) == status
+    said = "in 1 episodes a merge raised V above its bound"
+    assert (said in capsys.readouterr().err) == (status == 1)
 
 
 def test_the_first_failure_of_a_policy_is_recorded_too(tmp_path):

@@ -205,6 +205,7 @@ class TestRefusals:
         assert "holds a run; --resume it" in one_line("train", *flags(whole))
         words = "--scenario", "clutter-8"
         refused("was trained with clutter-4: leave it out", whole, *words)
+        refused("--hidden is 8 16; ", whole, "--hidden", "8", "16")
         refused("goes on in its own folder: leave it out", whole, "--out", "elsewhere")
         refused("--num-threads is 0; it must be 1", whole, "--num-threads", "0")
 
@@ -246,6 +247,14 @@ class TestRefusals:
         monkeypatch.undo()
         learned_policy.load(folder, scenarios.get("clutter-4"))
         assert cli.main(["train", "--resume", str(folder)]) == 0
+
+    def test_a_folder_where_a_file_belongs(self, copied, one_line):
+        pointer = copied / "checkpoints" / "latest.json"
+        pointer.unlink()
+        pointer.mkdir()
+        said = one_line("train", "--resume", copied, "--total-steps", 20 * UPDATE)
+        assert f"cannot write {pointer}: Is a directory; the last good checkpoint" in said
+        assert f"put that right, then --resume {copied}" in said
 
     @pytest.mark.parametrize(
         ("name", "old", "new", "message"),

@@ -121,7 +121,7 @@ class TestLearning:
         about = checkpoints.describe(checkpoints.find(tmp_path / "run"))
         assert about["scenario"]["n_robots"] == 3 and about["scenario"]["name"] == name
         assert cli.main(["train", "--resume", str(tmp_path / "run"), "--set", "n_robots=4"]) == 2
-        assert "was trained with ('n_robots=3', 'time_limit=20')" in capsys.readouterr().err
+        assert "was trained with n_robots=3 time_limit=20" in capsys.readouterr().err
         resumed(tmp_path / "run", total_steps=3 * 8 * 3 * 16)
 
     def test_training_that_diverges_is_a_message(self, tmp_path, capsys, monkeypatch):

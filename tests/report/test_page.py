@@ -262,3 +262,21 @@ class TestErringSensor:
         panes = seen_page.locator(".pane")
         assert [panes.nth(k).is_visible() for k in (0, 1)] == [True, False]
         assert seen_page.text_content("#said").count("bearing-only") == 1
+
+
+def test_rises_of_v_are_told_in_the_unit_of_their_world(browser, tmp_path):
+    """Here V is about 10⁻⁸ m²/s, and a rise of 10⁻¹⁰ was called none."""
+    fields = {"merge_radius": 1e-5, "spawn_size": 1e-3, "time_limit": 30.0}
+    small = rv.Scenario(name="small", n_robots=2, graph=rv.graphs.complete(1e-5), **fields)
+    small.to_toml(tmp_path / "small.toml")
+    config = compare.Config(
+        (str(tmp_path / "small.toml"),), ("bearing-only", "random"), episodes=2, keep=1,
+        out=tmp_path / "out", figures=False,
+    )  # fmt: skip
+    assert compare.run(config) == 0 and report.run(report.Config(config.out)) == 0
+    with visited(browser, (config.out / "report.html").as_uri()) as page:
+        rises = column(page, "max_rise_between_merges")
+        assert float(rises[0]) < 0.0 < float(rises[1]) < 1e-9
+        cells = page.locator("#results-table td[data-column=max_rise_between_merges]")
+        none, some = cells.all_text_contents()
+        assert none == "none" and browsing.number(some) == pytest.approx(float(rises[1]), rel=0.1)

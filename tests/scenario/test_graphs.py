@@ -26,7 +26,7 @@ ONE_WAY = [
 ]
 MUTUAL = [
     graphs.complete(),
-    graphs.Graph("complete", probability=1.0),
+    graphs.complete((0.1, 0.7)),
     graphs.path((0.5, 1.0)),
     graphs.random_tree(2.0),
     graphs.erdos_renyi(0.125, (0.1, 0.7)),

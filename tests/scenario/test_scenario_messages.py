@@ -211,6 +211,13 @@ def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
         (lambda: g.from_edges([(0, HUGE)]), "n_nodes is a whole number of about 401"),
         (lambda: g.Graph("edges"), "n_nodes is None"),
         (lambda: g.Graph("path", edges=((0, 1, 1.0),)), "a path has neither edges"),
+        *[
+            (
+                lambda kind=kind: g.parse({"kind": kind, "probability": 0.3}),
+                rf"graph: probability is 0\.3; only kind 'erdos_renyi' has one, not '{kind}'",
+            )
+            for kind in ("complete", "random_tree", "directed_cycle", "proximity")
+        ],
         (lambda: g.directed([(0, 1), (0, 1)]), r"edge \(0, 1\) must join .* once"),
         (lambda: g.directed(np.eye(2)), r"a\[0, 0\] = 1\.0 must be 0"),
         (lambda: g.switching([]), r"graphs is \(\); it must be a list of at least one"),

@@ -200,10 +200,12 @@ def _newest_good(folder: Path, console: Console) -> Path | None:
 
 
 def write_failure(folder: Path, error: OSError) -> str:
-    """The message about a disk that cannot be written, with the checkpoint that is left."""
-    said = f"cannot write {error.filename or folder}: {error.strerror or error}"
+    """The message about what cannot be written, with the checkpoint that is left."""
+    # where a renaming fails, the second name is the file's, and the first a temporary one
+    place = error.filename2 or error.filename or folder
+    said = f"cannot write {place}: {error.strerror or error}"
     try:
-        place = checkpoints.find(folder)
+        good = checkpoints.find(folder)
     except CheckpointError:
         return f"{said}; there is no checkpoint yet"
-    return f"{said}; the last good checkpoint is {place}: make room, then --resume {folder}"
+    return f"{said}; the last good checkpoint is {good}: put that right, then --resume {folder}"

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from tyro.conf import arg
 
-from ..checks import Bounds, UserError, flag, unknown
+from ..checks import Bounds, UserError, flag, unknown, written
 from ..console import Console
 from ..results import write_csv
 from ..resume import Part, program
@@ -69,7 +69,7 @@ def check_config(config: Config) -> None:
     for name in unused:
         if (value := getattr(config, name)) != getattr(Config, name):
             why = "--any tries no claims: leave it out" if config.any else "add --any"
-            raise UserError(f"{flag(name)} is {value}; {why}")
+            raise UserError(f"{flag(name)} is {written(value)}; {why}")
     known = [claim.name for claim in CLAIMS]
     for name in config.claims:
         if name not in known:
