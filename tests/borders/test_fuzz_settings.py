@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import soup
+from conftest import started
 from fuzzing import TEAMS, assert_finite, attempt, fuzzed, teams
 from hypothesis import example
 from hypothesis import strategies as st
@@ -125,8 +126,7 @@ def test_extreme_steps_among_obstacles(speed, turn_rate, step, seed):
         time_limit=max(1.0, 2 * step),
         allow_long_step=True,
     )
-    sim = rv.Simulator(scenario, 16)
-    sim.reset(seed)
+    sim = started(scenario, 16, seed=seed)
     actions = np.random.default_rng(seed).uniform(-1, 1, (16, 3, 2)) * (speed, turn_rate)
     attempt(lambda: sim.step(actions))
     assert np.isfinite(sim.positions).all()

@@ -4,7 +4,7 @@ import copy
 
 import numpy as np
 import pytest
-from conftest import UNEQUAL, actions_shape, assert_same_state, five, law_of
+from conftest import UNEQUAL, actions_shape, assert_same_state, five, law_of, started
 from test_restart import halfway
 
 from rendezvous_env import Scenario, Simulator
@@ -82,8 +82,7 @@ def test_rotating_and_moving_the_world_changes_no_observation(kind):
     if nonholonomic:
         turned["headings"] = attitudes(scenario, np.arctan2(0.8, 0.6))
     else:
-        frames = Simulator(scenario, 32)
-        frames.reset(5)
+        frames = started(scenario, 32, seed=5)
         begin["frames"], turned["frames"] = frames.frames, turn @ frames.frames
     seen, places, sim = follow(scenario, begin)
     seen_turned, places_turned, _ = follow(scenario, turned)
@@ -151,8 +150,7 @@ def test_no_team_steps_before_each_has_been_reset():
 
 def test_no_team_steps_whose_state_was_put_back_but_not_observed(monkeypatch):
     """What may be met is known from the last observation, which Ctrl-C may prevent."""
-    sim, fresh = Simulator(Scenario(n_robots=2), 2), Simulator(Scenario(n_robots=2), 2)
-    sim.reset(0)
+    sim, fresh = started(Scenario(n_robots=2), 2), Simulator(Scenario(n_robots=2), 2)
 
     def interrupted():
         raise KeyboardInterrupt
@@ -168,8 +166,7 @@ def test_no_team_steps_whose_state_was_put_back_but_not_observed(monkeypatch):
 
 
 def test_a_resting_team_that_starts_within_r_meets_in_its_first_own_step():
-    sim = Simulator(Scenario(n_robots=2, start_positions=((0.0, 0.0), (0.1, 0.0))))
-    sim.reset(0)
+    sim = started(Scenario(n_robots=2, start_positions=((0.0, 0.0), (0.1, 0.0))))
     sim.restart(np.array([True]))
     assert sim.step(np.zeros((1, 2, 2))).status.tolist() == [RUNNING]
     assert sim.active.all()
@@ -179,8 +176,7 @@ def test_a_resting_team_that_starts_within_r_meets_in_its_first_own_step():
 
 def test_the_end_of_an_episode():
     duo = Scenario(n_robots=2, time_limit=1.0)
-    sim = Simulator(duo, 2)
-    sim.reset(0, {"positions": [[[0, 0], [5, 0]], [[0, 0], [0.5, 0]]]})
+    sim = started(duo, 2, positions=[[[0, 0], [5, 0]], [[0, 0], [0.5, 0]]])
     policy, steps = law_of(duo), 0
     while (sim.status == RUNNING).any():
         sim.step(policy(sim.observe(), sim.time))
@@ -208,11 +204,7 @@ def test_what_the_simulator_hands_out_is_not_its_memory(kind):
         "status", "steps", "time", "seeds", "initial_lyapunov", "path_length",
         "contacts", "min_clearance",
     )]  # fmt: skip
-    handed += [getattr(outcome, name) for name in (
-        "observations", "contact", "clearance", "active", "status", "rewards",
-        "lyapunov_before_merge",
-    )]  # fmt: skip
-    for array in [*handed, sim.lyapunov(), sim.observe(), *sim.get_state().values()]:
+    for array in [*handed, *outcome[:-1], sim.lyapunov(), sim.observe(), *sim.get_state().values()]:
         array[...] = 1
     assert sim.all_running and not sim.ended.any() and (sim.status == RUNNING).all()
     assert_same_state(sim, before)

@@ -4,11 +4,11 @@ import copy
 
 import numpy as np
 import pytest
-from conftest import UNEQUAL, actions_shape, assert_same_state, five, refusing
+from conftest import UNEQUAL, actions_shape, assert_same_state, five, refusing, started
 from test_restart import halfway
 from test_simulator import STARTS, attitudes, start
 
-from rendezvous_env import Disc, Scenario, Simulator, graphs
+from rendezvous_env import Disc, Scenario, graphs
 from rendezvous_env.engine.stages.step import step_blocks
 
 
@@ -17,8 +17,7 @@ def test_a_given_start_is_taken(kind):
     weights = UNEQUAL.copy()
     weights[0, 1] = weights[1, 0] = 1.7
     options = start(scenario, STARTS[scenario.dim], weights=weights)
-    sim = Simulator(scenario, 32)
-    sim.reset(0, options)
+    sim = started(scenario, 32, **options)
     np.testing.assert_array_equal(sim.positions, STARTS[scenario.dim])
     np.testing.assert_array_equal(sim.weights, np.tile(weights, (32, 1, 1)))
     if scenario.model.nonholonomic:
@@ -32,9 +31,8 @@ def test_a_given_start_is_taken(kind):
 
 def test_given_parts_leave_the_draws_of_the_others_as_they_were(kind):
     scenario = five(kind, graph=graphs.random_tree((0.5, 2.0)))
-    drawn, given = Simulator(scenario, 32), Simulator(scenario, 32)
-    drawn.reset(3)
-    given.reset(3, {"positions": STARTS[scenario.dim]})
+    drawn = started(scenario, 32, seed=3)
+    given = started(scenario, 32, seed=3, positions=STARTS[scenario.dim])
     np.testing.assert_array_equal(given.frames, drawn.frames)
     np.testing.assert_array_equal(given.weights, drawn.weights)
 
@@ -49,7 +47,6 @@ PLANE, SPACE, UNICYCLE = "single_integrator-2d", "single_integrator-3d", "unicyc
 PLACES, ALONE = STARTS[2][0], np.outer(np.arange(5) != 4, np.arange(5) != 4)
 BAD_OPTIONS = [
     (PLANE, "positions", np.zeros((4, 2)), r"has shape \(4, 2\); it must be \(5, 2\)"),
-    (SPACE, "positions", PLACES, r"has shape \(5, 2\); it must be \(5, 3\)"),
     (PLANE, "positions", STARTS[2][:7], r"has shape \(7, 5, 2\); it must be \(3, 5, 2\)"),
     (PLANE, "positions", spoilt(PLACES, (3, 1), np.nan), r"of robot_3 is \[.*nan\]; .* finite"),
     (UNICYCLE, "positions", np.zeros((5, 2)), "neighbours robot_0 and robot_1 both stand at"),
@@ -70,13 +67,11 @@ BAD_OPTIONS = [
 
 @pytest.mark.parametrize(("kind", "option", "value", "message"), BAD_OPTIONS)
 def test_bad_options_are_refused_by_name_and_change_nothing(kind, option, value, message):
-    sim = Simulator(five(kind), 3)
-    sim.reset(1)
+    sim = started(five(kind), 3, seed=1)
     sim.step(np.ones((3, 5, sim.scenario.action_size)))
     with refusing(sim, f"{option}.*{message}"):
         sim.reset(2, {option: value})
-    fresh = Simulator(five(kind), 3)
-    fresh.reset(1)
+    fresh = started(five(kind), 3, seed=1)
     np.testing.assert_array_equal(sim.reset(), fresh.reset())  # the episode count did not move
 
 
@@ -85,14 +80,12 @@ def test_given_obstacles_and_robots_inside_them():
     inside = r"positions: robot.0 at .* inside Disc"
     scenario = five("single_integrator-2d", obstacle_slots=2)
     fixed = scenario.replace(start_positions=STARTS[2][0])
-    for teams, given in ((scenario, {"positions": STARTS[2][0]}), (fixed, {})):
-        sim = Simulator(teams, 2)
-        sim.reset(0, {"obstacles": [away], **given})
+    for teams, given in ((fixed, {}), (scenario, {"positions": STARTS[2][0]})):
+        sim = started(teams, 2, obstacles=[away], **given)
         assert sim.obstacles.shape[1] == 2 and (sim.obstacles[:, 0, 0] >= 0).all()
         with pytest.raises(ValueError, match=inside):
             sim.reset(0, {"obstacles": [around], **given})
-    sim = Simulator(scenario.replace(obstacles=[away]))  # None is as if an option were not given
-    sim.reset(0, {"positions": STARTS[2][0], "obstacles": None, "weights": None})
+    sim = started(scenario.replace(obstacles=[away]), **given, obstacles=None, weights=None)
     np.testing.assert_array_equal(sim.obstacles[0, 0, 2:5], [0.5, 9.0, 9.0])
     with pytest.raises(ValueError, match=inside):
         sim.reset(0, {"positions": [[9.0, 9.0], *STARTS[2][0][1:]], "obstacles": None})
@@ -100,22 +93,21 @@ def test_given_obstacles_and_robots_inside_them():
 
 def test_given_links_join_no_robots_that_stand_in_one_place():
     places = [[-1.0, 0.0], [1.0, 0.0], [-1.0, 0.0]]
-    sim = Simulator(Scenario(n_robots=3, graph="path", start_positions=places))
-    sim.reset(0, {"weights": [[0, 1, 0], [1, 0, 1], [0, 1, 0]]})
+    path = [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
+    sim = started(Scenario(n_robots=3, graph="path", start_positions=places), weights=path)
     with pytest.raises(ValueError, match="neighbours robot_0 and robot_2 both stand at"):
         sim.reset(0, {"weights": [[0, 1, 1], [1, 0, 0], [1, 0, 0]]})
 
 
 def test_bodies_take_no_obstacles():
-    sim = Simulator(Scenario(n_robots=3, body_radius=0.1, meeting="pack", obstacle_slots=2))
-    sim.reset(0, {"obstacles": []})
+    bodies = Scenario(n_robots=3, body_radius=0.1, meeting="pack", obstacle_slots=2)
+    sim = started(bodies, obstacles=[])
     with pytest.raises(ValueError, match=r"pack.* is for teams without obstacles"):
         sim.reset(0, {"obstacles": [Disc((9.0, 9.0), 0.5)]})
 
 
 def test_if_one_team_finds_no_room_none_starts_anew():
-    sim = Simulator(five("unicycle", spawn_size=0.8, graph=graphs.complete()), 3)
-    sim.reset([0, 1, 4])
+    sim = started(five("unicycle", spawn_size=0.8, graph=graphs.complete()), 3, seed=[0, 1, 4])
     sim.step(np.ones((3, 5, 2)))
     with refusing(sim, r"no room for the start of team 2.*spawn_size of 0\.8", RuntimeError):
         sim.reset([4, 9, 2])
@@ -126,8 +118,7 @@ def test_actions_that_may_not_be_written_to_are_taken_and_compile_nothing():
     actions = np.random.default_rng(0).uniform(-1, 1, (3, 5, 2)).astype(np.float32)
     outcomes, variants = [], []
     for writeable in (True, False):
-        sim = Simulator(five("unicycle"), 3)
-        sim.reset(0)
+        sim = started(five("unicycle"), 3)
         actions.flags.writeable = writeable
         outcomes.append(sim.step(actions))
         variants.append(len(getattr(step_blocks, "overloads", ())))
@@ -137,8 +128,7 @@ def test_actions_that_may_not_be_written_to_are_taken_and_compile_nothing():
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_actions_that_are_not_finite_change_nothing(kind, value):
-    sim = Simulator(five(kind), 40)  # two blocks
-    sim.reset(6)
+    sim = started(five(kind), 40)  # two blocks
     actions = np.ones((40, 5, sim.scenario.action_size), np.float32)
     actions[38, 3, 1] = value
     with refusing(sim, r"action of robot_3 in team 38 is .* must be finite"):
@@ -150,8 +140,7 @@ def test_actions_that_are_not_finite_change_nothing(kind, value):
 @pytest.mark.parametrize("dim", [2, 3])
 def test_the_speed_limit_keeps_the_direction(dim):
     scenario = five(f"single_integrator-{dim}d", max_speed=0.7, local_frames="global")
-    sim = Simulator(scenario, 32)
-    sim.reset(0, {"positions": STARTS[dim] * 10})
+    sim = started(scenario, 32, positions=STARTS[dim] * 10)
     velocities = np.random.default_rng(1).normal(size=(32, 5, dim))
     velocities[:, 0] *= 0.1
     velocities[:, 1] *= 1e30  # finite in float32
@@ -165,15 +154,13 @@ def test_the_speed_limit_keeps_the_direction(dim):
 def test_the_inputs_of_nonholonomic_robots_are_clipped_one_by_one():
     slow = {"max_speed": 0.5, "max_turn_rate": 0.4, "merge_radius": 0.01, "time_step": 0.1}
     unicycle = five("unicycle", **slow, allow_long_step=True)
-    sim = Simulator(unicycle)
-    sim.reset(0, {"positions": STARTS[2][0], "headings": np.zeros(5)})
+    sim = started(unicycle, positions=STARTS[2][0], headings=np.zeros(5))
     sim.step([[(9, 0), (-9, 0), (0.2, 9), (0, -9), (0.3, 0.1)]])
     np.testing.assert_allclose(sim.headings[0, :, 0], [0, 0, 0.04, -0.04, 0.01], rtol=1e-6)
     speeds = np.linalg.norm(sim.positions[0] - STARTS[2][0], axis=-1) / 0.1
     np.testing.assert_allclose(speeds, [0.5, 0.5, 0.2, 0, 0.3], rtol=1e-3)
     flyer = five("nonholonomic_3d", **slow, allow_long_step=True)
-    sim = Simulator(flyer)
-    sim.reset(0, {"positions": STARTS[3][0], "headings": np.zeros((5, 2))})
+    sim = started(flyer, positions=STARTS[3][0], headings=np.zeros((5, 2)))
     sim.step([[(9, 0, 0), (0, 99, 99), (0, -99, -99), (0, 3.0, 0.3), (-9, 0, 0)]])
     expected = [[0, 0], [0.4, 0.04], [-0.4, -0.04], [0.3, 0.03], [0, 0]]
     np.testing.assert_allclose(sim.headings[0], expected, rtol=1e-6)

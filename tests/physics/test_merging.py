@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from conftest import started
 from hypothesis import given
 from hypothesis import strategies as st
 from tuples import world
 
-from rendezvous_env import Disc, Scenario, Simulator
+from rendezvous_env import Disc, Scenario
 from rendezvous_env.graphs.merging import contract, contract_arcs, merge_swept
 from rendezvous_env.physics.potential import (
     lyapunov_of_links,
@@ -132,8 +133,7 @@ def test_merged_into_follows_the_survivor_through_several_merges():
     apart = Scenario(
         n_robots=4, graph="path", merge_radius=1.0, local_frames="global", max_speed=9.0
     )
-    sim = Simulator(apart)
-    sim.reset(0, {"positions": [[0.0, 0], [4, 0], [8, 0], [8.5, 0]]})
+    sim = started(apart, positions=[[0.0, 0], [4, 0], [8, 0], [8.5, 0]])
     sim.step(np.zeros((1, 4, 2)))
     assert sim.merged_into.tolist() == [[0, 1, 2, 2]]
     np.testing.assert_allclose(sim.positions[0, 2:], [[8.25, 0]] * 2)

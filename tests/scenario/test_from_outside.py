@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import refusing
+from conftest import refusing, started
 
 import rendezvous_env as rv
 from rendezvous_env import Scenario, Sensing, Simulator, graphs
@@ -71,15 +71,13 @@ def walk(scenario, seed, num_envs, steps=12):
 
 def test_a_family_is_drawn_for_every_seed_and_episode_and_no_batch():
     graph = {"kind": "hexagon-and-chords", "weight_range": [0.5, 2.0]}
-    simulator = Simulator(FAMILY.replace(graph=graph), 40)
-    simulator.reset(3)
+    simulator = started(FAMILY.replace(graph=graph), 40, seed=3)
     weights = simulator.weights
     assert ((weights > 0).sum(axis=(1, 2)) == 2 * 7).all()
     assert len(np.unique(weights > 0, axis=0)) == 3  # chords to robots 2, 3 and 4
     positive = weights[weights > 0]
     assert 0.5 <= positive.min() < 0.7 and 1.8 < positive.max() <= 2.0
-    single = Simulator(simulator.scenario)
-    single.reset(3 + 7)
+    single = started(simulator.scenario, seed=3 + 7)
     np.testing.assert_array_equal(single.weights[0], weights[7])
     simulator.reset()
     assert not np.array_equal(simulator.weights, weights)
@@ -101,8 +99,7 @@ def test_a_family_is_a_graph_like_any_other():
 
 def test_a_family_that_fails_later_leaves_everything_as_it_was():
     graphs.family("moody", lambda n, random: [(i, i + 1) for i in range(n - 1)])
-    simulator = Simulator(FAMILY.replace(graph="moody"), 2)
-    simulator.reset(5)
+    simulator = started(FAMILY.replace(graph="moody"), 2, seed=5)
     graphs.family("moody", lambda n, random: [])
     with refusing(simulator, "'moody' drew a graph that is not connected"):
         simulator.reset(9)
@@ -209,8 +206,7 @@ def stepped(role, term):
     """A step of a team that is paid by a term, or told its cost."""
     rv.reward_term("mine", term)
     paid = {"reward": {"custom": {"mine": 1.0}}, "costs": ("mine",)}
-    simulator = Simulator(Scenario(**{role: paid[role]}))
-    simulator.reset(0)
+    simulator = started(Scenario(**{role: paid[role]}))
     simulator.step(np.zeros((1, 5, 2), np.float32))
 
 

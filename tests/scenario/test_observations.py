@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import UNEQUAL, five
+from conftest import UNEQUAL, five, started
 
 from rendezvous_env import Disc, ObservationLayout, Scenario, Simulator, Sphere
 
@@ -55,8 +55,7 @@ def test_merged_away_robots_are_not_seen_and_see_nothing(kind):
     scenario = five(kind)
     start = np.pad(START, ((0, 0), (0, scenario.dim - 2)))
     start[1] = start[0] + 0.05  # 0 and 1 are neighbours and merge at once
-    sim = Simulator(scenario)
-    sim.reset(0, {"positions": start})
+    sim = started(scenario, positions=start)
     seen = sim.step(np.zeros((1, 5, scenario.action_size))).observations[0]
     assert sim.active[0].tolist() == [True, False, True, True, True]
     assert not seen[1].any()  # gravity included
@@ -108,8 +107,7 @@ def test_zero_is_never_the_negative_zero(kind):
     scenario = five(kind)
     if not scenario.model.nonholonomic:  # bodies among discs are kinds that no other test needs
         scenario = scenario.replace(obstacle_slots=1)
-    sim = Simulator(scenario, 30)
-    sim.reset(0)
+    sim = started(scenario, 30)
     for _ in range(40):
         seen = sim.step(np.zeros((30, 5, scenario.action_size))).observations
     neighbours = seen[..., scenario.observation_layout.neighbours, :]

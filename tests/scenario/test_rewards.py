@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import five, law_of
+from conftest import five, law_of, started
 
 from rendezvous_env import Capsule, Disc, RewardWeights, Scenario, Simulator
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
@@ -37,8 +37,6 @@ def test_progress_telescopes_and_each_term_is_its_own(kind, name):
 
 ONLY = RewardWeights(0.0, 0.0, 0.0, 0.0, clearance_penalty=0.5)
 WORLD = (Disc((0.0, 0.0), 1.0), Capsule(((-1.0, 6.0), (1.0, 6.0)), 0.5))
-PLACES = [[1.5, 0.0], [0.0, 4.5], [8.0, 0.0]]
-"""0.5 m from the disc, 1 m from the capsule, out of sight."""
 
 
 def team(**changes: object) -> Scenario:
@@ -48,8 +46,8 @@ def team(**changes: object) -> Scenario:
 
 def test_each_robot_in_contact_costs_in_each_step():
     walls, paid = (Disc((-3.0, 0.0), 1.0), Disc((3.0, 0.0), 1.0)), RewardWeights(0.0, 0.0, 0.5, 0.0)
-    sim = Simulator(team(obstacles=walls, obstacle_contact="stop", reward=paid))
-    sim.reset(0, {"positions": [[-1.9, 0.0], [1.9, 0.0], [0.0, 5.0]]})
+    pressed = team(obstacles=walls, obstacle_contact="stop", reward=paid)
+    sim = started(pressed, positions=[[-1.9, 0.0], [1.9, 0.0], [0.0, 5.0]])
     into = np.array([[[-9.0, 0], [9.0, 0], [0, 0]]])
     for _ in range(4):
         outcome = sim.step(into)
@@ -59,9 +57,7 @@ def test_each_robot_in_contact_costs_in_each_step():
 
 
 def test_it_follows_the_clearances_of_every_step():
-    sim, random = Simulator(team(), 6), np.random.default_rng(0)
-    sim.reset(1)
-    paid = np.zeros(6)
+    sim, random, paid = started(team(), 6, seed=1), np.random.default_rng(0), np.zeros(6)
     for _ in range(80):
         running, took_part = ~sim.ended, sim.active
         out = sim.step(random.uniform(-2, 2, (6, 3, 2)))
@@ -74,8 +70,7 @@ def test_it_follows_the_clearances_of_every_step():
 
 
 def test_who_has_merged_pays_nothing_and_the_survivor_once():
-    sim = Simulator(team(), 6)
-    sim.reset(0, {"positions": [[1.5, 0.0], [1.5, 0.1], [8.0, 0.0]]})
+    sim = started(team(), 6, positions=[[1.5, 0.0], [1.5, 0.1], [8.0, 0.0]])
     sim.step(np.zeros((6, 3, 2)))
     assert sim.active[0].tolist() == [True, False, True]
     out = sim.step(np.zeros((6, 3, 2)))
@@ -85,8 +80,7 @@ def test_who_has_merged_pays_nothing_and_the_survivor_once():
 
 @pytest.mark.parametrize("changes", [{"obstacles": ()}, {"reward": RewardWeights(0, 0, 0, 0)}])
 def test_without_weight_or_obstacles_it_is_nothing(changes):
-    sim = Simulator(team(**changes), 6)
-    sim.reset(0, {"positions": PLACES})
+    sim = started(team(**changes), 6, positions=[[1.5, 0.0], [0.0, 4.5], [8.0, 0.0]])
     assert sim.step(np.zeros((6, 3, 2))).rewards[0] == 0
 
 
@@ -101,8 +95,7 @@ def test_what_a_step_may_cost_on_a_directed_graph():
         n_robots=n, graph=directed(sees), start_positions=places, local_frames="global",
         max_speed=1e-3, reward=RewardWeights(1.0, 0.0, 0.0, 0.0),
     )  # fmt: skip
-    sim = Simulator(scenario)
-    sim.reset(0)
+    sim = started(scenario)
     actions = np.zeros((1, n, 2))
     actions[0, :2, 0] = 1e-3, -1e-3
     (earned,) = sim.step(actions).rewards * sim.initial_lyapunov

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import shapely
+from conftest import started
 
 import rendezvous_env as rv
 from rendezvous_env import ObstacleField, Scenario, Simulator, WallField
@@ -20,8 +21,7 @@ def field(layout, **changes):
 
 
 def drawn(name, count):
-    simulator = Simulator(rv.scenarios.get(name), count)
-    simulator.reset(0)
+    simulator = started(rv.scenarios.get(name), count)
     return simulator.obstacles, simulator.positions
 
 
@@ -78,8 +78,7 @@ class TestLayouts:
 
     @pytest.mark.parametrize("layout", LAYOUTS)
     def test_boxes_are_as_long_and_thick_as_asked(self, layout):
-        simulator = Simulator(Scenario(n_robots=2, obstacles=field(layout)), 300)
-        simulator.reset(0)
+        simulator = started(Scenario(n_robots=2, obstacles=field(layout)), 300)
         corners = simulator.obstacles[..., DETAILS:].reshape(300, -1, 4, 2)
         edges = np.roll(corners, -1, axis=2) - corners
         lengths = np.linalg.norm(edges, axis=-1)
