@@ -87,7 +87,6 @@ KERNELS = tuple(
         "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[two rows]",
         "learn/test_networks.py::test_kernels_pool",
         "learn/test_updates.py::test_slopes",
-        "physics/test_capsules.py",
         "physics/test_chance.py::TestOneNumber::test_plain",
         "physics/test_chance.py::TestOneTurn::test_small",
         "physics/test_chance.py::test_every",
