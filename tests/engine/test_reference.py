@@ -1,7 +1,7 @@
 """The simulator against an independent integrator: DOP853, global positions, own merging."""
 
 import math
-from typing import NamedTuple
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,19 +17,6 @@ POSITIONS = np.array(
 HEADINGS = np.array([[0.3, 0.2], [-2.1, -0.3], [1.4, 0.1], [2.9, 0.4], [-0.8, -0.2]])
 GRAPHS = {"unequal": UNEQUAL, "complete": np.ones((5, 5)) - np.eye(5)}
 RADIUS = 0.25
-
-
-class Reference(NamedTuple):
-    """What the ordinary differential equation does."""
-
-    first_merge: float
-    """s."""
-    rendezvous: float
-    """s."""
-    positions: object
-    """time in s before the first merge → (n, d), m."""
-    largest_pitch: float
-    """Before the first merge, rad."""
 
 
 def velocities(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -70,8 +57,10 @@ def contracted(p, angles, a, i, j):
     return p[keep], angles[keep], a[np.ix_(keep, keep)]
 
 
-def integrate(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> Reference:
-    """Integrate to rendezvous, stopping at every merge."""
+def integrate(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> SimpleNamespace:
+    """Integrate to rendezvous, stopping at every merge: times of the first merge and of rendezvous,
+    s; what it was before that merge: positions of time, (n, d), m, and the largest pitch, rad.
+    """
     d, n_angles, now, first = p.shape[1], angles.shape[1], 0.0, None
     while len(p) > 1:
         n = len(p)
@@ -105,7 +94,8 @@ def integrate(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> Reference:
         if first is None:
             _, attitudes = unpack(solution.y.T.ravel(), solution.y.shape[1] * n)
             pitch = np.abs(attitudes[:, 1:]).max(initial=0.0)
-            first = (now, lambda t, u=unpack, y=solution.sol: u(y(t))[0], pitch)
+            before = lambda t, u=unpack, y=solution.sol: u(y(t))[0]  # noqa: E731
+            first = {"first_merge": now, "positions": before, "largest_pitch": pitch}
         p, angles, a = contracted(*unpack(solution.y[:, -1]), a, *links[which])
         while close := [
             (math.dist(p[i], p[j]), i, j)
@@ -114,7 +104,7 @@ def integrate(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> Reference:
             if a[i, j] > 0 and math.dist(p[i], p[j]) < RADIUS
         ]:
             p, angles, a = contracted(p, angles, a, *min(close)[1:])
-    return Reference(first[0], now, first[1], float(first[2]))
+    return SimpleNamespace(**first, rendezvous=now)
 
 
 def start_of(scenario: Scenario) -> dict:

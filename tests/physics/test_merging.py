@@ -45,18 +45,10 @@ class Moved:
         n = len(self.positions)
         links = links_of(np.array(weights, dtype=float))
         self.merged_into, self.report = np.arange(n), np.zeros(4)
+        team = self.positions, self.displacements, self.lengths, links, None, self.merged_into
         here, resting = np.empty_like(self.positions), np.empty(n, dtype=bool)
-        self.merges = merge_swept(
-            self.positions,
-            self.displacements,
-            self.lengths,
-            links,
-            None,
-            self.merged_into,
-            obstacles,
-            radius,
-            (np.empty(len(links[0])), here, resting, self.report),
-        )
+        work = np.empty(len(links[0])), here, resting, self.report
+        self.merges = merge_swept(*team, obstacles, radius, work)
         first, second, weight = (array[links[2] > 0] for array in links)
         self.weights = np.zeros((n, n))
         self.weights[first, second] = self.weights[second, first] = weight
@@ -130,9 +122,8 @@ def test_the_merged_robot_has_the_union_of_the_links_with_the_larger_weight():
 
 
 def test_merged_into_follows_the_survivor_through_several_merges():
-    apart = Scenario(
-        n_robots=4, graph="path", merge_radius=1.0, local_frames="global", max_speed=9.0
-    )
+    given = {"n_robots": 4, "graph": "path", "merge_radius": 1.0, "max_speed": 9.0}
+    apart = Scenario(**given, local_frames="global")
     sim = started(apart, positions=[[0.0, 0], [4, 0], [8, 0], [8.5, 0]])
     sim.step(np.zeros((1, 4, 2)))
     assert sim.merged_into.tolist() == [[0, 1, 2, 2]]
