@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from conftest import UNEQUAL
+from conftest import UNEQUAL, started
 from tuples import triple, world
 
 import baselines
 from rendezvous_env import Capsule, Disc, Polygon, Scenario, Simulator, Sphere
 from rendezvous_env.obstacles.obstacle_set import distance_to
+from rendezvous_env.trajectory import run
 
 FLAT = (
     Disc((0.0, 0.0), 1.0),
@@ -156,16 +157,12 @@ def test_teams_meet_under_the_damped_law(dim):
     scenario = Scenario(
         n_robots=5, dim=dim, robot_model="double_integrator", graph=UNEQUAL, obstacles=(FAR[dim],)
     )
-    policy, sim = baselines.make("damped", scenario), Simulator(scenario, 64)
-    seen = sim.reset(0)
-    energies, one_by_one = [], np.ones(64, bool)
-    while not sim.ended.all():
-        kinetic = 0.5 * (sim.velocities**2).sum((1, 2))
-        energies.append(np.where(sim.ended, np.nan, kinetic + 0.5 * sim.lyapunov()))
-        one_by_one &= sim.active.all(axis=1)
-        seen = sim.step(policy(seen, sim.time)).observations
+    sim = started(scenario, 64)
+    energies = [0.5 * sim.lyapunov()]  # all are at rest
+    for _ in run(sim, baselines.make("damped", scenario), sim.observe()):
+        energies.append(0.5 * (sim.velocities**2).sum((1, 2)) + 0.5 * sim.lyapunov())
         if len(energies) == 40:  # before anybody meets the energy has fallen, in each team
-            calm = one_by_one
+            calm = sim.active.all(axis=1)
             assert calm.sum() > 30 and (energies[-1] < energies[0])[calm].all()
     assert (sim.status == 1).all()
     assert sim.time.max() < 10.0

@@ -7,7 +7,7 @@ import pytest
 from conftest import UNEQUAL, actions_shape, assert_same_state, five, law_of, refusing, started
 from test_restart import halfway
 
-from rendezvous_env import Disc, Scenario, Simulator, graphs
+from rendezvous_env import Disc, Scenario, Simulator, Trajectory, graphs, rollout
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING, TIME_OUT
 from rendezvous_env.engine.stages.step import step_blocks
 
@@ -35,16 +35,10 @@ def start(scenario: Scenario, positions: np.ndarray, **more: object) -> dict:
     return {"positions": positions, **headed, **more}
 
 
-def follow(scenario: Scenario, options: dict) -> tuple[np.ndarray, np.ndarray, Simulator]:
-    """Observations and positions of every step under the paper's law."""
-    sim, policy = Simulator(scenario, 32), law_of(scenario)
-    observations = sim.reset(5, options)
-    seen, places = [observations], [sim.positions]
-    for _ in range(60):
-        observations = sim.step(policy(observations, sim.time)).observations
-        seen.append(observations)
-        places.append(sim.positions)
-    return np.stack(seen), np.stack(places), sim
+def follow(scenario: Scenario, options: dict) -> Trajectory:
+    """60 steps under the paper's law."""
+    brief = scenario.replace(time_limit=60 * scenario.tau)
+    return rollout(brief, law_of(scenario), 5, 32, options, record="observations")
 
 
 # ---- symmetries ---------------------------------------------------------------------------------
@@ -66,11 +60,11 @@ def test_scaling_r_and_the_step_too_a_whole_episode_looks_the_same(kind):
     near = five(kind)
     far = near.replace(merge_radius=4 * near.merge_radius)  # τ = r/(2D̄) scales along
     assert far.tau == 4 * near.tau
-    seen, places, sim = follow(near, {"positions": STARTS[near.dim]})
-    seen_far, places_far, _ = follow(far, {"positions": 4 * STARTS[near.dim]})
-    np.testing.assert_array_equal(seen_far, seen)
-    np.testing.assert_array_equal(places_far, 4 * places)
-    assert not sim.active.all()
+    one = follow(near, {"positions": STARTS[near.dim]})
+    other = follow(far, {"positions": 4 * STARTS[near.dim]})
+    np.testing.assert_array_equal(other.observations, one.observations)
+    np.testing.assert_array_equal(other.positions, 4 * one.positions)
+    assert not one.active.all()
 
 
 def test_rotating_and_moving_the_world_changes_no_observation(kind):
@@ -85,12 +79,11 @@ def test_rotating_and_moving_the_world_changes_no_observation(kind):
     else:
         frames = started(scenario, 32, seed=5)
         begin["frames"], turned["frames"] = frames.frames, turn @ frames.frames
-    seen, places, sim = follow(scenario, begin)
-    seen_turned, places_turned, _ = follow(scenario, turned)
-    assert not sim.active.all()
-    np.testing.assert_allclose(seen_turned, seen, atol=2e-4)
-    np.testing.assert_allclose(places_turned - shift, places @ turn.T, atol=1e-4)
-    np.testing.assert_allclose(seen_turned[0], seen[0], atol=3e-7)
+    one, other = follow(scenario, begin), follow(scenario, turned)
+    assert not one.active.all()
+    np.testing.assert_allclose(other.observations, one.observations, atol=2e-4)
+    np.testing.assert_allclose(other.positions - shift, one.positions @ turn.T, atol=1e-4)
+    np.testing.assert_allclose(other.observations[0], one.observations[0], atol=3e-7)
 
 
 def test_relabelling_the_robots_permutes_the_trajectories(kind):
@@ -99,14 +92,14 @@ def test_relabelling_the_robots_permutes_the_trajectories(kind):
     begin = start(scenario, STARTS[scenario.dim])
     renamed = {name: table[:, order] for name, table in begin.items()}
     graph = UNEQUAL[np.ix_(order, order)]
-    _, places, sim = follow(scenario, begin)
-    _, renamed_places, renamed_sim = follow(scenario.replace(graph=graph), renamed)
+    one, other = follow(scenario, begin), follow(scenario.replace(graph=graph), renamed)
     # float32 actions add up in another order, so trajectories agree to their rounding
-    calm = sim.active.all(axis=1) | (not scenario.model.nonholonomic)
+    calm = one.active[-1].all(axis=1) | (not scenario.model.nonholonomic)
     assert calm.sum() >= 10
-    np.testing.assert_allclose(renamed_places[:, calm], places[:, calm][:, :, order], atol=2e-5)
-    merged, renamed_merged = (each.active[calm].sum(axis=1) for each in (sim, renamed_sim))
-    np.testing.assert_array_equal(merged, renamed_merged)
+    places, renamed_places = one.positions[:, calm], other.positions[:, calm]
+    np.testing.assert_allclose(renamed_places, places[:, :, order], atol=2e-5)
+    left, renamed_left = (each.active[-1, calm].sum(axis=1) for each in (one, other))
+    np.testing.assert_array_equal(left, renamed_left)
 
 
 # ---- seeds and episodes -------------------------------------------------------------------------

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from conftest import five, law_of, started
 
-from rendezvous_env import Capsule, Disc, RewardWeights, Scenario, Simulator
-from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
+from rendezvous_env import Capsule, Disc, RewardWeights, Scenario
+from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.graphs import directed
+from rendezvous_env.trajectory import run
 
 
 @pytest.mark.parametrize("name", ["progress", "time", "bonus"])
@@ -15,19 +16,15 @@ def test_progress_telescopes_and_each_term_is_its_own(kind, name):
     alone = {"progress": (1, 0, 0, 0), "time": (0, 1, 0, 0), "bonus": (0, 0, 0, 1)}
     reward = RewardWeights(*alone[name])
     scenario = five(kind, reward=reward, time_limit=100.0, spawn_size=5.0)
-    sim, policy = Simulator(scenario, 8), law_of(scenario)
-    observations, total = sim.reset(0), np.zeros(8)
-    before = sim.lyapunov()
-    while (running := sim.status == RUNNING).any():
-        outcome = sim.step(policy(observations, sim.time))
-        observations, now = outcome.observations, sim.lyapunov()
+    sim, total = started(scenario, 8), np.zeros(8)
+    for step in run(sim, law_of(scenario), sim.observe()):
         expected = {
-            "progress": (before - now) / sim.initial_lyapunov * running,
-            "time": -1.0 * running / scenario.max_steps,
-            "bonus": running & (outcome.status == RENDEZVOUS),
+            "progress": (step.lyapunov - sim.lyapunov()) / sim.initial_lyapunov * step.running,
+            "time": -1.0 * step.running / scenario.max_steps,
+            "bonus": step.running & (sim.status == RENDEZVOUS),
         }
-        np.testing.assert_allclose(outcome.rewards, expected[name], atol=1e-13)
-        total, before = total + outcome.rewards, now
+        np.testing.assert_allclose(step.outcome.rewards, expected[name], atol=1e-13)
+        total += step.outcome.rewards
     assert (sim.status == RENDEZVOUS).all()
     expected = -sim.steps / scenario.max_steps if name == "time" else 1.0
     np.testing.assert_allclose(total, expected)
