@@ -203,19 +203,15 @@ def test_an_undirected_graph_moves_alike_however_it_is_said(name):
 
 
 def test_who_is_seen_need_not_see_and_both_merge():
-    made = scenario(
-        n_robots=2, graph=graphs.directed([(1, 0)], 2), start_positions=((0, 0), (1, 0))
-    )
-    sim = rv.Simulator(made)
-    rows = sim.reset(0)
-    assert rows[0].tolist() == [[[0.0, 0.0]], [[-1.0, 0.0]]]
-    assert sim.lyapunov() == pytest.approx(1.0), "an arc counts once"
-    while not sim.ended[0]:
-        rows = sim.step(rows[:, :, 0]).observations
-    assert sim.merged_into[0].tolist() == [0, 0]
+    graph, places = graphs.directed([(1, 0)], 2), ((0, 0), (1, 0))
+    made = scenario(n_robots=2, graph=graph, start_positions=places)
+    found = rv.rollout(made, lambda seen, time: seen[:, :, 0], record="observations")
+    assert found.observations[0, 0].tolist() == [[[0.0, 0.0]], [[-1.0, 0.0]]]
+    assert found.lyapunov[0] == pytest.approx(1.0), "an arc counts once"
+    assert found.active[-1, 0].tolist() == [True, False]
     # robot 0 never moved; they met at a distance r, and stand in the middle
-    assert sim.positions[0, 0, 0] == pytest.approx(made.merge_radius / 2)
-    assert sim.time[0] == pytest.approx(0.8, abs=made.tau)
+    assert found.positions[-1, 0, :, 0] == pytest.approx(made.merge_radius / 2)
+    assert found.rendezvous_time == pytest.approx(0.8, abs=made.tau)
 
 
 # ---- turns --------------------------------------------------------------------------------------
@@ -260,15 +256,11 @@ def test_graphs_are_drawn_for_every_team_and_the_same_again():
 def test_no_progress_is_earned_where_no_edge_was_at_the_start():
     turns, places = graphs.switching([np.zeros((3, 3)), "complete"], 0.5), ((0, 0), (1, 0), (0, 1))
     made = scenario(n_robots=3, graph=turns, start_positions=places)
-    sim = rv.Simulator(made)
-    rows, total = sim.reset(0), 0.0
-    assert sim.initial_lyapunov == 0.0
-    while not sim.ended[0]:
-        outcome = sim.step(rows.sum(axis=2))
-        rows, total = outcome.observations, total + outcome.rewards[0]
-    passed = sim.time[0] / made.time_limit
-    bonus = made.reward.rendezvous_bonus
-    assert total == pytest.approx(bonus - made.reward.time_penalty * passed, abs=1e-6)
+    found = rv.rollout(made, lambda seen, time: seen.sum(axis=2))
+    assert found.lyapunov[0] == 0.0 and found.success.all()
+    passed, reward = found.times[-1] / made.time_limit, made.reward
+    earned = reward.rendezvous_bonus - reward.time_penalty * passed
+    assert found.rewards.sum() == pytest.approx(earned, abs=1e-6)
 
 
 # ---- starts -------------------------------------------------------------------------------------

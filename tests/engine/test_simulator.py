@@ -10,6 +10,7 @@ from test_restart import halfway
 from rendezvous_env import Disc, Scenario, Simulator, Trajectory, graphs, rollout
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING, TIME_OUT
 from rendezvous_env.engine.stages.step import step_blocks
+from rendezvous_env.trajectory import run
 
 RANDOM = np.random.default_rng(11)
 STARTS = {d: RANDOM.uniform(-4, 4, size=(32, 5, d)) for d in (2, 3)}
@@ -171,11 +172,8 @@ def test_a_resting_team_that_starts_within_r_meets_in_its_first_own_step():
 def test_the_end_of_an_episode():
     duo = Scenario(n_robots=2, time_limit=1.0)
     sim = started(duo, 2, positions=[[[0, 0], [5, 0]], [[0, 0], [0.5, 0]]])
-    policy, steps = law_of(duo), 0
-    while (sim.status == RUNNING).any():
-        sim.step(policy(sim.observe(), sim.time))
-        steps += 1
-    assert steps == duo.max_steps == 10  # τ = 0.1 s
+    steps = list(run(sim, law_of(duo), sim.observe()))
+    assert len(steps) == duo.max_steps == 10  # τ = 0.1 s
     assert sim.status.tolist() == [TIME_OUT, RENDEZVOUS]
     assert sim.steps.tolist() == [10, 2]  # (0.5 − 0.2)/2 = 0.15 s
     np.testing.assert_allclose(sim.time, [1.0, 0.2])
