@@ -42,6 +42,7 @@ WRONG_ENTRIES = [
     ("positions", (1, 2, 0), np.nan, "positions[1, 2, 0] is nan; it must be finite"),
     ("weights", (0, 3), -1.0, "weights[0, 3] is -1.0; it must be 0 or more"),
     ("obstacles", (2, 0, KIND), 1e9, "obstacles[2, 0] is [1000000000.0, "),
+    ("obstacles", (2, 0, KIND), 4.0, "it must be a row that begins with one of [0, 1, 2, 3]"),
     ("obstacles", (2, 0, KIND), 1.5, "it must be a row that begins with one of [0, 1, 2, 3]"),
     ("obstacles", (2, 0, CORNERS), 3.0, "it must be a row with 3 to 4 corners if it is a polygon"),
     ("obstacles", (2, 1, CORNERS), 5.0, "it must be a row with 3 to 4 corners if it is a polygon"),

@@ -240,6 +240,7 @@ PLANE, SPACE, UNICYCLE = "single_integrator-2d", "single_integrator-3d", "unicyc
 PLACES, ALONE = STARTS[2][0], np.outer(np.arange(5) != 4, np.arange(5) != 4)
 BAD_OPTIONS = [
     (PLANE, "positions", np.zeros((4, 2)), r"has shape \(4, 2\); it must be \(5, 2\)"),
+    (SPACE, "positions", PLACES, r"has shape \(5, 2\); it must be \(5, 3\)"),
     (PLANE, "positions", STARTS[2][:7], r"has shape \(7, 5, 2\); it must be \(3, 5, 2\)"),
     (PLANE, "positions", spoilt(PLACES, (3, 1), np.nan), r"of robot_3 is \[.*nan\]; .* finite"),
     (UNICYCLE, "positions", np.zeros((5, 2)), "neighbours robot_0 and robot_1 both stand at"),
