@@ -86,22 +86,18 @@ def test_free_motion_against_its_own_sum(dim):
 @pytest.mark.parametrize("obstacle", [*FLAT, *SOLID], ids=lambda o: f"{type(o).__name__}{o.dim}")
 def test_nobody_gets_into_or_through_an_obstacle(obstacle, mode):
     """Robots that are driven at it from all sides, and then this way and that."""
-    dim, teams = obstacle.dim, TEAMS
+    dim = obstacle.dim
     scenario = two(dim, (obstacle,), obstacle_contact=mode, max_speed=30.0, max_acceleration=300.0)
-    sim, random = Simulator(scenario, teams, num_threads=1), np.random.default_rng(1)
-    sim.reset(3, {"positions": [[2.0] * dim, [50.0] * dim]})
-    touched = 0
+    sim, random, touched = begin(scenario, [2.0] * dim), np.random.default_rng(1), 0
     for k in range(150):
         before, velocity = sim.positions[:, 0], sim.velocities[:, 0]
-        actions = np.zeros((teams, 2, dim), np.float32)
-        actions[:, 0] = -30 * before - 4 * velocity + random.normal(0, 40, (teams, dim))
-        actions[:, 0] *= 1.0 if k % 10 else -10.0
-        outcome = sim.step(actions)
+        drawn = -30 * before - 4 * velocity + random.normal(0, 40, (TEAMS, dim))
+        outcome = push(sim, drawn * (1.0 if k % 10 else -10.0))
         contact = outcome.contact[:, 0]
         after, speeds = sim.positions[:, 0], np.linalg.norm(sim.velocities[:, 0], axis=-1)
         touched += contact.sum()
         assert (speeds <= 30.0 * (1 + 1e-12)).all()
-        for team in range(teams):
+        for team in range(TEAMS):
             nearest = clearance(scenario, after[team])
             assert nearest >= -1e-9
             assert outcome.clearance[team, 0] == pytest.approx(nearest, abs=1e-12)

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import UNEQUAL, actions_shape
+from conftest import UNEQUAL, actions_shape, started
 from scipy import stats
 from tuples import along, triple, world
 
@@ -46,10 +46,8 @@ def sensing(scenario: rv.Scenario, **fields) -> rv.Scenario:
     return scenario.replace(sensing=rv.Sensing(**fields))
 
 
-def simulator(scenario: rv.Scenario, batch: int = 6, seed: int = 3, **options) -> rv.Simulator:
-    sim = rv.Simulator(scenario, batch, **options)
-    sim.reset(seed)
-    return sim
+def simulator(scenario: rv.Scenario, batch: int = 6, seed: int = 3) -> rv.Simulator:
+    return started(scenario, batch, seed)
 
 
 def neighbours(sim: rv.Simulator) -> np.ndarray:
@@ -275,9 +273,8 @@ def test_what_stands_in_the_way_hides(what):
 
 
 def test_in_space_spheres_hide_what_is_behind_them():
-    sim = simulator(sensing(SPACE, occlusion="both"))
     places = np.array([[-3, 0.2, 0], [3, 0.2, 0], [0.3, 3, 0.05], [0.3, 5, 0.05], [0, 0, 4.0]])
-    sim.reset(0, {"positions": places})
+    sim = started(sensing(SPACE, occlusion="both"), positions=places)
     expected = OTHERS.copy()
     expected[0, 1] = expected[1, 0] = False  # behind the sphere
     assert (by_robot(neighbours(sim)).any(axis=-1) == expected).all()
