@@ -26,9 +26,6 @@ HEADINGS = np.zeros((TEAMS, 4, 2))
 AMONG = {"obstacles": (rv.Disc((0.0, 5.0), 1.0), SQUARE), "obstacle_slots": 3}
 
 
-# ---- outcomes, masks ----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "other",
     [
@@ -82,9 +79,6 @@ def test_bad_actions_send_no_team_on_to_its_next_episode():
     for wrong in (actions * np.nan, actions[:1]):
         with refusing(venv, "action"):
             venv.step(wrong)
-
-
-# ---- what robots see ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("batch", [1, TEAMS - 1, TEAMS + 1])
@@ -145,9 +139,6 @@ def test_alignments_refuse_a_step_of_other_robots(kind):
     ):
         with pytest.raises(ValueError, match="must be"):
             alignments(sim.scenario, wrong)
-
-
-# ---- memory -------------------------------------------------------------------------------------
 
 
 def test_what_does_not_fit_into_memory_is_told_before_it_is_taken():

@@ -159,9 +159,6 @@ def test_states_of_all_moments_are_taken(kind):
     assert anew.seeds.min() > 1
 
 
-# ---- states of what stands around a simulator ---------------------------------------------------
-
-
 def test_a_parallel_environment_takes_a_state_as_a_whole():
     env = parallel_env("fig3")
     env.reset(seed=0)

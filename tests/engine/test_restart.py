@@ -136,8 +136,6 @@ def test_every_team_sees_the_obstacles_of_its_own_episode():
     np.testing.assert_allclose(seen.clearance, nearest, rtol=1e-12)
 
 
-# ---- copies -------------------------------------------------------------------------------------
-
 CASES = {
     **{kind: five(kind) for kind in MODELS},
     **{kind: changing.scenario(**fields) for kind, fields in changing.KINDS.items()},

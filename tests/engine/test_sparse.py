@@ -149,9 +149,6 @@ def test_a_start_with_too_many_neighbours_is_refused():
     assert sim.step(np.zeros((1, 4, 2))).active.all()
 
 
-# ---- a thousand robots --------------------------------------------------------------------------
-
-
 def test_a_thousand_robots_in_every_environment():
     scenario = Scenario(n_robots=1000, graph="cycle", spawn_size=300.0, time_limit=1.0)
     venv, env = rv.make_vec(scenario, 2), rv.parallel_env(scenario)
@@ -168,9 +165,6 @@ def test_a_thousand_robots_in_every_environment():
     assert sim.nbytes < 2 * 1000 * 200  # of a team; a table of weights alone would be 8 MB
     played = rv.rollout(scenario, baselines.make("bearing-only", scenario))
     assert played.positions.shape[-3:] == (1, 1000, 2)
-
-
-# ---- state and options --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("n", [6, 60])

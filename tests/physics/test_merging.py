@@ -190,8 +190,6 @@ def test_no_merge_raises_v_above_the_bound(n, seed, in_an_obstacle):
     assert (moved.merged_into <= np.arange(n)).all()
 
 
-# ---- arcs ---------------------------------------------------------------------------------------
-
 PLACES = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 3.0], [2.0, 3.0]])
 ARCS = np.array([[0, 2.0, 0, 0], [0.5, 0, 0, 1.0], [0, 0.25, 0, 4.0], [3.0, 0, 0, 0]])
 

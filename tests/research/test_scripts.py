@@ -141,9 +141,6 @@ def test_an_obstacle_touched_is_not_clean():
     assert 0 < sum(met) < found.success.sum() and share == f"{5 * sum(met)} %"
 
 
-# ---- arguments ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -97,9 +97,6 @@ def test_zero_is_never_the_negative_zero(kind):
     assert not np.signbit(neighbours[neighbours == 0]).any()
 
 
-# ---- layout -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("layout", "neighbours", "obstacles", "gravity", "shape"),
     [

@@ -167,9 +167,6 @@ class TestDrawField:
         assert np.all(rows[count:, KIND] == ABSENT)
 
 
-# ---- capsules: pictures, and starts with them ---------------------------------------------------
-
-
 def test_outlines_are_those_of_the_capsule():
     (outline,) = outlines(pack((LOG,), 1), 2)
     away = [distance(corner, LOG) for corner in outline.vertices]

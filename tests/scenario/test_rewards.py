@@ -30,8 +30,6 @@ def test_progress_telescopes_and_each_term_is_its_own(kind, name):
     np.testing.assert_allclose(total, expected)
 
 
-# ---- touching obstacles, and keeping clear ------------------------------------------------------
-
 ONLY = RewardWeights(0.0, 0.0, 0.0, 0.0, clearance_penalty=0.5)
 WORLD = (Disc((0.0, 0.0), 1.0), Capsule(((-1.0, 6.0), (1.0, 6.0)), 0.5))
 
