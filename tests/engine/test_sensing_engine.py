@@ -193,12 +193,10 @@ def test_regular_polygons_grow_from_the_angle_of_theorem_n_on():
     start, grows = 3.0 * along(*72 * np.arange(5)), {}
     for share in (0.9, 1.05):
         cycle = PLANE.replace(graph="cycle", neighbour_slots=4)
-        scenario = sensing(cycle, error=share * math.pi / 5)
-        sim = rv.Simulator(scenario)
-        seen = sim.reset(0, {"positions": start})
+        sim = started(sensing(cycle, error=share * math.pi / 5), positions=start)
         before = sim.size()[0]
         for _ in range(20):
-            seen = sim.step(seen.sum(axis=2)).observations
+            sim.step(sim.observe().sum(axis=2))
         grows[share] = sim.size()[0] > before
     assert grows == {0.9: False, 1.05: True}
 

@@ -107,8 +107,8 @@ def test_relabelling_the_robots_permutes_the_trajectories(kind):
 
 
 def test_seeds_and_episodes(kind):
-    sim = Simulator(five(kind), 3)
-    first = sim.reset(8)
+    sim = started(five(kind), 3, seed=8)
+    first = sim.observe()
     assert sim.seeds.tolist() == [8, 9, 10]
     second = sim.reset()
     assert not np.array_equal(first, second)

@@ -1,5 +1,7 @@
 """A family of graphs, an imperfection and a reward term from a user's own file."""
 
+from itertools import islice
+
 import numpy as np
 import pytest
 from conftest import refusing, started
@@ -8,6 +10,7 @@ import rendezvous_env as rv
 from rendezvous_env import Scenario, Sensing, Simulator, graphs
 from rendezvous_env.checks import Registry
 from rendezvous_env.rewards.custom_terms import RewardStep
+from rendezvous_env.trajectory import run
 
 
 @graphs.family("hexagon-and-chords")
@@ -55,14 +58,12 @@ def towards(scenario):
     return lambda seen, time: seen[..., rows, :].sum(axis=-2)
 
 
-def walk(scenario, seed, num_envs, steps=12):
-    """Observations, rewards and rewards of robots of some steps, (steps, B, …)."""
-    simulator, act = Simulator(scenario, num_envs), towards(scenario)
-    observations, found = simulator.reset(seed), []
-    for _ in range(steps):
-        outcome = simulator.step(act(observations, 0.0))
-        observations = outcome.observations
-        found.append((observations, outcome.rewards.copy(), outcome.robot_rewards))
+def walk(scenario, seed, num_envs):
+    """Observations, rewards and rewards of robots of 12 steps, (12, B, …)."""
+    simulator, found = started(scenario, num_envs, seed), []
+    for step in islice(run(simulator, towards(scenario), simulator.observe()), 12):
+        given = step.outcome
+        found.append((given.observations, given.rewards.copy(), given.robot_rewards))
     return [np.array(each) for each in zip(*found, strict=True)]
 
 
@@ -176,22 +177,21 @@ def test_no_theorem_covers_a_custom_sensor():
 def test_terms_are_added_with_their_weights(on_merge):
     plain = Scenario(n_robots=3, on_merge=on_merge, time_limit=20.0)
     paid = plain.replace(reward=rv.RewardWeights(custom={"effort": -0.5, "spread": 2.0}))
-    steps, scenarios = 60, (plain, paid)
-    (_, usual, each_usual), (_, earned, each_earned) = (walk(s, 1, 2, steps) for s in scenarios)
-    simulator, act = Simulator(plain, 2), towards(plain)
-    observations = simulator.reset(1)
-    for k in range(steps):
-        actions, took_part = act(observations, 0.0), simulator.active
-        running = ~simulator.ended
-        observations = simulator.step(actions).observations
+    simulator, other = (started(scenario, 2, seed=1) for scenario in (plain, paid))
+    for _ in range(60):
+        took_part, running = simulator.active, ~simulator.ended
+        actions = towards(plain)(simulator.observe(), 0.0)
+        usual, earned = simulator.step(actions), other.step(actions)
         centred = simulator.positions - simulator.positions.mean(axis=1, keepdims=True)
         size = 2.0 * np.linalg.norm(centred, axis=-1).mean(axis=-1)
         effort = -0.5 * np.linalg.norm(actions, axis=-1)
         team = np.where(took_part, effort, 0.0).sum(axis=1) / took_part.sum(axis=1)
-        np.testing.assert_allclose(earned[k] - usual[k], running * (team + size), atol=1e-6)
+        more = earned.rewards - usual.rewards
+        np.testing.assert_allclose(more, running * (team + size), atol=1e-6)
         earning = (took_part | (on_merge == "follow")) & running[:, None]
         each = np.where(earning, effort + size[:, None], 0.0)
-        np.testing.assert_allclose(each_earned[k] - each_usual[k], each, atol=1e-6)
+        more = earned.robot_rewards - usual.robot_rewards
+        np.testing.assert_allclose(more, each, atol=1e-6)
 
 
 # ---- what is refused ----------------------------------------------------------------------------
