@@ -107,8 +107,7 @@ def test_survivors_are_their_own():
 
 
 def test_lists_are_taken_or_refused_as_a_whole():
-    sim, ragged = Simulator(*SIMULATORS["team"]), [[1.0], [2.0, 3.0]]
-    sim.reset(0)
+    sim, ragged = started(*SIMULATORS["team"]), [[1.0], [2.0, 3.0]]
     sim.step(np.ones((TEAMS, 5, 2)))
     state = sim.get_state()
     for name in ("positions", "weights", "steps", "seed", "merged_into", "obstacles"):

@@ -25,25 +25,25 @@ WEB = Scenario(
     allow_long_step=True,
     max_speed=4.0,
 )
-SCENARIOS = {
+FAST = {
     "ring": RING,
     "web": WEB,
-    "web with 40 rows": WEB.replace(neighbour_slots=40),
-    "ring in space": RING.replace(dim=3),
     "errors among obstacles": RING.replace(
         obstacles=[rv.Disc((1.0, 1.0), 0.8), rv.Capsule(((-3.0, -0.5), (-3.0, 0.5)), 1.0)],
         neighbour_slots=59,
         sensing=rv.Sensing(noise=0.1, dropout=0.2, occlusion="both"),
     ),
-    "unicycles": RING.replace(robot_model="unicycle"),
     "drawn weights": RING.replace(graph=graphs.path((0.5, 2.0))),
     "tree": RING.replace(
         graph=graphs.random_tree(), max_speed=3.0, time_step=0.02, allow_long_step=True
     ),
 }
-
-COVERED = ("web with 40 rows", "ring in space", "unicycles")
-"""By the others together, but for how they are compiled."""
+SLOW = {
+    "web with 40 rows": WEB.replace(neighbour_slots=40),
+    "ring in space": RING.replace(dim=3),
+    "unicycles": RING.replace(robot_model="unicycle"),
+}
+"""Covered by the others together, but for how they are compiled."""
 
 
 def simulators(scenario: Scenario, batch: int, monkeypatch) -> tuple[Simulator, Simulator]:
@@ -57,11 +57,10 @@ def simulators(scenario: Scenario, batch: int, monkeypatch) -> tuple[Simulator, 
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.slow] if name in COVERED else []) for name in SCENARIOS],
+    "name", [*FAST, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)]
 )
 def test_lists_of_links_give_the_motion_of_all_pairs(name, monkeypatch):
-    scenario = SCENARIOS[name]
+    scenario = (FAST | SLOW)[name]
     lists, pairs = simulators(scenario, 5, monkeypatch)
     observations = lists.reset(SEED)
     layout = scenario.observation_layout
