@@ -100,7 +100,7 @@ def is_sequence(value: Any) -> bool:
     return isinstance(value, Sequence) and not isinstance(value, str | bytes)
 
 
-# ---- one value: a check takes the name of a field and its value, and returns what is kept --------
+# A check of one value takes the name of a field and its value, and returns what is kept.
 
 
 def number(
@@ -228,9 +228,6 @@ def bools(field: str, value: Any, shape: tuple[int, ...] | None, of_what: str) -
     return array
 
 
-# ---- words ---------------------------------------------------------------------------------------
-
-
 def nearest_word(word: Any, words: Iterable[str], cutoff: float = 0.65) -> str | None:
     """The known word that other packages call ``word``, or the one most like it (at least
     ``cutoff`` of 1), or one of which it is a part, between - and _.
@@ -273,8 +270,6 @@ def load(library: str, what: str, extra: str) -> Any:
         remedy = f"pip install 'rendezvous-env[{extra}]'"
         raise ImportError(f"{what} needs {library}: {remedy}", name=library) from error
 
-
-# ---- dataclasses whose annotations say what is right ---------------------------------------------
 
 Metres = Annotated[float, partial(positive, unit="m")]
 Seconds = Annotated[float, partial(positive, unit="s")]

@@ -232,9 +232,6 @@ def team_options(options: Sequence[Mapping[str, Any]], dim: int) -> dict[str, An
     return {key: stacked(key) if key in own_of_each else first[key] for key in first}
 
 
-# ---- rewards that a wrapper has changed ---------------------------------------------------------
-
-
 class RewardShaping:
     """Rewards of single robots where wrappers of a user's own have changed those of their teams.
 

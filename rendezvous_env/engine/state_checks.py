@@ -140,9 +140,6 @@ class Remembering:
         return checked
 
 
-# ---- the state of a simulator -------------------------------------------------------------------
-
-
 def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
     """Refuse a state as ``Simulator.get_state`` gives it, of the right shapes and types, that no
     episode can be in, with a ValueError that names the entry, its value, and what would be right.
@@ -230,9 +227,6 @@ def _check_neighbours(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> 
             f"state: weights give robot_{where[1]} of team {where[0]} {counts[where]} neighbours; "
             f"there are rows for neighbour_slots = {slots}"
         )
-
-
-# ---- arrays from outside ------------------------------------------------------------------------
 
 
 def check_output(output: Any, wanted: tuple[tuple[tuple[int, ...], Any], ...]) -> None:

@@ -230,7 +230,7 @@ class HoldsFilter:
         self._note_seen()
 
 
-# ---- constructors of the four wrappers, the same for both APIs -----------------------------------
+# Constructors of the four wrappers, the same for both APIs.
 
 
 def declared_for(kind: type[SafetyFilter]) -> Callable[[_Constructor], _Constructor]:

@@ -291,9 +291,6 @@ class OneTeam:
         self.renderer.close()
 
 
-# ---- infos in Gymnasium's form ------------------------------------------------------------------
-
-
 def tell_ends(
     seen: NDArray[np.float32], ended: NDArray[np.bool_], infos: Info, mode: AutoresetMode
 ) -> bool:

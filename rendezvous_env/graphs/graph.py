@@ -145,8 +145,6 @@ class Graph:
         """Whether it is neither directed nor changes: what theorems A, C and D ask for."""
         return not (self.directed or self.changes)
 
-    # ---- edges --------------------------------------------------------------------------------
-
     def links(self, n: int) -> LinkArrays:
         """The edges before drawing, sorted; refused if they are for another number of robots."""
         if not isinstance(self.edges, Edges) or n != self.n_nodes:
@@ -168,8 +166,6 @@ class Graph:
         """Weights before drawing, (n, n): an episode keeps some edges and scales each by a draw."""
         weights: NDArray[np.float64] = self.sparse_weights(n).toarray()
         return weights
-
-    # ---- numbers of theory 3 and 4 ------------------------------------------------------------
 
     def components(self, n: int) -> list[list[int]]:
         """Connected components as lists of robot indices; a family only draws connected graphs."""
@@ -222,8 +218,6 @@ class Graph:
     def start_reach(self, scenario: Any) -> float:
         """Links up to this length, m, must connect every start that is drawn; inf asks nothing."""
         return float(np.inf)
-
-    # ---- plain data ---------------------------------------------------------------------------
 
     def to_plain(self) -> str | dict[str, Any]:
         """The graph as plain data for TOML; ``parse`` turns it back into an equal graph."""

@@ -131,7 +131,6 @@ def check_weights(
             raise ValueError(f"{field}: weight a[{i}, {j}] = {weights[i, j]} {reason}")
 
 
-# ---- numbers ------------------------------------------------------------------------------------
 # Weights are an (n, n) matrix, an array or a sparse one of SciPy's; the work follows the edges.
 
 

@@ -43,8 +43,6 @@ class AnyObstacles(NamedTuple):
 
 ObstacleSet = RoundObstacles | AnyObstacles
 
-# ---- questions to the shape of obstacle m -------------------------------------------------------
-
 
 def _asked(question: str) -> Any:
     """By the type of the set: what its balls answer, or one kind after another."""
@@ -158,9 +156,6 @@ def silhouette_3d(world, m, point, net_bearing, axis_x, axis_y, out):
     towards = centre_direction(point, centre_of_row(world.shapes[m]))
     e, w = azimuth_axes(towards, net_bearing, axis_x, axis_y)
     _cone(world, m, point, (towards, e, w), out)
-
-
-# ---- tables -------------------------------------------------------------------------------------
 
 
 def pack(

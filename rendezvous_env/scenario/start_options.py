@@ -169,8 +169,6 @@ _READERS: dict[str, Callable[[Any, int, Any], NDArray[np.float64]]] = {
 """In the order of ``StartOptions``."""
 OPTIONS = tuple(_READERS)
 
-# ---- positions, of a scenario too ----------------------------------------------------------------
-
 
 def check_table(field: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """A float64 array of a shape, of numbers within the limits; a wrong robot is named."""
@@ -215,9 +213,6 @@ def check_apart(field: str, positions: NDArray[np.float64], least: float) -> Non
         apart = f"{distances[i, j]:.4g} m apart; it must be"
         wanted = f"at least {exact(least)} m, two body_radius"
         raise ValueError(f"{field}: robot_{i} and robot_{j} stand {apart} {wanted}")
-
-
-# ---- seeds -------------------------------------------------------------------------------------
 
 
 def seeds_of_teams(seed: Any, num_envs: int) -> list[int | None] | None:

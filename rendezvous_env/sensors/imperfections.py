@@ -117,9 +117,6 @@ def _like(row, v):
     return v
 
 
-# ---- range, field of view, and what stands between -----------------------------------------------
-
-
 @kernel(inline="code")
 def is_seen(offset, reach, half_field):
     """Whether a place at an offset, m, from the robot in its own frame is in range and in view.
@@ -152,9 +149,6 @@ def is_hidden_by_robot(offset, other, radius):
     if along <= 0.0 or other_squared >= distance_squared:
         return False
     return other_squared - along * along / distance_squared < radius * radius
-
-
-# ---- what is turned ------------------------------------------------------------------------------
 
 
 @kernel(inline="code")

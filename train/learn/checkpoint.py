@@ -151,9 +151,6 @@ def restore_random(state: Mapping[str, NDArray[Any]]) -> None:
     torch.set_rng_state(torch.from_numpy(state["torch"]))
 
 
-# ---- resume -------------------------------------------------------------------------------------
-
-
 def where_to_begin(config: Config, console: Console) -> tuple[Config, Path | None]:
     """The settings that hold, and the checkpoint to begin with; None begins at step 0."""
     if (folder := config.resume) is None:

@@ -110,9 +110,6 @@ def _turn_side(layout, side, errors, words, row):
         _turn(layout, errors.noise, words[_NOISE, side], words[_NOISE, 2 + side], row)
 
 
-# ---- neighbours ---------------------------------------------------------------------------------
-
-
 @inner_kernel(inline="code")
 def _all_pairs(block, links, scratch):
     for e in range(links.first.shape[0]):
@@ -195,9 +192,6 @@ def _keep(there, layout, row, lane):
     for k in range(len(layout.axes)):
         value = row[len(layout.axes) * lane + k]
         row[len(layout.axes) * lane + k] = value if there else _ZERO
-
-
-# ---- silhouettes --------------------------------------------------------------------------------
 
 
 @inner_kernel
