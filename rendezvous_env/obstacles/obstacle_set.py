@@ -170,9 +170,10 @@ def pack(
         there = f"the scenario has room for {slots}; set its obstacle_slots"
         raise ValueError(f"obstacles: {len(rows)} given, but {there}")
     if width is not None and needed > width:
+        large = next(k for k, row in enumerate(rows) if len(row) > width)
         raise ValueError(
-            "obstacles: one has more corners than any of the scenario's own obstacles, or is a "
-            "capsule where the scenario has none"
+            f"obstacles[{large}] is {shown(obstacles[large])}, which needs a longer row than the "
+            "scenario's own obstacles; it must be of their kinds, a polygon of no more corners"
         )
     table = np.full((slots, width or needed), float(ABSENT))
     for row, packed in zip(table, rows, strict=False):
