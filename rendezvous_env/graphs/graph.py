@@ -17,7 +17,7 @@ from .. import checks
 from ..checks import shown
 from ..limits import MOST_ROBOTS
 from . import weights as matrices
-from .weights import Edges, check_weights, checked_edges, count_of
+from .weights import Edges, check_weights, checked_edges
 
 GraphLike = Any
 """A Graph, the name of a kind, a matrix of weights, or plain data."""
@@ -126,7 +126,7 @@ class Graph:
         checks.check_fields(self, "graph: {}")
         if self.kind == self.listed:
             edges = self.edges if isinstance(self.edges, Edges) else matrices.read_edges(self.edges)
-            count = self.n_nodes or (count_of(edges) if edges else None)
+            count = self.n_nodes or (1 + max(max(0, i, j) for i, j, _ in edges) if edges else None)
             n = checks.whole("graph: n_nodes", count, 1, MOST_ROBOTS)
             object.__setattr__(self, "n_nodes", n)
             kept = checked_edges(edges, n, directed=self.directed)

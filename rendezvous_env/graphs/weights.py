@@ -67,11 +67,6 @@ def _as_edge(edge: Any) -> tuple[int, int, float]:
     return int(i), int(j), real(weight)
 
 
-def count_of(edges: Iterable[tuple[int, int, float]]) -> int:
-    """One more than the largest index."""
-    return 1 + max((max(0, i, j) for i, j, _ in edges), default=0)
-
-
 def checked_edges(edges: Any, n: int, *, directed: bool) -> Edges:
     """Edges of ``read_edges`` as a graph of n robots keeps them, undirected ones with i < j, each
     of two different robots and once, or they are refused.
