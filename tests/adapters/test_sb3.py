@@ -34,11 +34,8 @@ SETTINGS = {
 
 
 @pytest.fixture(autouse=True)
-def one_torch_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+def one_torch_thread(set_threads):
+    set_threads(1)
 
 
 def collected(algorithm, env):

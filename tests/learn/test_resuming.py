@@ -126,11 +126,10 @@ class TestResume:
         (copied / "config.json").write_text(json.dumps(plain))
         assert resumed(copied, total_steps=13 * UPDATE).steps == 13 * UPDATE
 
-    def test_a_flag_that_is_given_as_its_default_is_given(self, copied, capsys):
+    def test_a_flag_that_is_given_as_its_default_is_given(self, copied):
         """Three million decisions more than the run was to take; one that says nothing is over."""
         asked = ppo.Config(resume=copied, total_steps=3_000_000, eval_starts=200, eval_every=0)
         assert ppo.run(asked, lambda update, metrics: True).steps == 13 * UPDATE
-        assert "stopped by on_update" in capsys.readouterr().out
         stored = json.loads((copied / "config.json").read_text())
         assert (stored["total_steps"], stored["eval_starts"]) == (3_000_000, 200)
         words = ["--total-steps", "3000000", "--eval-starts", "200"]
@@ -142,12 +141,9 @@ class TestResume:
             assert (on.total_steps, on.eval_starts, on.checkpoint_every) == found
 
     def test_before_the_first_checkpoint(self, whole, tmp_path, monkeypatch):
-        def killed(self, state):
-            raise KeyboardInterrupt
-
         folder = tmp_path / "run"
-        monkeypatch.setattr(trainer.Trainer, "save", killed)
-        with pytest.raises(KeyboardInterrupt):
+        monkeypatch.setattr(trainer.Trainer, "save", lambda *state: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
             ppo.run(config(folder))
         monkeypatch.undo()
         resumed(folder)
@@ -159,12 +155,9 @@ class TestResume:
         words = flags(folder)
         for _ in range(kills):
             before, deadline = self.step_of(folder), time.monotonic() + 120
-            process = subprocess.Popen(
-                [sys.executable, "-m", "train.cli", "train", *words],
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                text=True,
-            )
+            command = [sys.executable, "-m", "train.cli", "train", *words]
+            pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+            process = subprocess.Popen(command, text=True, **pipes)
             while self.step_of(folder) == before and process.poll() is None:
                 assert time.monotonic() < deadline
                 time.sleep(0.01)
