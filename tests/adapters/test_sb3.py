@@ -22,15 +22,9 @@ from train.learn.rollout_buffer import RobotPPO
 TEAMS, STEPS = 8, 90
 GAMMA, LAMBDA = 0.95, 0.9
 SETTINGS = {
-    "n_steps": STEPS,
-    "batch_size": 64,
-    "n_epochs": 1,
-    "gamma": GAMMA,
-    "gae_lambda": LAMBDA,
-    "policy_kwargs": {"net_arch": [16]},
-    "device": "cpu",
-    "seed": SEED,
-}
+    "n_steps": STEPS, "batch_size": 64, "n_epochs": 1, "gamma": GAMMA, "gae_lambda": LAMBDA,
+    "policy_kwargs": {"net_arch": [16]}, "device": "cpu", "seed": SEED,
+}  # fmt: skip
 
 
 @pytest.fixture(autouse=True)
@@ -253,13 +247,11 @@ def test_teams_can_be_filmed(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "moviepy", ModuleType("moviepy"))
     robots = make_robots(SCENARIO, 2, render_mode="rgb_array")
     film = VecVideoRecorder(robots, str(tmp_path), lambda step: step == 0, video_length=9)
-    film.reset()
-    film.step(np.zeros((6, 2), np.float32))
-    (first, second), film.recorded_frames = film.recorded_frames, []
+    film.reset(), film.step(np.zeros((6, 2), np.float32))
+    (_, last), film.recorded_frames = film.recorded_frames, []
     assert film.frames_per_sec == robots.teams.metadata["render_fps"]
-    pictures = robots.get_images()
-    np.testing.assert_array_equal(pictures, robots.teams.render())
-    assert first.dtype == np.uint8 and second.size >= pictures[0].size + pictures[1].size
+    np.testing.assert_array_equal(pictures := robots.get_images(), robots.teams.render())
+    assert last.size >= sum(picture.size for picture in pictures)
 
 
 def test_options_of_slots_are_alike_in_all_teams_or_refused():
@@ -269,8 +261,7 @@ def test_options_of_slots_are_alike_in_all_teams_or_refused():
     env.reset()
     np.testing.assert_array_equal(*env.simulator.obstacles)
     assert env.simulator.obstacles.any()
-    none = [{"obstacles": None}, {}] * ROBOTS  # as if they were not given
-    env.set_options(none)
+    env.set_options([{"obstacles": None}, {}] * ROBOTS)  # as if they were not given
     env.reset()
     env.set_options([{"obstacles": [rv.Disc((slot, 0.0), 0.1)]} for slot in range(2 * ROBOTS)])
     with pytest.raises(ValueError, match="all teams need the same keys and obstacles"):

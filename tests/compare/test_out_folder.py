@@ -13,7 +13,6 @@ from conftest import contents
 from training_runs import UPDATE
 from training_runs import config as training
 
-from baselines.learned import shipped
 from train import cli, resume
 from train.checks import UserError
 from train.compare import compare, out_folder, playing, upper_bound
@@ -141,23 +140,6 @@ class TestGoingOn:
         registry["zero"] = registry["zero"]._replace(build=lambda scenario: None)
         found.append(playing.plan_of(jobs, settings))
         assert len(set(map(resume.run_id, found))) == 3
-
-    def test_weights_that_change_while_they_are_compared(self, tmp_path, monkeypatch):
-        """As those of a run that trains on: rows would be of several networks."""
-        run, real = tmp_path / "run", playing.play_block
-        shutil.copytree(shipped.folder("learned"), run)
-
-        def play_block(*given):
-            done = real(*given)
-            shutil.copytree(shipped.folder("learned-tank"), run, dirs_exist_ok=True)
-            return done
-
-        monkeypatch.setattr(playing, "play_block", play_block)
-        monkeypatch.setattr(playing, "BLOCK", 2)
-        settings = config(tmp_path / "out", policies=(f"learned:{run}",), ceiling=0)
-        with pytest.raises(UserError, match="was changed since the comparison began"):
-            compare.run(settings)
-        assert not settings.out.exists()
 
 
 class TestPlace:
