@@ -96,7 +96,7 @@ def test_stock_ppo_gets_the_same_rewards_and_values_from_the_infos():
 
 def test_batches_hold_every_lived_sample_once_and_no_other():
     buffer = collected(RobotPPO, make_robots(SCENARIO, TEAMS)).rollout_buffer
-    expected = np.sort(buffer.log_probs.swapaxes(0, 1)[buffer.mask.T])
+    expected = np.sort(buffer.log_probs[buffer.mask])
     batches = list(buffer.get(64))
     least = len(expected) // len(batches)
     assert {len(batch.returns) for batch in batches} <= {least, least + 1}
@@ -226,9 +226,8 @@ def test_what_cannot_be_followed_is_refused():
         RobotVecEnv(rv.make_vec(SCENARIO, 2))
     with pytest.raises(ValueError, match="SAME_STEP"):
         make_robots(SCENARIO, 2, autoreset_mode="NextStep")
-    robots = make_robots(SCENARIO, 2)
     with pytest.warns(UserWarning, match="already wrapped with a `Monitor`"):
-        counted_twice = VecMonitor(robots)
+        counted_twice = VecMonitor(make_robots(SCENARIO, 2))
     with pytest.raises(TypeError, match="norm_obs"):
         RobotPPO("MlpPolicy", VecNormalize(counted_twice), **SETTINGS).learn(10)
 

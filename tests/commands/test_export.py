@@ -94,10 +94,8 @@ class TestNetwork:
         hidden = np.zeros((2, 50, RECURRENT.units), dtype=np.float32)
         for _ in range(5):
             shown = export.drawn_tables(layout, 50, random)
-            wanted, found = (
-                network.preferences(shown, own)
-                for network, own in zip(networks, hidden, strict=True)
-            )
+            pairs = zip(networks, hidden, strict=True)
+            wanted, found = (network.preferences(shown, own) for network, own in pairs)
             np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-4)
             np.testing.assert_allclose(hidden[1], hidden[0], atol=1e-5)
         assert np.abs(hidden[0]).max() > 0.3
@@ -178,7 +176,7 @@ class TestErrors:
         content, path = (exported / "learned.onnx").read_bytes(), tmp_path / "x.onnx"
         first, random = content.index(BEFORE_DIGEST), np.random.default_rng(1)
         own = range(first - 2, first + len(BEFORE_DIGEST) + 65)
-        for k in (*own, *random.integers(0, len(content), 40).tolist()):
+        for k in (*own, *random.integers(0, len(content), 40)):
             damaged = content[:k] + bytes([content[k] ^ 1]) + content[k + 1 :]
             refused(path, damaged, r"x\.onnx: .*digest")
         model = onnx.load(exported / "learned.onnx")
