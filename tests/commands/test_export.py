@@ -17,7 +17,7 @@ from baselines.learned.learned_policy import load
 from baselines.learned.numpy_actor import NumpyActor
 from baselines.learned.onnx_network import DIGEST_KEY, SETTINGS_KEY, OnnxNetwork, digest_of
 from baselines.learned.policy_settings import PolicySettings
-from train import checks, cli, export, policies, standalone
+from train import cli, export, policies, standalone
 from train.compare import playing
 from train.compare.settings import Config, Job
 from train.learn.recurrent import RecurrentNetwork
@@ -149,14 +149,9 @@ class TestPolicy:
 
 
 class TestErrors:
-    def test_a_file_is_not_exported_again_and_a_missing_extra_is_named(
-        self, exported, one_line, monkeypatch
-    ):
+    def test_a_file_is_not_exported_again(self, exported, one_line):
         said = one_line("export", "--policy", f"learned:{exported / 'learned.onnx'}")
         assert "learned.onnx: is exported already" in said
-        monkeypatch.setattr(checks.importlib.util, "find_spec", lambda name: None)
-        said = one_line("export")
-        assert "export needs onnx; pip install 'rendezvous-env[export]'" in said
 
     def test_a_file_that_errs_does_not_take_its_place(self, monkeypatch, one_line, tmp_path):
         path, made = tmp_path / "policy.onnx", export.model_of

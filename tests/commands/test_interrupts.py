@@ -185,6 +185,6 @@ def test_a_comparison_that_is_killed_at_any_moment_leaves_a_folder_that_is_whole
         if status == 0:
             assert there == seed
             runs += 1
-    assert live(comparison(out, 1), tmp_path) == 0 and files(out) == whole[1]
+    assert live(comparison(out, seed), tmp_path) == 0 and files(out) == whole[seed]
     left = {path.name for path in tmp_path.iterdir()} - {"whole-0", "whole-1"}
     assert left == {"out"}

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from training_runs import SMALL, UPDATE, network
 
 import rendezvous_env as rv
-from train import checks, interrupts, tasks
+from train import interrupts, tasks
 from train.checks import UserError
 from train.compare import compare, playing
 from train.learn import command
@@ -90,12 +90,6 @@ class TestEach:
         monkeypatch.setattr(tasks, "_ALONE", 60.0)
         found = list(each(where, range(5), Workers(jobs=2)))
         assert {result[1] for _, result in found} == {os.getpid()}
-
-
-def test_a_missing_ray(monkeypatch):
-    monkeypatch.setattr(checks.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r"--backend ray needs ray; pip install 'rend.*\[ray\]"):
-        Workers(on="ray").check_workers()
 
 
 def test_a_comparison_by_two_is_that_of_one(tmp_path, monkeypatch):

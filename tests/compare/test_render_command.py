@@ -1,7 +1,5 @@
 """``rendezvous render``: films and figures of one episode."""
 
-import sys
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -116,14 +114,6 @@ def test_stills_are_figures_of_the_best_policy_that_fits(scenario, best, tmp_pat
 
 
 class TestMistakes:
-    @pytest.mark.parametrize(
-        ("missing", "path"), [("imageio_ffmpeg", "a.mp4"), ("PIL", "a.gif"), ("pygame", "a.gif")]
-    )
-    def test_a_missing_library_is_named(self, missing, path, tmp_path, monkeypatch):
-        monkeypatch.setitem(sys.modules, missing, None)
-        with pytest.raises(UserError, match=rf"{path} needs {missing}; pip .*-env\[render\]'"):
-            make(tmp_path / path)
-
     def test_a_folder_in_the_way_leaves_nothing_behind(self, tmp_path):
         (tmp_path / "a.gif").mkdir()
         with pytest.raises(UserError, match=r"--out .*a\.gif: cannot write there"):
