@@ -142,9 +142,9 @@ class TestMeasures:
             seen[..., 0] *= 0.1
             return 5.0 * seen.sum(axis=-2)
 
+        duo, laws = scenarios.get("duo"), (lambda seen, time: turned(seen.copy(), time), turned)
         usual, spoilt = (
-            play(scenarios.get("duo"), lambda law=law: law, margin=None, episodes=2, seed=0)[0]
-            for law in (lambda seen, time: turned(seen.copy(), time), turned)
+            play(duo, lambda law=law: law, margin=None, episodes=2, seed=0)[0] for law in laws
         )
         assert (usual.min_alignment < 0.9).all()
         np.testing.assert_array_equal(spoilt.min_alignment, usual.min_alignment)
@@ -279,10 +279,8 @@ class TestStatistics:
         assert most < 3e8 and 0.49 < low < 0.5 < high < 0.51
 
     def test_without_law_1_the_best_is_the_reference(self):
-        worse = batch(clean=np.zeros(4, bool))
-        assert [
-            row["policy"] for row in statistics.compare_pairs("s", {"a": worse, "b": batch()})
-        ] == ["a"]
+        two = {"a": batch(clean=np.zeros(4, bool)), "b": batch()}
+        assert [row["policy"] for row in statistics.compare_pairs("s", two)] == ["a"]
 
 
 def test_nobody_gets_round_the_wall():
