@@ -166,7 +166,10 @@ def _round_their_middles(rays: Array, net_bearing: Array) -> tuple[Array, Array]
     area = np.cross(rays, np.roll(rays, -1, axis=1)).sum(axis=1)
     backwards = (np.einsum("md,md->m", area, total) < -_FLAT)[:, np.newaxis]
     middles = total + np.where(backwards, -area, area)
-    middles /= np.linalg.norm(middles, axis=-1, keepdims=True)
+    lengths = np.linalg.norm(middles, axis=-1, keepdims=True)
+    for index in np.flatnonzero(lengths <= _FLAT):
+        refuse(f"obstacles[{index}]", rays[index].tolist(), "rays round a cone")
+    middles /= lengths
     rays = np.where(backwards[..., np.newaxis], rays[:, ::-1], rays)
     across = net_bearing - (middles @ net_bearing)[:, np.newaxis] * middles
     first = np.einsum("msd,md->ms", rays, across)

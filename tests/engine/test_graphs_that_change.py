@@ -214,6 +214,20 @@ def test_who_is_seen_need_not_see_and_both_merge():
     assert found.rendezvous_time == pytest.approx(0.8, abs=made.tau)
 
 
+@pytest.mark.parametrize("graph", ["proximity", "complete"])
+def test_robots_exactly_as_far_apart_as_they_see_both_do(graph):
+    """Whichever way their frames are turned: 3² + 4² = 5² has no rounding but in turned frames."""
+    near_and_far = ((0.0, 0.0), (3.0, 4.0), (1.0, 1.0))
+    made = scenario(
+        n_robots=3, graph=graph, sensing=rv.Sensing(range=5.0), start_positions=near_and_far,
+        local_frames="random",
+    )  # fmt: skip
+    sim = rv.Simulator(made, 100)
+    assert sim.reset(0)[:, :, :2].any(axis=-1).all()
+    there = np.broadcast_to(~np.eye(3, dtype=bool), (100, 3, 3))
+    np.testing.assert_array_equal(sim.weights > 0, there)
+
+
 # ---- turns --------------------------------------------------------------------------------------
 
 

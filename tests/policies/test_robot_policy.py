@@ -17,6 +17,8 @@ CLUTTER = rv.scenarios.get("clutter-12")
 TURNING = CLUTTER.replace(robot_model="unicycle", max_turn_rate=1.5)
 ALL_ALONG = 500
 """Steps that are enough of an episode."""
+OPPOSITE = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]] * 4)
+"""Rays that go round nothing."""
 
 
 def measured(rows, layout, random):
@@ -220,6 +222,7 @@ def test_bad_measurements_are_named_and_change_nothing(change, message):
         ("uav-6", {"gravity": [0, -1.0]}, r"gravity is \[0, -1.0\]; .* a unit vector \(3,\)"),
         ("cloud-8", {"gravity": [0, 0, -1.0]}, "gravity is .*; it must be left out"),
         ("clutter-3d", {"obstacles": [along(0, 1)]}, r"obstacles have shape .* \(…, 8, 3\)"),
+        ("clutter-3d", {"obstacles": [OPPOSITE]}, r"obstacles\[0\] .* rays round a cone"),
     ],
 )  # fmt: skip
 def test_bad_measurements_in_space_are_named(field, change, message):
