@@ -217,9 +217,8 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         """Let all robots act; errors as the wrapper of the guarantee."""
         seen, rewards, ends, cuts, infos = self.env.step(actions)  # type: ignore[arg-type]
         rewards = self._touches.charge(self.touch_penalty, rewards, infos, ends | cuts)
-        if "final_info" in infos:
-            leave_out_summary(infos["final_info"])
-        leave_out_summary(infos)
+        for told in (infos, infos.get("final_info", {})):
+            leave_out_summary(told)
         return seen, rewards, ends, cuts, infos
 
     def state(self) -> NDArray[np.float32]:
@@ -254,8 +253,7 @@ class FirstContacts:
         contact = at_the_end(infos, over, "contact")
         first = contact & ~self.touched
         self.touched |= contact
-        if over.any():
-            self.forget(over)
+        self.forget(over)
         if not first.any():
             return rewards
         infos["robot_rewards"] -= price * first
