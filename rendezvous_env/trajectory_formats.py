@@ -45,21 +45,20 @@ def xarray_dataset(trajectory: Any) -> xarray.Dataset:
     have none, are left out: NetCDF 3 cannot hold them. An ImportError says how to get xarray.
     """
     library = load("xarray", "to_xarray()", _EXTRA)
-    scenario, times = trajectory.scenario, trajectory.times
-    arrays = {name: array for name, array in _arrays(trajectory).items() if array.size}
+    scenario, times, arrays = trajectory.scenario, trajectory.times, _arrays(trajectory)
     coordinates: dict[str, Any] = {
         "time": ("time", times, {"units": "s"}),
         "step_end": ("step", times[1:], {"units": "s"}),
         "axis": list(_AXES[: scenario.dim]),
+        "angle": list(_ANGLES[: arrays["headings"].shape[-1]]),
     }
-    if "headings" in arrays:
-        coordinates["angle"] = list(_ANGLES[: arrays["headings"].shape[-1]])
     variables = {}
     for name, array in arrays.items():
         dimensions, unit = DIMENSIONS[name]
         variables[name] = (dimensions, array, {"units": unit} if unit else {})
     attributes = {"scenario": json.dumps(scenario.to_plain())}
-    return library.Dataset(variables, coordinates, attributes)
+    made = library.Dataset(variables, coordinates, attributes)
+    return made.drop_dims([name for name, length in made.sizes.items() if length == 0])
 
 
 def pandas_dataframe(trajectory: Any) -> pandas.DataFrame:

@@ -79,10 +79,7 @@ def run(config: Config) -> int:
     with user_error(f"{flag} {path}: cannot be read: ", OSError):
         others = path.exists() and not is_written(path)
     if others:
-        raise UserError(
-            f"{flag} {path}: is there already, and not of this command's making; choose another "
-            "file, or move it away"
-        )
+        raise UserError(f"{flag} {path}: is there already, and not of this command's making")
     said = _write_onnx(config, path) if ending == SUFFIX else _write_python(config, path)
     Console().print(f"{path}: {config.policy}{said} at most")
     return 0

@@ -51,7 +51,8 @@ class RobotVecEnv(VecEnv):
     episode of a team once.
 
     ``seed(s)`` gives team b the seed s + b at the next reset; ``set_options`` gives start options,
-    one dict for all, or one for each slot, of which a team takes that of its robot 0.
+    one dict for all, or one for each slot, of which a team takes that of its robot 0. A reset that
+    refuses options begins nothing and forgets them; seeds wait for the next one.
 
     Args:
         teams: as of ``RobotSlots``; a wrapper that changes the rewards of teams changes those of
@@ -81,9 +82,7 @@ class RobotVecEnv(VecEnv):
         self.metadata["render_fps"] = self.teams.metadata["render_fps"]
 
     def reset(self) -> NDArray[np.float32]:
-        """Begin a new episode in all teams; observations (slots, rows, d). Where options are
-        refused nothing begins, and they are forgotten; seeds still wait for the next reset.
-        """
+        """Begin a new episode in all teams; observations (slots, rows, d)."""
         seeds = self._seeds[:: self.n_robots]
         given = None if all(seed is None for seed in seeds) else seeds
         try:

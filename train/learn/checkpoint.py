@@ -198,11 +198,10 @@ def _newest_good(folder: Path, console: Console) -> Path | None:
 
 def write_failure(folder: Path, error: OSError) -> str:
     """The message about what cannot be written, with the checkpoint that is left."""
-    # where a renaming fails, the second name is the file's, and the first a temporary one
-    place = error.filename2 or error.filename or folder
-    said = f"cannot write {place}: {error.strerror or error}"
+    file = error.filename2 or error.filename or folder  # of a renaming the first is temporary
+    said = f"cannot write {file}: {error.strerror or error}"
     try:
-        good = checkpoints.find(folder)
+        place = checkpoints.find(folder)
     except CheckpointError:
         return f"{said}; there is no checkpoint yet"
-    return f"{said}; the last good checkpoint is {good}: put that right, then --resume {folder}"
+    return f"{said}; the last good checkpoint is {place}: put that right, then --resume {folder}"

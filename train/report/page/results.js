@@ -5,10 +5,6 @@ function seconds(cell, row) {
   return Number(cell) >= limit - 1e-9 ? `> ${short(String(limit))}` : fixed(cell, 2);
 }
 
-function rise(cell, row) {
-  return Number(cell) <= DATA.scenarios[row.scenario].rounding ? "none" : short(cell);
-}
-
 const CLEAN = { title: "collision-free %", value: "clean_success", range: ["clean_low", "clean_high"],
   show: percent, bar: true, best: 1, key: true };
 const TIME = { title: "median time s", value: "median_time", range: ["time_low", "time_high"],
@@ -29,7 +25,8 @@ const RESULT_COLUMNS = [
   { title: "path m", value: "path_length", show: (cell) => metres(cell, 1), best: -1 },
   { title: "contacts", value: "contacts", show: (cell) => fixed(cell, 1), best: -1 },
   { title: "clearance m", value: "min_clearance", show: (cell) => metres(cell, 2), best: 1 },
-  { title: "V rise m²/s", value: "max_rise_between_merges", best: -1, show: rise },
+  { title: "V rise m²/s", value: "max_rise_between_merges", best: -1, show: (cell, row) =>
+    (Number(cell) <= DATA.scenarios[row.scenario].rounding ? "none" : short(cell)) },
   { title: "alignment", value: "min_alignment", show: (cell) => fixed(cell, 2), best: 1 },
 ];
 
