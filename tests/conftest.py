@@ -9,6 +9,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
+from functools import wraps
 from pathlib import Path
 
 # the tests run beside others on few cores
@@ -277,6 +278,18 @@ def refusing(simulator: Simulator, message: str, error: type[Exception] = ValueE
     with pytest.raises(error, match=message):
         yield
     assert_same_state(simulator, before)
+
+
+def mistaken(monkeypatch: pytest.MonkeyPatch, made: type, changes: Callable) -> None:
+    """Let filters of a class be made with other constants, which follow from the right ones."""
+    begin = made.__init__
+
+    @wraps(begin)  # whose arguments the wrappers read
+    def wrong(self, *given, **asked):
+        begin(self, *given, **asked)
+        self._constants = self._constants._replace(**changes(self._constants))
+
+    monkeypatch.setattr(made, "__init__", wrong)
 
 
 @pytest.fixture

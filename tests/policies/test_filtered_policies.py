@@ -9,6 +9,7 @@ import pytest
 import baselines
 import rendezvous_env as rv
 from baselines import HeadingPolicy, TankPolicy, TrainedPolicy
+from rendezvous_env.trajectory import begin
 from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper, training_env
 
 CLUTTER = rv.scenarios.get("clutter-12").replace(time_limit=4.0)
@@ -262,12 +263,14 @@ class TestModels:
 class TestDicts:
     @pytest.mark.parametrize("flatten", [False, True])
     @pytest.mark.parametrize(
-        "name", ["bearing-only", "tangent-joined-tuned", "learned", "tank-joined"]
+        "name",
+        ["bearing-only", "tangent-joined-tuned", "learned", "tank-joined", "privileged-planner"],
     )
     def test_policies_take_pettingzoos_dicts_whoever_has_merged(self, name, flatten):
         scenario = rv.scenarios.get("clutter-4").replace(time_limit=8.0, merge_radius=1.0)
         env, policy = rv.parallel_env(scenario, flatten=flatten), baselines.make(name, scenario)
         observations, _ = env.reset(seed=1)
+        begin(policy, env.unwrapped.simulator)
         found, counts = [], set()
         while env.agents:
             actions = policy(observations, env.unwrapped.simulator.time[0])
@@ -276,7 +279,6 @@ class TestDicts:
             observations, *_ = env.step({robot: actions[robot] for robot in env.agents})
             observations = {robot: observations[robot] for robot in env.agents}
             found.append(env.unwrapped.simulator.positions[0].copy())
-        policy.reset()
         batch = rv.rollout(scenario, policy, seed=1)
         assert len(counts) > 1
         np.testing.assert_allclose(found, batch.positions[1 : len(found) + 1, 0], atol=1e-9)
