@@ -187,18 +187,17 @@ class TestTheorems3And4:
         assert np.isfinite(run_to_end(scenario, 64, options={"headings": headings})[1]).all()
 
 
-class TestLemma1:
-    """Σ‖f_i‖ ≥ 2 max a_ij while no two neighbours coincide."""
+@given(teams())
+def test_total_net_bearing(team):
+    """Lemma 1: Σ‖f_i‖ ≥ 2 max a_ij while no two neighbours coincide."""
+    positions, weights = team
+    total = np.linalg.norm(net_bearings(positions, weights), axis=-1).sum()
+    assert total >= 2 * weights.max() * (1 - 1e-12)
 
-    @given(teams())
-    def test_total_net_bearing(self, team):
-        positions, weights = team
-        total = np.linalg.norm(net_bearings(positions, weights), axis=-1).sum()
-        assert total >= 2 * weights.max() * (1 - 1e-12)
 
-    def test_is_attained_by_three_robots_on_a_line(self):
-        f = net_bearings([[0.0, 0], [1, 0], [3, 0]], [[0, 0.7, 0], [0.7, 0, 0.7], [0, 0.7, 0]])
-        assert np.linalg.norm(f, axis=-1).tolist() == [0.7, 0.0, 0.7]
+def test_lemma_1_is_attained_by_three_robots_on_a_line():
+    f = net_bearings([[0.0, 0], [1, 0], [3, 0]], [[0, 0.7, 0], [0.7, 0, 0.7], [0, 0.7, 0]])
+    assert np.linalg.norm(f, axis=-1).tolist() == [0.7, 0.0, 0.7]
 
 
 @given(teams(), st.integers(0, 2**32))

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from conftest import UNEQUAL, five, unequal_matrix
+from conftest import UNEQUAL, unequal_matrix
 from scipy.optimize import minimize
 
-from rendezvous_env import Disc, Scenario, Sensing, Simulator, certificate, graphs
+from rendezvous_env import Disc, Scenario, Sensing, certificate, graphs
 from rendezvous_env.physics.hull_perimeter import size
 from rendezvous_env.safety.lyapunov import lyapunov, lyapunov_rate, net_bearings
 from rendezvous_env.safety.theorems.constants import (
@@ -52,17 +52,6 @@ def test_v_its_rate_and_net_bearings_by_hand():
     assert lyapunov_rate([[1.0, 1.0], [5.0, 5.0], [2.0, 2.0]], [[3, 4], [0, 0], [1, 0]]) == -18
     with pytest.raises(ValueError, match=r"positions \(3, 2\) and weights \(5, 5\)"):
         lyapunov(places, UNEQUAL)
-
-
-def test_the_simulator_agrees_with_these_formulas(kind):
-    simulator = Simulator(five(kind), 20)
-    seen, layout = simulator.reset(3), simulator.scenario.observation_layout
-    for _ in range(5):
-        given = simulator.positions, simulator.weights
-        np.testing.assert_allclose(simulator.lyapunov(), lyapunov(*given), rtol=1e-13)
-        f = np.einsum("bnij,bnj->bni", simulator.frames, layout.net_bearing(seen))
-        np.testing.assert_allclose(f, net_bearings(*given), atol=2e-6)
-        seen = simulator.step(np.ones((20, 5, simulator.scenario.action_size))).observations
 
 
 # ---- theorems A and C ----------------------------------------------------------------------------

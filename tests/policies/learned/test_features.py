@@ -123,25 +123,19 @@ def see_tank(perception, observations, level=0.0, heading=0.0, velocity=None):
     return shown[0, 0, -perception.layout.tank_columns :]
 
 
-def test_the_level_keeps_its_resolution():
-    perception = tank_features(LEVEL_COLUMNS)
-    assert perception.layout.tank_columns == LEVEL_COLUMNS
-    for level in (0.0, 0.01, 33.3):
-        found = see_tank(perception, look(0), level)
-        np.testing.assert_allclose(found, [np.log1p(level)], rtol=1e-6)
-
-
-def test_the_other_columns_are_those_of_perception():
+@pytest.mark.parametrize("walls", [0, WALL_COLUMNS])
+def test_a_tank_adds_columns_to_those_of_perception_first_its_level(walls):
     own = Features(PAIR, 1, decision_time=TIME)
-    tank = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
+    tank = tank_features(LEVEL_COLUMNS + walls)
     velocities, headings = NOTHING + 0.3, NOTHING + np.sqrt(0.5)
-    for f in (0, 20, 40):
-        given = {"velocities": velocities, "levels": np.ones((1, 3))}
+    for f, level in ((0, 0.0), (20, 0.01), (40, 33.3)):
+        given = {"velocities": velocities, "levels": np.full((1, 3), level)}
         plain = own.see(look(f, f + 10, f - 20), headings, velocities=velocities)
         shown = tank.see(look(f, f + 10, f - 20), headings, **given)
         np.testing.assert_array_equal(shown[..., : plain.shape[-1]], plain)
-        parts = tank.layout.split(shown)
-        assert parts.context.shape[-1] == CONTEXT_COLUMNS + LEVEL_COLUMNS + WALL_COLUMNS
+        context = tank.layout.split(shown).context[0, 0]
+        assert len(context) == CONTEXT_COLUMNS + LEVEL_COLUMNS + walls
+        assert context[CONTEXT_COLUMNS] == pytest.approx(np.log1p(level), rel=1e-6)
 
 
 def test_a_wall_is_met_walked_along_and_left():

@@ -175,12 +175,11 @@ class TestFiles:
             learned_policy.load(tmp_path, CLUTTER)
 
 
-class TestNames:
-    def test_by_path(self, tmp_path):
-        write(tmp_path)
-        name = f"learned:{tmp_path}"
-        policies.check_names([name, "bearing-only"])
-        assert policies.fitting(CLUTTER, [name]) == [name]
-        assert policies.fitting(HEAVY, [name, "random"]) == ["random"]
-        made = policies.make(name, CLUTTER)
-        assert policies.promised_margin(name, made) == 0.1
+def test_a_command_takes_it_by_path(tmp_path):
+    write(tmp_path)
+    name = f"learned:{tmp_path}"
+    policies.check_names([name, "bearing-only"])
+    assert policies.fitting(CLUTTER, [name]) == [name]
+    assert policies.fitting(HEAVY, [name, "random"]) == ["random"]
+    made = policies.make(name, CLUTTER)
+    assert policies.promised_margin(name, made) == 0.1
