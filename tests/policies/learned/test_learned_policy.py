@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from bare_network import make_network
+from bare_network import make_network, stirred
 from gymnasium.vector import AutoresetMode
 
 import baselines
@@ -39,10 +39,7 @@ def network(trained=True, **changes):
     settings = replace(SETTINGS, **changes)
     sizes = {"set_width": settings.set_width, "hidden": settings.hidden}
     made = make_network(settings.layout(3, 12), len(settings.angles), **sizes)
-    if trained:
-        with torch.no_grad():
-            torch.nn.init.normal_(made.action_net.weight, std=0.5)
-    return made
+    return stirred(made) if trained else made
 
 
 def learned(scenario=CLUTTER, **changes):
