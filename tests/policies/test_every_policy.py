@@ -1,5 +1,5 @@
-"""What every policy keeps to: taken elsewhere it goes on, a batch is its teams, and it forgets
-the teams that it is told to.
+"""What every policy keeps to: taken elsewhere it goes on, a batch is its teams, it forgets the
+teams that it is told to, and it meets where nothing is in the way.
 """
 
 import copy
