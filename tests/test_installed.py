@@ -7,8 +7,8 @@ import sysconfig
 from pathlib import Path
 
 import pytest
+from conftest import ROOT
 
-ROOT = Path(__file__).parent.parent
 KERNELS = ROOT / "rendezvous_env" / "__pycache__"  # what other tests compiled is the same code
 
 

@@ -2,7 +2,6 @@
 
 import math
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from rendezvous_env.safety.theorems.descent import time_bound
 from rendezvous_env.trajectory import run
 from research.time_bounds import rendezvous_time_lower_bound
 
-ROUNDING = 1e-9
 FAMILIES = {
     "complete": lambda n: graphs.complete((0.5, 1.5)),
     "path": lambda n: graphs.path((0.5, 2.0)),
@@ -32,48 +30,19 @@ FAMILIES = {
 TEAMS = 16
 
 
-class Run(NamedTuple):
-    """A batch of episodes, run to its end."""
-
-    simulator: Simulator
-    met: np.ndarray
-    """(B,), bool."""
-    times: np.ndarray
-    """(B,), s, of the rendezvous."""
-    largest_rise: float
-    """Of V between merges, m²/s; −inf if V fell in every step of every running team."""
-    largest_excess: float
-    """Of V at merges over the bound of theory 5."""
-    least_progress: float
-    """Least of (V_t − V_{t+1}) − τ Σ‖f_i‖² over the steps without a merge."""
-
-
-def run_to_end(
-    scenario: Scenario,
-    num_envs: int,
-    *,
-    seed: int = 0,
-    policy: str | None = None,
-    options: dict | None = None,
-) -> Run:
-    """Run a law until every team has met or run out of time."""
+def run_to_end(scenario, num_envs, *, seed=0, policy=None, options=None):
+    """Teams at the end of a law's run, when each of them met, s, and the largest rise of V between
+    merges, m²/s; it is negative if V fell in every step of every running team.
+    """
     chosen = law_of(scenario) if policy is None else baselines.make(policy, scenario)
     simulator = Simulator(scenario, num_envs, num_threads=1)
-    observations = simulator.reset(seed, options)
-    times = np.full(num_envs, np.inf)
-    rise, excess, progress = -np.inf, -np.inf, np.inf
-    neighbours = scenario.observation_layout.neighbours
-    for step in run(simulator, chosen, observations):
+    times, rise = np.full(num_envs, np.inf), -np.inf
+    for step in run(simulator, chosen, simulator.reset(seed, options)):
         out, on = step.outcome, step.running
-        f = step.observations[..., neighbours, :].sum(axis=-2, dtype=np.float64)
-        drop = step.lyapunov - out.lyapunov_before_merge
-        rise = max(rise, -drop[on].min())
-        excess = max(excess, out.merge_excess[on].max())
-        calm = on & (out.lyapunov_after_merge == out.lyapunov_before_merge)
-        certified = drop - scenario.tau * np.sum(f**2, axis=(-2, -1))
-        progress = min(progress, np.min(certified[calm], initial=np.inf))
-        times[on & (out.status == RENDEZVOUS)] = simulator.time[on & (out.status == RENDEZVOUS)]
-    return Run(simulator, np.isfinite(times), times, rise, excess, progress)
+        rise = max(rise, (out.lyapunov_before_merge - step.lyapunov)[on].max())
+        met = on & (out.status == RENDEZVOUS)
+        times[met] = simulator.time[met]
+    return simulator, times, rise
 
 
 @st.composite
@@ -93,14 +62,12 @@ def teams(draw):
 
 
 def check_law_1(scenario, num_envs, seed):
-    """Everything that theorems 1 and A and section 4 promise."""
-    result = run_to_end(scenario, num_envs, seed=seed)
-    assert result.met.all()
-    assert result.largest_rise < 0  # V falls in every step of every team
-    assert result.least_progress >= -1e-6 * scenario.tau  # actions are float32
-    assert result.largest_excess <= ROUNDING
-    assert (result.times <= time_bound(scenario, result.simulator.initial_lyapunov)).all()
-    return result
+    """Theorems 1 and A: V falls in every step, and all meet in time. By how much V falls, and rises
+    at merges, ``verify`` looks at."""
+    simulator, times, rise = run_to_end(scenario, num_envs, seed=seed)
+    assert rise < 0
+    assert (times <= time_bound(scenario, simulator.initial_lyapunov)).all()
+    return simulator
 
 
 class TestTheorem1:
@@ -114,9 +81,9 @@ class TestTheorem1:
         scenario = Scenario(
             n_robots=n, dim=dim, graph=graph, time_limit=1000.0, neighbour_slots=n - 1
         )
-        result = check_law_1(scenario, TEAMS, seed=1000 * n + dim)
-        assert (result.simulator.merged_into == 0).all()
-        assert result.simulator.lyapunov() == pytest.approx(0)
+        simulator = check_law_1(scenario, TEAMS, seed=1000 * n + dim)
+        assert (simulator.merged_into == 0).all()
+        assert simulator.lyapunov() == pytest.approx(0)
 
     @pytest.mark.slow
     @pytest.mark.parametrize("dim", [2, 3])
@@ -139,19 +106,19 @@ class TestTheorem1:
             n_robots=n, dim=dim, graph=graph, require_connected=False, time_limit=60.0,
             neighbour_slots=n - 1,
         )  # fmt: skip
-        result = run_to_end(scenario, 50, seed=9)
-        assert not result.met.any()
+        simulator, times, _ = run_to_end(scenario, 50, seed=9)
+        assert np.isinf(times).all()
         survivors = np.empty(n, dtype=int)
         for piece in pieces:
             survivors[piece] = min(piece)
-        assert (result.simulator.merged_into == survivors).all()
+        assert (simulator.merged_into == survivors).all()
         assert not certificate(scenario).guaranteed
-        assert np.isinf(time_bound(scenario, result.simulator.initial_lyapunov)).all()
+        assert np.isinf(time_bound(scenario, simulator.initial_lyapunov)).all()
 
     def test_without_any_link_nobody_moves(self):
         alone = Scenario(n_robots=3, graph=np.zeros((3, 3)), require_connected=False, time_step=0.1)
-        result = run_to_end(alone.replace(time_limit=2.0), 4)
-        assert result.simulator.active.all() and (result.simulator.path_length == 0).all()
+        simulator, *_ = run_to_end(alone.replace(time_limit=2.0), 4)
+        assert simulator.active.all() and (simulator.path_length == 0).all()
 
 
 class TestTheoremA:
@@ -162,35 +129,32 @@ class TestTheoremA:
     def test_two_robots_meet_within_one_step_of_the_closed_form(self, weight, dim):
         pair = Scenario(n_robots=2, dim=dim, graph=graphs.path(weight), merge_radius=0.3)
         starts = np.random.default_rng(3).normal(size=(200, 2, dim)) * 4
-        result = run_to_end(pair, 200, options={"positions": starts})
+        _, times, _ = run_to_end(pair, 200, options={"positions": starts})
         length = np.linalg.norm(starts[:, 1] - starts[:, 0], axis=-1)
         expected = np.maximum(length - pair.merge_radius, 0) / (2 * weight)
-        assert (np.abs(result.times - expected) <= pair.tau * (1 + 1e-6)).all()
+        assert (np.abs(times - expected) <= pair.tau * (1 + 1e-6)).all()
 
     def test_no_team_is_faster_than_the_lower_bound(self):
         for dim in (2, 3):
             scenario = five(f"single_integrator-{dim}d", max_speed=0.8)
-            result = run_to_end(scenario, 64, seed=4)
-            sim = run_to_end(scenario, 64, seed=4, policy="zero").simulator
-            bounds = [rendezvous_time_lower_bound(scenario, p) for p in sim.positions]
-            assert result.met.any() and (result.times >= np.array(bounds) - scenario.tau).all()
+            _, times, _ = run_to_end(scenario, 64, seed=4)
+            resting, *_ = run_to_end(scenario, 64, seed=4, policy="zero")
+            bounds = [rendezvous_time_lower_bound(scenario, p) for p in resting.positions]
+            assert np.isfinite(times).any() and (times >= np.array(bounds) - scenario.tau).all()
             assert min(bounds) > 1
 
     @pytest.mark.parametrize("dim", [2, 3])
     def test_bounds_hold_under_a_speed_limit(self, dim):
         scenario = Scenario(n_robots=5, dim=dim, graph=UNEQUAL, max_speed=0.5, time_limit=2000.0)
         assert time_bound(scenario, 1.0) > 5 * time_bound(scenario.replace(max_speed=None), 1.0)
-        result = run_to_end(scenario, 64, seed=5)
-        assert result.met.all() and result.largest_rise < 0
-        assert (result.times <= time_bound(scenario, result.simulator.initial_lyapunov)).all()
+        check_law_1(scenario, 64, seed=5)
 
 
-def test_far_too_long_a_step_is_caught_by_the_same_measurements():
+def test_under_far_too_long_a_step_v_rises():
     """r/(2D̄) is safe, much longer steps are not (theory 4)."""
     scenario = Scenario(n_robots=8, graph=graphs.path(), allow_long_step=True, time_limit=60.0)
     long = scenario.replace(time_step=20 * scenario.certified_step)
-    result = run_to_end(long, 64)
-    assert result.largest_rise > 1 and result.least_progress < -1
+    assert run_to_end(long, 64)[2] > 1
     assert not certificate(long).guaranteed
 
 
@@ -214,29 +178,26 @@ class TestTheorems3And4:
             **MODELS[model], n_robots=n, graph=FAMILIES[family](n), time_limit=600.0,
             neighbour_slots=n - 1,  # all families are one kind to the compiler
         )  # fmt: skip
-        result = run_to_end(scenario, 36, seed=n, policy=policy)
-        assert result.met.all() and result.largest_excess <= ROUNDING
+        assert np.isfinite(run_to_end(scenario, 36, seed=n, policy=policy)[1]).all()
         assert certificate(scenario).theorem.startswith(f"theorem {theorem}")
 
     def test_also_from_attitudes_at_the_singularity(self):
         scenario = five("nonholonomic_3d", time_limit=200.0)
         headings = np.stack([np.linspace(-3, 3, 5), np.full(5, math.pi / 2)], axis=-1)
-        result = run_to_end(scenario, 64, options={"headings": headings})
-        assert result.met.all()
+        assert np.isfinite(run_to_end(scenario, 64, options={"headings": headings})[1]).all()
 
 
-class TestLemma1:
-    """Σ‖f_i‖ ≥ 2 max a_ij while no two neighbours coincide."""
+@given(teams())
+def test_total_net_bearing(team):
+    """Lemma 1: Σ‖f_i‖ ≥ 2 max a_ij while no two neighbours coincide."""
+    positions, weights = team
+    total = np.linalg.norm(net_bearings(positions, weights), axis=-1).sum()
+    assert total >= 2 * weights.max() * (1 - 1e-12)
 
-    @given(teams())
-    def test_total_net_bearing(self, team):
-        positions, weights = team
-        total = np.linalg.norm(net_bearings(positions, weights), axis=-1).sum()
-        assert total >= 2 * weights.max() * (1 - 1e-12)
 
-    def test_is_attained_by_three_robots_on_a_line(self):
-        f = net_bearings([[0.0, 0], [1, 0], [3, 0]], [[0, 0.7, 0], [0.7, 0, 0.7], [0, 0.7, 0]])
-        assert np.linalg.norm(f, axis=-1).tolist() == [0.7, 0.0, 0.7]
+def test_lemma_1_is_attained_by_three_robots_on_a_line():
+    f = net_bearings([[0.0, 0], [1, 0], [3, 0]], [[0, 0.7, 0], [0.7, 0, 0.7], [0, 0.7, 0]])
+    assert np.linalg.norm(f, axis=-1).tolist() == [0.7, 0.0, 0.7]
 
 
 @given(teams(), st.integers(0, 2**32))

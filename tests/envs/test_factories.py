@@ -102,15 +102,12 @@ def test_the_heading_environment_is_the_wrapped_one():
 @pytest.mark.parametrize(
     ("make", "word", "meant"),
     [
-        (rv.make_vec, "num_env", "num_envs"),
         (rv.make_vec, "n_robot", "n_robots"),
         (rv.make_vec, "num_agents", "n_robots"),
         (rv.parallel_env, "max_steps", "max_cycles"),
-        (rv.parallel_env, "rendermode", "render_mode"),
         (rv.parallel_env, "flaten", "flatten"),
         (make_env, "max_cycle", "max_cycles"),
         (make_heading_vec, "min_alignmet", "min_alignment"),
-        (make_heading_vec, "autoreset", "autoreset_mode"),
         (make_heading_env, "time_limt", "time_limit"),
     ],
 )

@@ -117,31 +117,6 @@ def test_a_direction_is_the_choice_of_its_angle(guarantee, angles):
         np.testing.assert_allclose(other, seen, atol=2e-5)
 
 
-def test_a_first_touch_is_paid_for_once_in_every_autoreset_mode():
-    """Straight ahead into obstacles: the bare reward is the team's, less 1 at a first touch."""
-    for mode in AutoresetMode:
-        bare = {"guarantee": None, "autoreset_mode": mode, "max_cycles": 90}
-        free, paid = (
-            rv.vector.training_env(SCENARIO, 8, touch_penalty=price, **bare) for price in (0.0, 1.0)
-        )
-        rows, _ = free.reset(seed=0)
-        paid.reset(seed=0)
-        law = baselines.make("bearing-only", SCENARIO)
-        touched, touches = np.zeros((8, 4), bool), 0
-        for _ in range(200):
-            actions = law(rows.reshape(8, 4, *SCENARIO.observation_layout.shape), 0.0)
-            rows, _, ends, cuts, infos = free.step(actions)
-            *_, told = paid.step(actions)
-            contact = infos["contact"]
-            over = ends | cuts
-            if "final_info" in infos:
-                contact = np.where(over[:, None], infos["final_info"]["contact"], contact)
-            first = contact & ~touched
-            np.testing.assert_allclose(told["robot_rewards"], infos["robot_rewards"] - first)
-            touched, touches = (touched | contact) & ~over[:, None], touches + first.sum()
-        assert touches > 8
-
-
 def test_robots_without_a_shipped_policy_see_and_do_what_the_wrapper_says():
     links = rv.training_env("cloud-8", guarantee="links")
     plain = rv.training_env("cloud-8", guarantee="links", learning_preset=False)

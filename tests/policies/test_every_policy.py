@@ -1,5 +1,5 @@
-"""What every policy keeps to: taken elsewhere it goes on, a batch is its teams, and it forgets
-the teams that it is told to.
+"""What every policy keeps to: taken elsewhere it goes on, a batch is its teams, it forgets the
+teams that it is told to, and it meets where nothing is in the way.
 """
 
 import copy
@@ -160,6 +160,18 @@ def test_turning_the_robots_turns_their_actions(name):
         found = turned((seen @ turn).astype(np.float32), 0.0)
         np.testing.assert_allclose(found, actions @ turn, atol=2e-4 if scenario.dim == 2 else 1e-3)
         seen = simulator.step(actions).observations
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"dim": 3}, *({"graph": kind} for kind in ("path", "star", "random_tree"))]
+)
+def test_all_that_fit_meet_in_the_open_but_the_two_that_do_not_try(changes):
+    team = rv.Scenario(
+        n_robots=6, max_speed=1.0, time_step=0.05, allow_long_step=True, time_limit=60.0, **changes
+    )
+    for name in baselines.names(team):
+        found = rv.rollout(team, baselines.make(name, team), 0, num_envs=8, record=())
+        assert (found.success == (name not in ("random", "zero"))).all(), name
 
 
 THROUGH = {"time_limit": 25.0, "obstacle_contact": "ignore"}

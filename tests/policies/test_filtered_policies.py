@@ -9,6 +9,7 @@ import pytest
 import baselines
 import rendezvous_env as rv
 from baselines import HeadingPolicy, TankPolicy, TrainedPolicy
+from rendezvous_env.trajectory import begin
 from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper, training_env
 
 CLUTTER = rv.scenarios.get("clutter-12").replace(time_limit=4.0)
@@ -16,6 +17,12 @@ OPEN = rv.scenarios.get("clutter-4").replace(obstacles=(), time_limit=6.0, merge
 CARS = rv.scenarios.get("unicycle-6").replace(time_limit=4.0, merge_radius=0.05)
 SPACE = rv.scenarios.get("uav-6").replace(time_limit=4.0)
 TEAMS = 4
+
+
+def mixed(numbers, size):
+    """So many choices, from −1 to 1, that depend on every number."""
+    weights = np.cos(np.arange(numbers.shape[-1] * size)).reshape(-1, size)
+    return np.tanh(numbers @ weights)
 
 
 class Sideways:
@@ -26,8 +33,7 @@ class Sideways:
 
     def __call__(self, observations):
         self.asked += 1
-        weights = np.cos(np.arange(observations.shape[-2] * self.size)).reshape(-1, self.size)
-        return np.tanh(observations[..., 0] @ weights)
+        return mixed(observations[..., 0], self.size)
 
 
 def places_of(wrapper, choose, periods):
@@ -150,21 +156,6 @@ class TestFunctions:
                 HeadingPolicy(CLUTTER, lambda _, choice=choice: choice)(given, 0.0)
 
 
-class Model:
-    """Chooses by every number it is shown; gives a state, too, as stable-baselines3 does."""
-
-    def __init__(self, size, choices=None):
-        self.size, self.choices = size, choices
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        assert deterministic and observation.ndim == 2
-        weights = np.cos(np.arange(observation.shape[-1] * self.size)).reshape(-1, self.size)
-        chosen = np.tanh(observation @ weights)
-        if self.choices is not None:
-            chosen = (np.abs(chosen[:, 0]) * self.choices).astype(np.int64)
-        return chosen.astype(np.float32 if self.choices is None else np.int64), None
-
-
 class TestModels:
     @pytest.mark.parametrize(
         ("scenario", "arguments"),
@@ -191,14 +182,17 @@ class TestModels:
         teams = training_env(scenario, TEAMS, autoreset_mode="Disabled", **arguments)
         space = teams.single_action_space
         discrete = arguments.get("discrete", False)
-        model = Model(1 if discrete else space.shape[-1], 9 if discrete else None)
+        dims = 2 if arguments.get("flatten", True) else 3
 
-        def predict(observation, deterministic=False):
+        def predict(observation, state=None, episode_start=None, deterministic=False):
+            """Gives a state, too, as stable-baselines3 does."""
+            assert deterministic and observation.ndim == dims
             rows = observation.reshape(len(observation), -1)
-            return model.predict(rows, deterministic=deterministic)
+            chosen = mixed(rows, 1 if discrete else space.shape[-1])
+            chosen = np.abs(9 * chosen[:, 0]).astype(int) if discrete else chosen.astype(np.float32)
+            return chosen, None
 
-        flat = arguments.get("flatten", True)
-        policy = TrainedPolicy(scenario, model.predict if flat else predict, **arguments)
+        policy = TrainedPolicy(scenario, predict, **arguments)
         seen, _ = teams.reset(seed=3)
         simulator = rv.Simulator(teams.scenario, TEAMS)
         own = simulator.reset(3)
@@ -262,12 +256,14 @@ class TestModels:
 class TestDicts:
     @pytest.mark.parametrize("flatten", [False, True])
     @pytest.mark.parametrize(
-        "name", ["bearing-only", "tangent-joined-tuned", "learned", "tank-joined"]
+        "name",
+        ["bearing-only", "tangent-joined-tuned", "learned", "tank-joined", "privileged-planner"],
     )
     def test_policies_take_pettingzoos_dicts_whoever_has_merged(self, name, flatten):
         scenario = rv.scenarios.get("clutter-4").replace(time_limit=8.0, merge_radius=1.0)
         env, policy = rv.parallel_env(scenario, flatten=flatten), baselines.make(name, scenario)
         observations, _ = env.reset(seed=1)
+        begin(policy, env.unwrapped.simulator)
         found, counts = [], set()
         while env.agents:
             actions = policy(observations, env.unwrapped.simulator.time[0])
@@ -276,7 +272,6 @@ class TestDicts:
             observations, *_ = env.step({robot: actions[robot] for robot in env.agents})
             observations = {robot: observations[robot] for robot in env.agents}
             found.append(env.unwrapped.simulator.positions[0].copy())
-        policy.reset()
         batch = rv.rollout(scenario, policy, seed=1)
         assert len(counts) > 1
         np.testing.assert_allclose(found, batch.positions[1 : len(found) + 1, 0], atol=1e-9)

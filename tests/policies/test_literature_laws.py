@@ -80,18 +80,6 @@ def test_it_is_a_few_lines_of_numpy(name, law):
         np.testing.assert_allclose(actions, velocities / np.maximum(speed, 1.0), atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("name", "dim"),
-    [
-        *((name, 2) for name in LAWS),
-        *((name, 3) for name in ("unit-mean", "cyclic-pursuit", "nearest-pursuit")),
-    ],
-)
-def test_they_meet_from_many_starts(name, dim):
-    team = TEAM.replace(dim=dim)
-    assert rv.rollout(team, baselines.make(name, team), 0, num_envs=100 // dim).success.all()
-
-
 @pytest.mark.parametrize("graph", ["path", "star", "random_tree"])
 def test_unit_mean_meets_within_its_bound_on_sparse_graphs(graph):
     """T ≤ V0⁺/(4 v a*), twice that for the held step."""

@@ -28,19 +28,6 @@ def first_velocities(name, scenario, positions):
     return np.einsum("bnij,bnj->bni", simulator.frames, policy(seen, 0.0))[0]
 
 
-@pytest.mark.parametrize(
-    ("name", "changes"),
-    [
-        *((name, {"dim": dim}) for name in NAMES for dim in (2, 3)),
-        *((name, {"graph": g}) for name in NAMES[:3] for g in ("path", "star", "random_tree")),
-    ],
-    ids=str,
-)
-def test_they_meet_from_many_starts(name, changes):
-    team = TEAM.replace(**changes)
-    assert rv.rollout(team, baselines.make(name, team), 0, num_envs=5).success.all()
-
-
 def test_consensus_is_the_exponential_of_the_laplacian():
     """p(t) = exp(−L t) p(0), while nobody is at the speed limit or merges."""
     weights = np.array([[0, 0.5, 0, 0.2], [0.5, 0, 0.7, 0], [0, 0.7, 0, 0.3], [0.2, 0, 0.3, 0]])

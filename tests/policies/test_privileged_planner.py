@@ -188,17 +188,6 @@ class TestItWatches:
         with pytest.raises(ValueError, match="mask"):
             policy.reset(np.ones(3, bool))
 
-    def test_one_team_as_pettingzoo_has_it(self):
-        env = rv.parallel_env("trap")
-        policy = planner(env.scenario)
-        observations, infos = env.reset(seed=4)
-        policy.watch(env.unwrapped.simulator)
-        while env.agents:
-            actions = policy({name: observations[name] for name in env.agents}, 0.0)
-            observations, _, _, _, infos = env.step(actions)
-        summary = next(iter(infos.values()))["summary"]
-        assert summary["success"] and summary["contacts"] == 0
-
     def test_the_next_episode_is_planned_anew(self):
         scenario = rv.scenarios.get("rooms")
         simulator, policy = Simulator(scenario, 3), planner(scenario)

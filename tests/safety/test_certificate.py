@@ -23,7 +23,8 @@ from rendezvous_env.scenario import scenarios
 from rendezvous_env.vector import GuaranteeWrapper
 
 WALL = (Disc((0.0, 0.0), 1.0),)
-LONG = Scenario(time_step=0.1, allow_long_step=True)
+LONG_STEP = {"time_step": 0.3, "allow_long_step": True}
+LONG = Scenario(**LONG_STEP)
 PIECES = Scenario(graph=graphs.from_edges([(0, 1)], 5), require_connected=False)
 SQUARE = ((0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0))
 PURSUIT = Scenario(n_robots=4, graph=graphs.directed_cycle(), start_positions=SQUARE)
@@ -32,6 +33,8 @@ SWITCHING = PURSUIT.replace(graph=graphs.switching(["path", "star"], dwell=1.0))
 NEAR = Scenario(n_robots=4, graph=graphs.proximity(), sensing=Sensing(range=6.0))
 SPARSE = Scenario(n_robots=60, graph=graphs.erdos_renyi(0.06), spawn_size=12.0)
 BEHIND = Scenario(sensing=Sensing(occlusion="robots"))
+graphs.family("two-pairs", lambda n, random: [(0, 1), (2, 3)])
+APART = Scenario(n_robots=4, graph="two-pairs", require_connected=False)
 MARGINS = {"law": 1.0, "heading": 0.3, "tank": 0.3, "gains": 1.0, "links": 1.0}
 close = pytest.approx
 
@@ -48,7 +51,6 @@ def alone(scenario, by, **settings):
     [
         (Scenario(), 1.0, True, "theorems 1 and G"),
         (Scenario(), 0.1, True, "theorems 2 and C"),
-        (Scenario(), 1e-4, True, "theorems 2 and C"),
         (Scenario(dim=3), 1.0, True, "theorems 1 and G"),
         (Scenario(robot_model="unicycle"), 1.0, False, "theorem 3"),
         (Scenario(robot_model="nonholonomic_3d", dim=3), 1.0, False, "theorem 4"),
@@ -90,13 +92,10 @@ def test_what_is_guaranteed(scenario, margin, finite, words):
         ("links", Scenario(sensing=Sensing(dropout=0.2)), "dropout is 0.2"),
         ("links", NEAR.replace(require_connected=False), ".*others are given or may be drawn"),
         ("law", NEAR, ".*lose sight of each other"),
-        (
-            "law",
-            PURSUIT.replace(time_step=0.3, max_speed=0.1, allow_long_step=True),
-            ".*beyond its",
-        ),
+        ("law", PURSUIT.replace(**LONG_STEP, max_speed=0.1), ".*beyond its"),
         ("gains", NEAR, ".*lose sight of each other"),
         ("law", Scenario(meeting="pack", body_radius=0.05), "theorems end with one robot left"),
+        *[(by, APART, ".*need not connect") for by in CHOICES],
         *[
             (by, Scenario(**changes), words)
             for by in ("gains", "links")
@@ -277,10 +276,16 @@ def test_bounded_errors_of_the_sensor_count():
     ("sensing", "error"), [(Sensing(error=1.8), 1.8), (Sensing(sectors=2, error=3.0), math.pi)]
 )
 def test_sensors_that_err_by_more_than_a_right_angle(sensing, error, by, dim):
-    """No angle is above π, although errors and sectors add up to more."""
-    found = certificate(Scenario(n_robots=4, dim=dim, sensing=sensing), MARGINS[by], by=by)
+    """No angle is above π, although errors and sectors add up to more. A tank that charges for π/2
+    rad alone lets V rise by more than it holds: of more no wrapper can be told.
+    """
+    team = Scenario(n_robots=4, dim=dim, sensing=sensing)
+    found = certificate(team, MARGINS[by], by=by)
     assert not found.guaranteed and math.isinf(found.time_bound)
     assert found.bearing_error == close(error)
+    if by in ("heading", "tank", "links"):
+        assert not found.promises and "no wrapper can be told" in found.theorem
+        assert certificate(team.replace(sensing=Sensing(error=1.5)), MARGINS[by], by=by).promises
 
 
 @pytest.mark.parametrize("delay", [1, 3])
@@ -310,12 +315,9 @@ def test_late_bearings_are_certified_while_they_are_young(delay):
         ({"by": "law", "min_alignment": 0.5}, "min_alignment is 0.5; it must be exactly 1 with by"),
         ({"by": "heading"}, "min_alignment is 1.0; it must be less than 1 with by"),
         ({"by": "tank", "min_alignment": 1.5}, "min_alignment is 1.5"),
-        ({"by": "tank", "min_alignment": 0.0}, "min_alignment is 0.0"),
         ({"by": "tank", "budget": -1.0}, "budget is -1.0; it must be finite and at least 0"),
         ({"by": "tank", "budget": math.nan}, "budget is nan"),
         ({"budget": 1.0}, 'budget is 1.0; it must be 0 with by="law": only a tank has one'),
-        ({"by": "gains", "min_alignment": 0.5}, "min_alignment is 0.5; it must be exactly 1"),
-        ({"by": "links", "budget": 1.0}, "budget is 1.0; it must be 0 with by"),
         ({"by": "tank", "min_gain": 1.0}, "min_gain is 1.0; it must be None with by"),
         ({"by": "links", "max_gain": 1.0}, "max_gain is 1.0; it must be None with by"),
         ({"by": "gains", "min_gain": -1.0}, "min_gain is -1.0; it must be a positive"),

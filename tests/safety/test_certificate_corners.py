@@ -38,17 +38,6 @@ def test_a_bound_that_overflows_says_so():
     assert "overflows" in wrong.theorem  # not the error's fault
 
 
-@pytest.mark.parametrize("by", ["heading", "tank", "links"])
-def test_errors_of_which_no_wrapper_can_be_told_are_promised_nothing(by):
-    """A tank that charges for π/2 rad alone lets V rise by more than it holds."""
-    places = ((0.0, 0.0), (1.0, 0.0))
-    scenario = Scenario(n_robots=2, start_positions=places, sensing=Sensing(error=2.2))
-    found = certificate(scenario, MARGINS[by], by=by)
-    assert not found.promises and "no wrapper can be told" in found.theorem
-    right = certificate(scenario.replace(sensing=Sensing(error=1.5)), MARGINS[by], by=by)
-    assert right.lyapunov_bound < 3.0
-
-
 HUBS = Scenario(
     n_robots=6, graph=graphs.from_edges([(0, 1), (0, 2), (0, 3), (1, 4), (1, 5)]),
     start_positions=((0.0, 0.0), (0.5, 0.0), (0.0, 3.0), (0.0, -3.0), (0.5, 3.0), (0.5, -3.0)),
@@ -135,14 +124,6 @@ def test_obstacles_of_options_are_asked_for_in_an_environment_of_their_own():
         met.append(simulator.active.sum() == 1)
     assert met == [True, False]
     assert "Of other weights or obstacles" in certificate.__doc__
-
-
-@pytest.mark.parametrize("by", CHOICES)
-def test_a_family_that_need_not_connect_its_robots_promises_nothing(by):
-    graphs.family("two-pairs", lambda n, random: [(0, 1), (2, 3)])
-    scenario = Scenario(n_robots=4, graph="two-pairs", require_connected=False)
-    found = certificate(scenario, MARGINS[by], by=by)
-    assert not found.guaranteed and "need not connect" in found.theorem
 
 
 def test_links_that_may_be_drawn_must_all_be_in_sight():

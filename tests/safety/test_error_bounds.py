@@ -205,7 +205,6 @@ def test_the_tank_by_hand():
     ):
         expected = factor * bound + 4 * changed.tau
         assert tank(changed, budget=20.0).time_bound == close(expected)
-    assert certificate(Scenario(robot_model="unicycle"), 0.3, by="tank").time_bound == np.inf
 
 
 def test_links_are_certified_by_r():

@@ -72,22 +72,6 @@ def test_robots_that_see_nobody_stand_still(made, kind):
 
 
 @pytest.mark.parametrize(
-    ("raw", "message"),
-    [
-        (np.zeros((2, 5, 3)), r"shape \(2, 5, 3\)"),
-        (np.zeros((5, 2)), r"shape \(5, 2\)"),
-        (np.where(np.arange(20).reshape(2, 5, 2) == 13, np.nan, 0.0), "robot_1 in team 1"),
-    ],
-)
-def test_bad_choices_are_refused_and_not_taken(raw, message):
-    filtered = HeadingFilter(five("single_integrator-2d"), 2, frame="local")
-    filtered.hold(np.ones((2, 5, 2)))
-    with pytest.raises(ValueError, match=message):
-        filtered.hold(raw)
-    np.testing.assert_array_equal(filtered.get_state()["held"], np.ones((2, 5, 2)))
-
-
-@pytest.mark.parametrize(
     ("spoil", "message"),
     [
         ({"levels": np.full((2, 5), -1.0)}, r"levels\[0, 0\] is -1.0; it must be from 0"),

@@ -2,11 +2,10 @@
 and filters with a mistake in them, which that finds.
 """
 
-import functools
 import math
 
 import pytest
-from conftest import MODELS, five
+from conftest import MODELS, five, mistaken
 
 import baselines
 from rendezvous_env import Scenario, Sensing, certificate, graphs, rollout
@@ -130,15 +129,6 @@ MISTAKES = {
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_filter_with_a_mistake_is_caught(mistake, monkeypatch):
     made, changes, (scenario, by, arguments) = MISTAKES[mistake]
-    begin = made.__init__
-
-    @functools.wraps(begin)  # whose arguments the wrappers read
-    def wrong(self, *args, **options):
-        begin(self, *args, **options)
-        name = "_robot" if made is EnergyTank else "_constants"
-        known = getattr(self, name)
-        setattr(self, name, known._replace(**changes(known)))
-
     assert played(scenario, by, **arguments).violation is None
-    monkeypatch.setattr(made, "__init__", wrong)
+    mistaken(monkeypatch, made, changes)
     assert played(scenario, by, **arguments).violation is not None

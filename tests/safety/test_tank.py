@@ -223,13 +223,6 @@ def test_alignment_is_that_of_the_motion():
     assert np.isnan(tank.alignment).all()
 
 
-def test_the_level_is_one_row_more(kind):
-    scenario = five(kind)
-    plain, shown = EnergyTank(scenario, 2), EnergyTank(scenario, 2, budget=1.5, observe_level=True)
-    observations = Simulator(scenario, 2).reset(0)
-    np.testing.assert_array_equal(shown.view(observations)[..., :-1, :], plain.view(observations))
-
-
 @pytest.mark.parametrize(
     ("told", "message"),
     [

@@ -27,18 +27,12 @@ KINDS = ("zero", "random", "greedy")
 MARGIN = 0.3
 
 
-def team(model, graph, radius, turn_rate, n=4):
+def team(model, graph, radius, turn_rate):
     return Scenario(
-        n_robots=n,
-        dim=3 if model == "nonholonomic_3d" else 2,
-        robot_model=model,
-        graph=graph,
-        neighbour_slots=n - 1,  # rows as most tests have them: no other kernels
-        merge_radius=radius,
-        spawn_size=8.0 * radius + 6.0,
-        max_turn_rate=turn_rate,
-        time_limit=1e6,
-    )
+        n_robots=4, dim=3 if model == "nonholonomic_3d" else 2, robot_model=model, graph=graph,
+        neighbour_slots=3,  # rows as most tests have them: no other kernels
+        merge_radius=radius, spawn_size=8.0 * radius + 6.0, max_turn_rate=turn_rate, time_limit=1e6,
+    )  # fmt: skip
 
 
 @kernel

@@ -2,10 +2,11 @@
 
 import dataclasses
 import io
-from functools import partial, wraps
+from functools import partial
 
 import numpy as np
 import pytest
+from conftest import mistaken
 from rich.console import Console
 
 import baselines
@@ -101,25 +102,12 @@ def flipped(trial, random):
     return lambda seen, now: -law(seen, now.time)
 
 
-def asymmetric(trial, random):
-    """Law (1) with a_ij ≠ a_ji: every robot scales what it sees of each neighbour by a factor."""
-    scenario = trial.scenario
-    law, layout = baselines.make("bearing-only", scenario), scenario.observation_layout
-    factors = random.uniform(0.1, 1.0, (scenario.n_robots, *layout.shape[:1], 1)).astype(np.float32)
-    return lambda seen, now: law(seen * factors, now.time)
-
-
 def one_sided(random, batch, least_margin):
     """Weights that are not symmetric themselves."""
     trial = cases.draw_team(random, 1, least_margin, by="law", dims=(2,))
     weights = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.1], [0.1, 0.0, 0.0]])
     scenario = trial.scenario.replace(graph=graphs.directed(weights))
     return dataclasses.replace(trial, scenario=scenario, starts=())
-
-
-ONE_SIDED = dataclasses.replace(
-    BY_NAME["lemma-1"], draw=one_sided, bound=lambda *given: np.ones(BATCH)
-)
 
 
 def bare(trial, random):
@@ -132,38 +120,18 @@ def bare(trial, random):
     return adversary.controls
 
 
-def uncertified(monkeypatch, **changes):
-    """Under certified headings, but for what certifies them."""
-    made = HeadingFilter.__init__
-
-    @wraps(made)
-    def make(self, *given, **asked):
-        made(self, *given, **asked)
-        self._constants = self._constants._replace(**changes)
-
-    monkeypatch.setattr(HeadingFilter, "__init__", make)
-
-
-@pytest.mark.parametrize(
-    ("name", "law", "share", "margin"),
-    [
-        ("theorem-1", flipped, 1.0, -1e-3),
-        ("certified-step", flipped, 1.0, -1e-3),
-        ("theorem-1", asymmetric, 0.0, -1e-5),
-    ],
-)
-def test_a_wrong_law_is_caught(tmp_path, name, law, share, margin):
-    """A flipped sign, weights that are not symmetric."""
-    claim = dataclasses.replace(BY_NAME[name], law=law)
+@pytest.mark.parametrize("name", ["theorem-1", "certified-step"])
+def test_a_law_with_a_flipped_sign_is_caught(tmp_path, name):
+    claim = dataclasses.replace(BY_NAME[name], law=flipped)
     found, worst = caught(tmp_path, claim, trials=2 * BATCH)
-    assert found >= share and found > 0 and worst < margin
+    assert found == 1.0 and worst < -1e-3
 
 
 @pytest.mark.parametrize(
     ("name", "bound", "share"), [("theorem-2", 20.0, 1.0), ("gate", 60.0, 0.9)]
 )
 def test_robots_that_nothing_certifies_are_caught(tmp_path, name, bound, share, monkeypatch):
-    uncertified(monkeypatch, certified=False)
+    mistaken(monkeypatch, HeadingFilter, lambda known: {"certified": False})
 
     def draw(random, batch, least_margin):
         """Robots that choose in each step, in their own frames."""
@@ -185,7 +153,7 @@ def test_a_step_four_times_too_long_without_scaling_is_caught(tmp_path, monkeypa
     draw = partial(cases.draw_team, step_factors=(4.0, 4.0 + 1e-9))
     claim = dataclasses.replace(BY_NAME["local-scaling"], draw=draw)
     assert command(tmp_path, claim, trials=4 * BATCH)[0] == 0
-    uncertified(monkeypatch, speed_scaled=False)
+    mistaken(monkeypatch, HeadingFilter, lambda known: {"speed_scaled": False})
     assert caught(tmp_path, claim)[1] < -1e-3
 
 
@@ -220,10 +188,12 @@ def test_max_a_in_place_of_the_bottleneck_weight_is_caught(tmp_path):
 
 def test_a_graph_of_links_one_way_is_caught_and_its_batch_repeats_it(tmp_path):
     """Of which lemma 1 says nothing."""
-    status, (row,), _ = command(tmp_path, ONE_SIDED, trials=5 * BATCH)
+    soon = lambda *given: np.ones(BATCH)  # noqa: E731
+    claim = dataclasses.replace(BY_NAME["lemma-1"], draw=one_sided, bound=soon)
+    status, (row,), _ = command(tmp_path, claim, trials=5 * BATCH)
     assert status == 1 and float(row["worst_margin"]) < -0.1
     number = int(row["first_violation"].split("--only-batch ")[1].split()[0])
-    _, (again,), _ = command(tmp_path, ONE_SIDED, only_batch=number)
+    _, (again,), _ = command(tmp_path, claim, only_batch=number)
     assert 0 < int(again["violations"]) <= int(row["violations"])
     assert again["first_violation"] == row["first_violation"]
 

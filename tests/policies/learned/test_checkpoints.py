@@ -77,38 +77,37 @@ def test_what_a_kill_leaves_behind_goes_with_the_next(place, tmp_path):
 NETWORK, DESCRIPTION = "network.safetensors", "checkpoint.json"
 
 
-class TestRefused:
-    @pytest.mark.parametrize(
-        ("file", "change", "message"),
-        [
-            (NETWORK, lambda c: c[:-3], r"network\.safetensors: has .* must have .* truncated"),
-            (NETWORK, lambda c: c[:-1] + bytes([c[-1] ^ 1]), r"network\.safetensors: .* sha256 di"),
-            (NETWORK, None, r"network\.safetensors: .* No such file"),
-            (DESCRIPTION, lambda c: c.replace(b'"step": 12', b'"step": 13'),
-             r"checkpoint\.json: its content was changed"),
-            (DESCRIPTION,
-             lambda c: json.dumps(json.loads(c) | {"format_version": 99}).encode(),
-             "format_version is 99; this version reads 1"),
-            *((DESCRIPTION, lambda _, said=said: said, r"checkpoint\.json: ")
-              for said in (b"", b"{", b"[]", b"{}", b'"text"')),
-        ],
-    )  # fmt: skip
-    def test_what_was_changed(self, place, file, change, message):
-        if change is None:
-            (place / file).unlink()
-        else:
-            (place / file).write_bytes(change((place / file).read_bytes()))
-        with pytest.raises(CheckpointError, match=message):
-            checkpoints.read(place, ["network"])
+@pytest.mark.parametrize(
+    ("file", "change", "message"),
+    [
+        (NETWORK, lambda c: c[:-3], r"network\.safetensors: has .* must have .* truncated"),
+        (NETWORK, lambda c: c[:-1] + bytes([c[-1] ^ 1]), r"network\.safetensors: .* sha256 di"),
+        (NETWORK, None, r"network\.safetensors: .* No such file"),
+        (DESCRIPTION, lambda c: c.replace(b'"step": 12', b'"step": 13'),
+         r"checkpoint\.json: its content was changed"),
+        (DESCRIPTION, lambda c: json.dumps(json.loads(c) | {"format_version": 99}).encode(),
+         "format_version is 99; this version reads 1"),
+        *((DESCRIPTION, lambda _, said=said: said, r"checkpoint\.json: ")
+          for said in (b"", b"{", b"[]", b"{}", b'"text"')),
+    ],
+)  # fmt: skip
+def test_what_was_changed_is_refused(place, file, change, message):
+    if change is None:
+        (place / file).unlink()
+    else:
+        (place / file).write_bytes(change((place / file).read_bytes()))
+    with pytest.raises(CheckpointError, match=message):
+        checkpoints.read(place, ["network"])
 
-    def test_what_is_not_there(self, place, tmp_path, without_rights):
-        with pytest.raises(CheckpointError, match="is not part of this checkpoint"):
-            checkpoints.read(place, ["optimizer"])
-        with pytest.raises(CheckpointError, match="no checkpoint in it"):
-            checkpoints.find(place.parent)
-        with pytest.raises(CheckpointError, match="no such"):
-            checkpoints.find(tmp_path / "nothing")
-        with without_rights(tmp_path), pytest.raises(CheckpointError, match="Permission denied"):
-            checkpoints.find(tmp_path)
-        with without_rights(place), pytest.raises(CheckpointError, match="Permission denied"):
-            checkpoints.read(place, ["network"])
+
+def test_what_is_not_there_is_refused(place, tmp_path, without_rights):
+    with pytest.raises(CheckpointError, match="is not part of this checkpoint"):
+        checkpoints.read(place, ["optimizer"])
+    with pytest.raises(CheckpointError, match="no checkpoint in it"):
+        checkpoints.find(place.parent)
+    with pytest.raises(CheckpointError, match="no such"):
+        checkpoints.find(tmp_path / "nothing")
+    with without_rights(tmp_path), pytest.raises(CheckpointError, match="Permission denied"):
+        checkpoints.find(tmp_path)
+    with without_rights(place), pytest.raises(CheckpointError, match="Permission denied"):
+        checkpoints.read(place, ["network"])

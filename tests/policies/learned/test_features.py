@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from tuples import along
 
-import baselines
 from baselines.learned.feature_kernels import CONTEXT_COLUMNS, LEVEL_COLUMNS, WALL_COLUMNS
 from baselines.learned.features import Features
 from rendezvous_env import Scenario, Simulator
@@ -31,16 +30,6 @@ def look(f, *edges, other=None):
 
 def perceive(perception, observations):
     return perception.layout.split(perception.see(observations, NOTHING))
-
-
-def cluttered(steps=40):
-    """Observations of teams in the middle of clutter."""
-    simulator = Simulator(CLUTTER, TEAMS)
-    observations = simulator.reset(3)
-    for _ in range(steps):
-        law = baselines.make("bearing-only", CLUTTER)
-        observations = simulator.step(law(observations, 0.0)).observations
-    return observations
 
 
 def test_a_robot_by_hand():
@@ -105,26 +94,14 @@ def test_silhouettes_joined_before_f(edges, expected):
     np.testing.assert_allclose(shown.context[0, 0, 16:], expected, atol=1e-6)
 
 
-def test_only_teams_of_the_mask_remember():
-    observations, later = cluttered(), cluttered(44)
-    which = np.arange(TEAMS) % 2 == 0
-    some, every = (Features(CLUTTER, TEAMS, decision_time=0.2) for _ in range(2))
-    for perception in (some, every):
-        perception.see(observations, NO_HEADINGS)
-    part, whole = some.see(later, NO_HEADINGS, which), every.see(later, NO_HEADINGS)
-    np.testing.assert_array_equal(part[which], whole[which])
-    assert not part[~which].any()
-    rest = some.see(later, NO_HEADINGS, ~which)
-    np.testing.assert_array_equal(rest[~which], whole[~which])
-
-
 def test_further_obstacle_slots_are_absent():
-    observations = cluttered()
+    observations = Simulator(CLUTTER, TEAMS).reset(3)
     wide = Features(CLUTTER, TEAMS, decision_time=0.2, obstacle_slots=24)
     shown = wide.layout.split(wide.see(observations, NO_HEADINGS))
     own = Features(CLUTTER, TEAMS, decision_time=0.2)
     exact = own.layout.split(own.see(observations, NO_HEADINGS))
     np.testing.assert_array_equal(shown.obstacles[:, :, :16], exact.obstacles)
+    assert exact.obstacles.any()
     assert not shown.obstacles[:, :, 16:].any()
     np.testing.assert_array_equal(shown.context, exact.context)
     with pytest.raises(ValueError, match=r"obstacle_slots is 8.*needs 16 or more"):
@@ -146,25 +123,19 @@ def see_tank(perception, observations, level=0.0, heading=0.0, velocity=None):
     return shown[0, 0, -perception.layout.tank_columns :]
 
 
-def test_the_level_keeps_its_resolution():
-    perception = tank_features(LEVEL_COLUMNS)
-    assert perception.layout.tank_columns == LEVEL_COLUMNS
-    for level in (0.0, 0.01, 33.3):
-        found = see_tank(perception, look(0), level)
-        np.testing.assert_allclose(found, [np.log1p(level)], rtol=1e-6)
-
-
-def test_the_other_columns_are_those_of_perception():
+@pytest.mark.parametrize("walls", [0, WALL_COLUMNS])
+def test_a_tank_adds_columns_to_those_of_perception_first_its_level(walls):
     own = Features(PAIR, 1, decision_time=TIME)
-    tank = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
+    tank = tank_features(LEVEL_COLUMNS + walls)
     velocities, headings = NOTHING + 0.3, NOTHING + np.sqrt(0.5)
-    for f in (0, 20, 40):
-        given = {"velocities": velocities, "levels": np.ones((1, 3))}
+    for f, level in ((0, 0.0), (20, 0.01), (40, 33.3)):
+        given = {"velocities": velocities, "levels": np.full((1, 3), level)}
         plain = own.see(look(f, f + 10, f - 20), headings, velocities=velocities)
         shown = tank.see(look(f, f + 10, f - 20), headings, **given)
         np.testing.assert_array_equal(shown[..., : plain.shape[-1]], plain)
-        parts = tank.layout.split(shown)
-        assert parts.context.shape[-1] == CONTEXT_COLUMNS + LEVEL_COLUMNS + WALL_COLUMNS
+        context = tank.layout.split(shown).context[0, 0]
+        assert len(context) == CONTEXT_COLUMNS + LEVEL_COLUMNS + walls
+        assert context[CONTEXT_COLUMNS] == pytest.approx(np.log1p(level), rel=1e-6)
 
 
 def test_a_wall_is_met_walked_along_and_left():
@@ -197,19 +168,6 @@ def test_long_averages_are_in_the_frame_along_f():
     turned = see_tank(perception, look(90), velocity=[0.0, 1.0])
     expected = [1 - kept, 0, 1 - kept, -kept]  # along and across f, which now is local y
     np.testing.assert_allclose(turned[9:], expected, atol=1e-6)
-
-
-def test_memory_is_kept_put_back_and_forgotten():
-    perception = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
-    fresh = see_tank(perception, look(0, 20, -20), level=2.0)
-    perception.note(np.array([[1.0, 0.0, 0.0]]))
-    state = perception.get_state()
-    later = see_tank(perception, look(40, 60, 0), level=1.0)
-    other = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
-    other.set_state(state)
-    np.testing.assert_array_equal(see_tank(other, look(40, 60, 0), level=1.0), later)
-    perception.forget(np.array([True]))
-    np.testing.assert_array_equal(see_tank(perception, look(0, 20, -20), level=2.0), fresh)
 
 
 def test_memory_runs_in_seconds_not_in_decisions():

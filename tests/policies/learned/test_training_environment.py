@@ -75,33 +75,40 @@ def test_it_is_the_heading_wrapper_with_guide_and_perception():
     assert ended >= TEAMS
 
 
-def test_the_first_touch_costs_the_robot_and_nobody_else():
-    ours, free = teams(touch_penalty=7.0), teams()
-    for env in (ours, free):
+PRICED = {
+    "choices": (1, lambda mode, price: teams(mode=mode, touch_penalty=price)),
+    "velocities": (50, lambda mode, price: training_env(
+        SCENARIO, TEAMS, guarantee=None, autoreset_mode=mode, touch_penalty=price
+    )),
+}  # fmt: skip
+"""For how many steps they are held, lest robots stay where they are, and who takes them."""
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+@pytest.mark.parametrize("form", PRICED)
+def test_a_first_touch_costs_the_robot_once_and_nobody_else(form, mode):
+    held, made = PRICED[form]
+    free, paid = (made(mode, price) for price in (0.0, 7.0))
+    for env in (free, paid):
         env.reset(seed=3)
-    touched, paid = np.zeros((TEAMS, SCENARIO.n_robots), bool), 0
-    for choices in tape(90):
-        _, rewards, ends, cuts, infos = ours.step(choices)
-        _, bare, *_, others = free.step(choices)
-        over = (ends | cuts)[:, None]
-        contact = infos["contact"]
-        if over.any():
-            last = infos["final_info"]
-            contact = np.where(over, last["contact"], contact)
-            np.testing.assert_array_equal(last["robot_rewards"], infos["robot_rewards"])
-        cost = others["robot_rewards"] - infos["robot_rewards"]
+    free.action_space.seed(0)
+    touched, touches = np.zeros((TEAMS, SCENARIO.n_robots), bool), 0
+    for step in range(300):
+        if step % held == 0:
+            actions = free.action_space.sample()
+        _, bare, ends, cuts, infos = free.step(actions)
+        _, rewards, *_, told = paid.step(actions)
+        contact, over = infos["contact"], (ends | cuts)[:, None]
+        if "final_info" in infos:
+            contact = np.where(over, infos["final_info"]["contact"], contact)
+            last = told["final_info"]["robot_rewards"]
+            np.testing.assert_array_equal(last, told["robot_rewards"])
+        first = contact & ~touched
+        cost = infos["robot_rewards"] - told["robot_rewards"]
+        np.testing.assert_allclose(cost, 7.0 * first, atol=1e-12)
         np.testing.assert_allclose(bare - rewards, cost.mean(axis=1), atol=1e-12)
-        np.testing.assert_allclose(cost, 7.0 * (contact & ~touched), atol=1e-12)
-        paid += (cost > 0).sum()
-        touched = np.where(over, False, touched | contact)
-    assert paid >= 2
-
-
-def test_choices_of_another_shape_are_refused():
-    env = teams()
-    env.reset(seed=3)
-    with pytest.raises(ValueError, match=r"actions have shape \(5, 3\); they must be \(B, n\)"):
-        env.step(np.zeros((TEAMS, 3)))
+        touched, touches = (touched | contact) & ~over, touches + first.sum()
+    assert touches > 1
 
 
 def test_with_a_tank_robots_go_where_they_choose_as_fast_as_law_one():
