@@ -2,7 +2,7 @@
 
 import importlib.util
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -85,6 +85,13 @@ class Flags:
                 for mark in getattr(marked[field.name], "__metadata__", ()):
                     if isinstance(mark, Bounds) and one is not None:
                         mark.check(name, one)
+
+
+def check_unused(flags: Flags, reasons: Mapping[str, str]) -> None:
+    """Refuse flags that mean nothing, for these reasons, unless they have their defaults."""
+    for name, why in reasons.items():
+        if (value := getattr(flags, name)) != getattr(type(flags), name):
+            raise UserError(f"{flag(name)} is {value}; {why}")
 
 
 def _check_value(name: str, value: Any) -> None:

@@ -120,12 +120,17 @@ def prepare_folder(folder: Path, flag: str | None = None) -> Path:
     return folder
 
 
-def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write rows, each with exactly these columns; None and NaN become empty cells."""
+def write_csv(
+    path: Path, rows: Iterable[Mapping[str, Any]], columns: Sequence[str] | None = None
+) -> None:
+    """Write rows, each with exactly these columns, by default those of the first row; None and NaN
+    become empty cells.
+    """
     with atomic(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, columns)
+        found = list(rows)
+        writer = csv.DictWriter(file, columns or list(found[0]))
         writer.writeheader()
-        writer.writerows({name: plain(cell) for name, cell in row.items()} for row in rows)
+        writer.writerows({name: plain(cell) for name, cell in row.items()} for row in found)
 
 
 def plain(value: Any) -> Any:

@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from rendezvous_env.baselines.learned import checkpoints
 from rendezvous_env.baselines.learned.checkpoints import CheckpointError
-from rendezvous_env.baselines.learned.plain_data import check_types, entry
+from rendezvous_env.baselines.learned.plain_data import check_types, digest_of_rest, entry
 
 from rendezvous_env.scenario.scenario import Scenario
 
@@ -61,7 +61,7 @@ def write_folder(place: Path, description: Mapping[str, Any], tables: Tables) ->
     }
     files = {name: entry(content) for name, content in contents.items()}
     about = {"format_version": checkpoints.FORMAT_VERSION, **description, "files": files}
-    about["sha256"] = checkpoints.digest_of(about)
+    about["sha256"] = digest_of_rest(about)
     contents[checkpoints.DESCRIPTION] = (json.dumps(about, indent=2) + "\n").encode()
     with results.atomic(place) as temporary:
         temporary.mkdir()
