@@ -78,11 +78,11 @@ class Flags:
         with user_error("", ValueError):
             check_types(vars(self), kinds)
         for field in fields(self):
-            name = field.name if "Positional" in str(field.type) else flag(field.name)
-            value = getattr(self, field.name)
+            hint, value = marked[field.name], getattr(self, field.name)
+            name = field.name if "Positional" in str(field.type) else flag(field.name, hint)
             for one in value if isinstance(value, tuple) else (value,):
                 _check_value(name, one)
-                for mark in getattr(marked[field.name], "__metadata__", ()):
+                for mark in getattr(hint, "__metadata__", ()):
                     if isinstance(mark, Bounds) and one is not None:
                         mark.check(name, one)
 
@@ -126,12 +126,7 @@ def check_text(name: str, text: str) -> None:
         raise UserError(f"{name} is {text!r}; it must not hold the character NUL")
 
 
-_FLAGS = {
-    "on": "backend", "fresh": "overwrite", "keep": "keep-trajectories", "ceiling": "oracle-runs",
-}  # fmt: skip
-"""Flags that are not called as their fields."""
-
-
-def flag(name: str) -> str:
-    """What the command line calls a field."""
-    return "--" + _FLAGS.get(name, name.replace("_", "-"))
+def flag(name: str, hint: Any = None) -> str:
+    """What the command line calls a field, which ``tyro.conf.arg`` in its annotation may say."""
+    names = (getattr(mark, "name", None) for mark in getattr(hint, "__metadata__", ()))
+    return "--" + next(filter(None, names), name.replace("_", "-"))

@@ -196,7 +196,7 @@ def flags_of(field: dataclasses.Field[Any], hint: Any) -> list[str]:
     """
     if _is_positional(field):
         return [field.name.upper()]
-    name = flag(field.name)
+    name = flag(field.name, hint)
     others = (getattr(one, "aliases", None) or () for one in getattr(hint, "__metadata__", ()))
     off = [f"--no-{name[2:]}"] if field.default is True else []
     return [name, *chain.from_iterable(others), *off]

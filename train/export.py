@@ -31,7 +31,7 @@ from rendezvous_env.scenario.scenario import Scenario
 from . import policies, standalone
 from .checks import Bounds, Flags, UserError, check_installed, user_error
 from .console import Console
-from .results import atomic, prepare_folder
+from .results import atomic, prepare_file
 
 _SLOTS = ((3, 12), (1, 0), (31, 24), (7, 1))
 """Neighbours and obstacles of the tables on which a file is checked."""
@@ -72,8 +72,6 @@ def run(config: Config) -> int:
         flag, path, ending = "--standalone", config.standalone, ".py"
     if path.suffix != ending:
         raise UserError(f"{flag} {path}: unknown ending; it must be {ending}")
-    if path.is_dir():
-        raise UserError(f"{flag} {path}: is a folder; it must be a file")
     said = _write_onnx(config, path) if ending == SUFFIX else _write_python(config, path)
     Console().print(f"{path}: {config.policy}{said} at most")
     return 0
@@ -89,7 +87,7 @@ def _write_onnx(config: Config, path: Path) -> str:
             f"--policy {config.policy}: is scripted and has no network; --standalone robot.py "
             "writes it as it is"
         )
-    prepare_folder(path.parent, f"--out {path}")
+    prepare_file(path, "--out")
     with atomic(path) as temporary:
         temporary.write_bytes(model_of(*network).SerializeToString())
         apart = _compare(temporary, network, config.checks)
@@ -103,7 +101,7 @@ def _write_onnx(config: Config, path: Path) -> str:
 
 def _write_python(config: Config, path: Path) -> str:
     """The same for one Python file."""
-    if path.exists() and not standalone.is_written(path):
+    if path.is_file() and not standalone.is_written(path):
         raise UserError(f"--standalone {path}: is there already, and not of this command's making")
     if policies.is_user_policy(config.policy):
         raise UserError(
@@ -113,7 +111,7 @@ def _write_python(config: Config, path: Path) -> str:
     policies.check_names([config.policy])
     scenario = policies.resolve_scenario(config.scenario)
     network = _network_of(config.policy, scenario)
-    prepare_folder(path.parent, f"--standalone {path}")
+    prepare_file(path, "--standalone")
     with atomic(path) as temporary:
         with user_error(f"--policy {config.policy}: ", ValueError):
             text = standalone.text_of(config.policy, scenario, network)

@@ -20,7 +20,7 @@ from rendezvous_env.baselines.learned import plain_data
 from rendezvous_env.scenario import scenarios
 from rendezvous_env.scenario.scenario import Scenario
 
-from .checks import user_error
+from .checks import UserError, user_error
 
 FORMAT_VERSION = 5
 """Of the files of ``compare``; a change that a reader would notice raises it."""
@@ -118,6 +118,15 @@ def prepare_folder(folder: Path, flag: str | None = None) -> Path:
         with TemporaryFile(dir=folder):  # on Linux without a name: a kill leaves nothing behind
             pass
     return folder
+
+
+def prepare_file(path: Path, flag: str) -> None:
+    """Make the folder of a file that can be written to; a UserError names the flag and the file,
+    also where that is a folder itself.
+    """
+    if path.is_dir():
+        raise UserError(f"{flag} {path}: is a folder; name a file")
+    prepare_folder(path.parent, f"{flag} {path}")
 
 
 def write_csv(

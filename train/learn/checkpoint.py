@@ -18,6 +18,7 @@ from rendezvous_env.baselines.learned import checkpoints
 from rendezvous_env.baselines.learned.checkpoints import CheckpointError
 from rendezvous_env.baselines.learned.plain_data import check_types, digest_of_rest, entry
 
+from rendezvous_env.engine.state_checks import check_entries
 from rendezvous_env.scenario.scenario import Scenario
 
 from .. import results
@@ -116,13 +117,8 @@ def check_fits(state: Mapping[str, Any], robots: Any, policy: Any) -> None:
     step or of the optimizer's moments, or a weight that is not finite.
     """
     slots = robots.num_envs
-    shapes = {
-        "last_observations": (slots, *robots.observation_space.shape),
-        "last_episode_starts": (slots,),
-    }
-    for name, shape in shapes.items():
-        if np.shape(state[name]) != shape:
-            raise ValueError(f"{name} has shape {np.shape(state[name])}; it must be {shape}")
+    seen = np.empty((slots, *robots.observation_space.shape), np.float32)
+    check_entries({"last_observations": seen, "last_episode_starts": np.empty(slots, bool)}, state)
     for weights in policy.parameters():
         if not torch.isfinite(weights).all():
             raise ValueError("a weight of the network is not finite")
