@@ -99,6 +99,6 @@ for name in given.scenarios:
         print(f"| {policy} |", " | ".join(f"{100 * r['clean']:.1f}" for r in own), "|", flush=True)
         found += own
 if given.out:
-    results.write_csv(given.out, COLUMNS, found)
+    results.write_csv(given.out, found)
 if given.figure:
     draw(found, given.figure)

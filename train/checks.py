@@ -2,7 +2,7 @@
 
 import importlib.util
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -78,13 +78,20 @@ class Flags:
         with user_error("", ValueError):
             check_types(vars(self), kinds)
         for field in fields(self):
-            name = field.name if "Positional" in str(field.type) else flag(field.name)
-            value = getattr(self, field.name)
+            hint, value = marked[field.name], getattr(self, field.name)
+            name = field.name if "Positional" in str(field.type) else flag(field.name, hint)
             for one in value if isinstance(value, tuple) else (value,):
                 _check_value(name, one)
-                for mark in getattr(marked[field.name], "__metadata__", ()):
+                for mark in getattr(hint, "__metadata__", ()):
                     if isinstance(mark, Bounds) and one is not None:
                         mark.check(name, one)
+
+
+def check_unused(flags: Flags, reasons: Mapping[str, str]) -> None:
+    """Refuse flags that mean nothing, for these reasons, unless they have their defaults."""
+    for name, why in reasons.items():
+        if (value := getattr(flags, name)) != getattr(type(flags), name):
+            raise UserError(f"{flag(name)} is {written(value)}; {why}")
 
 
 def _check_value(name: str, value: Any) -> None:
@@ -119,17 +126,12 @@ def check_text(name: str, text: str) -> None:
         raise UserError(f"{name} is {text!r}; it must not hold the character NUL")
 
 
-_FLAGS = {
-    "on": "backend", "fresh": "overwrite", "keep": "keep-trajectories", "ceiling": "oracle-runs",
-}  # fmt: skip
-"""Flags that are not called as their fields."""
-
-
 def written(value: Any) -> str:
     """What is written after a flag for a value."""
     return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
-def flag(name: str) -> str:
-    """What the command line calls a field."""
-    return "--" + _FLAGS.get(name, name.replace("_", "-"))
+def flag(name: str, hint: Any = None) -> str:
+    """What the command line calls a field, which ``tyro.conf.arg`` in its annotation may say."""
+    names = (getattr(mark, "name", None) for mark in getattr(hint, "__metadata__", ()))
+    return "--" + next(filter(None, names), name.replace("_", "-"))

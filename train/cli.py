@@ -146,12 +146,11 @@ def help_of(command: str, module: Any) -> str:
     command), and fields with their docstrings; those of FLAG_GROUPS (names by title) come last.
     """
     config = module.Config
-    hints, documents = get_type_hints(config, include_extras=True), _documents(config)
+    hints, told = get_type_hints(config, include_extras=True), documents(config)
     home = sys.modules[config.__module__]
     groups = getattr(home, "FLAG_GROUPS", {})
     own = {field.name: field for field in dataclasses.fields(config)}
-    positional = [n for n in own if "Positional" in str(own[n].type)]
-    words = ["[FLAGS]", *(f"[{name.upper()}]" for name in positional)]
+    words = ["[FLAGS]", *(f"[{n.upper()}]" for n, field in own.items() if _is_positional(field))]
     lines = [
         f"usage: rendezvous {command} {' '.join(words)}",
         "",
@@ -164,8 +163,8 @@ def help_of(command: str, module: Any) -> str:
         lines += ["", f"{title}:"] if names else []
         for name in names:
             default = own[name].default
-            lines.append(f"  {_flag_of(name, hints[name], name in positional, default)}")
-            said = documents[name]
+            lines.append(f"  {_flag_of(own[name], hints[name])}")
+            said = told[name]
             if not isinstance(default, bool) and default not in (None, (), dataclasses.MISSING):
                 said += f" Default: {written(default)}."
             indent = " " * 6
@@ -173,7 +172,7 @@ def help_of(command: str, module: Any) -> str:
     return "\n".join(lines)
 
 
-def _documents(config: type) -> dict[str, str]:
+def documents(config: type) -> dict[str, str]:
     """The docstring of each field of a dataclass and of those that it extends."""
     found: dict[str, str] = {}
     for kind in reversed(config.__mro__):
@@ -186,22 +185,27 @@ def _documents(config: type) -> dict[str, str]:
     return found
 
 
-def flags_of(name: str, hint: Any) -> list[str]:
-    """What the command line calls a field with that annotation: its flag, and other names of it."""
+def _is_positional(field: dataclasses.Field[Any]) -> bool:
+    return "Positional" in str(field.type)
+
+
+def flags_of(field: dataclasses.Field[Any], hint: Any) -> list[str]:
+    """What the command line calls a field with that annotation: its flag, other names of it and
+    what turns it off, or a word.
+    """
+    if _is_positional(field):
+        return [field.name.upper()]
+    name = flag(field.name, hint)
     others = (getattr(one, "aliases", None) or () for one in getattr(hint, "__metadata__", ()))
-    return [flag(name), *chain.from_iterable(others)]
+    off = [f"--no-{name[2:]}"] if field.default is True else []
+    return [name, *chain.from_iterable(others), *off]
 
 
-def _flag_of(name: str, hint: Any, positional: bool, default: Any) -> str:
-    """A flag with its other names and what follows it."""
-    names, kind = flags_of(name, hint), hint
-    if get_origin(hint) is Annotated:
-        kind = hint.__origin__
-    if kind is bool:
-        return f"{names[0]}, --no-{names[0][2:]}" if default else ", ".join(names)
-    if positional:
-        return f"{name.upper()} {_value_of(kind) if get_origin(kind) is Literal else ''}".rstrip()
-    return f"{', '.join(names)} {_value_of(kind)}"
+def _flag_of(field: dataclasses.Field[Any], hint: Any) -> str:
+    """What the command line calls a field, and what follows it."""
+    kind = hint.__origin__ if get_origin(hint) is Annotated else hint
+    is_told = get_origin(kind) is Literal or not (kind is bool or _is_positional(field))
+    return " ".join([", ".join(flags_of(field, hint)), *([_value_of(kind)] if is_told else [])])
 
 
 def _value_of(kind: Any) -> str:

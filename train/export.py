@@ -31,7 +31,7 @@ from rendezvous_env.scenario.scenario import Scenario
 from . import policies, standalone
 from .checks import Bounds, Flags, UserError, check_installed, user_error
 from .console import Console
-from .results import atomic, prepare_folder
+from .results import atomic, prepare_file
 
 _SLOTS = ((3, 12), (1, 0), (31, 24), (7, 1))
 """Neighbours and obstacles of the tables on which a file is checked."""
@@ -74,10 +74,8 @@ def run(config: Config) -> int:
         is_written = standalone.is_written
     if path.suffix != ending:
         raise UserError(f"{flag} {path}: unknown ending; it must be {ending}")
-    if path.is_dir():
-        raise UserError(f"{flag} {path}: is a folder; it must be a file")
     with user_error(f"{flag} {path}: cannot be read: ", OSError):
-        others = path.exists() and not is_written(path)
+        others = path.is_file() and not is_written(path)
     if others:
         raise UserError(f"{flag} {path}: is there already, and not of this command's making")
     said = _write_onnx(config, path) if ending == SUFFIX else _write_python(config, path)
@@ -100,7 +98,7 @@ def _write_onnx(config: Config, path: Path) -> str:
             f"--policy {config.policy}: is scripted and has no network; --standalone robot.py "
             "writes it as it is"
         )
-    prepare_folder(path.parent, f"--out {path}")
+    prepare_file(path, "--out")
     with atomic(path) as temporary:
         temporary.write_bytes(model_of(*network).SerializeToString())
         apart = _compare(temporary, network, config.checks)
@@ -122,7 +120,7 @@ def _write_python(config: Config, path: Path) -> str:
     policies.check_names([config.policy])
     scenario = policies.resolve_scenario(config.scenario)
     network = _network_of(config.policy, scenario)
-    prepare_folder(path.parent, f"--standalone {path}")
+    prepare_file(path, "--standalone")
     with atomic(path) as temporary:
         with user_error(f"--policy {config.policy}: ", ValueError):
             text = standalone.text_of(config.policy, scenario, network)

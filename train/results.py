@@ -20,7 +20,7 @@ from rendezvous_env.baselines.learned import plain_data
 from rendezvous_env.scenario import scenarios
 from rendezvous_env.scenario.scenario import Scenario
 
-from .checks import user_error
+from .checks import UserError, user_error
 
 FORMAT_VERSION = 5
 """Of the files of ``compare``; a change that a reader would notice raises it."""
@@ -120,12 +120,26 @@ def prepare_folder(folder: Path, flag: str | None = None) -> Path:
     return folder
 
 
-def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write rows, each with exactly these columns; None and NaN become empty cells."""
+def prepare_file(path: Path, flag: str) -> None:
+    """Make the folder of a file that can be written to; a UserError names the flag and the file,
+    also where that is a folder itself.
+    """
+    if path.is_dir():
+        raise UserError(f"{flag} {path}: is a folder; name a file")
+    prepare_folder(path.parent, f"{flag} {path}")
+
+
+def write_csv(
+    path: Path, rows: Iterable[Mapping[str, Any]], columns: Sequence[str] | None = None
+) -> None:
+    """Write rows, each with exactly these columns, by default those of the first row; None and NaN
+    become empty cells.
+    """
     with atomic(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, columns)
+        found = list(rows)
+        writer = csv.DictWriter(file, columns or list(found[0]))
         writer.writeheader()
-        writer.writerows({name: plain(cell) for name, cell in row.items()} for row in rows)
+        writer.writerows({name: plain(cell) for name, cell in row.items()} for row in found)
 
 
 def plain(value: Any) -> Any:

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from threadpoolctl import ThreadpoolController
 from tyro.conf import arg
 
-from .checks import Bounds, Flags, UserError, check_installed
+from .checks import Bounds, Flags, UserError, check_installed, check_unused
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -55,8 +55,8 @@ class Workers(Flags):
     def __post_init__(self) -> None:
         """Refuse a cluster that cannot be asked, too."""
         super().__post_init__()
-        if self.on == "here" and self.address is not None:
-            raise UserError(f"--address is {self.address}; only --backend ray has one")
+        if self.on == "here":
+            check_unused(self, {"address": "only --backend ray has one"})
         if self.on == "ray":
             check_installed("--backend ray", "ray", "ray")
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from .plain_data import check_types, digest, entry, read_json
+from .plain_data import check_types, digest_of_rest, entry, read_json
 
 FORMAT_VERSION = 1
 DESCRIPTION = "checkpoint.json"
@@ -79,7 +79,7 @@ def describe(place: Path) -> dict[str, Any]:
         raise CheckpointError(
             f"{path}: format_version is {version!r}; this version reads {FORMAT_VERSION}"
         )
-    if about.get("sha256") != digest_of(about):
+    if about.get("sha256") != digest_of_rest(about):
         raise CheckpointError(f"{path}: its content was changed: the digest in it does not fit")
     try:
         check_types({"files": about.get("files")}, {"files": dict[str, dict[str, Any]]})
@@ -113,8 +113,3 @@ def _read_file(path: Path, about: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     errors = SafetensorError, ValueError, KeyError, TypeError, AttributeError
     with refusing(path, "holds no arrays", errors):
         return load(content)
-
-
-def digest_of(description: Mapping[str, Any]) -> str:
-    """The digest that a description must carry in itself, of all the rest of it."""
-    return digest({key: value for key, value in description.items() if key != "sha256"})

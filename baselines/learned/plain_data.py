@@ -20,6 +20,11 @@ def digest(content: Any) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
+def digest_of_rest(content: Mapping[str, Any]) -> str:
+    """The digest that content carries in itself, as "sha256", of all the rest of it."""
+    return digest({key: value for key, value in content.items() if key != "sha256"})
+
+
 def entry(content: bytes) -> dict[str, Any]:
     """Size and SHA-256 of what a file holds, as its description names them."""
     return {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}

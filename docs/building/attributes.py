@@ -2,55 +2,19 @@
 
 from __future__ import annotations
 
-import ast
 import dataclasses
 import inspect
-import sys
-import textwrap
-from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, get_origin, get_type_hints
+import re
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, get_type_hints
 
-from train.cli import flags_of
-
-
-def docstrings(kind: type[Any]) -> dict[str, tuple[str, str]]:
-    """Annotation and docstring of every field of a dataclass, inherited ones included."""
-    found: dict[str, tuple[str, str]] = {}
-    for each in reversed(kind.__mro__):
-        if dataclasses.is_dataclass(each):
-            found |= _own_docstrings(each)
-    return found
+from train.cli import documents, flags_of
 
 
-def _own_docstrings(kind: type[Any]) -> dict[str, tuple[str, str]]:
-    """Those that the class itself writes down."""
-    (body,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
-    assert isinstance(body, ast.ClassDef)
-    found, plain = {}, _WithoutChecks(vars(sys.modules[kind.__module__]))
-    for node, after in zip(body.body, [*body.body[1:], None], strict=True):
-        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-            told = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
-            text = inspect.cleandoc(str(after.value.value)) if told else ""
-            found[node.target.id] = ast.unparse(plain.visit(node.annotation)), text
-    return found
-
-
-class _WithoutChecks(ast.NodeTransformer):
-    """Annotations in which ``Annotated``, and what names it, is the type alone."""
-
-    def __init__(self, names: Mapping[str, Any]) -> None:
-        self._names = names
-
-    def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
-        if isinstance(node.slice, ast.Tuple) and ast.unparse(node.value) == "Annotated":
-            return self.visit(node.slice.elts[0])
-        return self.generic_visit(node)
-
-    def visit_Name(self, node: ast.Name) -> ast.AST:
-        meant = self._names.get(node.id)
-        if get_origin(meant) is not Annotated:
-            return node
-        return ast.parse(inspect.formatannotation(meant.__origin__), mode="eval").body
+def type_of(hint: Any) -> str:
+    """A type without the modules of its names."""
+    text = re.sub(r"\b(?:[a-z_]\w*\.)+(?=[A-Za-z])", "", inspect.formatannotation(hint))
+    return re.sub(r"Optional\[(.*)\]", r"\1 | None", text)
 
 
 def default_of(field: dataclasses.Field[Any]) -> str:
@@ -64,30 +28,29 @@ def default_of(field: dataclasses.Field[Any]) -> str:
     return "–"
 
 
-def fields_table(kind: type[Any]) -> str:
-    """Name, type, default and meaning of every field of a dataclass, as Markdown."""
-    told = docstrings(kind)
+def fields_table(
+    kind: type[Any],
+    head: str = "field",
+    names_of: Callable[[dataclasses.Field[Any], Any], list[str]] = lambda field, _: [field.name],
+) -> str:
+    """Names, type, default and meaning of every field of a dataclass, as Markdown."""
+    told, hints = documents(kind), get_type_hints(kind)
+    marked = get_type_hints(kind, include_extras=True)
     rows = (
-        (f"`{field.name}`", f"`{told[field.name][0]}`", default_of(field), told[field.name][1])
+        (
+            ", ".join(f"`{name}`" for name in names_of(field, marked[field.name])),
+            f"`{type_of(hints[field.name])}`",
+            default_of(field),
+            told.get(field.name, ""),
+        )
         for field in dataclasses.fields(kind)
     )
-    return table(("field", "type", "default", "what it is"), rows)
+    return table((head, "type", "default", "what it is"), rows)
 
 
 def flags_table(config: type[Any]) -> str:
-    """Flag, type, default and meaning of every field of a command's settings, as Markdown."""
-    told, hints = docstrings(config), get_type_hints(config, include_extras=True)
-    rows = []
-    for field in dataclasses.fields(config):
-        annotation, text = told[field.name]
-        flags = flags_of(field.name, hints[field.name])
-        if field.default is True:
-            flags += [f"--no-{flags[0][2:]}"]
-        if annotation.startswith("Positional["):
-            flags, annotation = [field.name.upper()], annotation[len("Positional[") : -1]
-        flag = ", ".join(f"`{name}`" for name in flags)
-        rows.append((flag, f"`{annotation}`", default_of(field), text))
-    return table(("flag", "type", "default", "what it is"), rows)
+    """Flags, type, default and meaning of every field of a command's settings, as Markdown."""
+    return fields_table(config, "flag", flags_of)
 
 
 def meanings_table(head: str, meanings: Mapping[str, str]) -> str:

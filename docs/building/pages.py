@@ -12,12 +12,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from attributes import docstrings, fields_table, flags_table, meanings_table
+from attributes import fields_table, flags_table, meanings_table
 
 import baselines
 import rendezvous_env as rv
 from train import recording, results
-from train.cli import COMMANDS
+from train.cli import COMMANDS, documents
 from train.compare.evaluation import Episodes
 
 ROOT = Path(__file__).parents[2]
@@ -84,7 +84,7 @@ def data() -> str:
     for name in SHOWN_AS_FILES:
         parts += [f"`rv.scenarios.get({name!r}).to_toml(…)` writes\n", _toml(name)]
     episodes = {"scenario": "its name", "policy": "its name", "start": "k; its seed is SEED + k"}
-    episodes |= {name: text for name, (_, text) in docstrings(Episodes).items()}
+    episodes |= documents(Episodes)
     parts += [
         "## `results.csv`\n",
         "One row for each scenario and policy. Empty where a column does not apply.\n",

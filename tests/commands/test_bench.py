@@ -78,14 +78,21 @@ def test_rows_can_be_chosen_and_need_no_learner(tmp_path, monkeypatch, capsys):
     assert "memory per team, n = 3" in capsys.readouterr().out
 
 
-def test_a_ratio_is_that_to_the_case_it_names():
-    def case(name, work, against=""):
-        running = Running(lambda: sum(range(work)))
-        return Case(name, "g", 2, 1, 1, "steps", lambda: running, against)
+def test_a_ratio_is_that_to_the_case_it_names(monkeypatch):
+    now = [0.0]
 
-    cases = [case("limit a", 4_000), case("other", 40_000), case("ours", 40_000, "limit a")]
-    ours = measure(cases, Config(repeats=3, seconds=0.02))[2]
-    assert 0.02 < ours["ratio"] < 0.4
+    def case(name, seconds, against=""):
+        def step():
+            now[0] += seconds
+
+        return Case(name, "g", 2, 1, 1, "steps", lambda: Running(step), against)
+
+    cases = [case("limit a", 0.001), case("other", 0.002), case("ours", 0.01, "limit a")]
+    with monkeypatch.context() as patch:
+        patch.setattr("time.perf_counter", lambda: now[0])
+        first, _, ours = measure(cases, Config(repeats=3, seconds=0.02))
+    assert ours["ratio"] == pytest.approx(0.1) and ours["rate"] == pytest.approx(100.0)
+    assert first["ratio"] is None
 
 
 def test_merging_while_timed_is_an_error():

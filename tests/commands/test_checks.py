@@ -122,7 +122,7 @@ MISTAKES = {
     "verify --kinds 3": "--kinds is 3; add --any",
     "verify --claims bound-D": "claim 'bound-D' is unknown; did you mean 'bound-",
     "bench --only btached": "btached",
-    "bench --json missing/bench.json": "no folder",
+    "bench --json /dev/null/bench.json": "--json /dev/null/bench.json: cannot write there",
     "bench --json .": "is a folder; name a file",
     "bench --robots 3 1": "--robots is 1; it must be 2 or more",
     "bench --seconds 0": "--seconds is 0.0; it must be more than 0",

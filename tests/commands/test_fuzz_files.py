@@ -18,7 +18,7 @@ from conftest import contents
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from baselines.learned import checkpoints, learned_policy
+from baselines.learned import checkpoints, learned_policy, plain_data
 from train import cli, results
 from train.compare import compare
 from train.learn import ppo
@@ -178,7 +178,7 @@ def sign(folder):
             about = json.loads(path.read_text())
             for name in about["files"]:
                 about["files"][name] = results.entry(place / name)
-            about["sha256"] = checkpoints.digest_of(about)
+            about["sha256"] = plain_data.digest_of_rest(about)
             path.write_text(json.dumps(about))
 
 

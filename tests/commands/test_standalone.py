@@ -185,7 +185,7 @@ def test_a_changed_file_drives_no_robot(exported, tmp_path, seed):
         (["--standalone", "x.py", "--scenario", "cluter-8"], "did you mean 'clutter-8'?"),
         (["--standalone", "x.py", "--scenario", "double.toml"], "a RobotPolicy steers single"),
         (["--standalone", "x.py", "--policy", "os:getcwd"], "os:getcwd: is a function of your own"),
-        (["--standalone", "folder.py"], "--standalone folder.py: is a folder; it must be a file"),
+        (["--standalone", "folder.py"], "--standalone folder.py: is a folder; name a file"),
         (["--standalone", "own.py"], "--standalone own.py: is there already, and not of this"),
         (["--standalone", "own.py/x.py"], "--standalone own.py/x.py: cannot write there: "),
     ],

@@ -118,14 +118,14 @@ class TestFiles:
         assert float(rows["uav-6", "zero"]["probability_of_improvement"]) == 0.0
 
     def test_a_half_written_file_is_removed_and_the_old_one_stays(self, tmp_path):
-        results.write_csv(table := tmp_path / "table.csv", ["a"], [{"a": 0}])
+        results.write_csv(table := tmp_path / "table.csv", [{"a": 0}])
 
         def rows():
             yield {"a": 1}
             raise OSError("disk full")
 
         with pytest.raises(OSError, match="disk full"):
-            results.write_csv(table, ["a"], rows())
+            results.write_csv(table, rows())
         assert [*tmp_path.iterdir()] == [table] and results.read_csv(table) == [{"a": "0"}]
 
 

@@ -41,8 +41,8 @@ def folder(tmp_path):
            "clean_high": share + 0.05}
         for k in (1, 2) for name, share in (("clutter-24", 0.3 * k), ("clutter-16", 0.9))
     ]  # fmt: skip
-    results.write_csv(tmp_path / "metrics.csv", METRICS, metrics)
-    results.write_csv(tmp_path / "evaluation.csv", EVALUATION, evaluations)
+    results.write_csv(tmp_path / "metrics.csv", metrics, METRICS)
+    results.write_csv(tmp_path / "evaluation.csv", evaluations, EVALUATION)
     return tmp_path
 
 
@@ -58,7 +58,7 @@ def test_learning(folder):
 def test_an_update_in_which_no_episode_ended_leaves_a_gap(folder):
     rows = results.read_csv(folder / "metrics.csv")
     rows[9]["clean_success"] = ""
-    results.write_csv(folder / "metrics.csv", METRICS, rows)
+    results.write_csv(folder / "metrics.csv", rows, METRICS)
     training = learning_figure({"tank": folder}, "clutter-24").axes[0].get_lines()[0]
     np.testing.assert_allclose(training.get_ydata(), [45, np.nan, 55])
 

@@ -20,7 +20,7 @@ from rendezvous_env.engine.threads import available_cores
 
 from ..checks import Bounds, Flags, UserError, installed, unknown
 from ..console import Console
-from ..results import provenance, write_json
+from ..results import prepare_file, provenance, write_json
 from . import cases, learners
 from .cases import Case, Running, Size, spread_out
 
@@ -71,11 +71,8 @@ def check(config: Config) -> None:
             f"--num-envs times the square of --robots is {bearings}; it must be {_MOST_BEARINGS} "
             "or less, so that memory holds them"
         )
-    if (path := config.json) is not None:
-        if not path.parent.is_dir():
-            raise UserError(f"--json {path}: there is no folder {path.parent}")
-        if path.is_dir():
-            raise UserError(f"--json {path}: is a folder; name a file")
+    if config.json is not None:
+        prepare_file(config.json, "--json")
 
 
 def run(config: Config) -> None:

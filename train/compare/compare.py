@@ -17,7 +17,6 @@ from ..console import Console
 from ..resume import Part
 from ..tasks import Workers, each
 from . import out_folder, statistics, sweep, tables, upper_bound
-from .evaluation import EPISODE_COLUMNS
 from .playing import Played, blocks_of, by_scenario, joined, plan_of, play_all, play_job, summary
 from .ranking import Ranking, answer, rank
 from .settings import Config, Job, plan
@@ -163,18 +162,17 @@ def write(part: Part, found: Found, config: Config) -> list[str]:
         for done in found.played
         for row in done.episodes.rows()
     )
-    files: dict[str, tuple[Sequence[str], Any]] = {
-        "results.csv": (results.RESULT_COLUMNS, found.rows),
-        "episodes.csv": (EPISODE_COLUMNS, episodes),
-        "paired.csv": (results.PAIRED_COLUMNS, found.pairs),
+    levels = (sweep.rows_of(one, found.rows) for one in config.sweeps())
+    lists = {
+        "results.csv": found.rows,
+        "episodes.csv": list(episodes),
+        "ceiling.csv": found.bounds,
+        "levels.csv": list(chain.from_iterable(levels)),
     }
-    if config.ceiling:
-        files["ceiling.csv"] = upper_bound.COLUMNS, found.bounds
-    if sweeps := config.sweeps():
-        levels = (sweep.rows_of(one, found.rows) for one in sweeps)
-        files["levels.csv"] = sweep.COLUMNS, chain.from_iterable(levels)
-    for name, (columns, rows) in files.items():
-        results.write_csv(part.whole / name, columns, rows)
+    files = [name for name, rows in lists.items() if rows]
+    for name in files:
+        results.write_csv(part.whole / name, lists[name])
+    results.write_csv(part.whole / "paired.csv", found.pairs, results.PAIRED_COLUMNS)
     arrays = {
         f"{done.job.scenario.name}/{done.job.policy}/{start}/{name}": array
         for done in found.played
@@ -182,7 +180,7 @@ def write(part: Part, found: Found, config: Config) -> list[str]:
         for name, array in recording.items()
     }
     results.write_arrays(part.whole / "trajectories.npz", arrays, part.run)
-    return [*files, "trajectories.npz"]
+    return [*files, "paired.csv", "trajectories.npz"]
 
 
 def description(config: Config, found: Found, timing: dict[str, float]) -> dict[str, Any]:

@@ -14,6 +14,8 @@ from rendezvous_env.compilation import kernel
 from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.engine.preparation import begins_alike
 from rendezvous_env.engine.state_checks import check_mask, check_numbers, check_observations
+from rendezvous_env.physics.neighbour_rows import net_bearing_of
+from rendezvous_env.physics.vectors import X_AXIS, dot, load
 from rendezvous_env.safety.theorems.descent import time_bound
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
@@ -77,10 +79,6 @@ class Episodes:
         columns["clean"] = [None if value != value else int(value) for value in self.clean]
         for start in range(len(self.success)):
             yield {"start": start} | {name: values[start] for name, values in columns.items()}
-
-
-EPISODE_COLUMNS = ("scenario", "policy", "start", *(field.name for field in fields(Episodes)))
-"""Of episodes.csv."""
 
 
 def play(
@@ -222,32 +220,15 @@ def alignments(scenario: Scenario, step: Step) -> NDArray[np.float64]:
 def batch_alignments(
     observations: Any, actions: Any, running: Any, slots: int, along_x: bool, least: float, out: Any
 ) -> None:
-    """Alignments of the robots of running teams, to ``out`` (B, n)."""
+    """Write |vᵀf|/(‖v‖‖f‖) of the robots of running teams whose ‖f‖ is ``least`` (m/s) or more to
+    ``out`` (B, n); 0 where v = 0.
+    """
     for b in range(out.shape[0]):
         for i in range(out.shape[1]):
-            if running[b]:
-                rows = observations[b, i, :slots]
-                out[b, i] = _alignment(rows, actions[b, i], along_x, least)
-
-
-@kernel
-def _alignment(rows: Any, action: Any, along_x: bool, least: float) -> float:
-    """|vᵀf|/(‖v‖‖f‖) of one robot; NaN if ‖f‖ is below ``least`` (m/s), 0 if v = 0."""
-    f_square, v_square, product = 0.0, 0.0, 0.0
-    for k in range(rows.shape[1]):
-        f = 0.0
-        for row in range(rows.shape[0]):
-            f += rows[row, k]
-        v = 0.0
-        if not along_x:
-            v = action[k]
-        elif k == 0:
-            v = 1.0
-        f_square += f * f
-        v_square += v * v
-        product += v * f
-    if f_square < least * least:
-        return np.nan
-    if v_square == 0.0:
-        return 0.0
-    return min(1.0, abs(product) / np.sqrt(f_square * v_square))
+            f = net_bearing_of(observations[b, i], slots)
+            f_square = dot(f, f)
+            if running[b] and f_square >= least * least:
+                v = X_AXIS if along_x else load(actions[b, i])
+                v_square = dot(v, v)
+                cosine = abs(dot(v, f)) / np.sqrt(f_square * v_square) if v_square > 0.0 else 0.0
+                out[b, i] = min(1.0, cosine)

@@ -150,9 +150,7 @@ def plan(config: Config) -> list[Job]:
         path, out = (Path(os.path.realpath(one)) for one in (config.json, config.out))
         if {out, part_of(out)} & {path, *path.parents}:
             raise UserError(f"--json {config.json}: lies in OUT or OUT.part; choose a place beside")
-        if path.is_dir():
-            raise UserError(f"--json {config.json}: is a folder; name a file")
-        results.prepare_folder(path.parent, f"--json {config.json}")
+        results.prepare_file(config.json, "--json")
     return jobs
 
 

@@ -7,7 +7,6 @@ from typing import Any
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.sensors.sensing import Sensing
 
-from .. import results
 from ..checks import UserError, unknown, user_error
 
 Level = float | str | None
@@ -88,13 +87,11 @@ def _at(base: Scenario, field: str, level: Level) -> Scenario:
         return base.replace(name=name, sensing=sensing)
 
 
-COLUMNS = ("base", "field", "level", *results.RESULT_COLUMNS)
-"""Of levels.csv: a scenario, a field of its sensor and its level, empty where that is no number and
-the sensor's is exact; then the row of results.csv."""
-
-
 def rows_of(sweep: Sweep, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows of levels.csv that belong to a sweep, of those of results.csv."""
+    """The rows of levels.csv that belong to a sweep, of those of results.csv: before each a
+    scenario, a field of its sensor and its level, empty where that is no number and the sensor's
+    is exact.
+    """
     return [
         {"base": sweep.base.name, "field": sweep.field, "level": level} | row
         for level, scenario in zip(sweep.levels, sweep.scenarios, strict=True)

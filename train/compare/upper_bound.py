@@ -36,13 +36,6 @@ _WANDER = 0.3
 _WANDER_TIME = 1.0  # s
 
 
-COLUMNS = (
-    "scenario", "episodes", "runs", "clean_planner", "clean_best", "success_best", "clean_mean",
-    "never_clean", "never_met",
-)  # fmt: skip
-"""Of ceiling.csv: fractions 0–1 of the starts, and starts that no run passed cleanly, or at all."""
-
-
 def applies(scenario: Scenario) -> bool:
     """Whether the joined rule, whose runs these are, fits, and there is something to touch."""
     return "tangent-joined" in baselines.names(scenario) and counts_contacts(scenario)
@@ -77,7 +70,9 @@ def tasks_of(scenario: Scenario, config: Config) -> list[Task]:
 
 
 def row_of(scenario: Scenario, runs: Sequence[Episodes]) -> dict[str, Any]:
-    """The row of ceiling.csv of all runs on a scenario, of which the planner's is the last."""
+    """The row of ceiling.csv of all runs on a scenario, of which the planner's is the last:
+    fractions 0–1 of the starts, and starts that no run passed cleanly, or at all.
+    """
     *own, planned = runs
     clean = np.array([run.clean == 1 for run in own])
     success = np.array([run.success for run in own])

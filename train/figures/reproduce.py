@@ -20,7 +20,7 @@ from rendezvous_env.scenario import scenarios
 from rendezvous_env.trajectory import Trajectory, rollout
 
 from .. import policies, results
-from ..checks import Bounds, Flags, UserError, check_installed
+from ..checks import Bounds, Flags, check_installed, check_unused
 from ..console import Console
 from ..recording import Recording
 from . import bounds, path_figures, style
@@ -80,14 +80,12 @@ class Config(Flags):
 
 def run(config: Config) -> int:
     """Simulate, draw, and write FIGURE.png, FIGURE.pdf, FIGURE.npz and FIGURE.csv."""
-    if config.page is not None and config.figure != "bounds":
-        raise UserError(f"--page is {config.page}; {config.figure} makes no table for it")
-    if config.figure == "pixels":
-        return _pixels(config)
-    if config.policy is not None and config.figure not in _LAWS:
-        shown = TANK_POLICY if config.figure == "tank" else "random choices"
-        raise UserError(f"--policy is {config.policy}; {config.figure} shows {shown} alone")
-    return {"tank": _tank, "bounds": _bounds}.get(config.figure, _paper)(config)
+    unused = {} if config.figure == "bounds" else {"page": f"{config.figure} makes no table for it"}
+    if shown := {"tank": TANK_POLICY, "bounds": "random choices"}.get(config.figure):
+        unused["policy"] = f"{config.figure} shows {shown} alone"
+    check_unused(config, unused)
+    own = {"tank": _tank, "bounds": _bounds, "pixels": _pixels}
+    return own.get(config.figure, _paper)(config)
 
 
 def _save(figure: Figure, path: Path) -> None:
@@ -106,7 +104,7 @@ def _paper(config: Config) -> int:
     recording = one_team(trajectory)
     results.write_arrays(path.with_suffix(".npz"), recording)
     table = _table_of(recording)
-    results.write_csv(path.with_suffix(".csv"), list(table[0]), table)
+    results.write_csv(path.with_suffix(".csv"), table)
     _save(path_figures.team_figure(scenario, recording, name), path)
     end = f"met after {recording['times'][-1]:.2f} s" if trajectory.success[0] else "did not meet"
     (rise,) = trajectory.largest_rise_between_merges
@@ -148,7 +146,7 @@ def _bounds(config: Config) -> int:
     path, console = results.prepare_folder(config.out) / "bounds.csv", Console()
     with console.status(f"playing; {_COMPILING}"):
         rows = list(bounds.measure(bounds.ROWS, config.episodes, config.seed))
-    results.write_csv(path, bounds.COLUMNS, rows)
+    results.write_csv(path, rows)
     table = bounds.table_of(rows)
     if config.page is not None:
         bounds.write_into(config.page, table)
@@ -174,7 +172,7 @@ def _pixels(config: Config) -> int:
             f"{row['steps_per_core_second']:.0f} steps in a second of a core",
             soft_wrap=True,
         )
-    results.write_csv(path, list(rows[0]), rows)
+    results.write_csv(path, rows)
     console.print(f"data: {path}")
     return 0
 
@@ -184,7 +182,7 @@ def _tank(config: Config) -> int:
     path, console = results.prepare_folder(config.out) / "tank.png", Console()
     with console.status(f"playing; {_COMPILING}"):
         rows = list(measure_tanks(config.episodes, config.seed))
-    results.write_csv(path.with_suffix(".csv"), list(rows[0]), rows)
+    results.write_csv(path.with_suffix(".csv"), rows)
     _save(tank_tradeoff_figure(rows), path)
     for row in rows:
         console.print(

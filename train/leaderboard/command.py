@@ -174,8 +174,8 @@ def write(out: Path, runs: Sequence[Run], console: Console) -> None:
         write_run(out, *run)
     cards = [card for card, _ in runs]
     rows = tables.rows_of(cards)
-    results.write_csv(out / "leaderboard.csv", tables.COLUMNS, rows)
-    results.write_csv(out / "improvement.csv", tables.IMPROVEMENT, tables.improvements(cards))
+    results.write_csv(out / "leaderboard.csv", rows)
+    results.write_csv(out / "improvement.csv", tables.improvements(cards), tables.IMPROVEMENT)
     tables.draw(out, cards, rows)
     results.write_text(out / "README.md", tables.markdown(rows, cards))
     Console(width=max(console.width, tables.WIDTH)).print(tables.text(rows))

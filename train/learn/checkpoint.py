@@ -16,8 +16,9 @@ import torch
 from numpy.typing import NDArray
 from rendezvous_env.baselines.learned import checkpoints
 from rendezvous_env.baselines.learned.checkpoints import CheckpointError
-from rendezvous_env.baselines.learned.plain_data import check_types, entry
+from rendezvous_env.baselines.learned.plain_data import check_types, digest_of_rest, entry
 
+from rendezvous_env.engine.state_checks import check_entries
 from rendezvous_env.scenario.scenario import Scenario
 
 from .. import results
@@ -61,7 +62,7 @@ def write_folder(place: Path, description: Mapping[str, Any], tables: Tables) ->
     }
     files = {name: entry(content) for name, content in contents.items()}
     about = {"format_version": checkpoints.FORMAT_VERSION, **description, "files": files}
-    about["sha256"] = checkpoints.digest_of(about)
+    about["sha256"] = digest_of_rest(about)
     contents[checkpoints.DESCRIPTION] = (json.dumps(about, indent=2) + "\n").encode()
     with results.atomic(place) as temporary:
         temporary.mkdir()
@@ -116,13 +117,8 @@ def check_fits(state: Mapping[str, Any], robots: Any, policy: Any) -> None:
     step or of the optimizer's moments, or a weight that is not finite.
     """
     slots = robots.num_envs
-    shapes = {
-        "last_observations": (slots, *robots.observation_space.shape),
-        "last_episode_starts": (slots,),
-    }
-    for name, shape in shapes.items():
-        if np.shape(state[name]) != shape:
-            raise ValueError(f"{name} has shape {np.shape(state[name])}; it must be {shape}")
+    seen = np.empty((slots, *robots.observation_space.shape), np.float32)
+    check_entries({"last_observations": seen, "last_episode_starts": np.empty(slots, bool)}, state)
     for weights in policy.parameters():
         if not torch.isfinite(weights).all():
             raise ValueError("a weight of the network is not finite")

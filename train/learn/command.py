@@ -7,7 +7,7 @@ from pathlib import Path
 from rendezvous_env.baselines.learned import shipped
 
 from .. import policies, results
-from ..checks import UserError, written
+from ..checks import UserError, check_unused, written
 from ..compare.playing import TOGETHER, make_ready
 from ..compare.settings import Job
 from ..console import Console
@@ -60,9 +60,7 @@ def runs_of(settings: Settings, seeds: tuple[int, ...]) -> list[Settings]:
     """
     if len(set(seeds)) < len(seeds):
         raise UserError(f"--seeds {written(seeds)}: name each once")
-    for name in ("seed", "resume"):
-        if (value := getattr(settings, name)) != getattr(Settings, name):
-            raise UserError(f"--{name} is {value}; --seeds says which runs there are")
+    check_unused(settings, dict.fromkeys(("seed", "resume"), "--seeds says which runs there are"))
     runs = []
     for seed in seeds:
         threads, out = settings.num_threads or 1, settings.out / f"seed-{seed}"

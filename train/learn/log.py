@@ -56,7 +56,7 @@ class Table:
 
     def begin(self) -> None:
         """Write the rows that stay."""
-        results.write_csv(self._path, self._columns, self._kept)
+        results.write_csv(self._path, self._kept, self._columns)
 
     def add(self, row: Mapping[str, Any]) -> None:
         """Append a row; it is in the file when this returns."""

@@ -18,7 +18,7 @@ from rendezvous_env.safety.settings import SMALLEST_MARGIN
 from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..checks import Bounds, Flags, UserError, flag, user_error, written
+from ..checks import Bounds, Flags, UserError, check_unused, flag, user_error, written
 from ..policies import resolve_scenario
 from .sensing_ranges import Ranges, check_ranges
 
@@ -303,9 +303,7 @@ def _check_unused(config: Config) -> None:
     if not ranges:
         why = "no sensors are drawn: add a range, as --sensing-noise"
         unused |= dict.fromkeys(_HOW_SAMPLED, why)
-    for name, why in unused.items():
-        if (value := getattr(config, name)) != getattr(Config, name):
-            raise UserError(f"{flag(name)} is {value}; {why}")
+    check_unused(config, unused)
 
 
 def _check_scenarios(config: Config) -> None:

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from tyro.conf import arg
 
-from ..checks import Bounds, UserError, flag, unknown, written
+from ..checks import Bounds, check_unused, unknown
 from ..console import Console
 from ..results import write_csv
 from ..resume import Part, program
@@ -65,11 +65,11 @@ class Config(Workers):
 
 def check_config(config: Config) -> None:
     """Refuse what cannot be run in a UserError: the flag, its value and what would be right."""
-    unused = ("claims", "only_batch", "min_alignment") if config.any else ("kinds",)
-    for name in unused:
-        if (value := getattr(config, name)) != getattr(Config, name):
-            why = "--any tries no claims: leave it out" if config.any else "add --any"
-            raise UserError(f"{flag(name)} is {written(value)}; {why}")
+    unused = {"kinds": "add --any"}
+    if config.any:
+        why = "--any tries no claims: leave it out"
+        unused = dict.fromkeys(("claims", "only_batch", "min_alignment"), why)
+    check_unused(config, unused)
     known = [claim.name for claim in CLAIMS]
     for name in config.claims:
         if name not in known:
@@ -103,7 +103,7 @@ def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | Non
             rows = theorem_rows(tallies["scenarios"])
         else:
             rows = [claim_row(claim, config, tallies[claim.name]) for claim in chosen]
-        write_csv(path, list(rows[0]) if rows else ["theorem"], rows)
+        write_csv(path, rows, None if rows else ["theorem"])
         part.discard()
     total, steps = Tally(), ""
     for tally in tallies.values():
