@@ -9,7 +9,6 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
-from functools import wraps
 from pathlib import Path
 
 # the tests run beside others on few cores
@@ -281,20 +280,6 @@ def refusing(simulator: Simulator, message: str, error: type[Exception] = ValueE
     with pytest.raises(error, match=message):
         yield
     assert_same_state(simulator, before)
-
-
-def mistaken(monkeypatch: pytest.MonkeyPatch, made: type, changes: Callable) -> None:
-    """Let filters of a class be made with other constants, which follow from the right ones."""
-    begin = made.__init__
-
-    @wraps(begin)  # whose arguments the wrappers read
-    def wrong(self, *given, **asked):
-        begin(self, *given, **asked)
-        name = "_constants" if hasattr(self, "_constants") else "_robot"
-        known = getattr(self, name)
-        setattr(self, name, known._replace(**changes(known)))
-
-    monkeypatch.setattr(made, "__init__", wrong)
 
 
 @pytest.fixture

@@ -5,7 +5,8 @@ and filters with a mistake in them, which that finds.
 import math
 
 import pytest
-from conftest import MODELS, five, mistaken
+from conftest import MODELS, five
+from mistakes import mistaken
 
 import baselines
 from rendezvous_env import Scenario, Sensing, certificate, graphs, rollout

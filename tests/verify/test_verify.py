@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from conftest import mistaken
+from mistakes import mistaken
 from rich.console import Console
 
 import baselines
