@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import refuse
+from rendezvous_env.checks import check_shape, refuse
 from rendezvous_env.envs.guarantee import check_period
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.safety.safety_filter import SafetyFilter
@@ -103,10 +103,7 @@ class FilteredPolicy(DecidingPolicy):
         seen = self._as_given(self._filter.view(teams)).copy()  # not what the filter acts on
         choices = np.asarray(self.choose(seen))
         wanted = *seen.shape[:-2], self._filter.action_size
-        if choices.shape != wanted:
-            raise ValueError(
-                f"choose gave an array of shape {choices.shape}; it must be (..., n, k) = {wanted}"
-            )
+        check_shape("what choose gave", choices, wanted, axes="(..., n, k)")
         self._filter.hold(choices.reshape(len(teams), *wanted[-2:]))
         if before is not None:
             now = self._filter.get_state()

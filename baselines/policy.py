@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar, overload, runtime_checkab
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import Registry, bools, choice, meant, refuse, shown
+from rendezvous_env.checks import Registry, bools, choice, known_fields, meant, refuse, shown
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
@@ -235,10 +235,7 @@ def make(name: str, scenario: ScenarioLike, **options: Any) -> Policy:
         raise ValueError(f"policy {shown(name)} {known}; {right}")
     build = _registry[name].build
     allowed = [option for option in inspect.signature(build).parameters if option != "scenario"]
-    for option in options:
-        if option not in allowed:
-            right = f"it has {', '.join(allowed) or 'none'}"
-            raise ValueError(f"policy {name!r} has no option {shown(option)}; {right}")
+    known_fields(options, allowed, f"policy {name!r}", "option")
     return build(scenario, **options)
 
 
@@ -251,19 +248,17 @@ def file_of(build: Callable[..., Any]) -> Path | None:
     return Path(found) if found is not None and Path(found).is_file() else None
 
 
-def is_single_integrator(scenario: Scenario) -> bool:
-    """Whether actions are velocities."""
-    return scenario.robot_model == "single_integrator"
+def of_model(*models: str, dim: int | None = None) -> Callable[[Scenario], bool]:
+    """What tells whether a scenario's robots are of one of these models, of so many dimensions."""
+    return lambda scenario: scenario.robot_model in models and dim in (None, scenario.dim)
 
 
-def in_the_plane(scenario: Scenario) -> bool:
-    """Whether actions are velocities in the plane."""
-    return is_single_integrator(scenario) and scenario.dim == 2
-
-
-def is_double_integrator(scenario: Scenario) -> bool:
-    """Whether actions are accelerations."""
-    return scenario.robot_model == "double_integrator"
+is_single_integrator = of_model("single_integrator")
+"""Whether actions are velocities."""
+in_the_plane = of_model("single_integrator", dim=2)
+"""Whether actions are velocities in the plane."""
+is_double_integrator = of_model("double_integrator")
+"""Whether actions are accelerations."""
 
 
 def within_limits(actions: NDArray[np.float64], scenario: Scenario) -> Float32:

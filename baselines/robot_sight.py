@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import floats, refuse
+from rendezvous_env.checks import check_shape, floats, refuse
 from rendezvous_env.scenario.observation_layout import ObservationLayout
 
 Array = NDArray[np.float64]
@@ -147,10 +147,7 @@ def _direction_of_gravity(gravity: ArrayLike | None, sensed: bool) -> Array:
 def _gains(weights: ArrayLike, count: int, most: float) -> Array:
     """Weights (count,), m/s, that come to no more than ``most``."""
     gains = floats("weights", weights)
-    if gains.shape != (count,):
-        raise ValueError(
-            f"weights have shape {gains.shape}; they must be ({count},), one for each bearing"
-        )
+    check_shape("weights", gains, (count,), axes="(k,)")
     for index in np.flatnonzero(~((gains > 0.0) & np.isfinite(gains))):
         refuse(f"weights[{index}]", float(gains[index]), "positive and finite (m/s)")
     if (total := float(gains.sum())) > (1.0 + _ROUNDING) * most:
@@ -169,7 +166,10 @@ def _round_their_middles(rays: Array, net_bearing: Array) -> tuple[Array, Array]
     area = np.cross(rays, np.roll(rays, -1, axis=1)).sum(axis=1)
     backwards = (np.einsum("md,md->m", area, total) < -_FLAT)[:, np.newaxis]
     middles = total + np.where(backwards, -area, area)
-    middles /= np.linalg.norm(middles, axis=-1, keepdims=True)
+    lengths = np.linalg.norm(middles, axis=-1, keepdims=True)
+    for index in np.flatnonzero(lengths <= _FLAT):
+        refuse(f"obstacles[{index}]", rays[index].tolist(), "rays round a cone")
+    middles /= lengths
     rays = np.where(backwards[..., np.newaxis], rays[:, ::-1], rays)
     across = net_bearing - (middles @ net_bearing)[:, np.newaxis] * middles
     first = np.einsum("msd,md->ms", rays, across)

@@ -58,12 +58,17 @@ class _Way(NamedTuple):
 
     robot: Robot
     aligned: float  # as ``inputs_towards``, rad
-    clearance: float = 0.0  # by which cones are widened, rad
-    keeps: float = 0.0  # as ``kept_azimuth``, rad
+    clearance: float  # by which cones are widened, rad
+    keeps: float  # as ``kept_azimuth``, rad
 
 
 class _Bodies(Remembering):
-    """What the kernels of a subclass remember of the bodies of B teams."""
+    """What the kernels of a subclass remember of the bodies of B teams.
+
+    Within the ``clearance``, rad, of where it is to go a unicycle drives; in space cones are
+    widened by it. ``most`` limits turn rates, rad/s, beside the scenario; ``keeps``, rad, of space,
+    is as ``kept_azimuth`` has it: PASSABLE under headings.
+    """
 
     _remembered: Any  # a tuple of arrays (B, n, ...)
     _yaws: str  # which of these is by how much bodies have turned
@@ -71,11 +76,19 @@ class _Bodies(Remembering):
     _follow: Any
     _turn: Any
 
-    def __init__(self, scenario: Scenario, num_envs: int, most: float, **how: Any) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        num_envs: int,
+        clearance: float,
+        most: float = math.inf,
+        keeps: float = math.inf,
+    ) -> None:
         robots, robot = (num_envs, scenario.n_robots), robot_of(scenario, most=most)
         arrays = (np.zeros((*robots, *_WIDTHS.get(f, ()))) for f in self._remembered._fields)
         self._kept = self._remembered._make(arrays)
-        self._way = _Way(robot, **how)
+        aligned = clearance if scenario.dim == 2 else ALIGNED_IN_SPACE
+        self._way = _Way(robot, float(aligned), float(clearance), float(keeps))
         self.headings: Array = self._kept.headings
         """Where they are to go, (B, n, 2), in that frame or plane; zero where there is none yet."""
         self.velocities: Array = self._kept.velocities
@@ -176,19 +189,12 @@ def _turn_in_frames(teams, actions, way, memory):
 class SteadyFrames(_Bodies):
     """Headings of the unicycles of B teams, in frames that stay as the bodies were at first.
 
-        u = R(θ) u_body,   θ ← θ + ω τ
-
-    ``aligned``, rad, as ``inputs_towards``; ``most`` limits turn rates, rad/s, beside the scenario.
+    u = R(θ) u_body,   θ ← θ + ω τ
     """
 
     _remembered, _yaws = _InFrames, "angles"
     _look, _follow = staticmethod(_look_in_frames), staticmethod(_follow_in_frames)
     _turn = staticmethod(_turn_in_frames)
-
-    def __init__(
-        self, scenario: Scenario, num_envs: int, aligned: float, most: float = math.inf
-    ) -> None:
-        super().__init__(scenario, num_envs, most, aligned=float(aligned))
 
 
 class _InPlanes(NamedTuple):
@@ -325,21 +331,9 @@ class SteadyPlanes(_Bodies):
         (cos θ, sin θ) = f/‖f‖ in the plane,   θ ← θ + ∠ in the plane that f has turned
 
     While something in its plane is before f, but not too wide, a robot keeps to it, as f turns;
-    else it takes the one with least to turn, and what it remembers turns with it about f. Cones are
-    widened by the clearance, rad; ``keeps``, rad, as ``kept_azimuth``: PASSABLE under headings.
+    else it takes the one with least to turn, and what it remembers turns with it about f.
     """
 
     _remembered, _yaws = _InPlanes, "yaws"
     _look, _follow = staticmethod(_look_in_planes), staticmethod(_follow_in_planes)
     _turn = staticmethod(_turn_in_planes)
-
-    def __init__(
-        self,
-        scenario: Scenario,
-        num_envs: int,
-        clearance: float,
-        most: float = math.inf,
-        keeps: float = math.inf,
-    ) -> None:
-        how = {"aligned": ALIGNED_IN_SPACE, "clearance": float(clearance), "keeps": float(keeps)}
-        super().__init__(scenario, num_envs, most, **how)

@@ -24,6 +24,8 @@ from rendezvous_env.safety.turning import (
 )
 from rendezvous_env.scenario.scenario import Scenario
 
+from .policy import of_model
+
 Array = NDArray[np.float64]
 Rows = NDArray[Any]
 ALIGNED = 0.5  # rad; within this angle of where it is to go a robot that turns drives
@@ -33,14 +35,10 @@ WITHIN = 1.0 - 1e-6
 sent is what the tank has booked."""
 
 
-def turns(scenario: Scenario) -> bool:
-    """Whether the robots are unicycles or nonholonomic robots of space, whose frames turn."""
-    return scenario.robot_model in ("unicycle", "nonholonomic_3d")
-
-
-def can_steer(scenario: Scenario) -> bool:
-    """Whether ``Steering`` knows a scenario's robots."""
-    return scenario.robot_model == "single_integrator" or turns(scenario)
+turns = of_model("unicycle", "nonholonomic_3d")
+"""Whether a scenario's robots are unicycles or nonholonomic ones of space, whose frames turn."""
+can_steer = of_model("single_integrator", "unicycle", "nonholonomic_3d")
+"""Whether ``Steering`` knows a scenario's robots."""
 
 
 def check_steerable(scenario: Scenario, what_steers: str = "learned policies steer") -> None:
@@ -74,14 +72,10 @@ class Steering:
 
     def actions(self, wanted: Rows, observations: Rows) -> Array:
         """Actions (..., a) that follow velocities (..., d), m/s; see ``inputs_towards``."""
-        if not self.turns:
-            return np.asarray(wanted, dtype=np.float64)
         return self._over_robots(_steer, wanted, observations, self.scenario.action_size)
 
     def velocities(self, actions: Rows, observations: Rows) -> Array:
         """Mean velocity (..., d) over a step, v m, m/s, of robots that take actions (..., a)."""
-        if not self.turns:
-            return np.asarray(actions, dtype=np.float64)
         return self._over_robots(_mean_velocities, actions, observations, self.scenario.dim)
 
     def turned(
@@ -97,6 +91,8 @@ class Steering:
     def _over_robots(
         self, function: Any, values: Rows, observations: Rows, size: int, gate: Any = None
     ) -> Array:
+        if not self.turns:  # they go as they are told
+            return np.asarray(values, dtype=np.float64)
         given = np.ascontiguousarray(values, np.float64).reshape(-1, values.shape[-1])
         rows = np.ascontiguousarray(observations).reshape(-1, *observations.shape[-2:])
         out = np.zeros((len(given), size))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import flag, refuse
+from rendezvous_env.checks import check_shape, flag, refuse
 from rendezvous_env.envs.vector_wrappers import GuaranteeWrapper
 from rendezvous_env.safety.safety_filter import SafetyFilter
 from rendezvous_env.scenario.scenario import Scenario
@@ -95,11 +95,7 @@ class TrainedPolicy(TeamPolicy):
         choices = np.asarray(found[0] if isinstance(found, tuple) else found)
         robot = self._chooses.shape[1:]
         wanted = (*rows.shape[: 1 + self._by_team], *robot)
-        if choices.shape != wanted:
-            raise ValueError(
-                f"predict gave an array of shape {choices.shape} for observations {rows.shape}; "
-                f"it must be {wanted}"
-            )
+        check_shape(f"what predict gave for observations {rows.shape}", choices, wanted)
         return choices.reshape(*seen.shape[:2], *robot)
 
     def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:

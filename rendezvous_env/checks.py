@@ -100,7 +100,7 @@ def is_sequence(value: Any) -> bool:
     return isinstance(value, Sequence) and not isinstance(value, str | bytes)
 
 
-# ---- one value: a check takes the name of a field and its value, and returns what is kept --------
+# A check of one value takes the name of a field and its value, and returns what is kept.
 
 
 def number(
@@ -118,13 +118,6 @@ def positive(field: str, value: Any, unit: str = "") -> float:
     if not SMALLEST <= real(value) <= LARGEST:
         bounds = f"from {SMALLEST:g} to {LARGEST:g} {unit}".rstrip()
         refuse(field, value, f"a positive, finite number, {bounds}")
-    return real(value)
-
-
-def between(field: str, value: Any, low: float, high: float) -> float:
-    """A number strictly between two others."""
-    if not low < real(value) < high:
-        refuse(field, value, f"a number between {exact(low)} and {exact(high)}, exclusive")
     return real(value)
 
 
@@ -192,6 +185,14 @@ def floats(field: str, value: Any, dtype: type[np.floating[Any]] = np.float64) -
         return array.astype(dtype)
 
 
+def check_shape(name: str, array: NDArray[Any], *shapes: tuple[int, ...], axes: str = "") -> None:
+    """Refuse an array, called by its name, of another shape than these, whose axes are ``axes``."""
+    if array.shape not in shapes:
+        wanted = f"{axes} = " * bool(axes) + " or ".join(dict.fromkeys(map(str, shapes)))
+        has, it = ("have", "they") if name.endswith("s") else ("has", "it")
+        raise ValueError(f"{name} {has} shape {array.shape}; {it} must be {wanted}")
+
+
 def _unreadable(value: Any) -> str:
     """What keeps NumPy from reading a tensor, and what to do; nothing for anything else."""
     if not all(hasattr(value, name) for name in ("detach", "requires_grad", "device", "dtype")):
@@ -227,9 +228,6 @@ def bools(field: str, value: Any, shape: tuple[int, ...] | None, of_what: str) -
     return array
 
 
-# ---- words ---------------------------------------------------------------------------------------
-
-
 def nearest_word(word: Any, words: Iterable[str], cutoff: float = 0.65) -> str | None:
     """The known word that other packages call ``word``, or the one most like it (at least
     ``cutoff`` of 1), or one of which it is a part, between - and _.
@@ -258,7 +256,7 @@ def known_fields(
     known = list(known)
     for key in given:
         if key not in known:
-            hint = meant(key, known) or f"known are {', '.join(known)}"
+            hint = meant(key, known) or f"known are {', '.join(known) or 'none'}"
             if key in _STEPS and nearest_word(key, known) == "time_limit":
                 hint += " it is in s, not in steps"
             raise UnknownFieldError(f"{what} has no {noun} {shown(key)}; {hint}")
@@ -272,8 +270,6 @@ def load(library: str, what: str, extra: str) -> Any:
         remedy = f"pip install 'rendezvous-env[{extra}]'"
         raise ImportError(f"{what} needs {library}: {remedy}", name=library) from error
 
-
-# ---- dataclasses whose annotations say what is right ---------------------------------------------
 
 Metres = Annotated[float, partial(positive, unit="m")]
 Seconds = Annotated[float, partial(positive, unit="s")]

@@ -97,9 +97,6 @@ class KernelCache:
         return arguments, folder / f"{name}-{digest.hexdigest()[:32]}.code"
 
 
-# ---- what compiled code is made from ------------------------------------------------------------
-
-
 _CHOSEN_BY: dict[type, tuple[Any, ...]] = {}
 
 
@@ -193,9 +190,6 @@ def _names(code: CodeType) -> frozenset[str]:
     """What a function and the functions within it name."""
     within = [_names(part) for part in code.co_consts if isinstance(part, CodeType)]
     return frozenset(code.co_names).union(*within)
-
-
-# ---- places -------------------------------------------------------------------------------------
 
 
 @cache

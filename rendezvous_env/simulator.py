@@ -69,8 +69,6 @@ class Simulator(StateView):
         self._own_model = is_custom(scenario.model)
         self._ready = self._observed = False
 
-    # ---- episodes -----------------------------------------------------------------------------
-
     def reset(
         self,
         seed: int | Sequence[int | None] | None = None,
@@ -297,8 +295,6 @@ class Simulator(StateView):
         if mask is None:
             return np.arange(self.num_envs)
         return np.flatnonzero(bools("mask", mask, (self.num_envs,), "teams"))
-
-    # ---- state --------------------------------------------------------------------------------
 
     @property
     def clearance(self) -> NDArray[np.float64]:

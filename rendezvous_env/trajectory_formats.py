@@ -41,7 +41,8 @@ def xarray_dataset(trajectory: Any) -> xarray.Dataset:
     """An xarray Dataset with the arrays under their own names, shaped as ``DIMENSIONS`` says.
 
     Coordinates ``time`` (T + 1,), s, and ``step_end`` (T,), s, when each step ended; the attribute
-    ``scenario`` holds the scenario as JSON. An ImportError says how to get xarray.
+    ``scenario`` holds the scenario as JSON. Arrays without an entry, as headings of robots that
+    have none, are left out: NetCDF 3 cannot hold them. An ImportError says how to get xarray.
     """
     library = load("xarray", "to_xarray()", _EXTRA)
     scenario, times, arrays = trajectory.scenario, trajectory.times, _arrays(trajectory)
@@ -56,7 +57,8 @@ def xarray_dataset(trajectory: Any) -> xarray.Dataset:
         dimensions, unit = DIMENSIONS[name]
         variables[name] = (dimensions, array, {"units": unit} if unit else {})
     attributes = {"scenario": json.dumps(scenario.to_plain())}
-    return library.Dataset(variables, coordinates, attributes)
+    made = library.Dataset(variables, coordinates, attributes)
+    return made.drop_dims([name for name, length in made.sizes.items() if length == 0])
 
 
 def pandas_dataframe(trajectory: Any) -> pandas.DataFrame:

@@ -175,9 +175,6 @@ def integrate(trial: Trial) -> tuple[Array, Array]:
             kept[running] = np.minimum(kept, trial.look(teams))[running]
 
 
-# ---- where a robot must not go -------------------------------------------------------------------
-
-
 def outward(teams: Teams, sights: Sights) -> Array:
     """Unit vectors (B, n, d) along ∂L/∂p_i, exact in the plane and nearly so in 3-D; away from
     the centroid for robots inside the hull.

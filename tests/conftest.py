@@ -71,7 +71,6 @@ KERNELS = tuple(
         "borders/test_fuzz_core.py::test_options_of_a_reset[few]",
         "borders/test_fuzz_core.py::test_states[few]",
         "engine/test_graphs_that_change.py::test_law_1",
-        "engine/test_graphs_that_change.py::test_a_robot_that_comes_to_see_more",
         "engine/test_packing.py::TestMoving",
         "engine/test_restart.py::test_all_ways_to_restart_show_the_same_start_and_leave_the_others"
         "_alone[proximity",
@@ -88,7 +87,6 @@ KERNELS = tuple(
         "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[two rows]",
         "learn/test_networks.py::test_kernels_pool",
         "learn/test_updates.py::test_slopes",
-        "physics/test_capsules.py",
         "physics/test_chance.py::TestOneNumber::test_plain",
         "physics/test_chance.py::TestOneTurn::test_small",
         "physics/test_chance.py::test_every",
@@ -250,6 +248,13 @@ def contents(folder: Path) -> dict[str, bytes | None]:
         str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
         for path in folder.rglob("*")
     }
+
+
+def started(scenario: Scenario, teams: int = 1, seed: object = 0, **options: object) -> Simulator:
+    """A simulator that has been reset, with options."""
+    simulator = Simulator(scenario, teams)
+    simulator.reset(seed, options)
+    return simulator
 
 
 def actions_shape(simulator: Simulator) -> tuple[int, int, int]:

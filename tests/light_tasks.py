@@ -32,21 +32,12 @@ def refuses(task):
     raise UserError(f"task {task} cannot be")
 
 
-def product(task):
-    """A product of matrices as a network has it, as bytes."""
-    import numpy as np
-
-    random = np.random.default_rng(task)
-    shapes = (4000, 128), (128, 128), (128, 14)
-    rows, *weights = (random.normal(size=shape).astype(np.float32) for shape in shapes)
-    return (rows @ weights[0] @ weights[1]).tobytes()
-
-
-def torch_product(task):
-    """A product as torch has it, of as few rows as a team, as bytes."""
-    import numpy as np
+def threads(task):
+    """By how many threads NumPy and torch multiply matrices where it is done."""
+    import numpy  # noqa: F401, which must be there to be asked
     import torch
+    from threadpoolctl import threadpool_info
 
-    random = np.random.default_rng(task)
-    rows, weights = (torch.tensor(random.normal(size=shape)) for shape in ((7, 512), (512, 512)))
-    return (rows.float() @ weights.float()).numpy().tobytes()
+    pools = threadpool_info()
+    found = [pool["num_threads"] for pool in pools if pool["user_api"] == "blas"]
+    return torch.get_num_threads(), *found

@@ -104,6 +104,21 @@ def test_every_command_shown_is_understood(page, monkeypatch):
     assert seen
 
 
+def test_every_toml_block_is_a_scenario(tmp_path):
+    """Of a file that has been imported before is the term of rewards.md."""
+    rv.reward_term("effort", lambda step: -step.time)
+    file, found = tmp_path / "shown.toml", {}
+    for page in PAGES:
+        for block in blocks(page, "toml"):
+            file.write_text(block, encoding="utf-8")
+            assert page.stem not in found
+            found[page.stem] = rv.Scenario.from_toml(file)
+    assert found["faq"].n_robots == 6 and len(found["faq"].obstacles) > 0
+    assert found["graphs"].sensing_graph.order == "random"
+    assert found["rewards"].reward.custom == (("effort", -0.01),)
+    assert found["sensing"].sensing == rv.Sensing(field_of_view=2.0, noise=0.05, occlusion="both")
+
+
 def test_no_other_languages_hide_code():
     for page in PAGES:
         shown = set(re.findall(r"^```(\w+)", page.read_text(encoding="utf-8"), flags=re.MULTILINE))

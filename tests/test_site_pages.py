@@ -146,14 +146,6 @@ def test_the_reference_begins_with_what_is_looked_for_first(pages):
     assert next(name for package, name in names if package == "baselines") == "make"
 
 
-def test_the_sample_of_a_scenario_file_is_read(tmp_path):
-    (text,) = re.findall(
-        r"```toml\n(.*?)```", (ROOT / "docs/faq.md").read_text(encoding="utf-8"), re.DOTALL
-    )
-    (tmp_path / "my.toml").write_text(text, encoding="utf-8")
-    assert rv.Scenario.from_toml(tmp_path / "my.toml").n_robots == 6
-
-
 @pytest.mark.parametrize(
     ("link", "expected"),
     [

@@ -91,7 +91,7 @@ def check_unused(flags: Flags, reasons: Mapping[str, str]) -> None:
     """Refuse flags that mean nothing, for these reasons, unless they have their defaults."""
     for name, why in reasons.items():
         if (value := getattr(flags, name)) != getattr(type(flags), name):
-            raise UserError(f"{flag(name)} is {value}; {why}")
+            raise UserError(f"{flag(name)} is {written(value)}; {why}")
 
 
 def _check_value(name: str, value: Any) -> None:
@@ -124,6 +124,11 @@ def check_text(name: str, text: str) -> None:
         raise UserError(f"{name} is {text!r}; it must be text in UTF-8") from None
     if "\0" in text:
         raise UserError(f"{name} is {text!r}; it must not hold the character NUL")
+
+
+def written(value: Any) -> str:
+    """What is written after a flag for a value."""
+    return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def flag(name: str, hint: Any = None) -> str:

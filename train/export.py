@@ -55,9 +55,10 @@ class Config(Flags):
     """The name of a shipped policy, or learned:PATH of a run or a checkpoint; with --standalone
     also of a law or a rule."""
     out: Path = Path("out/policy.onnx")
-    """The ONNX file to write."""
+    """The ONNX file to write. An older one that this command wrote is replaced, any other file is
+    left as it is."""
     standalone: Path | None = None
-    """The Python file to write, instead of an ONNX file."""
+    """The Python file to write, likewise, instead of an ONNX file."""
     scenario: str = "clutter-8"
     """Whose robot it is for: the name of a scenario or a TOML file. An ONNX file is for all robots
     of that model."""
@@ -67,14 +68,24 @@ class Config(Flags):
 
 def run(config: Config) -> int:
     """Read, write, compare; a UserError also for a file that does not do what the policy does."""
-    flag, path, ending = "--out", config.out, SUFFIX
+    flag, path, ending, is_written = "--out", config.out, SUFFIX, _is_written
     if config.standalone is not None:
         flag, path, ending = "--standalone", config.standalone, ".py"
+        is_written = standalone.is_written
     if path.suffix != ending:
         raise UserError(f"{flag} {path}: unknown ending; it must be {ending}")
+    with user_error(f"{flag} {path}: cannot be read: ", OSError):
+        others = path.is_file() and not is_written(path)
+    if others:
+        raise UserError(f"{flag} {path}: is there already, and not of this command's making")
     said = _write_onnx(config, path) if ending == SUFFIX else _write_python(config, path)
     Console().print(f"{path}: {config.policy}{said} at most")
     return 0
+
+
+def _is_written(path: Path) -> bool:
+    """Whether a file is an ONNX file of this command, of any version."""
+    return SETTINGS_KEY.encode() in path.read_bytes()
 
 
 def _write_onnx(config: Config, path: Path) -> str:
@@ -101,8 +112,6 @@ def _write_onnx(config: Config, path: Path) -> str:
 
 def _write_python(config: Config, path: Path) -> str:
     """The same for one Python file."""
-    if path.is_file() and not standalone.is_written(path):
-        raise UserError(f"--standalone {path}: is there already, and not of this command's making")
     if policies.is_user_policy(config.policy):
         raise UserError(
             f"--policy {config.policy}: is a function of your own; it must be a law, a rule or a "

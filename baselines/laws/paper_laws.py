@@ -20,6 +20,7 @@ from ..policy import (
     TeamPolicy,
     is_double_integrator,
     is_single_integrator,
+    of_model,
     register,
     within_limits,
 )
@@ -161,9 +162,8 @@ def _no_farther(rate: Array, angle: Array, duration: float) -> Array:
     return np.clip(rate, -most, most)
 
 
-def is_unicycle(scenario: Scenario) -> bool:
-    """Whether actions are a speed and a turn rate in the plane."""
-    return scenario.robot_model == "unicycle"
+is_unicycle = of_model("unicycle")
+"""Whether actions are a speed and a turn rate in the plane."""
 
 
 @register("unicycle", fits=is_unicycle, kind="law")
@@ -184,9 +184,7 @@ class _UnicycleCosine(Law):
         return unicycle_cosine_law(f, time)
 
 
-@register(
-    "nonholonomic-3d", fits=lambda scenario: scenario.robot_model == "nonholonomic_3d", kind="law"
-)
+@register("nonholonomic-3d", fits=of_model("nonholonomic_3d"), kind="law")
 class _Nonholonomic3D(Law):
     """Laws (12) and (17) of nonholonomic robots in 3-D."""
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import floats, refuse
+from rendezvous_env.checks import check_shape, floats, refuse
 from rendezvous_env.compilation import kernel
 from rendezvous_env.engine.state_checks import check_observations
 from rendezvous_env.engine.threads import Calls, Part
@@ -102,7 +102,7 @@ class HeadingTankFilter(CommandedTank):
     ) -> Calls:
         """As ``CommandedTank.act_of``."""
         memory, mine = (self.carried, self._held), slice(*teams[:2])
-        desire = partial(_desired_velocities, teams, observations, self._constants, *memory)
+        desire = partial(_desired_velocities, teams, observations, self._robot, *memory)
         note = partial(np.copyto, self._velocities[mine], actions[mine])
         return [desire, *super().act_of(teams, observations, actions), note]
 
@@ -242,10 +242,7 @@ class GuidedTeams:
     def choose(self, choices: ArrayLike) -> None:
         """Take choices (B, n) until the next ones; a ValueError names the robot of a wrong one."""
         numbers, given, count = floats("actions", choices), np.asarray(choices), len(self.angles)
-        if given.shape != self.choices.shape:
-            raise ValueError(
-                f"actions have shape {given.shape}; they must be (B, n) = {self.choices.shape}"
-            )
+        check_shape("actions", given, self.choices.shape, axes="(B, n)")
         is_choice = (numbers >= 0) & (numbers < count) & (numbers == np.floor(numbers))
         for team, robot in np.argwhere(~is_choice):
             raise ValueError(
@@ -260,9 +257,8 @@ class GuidedTeams:
         """Take directions (B, n, 2), with x along f, in place of choices; zero is straight ahead. A
         ValueError names the robot whose vector is not finite.
         """
-        given, wanted = floats("actions", vectors), (*self.choices.shape, 2)
-        if given.shape != wanted:
-            raise ValueError(f"actions have shape {given.shape}; they must be (B, n, 2) = {wanted}")
+        given = floats("actions", vectors)
+        check_shape("actions", given, (*self.choices.shape, 2), axes="(B, n, 2)")
         for team, robot, _ in np.argwhere(~np.isfinite(given)):
             refuse(f"action of robot_{robot} in team {team}", given[team, robot].tolist(), "finite")
         length = np.linalg.norm(given, axis=-1, keepdims=True)

@@ -1,6 +1,6 @@
 """What a policy is trained in: guided teams, features, and the price of a contact."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -12,14 +12,12 @@ from rendezvous_env.checks import number, refuse, whole
 from rendezvous_env.engine.batch_runner import Pilot
 from rendezvous_env.engine.state_checks import check_keys
 from rendezvous_env.envs.spaces import team_box
-from rendezvous_env.envs.training import FirstContacts
-from rendezvous_env.envs.vector_env import Info, RendezvousVectorEnv, Transition
+from rendezvous_env.envs.vector_env import Info, RendezvousVectorEnv
 from rendezvous_env.envs.vector_wrappers import GuaranteeWrapper
 from rendezvous_env.limits import MOST_HELD_STEPS
 from rendezvous_env.rewards.terms import RewardWeights
 from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
-from rendezvous_env.scenario.start_options import as_options
 
 from ..steering import can_steer
 from .features import FeatureLayout
@@ -42,7 +40,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
     Args:
         env: teams of any robots but double integrators, in any autoreset mode.
         settings: of the policy that is trained.
-        touch_penalty: taken from ``robot_rewards`` of a robot at its first contact in an episode.
+        touch_penalty: of a robot's first contact in an episode, see ``TrainingTeams``.
         obstacle_slots: of ``Features``, whose refusals are raised.
         global_state: of what follows what is shown, for critics; None is nothing. It has a
             ``size``, numbers for each robot, and ``states(simulator, f, levels)``, (B, n, size), of
@@ -75,7 +73,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
             else Box(-1.0, 1.0, (n, 2), dtype=np.float32)
         )
         self.touch_penalty = float(touch_penalty)
-        self._touches = FirstContacts(env.num_envs, n)
+        self._touched = np.zeros((env.num_envs, n), dtype=np.bool_)
         self._shown = np.zeros((env.num_envs, *self.single_observation_space.shape), np.float32)
 
     @property
@@ -88,11 +86,13 @@ class FeatureVectorEnv(GuaranteeWrapper):
         """Of the headings with f in the last base step, (B, n); NaN where there is none."""
         return self.guided.steering.alignment
 
-    def step(self, actions: ArrayLike) -> Transition:
-        """As ``GuaranteeWrapper.step``, with first contacts paid for in ``robot_rewards``."""
-        seen, rewards, ends, cuts, infos = super().step(actions)
-        infos["robot_rewards"] -= self.touch_penalty * self._touches.note(infos, ends | cuts)
-        return seen, rewards, ends, cuts, infos
+    def _drive(self) -> tuple[NDArray[np.float32] | None, Any, Any, Any, Info]:
+        """As ``GuaranteeWrapper._drive``, with first contacts paid for."""
+        shown, rewards, ends, cuts, infos = super()._drive()
+        first = infos["contact"] & ~self._touched
+        self._touched |= first
+        infos["robot_rewards"] -= self.touch_penalty * first
+        return shown, rewards - self.touch_penalty * first.mean(axis=1), ends, cuts, infos
 
     def _take(self, actions: ArrayLike) -> None:
         (self.guided.choose if self.discrete else self.guided.head)(actions)
@@ -110,26 +110,16 @@ class FeatureVectorEnv(GuaranteeWrapper):
         if self.global_state is not None:
             base: Any = self.env
             towards = base.scenario.observation_layout.net_bearing(self._observed)
-            tank, nothing = self.guided.tank, np.zeros(self._touches.touched.shape)
+            tank, nothing = self.guided.tank, np.zeros(self._touched.shape)
             levels = nothing if tank is None else tank.normalised_levels
             state = self.global_state.states(base.simulator, towards, levels)
             mine = slice(None) if which is None else which
             self._shown[mine, :, size:] = state[mine]
         return self._shown.copy() if which is None else self._shown
 
-    def reset(
-        self,
-        *,
-        seed: int | Sequence[int | None] | None = None,
-        options: Mapping[str, Any] | None = None,
-    ) -> tuple[NDArray[np.float32], Info]:
-        """As ``GuaranteeWrapper.reset``; robots of new episodes have touched nothing."""
-        shown, infos = super().reset(seed=seed, options=options)
-        self._touches.forget(as_options(options).get("reset_mask"))
-        return shown.copy(), infos
-
     def _forget(self, which: NDArray[np.bool_] | None) -> None:
         self.guided.forget(which)
+        self._touched[slice(None) if which is None else which] = False
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """As ``GuaranteeWrapper.set_state``."""
@@ -139,7 +129,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
     @property
     def _arrays(self) -> dict[str, NDArray[Any]]:
         # a reset of some teams tells again what others see
-        return super()._arrays | {"touched": self._touches.touched, "shown": self._shown}
+        return super()._arrays | {"touched": self._touched, "shown": self._shown}
 
     @property
     def _parts(self) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import number, positive, real, shown
 from rendezvous_env.compilation import kernel
+from rendezvous_env.engine.state_checks import check_numbers
 from rendezvous_env.safety.heading import certified_heading, flexible_velocity, step_scale
 from rendezvous_env.safety.settings import check_margin, check_vectors
 from rendezvous_env.safety.turning import rates_of
@@ -80,18 +81,11 @@ def _over_robots(
     rule: Any, net_bearing: Array, silhouettes: NDArray[Any], *options: bool | float | Array
 ) -> Array:
     f = check_vectors("net_bearing", net_bearing)
-    points = np.ascontiguousarray(silhouettes)
-    d, leading = f.shape[-1], f.shape[:-1]
-    seen = (SILHOUETTE_POINTS[d], d)
-    if points.ndim != f.ndim + 2 or (*points.shape[:-3], *points.shape[-2:]) != (*leading, *seen):
-        raise ValueError(
-            f"silhouettes has shape {points.shape}; with net_bearing of shape {f.shape} it must be "
-            f"(..., M, {seen[0]}, {seen[1]})"
-        )
-    if points.dtype not in (np.float32, np.float64):
-        raise ValueError(f"silhouettes are {points.dtype}; they must be float32 or float64")
-    headings, robots = np.empty_like(f), f.size // d
-    points = points.reshape(robots, *points.shape[-3:])  # -1 cannot be inferred without obstacles
+    d, slots = f.shape[-1], np.shape(silhouettes)[-3:-2] or (0,)
+    shape = *f.shape[:-1], *slots, SILHOUETTE_POINTS[d], d
+    given = check_numbers("silhouettes", silhouettes, shape, "(..., M, S, d)")
+    headings, robots = np.empty_like(f), f.size // d  # -1 cannot be inferred without obstacles
+    points = np.ascontiguousarray(given).reshape(robots, *shape[-3:])
     rule(f.reshape(robots, d), points, *options, headings.reshape(robots, d))
     return headings
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import bools, refuse
+from rendezvous_env.checks import bools, check_shape, refuse
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
 
@@ -66,11 +66,8 @@ class PrivilegedPolicy(TeamPolicy):
                 "rollout and compare do"
             )
         teams = (simulator.num_envs, self.scenario.n_robots)
-        if seen.shape[:-2] not in (teams, teams[teams[0] == 1 :]):
-            raise ValueError(
-                f"observations have shape {seen.shape}; those of the teams that {self.name} "
-                f"watches have {(*teams, *seen.shape[-2:])}"
-            )
+        watched = [(*axes, *seen.shape[-2:]) for axes in (teams, teams[teams[0] == 1 :])]
+        check_shape(f"observations of the teams that {self.name} watches", seen, *watched)
         steps, active = simulator.steps, simulator.active
         begun = self._fresh | (steps < self._steps)
         self._fresh, self._steps = np.zeros_like(begun), steps

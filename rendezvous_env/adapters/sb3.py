@@ -15,7 +15,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from ..checks import floats, mapping, whole
+from ..checks import check_shape, floats, mapping, whole
 from ..envs.guarantee import layers_of
 from ..envs.gymnasium_env import make_vec
 from ..limits import LARGEST_SEED
@@ -51,7 +51,8 @@ class RobotVecEnv(VecEnv):
     episode of a team once.
 
     ``seed(s)`` gives team b the seed s + b at the next reset; ``set_options`` gives start options,
-    one dict for all, or one for each slot, of which a team takes that of its robot 0.
+    one dict for all, or one for each slot, of which a team takes that of its robot 0. A reset that
+    refuses options begins nothing and forgets them; seeds wait for the next one.
 
     Args:
         teams: as of ``RobotSlots``; a wrapper that changes the rewards of teams changes those of
@@ -84,8 +85,12 @@ class RobotVecEnv(VecEnv):
         """Begin a new episode in all teams; observations (slots, rows, d)."""
         seeds = self._seeds[:: self.n_robots]
         given = None if all(seed is None for seed in seeds) else seeds
-        options = team_options(self._options[:: self.n_robots], self.simulator.scenario.dim)
-        observations = self.slots.reset(given, options)
+        try:
+            options = team_options(self._options[:: self.n_robots], self.simulator.scenario.dim)
+            observations = self.slots.reset(given, options)
+        except (TypeError, ValueError):
+            self._reset_options()
+            raise
         self._told[:] = 0
         self._forget_step()
         self._reset_seeds()
@@ -105,9 +110,7 @@ class RobotVecEnv(VecEnv):
         """
         is_box = isinstance(self.action_space, Box)
         given = floats("actions", actions, np.float32 if is_box else np.float64)
-        wanted = self.num_envs, *(self.action_space.shape or ())
-        if given.shape != wanted:
-            raise ValueError(f"actions have shape {given.shape}; they must be {wanted}, by slot")
+        check_shape("actions", given, (self.num_envs, *(self.action_space.shape or ())))
         self._actions = given if is_box else np.asarray(actions)
 
     def step_wait(self) -> VecEnvStepReturn:

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
-from ..checks import floats
+from ..checks import check_shape, floats
 from ..engine.state_checks import (
     check_entries,
     check_finite,
@@ -117,8 +117,7 @@ class RobotSlots:
         """
         given = actions if isinstance(actions, np.ndarray) else floats("actions", actions)
         by_slot = self.num_envs, *self._acting[2:]
-        if given.shape not in (by_slot, self._acting):
-            raise ValueError(f"actions have shape {given.shape}; they must be {by_slot}, by slot")
+        check_shape("actions", given, by_slot, self._acting)
         observations, rewards, met, late, infos = self.teams.step(given.reshape(self._acting))
         over, last = met | late, observations
         if over.any():
@@ -231,9 +230,6 @@ def team_options(options: Sequence[Mapping[str, Any]], dim: int) -> dict[str, An
             )
     own_of_each = {*OPTIONS} - {"obstacles"}  # keys that are not ours are ignored, or meant
     return {key: stacked(key) if key in own_of_each else first[key] for key in first}
-
-
-# ---- rewards that a wrapper has changed ---------------------------------------------------------
 
 
 class RewardShaping:

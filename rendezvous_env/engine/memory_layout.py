@@ -85,8 +85,6 @@ def scratch(place: MemoryLayout) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     return tuple(block), tuple(team)
 
 
-# ---- how much there is --------------------------------------------------------------------------
-
 _UNSEEN = 2**28  # Bytes up to which nobody looks up what is free, which takes longer than a step
 _KEPT_OBSERVATIONS = 3  # At a time: this step's, the one's before, and the caller's copy
 _BOUNDS = 4  # Arrays in a space: its bounds, and whether each is finite

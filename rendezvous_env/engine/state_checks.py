@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import bools, exact, floats, shown
+from ..checks import bools, check_shape, exact, floats, shown
 from ..obstacles.obstacle_set import faults
 from ..obstacles.parsing import only_balls
 from ..outcome import StepOutput
@@ -140,9 +140,6 @@ class Remembering:
         return checked
 
 
-# ---- the state of a simulator -------------------------------------------------------------------
-
-
 def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
     """Refuse a state as ``Simulator.get_state`` gives it, of the right shapes and types, that no
     episode can be in, with a ValueError that names the entry, its value, and what would be right.
@@ -232,9 +229,6 @@ def _check_neighbours(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> 
         )
 
 
-# ---- arrays from outside ------------------------------------------------------------------------
-
-
 def check_output(output: Any, wanted: tuple[tuple[tuple[int, ...], Any], ...]) -> None:
     """Refuse the output of other teams, which compiled code would write to; ``wanted`` has shape
     and type of each of its arrays.
@@ -260,8 +254,7 @@ def check_numbers(name: str, value: Any, shape: tuple[int, ...], axes: str) -> N
     refuses others by name.
     """
     array = np.asarray(value)
-    if array.shape != shape:
-        raise ValueError(f"{name} have shape {array.shape}; they must be {axes} = {shape}")
+    check_shape(name, array, shape, axes=axes)
     if array.dtype not in _FLOATS:
         raise ValueError(f"{name} are {array.dtype}; they must be float32 or float64")
     return array
@@ -277,8 +270,7 @@ def check_actions(actions: ArrayLike, shape: tuple[int, ...], axes: str) -> NDAr
     plain = getattr(actions, "dtype", None) is not _FLOAT32
     given = floats("actions", actions, np.float32) if plain else actions
     table = np.ascontiguousarray(given)
-    if table.shape != shape:
-        raise ValueError(f"actions have shape {table.shape}; they must be {axes} = {shape}")
+    check_shape("actions", table, shape, axes=axes)
     wrong = first_not_finite(table.reshape(-1))
     if wrong >= 0:
         team, robot, *_ = np.unravel_index(wrong, shape)

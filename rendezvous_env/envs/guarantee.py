@@ -29,7 +29,7 @@ AnyFilter = SafetyFilter | type[SafetyFilter] | str
 _Constructor = TypeVar("_Constructor", bound=Callable[..., None])
 _holders: weakref.WeakValueDictionary[int, Any] = weakref.WeakValueDictionary()
 """The wrapper that holds a filter, by the filter's id; not on filters, which are pickled."""
-_OF_STATES = ("bodies", "decision_period", "env", "observed", "perception", "shown", "touched")
+_OF_STATES = ("decision_period", "env", "observed")
 _OF_INFOS = (
     *STANDING, "active", "clearance", "contact", "final_info", "final_obs", "merged_into",
     "robot_rewards", "summary",
@@ -230,7 +230,7 @@ class HoldsFilter:
         self._note_seen()
 
 
-# ---- constructors of the four wrappers, the same for both APIs -----------------------------------
+# Constructors of the four wrappers, the same for both APIs.
 
 
 def declared_for(kind: type[SafetyFilter]) -> Callable[[_Constructor], _Constructor]:

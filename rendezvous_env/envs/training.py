@@ -200,7 +200,7 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         """What takes observations apart (``split``): of the scenario, or of ``Features``. The row
         that ``observe_level`` adds, the last one, is to be taken off first."""
         self.touch_penalty = touch_penalty
-        self._touches = FirstContacts(teams.num_envs, self.scenario.n_robots)
+        self._touched = np.zeros((teams.num_envs, self.scenario.n_robots), dtype=np.bool_)
 
     def reset(
         self,
@@ -210,13 +210,18 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
     ) -> tuple[NDArray[np.float32], Info]:
         """As ``RendezvousVectorEnv.reset``."""
         observations, infos = self.env.reset(seed=seed, options=options)
-        self._touches.forget(as_options(options).get("reset_mask"))
+        mask = as_options(options).get("reset_mask")
+        self._touched[slice(None) if mask is None else np.asarray(mask)] = False
         return observations, infos
 
     def step(self, actions: ArrayLike) -> Transition:
         """Let all robots act; errors as the wrapper of the guarantee."""
         seen, rewards, ends, cuts, infos = self.env.step(actions)  # type: ignore[arg-type]
-        first = self._touches.note(infos, ends | cuts)
+        over = ends | cuts
+        contact = at_the_end(infos, over, "contact")
+        first = contact & ~self._touched
+        self._touched |= contact
+        self._touched[over] = False
         if first.any():
             infos["robot_rewards"] -= self.touch_penalty * first
             rewards = rewards - self.touch_penalty * first.mean(axis=1)
@@ -232,33 +237,11 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
 
     def get_state(self) -> dict[str, Any]:
         """The running episodes and all memory, as copies."""
-        return {"env": self.env.get_state(), "touched": self._touches.touched.copy()}
+        return {"env": self.env.get_state(), "touched": self._touched.copy()}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """As ``Simulator.set_state``."""
         check_keys(state, ("env", "touched"), exactly=True)
-        touched = check_entries({"touched": self._touches.touched}, state)["touched"]
+        touched = check_entries({"touched": self._touched}, state)["touched"]
         self.env.set_state(state["env"])
-        self._touches.touched[...] = touched
-
-
-class FirstContacts:
-    """Which of n robots of B teams have touched an obstacle in the running episode."""
-
-    def __init__(self, num_envs: int, n_robots: int) -> None:
-        self.touched = np.zeros((num_envs, n_robots), dtype=np.bool_)
-
-    def note(self, infos: Info, over: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """The robots (B, n) whose first touch of the episode was in the last step, from its infos
-        and the teams (B,) whose episode it ended.
-        """
-        contact = at_the_end(infos, over, "contact")
-        first: NDArray[np.bool_] = contact & ~self.touched
-        self.touched |= contact
-        if over.any():
-            self.forget(over)
-        return first
-
-    def forget(self, which: ArrayLike | None = None) -> None:
-        """New episodes of all teams, or of those of a mask (B,)."""
-        self.touched[slice(None) if which is None else np.asarray(which)] = False
+        self._touched[...] = touched

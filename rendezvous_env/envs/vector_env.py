@@ -187,13 +187,9 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
             **simulator.costs,
             **more,
         }
-        if simulator.all_running:  # as after most steps
-            terminations = np.zeros(self.num_envs, dtype=np.bool_)
-            truncations = np.zeros(self.num_envs, dtype=np.bool_)
-        else:
-            terminations, truncations = outcome.status == RENDEZVOUS, outcome.status == TIME_OUT
+        terminations, truncations = outcome.status == RENDEZVOUS, outcome.status == TIME_OUT
         observations = as_told(outcome.observations, self.flatten)
-        infos = of_all(infos, self.num_envs)
+        infos = masked(infos, np.ones(self.num_envs, dtype=np.bool_))
         return observations, outcome.rewards, terminations, truncations, infos
 
     def begin_anew(self, which: NDArray[np.bool_], infos: Info) -> NDArray[np.float32]:
@@ -295,9 +291,6 @@ class OneTeam:
         self.renderer.close()
 
 
-# ---- infos in Gymnasium's form ------------------------------------------------------------------
-
-
 def tell_ends(
     seen: NDArray[np.float32], ended: NDArray[np.bool_], infos: Info, mode: AutoresetMode
 ) -> bool:
@@ -332,20 +325,11 @@ def leave_out_summary(infos: Info) -> None:
     infos.pop("_summary", None)
 
 
-def of_all(infos: Info, num_envs: int) -> Info:
-    """Infos that every team has, with masks."""
-    return _with_masks(infos, _everyone(len(infos), num_envs).copy())
-
-
 def masked(infos: Info, mask: NDArray[np.bool_]) -> Info:
     """Infos of the teams of a mask (B,), with masks: to every key ``_key``."""
-    return _with_masks(infos, np.full((len(infos), len(mask)), mask))
-
-
-def _with_masks(infos: Info, masks: NDArray[np.bool_]) -> Info:
-    told, names = infos.copy(), _names_of_masks(tuple(infos))
+    masks, told = np.full((len(infos), len(mask)), mask), infos.copy()
     # to see whether a mask is left over, as ``strict`` would, takes as long as to hand all out
-    told.update(zip(names, masks, strict=False))
+    told.update(zip(_names_of_masks(tuple(infos)), masks, strict=False))
     return told
 
 
@@ -353,12 +337,6 @@ def _with_masks(infos: Info, masks: NDArray[np.bool_]) -> Info:
 def _names_of_masks(keys: tuple[str, ...]) -> tuple[str, ...]:
     """Kept, since they are the same in each step."""
     return tuple(f"_{key}" for key in keys)
-
-
-@lru_cache(maxsize=8)
-def _everyone(keys: int, num_envs: int) -> NDArray[np.bool_]:
-    """All True; to copy it takes half as long as to fill a new one."""
-    return np.ones((keys, num_envs), dtype=np.bool_)
 
 
 def of_first_team(told: Any) -> Any:

@@ -79,7 +79,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
             self._note_seen()
         self._forget(which)
         reset = np.ones(self.num_envs, dtype=np.bool_) if which is None else which
-        return self._see(which), infos | masked(self._told(), reset)
+        return self._see(which).copy(), infos | masked(self._told(), reset)
 
     def step(self, actions: ArrayLike) -> Transition:
         """Hold the choices (B, n, k) for ``decision_period`` base steps; rewards are summed. A
@@ -103,9 +103,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
             shown = None
         ended = terminations | truncations
         seen = self._see(None) if shown is None else as_told(shown, base.flatten)
-        if not ended.any():
-            return seen, rewards, terminations, truncations, infos
-        if tell_ends(seen, ended, infos, mode):
+        if ended.any() and tell_ends(seen, ended, infos, mode):
             self._begin_anew(ended, infos)
             seen[ended] = self._see(ended)[ended]
         return seen, rewards, terminations, truncations, infos

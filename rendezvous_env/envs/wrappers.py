@@ -85,11 +85,8 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
         for name, action in actions.items():
             check_action(name, action, self.filter.action_size)
         self.filter.hold(self._table(actions, (self.filter.action_size,), np.float64))
-        observations: Observations = {}
-        rewards = dict.fromkeys(self.agents, 0.0)
-        terminations: dict[str, bool] = {}
-        truncations: dict[str, bool] = {}
-        infos: Infos = {}
+        returned: StepReturn = {}, dict.fromkeys(self.agents, 0.0), {}, {}, {}
+        observations, rewards, terminations, truncations, infos = returned
         for _ in range(self.decision_period):
             table = self.filter.act(self._observed)[0]
             chosen = {name: table[self._base.index(name)] for name in self.agents}
@@ -112,7 +109,7 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
             if not self.agents:
                 break
         self._note_seen()
-        return self._view(observations), rewards, terminations, truncations, infos
+        return self._view(observations), *returned[1:]
 
     def _add_told(self, infos: Infos) -> None:
         """Add the filter's infos of the last base step."""

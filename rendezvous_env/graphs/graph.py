@@ -17,7 +17,7 @@ from .. import checks
 from ..checks import shown
 from ..limits import MOST_ROBOTS
 from . import weights as matrices
-from .weights import Edges, check_weights, checked_edges, count_of
+from .weights import Edges, check_weights, checked_edges
 
 GraphLike = Any
 """A Graph, the name of a kind, a matrix of weights, or plain data."""
@@ -126,13 +126,16 @@ class Graph:
         checks.check_fields(self, "graph: {}")
         if self.kind == self.listed:
             edges = self.edges if isinstance(self.edges, Edges) else matrices.read_edges(self.edges)
-            count = self.n_nodes or (count_of(edges) if edges else None)
+            count = self.n_nodes or (1 + max(max(0, i, j) for i, j, _ in edges) if edges else None)
             n = checks.whole("graph: n_nodes", count, 1, MOST_ROBOTS)
             object.__setattr__(self, "n_nodes", n)
             kept = checked_edges(edges, n, directed=self.directed)
             object.__setattr__(self, "edges", kept)
         elif self.edges != () or self.n_nodes is not None:
             raise ValueError(f"graph: a {self.kind} has neither edges nor n_nodes")
+        if self.probability != Graph.probability and self.kind != "erdos_renyi":
+            kinds = f"only kind 'erdos_renyi' has one, not {self.kind!r}"
+            raise ValueError(f"graph: probability is {self.probability}; {kinds}")
 
     def check_fits(self, scenario: Any) -> None:
         """Refuse a scenario whose other fields this graph does not fit."""
@@ -141,8 +144,6 @@ class Graph:
     def undirected(self) -> bool:
         """Whether it is neither directed nor changes: what theorems A, C and D ask for."""
         return not (self.directed or self.changes)
-
-    # ---- edges --------------------------------------------------------------------------------
 
     def links(self, n: int) -> LinkArrays:
         """The edges before drawing, sorted; refused if they are for another number of robots."""
@@ -165,8 +166,6 @@ class Graph:
         """Weights before drawing, (n, n): an episode keeps some edges and scales each by a draw."""
         weights: NDArray[np.float64] = self.sparse_weights(n).toarray()
         return weights
-
-    # ---- numbers of theory 3 and 4 ------------------------------------------------------------
 
     def components(self, n: int) -> list[list[int]]:
         """Connected components as lists of robot indices; a family only draws connected graphs."""
@@ -219,8 +218,6 @@ class Graph:
     def start_reach(self, scenario: Any) -> float:
         """Links up to this length, m, must connect every start that is drawn; inf asks nothing."""
         return float(np.inf)
-
-    # ---- plain data ---------------------------------------------------------------------------
 
     def to_plain(self) -> str | dict[str, Any]:
         """The graph as plain data for TOML; ``parse`` turns it back into an equal graph."""

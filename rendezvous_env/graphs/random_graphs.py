@@ -20,8 +20,6 @@ FIXED_EDGES, RANDOM_TREE, ERDOS_RENYI = range(3)
 _TRIES_FOR_CONNECTED = 100
 _NO_LINKS = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
 
-# ---- the kinds ----------------------------------------------------------------------------------
-
 
 @dataclass(frozen=True)
 class DrawnGraph(CompleteGraph):
@@ -69,8 +67,6 @@ def erdos_renyi(probability: float, weight: Weight = 1.0) -> Graph:
     """
     return Graph("erdos_renyi", as_range(weight), probability=probability)
 
-
-# ---- custom families ----------------------------------------------------------------------------
 
 DrawEdges = Callable[[int, np.random.Generator], Iterable[tuple[int, int]]]
 FAMILIES = Registry("family of graphs", "rv.graphs.family")
@@ -123,9 +119,6 @@ def family(name: str, draw: DrawEdges | None = None) -> Any:
         return draw
 
     return register if draw is None else register(draw)
-
-
-# ---- drawing ------------------------------------------------------------------------------------
 
 
 class GraphRules(NamedTuple):

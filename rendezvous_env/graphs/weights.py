@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import is_whole, real, refuse, shown
+from ..checks import check_shape, is_whole, real, refuse, shown
 from ..limits import LARGEST, SMALLEST
 
 
@@ -67,11 +67,6 @@ def _as_edge(edge: Any) -> tuple[int, int, float]:
     return int(i), int(j), real(weight)
 
 
-def count_of(edges: Iterable[tuple[int, int, float]]) -> int:
-    """One more than the largest index."""
-    return 1 + max((max(0, i, j) for i, j, _ in edges), default=0)
-
-
 def checked_edges(edges: Any, n: int, *, directed: bool) -> Edges:
     """Edges of ``read_edges`` as a graph of n robots keeps them, undirected ones with i < j, each
     of two different robots and once, or they are refused.
@@ -112,9 +107,7 @@ def check_weights(
     ``directed``, symmetric; the first wrong entry is named.
     """
     size = n if n is not None else max((2, *weights.shape[:1]))
-    if weights.shape != (size, size):
-        wanted = f"they must be ({size}, {size})" + ", a row for each robot" * (n is None)
-        raise ValueError(f"{field}: weights have shape {weights.shape}; {wanted}")
+    check_shape(f"{field}: weights", weights, (size, size), axes="(n, n)")
     out_of_limits = (weights != 0) & ((weights < SMALLEST) | (weights > LARGEST))
     reasons = (
         (~np.isfinite(weights), "must be finite"),
@@ -133,7 +126,6 @@ def check_weights(
             raise ValueError(f"{field}: weight a[{i}, {j}] = {weights[i, j]} {reason}")
 
 
-# ---- numbers ------------------------------------------------------------------------------------
 # Weights are an (n, n) matrix, an array or a sparse one of SciPy's; the work follows the edges.
 
 

@@ -175,9 +175,6 @@ def _first_contact_on_curve(point, curve, world):
     return time
 
 
-# ---- what obstacles touched leave free of a velocity: T(p) --------------------------------------
-
-
 @kernel
 def free_part(velocity, point, world, touched):
     """Π_T v: a velocity projected onto the directions that the obstacles touched leave free.

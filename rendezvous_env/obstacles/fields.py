@@ -136,8 +136,6 @@ def _fits(world, m, rules, starts, n_starts):
     return True
 
 
-# ---- any kind of field --------------------------------------------------------------------------
-
 Rules = FieldRules | WallRules
 
 

@@ -43,8 +43,6 @@ class AnyObstacles(NamedTuple):
 
 ObstacleSet = RoundObstacles | AnyObstacles
 
-# ---- questions to the shape of obstacle m -------------------------------------------------------
-
 
 def _asked(question: str) -> Any:
     """By the type of the set: what its balls answer, or one kind after another."""
@@ -160,9 +158,6 @@ def silhouette_3d(world, m, point, net_bearing, axis_x, axis_y, out):
     _cone(world, m, point, (towards, e, w), out)
 
 
-# ---- tables -------------------------------------------------------------------------------------
-
-
 def pack(
     obstacles: Sequence[Obstacle], slots: int, width: int | None = None
 ) -> NDArray[np.float64]:
@@ -175,9 +170,10 @@ def pack(
         there = f"the scenario has room for {slots}; set its obstacle_slots"
         raise ValueError(f"obstacles: {len(rows)} given, but {there}")
     if width is not None and needed > width:
+        large = next(k for k, row in enumerate(rows) if len(row) > width)
         raise ValueError(
-            "obstacles: one has more corners than any of the scenario's own obstacles, or is a "
-            "capsule where the scenario has none"
+            f"obstacles[{large}] is {shown(obstacles[large])}, which needs a longer row than the "
+            "scenario's own obstacles; it must be of their kinds, a polygon of no more corners"
         )
     table = np.full((slots, width or needed), float(ABSENT))
     for row, packed in zip(table, rows, strict=False):

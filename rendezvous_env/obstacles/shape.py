@@ -125,9 +125,6 @@ def centre_of_row(row):
     return row[MIDDLE], row[MIDDLE + 1], row[MIDDLE + 2]
 
 
-# ---- directions and cones -----------------------------------------------------------------------
-
-
 @kernel
 def centre_direction(point, centre):
     """Unit vector (c − p)/‖c − p‖ from a point to a centre, or the x axis."""

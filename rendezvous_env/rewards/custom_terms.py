@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import Registry, floats, number, refuse
+from ..checks import Registry, check_shape, floats, number, refuse
 
 
 class RewardStep(NamedTuple):
@@ -108,9 +108,7 @@ def add_custom_terms(
 def of_step(what: str, given: Any, counts: NDArray[np.bool_]) -> NDArray[np.float64]:
     """What a term gave, (B,) or (B, n), for each robot, (B, n); 0 where it does not count."""
     earned = floats(what, given)
-    if earned.shape not in (counts.shape[:1], counts.shape):
-        shapes = f"{counts.shape[:1]} or {counts.shape}"
-        raise ValueError(f"{what} has shape {earned.shape}; it must be {shapes}")
+    check_shape(what, earned, counts.shape[:1], counts.shape)
     each = np.broadcast_to(earned[:, None] if earned.ndim == 1 else earned, counts.shape)
     if not np.isfinite(each[counts]).all():
         raise ValueError(f"{what} gave a number that is not finite")

@@ -156,7 +156,7 @@ def drifts(model):
     """Whether a robot may move while its action is zero, ‖Δ‖ > 0 m: ``Motion.drifts``."""
 
 
-# ---- equations of the model that the constants are of, as ``Motion`` says of each ----------------
+# Equations of the model that the constants are of, as ``Motion`` says of each.
 
 
 def _equation(name: str) -> Any:

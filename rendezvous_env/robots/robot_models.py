@@ -122,9 +122,6 @@ def register_robot_model(model: RobotModel, *, replace: bool = False) -> None:
         raise
 
 
-# ---- a few questions ----------------------------------------------------------------------------
-
-
 def is_custom(model: RobotModel) -> bool:
     """Whether a robot model comes from outside the package."""
     return not getattr(model.constants, "__module__", "").startswith(__package__)

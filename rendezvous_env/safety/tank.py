@@ -263,7 +263,7 @@ class EnergyTank(SafetyFilter):
     ) -> None:
         check_inputs(scenario, "law (4)", bodies=True)
         super().__init__(scenario, num_envs, scenario.action_size, frame, num_threads)
-        self._constants = robot_of(scenario, check_margin(min_alignment), bearing_error)
+        self._robot = robot_of(scenario, check_margin(min_alignment), bearing_error)
         self.budget = number("budget", budget, 0.0, unit="m²/s")
         self.observes_level = flag("observe_level", observe_level)
         team = num_envs, scenario.n_robots
@@ -313,7 +313,7 @@ class EnergyTank(SafetyFilter):
         act = _spend_bodies if self.turns_body else _spend
         told = self._deposits, self.carried_out, self.alignment, self.lyapunov_rate
         memory = self._held, self._levels, actions, self._linked
-        return over_robots(act, teams, self._constants, observations, *memory, *told)
+        return over_robots(act, teams, self._robot, observations, *memory, *told)
 
     def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> Calls:
         """As ``SafetyFilter.book_of``; a step that a merge cuts short books as commanded."""

@@ -150,8 +150,6 @@ class Scenario:
         self._check_starts()
         self._check_time_step()
 
-    # ---- what follows from the fields (theory 3 and 4) ------------------------------------------
-
     @property
     def sensing_graph(self) -> Graph:
         """The field ``graph`` as a Graph, which it is after construction."""
@@ -255,8 +253,6 @@ class Scenario:
             senses_velocity=self.model.senses == "velocity",
         )
 
-    # ---- construction -------------------------------------------------------------------------
-
     def replace(self, **changes: Any) -> Scenario:
         """A copy with some fields changed; starts of another shape have to be given anew."""
         return dataclasses.replace(self, **changes)
@@ -296,8 +292,6 @@ class Scenario:
     def to_toml(self, path: str | os.PathLike[str]) -> None:
         """Write a TOML file that ``from_toml`` reads back as an equal scenario."""
         scenario_files.write(path, self.to_plain())
-
-    # ---- checks -------------------------------------------------------------------------------
 
     def _check_graph(self) -> None:
         graph = graphs.parse(self.graph)

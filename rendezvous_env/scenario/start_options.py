@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import graphs
-from ..checks import exact, floats, mapping, nearest_word, refuse, shown, whole
+from ..checks import check_shape, exact, floats, mapping, nearest_word, refuse, shown, whole
 from ..graphs.weights import check_weights
 from ..limits import LARGEST, LARGEST_SEED
 from ..obstacles import parsing as obstacles
@@ -153,10 +153,7 @@ def _obstacles(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
     if not isinstance(parsed, tuple):
         raise ValueError("obstacles: give them one by one; a field belongs into the scenario")
     slots = scenario.observation_layout.obstacle_slots
-    table = pack(parsed, slots, obstacles.row_width(scenario.obstacles))
-    if obstacles.only_balls(scenario.obstacles) and not obstacles.only_balls(parsed):
-        raise ValueError("obstacles: the scenario's own are all round; give only round ones")
-    return table[None]
+    return pack(parsed, slots, obstacles.row_width(scenario.obstacles))[None]
 
 
 _READERS: dict[str, Callable[[Any, int, Any], NDArray[np.float64]]] = {
@@ -169,14 +166,11 @@ _READERS: dict[str, Callable[[Any, int, Any], NDArray[np.float64]]] = {
 """In the order of ``StartOptions``."""
 OPTIONS = tuple(_READERS)
 
-# ---- positions, of a scenario too ----------------------------------------------------------------
-
 
 def check_table(field: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """A float64 array of a shape, of numbers within the limits; a wrong robot is named."""
     table = np.array(floats(field, value))
-    if table.shape != shape:
-        raise ValueError(f"{field} has shape {table.shape}; it must be {shape}")
+    check_shape(field, table, shape)
     if not (wanted := np.abs(table) <= LARGEST).all():
         at = tuple(int(k) for k in np.argwhere(~wanted)[0])
         bounds = f"finite, and from {-LARGEST:g} to {LARGEST:g}"
@@ -216,9 +210,6 @@ def check_apart(field: str, positions: NDArray[np.float64], least: float) -> Non
         apart = f"{distances[i, j]:.4g} m apart; it must be"
         wanted = f"at least {exact(least)} m, two body_radius"
         raise ValueError(f"{field}: robot_{i} and robot_{j} stand {apart} {wanted}")
-
-
-# ---- seeds -------------------------------------------------------------------------------------
 
 
 def seeds_of_teams(seed: Any, num_envs: int) -> list[int | None] | None:

@@ -117,18 +117,26 @@ def _like(row, v):
     return v
 
 
-# ---- range, field of view, and what stands between -----------------------------------------------
+@kernel(inline="code")
+def is_seen(offset, frame, reach, half_field):
+    """Whether a place at an offset, m, from a robot with this frame is in range and in view.
+
+    ‖offset‖ ≤ range (inf without a limit)   and   ∠(Rᵀ offset, x) ≤ field of view/2
+
+    The length is that of the offset as it is, which two robots share to the last bit: so both are
+    in range of each other, or neither (theorem R). In two frames it would be rounded in two ways.
+    """
+    if dot(offset, offset) > reach * reach:
+        return False
+    return is_in_view(to_local(frame, offset), half_field)
 
 
 @kernel(inline="code")
-def is_seen(offset, reach, half_field):
-    """Whether a place at an offset, m, from the robot in its own frame is in range and in view.
-
-    ‖offset‖ ≤ range (inf without a limit)   and   ∠(offset, x) ≤ field of view/2 (π: all round)
+def is_in_view(direction, half_field):
+    """Whether a direction, of any length, in a robot's own frame is in its field of view; half of π
+    is all round.
     """
-    x, y, z = triple(offset)
-    if dot(offset, offset) > reach * reach:
-        return False
+    x, y, z = triple(direction)
     # to find the angle takes as long as a step of a robot with an exact sensor
     return half_field >= math.pi or math.atan2(math.sqrt(y * y + z * z), x) <= half_field
 
@@ -152,9 +160,6 @@ def is_hidden_by_robot(offset, other, radius):
     if along <= 0.0 or other_squared >= distance_squared:
         return False
     return other_squared - along * along / distance_squared < radius * radius
-
-
-# ---- what is turned ------------------------------------------------------------------------------
 
 
 @kernel(inline="code")

@@ -22,23 +22,14 @@ from train.learn.rollout_buffer import RobotPPO
 TEAMS, STEPS = 8, 90
 GAMMA, LAMBDA = 0.95, 0.9
 SETTINGS = {
-    "n_steps": STEPS,
-    "batch_size": 64,
-    "n_epochs": 1,
-    "gamma": GAMMA,
-    "gae_lambda": LAMBDA,
-    "policy_kwargs": {"net_arch": [16]},
-    "device": "cpu",
-    "seed": SEED,
-}
+    "n_steps": STEPS, "batch_size": 64, "n_epochs": 1, "gamma": GAMMA, "gae_lambda": LAMBDA,
+    "policy_kwargs": {"net_arch": [16]}, "device": "cpu", "seed": SEED,
+}  # fmt: skip
 
 
 @pytest.fixture(autouse=True)
-def one_torch_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+def one_torch_thread(set_threads):
+    set_threads(1)
 
 
 def collected(algorithm, env):
@@ -105,7 +96,7 @@ def test_stock_ppo_gets_the_same_rewards_and_values_from_the_infos():
 
 def test_batches_hold_every_lived_sample_once_and_no_other():
     buffer = collected(RobotPPO, make_robots(SCENARIO, TEAMS)).rollout_buffer
-    expected = np.sort(buffer.log_probs.swapaxes(0, 1)[buffer.mask.T])
+    expected = np.sort(buffer.log_probs[buffer.mask])
     batches = list(buffer.get(64))
     least = len(expected) // len(batches)
     assert {len(batch.returns) for batch in batches} <= {least, least + 1}
@@ -235,9 +226,8 @@ def test_what_cannot_be_followed_is_refused():
         RobotVecEnv(rv.make_vec(SCENARIO, 2))
     with pytest.raises(ValueError, match="SAME_STEP"):
         make_robots(SCENARIO, 2, autoreset_mode="NextStep")
-    robots = make_robots(SCENARIO, 2)
     with pytest.warns(UserWarning, match="already wrapped with a `Monitor`"):
-        counted_twice = VecMonitor(robots)
+        counted_twice = VecMonitor(make_robots(SCENARIO, 2))
     with pytest.raises(TypeError, match="norm_obs"):
         RobotPPO("MlpPolicy", VecNormalize(counted_twice), **SETTINGS).learn(10)
 
@@ -256,13 +246,11 @@ def test_teams_can_be_filmed(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "moviepy", ModuleType("moviepy"))
     robots = make_robots(SCENARIO, 2, render_mode="rgb_array")
     film = VecVideoRecorder(robots, str(tmp_path), lambda step: step == 0, video_length=9)
-    film.reset()
-    film.step(np.zeros((6, 2), np.float32))
-    (first, second), film.recorded_frames = film.recorded_frames, []
+    film.reset(), film.step(np.zeros((6, 2), np.float32))
+    (_, last), film.recorded_frames = film.recorded_frames, []
     assert film.frames_per_sec == robots.teams.metadata["render_fps"]
-    pictures = robots.get_images()
-    np.testing.assert_array_equal(pictures, robots.teams.render())
-    assert first.dtype == np.uint8 and second.size >= pictures[0].size + pictures[1].size
+    np.testing.assert_array_equal(pictures := robots.get_images(), robots.teams.render())
+    assert last.size >= sum(picture.size for picture in pictures)
 
 
 def test_options_of_slots_are_alike_in_all_teams_or_refused():
@@ -272,8 +260,7 @@ def test_options_of_slots_are_alike_in_all_teams_or_refused():
     env.reset()
     np.testing.assert_array_equal(*env.simulator.obstacles)
     assert env.simulator.obstacles.any()
-    none = [{"obstacles": None}, {}] * ROBOTS  # as if they were not given
-    env.set_options(none)
+    env.set_options([{"obstacles": None}, {}] * ROBOTS)  # as if they were not given
     env.reset()
     env.set_options([{"obstacles": [rv.Disc((slot, 0.0), 0.1)]} for slot in range(2 * ROBOTS)])
     with pytest.raises(ValueError, match="all teams need the same keys and obstacles"):
@@ -289,6 +276,24 @@ def test_options_of_slots_are_alike_in_all_teams_or_refused():
     # what is no option of ours is ignored, and a mask of teams is none
     env.set_options([{"note": [1], "reset_mask": 1}] * ROBOTS + [{"note": 2, "reset_mask": 0}] * 3)
     env.reset()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"positions": np.full((ROBOTS, 2), np.nan)}, {"positions": "x"}, {"obstacles": 3}],
+)
+def test_options_that_are_refused_wait_for_no_other_reset(wrong):
+    env, other = make_robots(SCENARIO, 2), make_robots(SCENARIO, 2)
+    for one in (env, other):
+        one.seed(1)
+        one.reset()
+        one.seed(7)
+    env.set_options(wrong)
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        env.reset()
+    np.testing.assert_array_equal(env.simulator.positions, other.simulator.positions)
+    np.testing.assert_array_equal(env.reset(), other.reset())  # with the seeds that were given
+    assert env.get_attr("seeds") == [7] * ROBOTS + [8] * ROBOTS
 
 
 def test_bad_actions_seeds_options_and_slots_are_refused():
@@ -320,7 +325,7 @@ def test_slots_refuse_what_is_no_reset_and_no_step_of_theirs():
     slots.step([[0.0, 0.0]] * 6)
     for call, given, message in (
         (slots.reset, {"options": 5}, "options is 5; it must be None or a dict"),
-        (slots.step, {"actions": np.zeros(12)}, r"shape \(12,\); they must be \(6, 2\), by slot"),
+        (slots.step, {"actions": np.zeros(12)}, r"shape \(12,\); they must be \(6, 2\)"),
         (slots.step, {"actions": None}, "actions is None"),
         (slots.begin, {"which": np.array([1, 0])}, "mask is .* must be bool, one for each of 2"),
     ):

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from conftest import actions_shape, five, refusing
+from conftest import actions_shape, five, refusing, started
 from soup import DEEP, HUGE, refusal
 
 import rendezvous_env as rv
@@ -21,10 +21,9 @@ from train.compare.evaluation import alignments
 TEAMS = 6
 PAIR = Scenario(n_robots=2)
 SQUARE = rv.Polygon(((4.0, 0.0), (6.0, 0.0), (6.0, 2.0), (4.0, 2.0)))
+CLUTTER = rv.scenarios.get("clutter-16")
+HEADINGS = np.zeros((TEAMS, 4, 2))
 AMONG = {"obstacles": (rv.Disc((0.0, 5.0), 1.0), SQUARE), "obstacle_slots": 3}
-
-
-# ---- outcomes, masks ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -58,17 +57,13 @@ def test_an_outcome_of_other_teams_is_refused(other):
     [np.ones(TEAMS - 1, bool), np.ones(TEAMS), [0, 1], True, {}, [[True], [True, False]], DEEP],
 )
 def test_a_bad_mask_is_refused_everywhere(mask):
-    clutter = rv.scenarios.get("clutter-16")
-    sim = Simulator(clutter, TEAMS)
-    perception = Features(clutter, TEAMS, decision_time=0.2)
-    observations = sim.reset(0)
-    headings = np.zeros((TEAMS, 4, 2))
+    sim, perception = started(CLUTTER, TEAMS), Features(CLUTTER, TEAMS, decision_time=0.2)
     for refuse in (
         sim.restart,
         lambda mask: sim.reset(mask=mask),
-        HeadingFilter(clutter, TEAMS).forget,
+        HeadingFilter(CLUTTER, TEAMS).forget,
         perception.forget,
-        lambda mask: perception.see(observations, headings, mask),
+        lambda mask: perception.see(sim.observe(), HEADINGS, mask),
     ):
         with pytest.raises(ValueError, match=f"mask is .*must be bool, one for each of {TEAMS}"):
             refuse(mask)
@@ -86,9 +81,6 @@ def test_bad_actions_send_no_team_on_to_its_next_episode():
             venv.step(wrong)
 
 
-# ---- what robots see ----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("batch", [1, TEAMS - 1, TEAMS + 1])
 def test_observations_of_another_batch_are_refused(kind, batch):
     scenario = five(kind)
@@ -102,14 +94,12 @@ def test_observations_of_another_batch_are_refused(kind, batch):
 
 
 def test_perception_refuses_other_teams():
-    clutter = rv.scenarios.get("clutter-16")
-    perception = Features(clutter, TEAMS, decision_time=0.2)
-    seen = Simulator(clutter, TEAMS).reset(0)
-    headings = np.zeros((TEAMS, 4, 2))
+    perception = Features(CLUTTER, TEAMS, decision_time=0.2)
+    seen = started(CLUTTER, TEAMS).observe()
     for wrong, carried, name in (
-        (seen[:2], headings, "observations"),
-        (seen.astype(complex), headings, "observations"),
-        (seen, headings[:2], "headings"),
+        (seen[:2], HEADINGS, "observations"),
+        (seen.astype(complex), HEADINGS, "observations"),
+        (seen, HEADINGS[:2], "headings"),
     ):
         with refusing(perception, f"{name} (have shape|are)"):
             perception.see(wrong, carried)
@@ -124,9 +114,9 @@ def test_heading_rules_refuse_what_does_not_fit_together():
     ):
         assert rule(f, points).shape == f.shape
         for bearing, silhouettes, message in (
-            (f, points[:2], "silhouettes has shape"),
-            (f, points[..., :1, :], "silhouettes has shape"),
-            (np.ones((3, 4, 3)), points, "silhouettes has shape"),
+            (f, points[:2], "silhouettes have shape"),
+            (f, points[..., :1, :], "silhouettes have shape"),
+            (np.ones((3, 4, 3)), points, "silhouettes have shape"),
             (np.ones((3, 4, 1)), points, "net_bearing has shape"),
             (f * np.nan, points, r"net_bearing is \[nan, .*\]; it must be finite"),
             (f, points.astype(np.int64), "silhouettes are int64"),
@@ -149,9 +139,6 @@ def test_alignments_refuse_a_step_of_other_robots(kind):
     ):
         with pytest.raises(ValueError, match="must be"):
             alignments(sim.scenario, wrong)
-
-
-# ---- memory -------------------------------------------------------------------------------------
 
 
 def test_what_does_not_fit_into_memory_is_told_before_it_is_taken():

@@ -7,6 +7,7 @@ from contextlib import suppress
 import gymnasium
 import numpy as np
 import pytest
+from conftest import started
 from fuzzing import DOORS
 from soup import DEEP, HUGE, UNWRITABLE, refusal
 
@@ -133,8 +134,7 @@ def test_every_reset_refuses_what_is_no_seed_and_takes_whole_numbers_of_any_type
 
 
 def test_seeds_of_a_batch_are_one_of_which_the_last_exists_or_one_each():
-    simulator = Simulator(PAIR, 3)
-    simulator.reset(2**63 - 3)
+    simulator = started(PAIR, 3, seed=2**63 - 3)
     assert simulator.seeds.tolist() == [2**63 - 3, 2**63 - 2, 2**63 - 1]
     assert f"at most {2**63 - 3}" in refusal(simulator.reset, 2**63 - 1)
     for wrong, said in (([1, 2], "seed has 2 entries; it must be one number, or 3"),

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from conftest import UNEQUAL, assert_same_state, five, law_of, refusing
+from conftest import UNEQUAL, assert_same_state, five, law_of, refusing, started
 from test_borders import AMONG, TEAMS
 
 import rendezvous_env as rv
@@ -81,14 +81,12 @@ WRONG = [
 
 @pytest.mark.parametrize(("team", "name", "place", "value", "message"), WRONG)
 def test_an_entry_that_no_episode_has_is_refused(team, name, place, value, message):
-    sim = Simulator(*SIMULATORS[team])
-    sim.reset(0)
+    sim = started(*SIMULATORS[team])
     refused(sim, changed(sim.get_state(), name, place, value), re.escape(message))
 
 
 def test_entries_are_those_of_the_team_in_shape_and_type():
-    sim = Simulator(*SIMULATORS["late"])
-    sim.reset(0)
+    sim = started(*SIMULATORS["late"])
     state = sim.get_state()
     for wrong, message in (
         ({k: v for k, v in state.items() if k != "past"}, "'past' is missing"),
@@ -100,8 +98,7 @@ def test_entries_are_those_of_the_team_in_shape_and_type():
 
 
 def test_survivors_are_their_own():
-    sim = Simulator(five("single_integrator-2d"), 1)
-    sim.reset(0)
+    sim = started(five("single_integrator-2d"), 1)
     state = sim.get_state()
     state["weights"][:] = 0.0
     refused(sim, changed(state, "merged_into", (0, slice(1, 3)), [0, 1]), "itself not merged")
@@ -110,8 +107,7 @@ def test_survivors_are_their_own():
 
 
 def test_lists_are_taken_or_refused_as_a_whole():
-    sim, ragged = Simulator(*SIMULATORS["team"]), [[1.0], [2.0, 3.0]]
-    sim.reset(0)
+    sim, ragged = started(*SIMULATORS["team"]), [[1.0], [2.0, 3.0]]
     sim.step(np.ones((TEAMS, 5, 2)))
     state = sim.get_state()
     for name in ("positions", "weights", "steps", "seed", "merged_into", "obstacles"):
@@ -160,9 +156,6 @@ def test_states_of_all_moments_are_taken(kind):
     anew.set_state(Simulator(scenario, TEAMS).get_state())
     anew.reset()
     assert anew.seeds.min() > 1
-
-
-# ---- states of what stands around a simulator ---------------------------------------------------
 
 
 def test_a_parallel_environment_takes_a_state_as_a_whole():

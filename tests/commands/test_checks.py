@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import sys
 from importlib import import_module
 from pathlib import Path
 
@@ -117,6 +118,7 @@ MISTAKES = {
     "verify --only-batch -2": "--only-batch is -2",
     "verify --min-alignment 1": "--min-alignment is 1.0; it must be less than 1",
     "verify --any --only-batch 3": "--only-batch is 3; --any tries no claims: leave it out",
+    "verify --any --claims lemma-1 bound-A": "--claims is lemma-1 bound-A; --any tries no claims",
     "verify --kinds 3": "--kinds is 3; add --any",
     "verify --claims bound-D": "claim 'bound-D' is unknown; did you mean 'bound-",
     "bench --only btached": "btached",
@@ -144,6 +146,25 @@ MISTAKES = {
 def test_mistakes_are_one_line_and_change_nothing(words, one_line, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     assert MISTAKES[words] in one_line(*words.split())
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "missing", "extra"),
+    [
+        ("train", "stable_baselines3", "train"),
+        ("export", "onnx", "export"),
+        ("export", "onnxruntime", "export"),
+        ("compare --backend ray", "ray", "ray"),
+        ("render --out a.mp4", "imageio_ffmpeg", "render"),
+        ("render --out a.gif", "PIL", "render"),
+        ("render --out a.gif", "pygame", "render"),
+    ],
+)
+def test_what_is_not_installed_is_named(words, missing, extra, one_line, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, missing, None)
+    assert f" needs {missing}; pip install 'rendezvous-env[{extra}]'" in one_line(*words.split())
     assert list(tmp_path.iterdir()) == []
 
 

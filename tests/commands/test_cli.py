@@ -1,7 +1,6 @@
 """The command line, as a user meets it."""
 
 import importlib
-import os
 import re
 import shutil
 import subprocess
@@ -121,13 +120,9 @@ def test_set_changes_fields_of_a_scenario():
 def test_steps_of_any_length_are_compared(step, tmp_path):
     """Kernels are made ready on two steps of the scenario itself, whose times no limit refuses."""
     limit = min(3 * step, 1e9)  # the longest time that a scenario takes
-    team = scenarios.get("duo").replace(
-        name="quick", time_step=step, time_limit=limit, allow_long_step=True
-    )
-    path = tmp_path / "quick.toml"
-    team.to_toml(path)
     words = ["--policy", "zero", "--episodes", "1", "--no-figures", "--out", str(tmp_path / "out")]
-    assert run("compare", "--scenario", str(path), *words) == 0
+    words += ["--set", f"time_step={step}", f"time_limit={limit}", "allow_long_step=true"]
+    assert run("compare", "--scenario", "duo", *words) == 0
 
 
 class TestList:
@@ -190,22 +185,19 @@ def test_reproduce_writes_picture_and_data(figure, through, tmp_path):
     assert written == {f"{figure}.{suffix}" for suffix in ("png", "pdf", "npz", "csv")}
     with np.load(tmp_path / f"{figure}.npz") as found:
         data = dict(found)
-    ends = ("", "_before_merge", "_after_merge")
-    value, before, after = (data[f"lyapunov{end}"] for end in ends)
-    ends = np.where(np.isnan(before), value, before)
-    assert (ends[1:] <= value[:-1]).all()  # between merges V falls
+    names = ("lyapunov", "lyapunov_before_merge", "lyapunov_after_merge")
+    value, before, after = (data[name] for name in names)
     jumps = ~np.isnan(before)
+    assert (np.where(jumps, before, value)[1:] <= value[:-1]).all()  # between merges V falls
     assert jumps.sum() == 2 and (after[jumps] < before[jumps]).all()
     assert data["contacts"].sum() == 0 and data["active"][-1].sum() == 1
     rows = results.read_csv(tmp_path / f"{figure}.csv")
     assert [float(row["lyapunov"]) for row in rows] == value.tolist()
     assert [row["robots"] for row in rows][-1] == "1.0"
     world, places = world_of(data["obstacles"]), data["positions"].reshape(-1, 2)
-    depths = [
-        min(distance_to(world, m, (x, y, 0.0)) for x, y in places.tolist())
-        for m in range(len(data["obstacles"]))
-    ]
-    assert max(depths) < -0.2 if through else min(depths) > -1e-6
+    for m in range(len(data["obstacles"])):
+        least = min(distance_to(world, m, (x, y, 0.0)) for x, y in places.tolist())
+        assert least < -0.2 if through else least > -1e-6
 
 
 @pytest.mark.parametrize(
@@ -218,7 +210,7 @@ def test_reproduce_writes_picture_and_data(figure, through, tmp_path):
         ("render --size 120 --fps 5 --speed 2 --out a.gif", {"torch", "matplotlib.pyplot"}),
     ],
 )  # fmt: skip
-def test_a_command_loads_nothing_heavy(words, heavy, tmp_path):
+def test_a_command_loads_nothing_heavy(words, heavy, tmp_path, monkeypatch):
     code = (
         "import os, sys, train.cli as c\n"
         f"try: assert c.main({words.split()}) == 0\n"
@@ -227,6 +219,5 @@ def test_a_command_loads_nothing_heavy(words, heavy, tmp_path):
         "assert not bad, bad\n"
         "assert os.environ['OMP_WAIT_POLICY'] == 'PASSIVE'"
     )
-    environment = {k: v for k, v in os.environ.items() if k != "OMP_WAIT_POLICY"}
-    run_once = [sys.executable, "-c", code]
-    subprocess.run(run_once, cwd=tmp_path, env=environment, check=True, timeout=120)
+    monkeypatch.delenv("OMP_WAIT_POLICY")
+    run_python(tmp_path, "-c", code)

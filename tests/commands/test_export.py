@@ -17,7 +17,7 @@ from baselines.learned.learned_policy import load
 from baselines.learned.numpy_actor import NumpyActor
 from baselines.learned.onnx_network import DIGEST_KEY, SETTINGS_KEY, OnnxNetwork, digest_of
 from baselines.learned.policy_settings import PolicySettings
-from train import checks, cli, export, policies, standalone
+from train import cli, export, policies, standalone
 from train.compare import playing
 from train.compare.settings import Config, Job
 from train.learn.recurrent import RecurrentNetwork
@@ -94,10 +94,8 @@ class TestNetwork:
         hidden = np.zeros((2, 50, RECURRENT.units), dtype=np.float32)
         for _ in range(5):
             shown = export.drawn_tables(layout, 50, random)
-            wanted, found = (
-                network.preferences(shown, own)
-                for network, own in zip(networks, hidden, strict=True)
-            )
+            pairs = zip(networks, hidden, strict=True)
+            wanted, found = (network.preferences(shown, own) for network, own in pairs)
             np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-4)
             np.testing.assert_allclose(hidden[1], hidden[0], atol=1e-5)
         assert np.abs(hidden[0]).max() > 0.3
@@ -151,18 +149,13 @@ class TestPolicy:
 
 
 class TestErrors:
-    def test_a_file_is_not_exported_again_and_a_missing_extra_is_named(
-        self, exported, one_line, monkeypatch
-    ):
+    def test_a_file_is_not_exported_again(self, exported, one_line):
         said = one_line("export", "--policy", f"learned:{exported / 'learned.onnx'}")
         assert "learned.onnx: is exported already" in said
-        monkeypatch.setattr(checks.importlib.util, "find_spec", lambda name: None)
-        said = one_line("export")
-        assert "export needs onnx; pip install 'rendezvous-env[export]'" in said
 
     def test_a_file_that_errs_does_not_take_its_place(self, monkeypatch, one_line, tmp_path):
         path, made = tmp_path / "policy.onnx", export.model_of
-        path.write_bytes(b"before")
+        path.write_bytes(before := f"before, {SETTINGS_KEY}".encode())
 
         def wrong(weights, settings):
             bias = weights["action_net.bias"] + np.arange(len(settings.angles))
@@ -171,14 +164,27 @@ class TestErrors:
         monkeypatch.setattr(export, "model_of", wrong)
         said = one_line("export", "--out", path, "--checks", "10")
         assert "the file differs from the policy by" in said
-        assert path.read_bytes() == b"before" and len(list(tmp_path.iterdir())) == 1
+        assert path.read_bytes() == before and len(list(tmp_path.iterdir())) == 1
+
+    @pytest.mark.parametrize(("flag", "name"), [("--out", "x.onnx"), ("--standalone", "x.py")])
+    def test_a_file_of_its_own_is_replaced_and_no_other(self, flag, name, one_line, tmp_path):
+        path = tmp_path / name
+        path.write_bytes(b"a network of somebody's")
+        said = one_line("export", flag, path)
+        assert f"{flag} {path}: is there already, and not of this command's making" in said
+        assert path.read_bytes() == b"a network of somebody's"
+        path.unlink()
+        for policy in ("learned", "learned-tank"):
+            words = ["export", "--policy", policy, flag, str(path), "--checks", "10"]
+            assert cli.main(words) == 0
+        assert path.stat().st_size > 1000
 
     def test_a_damaged_file_drives_no_robot(self, exported, tmp_path):
         """Any byte; of the digest and its name every one: else it would not be found."""
         content, path = (exported / "learned.onnx").read_bytes(), tmp_path / "x.onnx"
         first, random = content.index(BEFORE_DIGEST), np.random.default_rng(1)
         own = range(first - 2, first + len(BEFORE_DIGEST) + 65)
-        for k in (*own, *random.integers(0, len(content), 40).tolist()):
+        for k in (*own, *random.integers(0, len(content), 40)):
             damaged = content[:k] + bytes([content[k] ^ 1]) + content[k + 1 :]
             refused(path, damaged, r"x\.onnx: .*digest")
         model = onnx.load(exported / "learned.onnx")

@@ -12,7 +12,6 @@ from collections import defaultdict
 from contextlib import suppress
 from importlib import import_module
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import pytest
 from conftest import contents
@@ -92,76 +91,45 @@ PLAIN = st.recursive(
 )
 
 
-class Damage(NamedTuple):
-    """What is done to one of several files."""
-
-    file: int
-    kind: str
-    where: float
-    some: bytes
-    plain: object
-    cell: str
-    sealed: bool
-
-    def hurt(self, name, content):
-        """The content of a file, damaged; None: the file is a folder now."""
-        if self.kind == "folder":
-            return None
-        if self.kind == "inside":
-            with suppress(ValueError, TypeError, IndexError, RecursionError):  # hurt before
-                return self._inside(name, content)
-        at = min(int(self.where * len(content)), max(len(content) - 1, 0))
-        return BYTES.get(self.kind, BYTES["flip"])(content or b"\0", at, self.some)
-
-    def _inside(self, name, content):
-        """As its kind of file allows: what is in it is wrong, and the file itself is right."""
-        if name.endswith(".json"):
-            plain = json.loads(content)
-            self._put(plain)
-            return json.dumps(plain).encode()
-        if name.endswith(".csv"):
-            lines = [line.split(",") for line in content.decode().splitlines()]
-            line = lines[int(self.where * len(lines))]
-            line[self.some[0] % len(line)] = self.cell
-            return "\n".join(",".join(line) for line in lines).encode() + b"\n"
-        return content + self.some
-
-    def _put(self, plain):
-        """Put something else somewhere into plain data."""
-        path, place = list(self.some), plain
-        while True:
-            keys = list(place) if isinstance(place, dict) else list(range(len(place)))
-            if not keys:
-                return
-            key = keys[(path.pop() if path else 0) % len(keys)]
-            if not path or not isinstance(place[key], dict | list):
-                place[key] = self.plain
-                return
-            place = place[key]
+def places(plain):
+    """Where something else can stand in plain data: containers and keys."""
+    keys = plain if isinstance(plain, dict) else range(len(plain) if isinstance(plain, list) else 0)
+    for key in keys:
+        yield plain, key
+        yield from places(plain[key])
 
 
-def damages(files):
-    """Of one of so many files."""
-    return st.builds(
-        Damage,
-        st.integers(0, files - 1),
-        st.sampled_from(["inside", "inside", "inside", "folder", *BYTES]),
-        st.floats(0, 1, exclude_max=True),
-        st.binary(min_size=1, max_size=8),
-        PLAIN,
-        st.sampled_from(CELLS),
-        st.booleans(),
-    )
+def spoilt(draw, name, content):
+    """What is in a file is wrong, and as a file of its kind it is right."""
+    if name.endswith(".json"):
+        plain = json.loads(content)
+        place, key = draw(st.sampled_from([*places(plain)]))
+        place[key] = draw(PLAIN)
+        return json.dumps(plain).encode()
+    lines = [line.split(",") for line in content.decode().splitlines()]
+    line = draw(st.sampled_from(lines))
+    line[draw(st.integers(0, len(line) - 1))] = draw(st.sampled_from(CELLS))
+    return "\n".join(map(",".join, lines)).encode() + b"\n"
 
 
-def hurt(files, found):
-    """Files after one damage upon the other."""
-    files, names = dict(files), sorted(files)
-    for damage in found:
-        name = names[damage.file]
-        if files[name] is not None:
-            files[name] = damage.hurt(name, files[name])
-    return files
+@st.composite
+def damaged(draw, files):
+    """Files, one of which is a folder now (None), or other bytes, or says something else."""
+    name = draw(st.sampled_from(sorted(name for name in files if files[name] is not None)))
+    kind = draw(st.sampled_from(["inside", "inside", "inside", "folder", *BYTES]))
+    if kind == "folder":
+        return files | {name: None}
+    content, some = files[name] or b"\0", draw(st.binary(min_size=1, max_size=8))
+    if kind == "inside" and name.endswith((".json", ".csv")):
+        with suppress(ValueError, TypeError, RecursionError):  # where it was damaged before
+            return files | {name: spoilt(draw, name, content)}
+    at = draw(st.integers(0, len(content) - 1))
+    return files | {name: BYTES.get(kind, BYTES["insert"])(content, at, some)}
+
+
+def often(files):
+    """Files with one damage, or another one upon it."""
+    return damaged(files) | damaged(files).flatmap(damaged)
 
 
 _NONE_ANY_MORE = (ValueError, TypeError, AttributeError, LookupError, OSError, RecursionError)
@@ -169,28 +137,21 @@ _NONE_ANY_MORE = (ValueError, TypeError, AttributeError, LookupError, OSError, R
 
 
 @pytest.fixture(scope="module")
-def compared_files(tmp_path_factory, reseal):
-    """Files of a small comparison with an obstacle and a figure."""
-    out = tmp_path_factory.mktemp("fuzz") / "out"
-    given = {"scenarios": ("fig4",), "policies": ("bearing-only", "zero"), "episodes": 2, "keep": 1}
-    assert compare.run(compare.Config(**given, figures=False, out=out)) == 0
-    (out / "success.png").write_bytes(b"a picture")
-    reseal(out, files=[path.name for path in out.iterdir() if path.name != "run.json"])
-    return contents(out)
+def compared_files(compared):
+    return {k: content for k, content in contents(compared).items() if k != "report.html"}
 
 
 @cases(60, 250)
 def test_damaged_result_folders(count, compared_files, reseal, tmp_path, capsys):
-    @tried(count, st.lists(damages(len(compared_files)), min_size=1, max_size=2))
-    def _(found):
-        files = hurt(compared_files, found)
+    @tried(count, often(compared_files), st.booleans())
+    def _(files, sealed):
         lay(tmp_path / "out", files)
-        if found[0].sealed:
+        if sealed:
             with suppress(*_NONE_ANY_MORE):
                 reseal(tmp_path / "out")
         with warnings.catch_warnings(action="ignore"):  # of NumPy, at what nobody has measured
             status = said_by(["report", tmp_path / "out"], tmp_path, capsys)
-        if files != compared_files and not found[0].sealed:
+        if files != compared_files and not sealed:
             assert status == 2
 
 
@@ -226,10 +187,10 @@ class TestRuns:
     def test_damaged_files(self, count, run_files, tmp_path, capsys):
         folder = tmp_path / "run"
 
-        @tried(count, st.lists(damages(len(run_files)), min_size=1, max_size=2))
-        def _(found):
-            lay(folder, hurt(run_files, found))
-            if found[0].sealed:
+        @tried(count, often(run_files), st.booleans())
+        def _(files, sealed):
+            lay(folder, files)
+            if sealed:
                 sign(folder)
             said_by(["train", "--resume", folder], tmp_path, capsys)
 
@@ -238,14 +199,13 @@ class TestRuns:
         """What ``learned:PATH`` reads."""
         place = checkpoints.find(lay(tmp_path / "run", run_files))
         whole = contents(place)
-        names = ["checkpoint.json", "network.safetensors"]
+        read = {name: whole[name] for name in ("checkpoint.json", "network.safetensors")}
 
-        @tried(count, damages(len(names)))
-        def _(damage):
-            files = dict(whole)
-            files[names[damage.file]] = damage.hurt(names[damage.file], files[names[damage.file]])
+        @tried(count, damaged(read), st.booleans())
+        def _(found, sealed):
+            files = whole | found
             lay(place, files)
-            if damage.sealed:
+            if sealed:
                 sign(tmp_path / "run")
             words = ["--scenario", "fig4", "--policy", f"learned:{place}", "--out", "x.txt"]
             assert said_by(["render", *words], tmp_path, capsys) == 2
@@ -254,7 +214,7 @@ class TestRuns:
             except checkpoints.CheckpointError as error:
                 assert str(place) in str(error)
             else:
-                assert damage.sealed or meant(files) == meant(whole)
+                assert sealed or meant(files) == meant(whole)
 
 
 def meant(files):
@@ -320,20 +280,13 @@ def no_work(monkeypatch):
 
 @cases(150, 300)
 def test_command_lines(count, no_work, tmp_path, capsys, monkeypatch):
-    work = tmp_path / "work"
-    work.mkdir()
-    monkeypatch.chdir(work)
+    odd = {"file": b"", "bytes.toml": b"\xff\xfe\0", "words.toml": b"n_robots = [[[["}
+    odd |= dict.fromkeys(("folder.toml", "folder"))
     accepted = set()
 
     @tried(count, command_lines())
     def _(words):
-        for path in work.iterdir():
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
-        (work / "file").write_text("")
-        (work / "bytes.toml").write_bytes(b"\xff\xfe\0")
-        (work / "words.toml").write_text("n_robots = [[[[")
-        (work / "folder.toml").mkdir()
-        (work / "folder").mkdir()
+        monkeypatch.chdir(work := lay(tmp_path / "work", odd))
         if said_by(words, work, capsys) == 0:
             accepted.add(words[0])
 

@@ -2,7 +2,6 @@
 kill as well.
 """
 
-import os
 import random
 import signal
 import subprocess
@@ -105,12 +104,7 @@ def test_where_no_exception_gets_through_it_ends_in_time(number, body, tmp_path)
 class TestInside:
     def test_handlers_are_put_back(self, monkeypatch, capsys):
         before = [signal.getsignal(number) for number in SIGNALS]
-
-        def interrupted(*words):
-            os.kill(os.getpid(), signal.SIGTERM)
-            time.sleep(10)
-
-        monkeypatch.setattr(cli, "_run", interrupted)
+        monkeypatch.setattr(cli, "_run", lambda *words: signal.raise_signal(signal.SIGTERM))
         assert cli.main(["compare"]) == 128 + signal.SIGTERM
         assert [signal.getsignal(number) for number in SIGNALS] == before
         assert capsys.readouterr().err.count("\n") == 1
@@ -169,15 +163,15 @@ def test_a_comparison_that_is_killed_at_any_moment_leaves_a_folder_that_is_whole
     """It is the old one or the new one, the same command goes on, and what comes of it in the end
     is equal to what an uninterrupted run finds, bit for bit.
     """
-    whole, took = {}, 0.0
+    whole = {}
     for seed in (0, 1):
         began = time.monotonic()
         assert live(comparison(tmp_path / f"whole-{seed}", seed), tmp_path) == 0
         took = time.monotonic() - began
         whole[seed] = files(tmp_path / f"whole-{seed}")
-    out, moments = tmp_path / "out", random.Random(0)
-    kills, runs, seed = 0, 0, 0
+    out, moments, kills, runs = tmp_path / "out", random.Random(0), 0, 0
     while kills < KILLS:
+        seed = runs % 2
         due = runs < kills // 6  # some come to their end, however busy the machine is
         moment = None if due else moments.uniform(0.4, 0.9) * took  # at work, or about to be
         status = live(comparison(out, seed), tmp_path, moment)
@@ -190,7 +184,7 @@ def test_a_comparison_that_is_killed_at_any_moment_leaves_a_folder_that_is_whole
             assert runs == 0 or (part_of(out) / "whole" / RUN).exists()
         if status == 0:
             assert there == seed
-            seed, runs = 1 - seed, runs + 1
+            runs += 1
     assert live(comparison(out, seed), tmp_path) == 0 and files(out) == whole[seed]
     left = {path.name for path in tmp_path.iterdir()} - {"whole-0", "whole-1"}
     assert left == {"out"}

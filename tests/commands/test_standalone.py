@@ -21,9 +21,9 @@ POLICIES = ["learned", "learned-tank", "tangent-joined-tuned", "tangent-joined",
 CLUTTER = rv.scenarios.get("clutter-12")
 SPACE = [("learned-tank", name) for name in ("clutter-3d-32", "window-3d", "uav-clutter-16")]
 SPACE += [("tangent-joined-tuned", "uav-clutter-16")]
-TURNING = [("learned", "unicycle-6"), ("learned", "uav-6")]
 LONG = [*SPACE, *product(POLICIES, ["trap"])]
 LONG += product(["learned-tank", "bearing-only"], ["robotarium-10"])
+SHORT = [*SPACE, ("learned", "unicycle-6"), ("learned", "uav-6")]
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ class TestAgreement:
         ("policy", "name", "steps"),
         [
             *((policy, "clutter-12", 120) for policy in POLICIES),
-            *((*one, 60) for one in SPACE + TURNING),
+            *((*one, 60) for one in SHORT),
             *(pytest.param(*one, 10_000, marks=pytest.mark.slow) for one in LONG),
         ],
     )

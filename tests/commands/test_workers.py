@@ -3,16 +3,16 @@
 import os
 import signal
 from contextlib import closing
-from itertools import islice
+from itertools import chain, islice
 
 import numpy as np
 import pytest
-import torch
-from light_tasks import dies, dies_once, product, refuses, torch_product, where
+from light_tasks import dies, dies_once, refuses, threads, where
+from threadpoolctl import threadpool_limits
 from training_runs import SMALL, UPDATE, network
 
 import rendezvous_env as rv
-from train import checks, interrupts, tasks
+from train import interrupts, tasks
 from train.checks import UserError
 from train.compare import compare, playing
 from train.learn import command
@@ -41,12 +41,13 @@ class TestEach:
         processes = {result[1] for result in found.values()}
         assert os.getpid() not in processes and 1 <= len(processes) <= 2
 
-    @pytest.mark.parametrize("multiply", [product, torch_product])
-    def test_matrices_are_multiplied_alike_whoever_does_it(self, multiply, set_threads):
-        """OpenBLAS and torch round otherwise on several threads, as many as cores unless told."""
-        set_threads(2)
-        runs = [dict(each(multiply, range(8), Workers(jobs=count))) for count in (1, 2)]
-        assert runs[0] == runs[1] and torch.get_num_threads() == 2
+    def test_matrices_are_multiplied_by_one_thread_whoever_does_it(self, set_threads):
+        """OpenBLAS and torch round otherwise on several, as many as cores unless told."""
+        set_threads(3)
+        with threadpool_limits(3, "blas"):
+            found = [result for n in (1, 2) for _, result in each(threads, "abcd", Workers(jobs=n))]
+            assert {*chain(*found)} == {1} and min(map(len, found)) > 1
+            assert {*threads(None)} == {3}
 
     def test_what_must_stay_here_stays(self):
         found = dict(each(where, range(6), Workers(jobs=2), here=lambda task: task % 2 == 0))
@@ -89,12 +90,6 @@ class TestEach:
         monkeypatch.setattr(tasks, "_ALONE", 60.0)
         found = list(each(where, range(5), Workers(jobs=2)))
         assert {result[1] for _, result in found} == {os.getpid()}
-
-
-def test_a_missing_ray(monkeypatch):
-    monkeypatch.setattr(checks.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r"--backend ray needs ray; pip install 'rend.*\[ray\]"):
-        Workers(on="ray").check_workers()
 
 
 def test_a_comparison_by_two_is_that_of_one(tmp_path, monkeypatch):

@@ -142,9 +142,9 @@ class TestMeasures:
             seen[..., 0] *= 0.1
             return 5.0 * seen.sum(axis=-2)
 
+        duo, laws = scenarios.get("duo"), (lambda seen, time: turned(seen.copy(), time), turned)
         usual, spoilt = (
-            play(scenarios.get("duo"), lambda law=law: law, margin=None, episodes=2, seed=0)[0]
-            for law in (lambda seen, time: turned(seen.copy(), time), turned)
+            play(duo, lambda law=law: law, margin=None, episodes=2, seed=0)[0] for law in laws
         )
         assert (usual.min_alignment < 0.9).all()
         np.testing.assert_array_equal(spoilt.min_alignment, usual.min_alignment)
@@ -279,10 +279,8 @@ class TestStatistics:
         assert most < 3e8 and 0.49 < low < 0.5 < high < 0.51
 
     def test_without_law_1_the_best_is_the_reference(self):
-        worse = batch(clean=np.zeros(4, bool))
-        assert [
-            row["policy"] for row in statistics.compare_pairs("s", {"a": worse, "b": batch()})
-        ] == ["a"]
+        two = {"a": batch(clean=np.zeros(4, bool)), "b": batch()}
+        assert [row["policy"] for row in statistics.compare_pairs("s", two)] == ["a"]
 
 
 def test_nobody_gets_round_the_wall():
@@ -293,18 +291,28 @@ def test_nobody_gets_round_the_wall():
         assert not done.success.any(), name
 
 
-def test_excess_at_a_merge_is_an_error(tmp_path, monkeypatch, capsys):
-    config = compare.Config(("duo",), ("bearing-only",), episodes=2, out=tmp_path, figures=False)
+@pytest.mark.parametrize(
+    ("merge_radius", "excess", "status"),
+    [(0.2, 0.5, 1), (1e-5, 1e-11, 1), (200.0, 1e-8, 0)],
+)
+def test_excess_at_a_merge_is_an_error(tmp_path, monkeypatch, capsys, merge_radius, excess, status):
+    """Of V as much is rounding as 10⁻⁹ r D̄, here of D̄ = 1 m/s."""
+    scenario = scenarios.get("duo").replace(start_positions=None, merge_radius=merge_radius)
+    scenario.replace(spawn_size=10 * merge_radius).to_toml(path := tmp_path / "a.toml")
+    config = compare.Config(
+        (str(path),), ("bearing-only",), episodes=2, out=tmp_path / "out", figures=False
+    )
     real = playing.play
 
     def broken(*args, **options):
         done, recordings = real(*args, **options)
-        done.merge_excess[0] = 0.5
+        done.merge_excess[0] = excess
         return done, recordings
 
     monkeypatch.setattr(playing, "play", broken)
-    assert compare.run(config) == 1
-    assert "in 1 episodes a merge raised V above its bound" in capsys.readouterr().err
+    assert compare.run(config) == status
+    said = "in 1 episodes a merge raised V above its bound"
+    assert (said in capsys.readouterr().err) == (status == 1)
 
 
 def test_the_first_failure_of_a_policy_is_recorded_too(tmp_path):

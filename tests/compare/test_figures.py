@@ -56,8 +56,7 @@ class TestColours:
 def test_no_mark_where_nothing_is_clean_and_no_bar_from_a_single_start(tmp_path):
     nothing = dict.fromkeys(("success_low", "success_high", "time_low", "time_high"), np.nan)
     alone = row("fig3", "tangent", np.nan, episodes=1, **nothing)
-    figure = figures.success_figure([alone])
-    axes = figure.axes[0]
+    axes = figures.success_figure([alone]).axes[0]
     assert axes.get_title() == "fig3, one start"
     [success] = axes.containers  # and none of collision-free success
     assert success.lines[0].get_xdata() == [100.0]
@@ -73,7 +72,7 @@ class TestSweeps:
         names = ["clutter-16", "fig4", "clutter-4", "duo", "clutter-8"]
         scenarios = [rv.scenarios.get(name) for name in names]
         [group] = figures.sweeps(scenarios, "obstacles")
-        assert [scenario.name for scenario in group] == ["clutter-4", "clutter-8", "clutter-16"]
+        assert group == [scenarios[k] for k in (2, 4, 0)]
         assert figures.sweeps(scenarios, "robots") == []
         teams = [scenarios[0].replace(n_robots=n, name=f"team-{n}") for n in (8, 3)]
         [group] = figures.sweeps([*scenarios, *teams], "robots")
@@ -115,8 +114,9 @@ def texts_of(figure):
     ]
 
 
-def assert_readable(figure):
-    """No text covers another one, or leaves the picture."""
+def assert_readable(figure, across=style.COLUMN):
+    """It is so wide, inches, and no text covers another one, or leaves the picture."""
+    assert figure.get_figwidth() == across
     found, (width, height) = texts_of(figure), figure.get_size_inches() * figure.dpi
     assert len(found) > 5
     for text, box in found:
@@ -148,26 +148,21 @@ class TestPrint:
          ("clutter-8", "tangent-joined")],
     )  # fmt: skip
     def test_an_episode_fits_a_column_and_is_readable(self, name, policy):
-        figure = drawn(name, policy)
-        assert figure.get_figwidth() == style.COLUMN == 3.5
-        assert_readable(figure)
+        assert_readable(drawn(name, policy), 3.5)
 
     def test_a_sweep_fits_a_column_and_is_readable(self):
         names = ("clutter-16-team-3", "clutter-16", "clutter-16-team-8", "clutter-16-team-32")
         group = sorted(map(rv.scenarios.get, names), key=lambda scenario: scenario.n_robots)
         policies = ["bearing-only", *(n for n in baselines.names() if n.startswith("tangent"))]
         rows = [row(s.name, policy, 0.5) for s in group for policy in policies]
-        figure = figures.sweep_figure(rows, group, "robots")
-        assert figure.get_figwidth() == style.COLUMN
-        assert_readable(figure)
+        assert_readable(figures.sweep_figure(rows, group, "robots"))
 
     @pytest.mark.parametrize(("counts", "width"), [((8,), style.COLUMN), ((4, 8, 12, 16), 7.16)])
     def test_a_panel_fits_a_column_and_several_a_page(self, counts, width):
         policies = ["bearing-only", "tangent-joined-certified", "learned", "privileged-planner"]
         rows = [row(f"clutter-{k}", policy, 0.5) for k in counts for policy in policies]
         for figure in (figures.success_figure(rows), figures.time_figure(rows)):
-            assert figure.get_figwidth() == width
-            assert_readable(figure)
+            assert_readable(figure, width)
 
     def test_tanks_are_readable_and_in_per_cent(self):
         rows = [
@@ -177,7 +172,7 @@ class TestPrint:
             for margin in reproduce.MARGINS
         ]
         figure = reproduce.tank_tradeoff_figure(rows)
-        assert_readable(figure)
+        assert_readable(figure, style.PAGE)
         [line, _] = figure.axes[0].get_lines()
         assert {"10,000", "1,000,000"} <= {t.get_text() for t in figure.axes[1].get_yticklabels()}
         assert line.get_ydata() == pytest.approx(90.0) and "%" in figure.axes[0].get_ylabel()
@@ -186,7 +181,7 @@ class TestPrint:
         paths = drawn("unicycle-6", "unicycle").axes[0]
         arrows = [text for text in paths.texts if isinstance(text, Annotation)]
         assert len(arrows) >= 6 * 3
-        along = np.subtract(arrows[0].get_position(), arrows[0].xy) * -1
+        along = np.subtract(arrows[0].xy, arrows[0].get_position())
         yaw = recorded("unicycle-6", "unicycle")["headings"][0, 0, 0]
         assert along / np.hypot(*along) == pytest.approx([np.cos(yaw), np.sin(yaw)])
         assert "headings" in paths.get_title()
@@ -196,20 +191,16 @@ class TestPrint:
         figure.draw_without_rendering()
         value = figure.axes[1]
         [inset] = value.child_axes
-        connectors = [patch for patch in value.findobj(ConnectionPatch) if patch.get_visible()]
-        assert connectors == []
+        assert not any(patch.get_visible() for patch in value.findobj(ConnectionPatch))
         [first, *_] = value.get_lines()
         curve = value.transData.transform(first.get_xydata())
-        box = inset.get_tightbbox()
-        assert not box.count_contains(curve)
+        assert not inset.get_tightbbox().count_contains(curve)
 
     def test_fonts_are_those_that_journals_take(self, tmp_path):
-        for name, figure in {
-            "sweep": figures.success_figure([row("duo", "zero", 0.5)]),
-            "paths": drawn("fig4", "tangent-joined"),
-        }.items():
-            style.save(figure, tmp_path / f"{name}.pdf")
-            written = (tmp_path / f"{name}.pdf").read_bytes()
+        path, rows = tmp_path / "a.pdf", [row("duo", "zero", 0.5)]
+        for figure in (figures.success_figure(rows), drawn("fig4", "tangent-joined")):
+            style.save(figure, path)
+            written = path.read_bytes()
             assert b"/FontFile2" in written and b"/CIDFontType2" in written
             assert b"/Type3" not in written
             [size] = re.findall(rb"/MediaBox \[ ?0 0 ([\d.]+) ", written)
@@ -228,11 +219,12 @@ class TestPrint:
             assert picture.info["Subject"] == "rendezvous compare, run 7"
 
     def test_a_matplotlibrc_changes_nothing(self, tmp_path):
-        rows, files = [row("duo", "zero", 0.5)], [tmp_path / "a.png", tmp_path / "b.png"]
-        with matplotlib.rc_context({"axes.grid": True, "savefig.bbox": "tight"}):
-            style.save(figures.success_figure(rows), files[0])
-        style.save(figures.success_figure(rows), files[1])
-        assert (imread(files[0]) == imread(files[1])).all()
+        found = []
+        for own in ({"axes.grid": True, "savefig.bbox": "tight"}, {}):
+            with matplotlib.rc_context(own):
+                style.save(figures.success_figure([row("duo", "zero", 0.5)]), tmp_path / "a.png")
+            found.append(imread(tmp_path / "a.png"))
+        assert (found[0] == found[1]).all()
 
 
 class TestEpisodes:

@@ -13,23 +13,21 @@ DUO = scenarios.get("duo")
 
 class TestLevels:
     def test_scenarios_differ_in_one_field(self):
-        noise, sight = levels.sweeps([DUO], ["noise=0,0.25", "range=none,4,2.5"])
+        words = ["noise=0,0.25", "range=none,4,2.5", "occlusion=none,robots"]
+        noise, sight, hidden = levels.sweeps([DUO], words)
         assert noise.levels == (0, 0.25) and noise.labels == ["0", "0.25"]
         assert sight.levels == (None, 4, 2.5) and sight.labels == ["none", "4", "2.5"]
         assert noise.scenarios[0] is sight.scenarios[0] is DUO
         assert noise.scenarios[1].sensing == rv.Sensing(noise=0.25)
         assert [one.name for one in sight.scenarios] == ["duo", "duo-range-4", "duo-range-2.5"]
         assert sight.scenarios[2].replace(name="duo", sensing=rv.Sensing()) == DUO
+        assert [one.sensing.occlusion for one in hidden.scenarios] == ["none", "robots"]
 
     def test_other_fields_stay_those_of_the_scenario(self):
         blurred = DUO.replace(sensing=rv.Sensing(noise=0.1, delay=2))
         (sweep,) = levels.sweeps([blurred], ["dropout=0,0.5"])
         assert sweep.scenarios[0] is blurred
         assert sweep.scenarios[1].sensing == rv.Sensing(noise=0.1, delay=2, dropout=0.5)
-
-    def test_words_are_levels_too(self):
-        (sweep,) = levels.sweeps([DUO], ["occlusion=none,robots"])
-        assert [one.sensing.occlusion for one in sweep.scenarios] == ["none", "robots"]
 
 
 @pytest.fixture(scope="module")

@@ -13,11 +13,11 @@ from conftest import contents
 from training_runs import UPDATE
 from training_runs import config as training
 
-from baselines.learned import shipped
 from train import cli, resume
 from train.checks import UserError
 from train.compare import compare, out_folder, playing, upper_bound
 from train.compare.out_folder import part_of
+from train.learn import ppo
 from train.report.input import read
 
 SAME = ("results.csv", "episodes.csv", "paired.csv", "ceiling.csv", "trajectories.npz")
@@ -39,7 +39,7 @@ def whole(tmp_path_factory):
     return contents(out)
 
 
-def stopped(settings, after, error=KeyboardInterrupt):
+def stopped(settings, after):
     """Compare until some jobs are finished, and stop in the next one."""
     real, done = playing.play_job, 0
 
@@ -47,12 +47,12 @@ def stopped(settings, after, error=KeyboardInterrupt):
         nonlocal done
         whole = options.get("steps") is None and options["episodes"] > 1  # no failure played again
         if whole and (done := done + 1) > after:
-            raise error
+            raise KeyboardInterrupt
         return real(job, **options)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(playing, "play_job", play_job)
-        with pytest.raises(error) as caught:
+        with pytest.raises(KeyboardInterrupt) as caught:
             compare.run(settings)
     return caught.value
 
@@ -71,15 +71,10 @@ class TestGoingOn:
     def test_only_what_is_left_is_played(self, tmp_path, monkeypatch):
         stopped(config(tmp_path / "out"), 3)
         real, played = playing.play_block, []
-
-        def play_block(job, *given):
-            played.append((job.scenario.name, job.policy))
-            return real(job, *given)
-
-        monkeypatch.setattr(playing, "play_block", play_block)
+        monkeypatch.setattr(playing, "play_block", lambda *job: played.append(job[0]) or real(*job))
         assert compare.run(config(tmp_path / "out")) == 0
-        assert [policy for _, policy in played] == ["zero", "tangent-joined"]
-        assert {scenario for scenario, _ in played} == {"clutter-4-time-limit-3"}
+        assert [job.policy for job in played] == ["zero", "tangent-joined"]
+        assert {job.scenario.name for job in played} == {"clutter-4-time-limit-3"}
 
     def test_a_ceiling_is_kept(self, tmp_path, monkeypatch, whole):
         monkeypatch.setattr(compare, "write", lambda *given: 1 / 0)
@@ -140,30 +135,6 @@ class TestGoingOn:
         registry["zero"] = registry["zero"]._replace(build=lambda scenario: None)
         found.append(playing.plan_of(jobs, settings))
         assert len(set(map(resume.run_id, found))) == 3
-
-    def test_weights_that_change_while_they_are_compared(self, tmp_path, monkeypatch):
-        """As those of a run that trains on: rows would be of several networks."""
-        run, real = tmp_path / "run", playing.play_block
-        shutil.copytree(shipped.folder("learned"), run)
-
-        def play_block(*given):
-            done = real(*given)
-            shutil.copytree(shipped.folder("learned-tank"), run, dirs_exist_ok=True)
-            return done
-
-        monkeypatch.setattr(playing, "play_block", play_block)
-        monkeypatch.setattr(playing, "BLOCK", 2)
-        settings = config(tmp_path / "out", policies=(f"learned:{run}",), ceiling=0)
-        with pytest.raises(UserError, match="was changed since the comparison began"):
-            compare.run(settings)
-        assert not settings.out.exists()
-
-    def test_a_part_folder_of_someone_else_stays(self, tmp_path):
-        (tmp_path / "out.part").mkdir()
-        (tmp_path / "out.part" / "thesis.tex").write_text("mine")
-        with pytest.raises(UserError, match=r"holds no plan\.json"):
-            compare.run(config(tmp_path / "out", fresh=True))
-        assert contents(tmp_path) == {"out.part": None, "out.part/thesis.tex": b"mine"}
 
 
 class TestPlace:
@@ -235,18 +206,22 @@ class TestPlace:
         assert not list(finished.out.glob("*.p[nd][gf]"))
         assert not (finished.out / "report.html").exists()
 
-    def test_report_says_what_is_unfinished(self, tmp_path, one_line):
-        stopped(config(tmp_path / "out"), 2)
-        said = one_line("report", tmp_path / "out")
-        assert f"{part_of(tmp_path / 'out')} is an unfinished one" in said
-
 
 class TestRefusals:
-    def test_what_compare_has_not_written_is_not_removed(self, tmp_path):
-        (tmp_path / "notes.txt").write_text("mine")
-        with pytest.raises(UserError, match=r"holds 'notes.txt', which compare has not written"):
-            compare.run(config(tmp_path))
-        assert contents(tmp_path) == {"notes.txt": b"mine"}
+    @pytest.mark.parametrize(
+        ("file", "said"),
+        [
+            ("out/notes.txt", "holds 'notes.txt', which compare has not written"),
+            ("out.part/thesis.tex", r"holds no plan\.json"),
+        ],
+    )
+    def test_what_compare_has_not_written_is_not_removed(self, file, said, tmp_path):
+        (tmp_path / file).parent.mkdir()
+        (tmp_path / file).write_text("mine")
+        before = contents(tmp_path)
+        with pytest.raises(UserError, match=said):
+            compare.run(config(tmp_path / "out", fresh=True))
+        assert contents(tmp_path) == before
 
     def test_the_folder_one_stands_in(self, tmp_path, monkeypatch):
         (tmp_path / "a").mkdir()
@@ -261,75 +236,50 @@ class TestRefusals:
         assert compare.run(config(tmp_path / "link", ceiling=0)) == 0
         assert (tmp_path / "link").is_symlink() and read(tmp_path / "real").run["seed"] == 0
 
-    def test_a_damaged_plan_is_named(self, tmp_path):
+    def test_what_is_unfinished_and_a_damaged_plan_are_named(self, tmp_path, one_line):
         stopped(config(tmp_path / "out"), 2)
+        said = one_line("report", tmp_path / "out")
+        assert f"{part_of(tmp_path / 'out')} is an unfinished one" in said
         (part_of(tmp_path / "out") / "plan.json").write_text("[" * 100_000)
         with pytest.raises(UserError, match=r"plan\.json: not readable"):
             compare.run(config(tmp_path / "out"))
 
 
-HOLD = """
-import sys, time
-from pathlib import Path
-from train.resume import claimed
-path = Path(sys.argv[1])
-with claimed(path.parent, path.name, "it"):
-    print("held", flush=True)
-    time.sleep(60)
-"""
-
-
-@pytest.fixture
-def hold():
-    """Start a process that holds a lock file, and end it."""
-    begun = []
-
-    def start(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        words = [sys.executable, "-c", HOLD, path]
-        process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-        begun.append(process)
-        assert process.stdout.readline() == "held\n"
-        return process
-
-    yield start
-    for process in begun:
-        process.kill()
-        process.communicate()
-
-
 class TestLocks:
-    def test_two_compare_into_one_folder(self, hold, tmp_path, one_line):
-        out = tmp_path / "out"
-        other = hold(tmp_path / ".out.lock")
-        words = ["compare", "--scenarios", "duo", "--episodes", "1", "--no-figures"]
-        said = one_line(*words, "--out", out)
+    def test_two_compare_into_one_folder(self, tmp_path, one_line):
+        """The lock of a process that is killed is free."""
+        out, words = tmp_path / "out", "compare --scenarios duo --episodes 1 --no-figures".split()
+        code = (
+            "import sys, time, pathlib, train.resume\n"
+            "with train.resume.claimed(pathlib.Path(sys.argv[1]), '.out.lock', 'it'):\n"
+            "    print('held', flush=True)\n    time.sleep(60)"
+        )
+        command = [sys.executable, "-c", code, tmp_path]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as other:
+            try:
+                assert other.stdout.readline() == "held\n"
+                said = one_line(*words, "--out", out)
+            finally:
+                other.kill()
         assert f"--out {out} is in use by process {other.pid} on" in said
         assert not out.exists() and not part_of(out).exists()
-        other.kill()
-        other.wait()
         assert cli.main([*words, "--out", str(out)]) == 0
         assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
-    def test_two_train_on_one_folder(self, hold, tmp_path, one_line):
-        from train.learn import ppo
-
+    def test_two_train_on_one_folder(self, tmp_path, one_line):
         folder = tmp_path / "run"
         assert ppo.run(training(folder, total_steps=UPDATE, eval_every=0)).status == 0
-        other = hold(folder / ".lock")
-        before = contents(folder)
-        said = one_line("train", "--resume", folder)
-        assert f"{folder} is in use by process {other.pid} on" in said
-        assert contents(folder) == before
-        shutil.rmtree(folder / "checkpoints")  # a run that has only just begun
-        assert "is in use by process" in one_line("train", "--out", folder)
+        with resume.claimed(folder, ".lock", "it"):
+            before = contents(folder)
+            said = one_line("train", "--resume", folder)
+            assert f"{folder} is in use by process {os.getpid()} on" in said
+            assert contents(folder) == before
+            shutil.rmtree(folder / "checkpoints")  # a run that has only just begun
+            assert "is in use by process" in one_line("train", "--out", folder)
 
     def test_lock_and_folders_that_stay_empty_go_in_the_end(self, tmp_path):
-        """This process cannot claim a folder twice either."""
         with resume.claimed(tmp_path / "a" / "b", ".lock", "it"):
-            with pytest.raises(UserError, match=f"in use by process {os.getpid()}"):
-                with resume.claimed(tmp_path / "a" / "b", ".lock", "it"):
-                    pass
+            pass
         assert not (tmp_path / "a").exists()
         with resume.claimed(tmp_path / "a" / "b", ".lock", "it"):
             (tmp_path / "a" / "kept").write_text("")

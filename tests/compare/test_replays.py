@@ -64,9 +64,8 @@ def test_what_is_kept_ends_as_the_card_says_and_begins_where_the_start_does(boar
     for start, shown in kept.items():
         simulator = Simulator(scenarios.get("clutter-8"), 1)
         simulator.reset(EVALUATION_SEEDS + start)
-        assert arrays_of(shown.fields, shown.text)["lyapunov"][0] == np.float32(
-            simulator.lyapunov()[0]
-        )
+        first = arrays_of(shown.fields, shown.text)["lyapunov"][0]
+        assert first == np.float32(simulator.lyapunov()[0])
         discs = sorted(one["radius"] for one in shown.obstacles)
         np.testing.assert_allclose(discs, sorted(simulator.obstacles[0][:, RADIUS]), atol=1e-5)
         places, inside = np.array(shown.extent), simulator.positions[0]
@@ -87,9 +86,8 @@ def test_watching_changes_nothing_and_sees_every_step():
         assert recording["contacts"][-1].sum() == found["touches"][team]
         steps = recording["times"] / scenarios.get("clutter-16").tau
         np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
-        assert len(steps) <= MAX_FRAMES and recording["times"][-1] == pytest.approx(
-            found["time"][team]
-        )
+        assert len(steps) <= MAX_FRAMES
+        assert recording["times"][-1] == pytest.approx(found["time"][team])
         path = own.teams.unwrapped.simulator.path_length[team]
         ways = np.linalg.norm(np.diff(recording["positions"], axis=0), axis=-1).sum()
         assert 0.9 * path < ways  # chords of the way, merges aside

@@ -12,17 +12,16 @@ from train.compare import Job, play_job
 from train.recording import observations, whole
 
 NAMES = "fig4", "trap", "clutter-16-team-8", "random-10", "unicycle-6", "uav-6", "cloud-8"
-TEAMS = {name: scenarios.get(name) for name in NAMES} | {
-    "listed links": rv.Scenario(name="ring", n_robots=40, graph=graphs.cycle((0.5, 1.5))),
-    "inertia": rv.Scenario(
-        name="heavy", n_robots=4, robot_model="double_integrator", obstacles=FAR
-    ),
-}
+TEAMS = [
+    *map(scenarios.get, NAMES),
+    rv.Scenario(name="listed links", n_robots=40, graph=graphs.cycle((0.5, 1.5))),
+    rv.Scenario(name="inertia", n_robots=4, robot_model="double_integrator", obstacles=FAR),
+]
 
 
-@pytest.mark.parametrize("name", TEAMS)
-def test_what_was_seen(name):
-    scenario = TEAMS[name].replace(time_limit=6.0)
+@pytest.mark.parametrize("team", TEAMS, ids=lambda team: team.name)
+def test_what_was_seen(team):
+    scenario, name = team.replace(time_limit=6.0), team.name
     law, count = policies.fitting(scenario, ())[-1], 6 if name == "inertia" else 3
     seen, merges = shown(scenario, law, count), 0
     for team, recording in enumerate(recordings(scenario, law, count)):

@@ -9,8 +9,7 @@ from rendezvous_env.scenario import scenarios
 from train.compare import compare
 from train.compare.evaluation import counts_contacts, starts_of
 
-PLACES = ((0.0, 0.0), (3.0, 0.0), (0.0, 4.0))
-GIVEN = Scenario(n_robots=3, start_positions=PLACES)
+GIVEN = Scenario(n_robots=3, start_positions=((0.0, 0.0), (3.0, 0.0), (0.0, 4.0)))
 FAR = Capsule(((90.0, 0.0), (91.0, 0.0)), 0.1)
 """Robots with inertia beside it are a kind of team that other tests have, too."""
 CYCLIST = GIVEN.replace(robot_model="unicycle")

@@ -94,30 +94,23 @@ def test_no_kernel_that_counts_no_references_returns_an_array():
     assert len(uncounted) > 100
 
 
-# ---- what only kernels call ---------------------------------------------------------------------
-
-
-@compilation.inner_kernel
-def halved(x):
-    return 0.5 * x
-
-
-@compilation.inner_kernel(inline="code")
-def doubled(x):
-    return 2.0 * x
-
-
-@compilation.inner_kernel(inline="text")
-def squared(x):
-    return x * x
-
-
-@compilation.kernel
-def through_all(x):
-    return squared(doubled(halved(x)) + 1.0)
-
-
 def test_what_only_kernels_call_is_plain_python_for_python():
+    @compilation.inner_kernel
+    def halved(x):
+        return 0.5 * x
+
+    @compilation.inner_kernel(inline="code")
+    def doubled(x):
+        return 2.0 * x
+
+    @compilation.inner_kernel(inline="text")
+    def squared(x):
+        return x * x
+
+    @compilation.kernel
+    def through_all(x):
+        return squared(doubled(halved(x)) + 1.0)
+
     for _ in range(2):  # before any is compiled and after, when there is still no entry
         assert (halved(3.0), doubled(x=3.0), squared(3.0)) == (1.5, 6.0, 9.0)
         assert through_all(3.0) == 16.0

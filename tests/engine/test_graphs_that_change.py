@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from conftest import UNEQUAL
+from conftest import UNEQUAL, started
 
 import baselines
 import rendezvous_env as rv
@@ -25,10 +25,11 @@ ARCS = np.array(
 TURNS = graphs.switching(["path", graphs.directed_cycle(1.5), graphs.from_edges([(0, 4)], 5)], 0.3)
 RANGE, FIELD = 2.5, 4.0
 SIGHT = rv.Sensing(range=RANGE, field_of_view=FIELD)
+FREE = {"require_connected": False}
 KINDS = {
-    "directed": {"graph": graphs.directed(ARCS)},
-    "switching": {"graph": TURNS},
-    "proximity": {"graph": graphs.proximity(0.8), "sensing": SIGHT},
+    "directed": FREE | {"graph": graphs.directed(ARCS)},
+    "switching": FREE | {"graph": TURNS},
+    "proximity": FREE | {"graph": graphs.proximity(0.8), "sensing": SIGHT},
 }
 """Kinds of graphs, and what of a scenario goes with them."""
 
@@ -133,7 +134,7 @@ class Reference:
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("kind", KINDS)
 def test_law_1_moves_as_a_reference_written_from_the_definitions(kind, seed):
-    sim = rv.Simulator(scenario(**KINDS[kind], require_connected=False))
+    sim = rv.Simulator(scenario(**KINDS[kind]))
     rows = sim.reset(seed)
     reference = Reference(kind, sim.positions[0], sim.scenario.merge_radius, sim.scenario.tau)
     seen = []
@@ -202,25 +203,29 @@ def test_an_undirected_graph_moves_alike_however_it_is_said(name):
 
 
 def test_who_is_seen_need_not_see_and_both_merge():
-    made = scenario(
-        n_robots=2, graph=graphs.directed([(1, 0)], 2), start_positions=((0, 0), (1, 0))
-    )
-    sim = rv.Simulator(made)
-    rows = sim.reset(0)
-    assert rows[0].tolist() == [[[0.0, 0.0]], [[-1.0, 0.0]]]
-    assert sim.lyapunov() == pytest.approx(1.0), "an arc counts once"
-    while not sim.ended[0]:
-        rows = sim.step(rows[:, :, 0]).observations
-    assert sim.merged_into[0].tolist() == [0, 0]
+    graph, places = graphs.directed([(1, 0)], 2), ((0, 0), (1, 0))
+    made = scenario(n_robots=2, graph=graph, start_positions=places)
+    found = rv.rollout(made, lambda seen, time: seen[:, :, 0], record="observations")
+    assert found.observations[0, 0].tolist() == [[[0.0, 0.0]], [[-1.0, 0.0]]]
+    assert found.lyapunov[0] == pytest.approx(1.0), "an arc counts once"
+    assert found.active[-1, 0].tolist() == [True, False]
     # robot 0 never moved; they met at a distance r, and stand in the middle
-    assert sim.positions[0, 0, 0] == pytest.approx(made.merge_radius / 2)
-    assert sim.time[0] == pytest.approx(0.8, abs=made.tau)
+    assert found.positions[-1, 0, :, 0] == pytest.approx(made.merge_radius / 2)
+    assert found.rendezvous_time == pytest.approx(0.8, abs=made.tau)
 
 
-def test_a_robot_that_comes_to_see_more_than_there_are_rows_for_is_named():
-    tight = scenario(graph=graphs.directed(ARCS), neighbour_slots=2)
-    with pytest.raises(RuntimeError, match=r"robot_2 of team 0 has more than neighbour_slots = 2"):
-        rv.Simulator(tight).reset(0)
+@pytest.mark.parametrize("graph", ["proximity", "complete"])
+def test_robots_exactly_as_far_apart_as_they_see_both_do(graph):
+    """Whichever way their frames are turned: 3² + 4² = 5² has no rounding but in turned frames."""
+    near_and_far = ((0.0, 0.0), (3.0, 4.0), (1.0, 1.0))
+    made = scenario(
+        n_robots=3, graph=graph, sensing=rv.Sensing(range=5.0), start_positions=near_and_far,
+        local_frames="random",
+    )  # fmt: skip
+    sim = rv.Simulator(made, 100)
+    assert sim.reset(0)[:, :, :2].any(axis=-1).all()
+    there = np.broadcast_to(~np.eye(3, dtype=bool), (100, 3, 3))
+    np.testing.assert_array_equal(sim.weights > 0, there)
 
 
 # ---- turns --------------------------------------------------------------------------------------
@@ -228,11 +233,9 @@ def test_a_robot_that_comes_to_see_more_than_there_are_rows_for_is_named():
 
 def graph_of_each_step(order, seed=0, steps=60):
     listed = [graphs.from_edges([(0, j)], 4) for j in (1, 2, 3)]
-    made = scenario(
-        n_robots=4, graph=graphs.switching(listed, 0.5, order), time_step=0.1, max_speed=1.0
-    )
-    sim, found = rv.Simulator(made, 3), []
-    sim.reset(seed)
+    turns = graphs.switching(listed, 0.5, order)
+    made = scenario(n_robots=4, graph=turns, time_step=0.1, max_speed=1.0)
+    sim, found = started(made, 3, seed), []
     for _ in range(steps):
         found.append(np.argmax(sim.weights[:, 0], axis=1))
         sim.step(np.zeros((3, 4, 2), np.float32))
@@ -247,16 +250,9 @@ def test_graphs_take_turns_in_order():
 
 def test_switches_are_due_at_multiples_of_the_dwell_time():
     """And not so long after the last one, which was late: 0.3, 0.5, 0.8, 1 s, not 0.3, 0.6, 0.9."""
-    pair = graphs.from_edges([(1, 2)])
-    made = scenario(
-        n_robots=3,
-        graph=graphs.switching(["path", pair], 0.25),
-        time_step=0.1,
-        allow_long_step=True,
-        start_positions=((0, 0), (100, 0), (0, 100)),
-    )
-    sim = rv.Simulator(made)
-    sim.reset(0)
+    turns = graphs.switching(["path", graphs.from_edges([(1, 2)])], 0.25)
+    places, long = ((0, 0), (100, 0), (0, 100)), {"time_step": 0.1, "allow_long_step": True}
+    sim = started(scenario(n_robots=3, graph=turns, start_positions=places, **long))
     linked = [sim.step(np.zeros((1, 3, 2))) and sim.weights[0, 0, 1] > 0 for _ in range(10)]
     assert (np.flatnonzero(np.diff(linked)) + 2).tolist() == [3, 5, 8, 10]
 
@@ -272,21 +268,13 @@ def test_graphs_are_drawn_for_every_team_and_the_same_again():
 
 
 def test_no_progress_is_earned_where_no_edge_was_at_the_start():
-    nothing = np.zeros((3, 3))
-    made = scenario(
-        n_robots=3,
-        graph=graphs.switching([nothing, "complete"], 0.5),
-        start_positions=((0, 0), (1, 0), (0, 1)),
-    )
-    sim = rv.Simulator(made)
-    rows, total = sim.reset(0), 0.0
-    assert sim.initial_lyapunov == 0.0
-    while not sim.ended[0]:
-        outcome = sim.step(rows.sum(axis=2))
-        rows, total = outcome.observations, total + outcome.rewards[0]
-    passed = sim.time[0] / made.time_limit
-    bonus = made.reward.rendezvous_bonus
-    assert total == pytest.approx(bonus - made.reward.time_penalty * passed, abs=1e-6)
+    turns, places = graphs.switching([np.zeros((3, 3)), "complete"], 0.5), ((0, 0), (1, 0), (0, 1))
+    made = scenario(n_robots=3, graph=turns, start_positions=places)
+    found = rv.rollout(made, lambda seen, time: seen.sum(axis=2))
+    assert found.lyapunov[0] == 0.0 and found.success.all()
+    passed, reward = found.times[-1] / made.time_limit, made.reward
+    earned = reward.rendezvous_bonus - reward.time_penalty * passed
+    assert found.rewards.sum() == pytest.approx(earned, abs=1e-6)
 
 
 # ---- starts -------------------------------------------------------------------------------------
@@ -296,8 +284,7 @@ def test_starts_by_sight_are_connected_by_links_that_survive_merging():
     made = scenario(n_robots=6, graph="proximity", sensing=rv.Sensing(range=2.0), spawn_size=5.0)
     assert made.start_reach == pytest.approx(1.5)
     for required in (True, False):
-        sim = rv.Simulator(made.replace(require_connected=required), 40)
-        sim.reset(0)
+        sim = started(made.replace(require_connected=required), 40)
         gaps = np.linalg.norm(sim.positions[:, :, None] - sim.positions[:, None], axis=-1)
         assert (np.linalg.matrix_power((gaps <= 1.5).astype(int), 6) > 0).all() == required
         assert gaps[gaps > 0].min() >= 2 * made.merge_radius or not required
@@ -307,8 +294,7 @@ def test_starts_by_sight_are_connected_by_links_that_survive_merging():
 
 def test_weights_of_a_directed_cycle_are_drawn_for_every_episode_or_given():
     graph = graphs.directed_cycle((0.5, 2.0))
-    sim = rv.Simulator(scenario(graph=graph), 3)
-    sim.reset(0)
+    sim = started(scenario(graph=graph), 3)
     first = sim.weights
     there = np.broadcast_to(graph.base_weights(5) > 0, first.shape)
     np.testing.assert_array_equal(first > 0, there)

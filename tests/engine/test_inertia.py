@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from conftest import UNEQUAL
+from conftest import UNEQUAL, started
 from tuples import triple, world
 
 import baselines
 from rendezvous_env import Capsule, Disc, Polygon, Scenario, Simulator, Sphere
 from rendezvous_env.obstacles.obstacle_set import distance_to
+from rendezvous_env.trajectory import run
 
 FLAT = (
     Disc((0.0, 0.0), 1.0),
@@ -85,22 +86,18 @@ def test_free_motion_against_its_own_sum(dim):
 @pytest.mark.parametrize("obstacle", [*FLAT, *SOLID], ids=lambda o: f"{type(o).__name__}{o.dim}")
 def test_nobody_gets_into_or_through_an_obstacle(obstacle, mode):
     """Robots that are driven at it from all sides, and then this way and that."""
-    dim, teams = obstacle.dim, TEAMS
+    dim = obstacle.dim
     scenario = two(dim, (obstacle,), obstacle_contact=mode, max_speed=30.0, max_acceleration=300.0)
-    sim, random = Simulator(scenario, teams, num_threads=1), np.random.default_rng(1)
-    sim.reset(3, {"positions": [[2.0] * dim, [50.0] * dim]})
-    touched = 0
+    sim, random, touched = begin(scenario, [2.0] * dim), np.random.default_rng(1), 0
     for k in range(150):
         before, velocity = sim.positions[:, 0], sim.velocities[:, 0]
-        actions = np.zeros((teams, 2, dim), np.float32)
-        actions[:, 0] = -30 * before - 4 * velocity + random.normal(0, 40, (teams, dim))
-        actions[:, 0] *= 1.0 if k % 10 else -10.0
-        outcome = sim.step(actions)
+        drawn = -30 * before - 4 * velocity + random.normal(0, 40, (TEAMS, dim))
+        outcome = push(sim, drawn * (1.0 if k % 10 else -10.0))
         contact = outcome.contact[:, 0]
         after, speeds = sim.positions[:, 0], np.linalg.norm(sim.velocities[:, 0], axis=-1)
         touched += contact.sum()
         assert (speeds <= 30.0 * (1 + 1e-12)).all()
-        for team in range(teams):
+        for team in range(TEAMS):
             nearest = clearance(scenario, after[team])
             assert nearest >= -1e-9
             assert outcome.clearance[team, 0] == pytest.approx(nearest, abs=1e-12)
@@ -156,16 +153,12 @@ def test_teams_meet_under_the_damped_law(dim):
     scenario = Scenario(
         n_robots=5, dim=dim, robot_model="double_integrator", graph=UNEQUAL, obstacles=(FAR[dim],)
     )
-    policy, sim = baselines.make("damped", scenario), Simulator(scenario, 64)
-    seen = sim.reset(0)
-    energies, one_by_one = [], np.ones(64, bool)
-    while not sim.ended.all():
-        kinetic = 0.5 * (sim.velocities**2).sum((1, 2))
-        energies.append(np.where(sim.ended, np.nan, kinetic + 0.5 * sim.lyapunov()))
-        one_by_one &= sim.active.all(axis=1)
-        seen = sim.step(policy(seen, sim.time)).observations
+    sim = started(scenario, 64)
+    energies = [0.5 * sim.lyapunov()]  # all are at rest
+    for _ in run(sim, baselines.make("damped", scenario), sim.observe()):
+        energies.append(0.5 * (sim.velocities**2).sum((1, 2)) + 0.5 * sim.lyapunov())
         if len(energies) == 40:  # before anybody meets the energy has fallen, in each team
-            calm = one_by_one
+            calm = sim.active.all(axis=1)
             assert calm.sum() > 30 and (energies[-1] < energies[0])[calm].all()
     assert (sim.status == 1).all()
     assert sim.time.max() < 10.0

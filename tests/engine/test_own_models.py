@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import started
 from scipy.integrate import solve_ivp
 from test_inertia import FAR
 from test_kernel_cache import python
@@ -168,8 +169,7 @@ def test_a_hovering_robot_in_the_wind(own):
         rv.HeadingVectorWrapper(rv.parallel_env(scenario))
 
     near, far = [[0.0, 0], [0.1, 0], [0.05, 0.1]], [[0.0, 0], [0.1, 0], [5.0, 0]]
-    sim = rv.Simulator(scenario, 2)
-    sim.reset(0, {"positions": [near, far]})
+    sim = started(scenario, 2, positions=[near, far])
     sim.step(np.zeros((2, 3, 2)))
     assert sim.ended.tolist() == [True, False] and sim.active[1].tolist() == [True, False, True]
     before = sim.get_state()["positions"]
@@ -182,8 +182,7 @@ def test_a_hovering_robot_in_the_wind(own):
 
 def test_a_model_is_tried_before_robots_move_by_it_and_not_in_every_step(own, monkeypatch):
     own("own_hover", HOVER)
-    sim = rv.Simulator(rv.Scenario(n_robots=3, robot_model="hover"), 2)
-    sim.reset(0)
+    sim = started(rv.Scenario(n_robots=3, robot_model="hover"), 2)
     monkeypatch.setattr(robot_models, "try_equations", None)
     assert (sim.step(np.zeros((2, 3, 2))).status == RUNNING).all()
 
@@ -191,8 +190,7 @@ def test_a_model_is_tried_before_robots_move_by_it_and_not_in_every_step(own, mo
 def test_a_leap_that_no_check_of_the_model_found_is_told_in_the_step(own):
     own("own_hover", HOVER)
     for leap in (0.30005, 0.20005, 12.0):  # the last is beyond the bounds
-        teams = rv.Simulator(rv.Scenario(robot_model="hover", n_robots=3), 2)
-        teams.reset(seed=0)
+        teams = started(rv.Scenario(robot_model="hover", n_robots=3), 2)
         actions = np.zeros((2, 3, 2), np.float32)
         teams.step(actions)
         actions[1, 2, 0] = leap
@@ -228,8 +226,7 @@ def test_a_sluggish_unicycle_moves_as_its_equations_say(own):
     own("own_sluggish", SLUGGISH)
     disc = rv.Disc((13.0, 0.0), 10.0)
     scenario = rv.Scenario(n_robots=2, robot_model="sluggish", obstacles=(disc,), time_step=0.1)
-    sim = rv.Simulator(scenario)
-    sim.reset(0, {"positions": [[0.0, 0.0], [-9.0, 0.0]]})
+    sim = started(scenario, positions=[[0.0, 0.0], [-9.0, 0.0]])
     np.testing.assert_array_equal(sim.headings[0], 0.25)
     limit, turn = scenario.speed_limit, scenario.turn_limit
     state, random = np.array([0.0, 0.0, 0.25, 0.0]), np.random.default_rng(1)

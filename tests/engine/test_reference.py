@@ -1,15 +1,14 @@
 """The simulator against an independent integrator: DOP853, global positions, own merging."""
 
 import math
-from typing import NamedTuple
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from conftest import UNEQUAL, five, law_of
 from scipy.integrate import solve_ivp
 
-from rendezvous_env import Scenario, Simulator
-from rendezvous_env.engine.memory import RUNNING
+from rendezvous_env import rollout
 
 POSITIONS = np.array(
     [[-3.0, 1.2, 0.4], [2.1, 3.4, -0.9], [3.6, -1.3, 0.8], [-0.7, -3.2, -1.1], [0.4, 0.9, 1.7]]
@@ -17,19 +16,6 @@ POSITIONS = np.array(
 HEADINGS = np.array([[0.3, 0.2], [-2.1, -0.3], [1.4, 0.1], [2.9, 0.4], [-0.8, -0.2]])
 GRAPHS = {"unequal": UNEQUAL, "complete": np.ones((5, 5)) - np.eye(5)}
 RADIUS = 0.25
-
-
-class Reference(NamedTuple):
-    """What the ordinary differential equation does."""
-
-    first_merge: float
-    """s."""
-    rendezvous: float
-    """s."""
-    positions: object
-    """time in s before the first merge → (n, d), m."""
-    largest_pitch: float
-    """Before the first merge, rad."""
 
 
 def velocities(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -70,8 +56,10 @@ def contracted(p, angles, a, i, j):
     return p[keep], angles[keep], a[np.ix_(keep, keep)]
 
 
-def integrate(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> Reference:
-    """Integrate to rendezvous, stopping at every merge."""
+def integrate(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> SimpleNamespace:
+    """Integrate to rendezvous, stopping at every merge: times of the first merge and of rendezvous,
+    s; what it was before that merge: positions of time, (n, d), m, and the largest pitch, rad.
+    """
     d, n_angles, now, first = p.shape[1], angles.shape[1], 0.0, None
     while len(p) > 1:
         n = len(p)
@@ -105,7 +93,8 @@ def integrate(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> Reference:
         if first is None:
             _, attitudes = unpack(solution.y.T.ravel(), solution.y.shape[1] * n)
             pitch = np.abs(attitudes[:, 1:]).max(initial=0.0)
-            first = (now, lambda t, u=unpack, y=solution.sol: u(y(t))[0], pitch)
+            before = lambda t, u=unpack, y=solution.sol: u(y(t))[0]  # noqa: E731
+            first = {"first_merge": now, "positions": before, "largest_pitch": pitch}
         p, angles, a = contracted(*unpack(solution.y[:, -1]), a, *links[which])
         while close := [
             (math.dist(p[i], p[j]), i, j)
@@ -114,48 +103,29 @@ def integrate(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> Reference:
             if a[i, j] > 0 and math.dist(p[i], p[j]) < RADIUS
         ]:
             p, angles, a = contracted(p, angles, a, *min(close)[1:])
-    return Reference(first[0], now, first[1], float(first[2]))
-
-
-def start_of(scenario: Scenario) -> dict:
-    positions = POSITIONS[:, : scenario.dim]
-    if not scenario.model.nonholonomic:
-        return {"positions": positions}
-    flatter = np.array([1.0, 1.0, 0.2])[: scenario.dim]  # near a pitch of ±π/2 their law is stiff
-    headings = HEADINGS[:, : scenario.model.n_angles]
-    return {"positions": positions * flatter, "headings": headings}
-
-
-def played(scenario: Scenario, moment: float) -> tuple[float, np.ndarray, float]:
-    """Time and places after the last whole step before ``moment``, and the time of rendezvous."""
-    sim, policy = Simulator(scenario), law_of(scenario)
-    observations = sim.reset(0, start_of(scenario))
-    while sim.status[0] == RUNNING:
-        if sim.steps[0] == math.floor(moment / scenario.tau):
-            assert sim.active.all()
-            time, places = float(sim.time[0]), sim.positions[0]
-        observations = sim.step(policy(observations, sim.time)).observations
-    assert not sim.active[0, 1:].any()
-    return time, places, float(sim.time[0])
+    return SimpleNamespace(**first, rendezvous=now)
 
 
 @pytest.mark.parametrize("graph", GRAPHS)
 def test_positions_order_of_convergence_and_rendezvous_time(kind, graph):
     scenario = five(kind, graph=GRAPHS[graph], merge_radius=RADIUS, time_limit=200.0)
-    start = start_of(scenario)
-    angles = start.get("headings", np.zeros((5, 0)))
-    expected = integrate(start["positions"], angles, GRAPHS[graph])
+    flatter = 0.2 if scenario.model.nonholonomic else 1.0  # near a pitch of ±π/2 their law is stiff
+    places = (POSITIONS * [1.0, 1.0, flatter])[:, : scenario.dim]
+    angles = HEADINGS[:, : scenario.model.n_angles]
+    headed = {"headings": angles} if scenario.model.nonholonomic else {}
+    expected = integrate(places, angles, GRAPHS[graph])
     assert expected.first_merge > 0.5 and expected.largest_pitch < 0.8
-    errors = {}
-    for tau in (2e-3, 1e-3):
-        moment = math.floor(0.95 * expected.first_merge / 2e-3) * 2e-3 + 1e-9
-        time, places, met = played(scenario.replace(time_step=tau), moment)
-        assert time == pytest.approx(moment, abs=1e-6)
-        errors[tau] = np.linalg.norm(places - expected.positions(time), axis=-1).max()
+    errors, steps = {}, math.floor(0.95 * expected.first_merge / 2e-3)
+    for tau, k in ((2e-3, steps), (1e-3, 2 * steps)):
+        fine = scenario.replace(time_step=tau)
+        found = rollout(fine, law_of(fine), options={"positions": places, **headed})
+        assert found.active[k].all() and found.success.all()
+        away = found.positions[k, 0] - expected.positions(found.times[k])
+        errors[tau] = np.linalg.norm(away, axis=-1).max()
     tolerance, late = (5e-3, 0.03) if scenario.model.nonholonomic else (1e-3, 0.01)
     assert errors[1e-3] < tolerance
     assert errors[2e-3] / errors[1e-3] == pytest.approx(2, rel=0.1)
-    assert met == pytest.approx(expected.rendezvous, rel=late)
+    assert found.rendezvous_time == pytest.approx(expected.rendezvous, rel=late)
 
 
 def test_the_reference_itself_on_a_case_in_closed_form():

@@ -8,7 +8,7 @@ import pickle
 import numpy as np
 import pytest
 import test_graphs_that_change as changing
-from conftest import MODELS, UNEQUAL, assert_same_state, five
+from conftest import MODELS, UNEQUAL, assert_same_state, five, started
 from test_inertia import FAR
 from test_sensing_engine import PLANE, WORST
 from test_sparse import RING, WEB
@@ -17,16 +17,9 @@ from test_widths import towards_neighbours
 from rendezvous_env import ObstacleField, Scenario, Sensing, Simulator, scenarios
 from rendezvous_env.engine.memory import AWAITING_RESET, RUNNING, TIME_OUT
 
-KINDS = {
-    **MODELS,
-    **{
-        f"double_integrator-{d}d": {
-            **{"robot_model": "double_integrator", "dim": d},
-            "obstacles": (FAR[d],),  # as in ``test_inertia``: nothing else is compiled
-        }
-        for d in (2, 3)
-    },
-}
+# obstacles as in ``test_inertia``: nothing else is compiled
+INERT = {d: {"robot_model": "double_integrator", "dim": d, "obstacles": (FAR[d],)} for d in (2, 3)}
+KINDS = MODELS | {f"double_integrator-{d}d": INERT[d] for d in (2, 3)}
 CHANGING = {
     "sensing": {"sensing": WORST},
     "proximity": {"graph": "proximity", "sensing": Sensing(range=4.0, field_of_view=5.0)},
@@ -68,18 +61,17 @@ def test_all_ways_to_restart_show_the_same_start_and_leave_the_others_alone(scen
         np.testing.assert_array_equal(array[~SOME], before[name][~SOME], err_msg=name)
     other.restart(SOME)
     assert (other.status[SOME] == AWAITING_RESET).all()
-    started = other.positions[SOME]
+    begun = other.positions[SOME]
     resting = other.step(actions)
     np.testing.assert_array_equal(resting.observations[SOME], at_once[SOME])
     np.testing.assert_array_equal(resting.rewards[SOME], 0.0)
-    np.testing.assert_array_equal(other.positions[SOME], started)
+    np.testing.assert_array_equal(other.positions[SOME], begun)
     np.testing.assert_array_equal(other.path_length[SOME], 0.0)
     assert (other.steps[SOME] == 0).all() and (other.status[SOME] == RUNNING).all()
     went_on = alone.step(actions)
     np.testing.assert_array_equal(resting.observations[~SOME], went_on.observations[~SOME])
     np.testing.assert_array_equal(other.positions[~SOME], alone.positions[~SOME])
-    fresh = Simulator(scenario, TEAMS)
-    fresh.reset(0)
+    fresh = started(scenario, TEAMS)
     np.testing.assert_array_equal(fresh.reset()[SOME], at_once[SOME])
     for name in ("frames", "weights", "initial_lyapunov"):
         np.testing.assert_array_equal(getattr(fresh, name)[SOME], getattr(other, name)[SOME])
@@ -121,9 +113,8 @@ def test_the_way_is_that_of_the_robots_that_are_left(scenario):
 def test_every_team_sees_the_obstacles_of_its_own_episode():
     """Those that stand anew in some teams, and those that a state brings back."""
     field = ObstacleField((1, 3), (0.2, 0.5), 6.0, 0.05, True)
-    sim, other = (Simulator(Scenario(n_robots=3, obstacles=field), TEAMS) for _ in range(2))
-    sim.reset(0)
-    other.reset(100)
+    team = Scenario(n_robots=3, obstacles=field)
+    sim, other = started(team, TEAMS), started(team, TEAMS, seed=100)
     still = np.zeros((TEAMS, 3, 2))
     sim.restart(SOME)  # these pass the step by, and are looked at there alone
     seen = sim.step(still)
@@ -145,14 +136,9 @@ def test_every_team_sees_the_obstacles_of_its_own_episode():
     np.testing.assert_allclose(seen.clearance, nearest, rtol=1e-12)
 
 
-# ---- copies -------------------------------------------------------------------------------------
-
 CASES = {
     **{kind: five(kind) for kind in MODELS},
-    **{
-        kind: changing.scenario(**fields, require_connected=False)
-        for kind, fields in changing.KINDS.items()
-    },
+    **{kind: changing.scenario(**fields) for kind, fields in changing.KINDS.items()},
     "sensing": PLANE.replace(sensing=WORST),
     "packing": scenarios.get("robotarium-4"),
     "ring": RING,
@@ -173,8 +159,7 @@ def onwards(sim: Simulator, steps: int = 30) -> list[np.ndarray]:
 @pytest.mark.parametrize("name", CASES)
 def test_an_episode_goes_on_from_a_copy(name):
     sim, _ = halfway(CASES[name], merges=name not in ("packing", "nonholonomic_3d"))
-    state, restored = sim.get_state(), Simulator(sim.scenario, TEAMS)
-    restored.reset(99)
+    state, restored = sim.get_state(), started(sim.scenario, TEAMS, seed=99)
     restored.set_state(state)
     copies = [copy.copy(sim), pickle.loads(pickle.dumps(sim)), restored]
     np.testing.assert_array_equal(copies[0].lyapunov(), sim.lyapunov())

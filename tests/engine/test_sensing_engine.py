@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import UNEQUAL, actions_shape
+from conftest import UNEQUAL, actions_shape, started
 from scipy import stats
 from tuples import along, triple, world
 
@@ -46,10 +46,8 @@ def sensing(scenario: rv.Scenario, **fields) -> rv.Scenario:
     return scenario.replace(sensing=rv.Sensing(**fields))
 
 
-def simulator(scenario: rv.Scenario, batch: int = 6, seed: int = 3, **options) -> rv.Simulator:
-    sim = rv.Simulator(scenario, batch, **options)
-    sim.reset(seed)
-    return sim
+def simulator(scenario: rv.Scenario, batch: int = 6, seed: int = 3) -> rv.Simulator:
+    return started(scenario, batch, seed)
 
 
 def neighbours(sim: rv.Simulator) -> np.ndarray:
@@ -195,12 +193,10 @@ def test_regular_polygons_grow_from_the_angle_of_theorem_n_on():
     start, grows = 3.0 * along(*72 * np.arange(5)), {}
     for share in (0.9, 1.05):
         cycle = PLANE.replace(graph="cycle", neighbour_slots=4)
-        scenario = sensing(cycle, error=share * math.pi / 5)
-        sim = rv.Simulator(scenario)
-        seen = sim.reset(0, {"positions": start})
+        sim = started(sensing(cycle, error=share * math.pi / 5), positions=start)
         before = sim.size()[0]
         for _ in range(20):
-            seen = sim.step(seen.sum(axis=2)).observations
+            sim.step(sim.observe().sum(axis=2))
         grows[share] = sim.size()[0] > before
     assert grows == {0.9: False, 1.05: True}
 
@@ -275,9 +271,8 @@ def test_what_stands_in_the_way_hides(what):
 
 
 def test_in_space_spheres_hide_what_is_behind_them():
-    sim = simulator(sensing(SPACE, occlusion="both"))
     places = np.array([[-3, 0.2, 0], [3, 0.2, 0], [0.3, 3, 0.05], [0.3, 5, 0.05], [0, 0, 4.0]])
-    sim.reset(0, {"positions": places})
+    sim = started(sensing(SPACE, occlusion="both"), positions=places)
     expected = OTHERS.copy()
     expected[0, 1] = expected[1, 0] = False  # behind the sphere
     assert (by_robot(neighbours(sim)).any(axis=-1) == expected).all()

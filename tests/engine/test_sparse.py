@@ -4,7 +4,8 @@ links.
 
 import numpy as np
 import pytest
-from conftest import assert_same_state, refusing, unequal_matrix
+from conftest import assert_same_state, refusing, started, unequal_matrix
+from test_graphs_that_change import ARCS
 from tuples import along
 
 import baselines
@@ -14,8 +15,6 @@ from rendezvous_env.compilation import compiled
 from rendezvous_env.engine import memory_layout
 
 SEED = 4
-
-
 RING = Scenario(n_robots=60, graph="cycle", spawn_size=12.0)
 WEB = Scenario(
     n_robots=60,
@@ -26,25 +25,25 @@ WEB = Scenario(
     allow_long_step=True,
     max_speed=4.0,
 )
-SCENARIOS = {
+FAST = {
     "ring": RING,
     "web": WEB,
-    "web with 40 rows": WEB.replace(neighbour_slots=40),
-    "ring in space": RING.replace(dim=3),
     "errors among obstacles": RING.replace(
         obstacles=[rv.Disc((1.0, 1.0), 0.8), rv.Capsule(((-3.0, -0.5), (-3.0, 0.5)), 1.0)],
         neighbour_slots=59,
         sensing=rv.Sensing(noise=0.1, dropout=0.2, occlusion="both"),
     ),
-    "unicycles": RING.replace(robot_model="unicycle"),
     "drawn weights": RING.replace(graph=graphs.path((0.5, 2.0))),
     "tree": RING.replace(
         graph=graphs.random_tree(), max_speed=3.0, time_step=0.02, allow_long_step=True
     ),
 }
-
-COVERED = ("web with 40 rows", "ring in space", "unicycles")
-"""By the others together, but for how they are compiled."""
+SLOW = {
+    "web with 40 rows": WEB.replace(neighbour_slots=40),
+    "ring in space": RING.replace(dim=3),
+    "unicycles": RING.replace(robot_model="unicycle"),
+}
+"""Covered by the others together, but for how they are compiled."""
 
 
 def simulators(scenario: Scenario, batch: int, monkeypatch) -> tuple[Simulator, Simulator]:
@@ -58,11 +57,10 @@ def simulators(scenario: Scenario, batch: int, monkeypatch) -> tuple[Simulator, 
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.slow] if name in COVERED else []) for name in SCENARIOS],
+    "name", [*FAST, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)]
 )
 def test_lists_of_links_give_the_motion_of_all_pairs(name, monkeypatch):
-    scenario = SCENARIOS[name]
+    scenario = (FAST | SLOW)[name]
     lists, pairs = simulators(scenario, 5, monkeypatch)
     observations = lists.reset(SEED)
     layout = scenario.observation_layout
@@ -133,21 +131,21 @@ def test_a_robot_with_more_neighbours_than_rows_is_named(sparse):
 
 
 def test_a_start_with_too_many_neighbours_is_refused():
-    """A drawn one; and the star of the next episode, where rows were enough for this one's path."""
-    drawn = Scenario(n_robots=6, graph=graphs.erdos_renyi(0.9), neighbour_slots=1)
-    with pytest.raises(RuntimeError, match=r"robot_\d of team 0 has more .* after step 0"):
-        Simulator(drawn, 2).reset(0)
+    """A drawn one, one of arcs; and the star of the next episode, where rows were enough for this
+    one's path.
+    """
+    for robot, graph, slots in (("\\d", graphs.erdos_renyi(0.9), 1), (2, graphs.directed(ARCS), 2)):
+        seen = Scenario(n_robots=5, graph=graph, neighbour_slots=slots)
+        with pytest.raises(RuntimeError, match=rf"robot_{robot} of team 0 has more .*{slots} .* 0"):
+            started(seen, 2)
     path = graphs.path().base_weights(4)
-    sim = Simulator(Scenario(n_robots=4, graph="star", neighbour_slots=2, spawn_size=30.0))
-    sim.reset(0, {"weights": path})
+    star = Scenario(n_robots=4, graph="star", neighbour_slots=2, spawn_size=30.0)
+    sim = started(star, weights=path)
     outcome = sim.step(np.zeros((1, 4, 2)))
     with pytest.raises(RuntimeError, match="robot_0 of team 0 has more than neighbour_slots = 2"):
         sim.restart(np.ones(1, bool), outcome)
     sim.reset(0, {"weights": path})  # and nothing of the refusal is left
     assert sim.step(np.zeros((1, 4, 2))).active.all()
-
-
-# ---- a thousand robots --------------------------------------------------------------------------
 
 
 def test_a_thousand_robots_in_every_environment():
@@ -168,27 +166,21 @@ def test_a_thousand_robots_in_every_environment():
     assert played.positions.shape[-3:] == (1, 1000, 2)
 
 
-# ---- state and options --------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("n", [6, 60])
 def test_a_state_with_more_neighbours_than_rows_is_refused(n):
     ring, star = (Scenario(n_robots=n, graph=kind) for kind in ("cycle", "star"))
-    sim, other = Simulator(ring.replace(neighbour_slots=n - 1), 2), Simulator(ring, 2)
-    sim.reset(0), other.reset(0)
-    other.set_state(sim.get_state())
-    sim, slim = Simulator(star, 2), Simulator(star.replace(neighbour_slots=3), 2)
-    sim.reset(0)
+    roomy = ring.replace(neighbour_slots=n - 1)
+    started(ring, 2).set_state(started(roomy, 2).get_state())
+    slim = Simulator(star.replace(neighbour_slots=3), 2)
     with refusing(slim, f"robot_0 of team 0 {n - 1} neighbours; .* = 3"):
-        slim.set_state(sim.get_state())
+        slim.set_state(started(star, 2).get_state())
 
 
 def test_given_weights_are_those_of_the_team():
     n = 60
     scenario = RING.replace(graph=graphs.cycle((0.5, 2.0)))
     ring, path = (graph.base_weights(n) for graph in (graphs.cycle(), graphs.path()))
-    sim = Simulator(scenario, 2)
-    sim.reset(0, {"weights": np.stack([ring, path])})
+    sim = started(scenario, 2, weights=np.stack([ring, path]))
     np.testing.assert_array_equal(sim.weights, [ring, path])
     shuffled = np.random.default_rng(0).permutation(n)
     sim.reset(0, {"weights": ring[np.ix_(shuffled, shuffled)]}, mask=np.array([False, True]))
@@ -200,8 +192,7 @@ def test_given_weights_are_those_of_the_team():
 
 def test_given_weights_that_find_no_room_are_refused_and_change_nothing():
     scenario = Scenario(n_robots=80, graph=graphs.erdos_renyi(0.05))
-    sim = Simulator(scenario)
-    sim.reset(3)
+    sim = started(scenario, seed=3)
     everybody = np.ones((80, 80)) - np.eye(80)
     with refusing(sim, r"weights have 3160 links; .* have room for 361"):
         sim.reset(None, {"weights": everybody})
@@ -212,8 +203,7 @@ def test_given_weights_that_find_no_room_are_refused_and_change_nothing():
 
 @pytest.mark.parametrize("n", [5, 60])
 def test_weights_for_teams_that_a_mask_leaves_out_change_nothing(n):
-    sim = Simulator(Scenario(n_robots=n, graph="cycle"), 3)
-    sim.reset(0)
+    sim = started(Scenario(n_robots=n, graph="cycle"), 3)
     before, ring = sim.get_state(), sim.weights
     sim.reset(options={"weights": ring}, mask=np.zeros(3, bool))
     assert_same_state(sim, before)

@@ -31,34 +31,32 @@ FIELD = ObstacleField(count=(1, 3), radius=(0.2, 0.4), region=4.0, keep_out=0.1,
 WALLS = WallField("rooms", (2.0, 2.5), (0.6, 0.9), thickness=0.2, region=0.5, keep_out=0.1)
 DRAWN = graphs.erdos_renyi(0.4, (0.5, 1.5))
 INERT = {"n_robots": 5, "graph": UNEQUAL, "robot_model": "double_integrator"}
-SCENARIOS = {
-    "nothing in the way": five("single_integrator-2d", spawn_size=3.0),
+FAST = {
     "discs": five("single_integrator-2d", obstacles=SHAPES[:1], **TIGHT),
     "shapes": five("single_integrator-2d", obstacles=SHAPES, obstacle_contact="stop", **TIGHT),
-    "field": five("single_integrator-2d", obstacles=FIELD, **TIGHT),
     "walls": five("single_integrator-2d", obstacles=WALLS, **TIGHT),
     "spheres": five("single_integrator-3d", obstacles=SOLIDS[:1], **TIGHT),
-    "solids": five("single_integrator-3d", obstacles=SOLIDS, **TIGHT),
     "unicycles": five("unicycle", graph=DRAWN, obstacles=SHAPES[:1], **TIGHT),
+    "two rows": Scenario(n_robots=6, graph="cycle", **TIGHT),
+    "errors in the open": five("single_integrator-2d", sensing=WORST, spawn_size=3.0),
+    "packing": scenarios.get("robotarium-4"),
+}
+SLOW = {
+    "nothing in the way": five("single_integrator-2d", spawn_size=3.0),
+    "field": five("single_integrator-2d", obstacles=FIELD, **TIGHT),
+    "solids": five("single_integrator-3d", obstacles=SOLIDS, **TIGHT),
     "unicycles among shapes": five("unicycle", obstacles=SHAPES, **TIGHT),
     "flying": five("nonholonomic_3d", obstacles=SOLIDS[:1], **TIGHT),
     "flying among solids": five("nonholonomic_3d", obstacles=SOLIDS, **TIGHT),
     "inertia in the plane": Scenario(**INERT, obstacles=SHAPES, **TIGHT),
     "inertia in space": Scenario(**INERT, dim=3, obstacles=SOLIDS, **TIGHT),
-    "two rows": Scenario(n_robots=6, graph="cycle", **TIGHT),
     "errors": five("single_integrator-2d", obstacles=SHAPES, sensing=WORST, **TIGHT),
     "drawn graphs": Scenario(n_robots=6, graph="random_tree", on_merge="follow", **TIGHT),
-    "errors in the open": five("single_integrator-2d", sensing=WORST, spawn_size=3.0),
     "errors in space": five("nonholonomic_3d", obstacles=SOLIDS[:1], sensing=WORST, **TIGHT),
     "errors in two rows": Scenario(n_robots=6, graph="cycle", sensing=WORST, **TIGHT),
-    "packing": scenarios.get("robotarium-4"),
 }
-COVERED = (
-    "errors", "nothing in the way", "field", "solids", "unicycles among shapes", "flying",
-    "flying among solids", "inertia in the plane", "inertia in space", "drawn graphs",
-    "errors in space", "errors in two rows",
-)  # fmt: skip
-"""By the others together, but for how they are compiled."""
+"""Covered by the others together, but for how they are compiled."""
+SCENARIOS = FAST | SLOW
 MEETS_NOTHING = (
     "nothing in the way", "two rows", "drawn graphs", "errors in the open", "errors in two rows",
     "packing",
@@ -120,7 +118,7 @@ def test_little_work_is_not_shared(shared):
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=[pytest.mark.slow] if name in COVERED else []) for name in SCENARIOS],
+    [*FAST, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)],
 )
 def test_a_team_among_many_moves_as_it_does_alone(name, shared, monkeypatch):
     """40 teams are one whole block and one that is filled up, each of them for a thread."""

@@ -117,6 +117,8 @@ def test_a_filter_takes_no_name_of_an_environments(wrapper):
         named = type("Named", (HalfSpeed,), {"state_key": key})
         with pytest.raises(ValueError, match=f"state_key of Named is {key!r}; it must be"):
             wrapper(base, named)
+    named = type("Named", (HalfSpeed,), {"state_key": "shown"})  # as only a learner's teams have it
+    assert set(wrapper(base, named).get_state()) == {"env", "observed", "shown"}
     for key in ("contact", "lyapunov", "robot_rewards"):
         told = type("Tells", (HalfSpeed,), {"told": property(lambda _, k=key: {k: None})})
         with pytest.raises(ValueError, match=f"Tells tells '{key}', which environments tell"):

@@ -131,9 +131,8 @@ def test_kernels_pool_as_torch_does(name, monkeypatch):
     """Outputs and gradients of the shipped weights; equal rows share those of the largest."""
     about, tables = checkpoints.read(checkpoints.find(shipped.folder(name)), ["network"])
     settings = PolicySettings.from_plain(about["policy"])
-    layout, widths = settings.layout(K, M), (settings.set_width, settings.hidden)
-    choices = len(settings.angles)
-    made = make_network(layout, choices, **dict(zip(SETTINGS, widths, strict=True)))
+    layout, own = settings.layout(K, M), {name: getattr(settings, name) for name in SETTINGS}
+    made = make_network(layout, len(settings.angles), **own)
     weights = {k: torch.from_numpy(v) for k, v in tables["network"].items()}
     made.load_state_dict(weights, strict=False)
     assert made.state_dict().keys() & weights.keys() >= {"action_net.weight"}

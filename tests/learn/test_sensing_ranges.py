@@ -39,10 +39,8 @@ class TestRanges:
         assert {s.occlusion for s in drawn} == {"none", "obstacles", "both"}
 
     def test_a_key_has_one_sensor_and_chances_count(self):
-        keys = [(seed, g) for seed in range(4) for g in range(4)]
-        drawn, again = (
-            [draw(Sensing(), {"noise": (0.0, 1.0)}, 1.0, key) for key in keys] for _ in range(2)
-        )
+        keys, noise = [(seed, g) for seed in range(4) for g in range(4)], {"noise": (0.0, 1.0)}
+        drawn, again = ([draw(Sensing(), noise, 1.0, key) for key in keys] for _ in range(2))
         assert drawn == again and len(set(drawn)) == len(keys)
         given, ranges = Sensing(bias=0.1), {"noise": (0.2, 0.2), "occlusion": ("robots",)}
         expected = Sensing(noise=0.2, bias=0.1, occlusion="robots")

@@ -77,10 +77,10 @@ def test_threads_share_it_without_a_trace(memory, set_threads):
         set_threads(number)
         found.append(after(model, type(model).train))
         assert torch.get_num_threads() == number
+    first, expected = found[0]
     for weights, told in found[1:]:
-        assert told == found[0][1]
-        for name, weight in weights.items():
-            assert torch.equal(weight, found[0][0][name]), name
+        assert told == expected
+        assert all(torch.equal(weight, first[name]) for name, weight in weights.items())
 
 
 def test_slopes_are_those_of_the_loss():

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from conftest import started
 from hypothesis import given
 from hypothesis import strategies as st
 from tuples import world
 
-from rendezvous_env import Disc, Scenario, Simulator
+from rendezvous_env import Disc, Scenario
 from rendezvous_env.graphs.merging import contract, contract_arcs, merge_swept
 from rendezvous_env.physics.potential import (
     lyapunov_of_links,
@@ -44,18 +45,10 @@ class Moved:
         n = len(self.positions)
         links = links_of(np.array(weights, dtype=float))
         self.merged_into, self.report = np.arange(n), np.zeros(4)
+        team = self.positions, self.displacements, self.lengths, links, None, self.merged_into
         here, resting = np.empty_like(self.positions), np.empty(n, dtype=bool)
-        self.merges = merge_swept(
-            self.positions,
-            self.displacements,
-            self.lengths,
-            links,
-            None,
-            self.merged_into,
-            obstacles,
-            radius,
-            (np.empty(len(links[0])), here, resting, self.report),
-        )
+        work = np.empty(len(links[0])), here, resting, self.report
+        self.merges = merge_swept(*team, obstacles, radius, work)
         first, second, weight = (array[links[2] > 0] for array in links)
         self.weights = np.zeros((n, n))
         self.weights[first, second] = self.weights[second, first] = weight
@@ -129,11 +122,9 @@ def test_the_merged_robot_has_the_union_of_the_links_with_the_larger_weight():
 
 
 def test_merged_into_follows_the_survivor_through_several_merges():
-    apart = Scenario(
-        n_robots=4, graph="path", merge_radius=1.0, local_frames="global", max_speed=9.0
-    )
-    sim = Simulator(apart)
-    sim.reset(0, {"positions": [[0.0, 0], [4, 0], [8, 0], [8.5, 0]]})
+    given = {"n_robots": 4, "graph": "path", "merge_radius": 1.0, "max_speed": 9.0}
+    apart = Scenario(**given, local_frames="global")
+    sim = started(apart, positions=[[0.0, 0], [4, 0], [8, 0], [8.5, 0]])
     sim.step(np.zeros((1, 4, 2)))
     assert sim.merged_into.tolist() == [[0, 1, 2, 2]]
     np.testing.assert_allclose(sim.positions[0, 2:], [[8.25, 0]] * 2)
@@ -198,8 +189,6 @@ def test_no_merge_raises_v_above_the_bound(n, seed, in_an_obstacle):
     assert (moved.merged_into[moved.merged_into] == moved.merged_into).all()
     assert (moved.merged_into <= np.arange(n)).all()
 
-
-# ---- arcs ---------------------------------------------------------------------------------------
 
 PLACES = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 3.0], [2.0, 3.0]])
 ARCS = np.array([[0, 2.0, 0, 0], [0.5, 0, 0, 1.0], [0, 0.25, 0, 4.0], [3.0, 0, 0, 0]])

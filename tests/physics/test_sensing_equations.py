@@ -30,9 +30,6 @@ def vectors(d: int, count: int, seed: int = 0) -> list[tuple[float, ...]]:
     return [tuple(row) for row in table.tolist()]
 
 
-# ---- turning ------------------------------------------------------------------------------------
-
-
 def test_in_the_plane_a_positive_angle_turns_counter_clockwise():
     assert turned((2.0, 0.0), math.pi / 2, Z_AXIS) == pytest.approx((0.0, 2.0))
     assert turned((0.0, 1.0), 0.3, Z_AXIS) == pytest.approx((-math.sin(0.3), math.cos(0.3)))
@@ -74,9 +71,6 @@ def test_no_turn_by_the_same_angle_points_farther_along_the_target(d):
         assert np.dot(found, target) >= best - 1e-12
 
 
-# ---- sectors ------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("sectors", [2, 4, 6, 8, 15])
 def test_in_space_yaw_and_elevation_are_rounded(sectors):
     width = 2 * math.pi / sectors
@@ -92,9 +86,6 @@ def test_in_space_yaw_and_elevation_are_rounded(sectors):
             assert yaw == pytest.approx(round(yaw), abs=1e-9)
             turn = (yaw - math.atan2(row[1], row[0]) / width) % sectors
             assert min(turn, sectors - turn) <= 0.5 + 1e-9
-
-
-# ---- hiding -------------------------------------------------------------------------------------
 
 
 def test_robots_hide_as_discs_do():
@@ -158,9 +149,6 @@ def test_an_absent_obstacle_hides_nothing():
     absent = world([rv.Sphere((0.0, 0.0, 0.0), 1.0)], slots=2)
     absent.kinds[0] = absent.kinds[1]
     assert not is_hidden_by_obstacles(absent, (-2.0, 0.0, 0.0), (4.0, 0.0, 0.0))
-
-
-# ---- outward ------------------------------------------------------------------------------------
 
 
 def outward(positions, merged_into=None):

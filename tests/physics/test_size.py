@@ -5,10 +5,11 @@ import math
 
 import numpy as np
 import pytest
+from conftest import started
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rendezvous_env import Scenario, Simulator
+from rendezvous_env import Scenario
 from rendezvous_env.physics.hull_perimeter import size
 
 HEIGHTS, WEIGHTS = np.polynomial.legendre.leggauss(240)
@@ -85,8 +86,7 @@ def test_it_grows_with_the_hull_and_knows_no_frame(d, count, seed):
 @pytest.mark.parametrize("dim", [2, 3])
 def test_of_the_simulator_only_robots_that_are_left_count(dim):
     scenario = Scenario(n_robots=5, dim=dim, graph="path", neighbour_slots=4)
-    simulator = Simulator(scenario, 6)
-    simulator.reset(4)
+    simulator = started(scenario, 6, seed=4)
     # the last two are neighbours closer than r, so a step makes one robot of them
     places = simulator.positions
     places[:, 4] = places[:, 3] + 0.1 * scenario.merge_radius

@@ -139,8 +139,8 @@ class TestRegistry:
             ("bearing_only", POINT, {}, "is unknown.*bearing-only.*did you mean 'bearing-only'"),
             ("unicycle", POINT, {}, "does not fit single_integrator robots in 2-D.*bearing-only"),
             ("tangent", POINT, {}, "with 0 obstacle slots"),
-            ("tangent-joined", CLUTTER, {"clearence": 1}, "no option 'clearence'; it has clearanc"),
-            ("zero", POINT, {"seed": 1}, "no option 'seed'; it has none"),
+            ("tangent-joined", CLUTTER, {"clearence": 1}, "'clearence'; did you mean 'clearance'"),
+            ("zero", POINT, {"seed": 1}, "no option 'seed'; known are none"),
         ],
     )
     def test_refusals_say_what_is_right(self, name, scenario, options, message):

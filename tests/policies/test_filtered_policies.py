@@ -250,7 +250,7 @@ class TestModels:
         with pytest.raises(TypeError, match="guarante"):
             TrainedPolicy("duo", lambda seen: seen, guarante="tank")
         policy = TrainedPolicy("duo", lambda seen: seen)
-        with pytest.raises(ValueError, match=r"predict gave an array of .* it must be \(2, 2\)"):
+        with pytest.raises(ValueError, match=r"what predict gave .*; it must be \(2, 2\)"):
             policy(rv.Simulator(rv.scenarios.get("duo"), 1).reset(0), 0.0)
         policy = TrainedPolicy("duo", lambda seen: np.full(len(seen), 1.5), discrete=True)
         with pytest.raises(

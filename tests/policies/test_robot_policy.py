@@ -17,6 +17,8 @@ CLUTTER = rv.scenarios.get("clutter-12")
 TURNING = CLUTTER.replace(robot_model="unicycle", max_turn_rate=1.5)
 ALL_ALONG = 500
 """Steps that are enough of an episode."""
+OPPOSITE = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]] * 4)
+"""Rays that go round nothing."""
 
 
 def measured(rows, layout, random):
@@ -195,7 +197,7 @@ class TestSight:
         ({"obstacles": [along(0, 1) * 2]}, r"obstacles\[0, 0\] is \[2\.0, 0\.0\]; .* a unit vec"),
         ({"obstacles": along(0, 1)}, r"obstacles have shape \(2, 2\); they must be \(…, 2, 2\)"),
         ({"dt": -0.1}, r"dt is -0\.1; it must be a positive"),
-        ({"weights": [1.0, 2.0]}, r"weights have shape \(2,\); they must be \(1,\)"),
+        ({"weights": [1.0, 2.0]}, r"weights have shape \(2,\); they must be \(k,\) = \(1,\)"),
         ({"weights": [3.1]}, r"weights sum to 3\.1 m/s; this scenario's come to D̄ = 3 m/s at"),
         ({"weights": [-1.0]}, r"weights\[0\] is -1\.0; it must be positive"),
     ],
@@ -220,6 +222,7 @@ def test_bad_measurements_are_named_and_change_nothing(change, message):
         ("uav-6", {"gravity": [0, -1.0]}, r"gravity is \[0, -1.0\]; .* a unit vector \(3,\)"),
         ("cloud-8", {"gravity": [0, 0, -1.0]}, "gravity is .*; it must be left out"),
         ("clutter-3d", {"obstacles": [along(0, 1)]}, r"obstacles have shape .* \(…, 8, 3\)"),
+        ("clutter-3d", {"obstacles": [OPPOSITE]}, r"obstacles\[0\] .* rays round a cone"),
     ],
 )  # fmt: skip
 def test_bad_measurements_in_space_are_named(field, change, message):

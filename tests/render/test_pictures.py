@@ -35,11 +35,10 @@ def test_obstacles_are_orange_where_the_data_say():
     for inside in (disc.centre, polygon.centroid):
         assert at(frame, env.renderer.pixels(np.array(inside))) == list(OBSTACLE)
     for angle in np.linspace(0.0, 6.0, 12):
-        along = np.array([np.cos(angle), np.sin(angle)])
-        edge = np.array(disc.centre) + (disc.radius - 0.06) * along
-        assert near(frame, env.renderer.pixels(edge), OBSTACLE, 0) == 1
-        beyond = np.array(disc.centre) + (disc.radius + 0.06) * along
-        assert near(frame, env.renderer.pixels(beyond), OBSTACLE, 0) == 0
+        for reach in (-0.06, 0.06):
+            along = (disc.radius + reach) * np.array([np.cos(angle), np.sin(angle)])
+            place = env.renderer.pixels(np.array(disc.centre) + along)
+            assert near(frame, place, OBSTACLE, 0) == (reach < 0)
 
 
 def test_a_sphere_is_orange_and_hides_what_is_behind():
@@ -92,9 +91,8 @@ def test_a_robot_that_moves_leaves_a_path_and_the_view_stays():
 
 
 def test_headings_and_bearings_stick_out_of_a_robot():
-    scenario = rv.Scenario(n_robots=2, robot_model="unicycle")
     options = {"positions": [[0.0, 0.0], [4.0, 0.0]], "headings": [np.pi / 2, 0.0]}
-    env, frame = drawn(scenario, options=options)
+    env, frame = drawn(rv.Scenario(n_robots=2, robot_model="unicycle"), options=options)
     place = env.renderer.pixels(np.zeros(2))
     up, right = np.array([0, -10]), np.array([18, 0])
     nose = np.array(at(frame, place + up))
@@ -104,14 +102,11 @@ def test_headings_and_bearings_stick_out_of_a_robot():
 
 
 def test_who_senses_whom_is_joined_by_a_line():
-    path = np.array([[0, 1.0, 0], [1.0, 0, 1.0], [0, 1.0, 0]])
-    scenario = rv.Scenario(n_robots=3, graph=path)
     options = {"positions": [[-3.1, 0.0], [0.0, 4.1], [3.1, 0.0]]}
-    env, frame = drawn(scenario, options=options)
-    positions = env.simulator.positions[0]
-    middles = [env.renderer.pixels((positions[i] + positions[j]) / 2) for i, j in ((0, 1), (0, 2))]
-    assert near(frame, middles[0], (205, 205, 205), 1) > 0
-    assert near(frame, middles[1], (205, 205, 205), 1) == 0
+    env, frame = drawn(rv.Scenario(n_robots=3, graph="path"), options=options)
+    places = env.renderer.pixels(env.simulator.positions[0])
+    assert near(frame, places[:2].mean(axis=0), (205, 205, 205), 1) > 0
+    assert near(frame, places[::2].mean(axis=0), (205, 205, 205), 1) == 0
 
 
 def test_a_merge_leaves_a_cross_and_a_number():
@@ -169,8 +164,6 @@ def test_steps_of_a_grid_are_round():
     assert [nice_step(span, 8) for span in (1.0, 9.0, 16.0, 20.0, 39.0)] == [0.2, 2, 2, 5, 5]
 
 
-# ---- capsules -----------------------------------------------------------------------------------
-
 LOG = rv.Scenario(
     n_robots=2, obstacles=(rv.Capsule(((-2.0, -1.0), (2.0, 1.0)), 0.5),), time_limit=20.0
 )
@@ -201,9 +194,6 @@ def test_a_figure_shows_a_capsule():
     (part,) = outlines(recording["obstacles"], 2)
     assert len(part.vertices) == 34 and part.centre.tolist() == [0.0, 0.0]
     assert np.hypot(*part.vertices.T).max() == pytest.approx(np.hypot(2, 1) + 0.5)
-
-
-# ---- what every renderer draws ------------------------------------------------------------------
 
 
 def test_what_a_picture_has_to_hold():

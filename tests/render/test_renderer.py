@@ -38,7 +38,6 @@ def test_every_kind_renders_by_its_mode(make):
     assert (picture[0] if make is rv.make_vec else picture).shape == (600, 600, 3)
     assert env.metadata["render_modes"] == ["human", "rgb_array"]
     assert env.metadata["render_fps"] == round(1 / rv.scenarios.get("duo").tau)
-    env.close()
     with pytest.raises(ValueError, match="render_mode is 'ansi'; it must be None or one of"):
         make("duo", render_mode="ansi")
     env = make("duo")
@@ -73,11 +72,11 @@ class TestPicture:
         assert np.array_equal(often.render(), forward(seldom, 15).render())
 
     def test_a_new_episode_has_a_view_of_its_own(self):
-        env = rv.parallel_env("clutter-8", render_mode="rgb_array")
+        env, picture = drawn("clutter-8")
         env.reset(seed=1)
-        forward(env, 1).render()
+        assert not np.array_equal(forward(env, 1).render(), picture)
         env.reset(seed=0)
-        assert np.array_equal(env.render(), drawn("clutter-8")[1])
+        assert np.array_equal(env.render(), picture)
 
     def test_other_obstacles_at_the_same_start_are_seen(self):
         env, _ = drawn(rv.scenarios.get("fig4").replace(obstacle_slots=3))
@@ -95,14 +94,12 @@ class TestPicture:
     @pytest.mark.parametrize("dim", [2, 3])
     def test_a_team_that_has_met_may_be_all_that_is_shown(self, dim):
         """All robots in one place, and no obstacle: nothing says how large the scene is."""
-        met, fresh = (rv.parallel_env("duo", "rgb_array", dim=dim) for _ in range(2))
-        start = np.array([[0.0] * dim, [0.3] + [0.0] * (dim - 1)])
-        frames = np.tile(np.eye(dim), (2, 1, 1))
-        met.reset(seed=0, options={"positions": start, "frames": frames})
-        ahead = np.eye(dim, dtype=np.float32)[0]
+        start, ahead = np.zeros((2, dim)), np.eye(dim, dtype=np.float32)[0]
+        start[1, 0] = 0.3
+        options = {"positions": start, "frames": np.tile(np.eye(dim), (2, 1, 1))}
+        (met, _), (fresh, _) = (drawn("duo", dim=dim, options=own) for own in (options, None))
         met.step({"robot_0": ahead, "robot_1": -ahead})
         assert not met.agents
-        fresh.reset(seed=0)
         fresh.set_state(met.get_state())
         frame = fresh.render()
         assert at(frame, fresh.renderer.pixels(start.mean(axis=0))) != [255, 255, 255]
@@ -124,14 +121,12 @@ class TestPicture:
     def test_a_wrapper_hands_it_on(self):
         env = rv.HeadingVectorWrapper(rv.parallel_env("fig4", render_mode="rgb_array"))
         env.reset(seed=0)
-        env.step({name: env.action_space(name).sample() for name in env.agents})
         assert env.render().shape == (600, 600, 3) and env.render_mode == "rgb_array"
         assert env.metadata["render_fps"] == round(1 / env.unwrapped.scenario.tau)
 
     def test_other_sizes(self):
-        simulator = rv.Simulator(rv.scenarios.get("fig3"))
-        simulator.reset(0)
-        frame = Renderer(simulator, "rgb_array", size=(400, 320)).render()
+        env, _ = drawn("fig3")
+        frame = Renderer(env.simulator, "rgb_array", size=(400, 320)).render()
         assert frame.shape == (320, 400, 3)
         assert (frame == OBSTACLE).all(axis=-1).sum() > 500
 

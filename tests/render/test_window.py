@@ -51,17 +51,13 @@ class TestWindow:
         assert shown.simulator.steps[0] == 3
 
     @pytest.mark.parametrize(
-        "event",
-        [
-            pygame.Event(pygame.QUIT),
-            pygame.Event(pygame.WINDOWCLOSE),
-            pygame.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE),
-        ],
+        ("kind", "more"),
+        [(pygame.QUIT, {}), (pygame.WINDOWCLOSE, {}), (pygame.KEYDOWN, {"key": pygame.K_ESCAPE})],
         ids=["quit", "close", "escape"],
     )
-    def test_once_closed_the_episode_goes_on_unseen(self, shown, event):
+    def test_once_closed_the_episode_goes_on_unseen(self, shown, kind, more):
         press(pygame.K_SPACE)  # closing ends a pause
-        pygame.event.post(event)
+        pygame.event.post(pygame.Event(kind, **more))
         for _ in range(3):
             shown.step(still(shown))
         assert shown.simulator.steps[0] == 3

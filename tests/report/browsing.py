@@ -107,10 +107,14 @@ def chosen(page):
     return [page.locator("select.policy").nth(pane).input_value() for pane in (0, 1)]
 
 
+def cells_of(page, rows):
+    """What stands in the cells of each of some rows."""
+    return [row.locator("td").all_text_contents() for row in page.locator(rows).all()]
+
+
 def shown_rows(page):
     """Name and numbers of each row that the chosen robot sees, on the first side."""
-    rows = page.locator(".rows").first.locator("tr").all()
-    cells = [row.locator("td").all_text_contents() for row in rows]
+    cells = cells_of(page.locator(".rows").first, "tr")
     return {name: [*map(number, numbers)] for name, *numbers in cells}
 
 

@@ -75,8 +75,7 @@ class TestTables:
         assert alignment.text_content() == "alignment"
         right = alignment.bounding_box()
         assert right["x"] + right["width"] <= table["x"] + table["width"] + 1 <= 1400
-        bottom = opened.locator("#results-table tr").last
-        bottom.evaluate(
+        opened.locator("#results-table tr").last.evaluate(
             "line => scrollTo({ top: line.getBoundingClientRect().top + scrollY - 200,"
             " behavior: 'instant' })"
         )
@@ -86,23 +85,20 @@ class TestTables:
             assert alignment.bounding_box()["y"] == pytest.approx(head["height"], abs=1)
 
     def test_the_best_of_each_scenario(self, opened):
-        rows = opened.locator("#best-table tbody tr").all()
-        shown = [row.locator("td").all_text_contents() for row in rows]
-        assert [(cells[0], cells[1]) for cells in shown] == [
-            ("fig4", "tangent-joined"), ("uav-6", "nonholonomic-3d"),
-        ]  # fmt: skip
+        shown = browsing.cells_of(opened, "#best-table tbody tr")
+        best = [["fig4", "tangent-joined"], ["uav-6", "nonholonomic-3d"]]
+        assert [cells[:2] for cells in shown] == best
 
     def test_a_table_is_saved_as_it_stands(self, opened, compared):
         opened.select_option("#table-scenario", "uav-6")
-        opened.click("#results-table th:has-text('policy') button")
-        opened.click("#results-table th:has-text('policy') button")
+        for _ in range(2):
+            opened.click("#results-table th:has-text('policy') button")
         with opened.expect_download() as saved:
             opened.click("button.csv[data-table=results]")
         assert saved.value.suggested_filename == "results.csv"
         rows = [r for r in results.read_csv(compared / "results.csv") if r["scenario"] == "uav-6"]
-        assert results.read_csv(saved.value.path()) == sorted(
-            rows, key=lambda row: row["policy"], reverse=True
-        )
+        expected = sorted(rows, key=lambda row: row["policy"], reverse=True)
+        assert results.read_csv(saved.value.path()) == expected
 
 
 def test_dark_for_those_who_prefer_it(opened):
@@ -191,15 +187,13 @@ def erring(tmp_path_factory):
     scenario.to_toml(out / "blurred.toml")
     given = {"scenarios": (str(out / "blurred.toml"), "ring-12"), "policies": ("bearing-only",)}
     config = compare.Config(**given, episodes=1, out=out / "out", figures=False)
-    assert compare.run(config) == 0
+    assert compare.run(config) == 0 and report.run(report.Config(out / "out")) == 0
     return out / "out"
 
 
 class TestErringSensor:
     @pytest.fixture
     def seen_page(self, browser, erring):
-        if not (erring / "report.html").exists():
-            assert report.run(report.Config(erring)) == 0
         with visited(browser, (erring / "report.html").as_uri()) as page:
             yield page
 
@@ -219,19 +213,16 @@ class TestErringSensor:
         offsets = positions[frame, 1:] - positions[frame, 0]
         true = offsets @ frames[frame, 0]
         true /= np.linalg.norm(true, axis=1, keepdims=True)
-        lines = seen_page.locator(".rows tr.true").all()
-        cells = [line.locator("td").all_text_contents() for line in lines]
+        cells = browsing.cells_of(seen_page, ".rows tr.true")
         assert [name for name, *_ in cells] == ["truly 1", "truly 2", "truly 3"]
         numbers = [[browsing.number(c) for c in (x, y)] for _, x, y, _ in cells]
         np.testing.assert_allclose(numbers, true, atol=2e-3)
-        for robot, (*_, off) in enumerate(cells):
-            if hidden[frame, robot]:
+        for (*_, off), one, way in zip(cells, seen[frame], true, strict=True):
+            if not one.any():
                 assert off == "unseen"
             else:
-                along = seen[frame, robot] @ true[robot] / np.linalg.norm(seen[frame, robot])
-                assert float(off.removesuffix("°")) == pytest.approx(
-                    np.degrees(np.arccos(min(1.0, along))), abs=0.7
-                )
+                angle = np.degrees(np.arccos(min(1.0, one @ way / np.linalg.norm(one))))
+                assert float(off.removesuffix("°")) == pytest.approx(angle, abs=0.7)
 
     def test_true_bearings_are_grey_rays(self, seen_page, kept):
         """Where no arrow lies: towards a robot that this robot does not see."""
@@ -262,3 +253,21 @@ class TestErringSensor:
         panes = seen_page.locator(".pane")
         assert [panes.nth(k).is_visible() for k in (0, 1)] == [True, False]
         assert seen_page.text_content("#said").count("bearing-only") == 1
+
+
+def test_rises_of_v_are_told_in_the_unit_of_their_world(browser, tmp_path):
+    """Here V is about 10⁻⁸ m²/s, and a rise of 10⁻¹⁰ was called none."""
+    fields = {"merge_radius": 1e-5, "spawn_size": 1e-3, "time_limit": 30.0}
+    small = rv.Scenario(name="small", n_robots=2, graph=rv.graphs.complete(1e-5), **fields)
+    small.to_toml(tmp_path / "small.toml")
+    config = compare.Config(
+        (str(tmp_path / "small.toml"),), ("bearing-only", "random"), episodes=2, keep=1,
+        out=tmp_path / "out", figures=False,
+    )  # fmt: skip
+    assert compare.run(config) == 0 and report.run(report.Config(config.out)) == 0
+    with visited(browser, (config.out / "report.html").as_uri()) as page:
+        rises = column(page, "max_rise_between_merges")
+        assert float(rises[0]) < 0.0 < float(rises[1]) < 1e-9
+        cells = page.locator("#results-table td[data-column=max_rise_between_merges]")
+        none, some = cells.all_text_contents()
+        assert none == "none" and browsing.number(some) == pytest.approx(float(rises[1]), rel=0.1)

@@ -99,11 +99,9 @@ class TestReplay:
         times = recorded("times")
         opened.keyboard.press("ArrowRight")
         assert clock(opened) == pytest.approx(times[1], abs=0.006)
-        opened.keyboard.press("ArrowRight")
-        opened.keyboard.press("ArrowLeft")
-        assert clock(opened) == pytest.approx(times[1], abs=0.006)
-        opened.keyboard.press("End")
-        assert clock(opened) == pytest.approx(times[-1], abs=0.006)
+        for key, time in (("ArrowRight", times[2]), ("ArrowLeft", times[1]), ("End", times[-1])):
+            opened.keyboard.press(key)
+            assert clock(opened) == pytest.approx(time, abs=0.006)
         opened.keyboard.press("Home")
         assert clock(opened) == 0
         opened.keyboard.press("]")
@@ -173,10 +171,9 @@ class TestAddress:
         }  # fmt: skip
 
     def test_it_is_followed(self, opened):
+        fragment = "#scenario=uav-6&start=1&policy=zero&robot=4&t=0.5"
         with reloaded(opened):
-            opened.goto(
-                f"{opened.url.split('#')[0]}#scenario=uav-6&start=1&policy=zero&robot=4&t=0.5"
-            )
+            opened.goto(opened.url.split("#")[0] + fragment)
         assert opened.input_value("#scenario") == "uav-6" and opened.input_value("#start") == "1"
         assert chosen(opened) == ["zero", "nonholonomic-3d"] and clock(opened) == 0.5
         assert "What robot 4 sees" in opened.locator(".sight h3").first.text_content()
@@ -226,8 +223,8 @@ class TestSight:
     def test_in_space_there_are_two_projections_and_gravity(self, opened, recorded):
         wait_for(opened, "uav-6", ["nonholonomic-3d", "zero"])
         assert opened.locator(".pane").first.locator(".world canvas").count() == 2
-        labels = opened.locator(".pane").first.locator("canvas[role]").all()
-        planes = [label.get_attribute("aria-label").split(", ")[-1] for label in labels]
+        shown = opened.locator(".pane").first.locator("canvas[role]").all()
+        planes = [canvas.get_attribute("aria-label").split(", ")[-1] for canvas in shown]
         assert planes == ["x–y plane", "x–z plane"] * 2
         opened.keyboard.press("ArrowRight")
         rows = shown_rows(opened)
@@ -245,9 +242,8 @@ class TestSight:
 
 def test_a_team_that_has_packed_has_met(browser, tmp_path):
     """All its robots are left, so that it was said to have run out of time."""
-    config = compare.Config(
-        ("robotarium-4",), ("bearing-only",), episodes=1, keep=1, out=tmp_path, figures=False
-    )
+    how = {"episodes": 1, "keep": 1, "figures": False}
+    config = compare.Config(("robotarium-4",), ("bearing-only",), out=tmp_path, **how)
     assert compare.run(config) == 0 and report.run(report.Config(tmp_path)) == 0
     with visited(browser, (tmp_path / "report.html").as_uri()) as page:
         page.keyboard.press("End")

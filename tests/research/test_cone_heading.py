@@ -1,27 +1,20 @@
 """Headings among the bearings: the projection, the margin, and the hull under law (4)."""
 
 import math
+from itertools import count
 
 import numpy as np
 import pytest
 from conftest import five
 from scipy.optimize import nnls
 
-from rendezvous_env import Scenario, Sensing, Simulator
-from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
+from rendezvous_env import Scenario, Sensing, rollout
 from rendezvous_env.safety.links import least_norm_points
 from research.cone_heading import cone_heading, cone_velocity
 from train.verify.monitors import unit
 
-TEAMS = 6
 ROUNDING = 1e-6
 """Of float32 actions, m."""
-
-
-def reach(simulator, u):
-    """max_i u·p_i over the robots that are left, (B, directions)."""
-    along = simulator.positions @ u.T
-    return np.where(simulator.active[..., None], along, -np.inf).max(axis=1)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -70,25 +63,24 @@ def test_headings_by_hand():
     np.testing.assert_allclose(velocity, [2.0 * half, 0.0])  # r ‖q‖/τ, less than hᵀf = 2
 
 
-def headed(scenario, *, projected=True, steps=None):
+def headed(scenario, *, projected=True):
     """How far the hull grows at most in a step under adversarial raw vectors, m; who has met."""
-    random, simulator = np.random.default_rng(0), Simulator(scenario, TEAMS)
-    layout = scenario.observation_layout
+    random, layout, calls = np.random.default_rng(0), scenario.observation_layout, count()
     u = random.normal(size=(60, scenario.dim))
-    frozen = random.normal(size=(TEAMS, scenario.n_robots, scenario.dim))
-    observations, step, growth = simulator.reset(0), 0, -np.inf
+    frozen = random.normal(size=(6, scenario.n_robots, scenario.dim))
     limits = {"merge_radius": scenario.merge_radius, "duration": scenario.tau}
-    while (on := simulator.status == RUNNING).any() and step != steps:
+
+    def law(observations, time):
         rows, f = observations[..., layout.neighbours, :], layout.net_bearing(observations)
-        raw = frozen if step % 2 else random.normal(size=frozen.shape)
-        h = cone_heading(raw, rows, min_alignment=0.1)
-        velocity = cone_velocity(h, f, least_norm_points(rows), **limits)
+        raw = frozen if next(calls) % 2 else random.normal(size=frozen.shape)
         if not projected:
-            velocity = unit(raw) * np.sum(unit(raw) * f, axis=-1, keepdims=True)
-        before = reach(simulator, u)
-        observations = simulator.step(velocity.astype(np.float32)).observations
-        growth, step = max(growth, (reach(simulator, u) - before)[on].max()), step + 1
-    return growth, simulator.status == RENDEZVOUS
+            return unit(raw) * np.sum(unit(raw) * f, axis=-1, keepdims=True)
+        h = cone_heading(raw, rows, min_alignment=0.1)
+        return cone_velocity(h, f, least_norm_points(rows), **limits)
+
+    found = rollout(scenario, law, num_envs=6)
+    growth = np.diff((found.positions @ u.T).max(axis=2), axis=0)
+    return growth[found.running].max(), found.success
 
 
 def test_the_hull_is_nested_and_all_meet():
@@ -100,4 +92,5 @@ def test_the_hull_is_nested_whoever_is_seen():
     sensing = Sensing(range=2.5, field_of_view=2.0, dropout=0.3, occlusion="robots")
     scenario = Scenario(n_robots=7, spawn_size=4.0, time_limit=20.0, sensing=sensing)
     assert headed(scenario)[0] < 10 * ROUNDING
-    assert headed(scenario, projected=False, steps=100)[0] > 0.01
+    brief = scenario.replace(time_limit=100 * scenario.tau)
+    assert headed(brief, projected=False)[0] > 0.01

@@ -1,5 +1,7 @@
 """The free integrator does by hand what it should, and what the environment does."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from continuous_time import Teams, Trial, integrate, outward
@@ -11,6 +13,8 @@ from rendezvous_env.safety.gains import Gains
 from rendezvous_env.safety.links import least_norm_points, link_keeping_law
 from rendezvous_env.trajectory import run
 from train.verify.monitors import directions, extents, unit
+
+TEAM = {"n_robots": 5, "spawn_size": 4.0, "merge_radius": 0.2, "time_limit": 60.0}
 
 
 def test_two_robots_meet_when_they_should():
@@ -135,22 +139,12 @@ def gains():
 
 @pytest.mark.parametrize(
     ("dim", "error", "laws"),
-    [
-        (2, 0.0, law_1(0.0)),
-        (3, 0.0, law_1(0.0)),
-        (2, 0.3, law_1(0.3)),
-        (2, 0.0, links()),
-        (3, 0.0, links()),
-        (2, 0.0, gains()),
-        (3, 0.0, gains()),
-    ],
+    [(2, 0.3, law_1(0.3)), *product((2, 3), (0.0,), (law_1(0.0), links(), gains()))],
 )
 def test_the_environment_moves_as_the_integrator(dim, error, laws):
     law, policy = laws
-    scenario = Scenario(
-        n_robots=5, dim=dim, graph=1.5 * (np.ones((5, 5)) - np.eye(5)), spawn_size=4.0,
-        time_step=0.002, merge_radius=0.2, time_limit=60.0, sensing=Sensing(error=error),
-    )  # fmt: skip
+    graph, sensing = 1.5 * (1.0 - np.eye(5)), Sensing(error=error)
+    scenario = Scenario(**TEAM, dim=dim, graph=graph, time_step=0.002, sensing=sensing)
     simulator = Simulator(scenario, 20)
     observations = simulator.reset(3)
     teams = Teams(simulator.positions, 0.2)
@@ -168,10 +162,7 @@ def test_the_environment_moves_as_the_integrator(dim, error, laws):
 
 
 def test_the_environment_meets_when_the_integrator_does():
-    scenario = Scenario(
-        n_robots=5, graph="complete", spawn_size=4.0, time_step=0.005, merge_radius=0.2,
-        time_limit=60.0, sensing=Sensing(error=0.3),
-    )  # fmt: skip
+    scenario = Scenario(**TEAM, time_step=0.005, sensing=Sensing(error=0.3))
     found = rollout(scenario, baselines.make("bearing-only", scenario), 4, num_envs=30)
     law, _ = law_1(0.3)
     teams = Teams(found.positions[0], 0.2)

@@ -57,8 +57,6 @@ def test_the_body_frame_is_a_rotation_with_the_heading_first_and_left_level(yaw,
     np.testing.assert_allclose(flat, body_frame(3, yaw, 0.0)[:2, :2], atol=1e-15)
 
 
-# ---- robots with inertia ------------------------------------------------------------------------
-
 TAU, V_MAX, A_MAX = 0.4, 2.0, 5.0
 MODEL = DoubleIntegrator(TAU, V_MAX, A_MAX, (0.0, 0.0))
 GLOBAL = (1.0, 0.0, 0.0, 1.0)

@@ -114,6 +114,11 @@ MISTAKES = {
         lambda known: {"min_gain": 40.0, "max_gain": 40.0, "speed_limit": 40.0},
         (SIX.replace(graph="path", max_speed=1e3), "gains", {}),
     ),
+    "balls may be three times as large": (
+        LinkKeeping,
+        lambda known: {"radius": 3.0 * known.radius},
+        (FIVE[ANYWHERE[0]], "links", {}),
+    ),
     "any velocity of the dual cone will do": (
         LinkKeeping,
         lambda known: {"radius": 1e6, "share": 0.0},
@@ -130,7 +135,9 @@ def test_a_filter_with_a_mistake_is_caught(mistake, monkeypatch):
     @functools.wraps(begin)  # whose arguments the wrappers read
     def wrong(self, *args, **options):
         begin(self, *args, **options)
-        self._constants = self._constants._replace(**changes(self._constants))
+        name = "_robot" if made is EnergyTank else "_constants"
+        known = getattr(self, name)
+        setattr(self, name, known._replace(**changes(known)))
 
     assert played(scenario, by, **arguments).violation is None
     monkeypatch.setattr(made, "__init__", wrong)

@@ -1,13 +1,16 @@
 """A family of graphs, an imperfection and a reward term from a user's own file."""
 
+from itertools import islice
+
 import numpy as np
 import pytest
-from conftest import refusing
+from conftest import refusing, started
 
 import rendezvous_env as rv
 from rendezvous_env import Scenario, Sensing, Simulator, graphs
 from rendezvous_env.checks import Registry
 from rendezvous_env.rewards.custom_terms import RewardStep
+from rendezvous_env.trajectory import run
 
 
 @graphs.family("hexagon-and-chords")
@@ -55,14 +58,12 @@ def towards(scenario):
     return lambda seen, time: seen[..., rows, :].sum(axis=-2)
 
 
-def walk(scenario, seed, num_envs, steps=12):
-    """Observations, rewards and rewards of robots of some steps, (steps, B, …)."""
-    simulator, act = Simulator(scenario, num_envs), towards(scenario)
-    observations, found = simulator.reset(seed), []
-    for _ in range(steps):
-        outcome = simulator.step(act(observations, 0.0))
-        observations = outcome.observations
-        found.append((observations, outcome.rewards.copy(), outcome.robot_rewards))
+def walk(scenario, seed, num_envs):
+    """Observations, rewards and rewards of robots of 12 steps, (12, B, …)."""
+    simulator, found = started(scenario, num_envs, seed), []
+    for step in islice(run(simulator, towards(scenario), simulator.observe()), 12):
+        given = step.outcome
+        found.append((given.observations, given.rewards.copy(), given.robot_rewards))
     return [np.array(each) for each in zip(*found, strict=True)]
 
 
@@ -71,15 +72,13 @@ def walk(scenario, seed, num_envs, steps=12):
 
 def test_a_family_is_drawn_for_every_seed_and_episode_and_no_batch():
     graph = {"kind": "hexagon-and-chords", "weight_range": [0.5, 2.0]}
-    simulator = Simulator(FAMILY.replace(graph=graph), 40)
-    simulator.reset(3)
+    simulator = started(FAMILY.replace(graph=graph), 40, seed=3)
     weights = simulator.weights
     assert ((weights > 0).sum(axis=(1, 2)) == 2 * 7).all()
     assert len(np.unique(weights > 0, axis=0)) == 3  # chords to robots 2, 3 and 4
     positive = weights[weights > 0]
     assert 0.5 <= positive.min() < 0.7 and 1.8 < positive.max() <= 2.0
-    single = Simulator(simulator.scenario)
-    single.reset(3 + 7)
+    single = started(simulator.scenario, seed=3 + 7)
     np.testing.assert_array_equal(single.weights[0], weights[7])
     simulator.reset()
     assert not np.array_equal(simulator.weights, weights)
@@ -101,8 +100,7 @@ def test_a_family_is_a_graph_like_any_other():
 
 def test_a_family_that_fails_later_leaves_everything_as_it_was():
     graphs.family("moody", lambda n, random: [(i, i + 1) for i in range(n - 1)])
-    simulator = Simulator(FAMILY.replace(graph="moody"), 2)
-    simulator.reset(5)
+    simulator = started(FAMILY.replace(graph="moody"), 2, seed=5)
     graphs.family("moody", lambda n, random: [])
     with refusing(simulator, "'moody' drew a graph that is not connected"):
         simulator.reset(9)
@@ -179,22 +177,21 @@ def test_no_theorem_covers_a_custom_sensor():
 def test_terms_are_added_with_their_weights(on_merge):
     plain = Scenario(n_robots=3, on_merge=on_merge, time_limit=20.0)
     paid = plain.replace(reward=rv.RewardWeights(custom={"effort": -0.5, "spread": 2.0}))
-    steps, scenarios = 60, (plain, paid)
-    (_, usual, each_usual), (_, earned, each_earned) = (walk(s, 1, 2, steps) for s in scenarios)
-    simulator, act = Simulator(plain, 2), towards(plain)
-    observations = simulator.reset(1)
-    for k in range(steps):
-        actions, took_part = act(observations, 0.0), simulator.active
-        running = ~simulator.ended
-        observations = simulator.step(actions).observations
+    simulator, other = (started(scenario, 2, seed=1) for scenario in (plain, paid))
+    for _ in range(60):
+        took_part, running = simulator.active, ~simulator.ended
+        actions = towards(plain)(simulator.observe(), 0.0)
+        usual, earned = simulator.step(actions), other.step(actions)
         centred = simulator.positions - simulator.positions.mean(axis=1, keepdims=True)
         size = 2.0 * np.linalg.norm(centred, axis=-1).mean(axis=-1)
         effort = -0.5 * np.linalg.norm(actions, axis=-1)
         team = np.where(took_part, effort, 0.0).sum(axis=1) / took_part.sum(axis=1)
-        np.testing.assert_allclose(earned[k] - usual[k], running * (team + size), atol=1e-6)
+        more = earned.rewards - usual.rewards
+        np.testing.assert_allclose(more, running * (team + size), atol=1e-6)
         earning = (took_part | (on_merge == "follow")) & running[:, None]
         each = np.where(earning, effort + size[:, None], 0.0)
-        np.testing.assert_allclose(each_earned[k] - each_usual[k], each, atol=1e-6)
+        more = earned.robot_rewards - usual.robot_rewards
+        np.testing.assert_allclose(more, each, atol=1e-6)
 
 
 # ---- what is refused ----------------------------------------------------------------------------
@@ -209,8 +206,7 @@ def stepped(role, term):
     """A step of a team that is paid by a term, or told its cost."""
     rv.reward_term("mine", term)
     paid = {"reward": {"custom": {"mine": 1.0}}, "costs": ("mine",)}
-    simulator = Simulator(Scenario(**{role: paid[role]}))
-    simulator.reset(0)
+    simulator = started(Scenario(**{role: paid[role]}))
     simulator.step(np.zeros((1, 5, 2), np.float32))
 
 

@@ -4,12 +4,12 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from conftest import UNEQUAL, unequal_matrix
+from conftest import UNEQUAL, started, unequal_matrix
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from rendezvous_env import Scenario, Sensing, Simulator, graphs
+from rendezvous_env import Scenario, Sensing, graphs
 from rendezvous_env.graphs.weights import bottleneck_weight, closed_groups, components, max_degree
 from rendezvous_env.scenario.start_options import parse_options
 
@@ -26,7 +26,7 @@ ONE_WAY = [
 ]
 MUTUAL = [
     graphs.complete(),
-    graphs.Graph("complete", probability=1.0),
+    graphs.complete((0.1, 0.7)),
     graphs.path((0.5, 1.0)),
     graphs.random_tree(2.0),
     graphs.erdos_renyi(0.125, (0.1, 0.7)),
@@ -41,8 +41,7 @@ def scenario(graph, **fields):
 
 def drawn(graph: graphs.Graph, n: int, count: int) -> np.ndarray:
     """Weights of the first episodes of many seeds, (count, n, n)."""
-    sim = Simulator(Scenario(n_robots=n, graph=graph), count)
-    sim.reset(0)
+    sim = started(Scenario(n_robots=n, graph=graph), count)
     return sim.weights
 
 

@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 import shapely
+from conftest import started
 
-from rendezvous_env import Scenario, Simulator
+from rendezvous_env import Scenario
 from rendezvous_env.obstacles.capsule import CAPSULE, Capsule
 from rendezvous_env.obstacles.disc import BALL, Disc, Sphere
 from rendezvous_env.obstacles.fields import ObstacleField, draw_field
@@ -112,7 +113,7 @@ class TestPacking:
     def test_no_room_is_refused(self):
         with pytest.raises(ValueError, match="2 given, but the scenario has room for 1; set its"):
             pack([Disc((0, 0), 1)] * 2, 1)
-        with pytest.raises(ValueError, match="more corners than any of the scenario's own"):
+        with pytest.raises(ValueError, match=r"obstacles\[0\] is .*a polygon of no more corners"):
             pack([Polygon(TRIANGLE)], 1, width=8)
 
     def test_positions_inside_are_refused_by_name(self):
@@ -166,9 +167,6 @@ class TestDrawField:
         assert np.all(rows[count:, KIND] == ABSENT)
 
 
-# ---- capsules: pictures, and starts with them ---------------------------------------------------
-
-
 def test_outlines_are_those_of_the_capsule():
     (outline,) = outlines(pack((LOG,), 1), 2)
     away = [distance(corner, LOG) for corner in outline.vertices]
@@ -192,17 +190,13 @@ def distance(point, capsule: Capsule) -> float:
 
 
 def test_given_at_a_reset():
+    moved, disc = Capsule(((5.0, 5.0), (6.0, 5.0)), 0.25), Disc((0.0, 0.0), 1.0)
     scenario = Scenario(n_robots=2, obstacles=[LOG], obstacle_slots=2, spawn_size=20.0)
-    sim = Simulator(scenario)
-    moved = Capsule(((5.0, 5.0), (6.0, 5.0)), 0.25)
-    sim.reset(0, {"obstacles": [moved, Disc((0.0, 0.0), 1.0)]})
-    np.testing.assert_array_equal(sim.obstacles[0], pack((moved, Disc((0.0, 0.0), 1.0)), 2, 10))
-    square = Polygon(((0, 0), (1, 0), (1, 1), (0, 1)))
-    flat = Simulator(Scenario(n_robots=2, obstacles=[Disc((0.0, 0.0), 1.0)], spawn_size=20.0))
+    sim = started(scenario, obstacles=[moved, disc])
+    np.testing.assert_array_equal(sim.obstacles[0], pack((moved, disc), 2, 10))
     with pytest.raises(ValueError, match="a capsule where the scenario has none"):
-        flat.reset(0, {"obstacles": [moved]})
-    tight = Simulator(Scenario(n_robots=2, obstacles=[square], spawn_size=20.0))
-    tight.reset(0, {"obstacles": [square]})
-    round_ones = Simulator(Scenario(n_robots=2, dim=3, obstacles=[Sphere((0.0,) * 3, 1.0)]))
+        started(scenario.replace(obstacles=[disc]), obstacles=[moved])
+    square = Polygon(((0, 0), (1, 0), (1, 1), (0, 1)))
+    started(Scenario(n_robots=2, obstacles=[square], spawn_size=20.0), obstacles=[square])
     with pytest.raises(ValueError, match="capsule"):
-        round_ones.reset(0, {"obstacles": [TRUNK]})
+        started(Scenario(n_robots=2, dim=3, obstacles=[Sphere((0.0,) * 3, 1.0)]), obstacles=[TRUNK])

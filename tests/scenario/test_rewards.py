@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from conftest import five, law_of
+from conftest import five, law_of, started
 
-from rendezvous_env import Capsule, Disc, RewardWeights, Scenario, Simulator
-from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
+from rendezvous_env import Capsule, Disc, RewardWeights, Scenario
+from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.graphs import directed
+from rendezvous_env.trajectory import run
 
 
 @pytest.mark.parametrize("name", ["progress", "time", "bonus"])
@@ -15,30 +16,22 @@ def test_progress_telescopes_and_each_term_is_its_own(kind, name):
     alone = {"progress": (1, 0, 0, 0), "time": (0, 1, 0, 0), "bonus": (0, 0, 0, 1)}
     reward = RewardWeights(*alone[name])
     scenario = five(kind, reward=reward, time_limit=100.0, spawn_size=5.0)
-    sim, policy = Simulator(scenario, 8), law_of(scenario)
-    observations, total = sim.reset(0), np.zeros(8)
-    before = sim.lyapunov()
-    while (running := sim.status == RUNNING).any():
-        outcome = sim.step(policy(observations, sim.time))
-        observations, now = outcome.observations, sim.lyapunov()
+    sim, total = started(scenario, 8), np.zeros(8)
+    for step in run(sim, law_of(scenario), sim.observe()):
         expected = {
-            "progress": (before - now) / sim.initial_lyapunov * running,
-            "time": -1.0 * running / scenario.max_steps,
-            "bonus": running & (outcome.status == RENDEZVOUS),
+            "progress": (step.lyapunov - sim.lyapunov()) / sim.initial_lyapunov * step.running,
+            "time": -1.0 * step.running / scenario.max_steps,
+            "bonus": step.running & (sim.status == RENDEZVOUS),
         }
-        np.testing.assert_allclose(outcome.rewards, expected[name], atol=1e-13)
-        total, before = total + outcome.rewards, now
+        np.testing.assert_allclose(step.outcome.rewards, expected[name], atol=1e-13)
+        total += step.outcome.rewards
     assert (sim.status == RENDEZVOUS).all()
     expected = -sim.steps / scenario.max_steps if name == "time" else 1.0
     np.testing.assert_allclose(total, expected)
 
 
-# ---- touching obstacles, and keeping clear ------------------------------------------------------
-
 ONLY = RewardWeights(0.0, 0.0, 0.0, 0.0, clearance_penalty=0.5)
 WORLD = (Disc((0.0, 0.0), 1.0), Capsule(((-1.0, 6.0), (1.0, 6.0)), 0.5))
-PLACES = [[1.5, 0.0], [0.0, 4.5], [8.0, 0.0]]
-"""0.5 m from the disc, 1 m from the capsule, out of sight."""
 
 
 def team(**changes: object) -> Scenario:
@@ -48,8 +41,8 @@ def team(**changes: object) -> Scenario:
 
 def test_each_robot_in_contact_costs_in_each_step():
     walls, paid = (Disc((-3.0, 0.0), 1.0), Disc((3.0, 0.0), 1.0)), RewardWeights(0.0, 0.0, 0.5, 0.0)
-    sim = Simulator(team(obstacles=walls, obstacle_contact="stop", reward=paid))
-    sim.reset(0, {"positions": [[-1.9, 0.0], [1.9, 0.0], [0.0, 5.0]]})
+    pressed = team(obstacles=walls, obstacle_contact="stop", reward=paid)
+    sim = started(pressed, positions=[[-1.9, 0.0], [1.9, 0.0], [0.0, 5.0]])
     into = np.array([[[-9.0, 0], [9.0, 0], [0, 0]]])
     for _ in range(4):
         outcome = sim.step(into)
@@ -59,9 +52,7 @@ def test_each_robot_in_contact_costs_in_each_step():
 
 
 def test_it_follows_the_clearances_of_every_step():
-    sim, random = Simulator(team(), 6), np.random.default_rng(0)
-    sim.reset(1)
-    paid = np.zeros(6)
+    sim, random, paid = started(team(), 6, seed=1), np.random.default_rng(0), np.zeros(6)
     for _ in range(80):
         running, took_part = ~sim.ended, sim.active
         out = sim.step(random.uniform(-2, 2, (6, 3, 2)))
@@ -74,8 +65,7 @@ def test_it_follows_the_clearances_of_every_step():
 
 
 def test_who_has_merged_pays_nothing_and_the_survivor_once():
-    sim = Simulator(team(), 6)
-    sim.reset(0, {"positions": [[1.5, 0.0], [1.5, 0.1], [8.0, 0.0]]})
+    sim = started(team(), 6, positions=[[1.5, 0.0], [1.5, 0.1], [8.0, 0.0]])
     sim.step(np.zeros((6, 3, 2)))
     assert sim.active[0].tolist() == [True, False, True]
     out = sim.step(np.zeros((6, 3, 2)))
@@ -85,8 +75,7 @@ def test_who_has_merged_pays_nothing_and_the_survivor_once():
 
 @pytest.mark.parametrize("changes", [{"obstacles": ()}, {"reward": RewardWeights(0, 0, 0, 0)}])
 def test_without_weight_or_obstacles_it_is_nothing(changes):
-    sim = Simulator(team(**changes), 6)
-    sim.reset(0, {"positions": PLACES})
+    sim = started(team(**changes), 6, positions=[[1.5, 0.0], [0.0, 4.5], [8.0, 0.0]])
     assert sim.step(np.zeros((6, 3, 2))).rewards[0] == 0
 
 
@@ -101,8 +90,7 @@ def test_what_a_step_may_cost_on_a_directed_graph():
         n_robots=n, graph=directed(sees), start_positions=places, local_frames="global",
         max_speed=1e-3, reward=RewardWeights(1.0, 0.0, 0.0, 0.0),
     )  # fmt: skip
-    sim = Simulator(scenario)
-    sim.reset(0)
+    sim = started(scenario)
     actions = np.zeros((1, n, 2))
     actions[0, :2, 0] = 1e-3, -1e-3
     (earned,) = sim.step(actions).rewards * sim.initial_lyapunov

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 import shapely
+from conftest import started
 
 import rendezvous_env as rv
-from rendezvous_env import ObstacleField, Scenario, Simulator, WallField
+from rendezvous_env import ObstacleField, Scenario, WallField
 from rendezvous_env.obstacles.obstacle_set import world_of
 from rendezvous_env.obstacles.parsing import max_count, only_balls, parse, row_width, to_plain
 from rendezvous_env.obstacles.reachability import none_walled_in
@@ -20,8 +21,7 @@ def field(layout, **changes):
 
 
 def drawn(name, count):
-    simulator = Simulator(rv.scenarios.get(name), count)
-    simulator.reset(0)
+    simulator = started(rv.scenarios.get(name), count)
     return simulator.obstacles, simulator.positions
 
 
@@ -59,18 +59,16 @@ class TestField:
 
     def test_positions_are_given_and_walls_keep_clear_of_them(self):
         walls = field("rooms", region=10.0)
-        simulator = Simulator(Scenario(n_robots=3, obstacles=walls), 200)
         starts = np.array([[0.0, 0.0], [3.0, 1.0], [-2.0, 4.0]])
-        simulator.reset(0, {"positions": starts})
+        simulator = started(Scenario(n_robots=3, obstacles=walls), 200, positions=starts)
         assert (simulator.positions == starts).all()
         assert simulator.clearance.min() >= 0.4
 
     def test_walls_that_find_no_place_are_an_error(self):
         crowd = np.stack(np.meshgrid(*2 * [np.linspace(-9, 9, 10)]), axis=-1).reshape(-1, 2)
         walls = field("trap", keep_out=2.0)
-        simulator = Simulator(Scenario(n_robots=100, obstacles=walls))
         with pytest.raises(RuntimeError, match="no room for the start of team 0"):
-            simulator.reset(0, {"positions": crowd})
+            started(Scenario(n_robots=100, obstacles=walls), positions=crowd)
 
 
 class TestLayouts:
@@ -78,8 +76,7 @@ class TestLayouts:
 
     @pytest.mark.parametrize("layout", LAYOUTS)
     def test_boxes_are_as_long_and_thick_as_asked(self, layout):
-        simulator = Simulator(Scenario(n_robots=2, obstacles=field(layout)), 300)
-        simulator.reset(0)
+        simulator = started(Scenario(n_robots=2, obstacles=field(layout)), 300)
         corners = simulator.obstacles[..., DETAILS:].reshape(300, -1, 4, 2)
         edges = np.roll(corners, -1, axis=2) - corners
         lengths = np.linalg.norm(edges, axis=-1)
@@ -174,7 +171,5 @@ class TestNobodyIsWalledIn:
     def test_a_hopeless_field_is_an_error(self):
         """One robot in the midst of so many discs, and one outside."""
         closed = ObstacleField(400, (0.8, 0.9), 12, 0.3, passage=0.6)
-        scenario = Scenario(n_robots=2, obstacles=closed)
-        simulator = Simulator(scenario)
         with pytest.raises(RuntimeError, match="no room for the start"):
-            simulator.reset(0, {"positions": np.array([[0.0, 0.0], [0.0, 20.0]])})
+            started(Scenario(n_robots=2, obstacles=closed), positions=[[0.0, 0.0], [0.0, 20.0]])

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Config", "Job", "Played", "plan", "play_job", "run", "summary"]
 
-_ROUNDING = 1e-9  # m²/s, of V; a larger rise at a merge above its bound is an error
 
 Row = dict[str, Any]
 Picture = tuple[str, Callable[[], "Figure"]]
@@ -102,8 +101,11 @@ class Found:
 
     @property
     def excess(self) -> int:
-        """Episodes in which a merge raised V above its proven bound."""
-        return sum(int((one.episodes.merge_excess > _ROUNDING).sum()) for one in self.played)
+        """Episodes in which a merge raised V above its proven bound, rounding aside."""
+        return sum(
+            int((one.episodes.merge_excess > statistics.rounding_of_v(one.job.scenario)).sum())
+            for one in self.played
+        )
 
 
 def _play(config: Config, jobs: Sequence[Job], part: Part, console: Console) -> tuple[Found, float]:

@@ -209,7 +209,7 @@ def play_all(
 
 def _one_of_each_first(tasks: Sequence[Task]) -> list[Task]:
     """The tasks, those first that need different kernels: workers that start together then do not
-    compile the same ones.
+    compile the same ones. All tasks count, finished ones too, as their kernels lie on disk.
     """
     first: dict[tuple[Any, ...], str] = {}
     for task in tasks:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
 from .evaluation import Episodes
@@ -86,6 +87,11 @@ def censored_median(
     censored = np.where(success, times, np.inf)
     value = float(median(censored))
     return value, bootstrap_interval((censored,), median)
+
+
+def rounding_of_v(scenario: Scenario) -> float:
+    """The largest rise of V, a number, m²/s, that counts as rounding: 10⁻⁹ r D̄."""
+    return 1e-9 * unit_of_tanks(scenario)
 
 
 def summarise(scenario: Scenario, policy: str, episodes: Episodes) -> dict[str, Any]:

@@ -10,16 +10,14 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
 from .. import policies
 from ..console import Console
 from ..results import grouped
 from .ranking import Ranking
+from .statistics import rounding_of_v
 from .sweep import Sweep, rows_of
-
-_ROUNDING = 1e-9  # of V, in units of r D̄
 
 WIDTH = 118
 """Characters that the table needs; on a narrower terminal its lines wrap."""
@@ -43,7 +41,7 @@ def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Tab
         column.no_wrap = True
     for name, own in grouped(rows, "scenario").items():
         first, scenario = own[0], scenarios[name]
-        limit, rounding = scenario.max_steps * scenario.tau, _ROUNDING * unit_of_tanks(scenario)
+        limit, rounding = scenario.max_steps * scenario.tau, rounding_of_v(scenario)
         starts = "one start" if first["episodes"] == 1 else f"{first['episodes']} starts"
         table.add_row(f"{name}, {starts}", style="bold")
         for row in own:

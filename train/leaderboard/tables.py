@@ -77,9 +77,6 @@ def improvements(cards: Sequence[Card]) -> list[dict[str, Any]]:
     return rows
 
 
-# ---- what is shown ------------------------------------------------------------------------------
-
-
 def _cells(row: Mapping[str, Any]) -> list[str]:
     def with_interval(key: str, form: str, unit: float = 1.0) -> str:
         value, low, high = (row[k] * unit for k in (key, f"{key}_low", f"{key}_high"))

@@ -147,9 +147,6 @@ def restore_random(state: Mapping[str, NDArray[Any]]) -> None:
     torch.set_rng_state(torch.from_numpy(state["torch"]))
 
 
-# ---- resume -------------------------------------------------------------------------------------
-
-
 def where_to_begin(config: Config, console: Console) -> tuple[Config, Path | None]:
     """The settings that hold, and the checkpoint to begin with; None begins at step 0."""
     if (folder := config.resume) is None:
@@ -196,10 +193,11 @@ def _newest_good(folder: Path, console: Console) -> Path | None:
 
 
 def write_failure(folder: Path, error: OSError) -> str:
-    """The message about a disk that cannot be written, with the checkpoint that is left."""
-    said = f"cannot write {error.filename or folder}: {error.strerror or error}"
+    """The message about what cannot be written, with the checkpoint that is left."""
+    file = error.filename2 or error.filename or folder  # of a renaming the first is temporary
+    said = f"cannot write {file}: {error.strerror or error}"
     try:
         place = checkpoints.find(folder)
     except CheckpointError:
         return f"{said}; there is no checkpoint yet"
-    return f"{said}; the last good checkpoint is {place}: make room, then --resume {folder}"
+    return f"{said}; the last good checkpoint is {place}: put that right, then --resume {folder}"

@@ -7,7 +7,7 @@ from pathlib import Path
 from rendezvous_env.baselines.learned import shipped
 
 from .. import policies, results
-from ..checks import UserError, check_unused
+from ..checks import UserError, check_unused, written
 from ..compare.playing import TOGETHER, make_ready
 from ..compare.settings import Job
 from ..console import Console
@@ -59,7 +59,7 @@ def runs_of(settings: Settings, seeds: tuple[int, ...]) -> list[Settings]:
     twice, a flag that only a single run has, or a folder with a run of other settings.
     """
     if len(set(seeds)) < len(seeds):
-        raise UserError(f"--seeds {' '.join(map(str, seeds))}: name each once")
+        raise UserError(f"--seeds {written(seeds)}: name each once")
     check_unused(settings, dict.fromkeys(("seed", "resume"), "--seeds says which runs there are"))
     runs = []
     for seed in seeds:

@@ -111,8 +111,6 @@ def network_settings(
     }
 
 
-# ---- the global state, for critics --------------------------------------------------------------
-
 STATE_ROBOT_COLUMNS = 4
 """Position x, y of a robot, in units of FAR; log(1 + A/(r D̄)) of its tank, 0 without; 1."""
 STATE_OBSTACLE_COLUMNS = 3

@@ -18,7 +18,7 @@ from rendezvous_env.safety.settings import SMALLEST_MARGIN
 from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..checks import Bounds, Flags, UserError, check_unused, flag, user_error
+from ..checks import Bounds, Flags, UserError, check_unused, flag, user_error, written
 from ..policies import resolve_scenario
 from .sensing_ranges import Ranges, check_ranges
 
@@ -350,8 +350,8 @@ def resumed(config: Config, stored: Config) -> Config:
             changed[name] = kept if given is None or isinstance(given, Unsaid) else given
         elif name not in ("out", "resume") and given not in (getattr(default, name), kept):
             raise UserError(
-                f"{flag(name)} is {given}; {folder} was trained with {kept}: leave it out, or "
-                "begin a new run"
+                f"{flag(name)} is {written(given)}; {folder} was trained with {written(kept)}: "
+                "leave it out, or begin a new run"
             )
     return replace(stored, **changed, out=folder, resume=None)
 

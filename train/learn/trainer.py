@@ -82,8 +82,6 @@ class Trainer:
         self._seconds = self._environment_seconds = self._wall_before = 0.0
         self._began = time.perf_counter()
 
-    # ---- begin and resume -----------------------------------------------------------------------
-
     def begin(self) -> int:
         """Begin at step 0, with a checkpoint to come back to."""
         if (path := self.config.start_from) is not None:
@@ -181,8 +179,6 @@ class Trainer:
         }
         return description, copy.deepcopy(tables)
 
-    # ---- train ----------------------------------------------------------------------------------
-
     def update(self) -> int:
         """Collect and learn once; the steps done so far."""
         model, config = self.model, self.config
@@ -261,9 +257,6 @@ class Trainer:
     def _wall(self) -> float:
         """Time that the run has taken, s, over all its resumptions."""
         return self._wall_before + time.perf_counter() - self._began
-
-
-# ---- the run ------------------------------------------------------------------------------------
 
 
 def run(config: Config, on_update: OnUpdate | None = None) -> Result:

@@ -112,7 +112,6 @@ _DRIVE = """    drive = DifferentialDrive()
 """
 _TEAM = '''
 
-# ---- the team ---------------------------------------------------------------------------------
 
 TEAM = SimpleNamespace(
     n_robots=1,  # that are steered from here; the numbers below are those of the whole team
@@ -241,9 +240,6 @@ def is_written(path: Path) -> bool:
     """Whether a file is one of this kind, of any version, and may be overwritten."""
     begin, text = _HEAD.partition("{")[0].encode(), path.read_bytes()
     return text.startswith(begin) and _MADE_BY.encode() in text[: text.find(b'"""', len(begin))]
-
-
-# ---- whether it does what the policy does -------------------------------------------------------
 
 
 def load(path: Path) -> Any:

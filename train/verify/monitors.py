@@ -22,7 +22,8 @@ NUMBERS = (*PROMISED, "descent", "ledger", "nested", "links")
 bounds; the mean time of many teams does. In every step without a merge or a contact V falls, by
 Σ f_i·Δ_i of the displacements (theory 4) where choices are held for one step, and V does not rise
 up to a merge; V + ΣA does not rise; the hull is nested while linked robots are r or more apart; no
-link grows longer. Claims have four more: Σ‖f_i‖ ≥ 2 max a ("lemma"); V falls as under law (1), by
+link grows longer, and where choices are held for one step no robot leaves its balls of radius r/4
+(docs/proofs.md, R). Claims have four more: Σ‖f_i‖ ≥ 2 max a ("lemma"); V falls as under law (1), by
 τ Σ‖f_i‖ min(‖f_i‖, v_max) ("law_descent"); it rises at a merge by no more than theory 5 allows
 ("merge_rise"); no fewer robots are left than the graph has components ("pieces")."""
 REPEATED = 48  # teams for each start of a trial whose mean time is promised
@@ -221,6 +222,11 @@ class Watch:
             found["nested"] = np.where(calm & apart, grown, -np.inf), self.length_error
         if "links" in self.limits:
             lengthened = _most(now.distances - last.distances, seen)
+            if self.once:
+                ball = 0.25 * self.scenario.merge_radius
+                moved = (now.positions - last.positions)[:, :, None]
+                beyond = lengths(moved - ball * unit(last.offsets))[..., 0] - ball
+                lengthened = np.maximum(lengthened, _most(beyond, seen))
             found["links"] = np.where(calm, lengthened, -np.inf), 2.0 * self.length_error
         if {"lemma", "law_descent"} & self.limits.keys():
             pull, twice = lengths(last.net_bearings)[..., 0], 2.0 * last.gains.max(axis=(1, 2))

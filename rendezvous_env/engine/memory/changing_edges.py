@@ -6,7 +6,7 @@ from ...compilation import inner_kernel
 from ...graphs.edges import load_links, pair_index
 from ...physics.potential import lyapunov_of_links
 from ...physics.random_streams import GRAPH, SWITCHING, stream_key, uniform
-from ...physics.vectors import subtract, to_local
+from ...physics.vectors import subtract
 from ...sensors.imperfections import is_seen
 from . import read, statistics_of, step_seen
 
@@ -75,7 +75,7 @@ def _keep_in_sight(team, layout, teams, arcs, changes):
         for j in range(arcs.shape[0]):
             if arcs[i, j] > 0.0:
                 offset = subtract(read(teams.positions[team, j], 0, layout.axes), here)
-                if not is_seen(to_local(frame, offset), changes.reach, changes.half_field):
+                if not is_seen(offset, frame, changes.reach, changes.half_field):
                     arcs[i, j] = 0.0
 
 

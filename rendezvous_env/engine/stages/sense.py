@@ -47,9 +47,6 @@ def sense_block(block, setup, sensor, moves, state, output, scratch):
     sense_one_by_one(sensor, block, setup, moves, state, output, scratch.team)
 
 
-# ---- neighbours ---------------------------------------------------------------------------------
-
-
 @inner_kernel(inline="code")
 def _sense_pairs(block, setup, teams, links, crowded, scratch):
     """Every pair once, in index order; a link that is absent weighs 0."""
@@ -184,9 +181,6 @@ def _leave_out_docked(block, constants, teams, scratch):
                     scratch.block.rows[i, j - (j > i), 2 * lane : 2 * lane + 2] = 0.0
 
 
-# ---- oneself ------------------------------------------------------------------------------------
-
-
 @inner_kernel(inline="code")
 def _proprioception(block, setup, teams, rows):
     """The last row of models that sense something of themselves; zero for robots that are gone."""
@@ -206,9 +200,6 @@ def _store_oneself(seen, active, row, lane):
     if len(seen) > 0:
         for k in range(len(seen)):
             row[len(seen) * lane + k] = seen[k] if active else 0.0
-
-
-# ---- from lanes to teams ------------------------------------------------------------------------
 
 
 @inner_kernel(inline="code")

@@ -11,9 +11,9 @@ import numpy as np
 from ...compilation import by_type, inner_kernel
 from ...graphs.edges import DenseEdges, arcs_of, load_links, pair_index
 from ...physics.random_streams import SENSING, stream_key, word_of
-from ...physics.vectors import dot, exactly, subtract, to_local
+from ...physics.vectors import dot, exactly, subtract
 from ...sensors.chance import is_small, step_key, turned_by_chance
-from ...sensors.imperfections import in_sectors, is_seen
+from ...sensors.imperfections import in_sectors, is_in_view, is_seen
 from ..memory import first_row, lane_count, read, read_row, statistics_of, step_seen, write_row
 
 _EPISODE, _STEP = range(2)
@@ -110,9 +110,6 @@ def _turn_side(layout, side, errors, words, row):
         _turn(layout, errors.noise, words[_NOISE, side], words[_NOISE, 2 + side], row)
 
 
-# ---- neighbours ---------------------------------------------------------------------------------
-
-
 @inner_kernel(inline="code")
 def _all_pairs(block, links, scratch):
     for e in range(links.first.shape[0]):
@@ -177,8 +174,8 @@ def _hide(layout, errors, teams, block, pair, row):
 def _see_within(layout, reach, half_field, places, frame, row):
     for lane in range(lane_count(layout.width)):
         here, there = read(places[0], lane, layout.axes), read(places[1], lane, layout.axes)
-        offset = to_local(read(frame, lane, layout.entries), subtract(there, here))
-        _keep(is_seen(offset, reach, half_field), layout, row, lane)
+        offset, local = subtract(there, here), read(frame, lane, layout.entries)
+        _keep(is_seen(offset, local, reach, half_field), layout, row, lane)
 
 
 @inner_kernel(inline="code")
@@ -195,9 +192,6 @@ def _keep(there, layout, row, lane):
     for k in range(len(layout.axes)):
         value = row[len(layout.axes) * lane + k]
         row[len(layout.axes) * lane + k] = value if there else _ZERO
-
-
-# ---- silhouettes --------------------------------------------------------------------------------
 
 
 @inner_kernel
@@ -231,6 +225,6 @@ def _see_in_view(count, half_field, layout, rows):
         seen = False
         for s in range(rows.shape[0]):
             point = exactly(read_row(rows[s], lane, layout.axes))
-            seen = seen or (dot(point, point) > 0.0 and is_seen(point, np.inf, half_field))
+            seen = seen or (dot(point, point) > 0.0 and is_in_view(point, half_field))
         for s in range(rows.shape[0]):
             _keep(seen, layout, rows[s], lane)

@@ -130,9 +130,6 @@ def _turn_into(layout, bearing, frame, row):
         write_row(local, row, lane)
 
 
-# ---- what no lane function does -----------------------------------------------------------------
-
-
 @inner_kernel
 def _see_one_by_one(block, setup, state, obstacles, clearance, scratch, axes):
     """Polygons and capsules of the plane, and everything in 3-D."""

@@ -150,9 +150,6 @@ def test_actions_of_other_kinds_are_refused_by_name():
     assert not env.step(now.clone().set(ACTION, desired * 2))["next", SEEN].requires_grad
 
 
-# ---- wrappers that change rewards, and the bench -------------------------------------------------
-
-
 def test_a_wrapper_of_the_teams_changes_the_rewards_of_robots():
     found, more = [], lambda teams: TransformReward(teams, lambda rewards: rewards + 5.0)
     for options in ({}, {"wrap": more}):

@@ -230,5 +230,5 @@ def test_memory_runs_in_seconds_not_in_decisions():
     np.testing.assert_allclose(context[3:7], [5 / 60, np.exp(-5 / 8), short, 0.0], atol=1e-6)
     since = context[CONTEXT_COLUMNS + LEVEL_COLUMNS + 2]
     np.testing.assert_allclose(since, (TIME + 5.0) / 30.0, rtol=1e-6)  # since it was met
-    with pytest.raises(ValueError, match=r"elapsed have shape \(2,\); they must be \(B,\)"):
+    with pytest.raises(ValueError, match=r"elapsed has shape \(2,\); it must be \(B,\)"):
         perception.see(seen, headings, elapsed=np.ones(2))

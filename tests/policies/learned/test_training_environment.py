@@ -81,13 +81,16 @@ def test_the_first_touch_costs_the_robot_and_nobody_else():
         env.reset(seed=3)
     touched, paid = np.zeros((TEAMS, SCENARIO.n_robots), bool), 0
     for choices in tape(90):
-        *_, ends, cuts, infos = ours.step(choices)
-        *_, others = free.step(choices)
+        _, rewards, ends, cuts, infos = ours.step(choices)
+        _, bare, *_, others = free.step(choices)
         over = (ends | cuts)[:, None]
         contact = infos["contact"]
         if over.any():
-            contact = np.where(over, infos["final_info"]["contact"], contact)
+            last = infos["final_info"]
+            contact = np.where(over, last["contact"], contact)
+            np.testing.assert_array_equal(last["robot_rewards"], infos["robot_rewards"])
         cost = others["robot_rewards"] - infos["robot_rewards"]
+        np.testing.assert_allclose(bare - rewards, cost.mean(axis=1), atol=1e-12)
         np.testing.assert_allclose(cost, 7.0 * (contact & ~touched), atol=1e-12)
         paid += (cost > 0).sum()
         touched = np.where(over, False, touched | contact)
