@@ -33,8 +33,6 @@ from rendezvous_env import Scenario, Simulator, TimeStepWarning, vector
 from rendezvous_env.engine.memory import RUNNING
 from rendezvous_env.scenario.start_options import OPTIONS
 
-# ---- scenarios ----------------------------------------------------------------------------------
-
 
 FILE = Path(tempfile.mkdtemp()) / "any.toml"
 
@@ -61,9 +59,6 @@ def test_toml(text):
     scenario = attempt(lambda: Scenario.from_toml(FILE))
     if not isinstance(scenario, Exception):
         scenario.to_toml(FILE)
-
-
-# ---- resets -------------------------------------------------------------------------------------
 
 
 class Door:
@@ -138,8 +133,6 @@ def test_options_of_a_reset(name, team, data):
         play(it.simulator, 3)
 
 
-# ---- actions ------------------------------------------------------------------------------------
-
 robots = st.sampled_from(["robot_0", "robot_1", "robot_2", "robot_9", 5, None, ("a",)])
 
 
@@ -168,9 +161,6 @@ def test_actions(name, team, data):
     for _ in range(data.draw(st.integers(1, 4))):
         actions = data.draw(actions_of(it))
         it.refuses_or_plays(lambda given=actions: it.env.step(given), ValueError, KeyError)
-
-
-# ---- states -------------------------------------------------------------------------------------
 
 
 @st.composite
@@ -226,8 +216,6 @@ def test_states(name, team, data):
         play(it.simulator, 20)
         assert (it.simulator.status >= RUNNING).all()
 
-
-# ---- wrappers -----------------------------------------------------------------------------------
 
 margins = st.floats(0.01, 0.99)
 WRAPPER = {

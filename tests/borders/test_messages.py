@@ -21,9 +21,6 @@ from rendezvous_env.simulator import Simulator
 PAIR = Scenario(n_robots=2)
 
 
-# ---- values -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("value", "text"),
     [
@@ -41,8 +38,6 @@ def test_values_are_shown_as_they_are_but_never_at_any_length(value, text):
     assert len(shown("x" * 10**6)) < 100 and len(shown(list(range(10**6)))) < 100
     assert len(shown(np.zeros((40, 40)))) < 250
 
-
-# ---- actions ------------------------------------------------------------------------------------
 
 WRONG_ACTIONS = [
     None, "ab", b"ab", ["1", "2"], [HUGE, 0], [1e300, 0], [math.nan, 0.0], [None, 1.0], 5, [], {},
@@ -99,8 +94,6 @@ def test_arrays_of_actions_of_any_wrong_kind_are_refused(name):
     message = refusal(env.step, [[0, 0], [1e300, 0]] if single else [[[0, 0], [1e300, 0]]])
     assert "finite, in float32" in message
 
-
-# ---- seeds, options, masks ----------------------------------------------------------------------
 
 WRONG_SEEDS = [5.0, True, "5", b"5", -1, 2**63, HUGE, UNWRITABLE, [], [1, 2, 3], {}, [0.5], [True],
                np.array(5.0), np.array([[1]]), np.nan, {1}, [[1]], DEEP, 1j, ["a"]]  # fmt: skip
@@ -166,8 +159,6 @@ def test_every_reset_refuses_options_of_the_wrong_kind_and_ignores_unknown_ones(
     np.testing.assert_equal(state_of(door), wanted)
 
 
-# ---- policies -----------------------------------------------------------------------------------
-
 CLUTTER = Scenario(n_robots=2, obstacle_slots=2)
 
 
@@ -232,9 +223,6 @@ def test_policies_that_remember_refuse_masks_of_other_teams_and_laws_of_time_wha
     for time in ("a", None, math.nan, [0.0, 1.0], [[0.0]], HUGE, {}):
         rows = np.zeros((3, 2, *scenario.observation_layout.shape))
         assert re.match("time is", refusal(policy, rows, time))
-
-
-# ---- settings -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("value", [0, -1, True, 2.0, "2", math.nan, math.inf, HUGE, [1]])

@@ -40,9 +40,6 @@ def scenario(**fields):
     return rv.Scenario(**(usual | fields))
 
 
-# ---- against an independent reference -----------------------------------------------------------
-
-
 class Reference:
     """One team under ṗ = f, written from the definitions, slowly: groups of robots that have merged
     stand in one place, and every number is computed anew from the original arcs.
@@ -158,9 +155,6 @@ def test_law_1_moves_as_a_reference_written_from_the_definitions(kind, seed):
     assert any(changes) == (kind != "directed")
 
 
-# ---- against undirected graphs ------------------------------------------------------------------
-
-
 STEP = {"time_step": 0.015, "allow_long_step": True, "max_speed": 3.0, "neighbour_slots": 4}
 """The same for graphs whose worst cases are known less well than an undirected one's."""
 MATRIX = graphs.directed(UNEQUAL)
@@ -199,9 +193,6 @@ def test_an_undirected_graph_moves_alike_however_it_is_said(name):
     assert one.active[-1].sum() < 10, "no merges"
 
 
-# ---- what is one-way ----------------------------------------------------------------------------
-
-
 def test_who_is_seen_need_not_see_and_both_merge():
     graph, places = graphs.directed([(1, 0)], 2), ((0, 0), (1, 0))
     made = scenario(n_robots=2, graph=graph, start_positions=places)
@@ -226,9 +217,6 @@ def test_robots_exactly_as_far_apart_as_they_see_both_do(graph):
     assert sim.reset(0)[:, :, :2].any(axis=-1).all()
     there = np.broadcast_to(~np.eye(3, dtype=bool), (100, 3, 3))
     np.testing.assert_array_equal(sim.weights > 0, there)
-
-
-# ---- turns --------------------------------------------------------------------------------------
 
 
 def graph_of_each_step(order, seed=0, steps=60):
@@ -275,9 +263,6 @@ def test_no_progress_is_earned_where_no_edge_was_at_the_start():
     passed, reward = found.times[-1] / made.time_limit, made.reward
     earned = reward.rendezvous_bonus - reward.time_penalty * passed
     assert found.rewards.sum() == pytest.approx(earned, abs=1e-6)
-
-
-# ---- starts -------------------------------------------------------------------------------------
 
 
 def test_starts_by_sight_are_connected_by_links_that_survive_merging():

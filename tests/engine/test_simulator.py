@@ -42,9 +42,6 @@ def follow(scenario: Scenario, options: dict) -> Trajectory:
     return rollout(brief, law_of(scenario), 5, 32, options, record="observations")
 
 
-# ---- symmetries ---------------------------------------------------------------------------------
-
-
 def test_scaling_all_positions_changes_no_observation(kind):
     """The bearing-only proof."""
     scenario = five(kind, max_turn_rate=1.0)
@@ -101,9 +98,6 @@ def test_relabelling_the_robots_permutes_the_trajectories(kind):
     np.testing.assert_allclose(renamed_places, places[:, :, order], atol=2e-5)
     left, renamed_left = (each.active[-1, calm].sum(axis=1) for each in (one, other))
     np.testing.assert_array_equal(left, renamed_left)
-
-
-# ---- seeds and episodes -------------------------------------------------------------------------
 
 
 def test_seeds_and_episodes(kind):
@@ -184,9 +178,6 @@ def test_the_end_of_an_episode():
     assert statuses == [[RUNNING] * 2, [TIME_OUT] * 2] and copy.deepcopy(sim).max_steps == 2
 
 
-# ---- state --------------------------------------------------------------------------------------
-
-
 def test_what_the_simulator_hands_out_is_not_its_memory(kind):
     sim, _ = halfway(five(kind, spawn_size=6.0, merge_radius=0.4))
     outcome = sim.step(np.zeros(actions_shape(sim)))
@@ -200,9 +191,6 @@ def test_what_the_simulator_hands_out_is_not_its_memory(kind):
         array[...] = 1
     assert sim.all_running and not sim.ended.any() and (sim.status == RUNNING).all()
     assert_same_state(sim, before)
-
-
-# ---- starts and actions that are given ----------------------------------------------------------
 
 
 def test_a_given_start_is_taken(kind):

@@ -322,9 +322,6 @@ def test_a_fork_after_a_threaded_step_works(monkeypatch):
     np.testing.assert_array_equal(positions, sim.positions)
 
 
-# ---- one thread or several: whichever has been quicker of late ----------------------------------
-
-
 @pytest.fixture
 def steps(monkeypatch):
     """Makes steps that take so long by one thread and by several: the threads of each."""

@@ -11,8 +11,6 @@ from tuples import mean_body_axis
 import rendezvous_env as rv
 from rendezvous_env import vector
 
-# ---- headings: law (4) from the observation's own rows -------------------------------------------
-
 
 def spy(env):
     """The actions that reach the base environment, as they come."""
@@ -69,9 +67,6 @@ def test_speed_is_f_along_the_mean_axis_of_the_turn_executed(kind):
             ahead = abs(f[0]) / np.linalg.norm(f)
             assert infos[name]["alignment"] == pytest.approx(ahead, abs=1e-9)
             assert np.abs(rates).max() <= (3.0 if kind == "nonholonomic_3d" else 2.0) + 1e-6
-
-
-# ---- headings in frame="net_bearing" -------------------------------------------------------------
 
 
 def rotation(dim, seed):
@@ -135,9 +130,6 @@ def test_a_weak_f_keeps_the_last_frame():
     assert not np.array_equal(frame, np.eye(2))
 
 
-# ---- tanks ---------------------------------------------------------------------------------------
-
-
 def test_the_ledger_is_told_and_seen(kind):
     env = make("tank", kind, budget=0.5, observe_level=True)
     scenario, random = env.unwrapped.scenario, np.random.default_rng(1)
@@ -183,9 +175,6 @@ def test_a_wall_along_f_fills_no_tank():
     assert not any(info["carried_out"] for info in infos.values())
 
 
-# ---- gains and links -----------------------------------------------------------------------------
-
-
 def test_weights_are_of_rows_in_either_frame():
     """They are numbers, not vectors: a frame turns what is seen and nothing else."""
     envs = [make("gains", frame=frame) for frame in ("net_bearing", "local")]
@@ -215,8 +204,6 @@ def test_desired_velocities_are_turned_with_the_frame():
     first, second = (env.unwrapped.simulator.positions for env in envs)
     np.testing.assert_allclose(first, second, atol=1e-6)
 
-
-# ---- directed, switching and proximity graphs, under random choices ------------------------------
 
 CYCLE = rv.Scenario(n_robots=6, graph=rv.graphs.directed_cycle(), time_limit=300.0)
 TANK = partial(vector.EnergyTankWrapper, budget=20.0)

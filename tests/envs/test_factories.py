@@ -21,9 +21,6 @@ def wrapped(name, env, home=vector):
     return getattr(home, name)(env) if name else env
 
 
-# ---- flat observations --------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 @pytest.mark.parametrize("name", [None, *NAMES])
 def test_flat_vector_environments_show_the_same_numbers(name, mode):
@@ -71,9 +68,6 @@ def test_other_factories_take_flatten_too():
         rv.make_vec(SCENARIO, flatten="yes")
 
 
-# ---- the single-team heading environment --------------------------------------------------------
-
-
 def test_the_heading_environment_is_the_wrapped_one():
     """Whatever the robots choose, the alignment is kept; numbers are those of the vector one."""
     settings = {"scenario": SCENARIO, "min_alignment": 0.3, "decision_period": 2}
@@ -94,9 +88,6 @@ def test_the_heading_environment_is_the_wrapped_one():
         np.testing.assert_array_equal(infos["alignment"], told["alignment"][1])
         assert (infos["alignment"] >= 0.3 - 1e-9).all() and keys <= set(infos)
     assert infos["summary"]["time"] == infos["time"] == pytest.approx(SCENARIO.time_limit)
-
-
-# ---- unknown words, and tensors -----------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -181,9 +172,6 @@ def test_tensors_that_numpy_cannot_read_are_named_with_what_to_do(what):
         with pytest.raises(ValueError, match=f"action of robot_2 is a .*{advice}"):
             env.step(actions | {"robot_2": torch.zeros(2, **of)})
         np.testing.assert_array_equal(env.state(), state)
-
-
-# ---- the global state, and the reward's bound ---------------------------------------------------
 
 
 def test_the_state_of_a_batch_is_the_states_of_its_teams():

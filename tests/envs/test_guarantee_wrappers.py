@@ -82,9 +82,6 @@ def test_rates_are_those_of_the_motion(which, kind):
     assert compared > 20
 
 
-# ---- vector environments -------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("which", "name"),
     [
@@ -155,9 +152,6 @@ def test_a_new_episode_begins_with_the_next_start_and_nothing_remembered(which, 
     assert which != "tank" or ((infos["tank"] == 0.3).all() and not infos["carried_out"].any())
 
 
-# ---- decision periods ----------------------------------------------------------------------------
-
-
 @which_and_kind
 def test_a_period_is_that_many_base_steps_with_the_choice_held(which, kind):
     guarantee = GUARANTEES[which]
@@ -188,9 +182,6 @@ def test_a_period_is_that_many_base_steps_with_the_choice_held(which, kind):
         assert which != "tank" or (env.tank.levels == single.tank.levels).all()
         steps += 1
     assert steps > 3 and not single.agents and env.step({}) == ({}, {}, {}, {}, {})
-
-
-# ---- arguments, and what may be wrapped ----------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -43,8 +43,6 @@ def until_a_merge(env, seed=3):
     return result
 
 
-# ---- determinism over whole episodes ------------------------------------------------------------
-
 EPISODE = """
 import sys
 sys.path[:0] = ["tests", "tests/envs"]
@@ -101,9 +99,6 @@ def test_the_environment_is_the_simulator(kind):
             ]  # fmt: skip
             assert {type(info[key]) for key in ("clearance", "time", "lyapunov")} == {float}
         np.testing.assert_array_equal(env.simulator.positions, simulator.positions)
-
-
-# ---- making one ---------------------------------------------------------------------------------
 
 
 def test_a_mask_of_teams_is_no_option_of_one_team():
@@ -175,9 +170,6 @@ def test_robots_with_inertia_see_their_velocity():
             assert space.contains(seen)
             fastest = max(fastest, float(np.linalg.norm(seen[-1])))
     assert 0.69 < fastest <= 0.7000001
-
-
-# ---- what a step returns ------------------------------------------------------------------------
 
 
 def test_a_merged_robot_ends_once_and_is_gone(kind):

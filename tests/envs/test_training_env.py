@@ -26,9 +26,6 @@ FORMS = {
 }
 
 
-# ---- both environments --------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
 def test_the_environment_by_name_is_the_vector_environment_with_one_team(form):
     mode = AutoresetMode.DISABLED
@@ -70,9 +67,6 @@ def test_all_robots_stay_and_those_that_are_gone_do_nothing():
         assert len(set(rewards.values())) == 1
         gone = {name for name, info in infos.items() if not info["active"]}
     assert all(ends.values()) and len(gone) == 2 and infos["robot_0"]["success"]
-
-
-# ---- the preset ---------------------------------------------------------------------------------
 
 
 def test_the_preset_is_what_training_begins_with():
@@ -140,9 +134,6 @@ def test_robots_of_space_see_a_plane_and_choose_in_it(name, guarantee):
         aside = (parts.neighbours[..., 2] * parts.neighbours[..., 1]).sum(axis=-1)
         np.testing.assert_allclose(np.minimum(ahead, 2.0), parts.context[:, 1], atol=1e-5)
         np.testing.assert_allclose(aside, 0.0, atol=1e-5)
-
-
-# ---- arguments ----------------------------------------------------------------------------------
 
 
 def test_overrides_reach_the_wrapper_the_preset_and_the_scenario():

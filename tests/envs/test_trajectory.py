@@ -107,9 +107,6 @@ def test_any_callable_and_any_name_will_do():
         rollout("duu", policy)
 
 
-# ---- what is kept --------------------------------------------------------------------------------
-
-
 def test_observations_and_actions_only_on_request():
     policy = law_of(DUO)
     plain = rollout(DUO, policy, num_envs=3)

@@ -36,9 +36,6 @@ def started(scenario):
     return scenario.replace(start_positions=start), float(lyapunov(start, heaviest)), size(start)
 
 
-# ---- V -------------------------------------------------------------------------------------------
-
-
 def test_v_its_rate_and_net_bearings_by_hand():
     """V counts every edge twice; leading axes broadcast."""
     places = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 0.0]])
@@ -52,9 +49,6 @@ def test_v_its_rate_and_net_bearings_by_hand():
     assert lyapunov_rate([[1.0, 1.0], [5.0, 5.0], [2.0, 2.0]], [[3, 4], [0, 0], [1, 0]]) == -18
     with pytest.raises(ValueError, match=r"positions \(3, 2\) and weights \(5, 5\)"):
         lyapunov(places, UNEQUAL)
-
-
-# ---- theorems A and C ----------------------------------------------------------------------------
 
 
 def test_the_time_bound_by_hand():
@@ -151,9 +145,6 @@ def test_no_merge_brings_a_degree_below_the_least(graph):
             if graph in EQUAL:
                 np.testing.assert_allclose(degrees, least[m - 2])
             weights = contracted(weights, random)
-
-
-# ---- theorem G -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("n", range(2, 12))
@@ -264,9 +255,6 @@ def test_g_is_never_above_a():
 def test_the_size_of_the_spawn_area_by_hand(dim, worst):
     for n, extent in worst.items():
         assert largest_size(Scenario(n_robots=n, dim=dim, spawn_size=5.0)) == close(5 * extent)
-
-
-# ---- research ------------------------------------------------------------------------------------
 
 
 def test_pursuit_by_hand():

@@ -150,9 +150,6 @@ def test_certificates_of_ten_thousand_robots_follow_the_edges(graph):
     assert most < 100e6
 
 
-# ---- graphs that are directed or change ----------------------------------------------------------
-
-
 def test_kinds_and_leaders():
     kinds = {
         "undirected": Scenario(), "directed": PURSUIT, "switching": SWITCHING, "proximity": NEAR,
@@ -244,9 +241,6 @@ def test_robots_that_turn_are_certified_under_the_gate_only(model):
     assert certificate(small, 0.3).time_bound < slow < math.inf
 
 
-# ---- wrong bearings and late ones ----------------------------------------------------------------
-
-
 def test_law_1_bears_more_by_n_where_degrees_are_equal():
     """In a step so short that a held bearing is wrong by a fifth of π/n."""
     team = Scenario(n_robots=6, graph="cycle")
@@ -303,9 +297,6 @@ def test_late_bearings_are_certified_while_they_are_young(delay):
     assert not certificate(young.replace(sensing=Sensing(delay=delay, dropout=0.1))).guaranteed
     for by in ("heading", "tank", "gains", "links"):
         assert "late" in certificate(young, MARGINS[by], by=by).theorem
-
-
-# ---- arguments and words -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -20,8 +20,6 @@ from rendezvous_env.safety.theorems.noise import (
 from rendezvous_env.safety.theorems.theorem import LAW
 from rendezvous_env.sensors.imperfections import in_sectors
 
-# ---- theorem N: equal gains ----------------------------------------------------------------------
-
 
 def test_held_inputs_of_equal_gains_by_hand():
     """T ≤ L0 sin(π/n)/(2cκ(n) sin((1 − β)π/n)) + (n − 1)τ at τ = (r/2c) sin(βπ/n)."""
@@ -80,9 +78,6 @@ def test_equal_gains_bear_errors_and_held_inputs():
         refused = certificate(team, **{**even, **changes})
         assert not refused.guaranteed and words in refused.theorem
         assert math.isinf(refused.time_bound)
-
-
-# ---- N1, N1' and E[T] ----------------------------------------------------------------------------
 
 
 def test_law_1_bears_errors_by_n1():
@@ -179,9 +174,6 @@ def test_no_bearing_is_rounded_by_more(sectors, dim):
         worst = max(worst, math.acos(np.clip(g @ rounded, -1, 1)))
     bound = bounded_error(Sensing(sectors=sectors), dim)
     assert worst <= bound + 1e-9 and worst > 0.5 * min(bound, 1.5)
-
-
-# ---- theorems D and R ----------------------------------------------------------------------------
 
 
 def tank(scenario, **given):

@@ -67,9 +67,6 @@ def walk(scenario, seed, num_envs):
     return [np.array(each) for each in zip(*found, strict=True)]
 
 
-# ---- a family of graphs -------------------------------------------------------------------------
-
-
 def test_a_family_is_drawn_for_every_seed_and_episode_and_no_batch():
     graph = {"kind": "hexagon-and-chords", "weight_range": [0.5, 2.0]}
     simulator = started(FAMILY.replace(graph=graph), 40, seed=3)
@@ -104,9 +101,6 @@ def test_a_family_that_fails_later_leaves_everything_as_it_was():
     graphs.family("moody", lambda n, random: [])
     with refusing(simulator, "'moody' drew a graph that is not connected"):
         simulator.reset(9)
-
-
-# ---- an imperfection ----------------------------------------------------------------------------
 
 
 def test_who_is_behind_is_not_seen():
@@ -170,9 +164,6 @@ def test_no_theorem_covers_a_custom_sensor():
         assert not certificate.guaranteed and "blind-behind" in str(certificate)
 
 
-# ---- a reward term ------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("on_merge", ["remove", "follow"])
 def test_terms_are_added_with_their_weights(on_merge):
     plain = Scenario(n_robots=3, on_merge=on_merge, time_limit=20.0)
@@ -192,9 +183,6 @@ def test_terms_are_added_with_their_weights(on_merge):
         each = np.where(earning, effort + size[:, None], 0.0)
         more = earned.robot_rewards - usual.robot_rewards
         np.testing.assert_allclose(more, each, atol=1e-6)
-
-
-# ---- what is refused ----------------------------------------------------------------------------
 
 
 def family_of(draw):

@@ -45,9 +45,6 @@ def drawn(graph: graphs.Graph, n: int, count: int) -> np.ndarray:
     return sim.weights
 
 
-# ---- how they are given -------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("graph", "edges"),
     [
@@ -138,9 +135,6 @@ def test_weights_that_a_start_cannot_have(graph, weights, said):
         parse_options(scenario(graph), 1, {"weights": np.array(weights, dtype=float)})
 
 
-# ---- worst cases --------------------------------------------------------------------------------
-
-
 def contractions(weights: np.ndarray):
     """Every matrix that merges along edges in either way can make of this one, by brute force."""
     yield weights
@@ -207,9 +201,6 @@ def test_the_bottleneck_of_weak_links_is_not_lost(weight):
     assert graphs.bottleneck_weight(weight * UNEQUAL) == weight * 0.9
 
 
-# ---- families -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "graph", [graphs.random_tree((0.5, 2.0)), graphs.erdos_renyi(0.25, (0.5, 2.0))]
 )
@@ -244,9 +235,6 @@ def test_hardly_any_edges_become_a_tree():
     weights = drawn(graphs.erdos_renyi(1e-9), 6, 50)
     assert (np.triu(weights).sum(axis=(1, 2)) == 5).all()
     assert len(np.unique(weights, axis=0)) > 20
-
-
-# ---- large teams --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("graph", ["complete", "cycle", "star", "random_tree", "directed_cycle"])

@@ -20,9 +20,6 @@ from train.compare.settings import DEFAULT_SCENARIOS
 TRIANGLE = Polygon(((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))
 
 
-# ---- the time step ------------------------------------------------------------------------------
-
-
 def test_a_long_step_warns_and_says_the_certified_one():
     message = r"time_step is 0\.05 s, longer than the certified step 0\.025 s.*allow_long_step=True"
     with pytest.warns(TimeStepWarning, match=message) as caught:
@@ -46,8 +43,6 @@ def test_the_time_limit_is_rounded_up_to_whole_steps(limit, tau, steps):
     scenario = Scenario(n_robots=2, time_limit=limit, time_step=tau, allow_long_step=True)
     assert scenario.max_steps == steps
 
-
-# ---- derived constants, by hand -----------------------------------------------------------------
 
 CONSTANTS = [
     # graph, n, D̄, a*
@@ -92,9 +87,6 @@ def test_action_bounds(model, dim, bounds):
     scenario = Scenario(robot_model=model, dim=dim, max_speed=0.5, max_turn_rate=0.7)
     np.testing.assert_allclose(scenario.action_bounds, bounds)
     assert scenario.action_size == len(bounds)
-
-
-# ---- identity and TOML --------------------------------------------------------------------------
 
 
 def test_equal_fields_make_equal_hashable_scenarios():
@@ -147,8 +139,6 @@ def test_toml_by_hand(tmp_path):
     assert scenarios.resolve(path) == expected
     assert scenarios.resolve(str(path), n_robots=3).max_degree == 2.5
 
-
-# ---- its sensor ---------------------------------------------------------------------------------
 
 WRONG = {
     "range": (0.0, -1.0, math.nan, math.inf, "far", True, 1e12),
@@ -215,8 +205,6 @@ def test_a_wrong_value_is_refused_by_field_and_value(field, value):
     shown = "whole number of about" if value == 10**400 else repr(value)
     assert shown in str(refused.value)
 
-
-# ---- named ones stay what their versions were ---------------------------------------------------
 
 FIELD = (
     "noisy-8", "fov-8", "occluded-8", "range-12", "switching-8", "pursuit-6", "rssdoa-15",

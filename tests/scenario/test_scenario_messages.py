@@ -32,8 +32,6 @@ def matrix(**entries: float) -> np.ndarray:
     return weights
 
 
-# ---- scenarios ----------------------------------------------------------------------------------
-
 FIELDS = (
     "time_step", "time_limit", "max_speed", "max_turn_rate", "max_acceleration", "obstacle_range",
     "spawn_size", "body_radius",
@@ -157,9 +155,6 @@ def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
         rv.RewardWeights(1, 2, 3, 4, 5, 6)
 
 
-# ---- obstacles and graphs -----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -254,8 +249,6 @@ def test_a_limit_is_taken_as_the_refusal_of_another_value_writes_it(name, value,
     assert name in said
 
 
-# ---- what is taken ------------------------------------------------------------------------------
-
 EVERY_FIELD = Scenario(
     n_robots=3,
     graph={"kind": "edges", "edges": [(0, 1, 2.0), (1, 2)], "weight_range": [0.5, 2.0]},
@@ -288,9 +281,6 @@ def test_numpy_numbers_become_pythons_own_in_every_field(expected, tmp_path):
     assert not any(isinstance(value, np.generic) for value in kept)
     assert made.require_connected is True
     assert type(Scenario(merge_radius=np.float32(0.5)).merge_radius) is float
-
-
-# ---- files and names ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
