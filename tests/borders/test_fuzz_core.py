@@ -33,7 +33,6 @@ from rendezvous_env import Scenario, Simulator, TimeStepWarning, vector
 from rendezvous_env.engine.memory import RUNNING
 from rendezvous_env.scenario.start_options import OPTIONS
 
-
 FILE = Path(tempfile.mkdtemp()) / "any.toml"
 
 
