@@ -112,6 +112,7 @@ _DRIVE = """    drive = DifferentialDrive()
 """
 _TEAM = '''
 
+# ---- the team ---------------------------------------------------------------------------------
 
 TEAM = SimpleNamespace(
     n_robots=1,  # that are steered from here; the numbers below are those of the whole team
