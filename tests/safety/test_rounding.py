@@ -77,6 +77,10 @@ SMALLER = "the world or errors smaller"
         # 2⁻⁵⁹ of 5 m
         (Scenario(graph=graphs.complete(1e-3), time_step=1e-2), {"min_alignment": 1e-6}, TAKEN,
          {"min_alignment": 1e-2}),
+        # a thousand times slower than a* in a step that is a thousand times too long for the hub
+        (Scenario(n_robots=3, graph=[[0, 1e3, 1], [1e3, 0, 1], [1, 1, 0]], time_step=0.1,
+                  start_positions=1e8 + ring(3), **FIXED),
+         {"min_alignment": 0.1}, TAKEN, {"graph": "complete"}),
         # a tank has carried them where law (4) moves them by 1e-7 m, nearly across f
         (PAIR.replace(graph=graphs.complete(1e-9)),
          {"by": "tank", "budget": 1e9, "min_alignment": 1e-6}, TAKEN,

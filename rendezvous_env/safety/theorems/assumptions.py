@@ -254,7 +254,7 @@ def rows_for_all(scenario: Scenario, asked: Asked) -> str:
 
 
 def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> str:
-    """A step at the least speed that is promised, τ a* λ ε or τ c, moves robots by 2⁻⁴⁰ of their
+    """A step at the least speed that is promised, τ s a* λ ε or τ c, moves robots by 2⁻⁴⁰ of their
     largest coordinate or more, and brings them nearer, by ε times that, by k 2⁻⁴⁷ or more. Under
     headings and tanks k = a* max_m m/c_m, as Σ‖f_i‖² ≥ 2a* Σ‖f_i‖/k, else 2: so rounding takes a
     2⁻⁵ of what is promised at most. Where the heaviest links may be out of sight, the lightest
@@ -276,7 +276,10 @@ def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> s
         apart += (most if each is None else each) / (2.0 * speed)
     if asked.by == "gains":
         speed = gain_range(scenario, asked.min_gain, asked.max_gain)[0]
-    speed = min(speed, scenario.speed_limit, scenario.merge_radius / (2.0 * scenario.tau))
+    unhurried = scenario.merge_radius / (2.0 * scenario.tau)
+    if asked.by in ("law", "heading", "tank"):  # who sees most goes slowest (theory 4)
+        speed *= unhurried / max(unhurried, scenario.max_degree)
+    speed = min(speed, scenario.speed_limit, unhurried)
     moved = scenario.tau * speed * asked.min_alignment
     robots = 2.0
     if asked.by in ("heading", "tank"):
