@@ -15,8 +15,11 @@ from ..settings import is_complete
 from . import constants as known
 from .theorem import ROUNDED, Asked, Assumption
 
-_LEAST_MOVE, _LEAST_FAR_OUT, _LEAST_GAIN = 2.0**-40, 2.0**-46, 2.0**-52
-"""Of the largest coordinate: float64 rounds positions by up to 2⁻⁵³ of it."""
+_LEAST_MOVE, _LEAST_GAIN = 2.0**-40, 2.0**-47
+_FAR_OUT_MOVE, _FAR_OUT_GAIN = 2.0**-46, 2.0**-51
+_ROUNDED_OFF = 2.0**-52
+"""Of the largest coordinate: float64 rounds a position by less, by up to 2⁻⁵³ each way."""
+_PAID = 2.0**-6  # of r W: so much rounding may pay in an episode
 _WHY_NOT = {
     known.DIRECTED: "V counts links both ways, and here a robot need not be seen by whom it sees",
     known.SWITCHING: (
@@ -94,10 +97,8 @@ def velocity_inputs(scenario: Scenario, asked: Asked) -> str:
     if model.bounded or model.theorem is None:
         return known_bodies(scenario, asked)
     if asked.by == "tank":
-        return (
-            f"none: no time by which {model.name} robots meet under a tank is proven; "
-            "theorem D still keeps V bounded"
-        )
+        no_time = f"none: no time by which {model.name} robots meet under a tank is proven"
+        return no_time + _even_so(scenario, asked, "; theorem D still keeps V bounded")
     return (
         f"none: theorems G and R are for robots whose action is their velocity, and that of "
         f"{model.name} robots is {model.action}"
@@ -133,7 +134,7 @@ def nothing_in_the_way(scenario: Scenario, asked: Asked) -> str:
         "gains": "; nothing is proven of gains beside them",
     }
     held_back = "none: obstacles can hold a robot back for ever (theory 6)"
-    return held_back + rest.get(asked.by, "")
+    return held_back + _even_so(scenario, asked, rest.get(asked.by, ""))
 
 
 def departs_in(scenario: Scenario, *names: str) -> bool:
@@ -207,6 +208,7 @@ def exact_bearings(scenario: Scenario, asked: Asked) -> str:
         return ""
     if not scenario.model.bounded:
         stays = "; V still never rises between merges" * (asked.by == "heading")
+        stays = _even_so(scenario, asked, stays)
         return f"none: theorems T, 3 and 4 are for exact bearings{stays}"
     return (
         f"none: bearings may err by {asked.error:.4g} rad, and this theorem is for exact ones: "
@@ -252,13 +254,15 @@ def rows_for_all(scenario: Scenario, asked: Asked) -> str:
 
 
 def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> str:
-    """A step at the least speed that is promised, τ a* λ ε or τ c, moves robots by 2⁻⁴⁰ of their
-    largest coordinate or more, and brings them nearer, by ε times that, by 2⁻⁵² or more. Where the
-    heaviest links may be out of sight, the lightest takes the place of a*. Tanks may carry robots
-    as far apart as V allows, V ≥ 2a* of it, or where levels follow V, 2(m−1)a*; headings at a
-    margin lead a team aside by its size over ε before it has met, and links, which moves Δ shorten
-    by ‖Δ‖²/r, by √(r/‖Δ‖) of it; there 2⁻⁴⁶ will do. Where errors leave ``spare``, a
-    number, rad, of what is tolerated, robots come nearer by that share of a step, and two are led
+    """A step at the least speed that is promised, τ s a* λ ε or τ c, moves robots by 2⁻⁴⁰ of their
+    largest coordinate or more, and brings them nearer, by ε times that, by k 2⁻⁴⁷ or more. Under
+    headings and tanks k = a* max_m m/c_m, as Σ‖f_i‖² ≥ 2a* Σ‖f_i‖/k, else 2: so rounding takes a
+    2⁻⁵ of what is promised at most. Where the heaviest links may be out of sight, the lightest
+    takes the place of a*. Tanks may carry robots as far apart as V allows, V ≥ 2a* of it, or where
+    levels follow V, 2(m−1)a*; headings at a margin lead a team aside by its size over ε before it
+    has met, and links, which moves Δ shorten by ‖Δ‖²/r, by √(r/‖Δ‖) of it. There 2⁻⁴⁶ will do, and
+    k 2⁻⁵¹ but for tanks: teams led aside gain twice what is promised. Where errors leave ``spare``,
+    a number, rad, of what is tolerated, robots come nearer by that share of a step, and two are led
     aside by 1/it.
     """
     starts, margin = scenario.start_positions, min(asked.min_alignment, spare)
@@ -272,10 +276,18 @@ def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> s
         apart += (most if each is None else each) / (2.0 * speed)
     if asked.by == "gains":
         speed = gain_range(scenario, asked.min_gain, asked.max_gain)[0]
-    speed = min(speed, scenario.speed_limit, scenario.merge_radius / (2.0 * scenario.tau))
+    unhurried = scenario.merge_radius / (2.0 * scenario.tau)
+    if asked.by in ("law", "heading", "tank"):  # who sees most goes slowest (theory 4)
+        speed *= unhurried / max(unhurried, scenario.max_degree)
+    speed = min(speed, scenario.speed_limit, unhurried)
     moved = scenario.tau * speed * asked.min_alignment
-    needed, rate = (max(least, _LEAST_GAIN / margin) for least in (_LEAST_MOVE, _LEAST_FAR_OUT))
-    needed, far = needed * largest, largest + apart / straight
+    robots = 2.0
+    if asked.by in ("heading", "tank"):
+        alike = known.robots_left(scenario) / known.least_degrees(scenario)
+        robots = scenario.bottleneck_weight * float(alike.max())
+    needed = max(_LEAST_MOVE, robots * _LEAST_GAIN / margin) * largest
+    gained = _LEAST_GAIN if asked.by == "tank" else _FAR_OUT_GAIN
+    rate, far = max(_FAR_OUT_MOVE, robots * gained / margin), largest + apart / straight
     if asked.by == "links":  # where moved = rate * far
         moved *= asked.share
         far = (apart / straight) ** (2.0 / 3.0) * (scenario.merge_radius / rate) ** (1.0 / 3.0)
@@ -294,6 +306,32 @@ def errors_outlasted(scenario: Scenario, asked: Asked, tolerated: float) -> str:
     """As ``outlasts_rounding``, where errors are hardly less than is tolerated, a number, rad."""
     spare = tolerated - asked.error
     return outlasts_rounding(scenario, asked, spare) if asked.error and spare > ROUNDED else ""
+
+
+def rounding_pays_little(scenario: Scenario, asked: Asked) -> str:
+    """Tanks of robots that turn owe nothing (no term ε²), so that they are paid for moves that
+    rounding swallows, all together 4 W 2⁻⁵² of the largest coordinate in a step: in all steps of an
+    episode 2⁻⁶ r W at most.
+    """
+    if scenario.model.bounded:
+        return ""
+    starts, steps = scenario.start_positions, scenario.max_steps
+    largest = scenario.spawn_size / 2.0 if starts is None else float(np.abs(starts).max())
+    largest += steps * scenario.tau * scenario.speed_limit
+    if 4.0 * steps * _ROUNDED_OFF * largest <= _PAID * scenario.merge_radius:
+        return ""
+    return (
+        f"none: in {steps} steps rounding may pay for too many moves that it swallows, at "
+        f"coordinates of up to {largest:.4g} m: make time_limit shorter or the world smaller"
+    )
+
+
+def _even_so(scenario: Scenario, asked: Asked, words: str) -> str:
+    """Words about V under headings or a tank, unless rounding makes V rise, or pays for it."""
+    if asked.by not in ("heading", "tank"):
+        return words
+    pays = rounding_pays_little(scenario, asked) if asked.by == "tank" else ""
+    return "" if pays or outlasts_rounding(scenario, asked) else words
 
 
 IN_STEPS = (rows_for_all, outlasts_rounding)
