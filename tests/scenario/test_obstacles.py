@@ -198,5 +198,5 @@ def test_given_at_a_reset():
         started(scenario.replace(obstacles=[disc]), obstacles=[moved])
     square = Polygon(((0, 0), (1, 0), (1, 1), (0, 1)))
     started(Scenario(n_robots=2, obstacles=[square], spawn_size=20.0), obstacles=[square])
-    with pytest.raises(ValueError, match="capsule"):
+    with pytest.raises(ValueError, match=r"obstacles\[0\] is Capsule"):
         started(Scenario(n_robots=2, dim=3, obstacles=[Sphere((0.0,) * 3, 1.0)]), obstacles=[TRUNK])
