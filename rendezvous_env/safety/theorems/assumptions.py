@@ -281,13 +281,13 @@ def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> s
         speed *= unhurried / max(unhurried, scenario.max_degree)
     speed = min(speed, scenario.speed_limit, unhurried)
     moved = scenario.tau * speed * asked.min_alignment
-    robots = 2.0
+    k = 2.0
     if asked.by in ("heading", "tank"):
-        alike = known.robots_left(scenario) / known.least_degrees(scenario)
-        robots = scenario.bottleneck_weight * float(alike.max())
-    needed = max(_LEAST_MOVE, robots * _LEAST_GAIN / margin) * largest
+        slowness = known.robots_left(scenario) / known.least_degrees(scenario)
+        k = scenario.bottleneck_weight * float(slowness.max())
+    needed = max(_LEAST_MOVE, k * _LEAST_GAIN / margin) * largest
     gained = _LEAST_GAIN if asked.by == "tank" else _FAR_OUT_GAIN
-    rate, far = max(_FAR_OUT_MOVE, robots * gained / margin), largest + apart / straight
+    rate, far = max(_FAR_OUT_MOVE, k * gained / margin), largest + apart / straight
     if asked.by == "links":  # where moved = rate * far
         moved *= asked.share
         far = (apart / straight) ** (2.0 / 3.0) * (scenario.merge_radius / rate) ** (1.0 / 3.0)
