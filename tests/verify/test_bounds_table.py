@@ -1,7 +1,5 @@
 """``rendezvous reproduce bounds``: certified times over those that teams take, in docs."""
 
-import math
-
 import pytest
 from conftest import ROOT
 
@@ -10,7 +8,7 @@ from train.cli import main
 from train.figures import bounds
 from train.results import read_csv
 
-FEW = (bounds.Row("law", "complete-3", 6.0), bounds.Row("tank", "complete-3", math.inf))
+FEW = (("law", "complete-3"), ("tank", "complete-3"))
 
 
 @pytest.fixture(scope="module")
@@ -19,11 +17,10 @@ def rows():
 
 
 def test_teams_meet_within_their_own_bounds(rows):
-    for row, asked in zip(rows, FEW, strict=True):
+    for row in rows:
         assert set(row) == set(bounds.COLUMNS)
         assert 0 < row["median"] <= row["longest"] < row["own_bound"] < row["bound"]
         assert row["ratio"] == row["own_bound"] / row["median"] > 1
-        assert row["ratio_before"] == asked.before / row["median"]
     law = rv.certificate(rv.Scenario(n_robots=3))
     assert rows[0]["bound"] == law.time_bound
 
@@ -35,7 +32,7 @@ def test_the_command_writes_the_table_and_the_page(rows, tmp_path, monkeypatch, 
     flags = ["reproduce", "bounds", "--episodes", "6", "--out", str(tmp_path), "--page", str(page)]
     assert main(flags) == 0
     assert page.read_text().split("\n") == ["# A", "", *table, "", "after"]
-    assert table[3] in capsys.readouterr().out and table[3].endswith(" none |")
+    assert table[3] in capsys.readouterr().out
     assert [row["by"] for row in read_csv(tmp_path / "bounds.csv")] == ["law", "tank"]
     page.write_text("no table")
     assert main(flags) == 2 and page.read_text() == "no table"
@@ -47,9 +44,9 @@ def test_the_page_shows_the_bounds_of_today():
     lines = (ROOT / "docs/guarantees.md").read_text(encoding="utf-8").split("\n")
     first = lines.index(head)
     assert lines[first + 1] == rule
-    for row, line in zip(bounds.ROWS, lines[first + 2 :], strict=False):
-        margin = 0.1 if row.by in ("heading", "tank") else 1.0
-        found = rv.certificate(bounds.scenario_of(row.graph), margin, by=row.by)
-        _, by, team, _, _, bound, *_ = (cell.strip() for cell in line.split("|"))
-        assert by.startswith(row.by) and team == row.graph
+    for (by, graph), line in zip(bounds.ROWS, lines[first + 2 :], strict=False):
+        margin = 0.1 if by in ("heading", "tank") else 1.0
+        found = rv.certificate(bounds.scenario_of(graph), margin, by=by)
+        _, kept_by, team, _, _, bound, *_ = (cell.strip() for cell in line.split("|"))
+        assert kept_by.startswith(by) and team == graph
         assert float(bound.replace(",", "")) == pytest.approx(found.time_bound, rel=0.005)

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Config", "Job", "Played", "plan", "play_job", "run", "summary"]
 
-
 Row = dict[str, Any]
 Picture = tuple[str, Callable[[], "Figure"]]
 """The name of a figure, and what draws it."""
