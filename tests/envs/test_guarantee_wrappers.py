@@ -1,4 +1,4 @@
-"""All guarantee wrappers alike: API suites, spaces, one API as the other, periods, refusals."""
+"""All guarantee wrappers alike: spaces, one API as the other, periods, refusals."""
 
 import copy
 import itertools

@@ -1,4 +1,4 @@
-"""The PettingZoo environment: API suites, whole-episode determinism, what a step returns."""
+"""The PettingZoo environment: whole-episode determinism, what a step returns."""
 
 import hashlib
 import pickle
