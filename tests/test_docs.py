@@ -13,6 +13,7 @@ from conftest import ROOT
 
 import rendezvous_env as rv
 from baselines import policy
+from rendezvous_env.rewards.custom_terms import TERMS
 from train import tasks
 from train.cli import COMMANDS
 from train.results import FORMAT_VERSION
@@ -104,9 +105,9 @@ def test_every_command_shown_is_understood(page, monkeypatch):
     assert seen
 
 
-def test_every_toml_block_is_a_scenario(tmp_path):
+def test_every_toml_block_is_a_scenario(tmp_path, monkeypatch):
     """Of a file that has been imported before is the term of rewards.md."""
-    rv.reward_term("effort", lambda step: -step.time)
+    monkeypatch.setitem(TERMS, "effort", lambda step: -step.time)
     file, found = tmp_path / "shown.toml", {}
     for page in PAGES:
         for block in blocks(page, "toml"):
