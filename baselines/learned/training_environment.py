@@ -12,6 +12,7 @@ from rendezvous_env.checks import number, refuse, whole
 from rendezvous_env.engine.batch_runner import Pilot
 from rendezvous_env.engine.state_checks import check_keys
 from rendezvous_env.envs.spaces import team_box
+from rendezvous_env.envs.training import charge_first_touches
 from rendezvous_env.envs.vector_env import Info, RendezvousVectorEnv
 from rendezvous_env.envs.vector_wrappers import GuaranteeWrapper
 from rendezvous_env.limits import MOST_HELD_STEPS
@@ -89,10 +90,9 @@ class FeatureVectorEnv(GuaranteeWrapper):
     def _drive(self) -> tuple[NDArray[np.float32] | None, Any, Any, Any, Info]:
         """As ``GuaranteeWrapper._drive``, with first contacts paid for."""
         shown, rewards, ends, cuts, infos = super()._drive()
-        first = infos["contact"] & ~self._touched
-        self._touched |= first
-        infos["robot_rewards"] -= self.touch_penalty * first
-        return shown, rewards - self.touch_penalty * first.mean(axis=1), ends, cuts, infos
+        contact, price = infos["contact"], self.touch_penalty
+        rewards = charge_first_touches(price, contact, self._touched, rewards, infos)
+        return shown, rewards, ends, cuts, infos
 
     def _take(self, actions: ArrayLike) -> None:
         (self.guided.choose if self.discrete else self.guided.head)(actions)

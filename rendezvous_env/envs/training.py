@@ -219,12 +219,8 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         seen, rewards, ends, cuts, infos = self.env.step(actions)  # type: ignore[arg-type]
         over = ends | cuts
         contact = at_the_end(infos, over, "contact")
-        first = contact & ~self._touched
-        self._touched |= contact
+        rewards = charge_first_touches(self.touch_penalty, contact, self._touched, rewards, infos)
         self._touched[over] = False
-        if first.any():
-            infos["robot_rewards"] -= self.touch_penalty * first
-            rewards = rewards - self.touch_penalty * first.mean(axis=1)
         if "final_info" in infos:
             infos["final_info"]["robot_rewards"] = infos["robot_rewards"].copy()
             leave_out_summary(infos["final_info"])
@@ -245,3 +241,21 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         touched = check_entries({"touched": self._touched}, state)["touched"]
         self.env.set_state(state["env"])
         self._touched[...] = touched
+
+
+def charge_first_touches(
+    price: float,
+    contact: NDArray[np.bool_],
+    touched: NDArray[np.bool_],
+    rewards: NDArray[Any],
+    infos: Info,
+) -> NDArray[Any]:
+    """Take the price of each robot's first touch of its episode from ``robot_rewards``, and note
+    who has ``touched``, (B, n); returns the rewards of teams, (B,), less the mean of that.
+    """
+    first = contact & ~touched
+    if not first.any():
+        return rewards
+    touched |= first
+    infos["robot_rewards"] -= price * first
+    return rewards - price * first.mean(axis=1)

@@ -253,6 +253,12 @@ def rows_for_all(scenario: Scenario, asked: Asked) -> str:
     )
 
 
+def _largest_coordinate(scenario: Scenario) -> float:
+    """Of a start, m."""
+    starts = scenario.start_positions
+    return scenario.spawn_size / 2.0 if starts is None else float(np.abs(starts).max())
+
+
 def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> str:
     """A step at the least speed that is promised, τ s a* λ ε or τ c, moves robots by 2⁻⁴⁰ of their
     largest coordinate or more, and brings them nearer, by ε times that, by k 2⁻⁴⁷ or more. Under
@@ -267,7 +273,7 @@ def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> s
     """
     starts, margin = scenario.start_positions, min(asked.min_alignment, spare)
     straight = margin if scenario.n_robots == 2 else asked.min_alignment
-    largest = scenario.spawn_size / 2.0 if starts is None else float(np.abs(starts).max())
+    largest = _largest_coordinate(scenario)
     apart = scenario.spawn_size if starts is None else float(np.ptp(starts, axis=0).max())
     unseen = nearest_hides(scenario) or (asked.by == "links" and scenario.sensing.range is not None)
     speed = known.lightest_link(scenario) if unseen else scenario.bottleneck_weight
@@ -315,9 +321,8 @@ def rounding_pays_little(scenario: Scenario, asked: Asked) -> str:
     """
     if scenario.model.bounded:
         return ""
-    starts, steps = scenario.start_positions, scenario.max_steps
-    largest = scenario.spawn_size / 2.0 if starts is None else float(np.abs(starts).max())
-    largest += steps * scenario.tau * scenario.speed_limit
+    steps = scenario.max_steps
+    largest = _largest_coordinate(scenario) + steps * scenario.tau * scenario.speed_limit
     if 4.0 * steps * _ROUNDED_OFF * largest <= _PAID * scenario.merge_radius:
         return ""
     return (
