@@ -44,7 +44,7 @@ class StateView:
     @property
     def positions(self) -> NDArray[np.float64]:
         """p_i, (B, n, d), m; a merged-away robot is where the robot is that it became part of."""
-        places, into = self._state.of_teams("positions"), self._state.teams.merged_into
+        places, into = self._state.of_teams("positions"), self._state.merged_into
         return np.take_along_axis(places, into[..., None], axis=1)
 
     @property
@@ -81,12 +81,12 @@ class StateView:
     @property
     def merged_into(self) -> NDArray[np.int64]:
         """(B, n), index of the robot that each one is now part of; its own while it is active."""
-        return self._state.teams.merged_into.copy()
+        return self._state.merged_into.copy()
 
     @property
     def active(self) -> NDArray[np.bool_]:
         """(B, n), whether the robot still exists on its own."""
-        return self._state.teams.merged_into == np.arange(self.scenario.n_robots)
+        return self._state.merged_into == np.arange(self.scenario.n_robots)
 
     @property
     def ended(self) -> NDArray[np.bool_]:

@@ -1,21 +1,21 @@
 """The compiled step, run over the blocks of a batch by several threads."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
+from operator import call
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import entry_point
 from ..outcome import SCORES, StepOutput
-from ..physics.random_streams import ignore_overflow
 from . import threads
 from .memory import RUNNING
 from .memory_layout import scratch
 from .pace import Pace
-from .preparation import constants, layout, robot, sensor
-from .stages.step import step_blocks
+from .preparation import constants, robot, sensor
+from .stages.step import StepStages
 from .state import State
 from .threads import Calls, Part
 
@@ -89,26 +89,25 @@ class BatchRunner:
 
     def __init__(self, state: State, num_threads: int | None, max_steps: int) -> None:
         place, n = state.place, state.place.scenario.n_robots
-        self._state, self._parts, self._num_threads = state, state.parts(), num_threads
+        self._state, self._num_threads = state, num_threads
         rows = 1 + place.neighbours + _OBSTACLES * (place.rows - place.neighbours)
         rows *= 1 if place.scenario.sensing.exact else _ERRING
         self._work_of_step = place.batch * n * rows
         self._pace = self._pace_of(1)
         self._paces: dict[int, Pace] = {}  # of decisions of so many steps
-        self.layout, self.robot = layout(place), robot(place.scenario)
+        self.robot = robot(place.scenario)
         self._sensor = sensor(state)
         self._scratch = [scratch(place) for _ in range(self._pace.most)]
-        self.team_scratch = self._scratch[0][1]
-        """Working memory for one team."""
-        self._blocks = np.arange(place.blocks)
+        self.scratch = self._scratch[0]
+        """Working memory, between steps."""
         seen, robots = place.scenario.observation_layout.shape, (place.batch, n)
         self._shapes = (*robots, *seen), (SCORES, place.batch), robots, (place.batch,)
-        self._everybody = np.ones(robots, np.bool_)  # to copy it is quicker than to fill
+        # to copy these is quicker than to fill
+        self._all, self._far = np.ones(robots, np.bool_), np.full(robots, np.inf)
         self._crowded = np.full(place.batch, -1)
         self._last: StepOutput | None = None
         self._may_crowd = place.scenario.observation_layout.neighbour_slots < n - 1
         self._actions = np.zeros((place.batch, n, place.scenario.action_size), np.float32)
-        self._run: Callable[..., Any] | None = None
         self.limit(max_steps)
 
     def _pace_of(self, steps: int) -> Pace:
@@ -124,19 +123,19 @@ class BatchRunner:
     def limit(self, max_steps: int) -> None:
         """Let episodes end after so many steps."""
         found = constants(self._state.scenario, self.robot, max_steps)
-        self._setup = self.layout, found, self.robot
+        self._stages = StepStages(self._state, self.robot, found, self._sensor)
 
     def new_output(self) -> StepOutput:
-        """Room for what a step gives out, fresh but for ``crowded``, in which nobody touches an
-        obstacle and no robot has merged, as in most steps; kernels write what is otherwise.
+        """Arrays for the output of a step, new but for ``crowded``, in which nothing touches an
+        obstacle and no robot has merged, as in most steps; kernels write all else.
         """
         seen, scores, robots, teams = self._shapes
         return StepOutput(
             np.empty(seen, _FLOAT32),
             np.empty(scores),
             np.zeros(robots, _BOOL),
-            np.empty(robots),
-            self._everybody.copy(),
+            self._far.copy(),
+            self._all.copy(),
             np.empty(teams, _INT64),
             np.empty(robots),
             np.empty(teams, _INT64),
@@ -146,12 +145,12 @@ class BatchRunner:
     def step(self, actions: NDArray[np.float32]) -> StepOutput:
         """Advance all teams under actions (B, n, a), checked."""
         output = self.new_output()
-        advance = self._work(True, self._blocks, actions, output)
-        blocks = len(self._blocks)
-        if (pace := self._pace).most == 1:  # what is left out here a single team would feel
-            advance((0, blocks, 0))()
+        calls_of = self._step_calls(actions, output)
+        blocks = self._state.place.blocks
+        if (pace := self._pace).most == 1:  # what is left out here one environment would notice
+            deque(map(call, calls_of((0, blocks, 0))), 0)
         else:
-            threads.share(lambda part: [advance(part)], blocks, pace.begin(), pace.ahead)
+            threads.share(calls_of, blocks, pace.begin(), pace.ahead)
             pace.end()
         # the next step's arrays come from other memory: where both steps' were free at once, the
         # system would take it back, and clear it anew for every step of large teams
@@ -169,7 +168,7 @@ class BatchRunner:
         """``Simulator.drive``: each thread leads its own teams through all steps; those that are
         resting, (B,), pass the first one by; it is written to.
         """
-        teams, output, actions = self._state.teams, self.new_output(), self._actions
+        state, output, actions = self._state, self.new_output(), self._actions
         earned, robots_earned, touched = output.rewards, output.robot_rewards, output.contact
         if count > 1:
             earned, robots_earned = np.zeros_like(earned), np.zeros_like(robots_earned)
@@ -180,13 +179,13 @@ class BatchRunner:
             pace = self._paces[count] = self._pace_of(_PILOTED * count)
         while len(self._scratch) < pace.most:
             self._scratch.append(scratch(self._state.place))
-        advance = self._work(True, self._blocks, actions, output)
+        calls_of_step = self._step_calls(actions, output, always=count > 1)
 
         def step(part: Part, mine: Part, now: _Seen) -> _Steps:
             yield from pilot.act_of(mine, now, actions)
-            yield advance(part)
+            yield from calls_of_step(part)
             if pilot.keeps_ledger:
-                yield from pilot.book_of(mine, output.contact, teams.merged_into, resting)
+                yield from pilot.book_of(mine, output.contact, state.merged_into, resting)
 
         def lead(part: Part, mine: Part) -> None:
             rows, now = slice(*mine[:2]), seen
@@ -210,45 +209,59 @@ class BatchRunner:
             led = step(part, mine, seen) if count == 1 else [partial(lead, part, mine)]
             return [*led, *(show(mine, output.observations) if show is not None else ())]
 
-        threads.share(calls_of, len(self._blocks), pace.begin(), pace.ahead)
+        threads.share(calls_of, state.place.blocks, pace.begin(), pace.ahead)
         pace.end()
         self._last = output
         return Driven(output, earned, robots_earned, touched)
 
     def observe(self) -> StepOutput:
-        """All teams as they are."""
+        """All environments as they are."""
         output = self.new_output()
-        self._observe(self._blocks, output)
+        self._observe(range(self._state.place.blocks), output)
         return output
 
     def observe_again(self, which: NDArray[np.int64], output: StepOutput) -> NDArray[np.int64]:
-        """Write anew what some teams see, and those of their blocks, which see the same: all these
-        teams.
+        """Write anew the observations of some environments, and those of their blocks, which are
+        the same: all these environments.
         """
         lanes, (batch,) = self._state.lanes, self._shapes[3]
         blocks = np.unique(which // lanes)
-        self._observe(blocks, output)
-        teams = (blocks[:, np.newaxis] * lanes + np.arange(lanes)).reshape(-1)
-        return teams[teams < batch]
+        self._observe(blocks.tolist(), output)
+        rewritten = (blocks[:, np.newaxis] * lanes + np.arange(lanes)).reshape(-1)
+        return rewritten[rewritten < batch]
 
-    def _observe(self, blocks: NDArray[np.int64], output: StepOutput) -> None:
-        self._work(False, blocks, self._actions, output)((0, len(blocks), 0))()
-
-    def _work(
-        self,
-        moves: bool,
-        blocks: NDArray[np.int64],
-        actions: NDArray[np.float32],
-        output: StepOutput,
-    ) -> Callable[[Part], Callable[[], Any]]:
-        """What steps or observes a part of some blocks; compiled here, which may be interrupted."""
+    def _observe(self, blocks: Iterable[int], output: StepOutput) -> None:
         if self._may_crowd:
             output.crowded.fill(-1)
-        written, scratch = tuple(output), self._scratch
-        fixed = moves, blocks, self._setup, self._sensor, self._parts
-        if (run := self._run) is None:
-            # of actions that may be written to, as those of callers need not be
-            arguments = (0, 0, 0), *fixed, np.empty_like(actions), written, scratch[0]
-            run = self._run = ignore_overflow(entry_point(step_blocks, arguments))
+        calls = [
+            one
+            for block in blocks
+            for one in self._stages.calls(block, block + 1, None, output, self.scratch)
+        ]
+        deque(map(call, [*calls, self._state.settle]), 0)
 
-        return lambda part: partial(run, part, *fixed, actions, written, scratch[part[2]])
+    def _step_calls(
+        self, actions: NDArray[np.float32], output: StepOutput, *, always: bool = False
+    ) -> Callable[[Part], list[Callable[[], Any]]]:
+        """The calls that advance the blocks of a part, whose stages are compiled before any is
+        called: an interrupt while they are changes nothing. Contacts and merges are first compiled
+        when something can meet, or ``always``.
+        """
+        if self._may_crowd:
+            output.crowded.fill(-1)
+        stages, scratch, group = self._stages, self._scratch, self._state.place.group
+        stages.collides = stages.collides or always or stages.can_collide()
+
+        def calls_of(part: Part) -> list[Callable[[], Any]]:
+            first, last, thread = part
+            if last - first <= group:
+                return stages.calls(first, last, actions, output, scratch[thread])
+            return [
+                one
+                for start in range(first, last, group)
+                for one in stages.calls(
+                    start, min(start + group, last), actions, output, scratch[thread]
+                )
+            ]
+
+        return calls_of

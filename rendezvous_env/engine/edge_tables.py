@@ -9,35 +9,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..graphs.edges import Changes, DenseEdges, DirectedEdges, EdgeList, Links
+from ..graphs.edges import ARCS, DENSE, LISTED, Changes, Links
 from ..graphs.proximity import ProximityGraph
 from ..scenario.scenario import Scenario
-from .memory_layout import MemoryLayout
+from .memory_layout import MemoryLayout, aligned
 
 LinkList = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
 """Links of a team: robots (E,), (E,), weights (E,), m/s; of arcs who sees, and who is seen."""
 
 
-def empty_links(
-    place: MemoryLayout, seeds: NDArray[np.uint64], episodes: NDArray[np.int64]
-) -> Links:
-    """Links that no reset has touched yet: those of all pairs weigh 0, a list has none. Seeds and
-    episodes, (B,), are those from which arcs that change are drawn.
-    """
-    n, size = place.scenario.n_robots, (place.batch, place.n_links)
+def empty_links(place: MemoryLayout) -> Links:
+    """Links that no reset has set yet: those of all pairs weigh 0, a list has none."""
+    n, batch = place.scenario.n_robots, place.batch
     if place.one_way:
-        changes = _changes_of(place.scenario, seeds, episodes)
-        return DirectedEdges(np.zeros((place.batch, n, n)), changes)
+        none = np.zeros((1, 0), np.int64)
+        return Links(ARCS, none, none, np.zeros((batch, n * n, 1)))
     if place.sparse:
-        return EdgeList(np.zeros(size, np.int64), np.zeros(size, np.int64), np.zeros(size))
-    first, second = (pairs.astype(np.int64) for pairs in np.triu_indices(n, 1))
-    return DenseEdges(first, second, np.zeros((place.blocks, place.n_links, place.lanes)))
+        ends = (np.zeros((batch, place.n_links), np.int64) for _ in range(2))
+        return Links(LISTED, *ends, np.zeros((batch, place.n_links, 1)))
+    first, second = (pairs.astype(np.int64)[None] for pairs in np.triu_indices(n, 1))
+    return Links(DENSE, first, second, aligned(place.blocks, place.n_links, place.lanes))
 
 
-def _changes_of(
-    scenario: Scenario, seeds: NDArray[np.uint64], episodes: NDArray[np.int64]
-) -> Changes | None:
-    """How the arcs of a scenario follow the moment; None where only merges change them."""
+def changes_of(scenario: Scenario) -> Changes | None:
+    """How the arcs of a scenario change with time; None where only merges change them."""
     graph, sensing, n = scenario.sensing_graph, scenario.sensing, scenario.n_robots
     if not graph.changes:
         return None
@@ -49,36 +44,45 @@ def _changes_of(
         dwell=float(getattr(graph, "dwell", math.inf)),
         at_random=getattr(graph, "order", "cyclic") == "random",
         by_sight=isinstance(graph, ProximityGraph),
-        reach=math.inf if sensing.range is None else sensing.range,
+        reach=math.inf if sensing.range is None else float(sensing.range),
         half_field=0.5 * sensing.field_of_view,
-        seeds=seeds,
-        episodes=episodes,
     )
+
+
+def state_arrays(links: Links, n: int) -> dict[str, NDArray[Any]]:
+    """The arrays of links that belong to the state, as ``State`` names and shapes them."""
+    if links.form == DENSE:
+        return {"weights": links.weights}
+    if links.form == ARCS:
+        return {"weights": links.weights.reshape(-1, n, n)}
+    return {"first": links.first, "second": links.second, "weights": links.weights[..., 0]}
 
 
 def matrices(links: Links, batch: int, n: int) -> NDArray[np.float64]:
     """a_ij, (B, n, n), m/s."""
-    if isinstance(links, DirectedEdges):
-        return links.weights.copy()
+    if links.form == ARCS:
+        return links.weights.reshape(batch, n, n).copy()
     weights = np.zeros((batch, n, n))
-    if isinstance(links, EdgeList):
-        team, e = np.nonzero(links.weights > 0)
-        first, second = links.first[team, e], links.second[team, e]
-        weights[team, first, second] = weights[team, second, first] = links.weights[team, e]
+    if links.form == LISTED:
+        kept = links.weights[..., 0]
+        b, e = np.nonzero(kept > 0)
+        first, second = links.first[b, e], links.second[b, e]
+        weights[b, first, second] = weights[b, second, first] = kept[b, e]
     else:
         pairs = np.moveaxis(links.weights, -1, 1).reshape(-1, links.weights.shape[1])[:batch]
-        weights[:, links.first, links.second] = pairs
-        weights[:, links.second, links.first] = pairs
+        weights[:, links.first[0], links.second[0]] = pairs
+        weights[:, links.second[0], links.first[0]] = pairs
     return weights
 
 
 def as_kept(links: Links, listed: Iterable[LinkList], n: int) -> dict[str, NDArray[Any]]:
-    """Lists of links, at most as many as there is room for, in the form in which links of this kind
-    are kept; each array with an axis for the lists.
+    """Lists of links, at most as many as there is room for, in the form of ``state_arrays``; each
+    array with an axis for the lists.
     """
     listed = list(listed)
-    if isinstance(links, EdgeList):
-        kept = {k: np.zeros((len(listed), a.shape[1]), a.dtype) for k, a in links._asdict().items()}
+    if links.form == LISTED:
+        names = zip(("first", "second", "weights"), (np.int64, np.int64, np.float64), strict=True)
+        kept = {k: np.zeros((len(listed), links.first.shape[1]), kind) for k, kind in names}
         for k, one in enumerate(listed):
             for array, values in zip(kept.values(), one, strict=True):
                 array[k, : len(values)] = values
@@ -86,6 +90,6 @@ def as_kept(links: Links, listed: Iterable[LinkList], n: int) -> dict[str, NDArr
     weights = np.zeros((len(listed), n, n))
     for matrix, (first, second, weight) in zip(weights, listed, strict=True):
         matrix[first, second] = weight
-    if isinstance(links, DirectedEdges):
+    if links.form == ARCS:
         return {"weights": weights}
-    return {"weights": weights[:, links.first, links.second]}
+    return {"weights": weights[:, links.first[0], links.second[0]]}

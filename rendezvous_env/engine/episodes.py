@@ -8,27 +8,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import entry_point
+from ..graphs.edges import ARCS
 from ..graphs.random_graphs import CustomFamily
 from ..obstacles.obstacle_set import world_of
 from ..physics.random_streams import ignore_overflow
 from ..scenario.start_options import StartOptions
+from . import reset
 from .edge_tables import as_kept
-from .memory import AWAITING_RESET, RUNNING, Layout, Robot
-from .preparation import fixed_links, fixed_obstacles, start_rules
-from .reset import TOO_MANY_LINKS, StartRules, reset_teams
+from .memory import AWAITING_RESET, RUNNING, Robot
+from .memory_layout import Scratch
+from .preparation import StartRules, fixed_links, fixed_obstacles, start_rules
+from .stages.sense_neighbours import update_links
 from .state import State
 
 
 class Episodes:
-    """The beginning of the episodes of B teams; ``scratch`` is working memory for one team."""
+    """The beginning of the episodes of B environments."""
 
-    def __init__(self, state: State, layout: Layout, robot: Robot, scratch: Any) -> None:
-        self._state, self._layout, self._robot, self._scratch = state, layout, robot, scratch
-        self._rules = start_rules(state.scenario)
+    def __init__(self, state: State, robot: Robot, duration: float, scratch: Scratch) -> None:
+        self._state, self._robot, self._scratch = state, robot, scratch
+        self._duration, self._rules = duration, start_rules(state.scenario)
         links, n = fixed_links(state.scenario), state.scenario.n_robots
         self._links = None if links is None else as_kept(state.links, [links], n)
         self._obstacles = fixed_obstacles(state.scenario)
-        self._reset: Callable[..., Any] | None = None
+        self._entries: dict[Any, Callable[..., Any]] = {}
 
     def begin(
         self,
@@ -37,38 +40,101 @@ class Episodes:
         given: StartOptions,
         resting: bool,
     ) -> None:
-        """Begin a new episode in these teams, (count,); seeds, of all teams, and resting as
-        ``Simulator.reset`` has them. What it raises leaves everything as it was.
+        """Begin a new episode in these environments, (count,); seeds, of all of them, and resting
+        as ``Simulator.reset`` has them. What it raises leaves everything as it was.
         """
         self._check_room_for_links(given)
-        if (reset := self._reset) is None:  # compiling may be interrupted: before anything changes
-            arguments = self._arguments(which, resting, self._rules)
-            reset = self._reset = ignore_overflow(entry_point(reset_teams, arguments))
         before = self._state.copy_of(which)
         try:
             self._assign_seeds(which, seeds)
             rules = self._take_given(which, given)
-            failed, why = reset(*self._arguments(which, resting, rules))
-            if failed >= 0:
-                raise RuntimeError(self._no_room(failed, why))
+            self._draw(which, AWAITING_RESET if resting else RUNNING, rules)
         except BaseException:
             self._state.give(which, **before)
             raise
 
-    def _arguments(
-        self, which: NDArray[np.int64], resting: bool, rules: StartRules
-    ) -> tuple[Any, ...]:
-        """What ``reset_teams`` takes."""
-        state, status = self._state, AWAITING_RESET if resting else RUNNING
-        streams, setup = (state.seed, state.number), (self._layout, self._robot)
-        return which, status, rules, streams, setup, state.parts(), self._scratch
+    def _draw(self, which: NDArray[np.int64], status: int, rules: StartRules) -> None:
+        """Draw what is not given, and begin; the order of the module ``reset``."""
+        state, robot, work, lanes = self._state, self._robot, self._scratch, self._state.lanes
+        streams, lists = (state.seed, state.number), (work.listed, work.numbers[0])
+        if rules.graph is not None and rules.draw_weights:
+            given = *streams, rules.graph, state.links, *lists, work.counts
+            failed = self._run(reset.draw_graphs, lanes, which, *given)
+            if failed >= 0:
+                raise RuntimeError(
+                    f"the graph drawn for team {failed} has more links than expected; choose "
+                    "another seed"
+                )
+        pending, trial = which, 0
+        while len(pending) and trial < reset.MAX_TRIALS:
+            pending = self._draw_room(pending, trial, status, rules)
+            trial += 1
+        if len(pending):
+            raise RuntimeError(self._no_room(int(pending[0])))
+        state.lay_out_discs(which)
+        if robot.memories:
+            given = rules.draw_memory, *streams, state.robots
+            self._run(reset.draw_memories, lanes, which, robot, *given)
+        if state.links.form == ARCS:
+            self._begin_arcs(which, rules)
 
-    def _no_room(self, team: int, why: int) -> str:
+    def _draw_room(
+        self, which: NDArray[np.int64], trial: int, status: int, rules: StartRules
+    ) -> NDArray[np.int64]:
+        """Obstacles and positions of environments; those in which some robots are walled in, where
+        the field promises none, are returned, to be drawn again.
+        """
+        state, work, field, lanes = self._state, self._scratch, rules.field, self._state.lanes
+        streams, world, positions = (state.seed, state.number), state.obstacles, work.vectors[0]
+        draws_field = field is not None and rules.draw_obstacles
+        if draws_field:
+            # obstacles keep clear of given positions; positions that are drawn of obstacles
+            n_given = 0 if rules.draw_positions else state.scenario.n_robots
+            given = field, n_given, state.robots, world, positions
+            failed = self._run(reset.draw_fields, lanes, which, trial, *streams, *given)
+            if failed >= 0:
+                raise RuntimeError(self._no_room(failed))
+        draws = rules.draw_positions, rules.draw_frames, rules.reach is not None
+        reach = math.inf if rules.reach is None else rules.reach
+        lengths = rules.spawn_size, rules.least_distance, rules.keep_out, reach
+        given = *streams, state.links, world if world.kinds.shape[1] else None
+        written = state.robots, state.merged_into, state.environments
+        memory = positions, work.listed, work.numbers[0], work.counts
+        arguments = which, trial, status, draws, lengths, *given, *written, *memory
+        failed = self._run(reset.begin_episodes, lanes, *arguments)
+        if failed >= 0:
+            raise RuntimeError(self._no_room(failed))
+        if not draws_field or field.passage == 0.0:
+            return which[:0]
+        walled_in = np.zeros(len(which), np.bool_)
+        given = field.passage, state.robots, world, positions, work.chains, walled_in
+        self._run(reset.check_passages, lanes, which, *given)
+        return which[walled_in]
+
+    def _begin_arcs(self, which: NDArray[np.int64], rules: StartRules) -> None:
+        """Arcs of the moment at which episodes begin, and their V."""
+        state, robot, work = self._state, self._robot, self._scratch
+        if rules.draw_weights and rules.factors is not None:
+            given = *rules.factors, state.seed, state.number, state.scenario.n_robots, state.links
+            self._run(reset.multiply_arcs, which, *given)
+        if state.changes is not None:
+            given = False, self._duration, state.changes, state.seed, state.number, state.robots
+            others = state.merged_into, state.environments, state.links
+            for b in which.tolist():
+                axes = robot.axes, robot.entries
+                self._run(update_links, *axes, b, b + 1, *given, *others)
+        memory = work.vectors[0], work.listed, work.numbers[0]
+        self._run(reset.begin_arcs, which, state.links, state.robots, state.environments, *memory)
+
+    def _run(self, kernel: Any, *arguments: Any) -> Any:
+        """What a kernel gives; it is compiled here if it has not been."""
+        key = kernel, sum(argument is None for argument in arguments)
+        if (entry := self._entries.get(key)) is None:
+            entry = self._entries[key] = ignore_overflow(entry_point(kernel, arguments))
+        return entry(*arguments)
+
+    def _no_room(self, team: int) -> str:
         scenario = self._state.scenario
-        if why == TOO_MANY_LINKS:
-            return (
-                f"the graph drawn for team {team} has more links than expected; choose another seed"
-            )
         if scenario.start_reach < math.inf:
             return (
                 f"no start found for team {team}: {scenario.n_robots} robots in a spawn_size of "
@@ -148,7 +214,7 @@ class Episodes:
         state, scenario = self._state, self._state.scenario
         graph, connected, n = scenario.sensing_graph, scenario.require_connected, scenario.n_robots
         if weights is not None:
-            kept = weights if state.place.one_way else np.triu(weights)
+            kept = weights if state.links.form == ARCS else np.triu(weights)
             lists = [(*np.nonzero(m), m[np.nonzero(m)]) for m in _for_each(kept, which)]
         elif self._links is not None:
             return self._links

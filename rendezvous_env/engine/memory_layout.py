@@ -1,28 +1,30 @@
-"""Memory for B teams of a scenario: how it is laid out, allocated, and how much there is."""
+"""Memory for B environments of a scenario: how it is laid out, allocated, and how much there is."""
 
 import math
 import os
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..obstacles import parsing
 from ..scenario.scenario import Scenario
-from .memory import STATISTICS, BlockScratch, ManyTeams, OneTeam, Tally, Teams, TeamScratch
+from .memory import N_FIELDS, LaneBlock, ScalarBlock
 
 _LINE = 64  # Bytes of a cache line
 _FEWEST_SIDE_BY_SIDE = 5
-"""Teams from which a block of 32 lanes pays; a processor does four of them at once."""
+"""Environments from which a block of 32 lanes pays; a processor does four of them at once."""
 _SPARSE_FROM = 48
-"""Robots from which a list of links is walked faster, one by one, than all pairs in lanes."""
+"""Robots from which a list of links is faster, one by one, than all pairs in lanes."""
 _SPARSE_SHARE = 0.25  # Share of all pairs above which it is not
-Arrays = TypeVar("Arrays", bound=tuple[Any, ...])
+_NEAR_CACHE = 2**18  # Bytes of scratch memory that stay in the cache from stage to stage
+Floats = NDArray[np.float64]
 
 
 class MemoryLayout:
-    """How ``batch`` teams of a scenario lie in memory."""
+    """How ``batch`` environments of a scenario lie in memory."""
 
     def __init__(self, scenario: Scenario, batch: int) -> None:
         self.scenario, self.batch = scenario, batch
@@ -32,57 +34,84 @@ class MemoryLayout:
         few = n >= _SPARSE_FROM and most <= _SPARSE_SHARE * n * (n - 1) / 2
         self.sparse = few and not self.one_way
         alone = self.sparse or self.one_way
-        self.width = OneTeam() if alone or batch < _FEWEST_SIDE_BY_SIDE else ManyTeams()
+        self.width = ScalarBlock() if alone or batch < _FEWEST_SIDE_BY_SIDE else LaneBlock()
         self.lanes = self.width.lanes
         self.blocks = -(-batch // self.lanes)
         self.n_links = most if self.sparse else n * (n - 1) // 2
         self.neighbours = layout.neighbour_slots if alone else n - 1
         self.rows = self.neighbours + layout.rows - layout.neighbour_slots
         self.packed = self.sparse or layout.neighbour_slots != n - 1
-        memory, slots = scenario.model.memory_size(d), layout.obstacle_slots
-        self.sizes = {
-            **{"B": batch, "blocks": self.blocks, "L": self.lanes, "L·d": self.lanes * d},
-            **{"n": n, "a": scenario.action_size, "k": memory, "rows": self.rows},
-            **{"d": d, "d+1": d + 1, "d+3": d + 3, "d²": d * d},
-            **{"M": slots, "2M": 2 * slots, "discs": slots if d == 2 else 0},
-            **{"S": layout.silhouette_points, "E": self.n_links},
-            **{"statistics": len(STATISTICS), "tally": len(Tally._fields)},
-        }
-        """Lengths of the axes that annotations of arrays name."""
+        self.only_discs = parsing.only_balls(scenario.obstacles)
+        self.n_obstacles, self.points = layout.obstacle_slots, layout.silhouette_points
+        self.discs = self.n_obstacles if d == 2 else 0
+        self.fields = d + d * d + scenario.model.memory_size(d)
+        """Numbers of a robot: position, frame, memory."""
+        self.moves = d + 1 + scenario.action_size
+        together = self.lanes * n * (8 * self.moves + 4 * d * self.rows)
+        self.group = min(self.blocks, max(1, _NEAR_CACHE // together))
+        """Blocks that a stage does before the next stage does them."""
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays of robots, environments and discs."""
+        n, lanes = self.scenario.n_robots, self.lanes
+        numbers = n * self.fields + N_FIELDS + 3 * self.discs
+        return 8 * (self.blocks * lanes * numbers + self.batch * n)
 
 
-def _described(
-    kind: type[tuple[Any, ...]], sizes: dict[str, int]
-) -> list[tuple[tuple[int, ...], np.dtype[Any]]]:
-    """Shape and type of each array of a tuple, as the annotations of its class say."""
-    found = []
-    for annotation in kind.__annotations__.values():
-        array, axes = get_args(annotation)
-        (number,) = get_args(get_args(array)[1])
-        shape = tuple(sizes[axis] if axis in sizes else int(axis) for axis in axes.split())
-        found.append((shape, np.dtype(number)))
-    return found
-
-
-def allocate(kind: type[Arrays], sizes: dict[str, int]) -> Arrays:
-    """A tuple of arrays of zeros, see ``MemoryLayout.sizes``.
-
-    Each begins with a cache line, as numpy's seldom do: a vector of eight lanes that lay across two
-    lines would be read and written as two.
+def aligned(*shape: int, kind: Any = np.float64) -> NDArray[Any]:
+    """Zeros that begin with a cache line, as numpy's seldom do: a vector of eight lanes that lay
+    across two lines would be read and written as two.
     """
-    arrays = []
-    for shape, number in _described(kind, sizes):
-        size = math.prod(shape) * number.itemsize
-        memory = np.zeros(size + _LINE, np.uint8)
-        start = -memory.ctypes.data % _LINE
-        arrays.append(memory[start : start + size].view(number).reshape(shape))
-    return kind(*arrays)
+    size = math.prod(shape) * np.dtype(kind).itemsize
+    memory = np.zeros(size + _LINE, np.uint8)
+    start = -memory.ctypes.data % _LINE
+    return memory[start : start + size].view(kind).reshape(shape)
 
 
-def scratch(place: MemoryLayout) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-    """Working memory of one thread: the fields of Scratch as plain tuples."""
-    block, team = (allocate(kind, place.sizes) for kind in (BlockScratch, TeamScratch))
-    return tuple(block), tuple(team)
+class Scratch(NamedTuple):
+    """Working memory of one thread."""
+
+    moves: Floats
+    """(group, n, (d + 1 + a)·L): displacement of each robot and the length of its path, m; and its
+    action."""
+    rows: NDArray[np.float32]
+    """(group, n, rows, L·d), observations, those of neighbours first; the d numbers of a lane side
+    by side."""
+    pair: Floats  # ((d + 3)·L,), of ``sense_pairs``
+    disc: Floats  # (6·L,), of ``sense_discs``
+    keys: NDArray[np.uint64]  # (2, L), of ``apply_noise``
+    words: NDArray[np.uint32]  # (3, 4, L), likewise
+    vectors: Floats  # (3, n, d), of one environment, as all that follow
+    numbers: Floats  # (4, max(n, E, 4))
+    listed: NDArray[np.int64]  # (2, max(n, E)), its links
+    counts: NDArray[np.int64]  # (n,)
+    flags: NDArray[np.bool_]  # (n,)
+    normals: Floats  # (2M, 3), of the obstacles in contact
+    silhouette: Floats  # (S, d), of one obstacle
+    chains: NDArray[np.int64]  # (M, 2), of ``reachability``
+
+
+def scratch(place: MemoryLayout) -> Scratch:
+    """Working memory of one thread."""
+    n, d, lanes, slots = place.scenario.n_robots, place.scenario.dim, place.lanes, place.n_obstacles
+    most = max(n, place.n_links, 4)
+    return Scratch(
+        aligned(place.group, n, place.moves * lanes),
+        aligned(place.group, n, place.rows, lanes * d, kind=np.float32),
+        aligned((d + 3) * lanes),
+        aligned(6 * lanes),
+        aligned(2, lanes, kind=np.uint64),
+        aligned(3, 4, lanes, kind=np.uint32),
+        aligned(3, n, d),
+        aligned(4, most),
+        aligned(2, most, kind=np.int64),
+        aligned(n, kind=np.int64),
+        aligned(n, kind=np.bool_),
+        aligned(2 * slots, 3),
+        aligned(place.points, d),
+        aligned(slots, 2, kind=np.int64),
+    )
 
 
 _UNSEEN = 2**28  # Bytes up to which nobody looks up what is free, which takes longer than a step
@@ -94,11 +123,9 @@ def needed_bytes(scenario: Scenario, num_envs: int) -> int:
     """Bytes of the state of B teams and its copy in a reset, of observations and their spaces."""
     place, layout = MemoryLayout(scenario, num_envs), scenario.observation_layout
     n, delay = scenario.n_robots, scenario.sensing.delay
-    described = _described(Teams, place.sizes)
-    teams = sum(math.prod(shape) * number.itemsize for shape, number in described)
     links = n * n if place.one_way else place.n_links * (3 if place.sparse else 1)
     obstacles = layout.obstacle_slots * parsing.row_width(scenario.obstacles)
-    state = teams + 8 * (place.blocks * place.lanes * links + num_envs * obstacles)
+    state = place.nbytes + 8 * (place.blocks * place.lanes * links + num_envs * obstacles)
     past = (delay + 1) * n * layout.obstacles.stop * layout.dim if delay else 0
     kept = num_envs * _KEPT_OBSERVATIONS + _BOUNDS
     return 2 * state + 4 * (n * layout.rows * layout.dim * kept + num_envs * past)

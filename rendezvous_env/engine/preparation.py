@@ -1,39 +1,60 @@
 """From a scenario to what the kernels need to know of it: constants, robot model, rules."""
 
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
-from ..graphs.random_graphs import graph_rules
+from ..graphs.random_graphs import GraphRules, graph_rules
 from ..obstacles import obstacle_set
-from ..obstacles.fields import Field
+from ..obstacles.fields import Field, Rules
 from ..obstacles.obstacle_set import ObstacleSet
 from ..physics.random_streams import ignore_overflow
+from ..rewards.terms import CLEARANCE_PENALTY
 from ..robots.motion import init_memory
 from ..robots.robot_models import constants_of
 from ..scenario.scenario import CONTACT_MODES, Scenario
-from ..sensors.imperfections import imperfections_of
+from ..sensors.imperfections import Imperfections, imperfections_of
 from .edge_tables import LinkList
-from .memory import Constants, Layout, Robot
-from .memory_layout import MemoryLayout
-from .reset import StartRules
-from .stages.sense_one_by_one import Sensor
+from .memory import Robot
 from .state import State
 
 
-def layout(place: MemoryLayout) -> Layout:
-    """How the numbers of these teams lie in memory."""
-    d = place.scenario.dim
-    packs = True if place.neighbours != place.scenario.observation_layout.neighbour_slots else None
-    return Layout(place.width, tuple(range(d)), tuple(range(d * d)), packs)
+class Constants(NamedTuple):
+    """What stages need to know of a scenario besides its robot model."""
+
+    duration: float
+    merge_radius: float
+    speed_limit: float
+    max_steps: int
+    contact_mode: int
+    obstacle_range: float
+    neighbour_slots: int
+    reward_weights: tuple[float, ...]
+    weighs_clearance: bool  # Whether the reward has a term of clearance
+    all_earn: bool  # Whether merged-away robots earn the team reward, too
+    body_radius: float  # Of the discs in which robots stand in one another's sight, and way, m
+    packs: bool  # Whether bodies stop where they would touch, instead of merging
+
+
+class Sensor(NamedTuple):
+    """A sensor that is not exact."""
+
+    errors: Imperfections
+    listed: bool
+    """Whether the rows of a block are in the order of links, rather than each in its own."""
+    packed: bool
+    """Whether the rows of neighbours that are seen come first, rather than each in its own."""
 
 
 def robot(scenario: Scenario) -> Robot:
     """The robot model of a scenario."""
+    d = scenario.dim
     return Robot(
         model=constants_of(scenario),
         inputs=tuple(range(scenario.action_size)),
-        memories=tuple(range(scenario.model.memory_size(scenario.dim))),
+        axes=tuple(range(d)),
+        entries=tuple(range(d * d)),
+        memories=tuple(range(scenario.model.memory_size(d))),
     )
 
 
@@ -43,36 +64,46 @@ def sensor(state: State) -> Sensor | None:
     if errors is None:
         return None
     in_order = place.neighbours == state.scenario.observation_layout.neighbour_slots
-    return Sensor(
-        errors=errors,
-        listed=place.packed and in_order,
-        packed=place.packed,
-        in_lanes=errors.over_lanes,
-        singly=errors.one_by_one,
-        seeds=state.seed,
-        episodes=state.number,
-        past=state.past,
+    return Sensor(errors, place.packed and in_order, place.packed)
+
+
+def constants(scenario: Scenario, robot: Robot, max_steps: int) -> Constants:
+    """The constants of a scenario."""
+    weights = scenario.reward.built_in
+    return Constants(
+        duration=float(scenario.tau),
+        merge_radius=float(scenario.merge_radius),
+        speed_limit=float(robot.model.speed_limit),
+        max_steps=max_steps,
+        contact_mode=CONTACT_MODES.index(scenario.obstacle_contact),
+        obstacle_range=float(scenario.obstacle_range),
+        neighbour_slots=scenario.observation_layout.neighbour_slots,
+        reward_weights=weights,
+        weighs_clearance=weights[CLEARANCE_PENALTY] != 0.0,
+        all_earn=scenario.on_merge == "follow",
+        body_radius=float(scenario.body_radius or 0.5 * scenario.merge_radius),
+        packs=scenario.meeting == "pack",
     )
 
 
-def constants(scenario: Scenario, robot: Robot, max_steps: int) -> tuple[Any, ...]:
-    """The fields of Constants, as a plain tuple."""
-    return tuple(
-        Constants(
-            duration=float(scenario.tau),
-            merge_radius=float(scenario.merge_radius),
-            speed_limit=float(robot.model.speed_limit),
-            max_steps=max_steps,
-            contact_mode=CONTACT_MODES.index(scenario.obstacle_contact),
-            obstacle_range=float(scenario.obstacle_range),
-            neighbour_slots=scenario.observation_layout.neighbour_slots,
-            rows=scenario.observation_layout.rows,
-            reward_weights=scenario.reward.built_in,
-            all_earn=scenario.on_merge == "follow",
-            body_radius=float(scenario.body_radius or 0.5 * scenario.merge_radius),
-            packs=scenario.meeting == "pack",
-        )
-    )
+class StartRules(NamedTuple):
+    """How an episode begins: what is drawn, and from where."""
+
+    draw_positions: bool
+    draw_frames: bool
+    draw_memory: bool
+    draw_weights: bool
+    draw_obstacles: bool
+    spawn_size: float
+    least_distance: float
+    keep_out: float
+    factors: tuple[float, float] | None  # The range of what given arcs are multiplied by, or None
+    reach: float | None
+    """Where links change all robots keep apart from each other, and links up to this length, m,
+    connect the start, inf if that is not asked for; None where robots keep apart from their
+    neighbours alone."""
+    graph: GraphRules | None  # None where no episode draws anything of its graph
+    field: Rules | None  # None where no episode draws obstacles
 
 
 def start_rules(scenario: Scenario) -> StartRules:

@@ -1,15 +1,22 @@
-"""How an episode begins: graph, obstacles, places and attitudes, drawn from their own streams."""
+"""How an episode begins: links, obstacles, positions and attitudes, drawn from their own streams.
+
+Separate kernels, called one after another for all environments of a reset:
+
+    draw_graphs → draw_fields → begin_episodes → check_passages → draw_memories → begin_arcs
+
+What an experiment does not draw is not called.
+"""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from ..compilation import inner_kernel, kernel
-from ..graphs.edges import arcs_of, load_links, store_links
-from ..graphs.random_graphs import GraphRules, draw_links, is_linked, join
-from ..obstacles.fields import Rules, draw_obstacles, is_possible
-from ..obstacles.obstacle_set import clear_of_obstacles
+from ..graphs.edges import load_links, store_links
+from ..graphs.random_graphs import draw_links, is_linked, join
+from ..obstacles.fields import draw_obstacles
+from ..obstacles.obstacle_set import AnyObstacles, clear_of_obstacles
+from ..obstacles.reachability import none_walled_in
 from ..physics.potential import distance_squared, lyapunov_of_links
 from ..physics.random_streams import (
     FRAMES,
@@ -24,155 +31,170 @@ from ..physics.random_streams import (
 from ..physics.vectors import load
 from ..robots.motion import frame_of, init_memory
 from .memory import (
-    BatchState,
-    Place,
-    Teams,
-    TeamScratch,
-    lane_count,
-    load_team,
-    obstacles_of,
-    read,
-    statistics_of,
-    store_team,
-    write,
+    ACTIVE,
+    CLEARANCE,
+    INITIAL_LYAPUNOV,
+    MIN_CLEARANCE,
+    SQUARE_CLOSEST,
+    STATUS,
+    load_fields,
+    load_positions,
+    store_fields,
+    store_positions,
 )
-from .memory.changing_edges import begin_arcs
-from .stages.sense_obstacles import lay_out_discs
+from .stages.sense_neighbours import drawn_factor
 
-_TRIES_FOR_START = 1000
-_TRIES_FOR_WAYS = 1000
-"""Starts that are drawn until no robot is walled in."""
-_TRIES_FOR_JOINED = 10_000
-FITS, NO_ROOM, TOO_MANY_LINKS = range(3)
-
-
-class StartRules(NamedTuple):
-    """How an episode begins: what is drawn, and from where. Of what is None nothing is compiled."""
-
-    draw_positions: bool
-    draw_frames: bool
-    draw_memory: bool
-    draw_weights: bool
-    draw_obstacles: bool
-    spawn_size: float
-    least_distance: float
-    keep_out: float
-    factors: tuple[float, float] | None  # The range of what given arcs are multiplied by, or None
-    reach: float | None
-    """Where links change everyone keeps apart from everyone, and links up to this length, m,
-    connect the start, inf if that is not asked for; None where robots keep apart from their
-    neighbours alone."""
-    graph: GraphRules | None  # None where no episode draws anything of its graph
-    field: Rules | None  # None where no episode draws obstacles
+_MAX_DRAWS = 1000
+"""Positions that are drawn for one robot until it has room."""
+MAX_TRIALS = 1000
+"""Initial conditions that are drawn until no robot is walled in."""
+_MAX_CONNECTED = 10_000
 
 
 @kernel
-def reset_teams(indices, status, rules, streams, setup, state, scratch):
-    """Begin a new episode with this status in the teams with these indices, (count,); what is given
-    already stands in the state. Index of the first team that found no room, or −1; and whether that
-    is FITS, NO_ROOM (for its start or obstacles) or TOO_MANY_LINKS.
-
-    Streams are seeds, (B,) uint64, and episodes, (B,); setup is Layout and Robot; state and scratch
-    are the fields of BatchState, those of Teams as a tuple, and of TeamScratch.
+def draw_graphs(lanes, which, seeds, episodes, rules, links, listed, weights, places):
+    """Draw the links of environments by ``GraphRules``; the first that has too many, or −1.
+    Working memory: listed (2, E), weights (E,), places (n,).
     """
-    seeds, episodes = streams
-    layout, robot = setup
-    state = BatchState(Teams(*state[0]), state[1], state[2], state[3])
-    scratch, lanes = TeamScratch(*scratch), lane_count(layout.width)
-    for k in range(len(indices)):
-        place = Place(indices[k] // lanes, indices[k] % lanes, indices[k])
-        keys = (seeds[place.team], episodes[place.team])
-        count = _draw_links(place, keys, rules, rules.graph, state.links, scratch)
+    n = len(places)
+    for k in range(len(which)):
+        b = which[k]
+        key = stream_key(seeds[b], episodes[b], GRAPH)
+        count = draw_links(key, n, rules, listed[0], listed[1], weights, places)
         if count < 0:
-            return place.team, TOO_MANY_LINKS
-        links = (scratch.first[:count], scratch.second[:count], scratch.weights[:count])
-        load_team(state.teams.positions, place.block, place.lane, scratch.positions)
-        scene = links, obstacles_of(state.obstacles, place.team)
-        if not _draw_room(keys, rules, rules.field, rules.reach, scene, scratch):
-            return place.team, NO_ROOM
-        lay_out_discs(place, state.teams.discs, state.obstacles)
-        _write_start(place, status, links, state, scratch)
-        _draw_attitudes(place, rules, keys, layout, robot, state.teams)
-        key, arcs = stream_key(keys[0], keys[1], GRAPH), arcs_of(state.links, place.team)
-        begin_arcs(place.team, key, rules, layout, state, scratch, arcs)
-    return -1, FITS
+            return b
+        block, lane = b // lanes, b % lanes
+        store_links(links, block, lane, n, listed[0], listed[1], weights, count)
+    return -1
 
 
-@inner_kernel
-def _draw_links(place, keys, rules, graph, links, scratch):
-    """Links of a start into working memory: drawn, or as given; their number, −1 for too many."""
-    if graph is not None:
-        if rules.draw_weights:
-            key, n = stream_key(keys[0], keys[1], GRAPH), len(scratch.counts)
-            first, second, weights = scratch.first, scratch.second, scratch.weights
-            return draw_links(key, n, graph, first, second, weights, scratch.counts)
-    return load_links(place.block, place.lane, links, scratch)
-
-
-@inner_kernel
-def _draw_room(keys, rules, field, reach, scene, scratch):
-    """Obstacles and places of one team; whether they fit. A start in which some robots are walled
-    in, where the field promises none, is drawn again. ``scene`` is links and obstacles.
+@kernel
+def draw_fields(
+    lanes, which, trial, seeds, episodes, field, n_given, robots, obstacles, positions
+):
+    """Draw the obstacles of environments, clear of the first ``n_given`` robots; the first
+    environment without room for them, or −1. ``positions``, (n, d), is working memory.
     """
-    positions, world = scratch.positions, scene[1]
-    key = stream_key(keys[0], keys[1], START)
-    if field is not None:
-        if rules.draw_obstacles:
-            # obstacles keep clear of given places; places that are drawn keep clear of obstacles
-            n_starts = 0 if rules.draw_positions else positions.shape[0]
-            field_key = stream_key(keys[0], keys[1], OBSTACLES)
-            for trial in range(_TRIES_FOR_WAYS):
-                own, of_field = _stream_of_try(key, trial), _stream_of_try(field_key, trial)
-                if not draw_obstacles(of_field, field, positions, n_starts, world):
-                    return False
-                if not _draw_places(own, rules, reach, scene, positions, scratch.counts):
-                    return False
-                if is_possible(field, world, positions, scratch.chains):
-                    return True
-            return False
-    return _draw_places(key, rules, reach, scene, positions, scratch.counts)
+    for k in range(len(which)):
+        b = which[k]
+        world = AnyObstacles(obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b])
+        load_positions(robots[b // lanes], b % lanes, lanes, positions)
+        key = _stream_of_trial(stream_key(seeds[b], episodes[b], OBSTACLES), trial)
+        if not draw_obstacles(key, field, positions, n_given, world):
+            return b
+    return -1
+
+
+@kernel
+def check_passages(lanes, which, passage, robots, obstacles, positions, chains, walled_in):
+    """Write to ``walled_in``, (count,), whether some robots of an environment cannot reach one
+    another through gaps of the width ``passage``, m.
+    """
+    for k in range(len(which)):
+        b = which[k]
+        world = AnyObstacles(obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b])
+        load_positions(robots[b // lanes], b % lanes, lanes, positions)
+        walled_in[k] = not none_walled_in(world, positions, passage, chains)
+
+
+@kernel
+def begin_episodes(
+    lanes,
+    which,
+    trial,
+    status,
+    draws,
+    lengths,
+    seeds,
+    episodes,
+    links,
+    obstacles,
+    robots,
+    merged_into,
+    environments,
+    positions,
+    listed,
+    weights,
+    counts,
+):
+    """Begin an episode with this status in environments, in which links and obstacles, or None,
+    are already; the first without room for its robots, or −1.
+
+    ``draws`` are whether positions and frames are drawn, and whether all robots keep apart rather
+    than neighbours; ``lengths``, m, those of the spawn area, between robots, to obstacles, and of
+    the links that must connect the robots, inf where that is not asked for. Working memory:
+    positions (n, d), listed (2, E), weights (E,), counts (n,).
+    """
+    n, d = positions.shape
+    for k in range(len(which)):
+        b = which[k]
+        block, lane = b // lanes, b % lanes
+        count = load_links(links, block, lane, n, listed[0], listed[1], weights)
+        found = listed[0, :count], listed[1, :count], weights[:count]
+        state, environment = robots[block], environments[block]
+        load_positions(state, lane, lanes, positions)
+        if draws[0]:
+            key = _stream_of_trial(stream_key(seeds[b], episodes[b], START), trial)
+            if not _draw_connected(key, b, draws[2], lengths, found, obstacles, positions, counts):
+                return b
+            store_positions(positions, state, lane, lanes)
+        if draws[1]:
+            key = stream_key(seeds[b], episodes[b], FRAMES)
+            for i in range(n):
+                # numbers 3i to 3i + 2 are robot i's own, used or not
+                if d == 2:
+                    frame = draw_rotation(key, 3 * i, (0, 1))
+                    store_fields(frame, state[i], 2, lane, lanes)
+                else:
+                    rotation = draw_rotation(key, 3 * i, (0, 1, 2))
+                    store_fields(rotation, state[i], 3, lane, lanes)
+        for i in range(n):
+            merged_into[b, i] = i
+        for field in range(environments.shape[1] // lanes):
+            environment[field * lanes + lane] = 0.0
+        environment[STATUS * lanes + lane] = status
+        environment[ACTIVE * lanes + lane] = n
+        environment[MIN_CLEARANCE * lanes + lane] = np.inf
+        # these follow with the next observation, as V now
+        environment[CLEARANCE * lanes + lane] = np.inf
+        environment[SQUARE_CLOSEST * lanes + lane] = np.inf
+        environment[INITIAL_LYAPUNOV * lanes + lane] = lyapunov_of_links(positions, found)
+    return -1
 
 
 @inner_kernel
-def _stream_of_try(key, trial):
-    """The stream itself at first, then one of its own for each further try."""
+def _stream_of_trial(key, trial):
+    """The stream itself at first, then one of its own for each further trial."""
     return key if trial == 0 else mix(key ^ np.uint64(trial))
 
 
 @inner_kernel
-def _draw_places(key, rules, reach, scene, positions, counts):
-    """Places, unless they are given; whether they fit. ``scene`` is links and obstacles.
-
-    Where links change they are drawn until those up to ``reach`` connect them.
+def _draw_connected(key, b, apart, lengths, links, obstacles, positions, counts):
+    """Positions of one environment, drawn until links up to a length connect them; whether they
+    fit.
     """
-    if rules.draw_positions:
-        if reach is not None:
-            for trial in range(_TRIES_FOR_JOINED):
-                # beside the streams of further tries for ways
-                own = _stream_of_try(key, trial * _TRIES_FOR_WAYS)
-                if not _draw_positions(own, rules, reach, scene, positions):
-                    return False
-                if _is_joined(positions, reach, counts):
-                    return True
+    for trial in range(_MAX_CONNECTED):
+        # beside the streams of further trials for passages
+        own = _stream_of_trial(key, trial * MAX_TRIALS)
+        if not _draw_positions(own, b, apart, lengths, links, obstacles, positions):
             return False
-        return _draw_positions(key, rules, reach, scene, positions)
-    return True
+        if not apart or _is_connected(positions, lengths[3], counts):
+            return True
+    return False
 
 
 @inner_kernel
-def _draw_positions(key, rules, reach, scene, positions):
-    """Uniform in the spawn area, neighbours at least 2r apart, clear of obstacles; whether it
-    fits.
-    """
-    (n, d), (links, world) = positions.shape, scene
+def _draw_positions(key, b, apart, lengths, links, obstacles, positions):
+    """Uniform in the spawn area, away from neighbours and obstacles; whether they fit."""
+    n, d = positions.shape
     counter = 0
     for i in range(n):
-        for _ in range(_TRIES_FOR_START):
+        for _ in range(_MAX_DRAWS):
             for k in range(d):
-                positions[i, k] = rules.spawn_size * (uniform(key, counter) - 0.5)
+                positions[i, k] = lengths[0] * (uniform(key, counter) - 0.5)
                 counter += 1
-            if _apart(i, positions, reach, links, rules.least_distance) and _clear(
-                positions[i], world, rules.keep_out
+            if _is_apart(i, positions, apart, links, lengths[1]) and _is_clear(
+                positions[i], b, obstacles, lengths[2]
             ):
                 break
         else:
@@ -181,29 +203,28 @@ def _draw_positions(key, rules, reach, scene, positions):
 
 
 @inner_kernel
-def _clear(position, world, margin):
-    if world is not None:
+def _is_clear(position, b, obstacles, margin):
+    if obstacles is not None:
+        world = AnyObstacles(obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b])
         return clear_of_obstacles(load(position), world, margin)
     return True
 
 
 @inner_kernel
-def _apart(i, positions, reach, links, least_distance):
-    """Whether robot i is far enough from the neighbours that have a place already; where links
-    change, from everyone who has.
+def _is_apart(i, positions, apart, links, least_distance):
+    """Whether robot i is far enough from the neighbours that have a position already, or with
+    ``apart`` from all robots that have.
     """
     for j in range(i):
         if distance_squared(positions, j, i) < least_distance * least_distance:
-            if reach is not None:
-                return False
-            if is_linked(j, i, links):
+            if apart or is_linked(j, i, links):
                 return False
     return True
 
 
 @inner_kernel
-def _is_joined(positions, reach, places):
-    """Whether links up to a length (m) connect a team; ``places``, (n,), is working memory."""
+def _is_connected(positions, reach, places):
+    """Whether links up to a length (m) connect all robots; ``places``, (n,), is working memory."""
     if math.isinf(reach):
         return True
     for i in range(len(places)):
@@ -216,36 +237,43 @@ def _is_joined(positions, reach, places):
     return groups == 1
 
 
-@inner_kernel(inline="text")
-def _write_start(place, status, links, state, scratch):
-    """Put a start into the state, and begin the statistics of its episode."""
-    block, lane, teams = place.block, place.lane, state.teams
-    initial = lyapunov_of_links(scratch.positions, links)
-    store_links(block, lane, len(links[0]), state.links, scratch)
-    store_team(scratch.positions, teams.positions, block, lane)
-    for i in range(scratch.positions.shape[0]):
-        teams.merged_into[place.team, i] = i
-    teams.statistics[block, :, lane] = 0.0
-    # V now and the closest pair follow with the next observation
-    statistics = statistics_of(teams, block)
-    statistics.status[lane] = status
-    statistics.active[lane] = scratch.positions.shape[0]
-    statistics.min_clearance[lane] = np.inf
-    statistics.initial_lyapunov[lane] = initial
+@kernel
+def draw_memories(lanes, which, robot, draws, seeds, episodes, robots):
+    """What robot models keep at the start, drawn if it ``draws``, and the frames with it."""
+    d = len(robot.axes)
+    for k in range(len(which)):
+        b, lane = which[k], which[k] % lanes
+        key = stream_key(seeds[b], episodes[b], FRAMES)
+        for i in range(robots.shape[1]):
+            state = robots[b // lanes, i]
+            if draws:
+                kept = init_memory(robot.model, key, 3 * i)
+                store_fields(kept, state, d + d * d, lane, lanes)
+            kept = load_fields(state, d + d * d, lane, lanes, robot.memories)
+            frame = load_fields(state, d, lane, lanes, robot.entries)
+            store_fields(frame_of(robot.model, frame, kept), state, d, lane, lanes)
 
 
-@inner_kernel(inline="text")
-def _draw_attitudes(place, rules, keys, layout, robot, teams):
-    """Frames of robots whose frame is fixed, or what the robot model keeps at the start and the
-    frames that go with it.
-    """
-    key, lane = stream_key(keys[0], keys[1], FRAMES), place.lane
-    for i in range(teams.merged_into.shape[1]):
-        frames, memory = teams.frames[place.block, i], teams.memory[place.block, i]
-        # numbers 3i to 3i + 2 are robot i's own, used or not: nobody's attitude shifts another's
-        if rules.draw_frames:
-            write(draw_rotation(key, 3 * i, layout.axes), frames, lane)
-        if rules.draw_memory:
-            write(init_memory(robot.model, key, 3 * i), memory, lane)
-        kept = read(memory, lane, robot.memories)
-        write(frame_of(robot.model, read(frames, lane, layout.entries), kept), frames, lane)
+@kernel
+def multiply_arcs(which, low, high, seeds, episodes, n, links):
+    """Multiply given arcs by numbers from low to high."""
+    for k in range(len(which)):
+        b = which[k]
+        key = stream_key(seeds[b], episodes[b], GRAPH)
+        for i in range(n):
+            for j in range(n):
+                if i != j:
+                    factor = drawn_factor(key, 0, i, j, n, low, high)
+                    links.weights[b, i * n + j, 0] *= factor
+
+
+@kernel
+def begin_arcs(which, links, robots, environments, positions, listed, weights):
+    """V at the start of environments whose arcs have changed since they began."""
+    n = positions.shape[0]
+    for k in range(len(which)):
+        b = which[k]
+        load_positions(robots[b], 0, 1, positions)
+        count = load_links(links, b, 0, n, listed[0], listed[1], weights)
+        found = listed[0, :count], listed[1, :count], weights[:count]
+        environments[b, INITIAL_LYAPUNOV] = lyapunov_of_links(positions, found)

@@ -6,11 +6,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..graphs.edges import DenseEdges, EdgeList
+from ..graphs.edges import DENSE
 from ..obstacles import obstacle_set, parsing
-from .edge_tables import empty_links, matrices
-from .memory import STATISTICS, Teams
-from .memory_layout import MemoryLayout, allocate
+from ..obstacles.disc import BALL
+from ..obstacles.shape import BOUND, MIDDLE
+from .edge_tables import changes_of, empty_links, matrices, state_arrays
+from .memory import EPISODE_FIELDS, LYAPUNOV, N_FIELDS, SENSED_LYAPUNOV
+from .memory_layout import MemoryLayout, aligned
 
 KEPT = {
     "status": np.int64,
@@ -24,64 +26,67 @@ KEPT = {
 
 
 class State:
-    """State of B teams of one scenario."""
+    """State of B environments of one scenario."""
 
     def __init__(self, place: MemoryLayout) -> None:
         self.place, self.scenario, self.batch = place, place.scenario, place.batch
-        self.lanes = place.lanes
-        self.teams = allocate(Teams, place.sizes)
-        self.teams.merged_into[:] = np.arange(self.scenario.n_robots)
-        self.teams.discs[:] = np.nan
-        for entry in ("min_clearance", "clearance", "square_closest"):
-            self.teams.statistics[:, STATISTICS.index(entry)] = np.inf
-        self.obstacles = self._no_obstacles()
-        """With a leading axis B; None where there are no slots."""
+        self.lanes, n, d = place.lanes, self.scenario.n_robots, self.scenario.dim
+        self.robots = aligned(place.blocks, n, place.fields * self.lanes)
+        """Position, frame and memory of every robot, see ``memory``; a merged-away robot's stay as
+        they were when it merged."""
+        self.environments = aligned(place.blocks, N_FIELDS * self.lanes)
+        self.merged_into = np.zeros((place.batch, n), np.int64)
+        """(B, n), the robot that each one is now part of; itself while it is active."""
+        self.merged_into[:] = np.arange(n)
+        self.discs = aligned(place.blocks, place.discs, 3 * self.lanes)
+        """Obstacles that are discs in the plane, see ``sense_obstacles.sense_discs``."""
+        self.discs[:] = np.nan
+        table = obstacle_set.pack((), place.n_obstacles, parsing.row_width(self.scenario.obstacles))
+        self.obstacles = obstacle_set.world_of(np.repeat(table[None], self.batch, axis=0))
+        """With a leading axis B; without members where there are no slots."""
         self.seed = np.zeros(place.batch, dtype=np.uint64)
-        """(B,), of each team."""
+        """(B,), of each environment."""
         self.number = np.full(place.batch, -1)
-        """(B,), of the team's episode, −1 before its first."""
-        self.links = empty_links(place, self.seed, self.number)
+        """(B,), of the environment's episode, −1 before its first."""
+        self.links, self.changes = empty_links(place), changes_of(self.scenario)
         rows, delay = self.scenario.observation_layout, self.scenario.sensing.delay
-        seen = delay + 1 if delay else 0, self.scenario.n_robots, rows.obstacles.stop, rows.dim
+        seen = delay + 1 if delay else 0, n, rows.obstacles.stop, rows.dim
         self.past = np.zeros((place.batch, *seen), np.float32)
-        """What a sensor with a delay has seen, see ``Sensor.past``; of none without one."""
-        self._everybody = np.arange(place.batch)
-        names = EdgeList._fields if isinstance(self.links, EdgeList) else ("weights",)
-        links = {name: getattr(self.links, name) for name in names}
-        own = {"seed": self.seed, "episode": self.number, "past": self.past}
-        world = {} if self.obstacles is None else self.obstacles._asdict()
-        self._arrays: dict[str, NDArray[Any]] = {**self.teams._asdict(), **links, **own, **world}
-        self._in_blocks = {"positions", "frames", "memory", "statistics", "discs"}
-        """Of these arrays those that lie in blocks, (blocks, …, L); others by team, (B, …)."""
-        if isinstance(self.links, DenseEdges):
+        """Observations that a sensor with a delay has yet to show; none without one."""
+        self._all = np.arange(place.batch)
+        fields = self.robots.reshape(place.blocks, n, place.fields, self.lanes)
+        self._fields = self.environments.reshape(place.blocks, N_FIELDS, self.lanes)
+        for entry in ("min_clearance", "clearance", "square_closest"):
+            self._fields[:, EPISODE_FIELDS.index(entry)] = np.inf
+        links = state_arrays(self.links, n)
+        in_blocks = {
+            "positions": fields[:, :, :d],
+            "frames": fields[:, :, d : d + d * d],
+            "memory": fields[:, :, d + d * d :],
+            "environments": self._fields,
+            "discs": self.discs.reshape(place.blocks, place.discs, 3, self.lanes),
+        }
+        self._arrays: dict[str, NDArray[Any]] = {**in_blocks, "merged_into": self.merged_into}
+        self._arrays |= {**links, "seed": self.seed, "episode": self.number, "past": self.past}
+        self._arrays |= self.obstacles._asdict()
+        self._in_blocks = set(in_blocks)
+        """Of these arrays those that lie in blocks, (blocks, …, L); others are (B, …)."""
+        if self.links.form == DENSE:
             self._in_blocks.add("weights")
-        self._told = ["positions", "memory", "merged_into", *links, "seed", "episode"]
+        self._kept = ["positions", "memory", "merged_into", *links, "seed", "episode"]
         """Of these arrays those that neither are constant nor follow from the rest."""
-        self._told += ["frames"] if self.scenario.model.n_angles == 0 else []
-        self._told += ["past"] if delay else []
+        self._kept += ["frames"] if self.scenario.model.n_angles == 0 else []
+        self._kept += ["past"] if delay else []
         self._begun_anew = [k for k, array in self._arrays.items() if k != "past" and array.size]
-
-    def _no_obstacles(self) -> Any:
-        obstacles, slots = self.scenario.obstacles, self.place.sizes["M"]
-        if slots == 0:
-            return None
-        table = obstacle_set.pack((), slots, parsing.row_width(obstacles))
-        tables = np.repeat(table[None], self.batch, axis=0)
-        return obstacle_set.world_of(tables, parsing.only_balls(obstacles))
 
     @property
     def nbytes(self) -> int:
         """Bytes of the state of all teams."""
         return sum(array.nbytes for array in self._arrays.values())
 
-    def parts(self) -> tuple[Any, ...]:
-        """The fields of BatchState, those of Teams as a tuple."""
-        changes = getattr(self.links, "changes", None)
-        return tuple(self.teams), self.links, changes, self.obstacles
-
     def of_teams(self, name: str) -> NDArray[Any]:
         """An array of all teams, (B, …), as a copy."""
-        return self._copies([name], self._everybody)[name]
+        return self._copies([name], self._all)[name]
 
     def give(self, which: NDArray[np.int64], **arrays: NDArray[Any]) -> None:
         """Write arrays of these teams, (count or 1, …)."""
@@ -103,8 +108,8 @@ class State:
         return which, (block, ..., lane)
 
     def statistic(self, name: str) -> NDArray[np.float64]:
-        """One of STATISTICS of every team, (B,), as a copy."""
-        return self.teams.statistics[:, STATISTICS.index(name)].flatten()[: self.batch]
+        """One of EPISODE_FIELDS of every environment, (B,), as a copy."""
+        return self._fields[:, EPISODE_FIELDS.index(name)].flatten()[: self.batch]
 
     def weights(self) -> NDArray[np.float64]:
         """a_ij, (B, n, n), m/s."""
@@ -112,24 +117,35 @@ class State:
 
     def obstacle_table(self) -> NDArray[np.float64]:
         """Obstacles as tables, (B, M, width), see ``obstacles.obstacle_set``."""
-        if self.obstacles is None:
-            return np.zeros((self.batch, 0, parsing.row_width(self.scenario.obstacles)))
         return obstacle_set.table_of(self.obstacles)
+
+    def lay_out_discs(self, which: NDArray[np.int64]) -> None:
+        """Bring the discs of some environments into their lanes; a radius of NaN is no disc."""
+        if self.discs.size:
+            block, lane = np.divmod(which, self.lanes)
+            shapes, is_disc = self.obstacles.shapes[which], self.obstacles.kinds[which] == BALL
+            discs = self._arrays["discs"]
+            discs[block, :, :2, lane] = shapes[..., MIDDLE : MIDDLE + 2]
+            discs[block, :, 2, lane] = np.where(is_disc, shapes[..., BOUND], np.nan)
+
+    def settle(self) -> None:
+        """Take V of all environments from an observation that was no step."""
+        self._fields[:, LYAPUNOV] = self._fields[:, SENSED_LYAPUNOV]
 
     def as_dict(self) -> dict[str, NDArray[Any]]:
         """All that is neither constant nor follows from the rest, as copies with leading axis B."""
-        state = self._copies(self._told, self._everybody)
+        state = self._copies(self._kept, self._all)
         state |= {name: self.statistic(name).astype(kind) for name, kind in KEPT.items()}
         return state | {"obstacles": self.obstacle_table().copy()}
 
     def put(self, state: dict[str, NDArray[Any]]) -> None:
         """Put back what ``as_dict`` gave; unchecked."""
-        self.give(self._everybody, **{name: state[name] for name in self._told})
-        active = (self.teams.merged_into == np.arange(self.scenario.n_robots)).sum(axis=1)
-        block, _, lane = self._places(self._everybody)[1]
+        self.give(self._all, **{name: state[name] for name in self._kept})
+        active = (self.merged_into == np.arange(self.scenario.n_robots)).sum(axis=1)
+        block, _, lane = self._places(self._all)[1]
         for name, values in {**{name: state[name] for name in KEPT}, "active": active}.items():
-            self.teams.statistics[block, STATISTICS.index(name), lane] = values
-        if self.obstacles is not None:
-            world = obstacle_set.world_of(state["obstacles"])
-            for array, numbers in zip(self.obstacles, world, strict=True):
-                array[...] = numbers
+            self._fields[block, EPISODE_FIELDS.index(name), lane] = values
+        world = obstacle_set.world_of(state["obstacles"])
+        for array, numbers in zip(self.obstacles, world, strict=True):
+            array[...] = numbers
+        self.lay_out_discs(self._all)

@@ -1,6 +1,6 @@
-"""How the links of B teams are kept, and the list of one team that the equations take.
+"""How the links of B environments are kept, and the list of one that the equations take.
 
-Stages choose by these types while they are compiled: a step contains the code of one kind alone.
+There are three forms of storage, of one type: which it is, is a number that kernels look at.
 """
 
 from typing import NamedTuple
@@ -8,27 +8,30 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import by_type, inner_kernel, kernel
+from ..compilation import inner_kernel, kernel
+
+DENSE, LISTED, ARCS = range(3)
+"""A weight for each pair i < j of robots, 0 where there is no link; a list of links for each
+environment; a matrix a_ij for each environment, of links that can be one-way."""
 
 
-class DenseEdges(NamedTuple):
-    """Links as a weight for each pair i < j of robots, 0 where there is none."""
+class Links(NamedTuple):
+    """Links of B environments; LISTED and ARCS only where a block holds one environment.
 
-    first: NDArray[np.int64]  # (pairs,), i of every pair, for all teams
-    second: NDArray[np.int64]  # (pairs,), j
-    weights: NDArray[np.float64]  # (blocks, pairs, L), a_ij, m/s
+    Arcs as pairs are those that a_ij or a_ji joins, with the mean ā_ij of the two: then
+    V = 2 Σ ā_ij ‖p_i − p_j‖ over pairs is Σ_i Σ_j a_ij ‖p_i − p_j‖.
+    """
 
-
-class EdgeList(NamedTuple):
-    """Links as a list for each team; only where a block holds one team."""
-
-    first: NDArray[np.int64]  # (B, E), the lower robot of each link, sorted
-    second: NDArray[np.int64]  # (B, E), the other robot
-    weights: NDArray[np.float64]  # (B, E), a_ij, m/s; 0 behind the last one
+    form: int  # DENSE, LISTED or ARCS
+    first: NDArray[np.int64]  # (1, pairs) or (B, E), the lower robot of each link, sorted; no arcs
+    second: NDArray[np.int64]  # The other robot
+    weights: NDArray[np.float64]
+    """m/s; (blocks, pairs, L); (B, E, 1), 0 behind the last one; or (B, n·n, 1), what robot i gives
+    to robot j at i·n + j."""
 
 
 class Changes(NamedTuple):
-    """How arcs follow the moment: a list of graphs that take turns, and what is in sight."""
+    """How arcs change with time: a list of graphs that alternate, and what is in sight."""
 
     bases: NDArray[np.float64]  # (G, n, n), a_ij of each graph before drawing, m/s
     # (G,), each arc's weight is multiplied by a number from low to high, drawn for every pair and
@@ -40,115 +43,69 @@ class Changes(NamedTuple):
     by_sight: bool  # whether a robot has arcs only to robots that it sees
     reach: float  # range of sight, m
     half_field: float  # half the field of view, rad
-    seeds: NDArray[np.uint64]  # (B,), of the teams
-    episodes: NDArray[np.int64]  # (B,), their numbers
 
 
-class DirectedEdges(NamedTuple):
-    """Links that can be one-way, as a matrix for each team; only where a block holds one team.
-
-    As pairs they are those that a_ij or a_ji joins, with the mean ā_ij of the two: then
-    V = 2 Σ ā_ij ‖p_i − p_j‖ over pairs is Σ_i Σ_j a_ij ‖p_i − p_j‖.
+@inner_kernel
+def load_links(links, block, lane, n, first, second, weights):
+    """List the links of one environment that have a weight, in the order of their robots, into
+    three arrays; how many there are.
     """
-
-    weights: NDArray[np.float64]  # (B, n, n), a_ij, what robot i gives to robot j, m/s
-    changes: Changes | None  # None where only merges change them
-
-
-Links = DenseEdges | EdgeList | DirectedEdges
-
-
-def _arcs(links, team):
-    return DirectedEdges(links.weights[team], None)
-
-
-@by_type("links", lambda kind: _arcs if kind is DirectedEdges else None)
-def arcs_of(links, team):
-    """DirectedEdges of one team, whose weights are (n, n); None of links that go both ways."""
-
-
-@inner_kernel(inline="code")
-def _load_pairs(block, lane, links, scratch):
-    """List a team's links with a weight, in the order of their robots; how many there are."""
-    count = 0
-    for pair in range(links.first.shape[0]):
-        weight = links.weights[block, pair, lane]
-        if weight > 0.0:
-            scratch.first[count] = links.first[pair]
-            scratch.second[count] = links.second[pair]
-            scratch.weights[count] = weight
-            count += 1
-    return count
-
-
-@inner_kernel(inline="code")
-def _load_list(block, lane, links, scratch):
-    count = 0
+    count, kept = 0, links.weights[block]
+    if links.form == ARCS:
+        for i in range(n):
+            for j in range(i + 1, n):
+                both = kept[i * n + j, 0] + kept[j * n + i, 0]
+                if both > 0.0:
+                    first[count], second[count], weights[count] = i, j, 0.5 * both
+                    count += 1
+        return count
+    row = block if links.form == LISTED else 0
     for e in range(links.first.shape[1]):
-        if links.weights[block, e] > 0.0:
-            scratch.first[count] = links.first[block, e]
-            scratch.second[count] = links.second[block, e]
-            scratch.weights[count] = links.weights[block, e]
+        weight = kept[e, lane]
+        if weight > 0.0:
+            first[count], second[count] = links.first[row, e], links.second[row, e]
+            weights[count] = weight
             count += 1
     return count
 
 
-@inner_kernel(inline="code")
-def _load_arcs(block, lane, links, scratch):
-    count, n = 0, links.weights.shape[1]
-    for i in range(n):
-        for j in range(i + 1, n):
-            both = links.weights[block, i, j] + links.weights[block, j, i]
-            if both > 0.0:
-                scratch.first[count], scratch.second[count] = i, j
-                scratch.weights[count] = 0.5 * both
-                count += 1
-    return count
+@inner_kernel
+def store_links(links, block, lane, n, first, second, weights, count):
+    """Put the first ``count`` links of three arrays back; those of weight 0 are dropped. Of arcs
+    nothing: merges contract the matrix itself, see ``merge_swept``.
+    """
+    kept = links.weights[block]
+    if links.form == DENSE:
+        for e in range(kept.shape[0]):
+            kept[e, lane] = 0.0
+        for e in range(count):
+            if weights[e] > 0.0:
+                kept[pair_index(first[e], second[e], n), lane] = weights[e]
+    elif links.form == LISTED:
+        sort_links(first, second, weights, count)
+        used = 0
+        for e in range(count):
+            if weights[e] > 0.0:
+                links.first[block, used], links.second[block, used] = first[e], second[e]
+                kept[used, 0] = weights[e]
+                used += 1
+        for e in range(used, kept.shape[0]):
+            kept[e, 0] = 0.0
 
 
-@by_type(
-    "links", {DenseEdges: _load_pairs, EdgeList: _load_list, DirectedEdges: _load_arcs}.__getitem__
-)
-def load_links(block, lane, links, scratch):
-    """Bring the links of one team into working memory; how many there are."""
-
-
-@inner_kernel(inline="code")
-def _store_pairs(block, lane, count, links, scratch):
-    n = scratch.lengths.shape[0]
-    for pair in range(links.first.shape[0]):
-        links.weights[block, pair, lane] = 0.0
-    for e in range(count):
-        if scratch.weights[e] > 0.0:
-            i, j = scratch.first[e], scratch.second[e]
-            links.weights[block, pair_index(i, j, n), lane] = scratch.weights[e]
-
-
-@inner_kernel(inline="code")
-def _store_list(block, lane, count, links, scratch):
-    sort_links(scratch.first, scratch.second, scratch.weights, count)
-    kept = 0
-    for e in range(count):
-        if scratch.weights[e] > 0.0:
-            links.first[block, kept] = scratch.first[e]
-            links.second[block, kept] = scratch.second[e]
-            links.weights[block, kept] = scratch.weights[e]
-            kept += 1
-    for e in range(kept, links.first.shape[1]):
-        links.weights[block, e] = 0.0
+@inner_kernel(inline="text")
+def arcs_of(links, block, n):
+    """The matrix a_ij, (n, n), m/s, of one environment; (0, 0) where links are no arcs."""
+    size = n if links.form == ARCS else 0
+    return links.weights[block][: size * size].reshape(size, size)
 
 
 @inner_kernel(inline="code")
-def _store_arcs(block, lane, count, links, scratch):
-    """Nothing: merges contract the matrix itself, see ``merge_swept``."""
-
-
-@by_type(
-    "links",
-    {DenseEdges: _store_pairs, EdgeList: _store_list, DirectedEdges: _store_arcs}.__getitem__,
-)
-def store_links(block, lane, count, links, scratch):
-    """Put the first ``count`` links of working memory back; those of weight 0 are gone."""
+def edge_weight(links, block, n, i, j, weight):
+    """What robot i gives to robot j of a link of this weight: that, or the weight of the arc."""
+    if links.form == ARCS:
+        return links.weights[block, i * n + j, 0]
+    return weight
 
 
 @kernel

@@ -29,7 +29,8 @@ def merge_swept(positions, displacements, lengths, links, arcs, merged_into, wor
         displacements: (n, d), m; straight or the chord of an arc. Overwritten.
         lengths: (n,) of the ways, m; shortened for robots that rest.
         links: (first, second, weight), each (E,); contracted in place.
-        arcs: of links that can be one-way, contracted in place; None of others.
+        arcs: a_ij, (n, n), of links that can be one-way, contracted in place; (0, 0) or None of
+            others.
         merged_into: (n,), index of the robot that each one is now part of; updated in place.
         world: obstacles, in which no merged robot may be placed, or None.
         radius: r, m.
@@ -137,7 +138,8 @@ def _merge(e, positions, links, arcs, merged_into, world, radius, is_first, repo
     bound = radius * max(0.0, _pull_at_merge(i, j, links, at_midpoint) - 4.0 * gain)
     contract(i, j, links)
     if arcs is not None:
-        contract_arcs(i, j, links, arcs.weights)
+        if arcs.shape[0] > 0:
+            contract_arcs(i, j, links, arcs)
     for k in range(len(merged_into)):
         if merged_into[k] == j:
             merged_into[k] = i

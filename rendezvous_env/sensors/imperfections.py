@@ -56,6 +56,12 @@ class Imperfections(NamedTuple):
         """Whether anything else does, that looks at one team at a time."""
         return self.obstacles_hide or self.robots_hide or self.error > 0.0 or self.sectors > 0
 
+    @property
+    def changes_silhouettes(self) -> bool:
+        """Whether anything changes the rows of obstacles."""
+        turned = max(self.noise, self.bias) > 0.0 or self.sectors > 0
+        return turned or self.half_field < math.pi
+
 
 def imperfections_of(sensing: Sensing) -> Imperfections | None:
     """What kernels need to know of a sensor; None if it is exact but for custom imperfections."""

@@ -1,85 +1,115 @@
-"""The last stage: reward, rendezvous, time limit, what is given out."""
+"""The last stage: reward, rendezvous, time limit, and the output of the step."""
 
-from ...compilation import inner_kernel
-from ...outcome import SCORES
+from ...compilation import inner_kernel, kernel
 from ...rewards.terms import team_reward
 from ..memory import (
+    ACTIVE,
+    AFTER_MERGE,
     AWAITING_RESET,
+    BEFORE_MERGE,
+    CLOSENESS,
+    CONTACTS,
+    ELAPSED,
+    FINAL,
+    INITIAL_LYAPUNOV,
+    LYAPUNOV,
     MERGED,
     PACKED,
+    PATH_LENGTH,
+    PROXIMITY,
     RENDEZVOUS,
+    REWARD,
     RUNNING,
-    SCORED,
+    SENSED_LYAPUNOV,
+    STATUS,
+    STEP_CONTACTS,
+    STEP_LENGTH,
+    STEPS,
     TIME_OUT,
+    WALKED,
     lane_count,
-    pair_of,
-    statistics_of,
-    tally_of,
 )
 
-_RUNNING, _AWAITING = float(RUNNING), float(AWAITING_RESET)  # as they stand in the statistics
+_RUNNING, _AWAITING = float(RUNNING), float(AWAITING_RESET)  # as they are in environments
 _RENDEZVOUS, _TIME_OUT = float(RENDEZVOUS), float(TIME_OUT)
 
 
-@inner_kernel(inline="text")
-def conclude_block(block, setup, teams, output, scratch):
-    """Bring the statistics up to date and write everything but observations, contacts and
-    clearances.
+@kernel
+def conclude_step(
+    width,
+    first,
+    last,
+    duration,
+    max_steps,
+    reward_weights,
+    all_earn,
+    environments,
+    merged_into,
+    took_part,
+    scores,
+    active,
+    status,
+    robot_rewards,
+    contacts,
+):
+    """Bring environments up to date and write all output but observations, contacts and
+    clearances, of which ``active`` is true where nothing has merged.
     """
-    first, last, n = block.first, block.first + block.count, teams.merged_into.shape[1]
-    statistics, tally = statistics_of(teams, block.index), tally_of(scratch.tally)
-    _conclude(setup, pair_of(scratch.pair, setup.layout.axes).half_lyapunov, tally, statistics)
-    for row in range(SCORES):
-        # slices, since ``first + lane`` might be negative for all that the compiler knows: no SIMD
-        told, score = output.scores[row, first:last], scratch.tally[SCORED + row]
-        for lane in range(len(told)):
-            told[lane] = score[lane]
-    status, contacts = output.status[first:last], output.contacts[first:last]
-    for lane in range(len(status)):
-        status[lane] = int(statistics.status[lane])
-        contacts[lane] = int(statistics.contacts[lane])
-    earned = output.robot_rewards[first:last]
-    for i in range(n):
-        for lane in range(len(earned)):
-            earned[lane, i] = tally.reward[lane]
-    for lane in range(block.count):
-        if statistics.active[lane] < n:  # who exists, and earns
-            team, merged = first + lane, tally.proximity[lane] == MERGED
+    lanes, n = lane_count(width), merged_into.shape[1]
+    for block in range(first, last):
+        environment, start = environments[block], block * lanes
+        end = min(start + lanes, len(merged_into))
+        _conclude(width, duration, max_steps, reward_weights, environment)
+        for row in range(scores.shape[0]):
+            # slices, since ``start + lane`` might be negative for the compiler: no SIMD
+            score, field = scores[row, start:end], (REWARD + row) * lanes
+            for lane in range(len(score)):
+                score[lane] = environment[field + lane]
+        for lane in range(end - start):
+            b = start + lane
+            status[b] = int(environment[STATUS * lanes + lane])
+            contacts[b] = int(environment[CONTACTS * lanes + lane])
             for i in range(n):
-                active = teams.merged_into[team, i] == i
-                output.active[team, i] = active
-                earns = active or (merged and scratch.took_part[lane, i])
-                if not (setup.constants.all_earn or earns):
-                    output.robot_rewards[team, i] = 0.0
+                robot_rewards[b, i] = environment[REWARD * lanes + lane]
+            if environment[ACTIVE * lanes + lane] < n:  # who exists, and earns
+                merged = environment[PROXIMITY * lanes + lane] == MERGED
+                for i in range(n):
+                    active[b, i] = merged_into[b, i] == i
+                    earns = active[b, i] or (merged and took_part[b, i])
+                    if not (all_earn or earns):
+                        robot_rewards[b, i] = 0.0
 
 
-@inner_kernel(inline="text")
-def _conclude(setup, half_lyapunov, tally, statistics):
+@inner_kernel(inline="code")
+def _conclude(width, duration, max_steps, reward_weights, environment):
     """Reward, rendezvous and time limit over lanes: the one place where an episode ends."""
-    constants, time_share = setup.constants, 1.0 / setup.constants.max_steps
-    for lane in range(lane_count(setup.layout.width)):
-        status = statistics.status[lane]
-        before, now = statistics.lyapunov[lane], 2.0 * half_lyapunov[lane]
-        initial = statistics.initial_lyapunov[lane]
-        contacts, running = tally.contacts[lane], status == _RUNNING
-        steps = statistics.steps[lane] + (1.0 if running else 0.0)
-        packed = tally.proximity[lane] == PACKED
-        met = running & ((statistics.active[lane] == 1.0) | packed)
-        over = running & (steps >= constants.max_steps)
+    lanes, time_share = lane_count(width), 1.0 / max_steps
+    for lane in range(lanes):
+        status = environment[STATUS * lanes + lane]
+        before = environment[LYAPUNOV * lanes + lane]
+        now = environment[SENSED_LYAPUNOV * lanes + lane]
+        initial = environment[INITIAL_LYAPUNOV * lanes + lane]
+        touched, running = environment[STEP_CONTACTS * lanes + lane], status == _RUNNING
+        proximity = environment[PROXIMITY * lanes + lane]
+        steps = environment[STEPS * lanes + lane] + (1.0 if running else 0.0)
+        met = running & ((environment[ACTIVE * lanes + lane] == 1.0) | (proximity == PACKED))
+        over = running & (steps >= max_steps)
         # where edges come and go there may be none at the start
         progress = (before - now) / initial if initial > 0.0 else 0.0
-        closeness, weights = tally.closeness[lane], constants.reward_weights
-        reward = team_reward(progress, time_share, contacts, closeness, met, weights)
+        closeness = environment[CLOSENESS * lanes + lane]
+        reward = team_reward(progress, time_share, touched, closeness, met, reward_weights)
         ended = _RENDEZVOUS if met else _TIME_OUT if over else _RUNNING
-        statistics.status[lane] = ended if running | (status == _AWAITING) else status
-        statistics.steps[lane] = steps
-        statistics.lyapunov[lane] = now
-        statistics.path_length[lane] += tally.way[lane]
-        statistics.contacts[lane] += contacts
-        merged = tally.proximity[lane] == MERGED
-        tally.reward[lane] = reward if running else 0.0
-        tally.elapsed[lane] = steps * constants.duration
-        tally.walked[lane] = statistics.path_length[lane]
-        tally.lyapunov[lane] = now
-        tally.lyapunov_before_merge[lane] = tally.lyapunov_before_merge[lane] if merged else now
-        tally.lyapunov_after_merge[lane] = tally.lyapunov_after_merge[lane] if merged else now
+        path_length = environment[PATH_LENGTH * lanes + lane] + environment[STEP_LENGTH * lanes + lane]
+        merged = proximity == MERGED
+        first, last = environment[BEFORE_MERGE * lanes + lane], environment[AFTER_MERGE * lanes + lane]
+        environment[STATUS * lanes + lane] = ended if running | (status == _AWAITING) else status
+        environment[STEPS * lanes + lane] = steps
+        environment[LYAPUNOV * lanes + lane] = now
+        environment[PATH_LENGTH * lanes + lane] = path_length
+        environment[CONTACTS * lanes + lane] += touched
+        environment[REWARD * lanes + lane] = reward if running else 0.0
+        environment[ELAPSED * lanes + lane] = steps * duration
+        environment[WALKED * lanes + lane] = path_length
+        environment[FINAL * lanes + lane] = now
+        environment[BEFORE_MERGE * lanes + lane] = first if merged else now
+        environment[AFTER_MERGE * lanes + lane] = last if merged else now

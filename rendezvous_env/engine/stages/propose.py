@@ -1,111 +1,163 @@
-"""The first stage of a step, what every robot would do if nothing were in its way; and the fourth,
-what robot models make of what has come of it.
+"""The first stage of a step, the motion of every robot if nothing were in its way; and the memory
+and frames of robot models after it.
 """
 
-from ...compilation import inner_kernel
+from ...compilation import inner_kernel, kernel
 from ...obstacles.contact import STOP
-from ...robots.motion import FREE, SLID, STOPPED, drifts, frame_of, propose, update_memory
-from ..memory import RUNNING, in_lanes, lane_count, read, statistics_of, write
+from ...robots.motion import FREE as UNTOUCHED
+from ...robots.motion import SLID, STOPPED, drifts, frame_of, propose, update_memory
+from ..memory import (
+    ACTIVE,
+    CLEARANCE,
+    CLOSENESS,
+    FREE,
+    MERGE_EXCESS,
+    MERGE_RISE,
+    MOVED,
+    PROXIMITY,
+    RUNNING,
+    SQUARE_CLOSEST,
+    STATUS,
+    STEP_CONTACTS,
+    STEP_LENGTH,
+    lane_count,
+    load_fields,
+    store_fields,
+)
 
 
-@inner_kernel(inline="text")
-def load_actions(block, teams, actions, action):
-    """Copy a block's actions, from (B, n, a) to (n, a, L); those of finished teams and of
-    merged-away robots are zero.
+@kernel
+def propose_motion(
+    width, robot, first, last, reach, actions, robots, merged_into, environments, moves
+):
+    """Write displacement (d), length of the path, and action (a) of every robot of some blocks to
+    ``moves``, (blocks, n, (d + 1 + a)·L), and mark the environments in which something can meet.
+
+    ``reach`` is the square distance of neighbours and the clearance below which that is so.
+    Actions are (B, n, a); those of finished environments and of merged-away robots count as zero.
     """
-    given = actions[block.first : block.first + block.count]
-    for i in range(given.shape[1]):
-        for k in range(given.shape[2]):
-            _load_number(given[:, i, k], action[i, k])
-    _hold_still(block, teams, action)
+    lanes, d, n = lane_count(width), len(robot.axes), robots.shape[1]
+    for block in range(first, last):
+        start, move, environment = block * lanes, moves[block - first], environments[block]
+        count = min(lanes, len(actions) - start)
+        for i in range(n):
+            for k in range(len(robot.inputs)):
+                for lane in range(count):
+                    move[i, (d + 1 + k) * lanes + lane] = actions[start + lane, i, k]
+        _hold_still(move, d + 1, len(robot.inputs), count, lanes, start, environment, merged_into)
+        for i in range(n):
+            _propose_robot(width, robot, robots[block, i], move[i])
+        if drifts(robot.model):
+            _hold_still(move, 0, d + 1, count, lanes, start, environment, merged_into)
+        _begin_step(width, reach, environment)
 
 
 @inner_kernel(inline="code")
-def _load_number(given, action):
-    """One number of one robot's action in every lane."""
-    for lane in range(len(given)):
-        action[lane] = given[lane]
-
-
-@inner_kernel(inline="code")
-def _hold_still(block, teams, values):
-    """Make the numbers (n, k, L) of robots that do not move zero: all of a team that is not
-    running, and those that have merged away.
-    """
-    statistics = statistics_of(teams, block.index)
-    for lane in range(block.count):
-        running = statistics.status[lane] == RUNNING
-        if running and statistics.active[lane] == values.shape[0]:
-            continue
-        for i in range(values.shape[0]):
-            if not running or teams.merged_into[block.first + lane, i] != i:
-                for k in range(values.shape[1]):
-                    values[i, k, lane] = 0.0
-
-
-@inner_kernel(inline="code")
-def propose_block(block, setup, teams, scratch):
-    """The displacement of every robot over the step, and the length of its way."""
-    frames, memory = teams.frames[block.index], teams.memory[block.index]
-    for i in range(scratch.action.shape[0]):
-        now = scratch.action[i], frames[i], memory[i]
-        _propose_robot(setup.layout, setup.robot, now, scratch.displacement[i])
-    if drifts(setup.robot.model):
-        _hold_still(block, teams, scratch.displacement)
-
-
-@inner_kernel(inline="code")
-def _propose_robot(layout, robot, now, displacement):
-    """One robot of every team, from its action, frame and memory."""
-    action, frame, memory = now
-    if not (
-        in_lanes(action, layout) and in_lanes(frame, layout) and in_lanes(displacement, layout)
-    ):
-        return
-    for lane in range(lane_count(layout.width)):
+def _propose_robot(width, robot, state, move):
+    """One robot in every lane."""
+    lanes, d = lane_count(width), len(robot.axes)
+    for lane in range(lanes):
         moved, length = propose(
             robot.model,
-            read(action, lane, robot.inputs),
-            read(frame, lane, layout.entries),
-            read(memory, lane, robot.memories),
+            load_fields(move, d + 1, lane, lanes, robot.inputs),
+            load_fields(state, d, lane, lanes, robot.entries),
+            load_fields(state, d + d * d, lane, lanes, robot.memories),
         )
-        write(moved, displacement, lane)
-        displacement[len(layout.axes), lane] = length
+        store_fields(moved, move, 0, lane, lanes)
+        move[d * lanes + lane] = length
+
+
+@inner_kernel
+def _hold_still(move, field, fields, count, lanes, start, environment, merged_into):
+    """Make fields of robots that do not move zero: all robots of an environment that is not
+    running, and those that have merged away.
+    """
+    n = move.shape[0]
+    for lane in range(count):
+        running = environment[STATUS * lanes + lane] == RUNNING
+        if running and environment[ACTIVE * lanes + lane] == n:
+            continue
+        for i in range(n):
+            if not running or merged_into[start + lane, i] != i:
+                for k in range(field, field + fields):
+                    move[i, k * lanes + lane] = 0.0
 
 
 @inner_kernel(inline="code")
-def turn_block(block, setup, memories, teams, contact, scratch):
-    """What the robot models keep, brought up to the end of the step, and the frames with it;
-    ``memories`` are the robot's, by themselves: without any nothing is compiled.
+def _begin_step(width, reach, environment):
+    """Begin the fields of the step. Distances are those of the last observation, which is of the
+    positions where this step begins.
     """
-    if len(memories) > 0:
-        layout, robot = setup.layout, setup.robot
-        statistics = statistics_of(teams, block.index)
-        met = STOPPED if setup.constants.contact_mode == STOP else SLID
-        for i in range(scratch.action.shape[0]):
-            frames, memory = teams.frames[block.index, i], teams.memory[block.index, i]
-            for lane in range(block.count):
-                if statistics.status[lane] == RUNNING:
-                    frame = read(frames, lane, layout.entries)
+    lanes = lane_count(width)
+    for lane in range(lanes):
+        near = (environment[SQUARE_CLOSEST * lanes + lane] < reach[0]) | (
+            environment[CLEARANCE * lanes + lane] < reach[1]
+        )
+        near &= environment[STATUS * lanes + lane] == RUNNING
+        environment[PROXIMITY * lanes + lane] = MOVED if near else FREE
+        environment[STEP_LENGTH * lanes + lane] = 0.0
+        environment[STEP_CONTACTS * lanes + lane] = 0.0
+        environment[CLOSENESS * lanes + lane] = 0.0
+        environment[MERGE_RISE * lanes + lane] = 0.0
+        environment[MERGE_EXCESS * lanes + lane] = 0.0
+
+
+@kernel
+def advance_free(width, axes, first, last, robots, environments, moves):
+    """Carry out the displacements where nothing can meet; and add up the lengths of all paths."""
+    lanes, d = lane_count(width), len(axes)
+    for block in range(first, last):
+        environment = environments[block]
+        for i in range(robots.shape[1]):
+            _advance_robot(width, d, moves[block - first, i], environment, robots[block, i])
+            for lane in range(lanes):
+                environment[STEP_LENGTH * lanes + lane] += moves[block - first, i, d * lanes + lane]
+
+
+@inner_kernel(inline="code")
+def _advance_robot(width, d, move, environment, state):
+    lanes = lane_count(width)
+    for k in range(d):
+        for lane in range(lanes):
+            # others are at their ends already; a choice, not a branch, keeps it SIMD
+            free = environment[PROXIMITY * lanes + lane] == FREE
+            state[k * lanes + lane] += move[k * lanes + lane] if free else 0.0
+
+
+@kernel
+def update_robots(
+    width, robot, first, last, mode, robots, merged_into, environments, moves, contact
+):
+    """Memory and frames of robot models at the end of the step."""
+    lanes, d = lane_count(width), len(robot.axes)
+    met = STOPPED if mode == STOP else SLID
+    for block in range(first, last):
+        count = min(lanes, len(merged_into) - block * lanes)
+        for i in range(robots.shape[1]):
+            state, move = robots[block, i], moves[block - first, i]
+            for lane in range(count):
+                if environments[block, STATUS * lanes + lane] == RUNNING:
+                    frame = load_fields(state, d, lane, lanes, robot.entries)
                     after = update_memory(
                         robot.model,
-                        read(scratch.action[i], lane, robot.inputs),
+                        load_fields(move, d + 1, lane, lanes, robot.inputs),
                         frame,
-                        read(memory, lane, memories),
-                        read(scratch.displacement[i], lane, layout.axes),
-                        met if contact[block.first + lane, i] else FREE,
+                        load_fields(state, d + d * d, lane, lanes, robot.memories),
+                        load_fields(move, 0, lane, lanes, robot.axes),
+                        met if contact[block * lanes + lane, i] else UNTOUCHED,
                     )
-                    write(after, memory, lane)
-                    write(frame_of(robot.model, frame, after), frames, lane)
+                    store_fields(after, state, d + d * d, lane, lanes)
+                    store_fields(frame_of(robot.model, frame, after), state, d, lane, lanes)
 
 
-@inner_kernel(inline="code")
-def update_frames(block, setup, memories, teams):
-    """Frames from what the robot models keep; arguments as ``turn_block``."""
-    if len(memories) > 0:
-        for i in range(teams.frames.shape[1]):
-            frames, memory = teams.frames[block.index, i], teams.memory[block.index, i]
-            for lane in range(block.count):
-                frame = read(frames, lane, setup.layout.entries)
-                kept = read(memory, lane, memories)
-                write(frame_of(setup.robot.model, frame, kept), frames, lane)
+@kernel
+def refresh_frames(robot, lanes, first, last, robots):
+    """Frames from the memory of robot models, of environments that do not move."""
+    d = len(robot.axes)
+    for block in range(first, last):
+        for i in range(robots.shape[1]):
+            state = robots[block, i]
+            for lane in range(lanes):
+                frame = load_fields(state, d, lane, lanes, robot.entries)
+                kept = load_fields(state, d + d * d, lane, lanes, robot.memories)
+                store_fields(frame_of(robot.model, frame, kept), state, d, lane, lanes)

@@ -1,12 +1,12 @@
-"""What the robots of a block see of obstacles, and how near they are."""
+"""The stages that sense obstacles: discs of the plane in lanes, other shapes one by one."""
 
 import numpy as np
 
-from ...compilation import by_type, inner_kernel
-from ...graphs.edges import arcs_of, load_links
+from ...compilation import inner_kernel, kernel
+from ...graphs.edges import ARCS, load_links
 from ...obstacles.disc import BALL, disc_edges
 from ...obstacles.obstacle_set import (
-    RoundObstacles,
+    AnyObstacles,
     distance_to,
     silhouette_2d,
     silhouette_3d,
@@ -14,161 +14,151 @@ from ...obstacles.obstacle_set import (
 from ...obstacles.shape import BOUND, MIDDLE
 from ...physics.potential import net_bearings_of_arcs, net_bearings_of_links
 from ...physics.vectors import load, local_axis, to_local
-from ...rewards.terms import CLEARANCE_PENALTY
 from ..memory import (
-    Place,
-    SeenDisc,
-    first_row,
-    in_lanes,
+    CLEARANCE,
+    CLOSENESS,
+    MIN_CLEARANCE,
     lane_count,
-    load_team,
-    obstacles_of,
-    read,
+    load_fields,
+    load_point,
+    load_positions,
     read_row,
-    statistics_of,
-    tally_of,
     write_row,
 )
 
-
-@inner_kernel
-def lay_out_discs(place, discs, obstacles):
-    """Bring the discs of a team into its lane; in space ``discs`` has room for none."""
-    if obstacles is not None:
-        for m in range(discs.shape[1]):
-            shape, disc = obstacles.shapes[place.team, m], discs[place.block, m]
-            for k in range(2):
-                disc[k, place.lane] = shape[MIDDLE + k]
-            is_disc = obstacles.kinds[place.team, m] == BALL
-            disc[2, place.lane] = shape[BOUND] if is_disc else np.nan
+_FRAME = (0, 1, 2, 3)
+_LEFT, _RIGHT, _NEAREST, _REACH = 0, 2, 4, 5
+"""Fields of what a robot in every lane sees of a disc, (6·L,): bearings of the counter-clockwise
+and the clockwise edge, zero if it is not seen; distance to the nearest disc so far, m; range of
+sight, m, −inf for a robot that has merged away."""
 
 
-@inner_kernel(inline="code")
-def sense_obstacles(block, setup, moves, state, obstacles, output, scratch):
-    """Silhouettes, clearances, the least clearance of the episode, and closeness for the reward."""
-    n, constants = state.teams.merged_into.shape[1], setup.constants
-    # in one piece: the entries of a table would be filled one by one, without SIMD
-    output.clearance.reshape(-1)[block.first * n : (block.first + block.count) * n] = np.inf
-    if obstacles is not None:
-        if not moves:  # a state may have been put back
-            for lane in range(block.count):
-                place = Place(block.index, lane, block.first + lane)
-                lay_out_discs(place, state.teams.discs, obstacles)
-        _see_discs(block, setup, state.teams, output.clearance, scratch.block, setup.layout.axes)
-        _see_others(block, setup, state, obstacles, output.clearance, scratch, setup.layout.axes)
-        tally = tally_of(scratch.block.tally)
-        statistics = statistics_of(state.teams, block.index)
-        weighs = constants.reward_weights[CLEARANCE_PENALTY] != 0.0
-        for lane in range(block.count):
-            least, closeness = np.inf, 0.0
-            for i in range(n):
-                clearance = output.clearance[block.first + lane, i]
-                least = min(least, clearance)
-                closeness += max(0.0, 1.0 - clearance / constants.obstacle_range)
-            statistics.clearance[lane] = least
-            statistics.min_clearance[lane] = min(statistics.min_clearance[lane], least)
-            tally.closeness[lane] = closeness if weighs else 0.0
-
-
-@inner_kernel(inline="code")
-def _see_discs(block, setup, teams, clearance, scratch, axes):
-    """Discs in the plane, over lanes; what is seen of everything else is nothing after it."""
-    n = teams.merged_into.shape[1]
-    if len(axes) == 2:
-        layout, reach = setup.layout, setup.constants.obstacle_range
-        disc, rows = scratch.disc, scratch.rows
-        seen = SeenDisc(disc[0], disc[1], disc[2, 0], disc[2, 1])
-        for i in range(n):
-            for lane in range(block.count):
-                active = teams.merged_into[block.first + lane, i] == i
-                seen.reach[lane] = reach if active else -np.inf
-            seen.nearest[:] = np.inf
-            position, frame = teams.positions[block.index, i], teams.frames[block.index, i]
-            slot = first_row(setup.constants, rows)
-            for m in range(teams.discs.shape[1]):
-                _see_disc(layout, position, teams.discs[block.index, m], seen)
-                _turn_into(layout, seen.left, frame, rows[i, slot])
-                _turn_into(layout, seen.right, frame, rows[i, slot + 1])
-                slot += 2
-            for lane in range(block.count):
-                active = seen.reach[lane] >= 0.0
-                clearance[block.first + lane, i] = seen.nearest[lane] if active else np.inf
-
-
-@inner_kernel(inline="code")
-def _see_disc(layout, position, disc, seen):
-    """Bearings of the two edges of a disc in the global frame, zero where it is not seen; a radius
-    of NaN is no disc.
+@kernel
+def lay_out_discs(lanes, which, obstacles, discs):
+    """Bring the discs of some environments into their lanes, (blocks, M, 3·L): centre and radius,
+    m; a radius of NaN is no disc.
     """
-    if not (
-        in_lanes(position, layout)
-        and in_lanes(disc, layout)
-        and in_lanes(seen.left, layout)
-        and in_lanes(seen.right, layout)
-    ):
-        return
-    for lane in range(lane_count(layout.width)):
-        x, y, radius = disc[0, lane], disc[1, lane], disc[2, lane]
-        x, y = x - position[0, lane], y - position[1, lane]
+    for k in range(len(which)):
+        block, lane = which[k] // lanes, which[k] % lanes
+        for m in range(discs.shape[1]):
+            shape, disc = obstacles.shapes[which[k], m], discs[block, m]
+            disc[lane], disc[lanes + lane] = shape[MIDDLE], shape[MIDDLE + 1]
+            is_disc = obstacles.kinds[which[k], m] == BALL
+            disc[2 * lanes + lane] = shape[BOUND] if is_disc else np.nan
+
+
+@kernel
+def sense_discs(
+    width, first, last, reach, own, robots, merged_into, discs, rows, clearance, seen
+):
+    """Discs in the plane, over lanes, into the rows from ``own`` on: those of all other shapes are
+    zero. Distances to the nearest disc go to ``clearance``, (B, n); ``seen`` is working memory.
+    """
+    lanes, n = lane_count(width), robots.shape[1]
+    for block in range(first, last):
+        start = block * lanes
+        count = min(lanes, len(merged_into) - start)
+        for i in range(n):
+            for lane in range(count):
+                active = merged_into[start + lane, i] == i
+                seen[_REACH * lanes + lane] = reach if active else -np.inf
+            seen[_NEAREST * lanes : _REACH * lanes] = np.inf
+            slot = own
+            for m in range(discs.shape[1]):
+                _see_disc(width, robots[block, i], discs[block, m], seen)
+                row = rows[block - first, i]
+                _turn_into(width, seen, _LEFT, robots[block, i], row[slot])
+                _turn_into(width, seen, _RIGHT, robots[block, i], row[slot + 1])
+                slot += 2
+            for lane in range(count):
+                active = seen[_REACH * lanes + lane] >= 0.0
+                nearest = seen[_NEAREST * lanes + lane]
+                clearance[start + lane, i] = nearest if active else np.inf
+
+
+@inner_kernel(inline="code")
+def _see_disc(width, robot, disc, seen):
+    """Bearings of the two edges of a disc in the global frame."""
+    lanes = lane_count(width)
+    for lane in range(lanes):
+        radius = disc[2 * lanes + lane]
+        x, y = disc[lane] - robot[lane], disc[lanes + lane] - robot[lanes + lane]
         ax, ay, bx, by, distance = disc_edges(x, y, radius)
         gap = distance - radius
-        near = gap <= seen.reach[lane]
-        seen.nearest[lane] = gap if gap < seen.nearest[lane] else seen.nearest[lane]
-        seen.left[0, lane] = ax if near else 0.0
-        seen.left[1, lane] = ay if near else 0.0
-        seen.right[0, lane] = bx if near else 0.0
-        seen.right[1, lane] = by if near else 0.0
+        near = gap <= seen[_REACH * lanes + lane]
+        nearest = seen[_NEAREST * lanes + lane]
+        seen[_NEAREST * lanes + lane] = gap if gap < nearest else nearest
+        seen[_LEFT * lanes + lane] = ax if near else 0.0
+        seen[(_LEFT + 1) * lanes + lane] = ay if near else 0.0
+        seen[_RIGHT * lanes + lane] = bx if near else 0.0
+        seen[(_RIGHT + 1) * lanes + lane] = by if near else 0.0
 
 
 @inner_kernel(inline="code")
-def _turn_into(layout, bearing, frame, row):
+def _turn_into(width, seen, field, robot, row):
     """Write bearings of the plane into a row of observations, in the robots' own frames."""
-    if not (in_lanes(bearing, layout) and in_lanes(frame, layout)):
-        return
-    for lane in range(lane_count(layout.width)):
-        local = to_local(read(frame, lane, layout.entries), read(bearing, lane, layout.axes))
-        write_row(local, row, lane)
+    lanes = lane_count(width)
+    for lane in range(lanes):
+        bearing = seen[field * lanes + lane], seen[(field + 1) * lanes + lane]
+        write_row(to_local(load_fields(robot, 2, lane, lanes, _FRAME), bearing), row, lane)
+
+
+@kernel
+def sense_shapes(
+    axes,
+    entries,
+    lanes,
+    first,
+    last,
+    reach,
+    own,
+    robots,
+    merged_into,
+    obstacles,
+    links,
+    rows,
+    clearance,
+    silhouette,
+    vectors,
+    listed,
+    weights,
+):
+    """Polygons and capsules of the plane, and everything in 3-D, into the rows from ``own`` on.
+    Working memory: silhouette (S, d), vectors (3, n, d), listed (2, E) and weights (E,).
+    """
+    n, positions, net = robots.shape[1], vectors[0], vectors[1]
+    for block in range(first, last):
+        for lane in range(min(lanes, len(merged_into) - block * lanes)):
+            b = block * lanes + lane
+            world = AnyObstacles(obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b])
+            if len(axes) == 3:
+                clearance[b] = np.inf
+                load_positions(robots[block], lane, lanes, positions)
+                _net_bearings(links, block, lane, positions, listed, weights, net)
+            elif _has_discs_only(world):
+                continue
+            for i in range(n):
+                active = merged_into[b, i] == i
+                row = rows[block - first, i]
+                _see_all(
+                    axes, entries, lane, lanes, reach, own, active, robots[block, i], world,
+                    net[i], row, clearance[b, i : i + 1], silhouette,
+                )  # fmt: skip
 
 
 @inner_kernel
-def _see_one_by_one(block, setup, state, obstacles, clearance, scratch, axes):
-    """Polygons and capsules of the plane, and everything in 3-D."""
-    d, team, teams = len(axes), scratch.team, state.teams
-    for lane in range(block.count):
-        place = Place(block.index, lane, block.first + lane)
-        world = obstacles_of(obstacles, place.team)
-        if d == 2 and _only_discs(world):
-            continue
-        load_team(teams.positions, block.index, lane, team.positions)
-        if d == 3:
-            found = load_links(block.index, lane, state.links, team)
-            listed = (team.first[:found], team.second[:found], team.weights[:found])
-            _net_bearings(team.positions, listed, arcs_of(state.links, block.index), team.here)
-        for i in range(team.lengths.shape[0]):
-            _see_all(i, place, setup, teams, world, clearance, scratch, axes)
-
-
-@inner_kernel(inline="code")
-def _see_spheres(block, setup, state, obstacles, clearance, scratch, axes):
-    if len(axes) == 3:
-        _see_one_by_one(block, setup, state, obstacles, clearance, scratch, axes)
-
-
-@by_type("obstacles", lambda kind: _see_spheres if kind is RoundObstacles else _see_one_by_one)
-def _see_others(block, setup, state, obstacles, clearance, scratch, axes):
-    """What is not a disc in the plane; of those alone nothing is compiled here."""
-
-
-@inner_kernel(inline="code")
-def _net_bearings(positions, listed, arcs, out):
-    if arcs is not None:
-        net_bearings_of_arcs(positions, arcs.weights, out)
+def _net_bearings(links, block, lane, positions, listed, weights, out):
+    n = positions.shape[0]
+    if links.form == ARCS:
+        net_bearings_of_arcs(positions, links.weights[block].reshape(n, n), out)
     else:
-        net_bearings_of_links(positions, listed, out)
+        count = load_links(links, block, lane, n, listed[0], listed[1], weights)
+        found = listed[0, :count], listed[1, :count], weights[:count]
+        net_bearings_of_links(positions, found, out)
 
 
 @inner_kernel
-def _only_discs(world):
+def _has_discs_only(world):
     for m in range(world.kinds.shape[0]):
         if world.kinds[m] > BALL:
             return False
@@ -176,27 +166,46 @@ def _only_discs(world):
 
 
 @inner_kernel
-def _see_all(i, place, setup, teams, world, clearance, scratch, axes):
-    """All obstacles of one robot that ``_see_discs`` leaves out."""
-    team, rows, points = place.team, scratch.block.rows, scratch.team.silhouette
-    point, active = load(scratch.team.positions[i]), teams.merged_into[place.team, i] == i
-    frame = read(teams.frames[place.block, i], place.lane, setup.layout.entries)
+def _see_all(
+    axes, entries, lane, lanes, reach, own, active, robot, world, net, row, clearance, silhouette
+):
+    """All obstacles of one robot that ``sense_discs`` leaves out."""
+    d, points = len(axes), silhouette.shape[0]
+    point = load_point(robot, 0, lane, lanes, d)
+    frame = load_fields(robot, d, lane, lanes, entries)
     for m in range(world.kinds.shape[0]):
         if len(axes) == 2:
             if world.kinds[m] <= BALL:
                 continue
         distance = distance_to(world, m, point) if active else np.inf
-        clearance[team, i] = min(clearance[team, i], distance)
-        if distance <= setup.constants.obstacle_range:
+        clearance[0] = min(clearance[0], distance)
+        if distance <= reach:
             if len(axes) == 2:
-                silhouette_2d(world, m, point, points)
+                silhouette_2d(world, m, point, silhouette)
             else:
-                f = load(scratch.team.here[i])
                 x, y = local_axis(frame, 0), local_axis(frame, 1)
-                silhouette_3d(world, m, point, f, x, y, points)
+                silhouette_3d(world, m, point, load(net), x, y, silhouette)
         else:
-            points[:] = 0.0
-        first = first_row(setup.constants, rows) + m * points.shape[0]
-        for s in range(points.shape[0]):
-            bearing = to_local(frame, read_row(points[s], 0, axes))
-            write_row(bearing, rows[i, first + s], place.lane)
+            silhouette[:] = 0.0
+        for s in range(points):
+            bearing = to_local(frame, read_row(silhouette[s], 0, axes))
+            write_row(bearing, row[own + m * points + s], lane)
+
+
+@kernel
+def measure_clearance(lanes, first, last, reach, weighs, clearance, environments):
+    """Least clearance, of now and of the episode, and, if it ``weighs`` in the reward, closeness
+    to obstacles.
+    """
+    for block in range(first, last):
+        environment = environments[block]
+        for lane in range(min(lanes, len(clearance) - block * lanes)):
+            least, closeness = np.inf, 0.0
+            for i in range(clearance.shape[1]):
+                distance = clearance[block * lanes + lane, i]
+                least = min(least, distance)
+                closeness += max(0.0, 1.0 - distance / reach)
+            before = environment[MIN_CLEARANCE * lanes + lane]
+            environment[CLEARANCE * lanes + lane] = least
+            environment[MIN_CLEARANCE * lanes + lane] = min(before, least)
+            environment[CLOSENESS * lanes + lane] = closeness if weighs else 0.0

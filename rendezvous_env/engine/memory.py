@@ -1,0 +1,202 @@
+"""How the numbers of B environments lie in memory, and accessors for kernels.
+
+Environments are stored in *blocks* of L lanes, so that the innermost loop over them vectorises:
+L = 32 (``LaneBlock``), or 1 where there are too few environments, or too large ones, for that to
+pay (``ScalarBlock``). Environment b is lane b % L of block b // L. Two arrays hold nearly all of
+the state, and each row of them is a list of fields of L numbers:
+
+    robots[block, i, field·L + lane]         position (d), frame (d²), memory (k) of robot i
+    environments[block, field·L + lane]      the fields below
+
+L is a constant of the compiled code, so fields of one row are known not to overlap.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compilation import by_type, inner_kernel
+
+RUNNING, RENDEZVOUS, TIME_OUT, AWAITING_RESET = range(4)
+"""Status of an environment. AWAITING_RESET: reset in this very step, in which it does not move."""
+
+FREE, MOVED, MERGED, PACKED = 0.0, 1.0, 2.0, 3.0
+"""Whether anything could meet in an environment in this step: nothing; something, so that it was
+moved by exact geometry; robots have merged; all bodies lie in one packed cluster."""
+
+EPISODE_FIELDS = (
+    "status",  # RUNNING, RENDEZVOUS, TIME_OUT or AWAITING_RESET
+    "steps",  # Done in this episode
+    "active",  # Robots that exist on their own
+    "contacts",  # In this episode, one for each robot and step
+    "path_length",  # Of all robots together in this episode, m
+    "initial_lyapunov",  # V at the start of the episode, m²/s
+    "lyapunov",  # V now, m²/s; follows from positions and weights
+    "min_clearance",  # Least distance to an obstacle in this episode, m
+    "clearance",  # Of the robot nearest to an obstacle as of the last observation, m
+    "square_closest",  # Least square distance of two neighbours as of the last observation, m²
+)
+"""Fields of an environment that outlast a step; float64, since they are computed over lanes."""
+(
+    STATUS,
+    STEPS,
+    ACTIVE,
+    CONTACTS,
+    PATH_LENGTH,
+    INITIAL_LYAPUNOV,
+    LYAPUNOV,
+    MIN_CLEARANCE,
+    CLEARANCE,
+    SQUARE_CLOSEST,
+) = range(10)
+
+PROXIMITY, STEP_LENGTH, STEP_CONTACTS, CLOSENESS, SENSED_LYAPUNOV = range(10, 15)
+"""Fields of one step: FREE to PACKED; m, of all robots together; robots in contact; how close
+robots are to obstacles, see ``rewards.team_reward``; V as sensed, m²/s."""
+REWARD, BEFORE_MERGE, AFTER_MERGE, MERGE_RISE, MERGE_EXCESS, ELAPSED, WALKED, FINAL = range(15, 23)
+"""Rows of ``StepOutput.scores``."""
+N_FIELDS = 23
+
+_ZERO = np.float32(0.0)
+Floats = NDArray[np.float64]
+
+
+class LaneBlock(NamedTuple):
+    """A block holds 32 environments side by side."""
+
+    lanes: int = 32
+
+
+class ScalarBlock(NamedTuple):
+    """A block holds one environment."""
+
+    lanes: int = 1
+
+
+@by_type("width", lambda kind: kind().lanes)
+def lane_count(width):
+    """L, environments of a block: a constant of the compiled code."""
+
+
+class Robot(NamedTuple):
+    """The robot model of a scenario; loops over the tuples of indices unroll."""
+
+    model: Any  # Its constants; their type names its equations (``robots.motion``)
+    inputs: tuple[int, ...]  # (0, …, a − 1), the numbers of an action
+    axes: tuple[int, ...]  # (0, 1) or (0, 1, 2)
+    entries: tuple[int, ...]  # (0, …, d² − 1), the numbers of a frame
+    memories: tuple[int, ...]  # (0, …, k − 1), the numbers that the model keeps
+
+
+@inner_kernel(inline="code")
+def load_fields(row, field, lane, lanes, parts):
+    """Consecutive fields of one lane of a row as a tuple as long as ``parts``."""
+    k, s = field * lanes + lane, lanes
+    if len(parts) == 0:
+        return ()
+    if len(parts) == 1:
+        return (row[k],)
+    if len(parts) == 2:
+        return row[k], row[k + s]
+    if len(parts) == 3:
+        return row[k], row[k + s], row[k + 2 * s]
+    if len(parts) == 4:
+        return row[k], row[k + s], row[k + 2 * s], row[k + 3 * s]
+    first = row[k], row[k + s], row[k + 2 * s], row[k + 3 * s], row[k + 4 * s]
+    return (*first, row[k + 5 * s], row[k + 6 * s], row[k + 7 * s], row[k + 8 * s])
+
+
+@inner_kernel(inline="code")
+def store_fields(values, row, field, lane, lanes):
+    """Put a tuple into consecutive fields of one lane of a row."""
+    k, s = field * lanes + lane, lanes
+    if len(values) == 2:
+        row[k], row[k + s] = values[0], values[1]
+    elif len(values) == 3:
+        row[k], row[k + s], row[k + 2 * s] = values[0], values[1], values[2]
+    elif len(values) > 0:
+        for field in range(len(values)):
+            row[k + field * s] = values[field]
+
+
+@inner_kernel(inline="code")
+def load_point(row, field, lane, lanes, d):
+    """A position or displacement of one lane as a triple, z = 0 in the plane."""
+    k = field * lanes + lane
+    return row[k], row[k + lanes], row[k + 2 * lanes] if d == 3 else 0.0
+
+
+@inner_kernel
+def load_positions(robots, lane, lanes, out):
+    """Copy the positions of one lane of robots, (n, fields·L), to ``out``, (n, d)."""
+    for i in range(out.shape[0]):
+        for k in range(out.shape[1]):
+            out[i, k] = robots[i, k * lanes + lane]
+
+
+@inner_kernel
+def store_positions(values, robots, lane, lanes):
+    """Copy positions (n, d) to one lane of robots, (n, fields·L)."""
+    for i in range(values.shape[0]):
+        for k in range(values.shape[1]):
+            robots[i, k * lanes + lane] = values[i, k]
+
+
+@inner_kernel(inline="code")
+def sensed_step(environment, lane, lanes, moves):
+    """Number of the step that an environment is sensed in: while it moves, ``moves``, it is not
+    counted yet.
+    """
+    running = environment[STATUS * lanes + lane] == RUNNING
+    return int(environment[STEPS * lanes + lane]) + (1 if moves & running else 0)
+
+
+@inner_kernel(inline="code")
+def read(buffer, lane, parts):
+    """The numbers of one lane of a buffer, (numbers, L), as a tuple as long as ``parts``."""
+    if len(parts) == 0:
+        return ()
+    if len(parts) == 1:
+        return (buffer[0, lane],)
+    if len(parts) == 2:
+        return buffer[0, lane], buffer[1, lane]
+    if len(parts) == 3:
+        return buffer[0, lane], buffer[1, lane], buffer[2, lane]
+    first = buffer[0, lane], buffer[1, lane], buffer[2, lane], buffer[3, lane]
+    if len(parts) == 4:
+        return first
+    second = buffer[4, lane], buffer[5, lane], buffer[6, lane], buffer[7, lane]
+    return (*first, *second, buffer[8, lane])
+
+
+@inner_kernel(inline="code")
+def write(values, buffer, lane):
+    """Put a tuple of numbers into one lane of a buffer, (numbers, L)."""
+    if len(values) == 2:
+        buffer[0, lane], buffer[1, lane] = values[0], values[1]
+    elif len(values) == 3:
+        buffer[0, lane], buffer[1, lane], buffer[2, lane] = values
+    elif len(values) > 0:
+        for k in range(len(values)):
+            buffer[k, lane] = values[k]
+
+
+@inner_kernel(inline="code")
+def read_row(row, lane, axes):
+    """One lane of a row of observations, (L·d,), a pair or triple of float32."""
+    if len(axes) == 2:
+        return row[2 * lane], row[2 * lane + 1]
+    return row[3 * lane], row[3 * lane + 1], row[3 * lane + 2]
+
+
+@inner_kernel(inline="code")
+def write_row(values, row, lane):
+    """Put a pair or triple into one lane of a row of observations, (L·d,), without the negative
+    zero.
+    """
+    # by one index: with two, the compiler gives up the SIMD of a store that leaves gaps
+    d = len(values)
+    row[d * lane], row[d * lane + 1] = values[0] + _ZERO, values[1] + _ZERO
+    if len(values) == 3:
+        row[d * lane + 2] = values[2] + _ZERO

@@ -1,0 +1,241 @@
+"""The stage that applies range, field of view and random errors to the exact rows of a block,
+before they are written out.
+
+All environments of a block at once: loops over lanes become SIMD. A *couple* is what shares the
+words of a stream: the rows that two robots see of each other, or two silhouette points side by
+side.
+"""
+
+import math
+
+import numpy as np
+
+from ...compilation import inner_kernel, kernel
+from ...graphs.edges import DENSE, edge_weight, load_links, pair_index
+from ...physics.random_streams import SENSING, stream_key, word_of
+from ...physics.vectors import dot, exactly, subtract
+from ...sensors.chance import is_small, step_key, turned_by_chance
+from ...sensors.imperfections import in_sectors, is_in_view, is_seen
+from ..memory import lane_count, load_fields, read_row, sensed_step, write_row
+
+_EPISODE, _STEP = range(2)
+"""Keys: of an environment's episode, and of its step."""
+_BIAS, _NOISE, _MISSED = range(3)
+"""What is drawn for a couple."""
+_DRAWS = 3
+"""Words of a stream for one couple: two to turn it (one in the plane), one for what is missed."""
+_UPPER_HALF, _WORDS = np.uint64(32), 2.0**32
+_ZERO = np.float32(0.0)
+
+
+@kernel
+def apply_noise(
+    width,
+    axes,
+    entries,
+    first,
+    last,
+    moves,
+    errors,
+    slots,
+    in_order,
+    links,
+    seeds,
+    episodes,
+    robots,
+    environments,
+    rows,
+    listed,
+    weights,
+    counts,
+    keys,
+    words,
+):
+    """Drop rows of neighbours, and turn them. It may be done again for the same step: the random
+    numbers are a function of the number of the step.
+
+    Rows of ``slots`` neighbours are in the order of links if ``in_order``, else each robot has its
+    own. Working memory: listed (2, E), weights (E,), counts (n,), keys (2, L), words (3, 4, L).
+    """
+    lanes, n = lane_count(width), robots.shape[1]
+    for block in range(first, last):
+        _begin(width, block, moves, seeds, episodes, environments[block], keys)
+        found = links.first.shape[1]
+        if links.form == DENSE:
+            for e in range(found):
+                listed[0, e], listed[1, e] = links.first[0, e], links.second[0, e]
+        else:
+            found = load_links(links, block, 0, n, listed[0], listed[1], weights)
+        counts[:] = 0
+        for e in range(found):
+            first_robot, second_robot = listed[0, e], listed[1, e]
+            _draw(width, axes, pair_index(first_robot, second_robot, n), errors, keys, words)
+            for side in range(2):
+                i, j = (second_robot, first_robot) if side else (first_robot, second_robot)
+                if edge_weight(links, block, n, i, j, 1.0) > 0.0:
+                    slot = counts[i] if in_order else j - (j > i)
+                    counts[i] += 1
+                    if slot < slots or not in_order:
+                        row = rows[block - first, i, slot]
+                        _hide(width, axes, entries, errors, robots[block, i], robots[block, j], row)
+                        if errors.dropout > 0.0:
+                            _miss(width, axes, errors.dropout, words[_MISSED, side], row)
+                        _turn_side(width, axes, side, errors, words, row)
+
+
+@inner_kernel
+def _begin(width, block, moves, seeds, episodes, environment, keys):
+    """The keys of the streams of sensing."""
+    lanes = lane_count(width)
+    for lane in range(min(lanes, len(seeds) - block * lanes)):
+        key = stream_key(seeds[block * lanes + lane], episodes[block * lanes + lane], SENSING)
+        keys[_EPISODE, lane] = key
+        keys[_STEP, lane] = step_key(key, sensed_step(environment, lane, lanes, moves))
+
+
+@inner_kernel(inline="code")
+def _draw(width, axes, couple, errors, keys, words):
+    """Random words of a couple, of the two sides alternately: words[purpose, side], and in space
+    the other half of the same words, words[purpose, 2 + side].
+    """
+    first = couple * _DRAWS
+    if errors.bias > 0.0:
+        _draw_turns(width, axes, keys[_EPISODE], first, words[_BIAS])
+    if errors.noise > 0.0:
+        _draw_turns(width, axes, keys[_STEP], first, words[_NOISE])
+    if errors.dropout > 0.0:
+        _halve(width, keys[_STEP], first + 2, words[_MISSED, 0], words[_MISSED, 1])
+
+
+@inner_kernel(inline="code")
+def _draw_turns(width, axes, keys, first, words):
+    if len(axes) == 2:
+        _halve(width, keys, first, words[0], words[1])
+    else:
+        _halve(width, keys, first, words[0], words[2])
+        _halve(width, keys, first + 1, words[1], words[3])
+
+
+@inner_kernel
+def _halve(width, keys, counter, upper, lower):
+    """Both halves of a word of every lane's stream."""
+    for lane in range(lane_count(width)):
+        word = word_of(keys[lane], counter)
+        upper[lane], lower[lane] = np.uint32(word >> _UPPER_HALF), np.uint32(word)
+
+
+@inner_kernel
+def _turn(width, axes, deviation, words, others, row):
+    """Turn a row (L·d,) of every lane by an angle of this standard deviation, rad."""
+    deviation = np.float32(deviation)
+    if is_small(deviation):
+        _turn_by(width, axes, deviation, True, words, others, row)
+    else:
+        _turn_by(width, axes, deviation, False, words, others, row)
+
+
+@inner_kernel(inline="code")
+def _turn_by(width, axes, deviation, small, words, others, row):
+    for lane in range(lane_count(width)):
+        seen = read_row(row, lane, axes)
+        turned = turned_by_chance(seen, deviation, small, words[lane], others[lane])
+        write_row(turned, row, lane)
+
+
+@inner_kernel(inline="code")
+def _turn_side(width, axes, side, errors, words, row):
+    """Turn a row of one side of a couple by its bias of the episode and its noise of the step."""
+    if errors.bias > 0.0:
+        _turn(width, axes, errors.bias, words[_BIAS, side], words[_BIAS, 2 + side], row)
+    if errors.noise > 0.0:
+        _turn(width, axes, errors.noise, words[_NOISE, side], words[_NOISE, 2 + side], row)
+
+
+@inner_kernel(inline="code")
+def _hide(width, axes, entries, errors, robot, other, row):
+    """Drop the row of a robot that is out of range or of the field of view of another one."""
+    if errors.half_field < math.pi:
+        _see_within(width, axes, entries, errors.reach, errors.half_field, robot, other, row)
+    elif errors.reach < np.inf:
+        # without an angle it becomes SIMD
+        _see_within(width, axes, entries, errors.reach, math.pi, robot, other, row)
+
+
+@inner_kernel(inline="code")
+def _see_within(width, axes, entries, reach, half_field, robot, other, row):
+    lanes = lane_count(width)
+    for lane in range(lanes):
+        here = load_fields(robot, 0, lane, lanes, axes)
+        offset = subtract(load_fields(other, 0, lane, lanes, axes), here)
+        frame = load_fields(robot, len(axes), lane, lanes, entries)
+        _keep(is_seen(offset, frame, reach, half_field), axes, row, lane)
+
+
+@inner_kernel(inline="code")
+def _miss(width, axes, chance, words, row):
+    """Drop a row of the lanes whose words are among the lowest."""
+    highest = np.uint32(math.ceil(chance * _WORDS) - 1)
+    for lane in range(lane_count(width)):
+        _keep(words[lane] > highest, axes, row, lane)
+
+
+@inner_kernel(inline="code")
+def _keep(there, axes, row, lane):
+    """Make a lane of a row zero unless it is there."""
+    for k in range(len(axes)):
+        value = row[len(axes) * lane + k]
+        row[len(axes) * lane + k] = value if there else _ZERO
+
+
+@kernel
+def apply_noise_to_silhouettes(
+    width,
+    axes,
+    first,
+    last,
+    moves,
+    errors,
+    own,
+    points,
+    seeds,
+    episodes,
+    environments,
+    rows,
+    keys,
+    words,
+):
+    """Silhouettes, ``points`` rows each from the row ``own`` on: in the field of view, turned, and
+    rounded. Working memory as ``apply_noise``.
+    """
+    lanes, n = lane_count(width), rows.shape[1]
+    slots = (rows.shape[2] - own) // points  # the remaining row, if any, is of the robot itself
+    turns = errors.bias > 0.0 or errors.noise > 0.0
+    for block in range(first, last):
+        count = min(lanes, len(seeds) - block * lanes)
+        _begin(width, block, moves, seeds, episodes, environments[block], keys)
+        for i in range(n):
+            for m in range(slots):
+                seen = rows[block - first, i, own + m * points : own + (m + 1) * points]
+                if errors.half_field < math.pi:
+                    _see_in_view(axes, count, errors.half_field, seen)
+                for side in range(points if turns else 0):
+                    if side % 2 == 0:
+                        couple = n * (n - 1) // 2 + ((i * slots + m) * points + side) // 2
+                        _draw(width, axes, couple, errors, keys, words)
+                    _turn_side(width, axes, side % 2, errors, words, seen[side])
+                for s in range(points if errors.sectors > 0 else 0):
+                    for lane in range(count):
+                        point = exactly(read_row(seen[s], lane, axes))
+                        write_row(in_sectors(point, errors.sectors), seen[s], lane)
+
+
+@inner_kernel
+def _see_in_view(axes, count, half_field, rows):
+    """An obstacle is seen with all its points as soon as one of them is in the field of view."""
+    for lane in range(count):
+        seen = False
+        for s in range(rows.shape[0]):
+            point = exactly(read_row(rows[s], lane, axes))
+            seen = seen or (dot(point, point) > 0.0 and is_in_view(point, half_field))
+        for s in range(rows.shape[0]):
+            _keep(seen, axes, rows[s], lane)

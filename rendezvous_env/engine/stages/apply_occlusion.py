@@ -1,0 +1,100 @@
+"""The stages that change the observations of one environment at a time: occlusion, an adversary,
+sectors, rows that close up, and delay.
+"""
+
+from ...compilation import kernel
+from ...graphs.edges import edge_weight, load_links
+from ...obstacles.obstacle_set import AnyObstacles
+from ...physics.vectors import exactly
+from ...physics.worst_bias import outward_directions
+from ...sensors.imperfections import neighbour_seen
+from ..memory import load_fields, load_positions, read_row, sensed_step, write_row
+
+
+@kernel
+def apply_occlusion(
+    axes,
+    entries,
+    lanes,
+    first,
+    last,
+    errors,
+    radius,
+    slots,
+    packed,
+    links,
+    robots,
+    merged_into,
+    obstacles,
+    observations,
+    vectors,
+    listed,
+    weights,
+    counts,
+):
+    """Both ends of every link, in the order of their rows; of a one-way link one. ``radius`` is
+    that of a robot that hides others, m. Working memory: vectors (3, n, d), listed (2, E), weights
+    (E,), counts (n,).
+    """
+    n, positions, outward = robots.shape[1], vectors[0], vectors[1]
+    for block in range(first, last):
+        for lane in range(min(lanes, len(merged_into) - block * lanes)):
+            b = block * lanes + lane
+            load_positions(robots[block], lane, lanes, positions)
+            if errors.error > 0.0:
+                outward_directions(positions, merged_into[b], outward)
+            world = AnyObstacles(obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b])
+            scene, places = (world, merged_into[b], radius), (positions, outward)
+            found = load_links(links, block, lane, n, listed[0], listed[1], weights)
+            counts[:] = 0
+            for end in range(2 * found):
+                one, other = listed[0, end // 2], listed[1, end // 2]
+                i, j = (other, one) if end % 2 else (one, other)
+                if edge_weight(links, block, n, i, j, 1.0) > 0.0:
+                    slot = counts[i] if packed else j - (j > i)
+                    counts[i] += 1
+                    if slot < slots:
+                        frame = load_fields(robots[block, i], len(axes), lane, lanes, entries)
+                        row = observations[b, i, slot]
+                        seen = exactly(read_row(row, 0, axes))
+                        seen = neighbour_seen((i, j), seen, frame, errors, places, scene)
+                        write_row(seen, row, 0)
+
+
+@kernel
+def close_rows(first, last, slots, observations):
+    """Let the rows of the neighbours that a robot sees come first; environments first to last."""
+    for b in range(first, last):
+        for i in range(observations.shape[1]):
+            rows, filled = observations[b, i], 0
+            for slot in range(slots):
+                present = False
+                for k in range(rows.shape[1]):
+                    present = present or rows[slot, k] != 0.0
+                if present:
+                    for k in range(rows.shape[1]):
+                        value = rows[slot, k]
+                        rows[slot, k] = 0.0
+                        rows[filled, k] = value
+                    filled += 1
+
+
+@kernel
+def delay_observations(lanes, first, last, moves, merged_into, environments, observations, past):
+    """Keep the rows of this step, and replace them by those of some steps before; inactive robots
+    see nothing. ``past`` is (B, delay + 1, n, K + M·S, d): step t is at t mod (delay + 1).
+    """
+    length, n, sensed, d = past.shape[1:]
+    for block in range(first, last):
+        for lane in range(min(lanes, len(merged_into) - block * lanes)):
+            b, step = block * lanes + lane, sensed_step(environments[block], lane, lanes, moves)
+            now, due, rows = past[b, step % length], past[b, (step + 1) % length], observations[b]
+            for i in range(n):
+                active = merged_into[b, i] == i
+                for row in range(sensed):
+                    for k in range(d):
+                        if step == 0:  # nothing else has been seen
+                            for t in range(length):
+                                past[b, t, i, row, k] = rows[i, row, k]
+                        now[i, row, k] = rows[i, row, k]
+                        rows[i, row, k] = due[i, row, k] if active else 0.0

@@ -1,0 +1,231 @@
+"""The second stage, for environments in which something can meet: swept contacts, then merges, or
+bodies that touch. One environment at a time, by exact geometry; one compiled form each.
+"""
+
+import math
+
+from ...compilation import inner_kernel, kernel
+from ...graphs.edges import arcs_of, load_links, store_links
+from ...graphs.merging import merge_swept
+from ...obstacles.contact import move_curved, move_straight
+from ...obstacles.obstacle_set import AnyObstacles
+from ...physics.packing import is_packed, move_apart
+from ...physics.vectors import norm
+from ..memory import (
+    ACTIVE,
+    AFTER_MERGE,
+    BEFORE_MERGE,
+    FREE,
+    MERGE_EXCESS,
+    MERGE_RISE,
+    MERGED,
+    PACKED,
+    PROXIMITY,
+    STEP_CONTACTS,
+    load_fields,
+    load_point,
+    load_positions,
+    store_positions,
+)
+
+
+@kernel
+def stop_at_obstacles(
+    lanes,
+    d,
+    first,
+    last,
+    mode,
+    robots,
+    merged_into,
+    environments,
+    moves,
+    obstacles,
+    contact,
+    normals,
+):
+    """Replace straight displacements by those that obstacles leave; ``normals``, (2M, 3), is
+    working memory.
+    """
+    n = robots.shape[1]
+    for block in range(first, last):
+        for lane in range(min(lanes, len(merged_into) - block * lanes)):
+            if environments[block, PROXIMITY * lanes + lane] == FREE:
+                continue
+            b = block * lanes + lane
+            world = AnyObstacles(obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b])
+            for i in range(n):
+                if merged_into[b, i] == i:
+                    point = load_point(robots[block, i], 0, lane, lanes, d)
+                    way = load_point(moves[block - first, i], 0, lane, lanes, d)
+                    met, executed = move_straight(point, way, world, mode, normals)
+                    _execute(met, executed, moves[block - first, i], lane, lanes, d)
+                    if met:
+                        contact[b, i] = True
+                        environments[block, STEP_CONTACTS * lanes + lane] += 1.0
+
+
+@kernel
+def stop_curves_at_obstacles(
+    robot,
+    lanes,
+    first,
+    last,
+    mode,
+    robots,
+    merged_into,
+    environments,
+    moves,
+    obstacles,
+    contact,
+    normals,
+):
+    """The same for robot models that move along curves."""
+    n, d = robots.shape[1], len(robot.axes)
+    for block in range(first, last):
+        for lane in range(min(lanes, len(merged_into) - block * lanes)):
+            if environments[block, PROXIMITY * lanes + lane] == FREE:
+                continue
+            b = block * lanes + lane
+            world = AnyObstacles(obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b])
+            for i in range(n):
+                if merged_into[b, i] == i:
+                    state, move = robots[block, i], moves[block - first, i]
+                    met, executed = move_curved(
+                        load_point(state, 0, lane, lanes, d),
+                        load_point(move, 0, lane, lanes, d),
+                        robot.model,
+                        load_fields(move, d + 1, lane, lanes, robot.inputs),
+                        load_fields(state, d, lane, lanes, robot.entries),
+                        load_fields(state, d + d * d, lane, lanes, robot.memories),
+                        world,
+                        mode,
+                        normals,
+                    )
+                    _execute(met, executed, move, lane, lanes, d)
+                    if met:
+                        contact[b, i] = True
+                        environments[block, STEP_CONTACTS * lanes + lane] += 1.0
+
+
+@inner_kernel
+def _execute(met, executed, move, lane, lanes, d):
+    """Write a displacement, a triple, and after a contact its length: the chord's, since the path
+    along a surface is not kept.
+    """
+    for k in range(d):
+        move[k * lanes + lane] = executed[k]
+    if met:
+        move[d * lanes + lane] = norm(executed)
+
+
+@kernel
+def merge_robots(
+    lanes,
+    first,
+    last,
+    radius,
+    robots,
+    merged_into,
+    environments,
+    moves,
+    links,
+    obstacles,
+    took_part,
+    vectors,
+    numbers,
+    listed,
+    resting,
+):
+    """Carry the displacements out, and merge robots that come within the merge radius, m.
+
+    Who existed before is left in ``took_part``, (B, n): merged-away robots earn in this step.
+    Working memory: vectors (3, n, d), numbers (4 + n, max(n, E)), listed (2, max(n, E)), and
+    resting (n,).
+    """
+    n, d = robots.shape[1], vectors.shape[2]
+    positions, displacements, here = vectors[0], vectors[1], vectors[2]
+    weights, moments, lengths, report = numbers[0], numbers[1], numbers[2, :n], numbers[3]
+    for block in range(first, last):
+        environment, move = environments[block], moves[block - first]
+        for lane in range(min(lanes, len(merged_into) - block * lanes)):
+            if environment[PROXIMITY * lanes + lane] == FREE:
+                continue
+            b = block * lanes + lane
+            load_positions(robots[block], lane, lanes, positions)
+            load_positions(move, lane, lanes, displacements)
+            for i in range(n):
+                lengths[i] = move[i, d * lanes + lane]
+                took_part[b, i] = merged_into[b, i] == i
+            count = load_links(links, block, lane, n, listed[0], listed[1], weights)
+            report[:4] = 0.0
+            merges = merge_swept(
+                positions,
+                displacements,
+                lengths,
+                (listed[0, :count], listed[1, :count], weights[:count]),
+                arcs_of(links, block, n),
+                merged_into[b],
+                AnyObstacles(obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b]),
+                radius,
+                (moments, here, resting, report),
+            )
+            for i in range(n):
+                move[i, d * lanes + lane] = lengths[i]
+            store_positions(positions, robots[block], lane, lanes)
+            if merges > 0:
+                store_links(links, block, lane, n, listed[0], listed[1], weights, count)
+                environment[ACTIVE * lanes + lane] -= merges
+                environment[PROXIMITY * lanes + lane] = MERGED
+                environment[BEFORE_MERGE * lanes + lane] = report[0]
+                environment[AFTER_MERGE * lanes + lane] = report[1]
+                environment[MERGE_RISE * lanes + lane] = report[2]
+                environment[MERGE_EXCESS * lanes + lane] = report[3]
+
+
+@kernel
+def pack_robots(
+    lanes,
+    first,
+    last,
+    sizes,
+    robots,
+    merged_into,
+    environments,
+    moves,
+    vectors,
+    numbers,
+    listed,
+    resting,
+):
+    """Carry the displacements out as discs that do not overlap; ``sizes`` are the diameter of a
+    body and the distance at which two count as touching, m. Working memory as ``merge_robots``.
+    """
+    n, d = robots.shape[1], vectors.shape[2]
+    positions, displacements, lengths = vectors[0], vectors[1], numbers[2, :n]
+    for block in range(first, last):
+        environment, move = environments[block], moves[block - first]
+        for lane in range(min(lanes, len(merged_into) - block * lanes)):
+            if environment[PROXIMITY * lanes + lane] == FREE:
+                continue
+            load_positions(robots[block], lane, lanes, positions)
+            load_positions(move, lane, lanes, displacements)
+            for i in range(n):
+                lengths[i] = move[i, d * lanes + lane]
+            move_apart(positions, displacements, lengths, sizes[0], (vectors[2], numbers[1]))
+            if is_packed(positions, sizes[1], (listed[0], resting)):
+                environment[PROXIMITY * lanes + lane] = PACKED
+            for i in range(n):
+                move[i, d * lanes + lane] = lengths[i]
+            store_positions(positions, robots[block], lane, lanes)
+
+
+def reaches(speed_limit, duration, merge_radius, packs, sees_obstacles):
+    """Square distance of neighbours, m², and clearance, m, below which something can meet in a
+    step: they close in by 2 v_max τ, or v_max τ.
+    """
+    rounding, nearest = 1.0 + 1e-9, 1e-9
+    reach = speed_limit * duration * rounding
+    square = (merge_radius * rounding + 2.0 * reach) ** 2
+    # bodies touch whether or not they are neighbours
+    return math.inf if packs else square, reach + nearest if sees_obstacles else -math.inf

@@ -1,0 +1,101 @@
+"""The stages that write observations: rows of all lanes, and the row of oneself."""
+
+import numpy as np
+
+from ...compilation import inner_kernel, kernel
+from ...robots.motion import proprioception
+from ..memory import lane_count, load_fields, write_row
+
+_MANY_ROWS = 256  # which with those of the other lanes no longer fit into the nearest cache
+
+
+@kernel
+def write_observations(width, axes, first, last, rows, observations):
+    """Copy rows, (blocks, n, rows, L·d), to observations, (B, n, rows, d)."""
+    if len(axes) == 2:  # both numbers of a row in one piece: half as many to copy
+        _copy_rows(width, 1, first, last, rows.view(np.float64), observations.view(np.float64))
+    else:
+        _copy_rows(width, 3, first, last, rows, observations)
+
+
+@inner_kernel(inline="code")
+def _copy_rows(width, parts, first, last, rows, observations):
+    lanes, n_rows = lane_count(width), rows.shape[1] * rows.shape[2]
+    source = rows.reshape(rows.shape[0], n_rows, rows.shape[3])
+    target = observations.reshape(observations.shape[0], n_rows * parts)
+    together = 4 if n_rows < _MANY_ROWS else 32
+    for block in range(first, last):
+        start = block * lanes
+        some = target[start : start + lanes]
+        if together == 4:
+            _copy_together(source[block - first], some, parts, 4)
+        else:
+            _copy_together(source[block - first], some, parts, 32)
+
+
+@inner_kernel(inline="code")
+def _copy_together(source, target, parts, count):
+    """So many rows of a lane at a time, which lie side by side, and the last few one by one."""
+    whole = len(source) - len(source) % count
+    for k in range(0, whole, count):
+        for lane in range(len(target)):
+            for row in range(k, k + count):
+                for part in range(parts):
+                    target[lane, row * parts + part] = source[row, lane * parts + part]
+    for row in range(whole, len(source)):
+        for lane in range(len(target)):
+            for part in range(parts):
+                target[lane, row * parts + part] = source[row, lane * parts + part]
+
+
+@kernel
+def write_packed(lanes, first, last, slots, links, rows, counts, observations, over):
+    """The same where there are fewer neighbour rows, ``slots``, than other robots: those present
+    come first, in index order, and the other rows behind them. A robot with more neighbours is left
+    in ``over``, (B,); ``counts``, (n,), is working memory.
+    """
+    n, d, others = rows.shape[1], observations.shape[3], observations.shape[2] - slots
+    for block in range(first, last):
+        row = rows[block - first]
+        for lane in range(min(lanes, len(observations) - block * lanes)):
+            b = block * lanes + lane
+            seen = observations[b]
+            seen[:] = 0.0
+            counts[:] = 0
+            for pair in range(links.first.shape[1]):
+                if links.weights[block, pair, lane] > 0.0:
+                    for end in range(2):
+                        i, j = links.first[0, pair], links.second[0, pair]
+                        robot, own = (j, i) if end else (i, j - 1)
+                        slot = counts[robot]
+                        counts[robot] = slot + 1
+                        if slot >= slots:
+                            over[b] = robot
+                            continue
+                        for k in range(d):
+                            seen[robot, slot, k] = row[robot, own, d * lane + k]
+            for robot in range(n):
+                for other in range(others):
+                    for k in range(d):
+                        value = row[robot, n - 1 + other, d * lane + k]
+                        seen[robot, slots + other, k] = value
+
+
+@kernel
+def sense_oneself(robot, lanes, first, last, robots, merged_into, observations):
+    """The last row of models that sense something of themselves; zero for inactive robots."""
+    d = len(robot.axes)
+    for block in range(first, last):
+        for lane in range(min(lanes, len(merged_into) - block * lanes)):
+            b = block * lanes + lane
+            for i in range(robots.shape[1]):
+                state = robots[block, i]
+                seen = proprioception(
+                    robot.model,
+                    load_fields(state, d, lane, lanes, robot.entries),
+                    load_fields(state, d + d * d, lane, lanes, robot.memories),
+                )
+                row = observations[b, i, observations.shape[2] - 1]
+                write_row(seen, row, 0)
+                if merged_into[b, i] != i:
+                    row[:] = 0.0
