@@ -60,7 +60,7 @@ class Simulator(StateView):
         self._acted = (self.num_envs, scenario.n_robots, scenario.action_size)
         self._state = State(MemoryLayout(scenario, self.num_envs))
         self._runner = runner = BatchRunner(self._state, self.num_threads, self.max_steps)
-        self._episodes = Episodes(self._state, runner.robot, float(scenario.tau), runner.scratch)
+        self._episodes = Episodes(self._state, runner.robot, runner.scratch)
         self._given_out = tuple((a.shape, a.dtype) for a in runner.new_output())
         self._all_running = True
         self._custom = bool(scenario.reward.custom or scenario.sensing.custom or scenario.costs)

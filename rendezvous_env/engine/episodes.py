@@ -18,16 +18,15 @@ from .edge_tables import as_kept
 from .memory import AWAITING_RESET, RUNNING, Robot
 from .memory_layout import Scratch
 from .preparation import StartRules, fixed_links, fixed_obstacles, start_rules
-from .stages.sense_neighbours import update_links
 from .state import State
 
 
 class Episodes:
     """The beginning of the episodes of B environments."""
 
-    def __init__(self, state: State, robot: Robot, duration: float, scratch: Scratch) -> None:
+    def __init__(self, state: State, robot: Robot, scratch: Scratch) -> None:
         self._state, self._robot, self._scratch = state, robot, scratch
-        self._duration, self._rules = duration, start_rules(state.scenario)
+        self._rules = start_rules(state.scenario)
         links, n = fixed_links(state.scenario), state.scenario.n_robots
         self._links = None if links is None else as_kept(state.links, [links], n)
         self._obstacles = fixed_obstacles(state.scenario)
@@ -67,19 +66,23 @@ class Episodes:
                 )
         pending, trial = which, 0
         while len(pending) and trial < reset.MAX_TRIALS:
-            pending = self._draw_room(pending, trial, status, rules)
+            pending = self._draw_room(pending, trial, rules)
             trial += 1
         if len(pending):
             raise RuntimeError(self._no_room(int(pending[0])))
         state.lay_out_discs(which)
+        if rules.draw_frames:
+            self._run(reset.draw_frames, lanes, which, robot.axes, *streams, state.robots)
         if robot.memories:
             given = rules.draw_memory, *streams, state.robots
             self._run(reset.draw_memories, lanes, which, robot, *given)
-        if state.links.form == ARCS:
-            self._begin_arcs(which, rules)
+        if rules.draw_weights and rules.factors is not None:
+            given = *rules.factors, *streams, state.scenario.n_robots, state.links
+            self._run(reset.multiply_arcs, which, *given)
+        state.begin(which, status)
 
     def _draw_room(
-        self, which: NDArray[np.int64], trial: int, status: int, rules: StartRules
+        self, which: NDArray[np.int64], trial: int, rules: StartRules
     ) -> NDArray[np.int64]:
         """Obstacles and positions of environments; those in which some robots are walled in, where
         the field promises none, are returned, to be drawn again.
@@ -94,16 +97,12 @@ class Episodes:
             failed = self._run(reset.draw_fields, lanes, which, trial, *streams, *given)
             if failed >= 0:
                 raise RuntimeError(self._no_room(failed))
-        draws = rules.draw_positions, rules.draw_frames, rules.reach is not None
-        reach = math.inf if rules.reach is None else rules.reach
-        lengths = rules.spawn_size, rules.least_distance, rules.keep_out, reach
-        given = *streams, state.links, world if world.kinds.shape[1] else None
-        written = state.robots, state.merged_into, state.environments
-        memory = positions, work.listed, work.numbers[0], work.counts
-        arguments = which, trial, status, draws, lengths, *given, *written, *memory
-        failed = self._run(reset.begin_episodes, lanes, *arguments)
-        if failed >= 0:
-            raise RuntimeError(self._no_room(failed))
+        pending, further = which if rules.draw_positions else which[:0], 0
+        while len(pending) and further < reset.MAX_CONNECTED:
+            pending = self._draw_positions(pending, (trial, further), rules)
+            further += 1
+        if len(pending):
+            raise RuntimeError(self._no_room(int(pending[0])))
         if not draws_field or field.passage == 0.0:
             return which[:0]
         walled_in = np.zeros(len(which), np.bool_)
@@ -111,20 +110,26 @@ class Episodes:
         self._run(reset.check_passages, lanes, which, *given)
         return which[walled_in]
 
-    def _begin_arcs(self, which: NDArray[np.int64], rules: StartRules) -> None:
-        """Arcs of the moment at which episodes begin, and their V."""
-        state, robot, work = self._state, self._robot, self._scratch
-        if rules.draw_weights and rules.factors is not None:
-            given = *rules.factors, state.seed, state.number, state.scenario.n_robots, state.links
-            self._run(reset.multiply_arcs, which, *given)
-        if state.changes is not None:
-            given = False, self._duration, state.changes, state.seed, state.number, state.robots
-            others = state.merged_into, state.environments, state.links
-            for b in which.tolist():
-                axes = robot.axes, robot.entries
-                self._run(update_links, *axes, b, b + 1, *given, *others)
-        memory = work.vectors[0], work.listed, work.numbers[0]
-        self._run(reset.begin_arcs, which, state.links, state.robots, state.environments, *memory)
+    def _draw_positions(
+        self, which: NDArray[np.int64], trials: tuple[int, int], rules: StartRules
+    ) -> NDArray[np.int64]:
+        """Positions of environments; those in which no links up to a length connect the robots,
+        where that is asked for, are returned.
+        """
+        state, work, lanes = self._state, self._scratch, self._state.lanes
+        lengths = rules.spawn_size, rules.least_distance, rules.keep_out
+        world = state.obstacles if state.obstacles.kinds.shape[1] else None
+        given = lengths, rules.reach is not None, state.seed, state.number, state.links, world
+        memory = state.robots, work.vectors[0]
+        failed = self._run(reset.draw_positions, lanes, which, trials, *given, *memory)
+        if failed >= 0:
+            raise RuntimeError(self._no_room(failed))
+        if rules.reach is None or rules.reach == math.inf:
+            return which[:0]
+        parted = np.zeros(len(which), np.bool_)
+        given = rules.reach, state.robots, work.vectors[0], work.counts, parted
+        self._run(reset.check_connected, lanes, which, *given)
+        return which[parted]
 
     def _run(self, kernel: Any, *arguments: Any) -> Any:
         """What a kernel gives; it is compiled here if it has not been."""

@@ -11,7 +11,14 @@ from ..obstacles import obstacle_set, parsing
 from ..obstacles.disc import BALL
 from ..obstacles.shape import BOUND, MIDDLE
 from .edge_tables import changes_of, empty_links, matrices, state_arrays
-from .memory import EPISODE_FIELDS, LYAPUNOV, N_FIELDS, SENSED_LYAPUNOV
+from .memory import (
+    EPISODE_FIELDS,
+    INITIAL_LYAPUNOV,
+    LYAPUNOV,
+    N_FIELDS,
+    RUNNING,
+    SENSED_LYAPUNOV,
+)
 from .memory_layout import MemoryLayout, aligned
 
 KEPT = {
@@ -128,9 +135,23 @@ class State:
             discs[block, :, :2, lane] = shapes[..., MIDDLE : MIDDLE + 2]
             discs[block, :, 2, lane] = np.where(is_disc, shapes[..., BOUND], np.nan)
 
+    def begin(self, which: NDArray[np.int64], status: int) -> None:
+        """Begin the counts of episodes, of which positions and links are already here. V at the
+        start is unknown, −1, until they are observed, or 0 in those that await that in a step.
+        """
+        n = self.scenario.n_robots
+        known = {"status": status, "active": n, "initial_lyapunov": -float(status == RUNNING)}
+        far = dict.fromkeys(("min_clearance", "clearance", "square_closest"), np.inf)
+        fields = np.zeros(N_FIELDS)
+        for name, value in {**known, **far}.items():
+            fields[EPISODE_FIELDS.index(name)] = value
+        self.give(which, environments=fields[None], merged_into=np.arange(n))
+
     def settle(self) -> None:
         """Take V of all environments from an observation that was no step."""
-        self._fields[:, LYAPUNOV] = self._fields[:, SENSED_LYAPUNOV]
+        initial, now = self._fields[:, INITIAL_LYAPUNOV], self._fields[:, SENSED_LYAPUNOV]
+        self._fields[:, LYAPUNOV] = now
+        np.copyto(initial, now, where=initial < 0.0)
 
     def as_dict(self) -> dict[str, NDArray[Any]]:
         """All that is neither constant nor follows from the rest, as copies with leading axis B."""

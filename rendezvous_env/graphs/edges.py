@@ -93,6 +93,19 @@ def store_links(links, block, lane, n, first, second, weights, count):
             kept[e, 0] = 0.0
 
 
+@inner_kernel
+def are_linked(links, block, lane, n, i, j):
+    """Whether two robots i < j are linked."""
+    if links.form == DENSE:
+        return links.weights[block, pair_index(i, j, n), lane] > 0.0
+    if links.form == ARCS:
+        return links.weights[block, i * n + j, 0] + links.weights[block, j * n + i, 0] > 0.0
+    for e in range(links.first.shape[1]):
+        if links.first[block, e] == i and links.second[block, e] == j:
+            return links.weights[block, e, 0] > 0.0
+    return False
+
+
 @inner_kernel(inline="text")
 def arcs_of(links, block, n):
     """The matrix a_ij, (n, n), m/s, of one environment; (0, 0) where links are no arcs."""

@@ -80,7 +80,7 @@ def conclude_step(
                         robot_rewards[b, i] = 0.0
 
 
-@inner_kernel(inline="code")
+@inner_kernel(inline="text")
 def _conclude(width, duration, max_steps, reward_weights, environment):
     """Reward, rendezvous and time limit over lanes: the one place where an episode ends."""
     lanes, time_share = lane_count(width), 1.0 / max_steps
@@ -88,7 +88,7 @@ def _conclude(width, duration, max_steps, reward_weights, environment):
         status = environment[STATUS * lanes + lane]
         before = environment[LYAPUNOV * lanes + lane]
         now = environment[SENSED_LYAPUNOV * lanes + lane]
-        initial = environment[INITIAL_LYAPUNOV * lanes + lane]
+        awaiting, initial = status == _AWAITING, environment[INITIAL_LYAPUNOV * lanes + lane]
         touched, running = environment[STEP_CONTACTS * lanes + lane], status == _RUNNING
         proximity = environment[PROXIMITY * lanes + lane]
         steps = environment[STEPS * lanes + lane] + (1.0 if running else 0.0)
@@ -102,7 +102,8 @@ def _conclude(width, duration, max_steps, reward_weights, environment):
         path_length = environment[PATH_LENGTH * lanes + lane] + environment[STEP_LENGTH * lanes + lane]
         merged = proximity == MERGED
         first, last = environment[BEFORE_MERGE * lanes + lane], environment[AFTER_MERGE * lanes + lane]
-        environment[STATUS * lanes + lane] = ended if running | (status == _AWAITING) else status
+        environment[STATUS * lanes + lane] = ended if running | awaiting else status
+        environment[INITIAL_LYAPUNOV * lanes + lane] = now if awaiting else initial
         environment[STEPS * lanes + lane] = steps
         environment[LYAPUNOV * lanes + lane] = now
         environment[PATH_LENGTH * lanes + lane] = path_length

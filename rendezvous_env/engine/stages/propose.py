@@ -5,7 +5,7 @@ and frames of robot models after it.
 from ...compilation import inner_kernel, kernel
 from ...obstacles.contact import STOP
 from ...robots.motion import FREE as UNTOUCHED
-from ...robots.motion import SLID, STOPPED, drifts, frame_of, propose, update_memory
+from ...robots.motion import SLID, STOPPED, frame_of, propose, update_memory
 from ..memory import (
     ACTIVE,
     CLEARANCE,
@@ -44,11 +44,9 @@ def propose_motion(
             for k in range(len(robot.inputs)):
                 for lane in range(count):
                     move[i, (d + 1 + k) * lanes + lane] = actions[start + lane, i, k]
-        _hold_still(move, d + 1, len(robot.inputs), count, lanes, start, environment, merged_into)
         for i in range(n):
             _propose_robot(width, robot, robots[block, i], move[i])
-        if drifts(robot.model):
-            _hold_still(move, 0, d + 1, count, lanes, start, environment, merged_into)
+        _hold_still(move, count, lanes, start, environment, merged_into)
         _begin_step(width, reach, environment)
 
 
@@ -68,9 +66,9 @@ def _propose_robot(width, robot, state, move):
 
 
 @inner_kernel
-def _hold_still(move, field, fields, count, lanes, start, environment, merged_into):
-    """Make fields of robots that do not move zero: all robots of an environment that is not
-    running, and those that have merged away.
+def _hold_still(move, count, lanes, start, environment, merged_into):
+    """Make motion and action of robots that do not move zero: of all robots of an environment that
+    is not running, and those that have merged away.
     """
     n = move.shape[0]
     for lane in range(count):
@@ -79,8 +77,8 @@ def _hold_still(move, field, fields, count, lanes, start, environment, merged_in
             continue
         for i in range(n):
             if not running or merged_into[start + lane, i] != i:
-                for k in range(field, field + fields):
-                    move[i, k * lanes + lane] = 0.0
+                for k in range(lane, move.shape[1], lanes):
+                    move[i, k] = 0.0
 
 
 @inner_kernel(inline="code")

@@ -52,7 +52,7 @@ from .sense_neighbours import hide_docked, sense_links, sense_pairs, update_link
 from .sense_obstacles import measure_clearance, sense_discs, sense_shapes
 from .write_observations import sense_oneself, write_observations, write_packed
 
-_EXPONENT = np.uint32(0x7F800000)  # The exponent bits of a float32
+_LARGEST = np.finfo(np.float32).max
 Call = Callable[[], Any]
 
 
@@ -149,42 +149,54 @@ class StepStages:
         state, robot, constants, place = self._state, self._robot, self.constants, self._state.place
         width, lanes, links, axes, entries = place.width, state.lanes, state.links, robot.axes, robot.entries
         robots, merged, environments = state.robots, state.merged_into, state.environments
-        slots = constants.neighbour_slots
+        slots, rows = constants.neighbour_slots, self._rows(first, last, output, work)
         if state.changes is not None:
             time = moves, constants.duration, state.changes, state.seed, state.number
             given = *time, robots, merged, environments, links
             add(self._bind(update_links, axes, entries, first, last, *given))
         if self._dense:
-            given = robots, links.weights, work.rows, work.pair, environments
+            given = robots, links.weights, rows, work.pair, environments
             add(self._bind(sense_pairs, width, axes, entries, first, last, *given))
         else:
-            given = links, robots, work.rows, work.counts, environments, output.crowded
+            given = links, robots, rows, work.counts, environments, output.crowded
             add(self._bind(sense_links, axes, entries, first, last, slots, *given))
         if constants.packs:
             docked = constants.body_radius + 0.5 * constants.merge_radius
-            given = docked, robots, work.rows, work.vectors[0]
+            given = docked, robots, rows, work.vectors[0]
             add(self._bind(hide_docked, lanes, first, last, *given))
         if state.obstacles.kinds.shape[1]:
-            self._sense_obstacles(add, first, last, output, work)
+            self._sense_obstacles(add, first, last, rows, output, work)
         if self._sensor is not None:
-            self._apply_noise(add, first, last, moves, self._sensor, work)
+            self._apply_noise(add, first, last, moves, self._sensor, rows, work)
         observations = output.observations
         if self._dense and place.packed:
-            given = slots, links, work.rows, work.counts, observations, output.crowded
+            given = slots, links, rows, work.counts, observations, output.crowded
             add(self._bind(write_packed, lanes, first, last, *given))
-        else:
-            add(self._bind(write_observations, width, axes, first, last, work.rows, observations))
+        elif rows is work.rows:
+            add(self._bind(write_observations, width, axes, first, last, rows, observations))
         if place.scenario.model.senses:
             given = robots, merged, observations
             add(self._bind(sense_oneself, robot, lanes, first, last, *given))
         if self._sensor is not None:
             self._apply_occlusion(add, first, last, moves, self._sensor, output, work)
 
-    def _sense_obstacles(self, add: Any, first: int, last: int, output: Any, work: Any) -> None:
+    def _rows(self, first: int, last: int, output: StepOutput, work: Scratch) -> Any:
+        """Where observations are sensed: in scratch memory, or, where blocks have one lane and rows
+        are already in their order, in the output.
+        """
+        place = self._state.place
+        if place.lanes > 1 or (self._dense and place.packed):
+            return work.rows
+        whole = first == 0 and last == place.blocks
+        return output.observations if whole else output.observations[first:last]
+
+    def _sense_obstacles(
+        self, add: Any, first: int, last: int, rows: Any, output: Any, work: Any
+    ) -> None:
         state, constants, robot = self._state, self.constants, self._robot
         width, lanes, reach = state.place.width, state.lanes, constants.obstacle_range
         robots, merged, own = state.robots, state.merged_into, state.place.neighbours
-        rows, clearance = work.rows, output.clearance
+        clearance = output.clearance
         if len(robot.axes) == 2:
             given = robots, merged, state.discs, rows, clearance, work.disc
             add(self._bind(sense_discs, width, first, last, reach, own, *given))
@@ -197,7 +209,7 @@ class StepStages:
         add(self._bind(measure_clearance, lanes, first, last, reach, *given))
 
     def _apply_noise(
-        self, add: Any, first: int, last: int, moves: bool, sensor: Sensor, work: Any
+        self, add: Any, first: int, last: int, moves: bool, sensor: Sensor, rows: Any, work: Any
     ) -> None:
         state, robot, own = self._state, self._robot, self._state.place.neighbours
         width, errors, memory = state.place.width, sensor.errors, (work.keys, work.words)
@@ -206,12 +218,12 @@ class StepStages:
         if errors.over_lanes:
             slots = self.constants.neighbour_slots
             given = slots, sensor.listed, state.links, *streams, state.robots, environments
-            lists = work.rows, work.listed, work.numbers[0], work.counts
+            lists = rows, work.listed, work.numbers[0], work.counts
             arguments = *blocks, *given, *lists, *memory
             add(self._bind(noise.apply_noise, width, robot.axes, robot.entries, *arguments))
         if state.obstacles.kinds.shape[1] and errors.changes_silhouettes:
             points = len(work.silhouette)
-            given = own, points, *streams, environments, work.rows, *memory
+            given = own, points, *streams, environments, rows, *memory
             kernel = noise.apply_noise_to_silhouettes
             add(self._bind(kernel, width, robot.axes, *blocks, *given))
 
@@ -249,15 +261,14 @@ def _writable(value: Any) -> Any:
 
 @kernel
 def first_not_finite(values):
-    """Index of the first number whose exponent bits are all set (infinite or NaN), or −1."""
-    # a maximum has no branch and becomes SIMD; the place is looked for only if there is one
-    bits = values.view(np.uint32)
-    largest = np.uint32(0)
-    for k in range(bits.shape[0]):
-        largest = max(largest, bits[k] & _EXPONENT)
-    if largest < _EXPONENT:
+    """Index of the first number that is infinite or NaN, or −1."""
+    # to count has no branch and becomes SIMD; the place is looked for only if there is one
+    finite = 0
+    for k in range(len(values)):
+        finite += abs(values[k]) <= _LARGEST
+    if finite == len(values):
         return -1
     k = 0
-    while bits[k] & _EXPONENT < _EXPONENT:
+    while abs(values[k]) <= _LARGEST:
         k += 1
     return k

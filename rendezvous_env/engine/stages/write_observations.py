@@ -4,7 +4,7 @@ import numpy as np
 
 from ...compilation import inner_kernel, kernel
 from ...robots.motion import proprioception
-from ..memory import lane_count, load_fields, write_row
+from ..memory import lane_count, load_fields
 
 _MANY_ROWS = 256  # which with those of the other lanes no longer fit into the nearest cache
 
@@ -95,7 +95,6 @@ def sense_oneself(robot, lanes, first, last, robots, merged_into, observations):
                     load_fields(state, d, lane, lanes, robot.entries),
                     load_fields(state, d + d * d, lane, lanes, robot.memories),
                 )
-                row = observations[b, i, observations.shape[2] - 1]
-                write_row(seen, row, 0)
-                if merged_into[b, i] != i:
-                    row[:] = 0.0
+                active, last_row = merged_into[b, i] == i, observations.shape[2] - 1
+                for k in range(len(seen)):
+                    observations[b, i, last_row, k] = seen[k] if active else 0.0
