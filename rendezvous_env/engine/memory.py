@@ -89,6 +89,15 @@ class Robot(NamedTuple):
     memories: tuple[int, ...]  # (0, …, k − 1), the numbers that the model keeps
 
 
+def _of_one(kind: type) -> Any:
+    return lambda obstacles, b: kind(obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b])
+
+
+@by_type("obstacles", _of_one)
+def obstacles_of(obstacles, b):
+    """The obstacles of one environment, from those of all with a leading axis."""
+
+
 @inner_kernel(inline="code")
 def load_fields(row, field, lane, lanes, parts):
     """Consecutive fields of one lane of a row as a tuple as long as ``parts``."""

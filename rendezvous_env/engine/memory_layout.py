@@ -41,7 +41,7 @@ class MemoryLayout:
         self.neighbours = layout.neighbour_slots if alone else n - 1
         self.rows = self.neighbours + layout.rows - layout.neighbour_slots
         self.packed = self.sparse or layout.neighbour_slots != n - 1
-        self.only_discs = parsing.only_balls(scenario.obstacles)
+        self.only_balls = parsing.only_balls(scenario.obstacles)
         self.n_obstacles, self.points = layout.obstacle_slots, layout.silhouette_points
         self.discs = self.n_obstacles if d == 2 else 0
         self.fields = d + d * d + scenario.model.memory_size(d)

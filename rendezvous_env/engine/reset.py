@@ -14,7 +14,7 @@ from ..compilation import inner_kernel, kernel
 from ..graphs.edges import are_linked, store_links
 from ..graphs.random_graphs import draw_links, join
 from ..obstacles.fields import draw_obstacles
-from ..obstacles.obstacle_set import AnyObstacles, clear_of_obstacles
+from ..obstacles.obstacle_set import clear_of_obstacles
 from ..obstacles.reachability import none_walled_in
 from ..physics.potential import distance_squared
 from ..physics.random_streams import (
@@ -29,7 +29,13 @@ from ..physics.random_streams import (
 )
 from ..physics.vectors import load
 from ..robots.motion import frame_of, init_memory
-from .memory import load_fields, load_positions, store_fields, store_positions
+from .memory import (
+    load_fields,
+    load_positions,
+    obstacles_of,
+    store_fields,
+    store_positions,
+)
 from .stages.sense_neighbours import drawn_factor
 
 _MAX_DRAWS = 1000
@@ -65,7 +71,7 @@ def draw_fields(
     """
     for k in range(len(which)):
         b = which[k]
-        world = AnyObstacles(obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b])
+        world = obstacles_of(obstacles, b)
         load_positions(robots[b // lanes], b % lanes, lanes, positions)
         key = _stream_of_trial(stream_key(seeds[b], episodes[b], OBSTACLES), trial)
         if not draw_obstacles(key, field, positions, n_given, world):
@@ -80,7 +86,7 @@ def check_passages(lanes, which, passage, robots, obstacles, positions, chains, 
     """
     for k in range(len(which)):
         b = which[k]
-        world = AnyObstacles(obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b])
+        world = obstacles_of(obstacles, b)
         load_positions(robots[b // lanes], b % lanes, lanes, positions)
         walled_in[k] = not none_walled_in(world, positions, passage, chains)
 
@@ -138,7 +144,7 @@ def _stream_of_trial(key, trial):
 @inner_kernel
 def _is_clear(position, b, obstacles, margin):
     if obstacles is not None:
-        world = AnyObstacles(obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b])
+        world = obstacles_of(obstacles, b)
         return clear_of_obstacles(load(position), world, margin)
     return True
 

@@ -49,7 +49,8 @@ class State:
         """Obstacles that are discs in the plane, see ``sense_obstacles.sense_discs``."""
         self.discs[:] = np.nan
         table = obstacle_set.pack((), place.n_obstacles, parsing.row_width(self.scenario.obstacles))
-        self.obstacles = obstacle_set.world_of(np.repeat(table[None], self.batch, axis=0))
+        tables = np.repeat(table[None], self.batch, axis=0)
+        self.obstacles = obstacle_set.world_of(tables, place.only_balls)
         """With a leading axis B; without members where there are no slots."""
         self.seed = np.zeros(place.batch, dtype=np.uint64)
         """(B,), of each environment."""

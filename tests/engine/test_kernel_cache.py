@@ -12,7 +12,7 @@ import pytest
 from conftest import ROOT, run_python
 
 from rendezvous_env import compilation, kernel_cache
-from rendezvous_env.engine.stages.step import step_blocks
+from rendezvous_env.engine.stages.apply_noise import apply_noise
 from rendezvous_env.physics import crossings, random_streams, vectors
 
 KERNEL = "from rendezvous_env.compilation import by_type, kernel\n"
@@ -120,7 +120,7 @@ def test_an_edit_of_whatever_a_kernel_freezes_is_noticed(tmp_path):
 
 def test_an_edit_of_the_environment_makes_only_what_depends_on_it_anew(monkeypatch):
     def contents():
-        kernels = random_streams.uniform, step_blocks, vectors.dot, crossings.first_crossing
+        kernels = random_streams.word_of, apply_noise, vectors.dot, crossings.first_crossing
         return ["".join(kernel_cache.content(kernel)) for kernel in kernels]
 
     before = contents()
@@ -154,9 +154,6 @@ def test_the_step_is_made_from_nothing_else(tmp_path):
         from numba.core.bytecode import FunctionIdentity
         import rendezvous_env as rv
         from rendezvous_env import kernel_cache
-        from rendezvous_env.engine.reset import reset_teams
-        from rendezvous_env.engine.stages.step import first_not_finite, step_blocks
-
         compiled, identify = set(), FunctionIdentity.from_function.__func__
 
         def noted(kind, function):
@@ -172,7 +169,9 @@ def test_the_step_is_made_from_nothing_else(tmp_path):
         teams.reset(seed=0)
         teams.step(np.zeros((1, 3, 2)))
         texts = set()
-        for kernel in (reset_teams, step_blocks, first_not_finite):
+        stages, starts = teams._runner._stages, teams._episodes
+        called = [*stages._entries, *(kernel for kernel, _ in starts._entries), first_not_finite]
+        for kernel in called:
             kinds = [kind for a in kernel.signatures[0] for kind in kernel_cache.named_tuples(a)]
             texts |= set(kernel_cache.content(kernel, *kinds))
         ours = {name for name in compiled if name.startswith("rendezvous_env")}

@@ -9,7 +9,7 @@ from test_restart import halfway
 
 from rendezvous_env import Disc, Scenario, Simulator, Trajectory, graphs, rollout
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING, TIME_OUT
-from rendezvous_env.engine.stages.step import step_blocks
+from rendezvous_env.engine.stages.propose import propose_motion
 from rendezvous_env.trajectory import run
 
 RANDOM = np.random.default_rng(11)
@@ -303,7 +303,7 @@ def test_actions_that_may_not_be_written_to_are_taken_and_compile_nothing():
         sim = started(five("unicycle"), 3)
         actions.flags.writeable = writeable
         outcomes.append(sim.step(actions))
-        variants.append(len(getattr(step_blocks, "overloads", ())))
+        variants.append(len(getattr(propose_motion, "overloads", ())))
     assert variants[0] == variants[1]
     np.testing.assert_array_equal(outcomes[0].observations, outcomes[1].observations)
 

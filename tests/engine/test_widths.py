@@ -22,7 +22,7 @@ from rendezvous_env import (
 )
 from rendezvous_env.compilation import compiled
 from rendezvous_env.engine import batch_runner, threads
-from rendezvous_env.engine.memory import ManyTeams, OneTeam
+from rendezvous_env.engine.memory import LaneBlock, ScalarBlock
 from rendezvous_env.engine.memory_layout import MemoryLayout
 
 SOLIDS = (Sphere((0.3, 0.2, 0.0), 0.5), Capsule(((-1.0, -0.5, -0.5), (-0.4, 0.6, 0.4)), 0.3))
@@ -124,8 +124,8 @@ def test_a_team_among_many_moves_as_it_does_alone(name, shared, monkeypatch):
     """40 teams are one whole block and one that is filled up, each of them for a thread."""
     monkeypatch.setattr(batch_runner, "_WORK_PER_THREAD", 1)
     scenario, batch, steps = SCENARIOS[name], 40, 150 if compiled() else 20
-    assert MemoryLayout(scenario, batch).width == ManyTeams()
-    assert MemoryLayout(scenario, 1).width == OneTeam()
+    assert MemoryLayout(scenario, batch).width == LaneBlock()
+    assert MemoryLayout(scenario, 1).width == ScalarBlock()
     together = episode(scenario, batch, 3, steps, num_threads=2)
     assert shared == [2] * steps or not compiled()
     for team in (0, 1, 5, 31, 32, 39):

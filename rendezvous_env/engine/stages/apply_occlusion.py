@@ -4,11 +4,17 @@ sectors, rows that close up, and delay.
 
 from ...compilation import kernel
 from ...graphs.edges import edge_weight, load_links
-from ...obstacles.obstacle_set import AnyObstacles
 from ...physics.vectors import exactly
 from ...physics.worst_bias import outward_directions
 from ...sensors.imperfections import neighbour_seen
-from ..memory import load_fields, load_positions, read_row, sensed_step, write_row
+from ..memory import (
+    load_fields,
+    load_positions,
+    obstacles_of,
+    read_row,
+    sensed_step,
+    write_row,
+)
 
 
 @kernel
@@ -43,7 +49,7 @@ def apply_occlusion(
             load_positions(robots[block], lane, lanes, positions)
             if errors.error > 0.0:
                 outward_directions(positions, merged_into[b], outward)
-            world = AnyObstacles(obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b])
+            world = obstacles_of(obstacles, b)
             scene, places = (world, merged_into[b], radius), (positions, outward)
             found = load_links(links, block, lane, n, listed[0], listed[1], weights)
             counts[:] = 0

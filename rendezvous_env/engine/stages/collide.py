@@ -8,7 +8,6 @@ from ...compilation import inner_kernel, kernel
 from ...graphs.edges import arcs_of, load_links, store_links
 from ...graphs.merging import merge_swept
 from ...obstacles.contact import move_curved, move_straight
-from ...obstacles.obstacle_set import AnyObstacles
 from ...physics.packing import is_packed, move_apart
 from ...physics.vectors import norm
 from ..memory import (
@@ -25,6 +24,7 @@ from ..memory import (
     load_fields,
     load_point,
     load_positions,
+    obstacles_of,
     store_positions,
 )
 
@@ -53,7 +53,7 @@ def stop_at_obstacles(
             if environments[block, PROXIMITY * lanes + lane] == FREE:
                 continue
             b = block * lanes + lane
-            world = AnyObstacles(obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b])
+            world = obstacles_of(obstacles, b)
             for i in range(n):
                 if merged_into[b, i] == i:
                     point = load_point(robots[block, i], 0, lane, lanes, d)
@@ -87,7 +87,7 @@ def stop_curves_at_obstacles(
             if environments[block, PROXIMITY * lanes + lane] == FREE:
                 continue
             b = block * lanes + lane
-            world = AnyObstacles(obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b])
+            world = obstacles_of(obstacles, b)
             for i in range(n):
                 if merged_into[b, i] == i:
                     state, move = robots[block, i], moves[block - first, i]
@@ -166,7 +166,7 @@ def merge_robots(
                 (listed[0, :count], listed[1, :count], weights[:count]),
                 arcs_of(links, block, n),
                 merged_into[b],
-                AnyObstacles(obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b]),
+                obstacles_of(obstacles, b),
                 radius,
                 (moments, here, resting, report),
             )

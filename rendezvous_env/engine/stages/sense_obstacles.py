@@ -6,7 +6,6 @@ from ...compilation import inner_kernel, kernel
 from ...graphs.edges import ARCS, load_links
 from ...obstacles.disc import BALL, disc_edges
 from ...obstacles.obstacle_set import (
-    AnyObstacles,
     distance_to,
     silhouette_2d,
     silhouette_3d,
@@ -22,6 +21,7 @@ from ..memory import (
     load_fields,
     load_point,
     load_positions,
+    obstacles_of,
     read_row,
     write_row,
 )
@@ -130,7 +130,7 @@ def sense_shapes(
     for block in range(first, last):
         for lane in range(min(lanes, len(merged_into) - block * lanes)):
             b = block * lanes + lane
-            world = AnyObstacles(obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b])
+            world = obstacles_of(obstacles, b)
             if len(axes) == 3:
                 clearance[b] = np.inf
                 load_positions(robots[block], lane, lanes, positions)

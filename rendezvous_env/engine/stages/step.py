@@ -80,7 +80,7 @@ class StepStages:
         fields = state.environments.reshape(place.blocks, -1, place.lanes)
         self._square_closest, self._clearance = fields[:, SQUARE_CLOSEST], fields[:, CLEARANCE]
         self._dense = state.links.form == DENSE
-        self._has_shapes = place.scenario.dim == 3 or not place.only_discs
+        self._has_shapes = place.scenario.dim == 3 or not place.only_balls
 
     def can_collide(self) -> bool:
         """Whether something can meet in the next step."""
