@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rendezvous_env.compilation import kernel
 from rendezvous_env.engine.state_checks import Remembering
-from rendezvous_env.engine.threads import Part
+from rendezvous_env.engine.threads import Slice
 from rendezvous_env.physics.neighbour_rows import degree_of, net_bearing_of
 from rendezvous_env.physics.vectors import (
     ORIGIN,
@@ -105,13 +105,13 @@ class _Bodies(Remembering):
         self._look(teams, observations, self._way, self._kept, self._seen)
         return self._seen
 
-    def follow(self, teams: Part, observations: Float32, held: Array) -> None:
+    def follow(self, teams: Slice, observations: Float32, held: Array) -> None:
         """Write what some teams are to do, at law (1)'s speed, in units of their bounds: velocities
         of points; (v, ω), or where another sets the speed ω alone.
         """
         self._follow(teams, observations, self._way, self._kept, held)
 
-    def turn(self, teams: Part, actions: Float32) -> None:
+    def turn(self, teams: Slice, actions: Float32) -> None:
         """Note the actions that these teams take for τ."""
         self._turn(teams, actions, self._way, self._kept)
 

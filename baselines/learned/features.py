@@ -15,7 +15,7 @@ from rendezvous_env.engine.state_checks import (
     check_numbers,
     check_observations,
 )
-from rendezvous_env.engine.threads import Calls, Part
+from rendezvous_env.engine.threads import Calls, Slice
 from rendezvous_env.safety.safety_filter import over_teams
 from rendezvous_env.safety.turning import robot_of
 from rendezvous_env.scenario.scenario import Scenario
@@ -164,7 +164,7 @@ class Features(Remembering):
         given = (teams, times), observations, (headings, velocities), self._known
         remembered, weight = (levels, self._walls), _WEIGHT * robots[1]
 
-        def calls_of(part: Part) -> Calls:
+        def calls_of(part: Slice) -> Calls:
             memory = self._kept, np.empty((slots, 2))
             return [partial(show, part, *given, memory, remembered, shown)]
 

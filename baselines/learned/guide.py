@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from rendezvous_env.checks import check_shape, floats, refuse
 from rendezvous_env.compilation import kernel
 from rendezvous_env.engine.state_checks import check_observations
-from rendezvous_env.engine.threads import Calls, Part
+from rendezvous_env.engine.threads import Calls, Slice
 from rendezvous_env.physics.neighbour_rows import net_bearing_of
 from rendezvous_env.physics.vectors import X_AXIS, load, norm, scaled, split, store
 from rendezvous_env.safety.heading import HeadingFilter, scale_of_step
@@ -63,7 +63,7 @@ class CommandedTank(EnergyTank):
         self._booked[...] = 0.0
 
     def act_of(
-        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
+        self, teams: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
         """As ``EnergyTank.act_of``; the step is booked at once, as one that lasts τ."""
         mine = slice(*teams[:2])
@@ -98,7 +98,7 @@ class HeadingTankFilter(CommandedTank):
         self.carried[which] = self._velocities[which] = 0.0
 
     def act_of(
-        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
+        self, teams: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
         """As ``CommandedTank.act_of``."""
         memory, mine = (self.carried, self._held), slice(*teams[:2])
@@ -276,7 +276,7 @@ class GuidedTeams:
         return actions
 
     def act_of(
-        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
+        self, teams: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
         """What does as ``act``, of some teams and unchecked."""
         carried, intervals = self._carried, np.empty((self._obstacle_slots, 2))
@@ -293,7 +293,7 @@ class GuidedTeams:
 
         return [follow, *steer, partial(bodies.turn, teams, actions)]
 
-    def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> Calls:
+    def book_of(self, teams: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:
         """Nothing, see ``keeps_ledger``."""
         return ()
 

@@ -13,11 +13,11 @@ from ..physics.random_streams import ignore_overflow
 from . import threads
 from .memory import RUNNING
 from .memory_layout import scratch
-from .pace import Pace
 from .preparation import constants, layout, robot, sensor
 from .stages.step import step_blocks
 from .state import State
-from .threads import Calls, Part
+from .thread_tuner import ThreadTuner
+from .threads import Calls, Slice
 
 _FLOAT32, _BOOL, _INT64 = np.dtype(np.float32), np.dtype(np.bool_), np.dtype(np.int64)
 _WORK_PER_THREAD = 49152
@@ -29,7 +29,7 @@ _OBSTACLES, _ERRING, _PILOTED = 4, 2, 3
 
 _Seen = NDArray[np.float32]  # annotations within ``drive`` are looked up in every step
 _Steps = Iterator[Callable[[], Any]]
-Show = Callable[[Part, _Seen], Calls]
+Show = Callable[[Slice, _Seen], Calls]
 """What looks at observations (B, n, rows, d) of some teams."""
 
 
@@ -45,14 +45,14 @@ class Pilot(Protocol):
         ...
 
     def act_of(
-        self, teams: Part, observations: NDArray[np.float32], actions: NDArray[np.float32]
+        self, teams: Slice, observations: NDArray[np.float32], actions: NDArray[np.float32]
     ) -> Calls:
         """What writes the actions of all robots of teams, from the first of a part to before its
         second.
         """
         ...
 
-    def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> Calls:
+    def book_of(self, teams: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:
         """What learns of their step: who touched an obstacle, (B, n), who is part of whom, (B, n),
         and which teams rested, (B,).
         """
@@ -93,11 +93,11 @@ class BatchRunner:
         rows = 1 + place.neighbours + _OBSTACLES * (place.rows - place.neighbours)
         rows *= 1 if place.scenario.sensing.exact else _ERRING
         self._work_of_step = place.batch * n * rows
-        self._pace = self._pace_of(1)
-        self._paces: dict[int, Pace] = {}  # of decisions of so many steps
+        self._tuner = self._tuner_of(1)
+        self._tuners: dict[int, ThreadTuner] = {}  # of decisions of so many steps
         self.layout, self.robot = layout(place), robot(place.scenario)
         self._sensor = sensor(state)
-        self._scratch = [scratch(place) for _ in range(self._pace.most)]
+        self._scratch = [scratch(place) for _ in range(self._tuner.max_threads)]
         self.team_scratch = self._scratch[0][1]
         """Working memory for one team."""
         self._blocks = np.arange(place.blocks)
@@ -111,15 +111,15 @@ class BatchRunner:
         self._run: Callable[..., Any] | None = None
         self.limit(max_steps)
 
-    def _pace_of(self, steps: int) -> Pace:
+    def _tuner_of(self, steps: int) -> ThreadTuner:
         """Of as many threads as have enough work each in so many steps, and the share of it that
         the first one does ahead of the others.
         """
         work = steps * self._work_of_step
         if (most := min(self._state.place.blocks, work // _WORK_PER_THREAD)) <= 1:
-            return Pace(1, 0.0)  # to ask how many cores there are takes a while
-        most = min(most, threads.most_threads(self._num_threads))
-        return Pace(most, min(_WORK_AHEAD / work, 1.0))
+            return ThreadTuner(1, 0.0)  # to ask how many cores there are takes a while
+        most = min(most, threads.max_threads(self._num_threads))
+        return ThreadTuner(most, min(_WORK_AHEAD / work, 1.0))
 
     def limit(self, max_steps: int) -> None:
         """Let episodes end after so many steps."""
@@ -148,11 +148,11 @@ class BatchRunner:
         output = self.new_output()
         advance = self._work(True, self._blocks, actions, output)
         blocks = len(self._blocks)
-        if (pace := self._pace).most == 1:  # what is left out here a single team would feel
+        if (tuner := self._tuner).max_threads == 1:  # a single team would feel what is left out
             advance((0, blocks, 0))()
         else:
-            threads.share(lambda part: [advance(part)], blocks, pace.begin(), pace.ahead)
-            pace.end()
+            threads.share(lambda part: [advance(part)], blocks, tuner.begin(), tuner.head_start)
+            tuner.end()
         # the next step's arrays come from other memory: where both steps' were free at once, the
         # system would take it back, and clear it anew for every step of large teams
         self._last = output
@@ -176,19 +176,19 @@ class BatchRunner:
             touched = np.zeros_like(touched)
         lanes = self._state.lanes
         follows = self._state.scenario.on_merge == "follow"
-        if (pace := self._paces.get(count)) is None:
-            pace = self._paces[count] = self._pace_of(_PILOTED * count)
-        while len(self._scratch) < pace.most:
+        if (tuner := self._tuners.get(count)) is None:
+            tuner = self._tuners[count] = self._tuner_of(_PILOTED * count)
+        while len(self._scratch) < tuner.max_threads:
             self._scratch.append(scratch(self._state.place))
         advance = self._work(True, self._blocks, actions, output)
 
-        def step(part: Part, mine: Part, now: _Seen) -> _Steps:
+        def step(part: Slice, mine: Slice, now: _Seen) -> _Steps:
             yield from pilot.act_of(mine, now, actions)
             yield advance(part)
             if pilot.keeps_ledger:
                 yield from pilot.book_of(mine, output.contact, teams.merged_into, resting)
 
-        def lead(part: Part, mine: Part) -> None:
+        def lead(part: Slice, mine: Slice) -> None:
             rows, now = slice(*mine[:2]), seen
             told = [one[rows] for one in pilot.of_actions]
             for number in range(count):
@@ -205,13 +205,13 @@ class BatchRunner:
                 touched[rows] |= output.contact[rows]
                 now = output.observations
 
-        def calls_of(part: Part) -> Calls:
+        def calls_of(part: Slice) -> Calls:
             mine = part[0] * lanes, min(part[1] * lanes, len(actions)), part[2]
             led = step(part, mine, seen) if count == 1 else [partial(lead, part, mine)]
             return [*led, *(show(mine, output.observations) if show is not None else ())]
 
-        threads.share(calls_of, len(self._blocks), pace.begin(), pace.ahead)
-        pace.end()
+        threads.share(calls_of, len(self._blocks), tuner.begin(), tuner.head_start)
+        tuner.end()
         self._last = output
         return Driven(output, earned, robots_earned, touched)
 
@@ -240,7 +240,7 @@ class BatchRunner:
         blocks: NDArray[np.int64],
         actions: NDArray[np.float32],
         output: StepOutput,
-    ) -> Callable[[Part], Callable[[], Any]]:
+    ) -> Callable[[Slice], Callable[[], Any]]:
         """What steps or observes a part of some blocks; compiled here, which may be interrupted."""
         if self._may_crowd:
             output.crowded.fill(-1)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ..checks import positive, refuse
 from ..compilation import kernel
-from ..engine.threads import Calls, Part
+from ..engine.threads import Calls, Slice
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import combine, dot, load, norm, scaled, store
 from ..robots.single_integrator import speed_scale
@@ -88,7 +88,7 @@ class Gains(SafetyFilter):
         self.gain[which] = 0.0
 
     def act_of(
-        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
+        self, teams: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
         """As ``SafetyFilter.act_of``."""
         arrays = observations, self._held, actions, self.gain, self.alignment, self.lyapunov_rate

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import flag, positive, real, refuse, shown
 from ..compilation import kernel
 from ..engine.memory import read, write
-from ..engine.threads import Calls, Part
+from ..engine.threads import Calls, Slice
 from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import (
     combine,
@@ -316,7 +316,7 @@ class HeadingFilter(SafetyFilter):
         return {"headings": self.carried, **super()._memory}
 
     def act_of(
-        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
+        self, teams: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
         """As ``SafetyFilter.act_of``."""
         act, constants = _turn_bodies if self.turns_body else _steer, self._constants

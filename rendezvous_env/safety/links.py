@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..compilation import kernel
-from ..engine.threads import Calls, Part
+from ..engine.threads import Calls, Slice
 from ..physics.least_norm import least_along, least_norm_of
 from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import (
@@ -201,7 +201,7 @@ class LinkKeeping(SafetyFilter):
         )
 
     def act_of(
-        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
+        self, teams: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
         """As ``SafetyFilter.act_of``."""
         arrays = observations, self._held, actions, self.alignment, self.lyapunov_rate

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..compilation import OVERLOADED, compiled, inner_kernel
 from ..engine.memory import read, read_row, write
-from ..engine.threads import Part
+from ..engine.threads import Slice
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import combine, exactly, load_pair, norm
 
@@ -44,7 +44,7 @@ def room_for(rows: int) -> Numbers:
     return np.zeros((_ROWS + 2 * rows, LANES))
 
 
-def by_robot(teams: Part, arrays: Sequence[NDArray[Any]]) -> tuple[Any, Any]:
+def by_robot(teams: Slice, arrays: Sequence[NDArray[Any]]) -> tuple[Any, Any]:
     """The robots of teams, b·n + i for robot i of team b, from the first to before the second; and
     arrays (B, n, ...), any unit, as (B·n, ...), not copied.
     """

@@ -16,7 +16,7 @@ from ..checks import bools, choice, floats, refuse, whole
 from ..compilation import entry_point, kernel
 from ..engine import threads
 from ..engine.state_checks import Remembering, check_actions, check_observations, check_rotations
-from ..engine.threads import Calls, Part
+from ..engine.threads import Calls, Slice
 from ..limits import MOST_TEAMS
 from ..physics.vectors import dot, load
 from ..scenario.scenario import Scenario
@@ -32,21 +32,21 @@ FILTERS: dict[str, type[SafetyFilter]] = {}
 
 
 def over_teams(
-    calls_of: Callable[[Part], Calls], num_envs: int, n_robots: int, num_threads: int | None
+    calls_of: Callable[[Slice], Calls], num_envs: int, n_robots: int, num_threads: int | None
 ) -> None:
     """Let up to ``num_threads`` threads make the calls for the teams of a batch; None is one for
     each core.
     """
     most = num_envs * n_robots // _ROBOTS_PER_THREAD
     if most > 1:  # to ask how many cores there are takes a while
-        most = min(most, threads.most_threads(num_threads))
+        most = min(most, threads.max_threads(num_threads))
     threads.share(calls_of, num_envs, max(1, most))
 
 
 _entry_points: dict[tuple[Any, type, np.dtype[Any], int], Callable[..., Any]] = {}
 
 
-def over_robots(kernel: Any, teams: Part, constants: Any, *arrays: NDArray[Any]) -> Calls:
+def over_robots(kernel: Any, teams: Slice, constants: Any, *arrays: NDArray[Any]) -> Calls:
     """The call of a kernel for the robots of some teams: it is given axes, (0, 1) or (0, 1, 2), the
     teams, constants, arrays (B, n, ...), any unit, the first of which is observations, as
     ``by_robot`` takes them, and memory for ``lanes_of`` and rows.
@@ -178,7 +178,7 @@ class SafetyFilter(Remembering):
         num_envs, n, rows, d = self._seen
         return np.empty((num_envs, n, rows + self.observes_level, d), dtype)
 
-    def view_of(self, teams: Part, observations: Float32, shown: Float32) -> Calls:
+    def view_of(self, teams: Slice, observations: Float32, shown: Float32) -> Calls:
         """What does as ``view``, of some teams and unchecked."""
         if self.along_net_bearing:
             arrays = observations, self._frames, shown
@@ -216,7 +216,7 @@ class SafetyFilter(Remembering):
         return actions
 
     def act_of(
-        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
+        self, teams: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
         """What does as ``act``, written for some teams, from the first of a part to before its
         second.
@@ -252,7 +252,7 @@ class SafetyFilter(Remembering):
         for call in self.book_of((0, *team), touched, merged, passed):
             call()
 
-    def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> Calls:
+    def book_of(self, teams: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:
         """What does as ``book``, of some teams and unchecked."""
         return ()
 

@@ -14,7 +14,7 @@ from ..checks import flag, number
 from ..compilation import inner_kernel, kernel
 from ..engine.memory import read, write
 from ..engine.state_checks import refuse_first
-from ..engine.threads import Calls, Part
+from ..engine.threads import Calls, Slice
 from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import dot, norm, rounded, scaled, split
 from ..robots.single_integrator import limit_factor, speed_scale
@@ -296,7 +296,7 @@ class EnergyTank(SafetyFilter):
         self._levels[which], self._deposits[which] = self.budget, 0.0
         self._linked[which] = self.carried_out[which] = False
 
-    def view_of(self, teams: Part, observations: Float32, shown: Float32) -> Calls:
+    def view_of(self, teams: Slice, observations: Float32, shown: Float32) -> Calls:
         """As ``SafetyFilter.view_of``; the row of the level last."""
         calls, mine = super().view_of(teams, observations, shown), slice(*teams[:2])
         return [*calls, partial(self._show_levels, mine, shown)] if self.observes_level else calls
@@ -307,7 +307,7 @@ class EnergyTank(SafetyFilter):
         shown[mine, :, -1, 0] = np.minimum(levels, _LARGEST)
 
     def act_of(
-        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
+        self, teams: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
         """As ``SafetyFilter.act_of``; what the step earns waits for ``book``."""
         act = _spend_bodies if self.turns_body else _spend
@@ -315,7 +315,7 @@ class EnergyTank(SafetyFilter):
         memory = self._held, self._levels, actions, self._linked
         return over_robots(act, teams, self._robot, observations, *memory, *told)
 
-    def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> Calls:
+    def book_of(self, teams: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:
         """As ``SafetyFilter.book_of``; a step that a merge cuts short books as commanded."""
         account = self._levels, self._deposits, self._linked
         step = contact, merged_into, resting
