@@ -102,7 +102,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
         return self.guided
 
     def _act(self) -> NDArray[np.float32]:
-        return self.guided.act(self._observed)
+        return self.guided.apply(self._observed)
 
     def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
         size = self.layout.size

@@ -306,9 +306,9 @@ class TankJoinedPolicy(RememberingPolicy):
             self._memory.reshape(robots, MEMORY),
             desired,
         )
-        self._tank.hold(desired.reshape(*f.shape[:-1], -1) / self._unit)
-        actions = self._tank.act(seen)
-        self._tank.book()
+        choices = desired.reshape(*f.shape[:-1], -1) / self._unit
+        actions = self._tank.apply(seen, choices)
+        self._tank.update()
         velocities = self._steering.velocities(actions, seen)
         self._memory[..., WORK] += self.scenario.tau * np.sum(f * velocities, axis=-1)
         if self._steering.turns:

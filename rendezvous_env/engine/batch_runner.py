@@ -34,27 +34,25 @@ Show = Callable[[Slice, _Seen], Calls]
 
 
 class Pilot(Protocol):
-    """What makes actions of what is seen, for some teams at a time: safety filters do."""
+    """Turns observations into actions, by slices of the batch, as safety filters do."""
 
-    keeps_ledger: bool
-    """Whether it wants to learn how a step went."""
+    uses_feedback: bool
+    """Whether ``update_calls`` follow every step."""
 
     @property
-    def of_actions(self) -> Sequence[NDArray[Any]]:
-        """What ``act_of`` tells of robots besides, (B, n) each; not copied."""
+    def action_diagnostics(self) -> Sequence[NDArray[Any]]:
+        """Diagnostics that ``apply_calls`` write, (B, n) each; not copied."""
         ...
 
-    def act_of(
-        self, teams: Slice, observations: NDArray[np.float32], actions: NDArray[np.float32]
+    def apply_calls(
+        self, part: Slice, observations: NDArray[np.float32], actions: NDArray[np.float32]
     ) -> Calls:
-        """What writes the actions of all robots of teams, from the first of a part to before its
-        second.
-        """
+        """Calls that write the actions of the environments of a slice."""
         ...
 
-    def book_of(self, teams: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:
-        """What learns of their step: who touched an obstacle, (B, n), who is part of whom, (B, n),
-        and which teams rested, (B,).
+    def update_calls(self, part: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:
+        """Calls that record the outcome of a step: contacts, (B, n), the robot that each one is
+        part of, (B, n), and the environments that did not step, (B,).
         """
         ...
 
@@ -183,14 +181,14 @@ class BatchRunner:
         advance = self._work(True, self._blocks, actions, output)
 
         def step(part: Slice, mine: Slice, now: _Seen) -> _Steps:
-            yield from pilot.act_of(mine, now, actions)
+            yield from pilot.apply_calls(mine, now, actions)
             yield advance(part)
-            if pilot.keeps_ledger:
-                yield from pilot.book_of(mine, output.contact, teams.merged_into, resting)
+            if pilot.uses_feedback:
+                yield from pilot.update_calls(mine, output.contact, teams.merged_into, resting)
 
         def lead(part: Slice, mine: Slice) -> None:
             rows, now = slice(*mine[:2]), seen
-            told = [one[rows] for one in pilot.of_actions]
+            told = [one[rows] for one in pilot.action_diagnostics]
             for number in range(count):
                 if number:
                     np.not_equal(output.status[rows], RUNNING, out=resting[rows])

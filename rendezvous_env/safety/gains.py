@@ -79,20 +79,20 @@ class Gains(SafetyFilter):
         self.gain = np.zeros((num_envs, scenario.n_robots))
 
     @property
-    def told(self) -> dict[str, NDArray[Any]]:
-        """What there is to tell of the last step, (B, n) each; not copied."""
-        return {"gain": self.gain, **super().told}
+    def diagnostics(self) -> dict[str, NDArray[Any]]:
+        """As ``SafetyFilter.diagnostics``."""
+        return {"gain": self.gain, **super().diagnostics}
 
     def _begin(self, which: Any) -> None:
         super()._begin(which)
         self.gain[which] = 0.0
 
-    def act_of(
-        self, teams: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
+    def apply_calls(
+        self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
-        """As ``SafetyFilter.act_of``."""
+        """As ``SafetyFilter.apply_calls``."""
         arrays = observations, self._held, actions, self.gain, self.alignment, self.lyapunov_rate
-        return over_robots(_weigh, teams, self._constants, *arrays)
+        return over_robots(_weigh, part, self._constants, *arrays)
 
 
 register_filter("gains", Gains)

@@ -315,15 +315,15 @@ class HeadingFilter(SafetyFilter):
     def _memory(self) -> dict[str, NDArray[np.float64]]:
         return {"headings": self.carried, **super()._memory}
 
-    def act_of(
-        self, teams: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
+    def apply_calls(
+        self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
-        """As ``SafetyFilter.act_of``."""
+        """As ``SafetyFilter.apply_calls``."""
         act, constants = _turn_bodies if self.turns_body else _steer, self._constants
         if elapsed is not None:
             constants = constants._replace(max_turn=self._heading_rate * float(elapsed))
         memory, told = (self._held, self.carried), (self.alignment, self.lyapunov_rate)
-        return over_robots(act, teams, constants, observations, *memory, actions, *told)
+        return over_robots(act, part, constants, observations, *memory, actions, *told)
 
 
 register_filter("heading", HeadingFilter)

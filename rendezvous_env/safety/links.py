@@ -200,12 +200,12 @@ class LinkKeeping(SafetyFilter):
             bearing_error=check_bearing_error(bearing_error),
         )
 
-    def act_of(
-        self, teams: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
+    def apply_calls(
+        self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
-        """As ``SafetyFilter.act_of``."""
+        """As ``SafetyFilter.apply_calls``."""
         arrays = observations, self._held, actions, self.alignment, self.lyapunov_rate
-        return over_robots(_keep_links, teams, self._constants, *arrays)
+        return over_robots(_keep_links, part, self._constants, *arrays)
 
 
 register_filter("links", LinkKeeping)

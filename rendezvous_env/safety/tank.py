@@ -236,18 +236,18 @@ class EnergyTank(SafetyFilter):
     A desired velocity is carried out where A + G ≥ 0, else law (4) along it; G is that of actions
     as they are sent, in float32. Nonholonomic robots keep the account without the term ε²; with an
     empty tank they turn through the gate and drive with v = s mᵀf. A policy, which learns of
-    neither contacts nor merges, calls ``book()`` bare after each ``act``.
+    neither contacts nor merges, calls ``update()`` without arguments after each ``apply``.
 
     Args:
         scenario, num_envs, frame, num_threads: as ``SafetyFilter``.
         budget: B_i, the level of every robot's tank at the start of an episode, m²/s.
         min_alignment: ε, at least 10⁻⁶ and less than 1.
-        observe_level: whether ``view`` shows one row more, (A/(r D̄), 0, …).
+        observe_level: whether ``observe`` shows one row more, (A/(r D̄), 0, …).
         bearing_error: η, rad: the account stays right while no bearing is wrong by more.
     """
 
     state_key = "tank"
-    keeps_ledger = True
+    uses_feedback = True
 
     def __init__(
         self,
@@ -283,9 +283,9 @@ class EnergyTank(SafetyFilter):
         return self._levels / unit_of_tanks(self.scenario)
 
     @property
-    def told(self) -> dict[str, NDArray[Any]]:
-        """What there is to tell of the last step, (B, n) each; not copied."""
-        return {"tank": self._levels, "carried_out": self.carried_out, **super().told}
+    def diagnostics(self) -> dict[str, NDArray[Any]]:
+        """As ``SafetyFilter.diagnostics``."""
+        return {"tank": self._levels, "carried_out": self.carried_out, **super().diagnostics}
 
     @property
     def _memory(self) -> dict[str, NDArray[np.float64]]:
@@ -296,9 +296,9 @@ class EnergyTank(SafetyFilter):
         self._levels[which], self._deposits[which] = self.budget, 0.0
         self._linked[which] = self.carried_out[which] = False
 
-    def view_of(self, teams: Slice, observations: Float32, shown: Float32) -> Calls:
-        """As ``SafetyFilter.view_of``; the row of the level last."""
-        calls, mine = super().view_of(teams, observations, shown), slice(*teams[:2])
+    def observe_calls(self, part: Slice, observations: Float32, shown: Float32) -> Calls:
+        """As ``SafetyFilter.observe_calls``; the row of the level last."""
+        calls, mine = super().observe_calls(part, observations, shown), slice(*part[:2])
         return [*calls, partial(self._show_levels, mine, shown)] if self.observes_level else calls
 
     def _show_levels(self, mine: slice, shown: Float32) -> None:
@@ -306,20 +306,20 @@ class EnergyTank(SafetyFilter):
         shown[mine, :, -1] = 0.0
         shown[mine, :, -1, 0] = np.minimum(levels, _LARGEST)
 
-    def act_of(
-        self, teams: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
+    def apply_calls(
+        self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
-        """As ``SafetyFilter.act_of``; what the step earns waits for ``book``."""
+        """As ``SafetyFilter.apply_calls``; what the step earns waits for ``update``."""
         act = _spend_bodies if self.turns_body else _spend
         told = self._deposits, self.carried_out, self.alignment, self.lyapunov_rate
         memory = self._held, self._levels, actions, self._linked
-        return over_robots(act, teams, self._robot, observations, *memory, *told)
+        return over_robots(act, part, self._robot, observations, *memory, *told)
 
-    def book_of(self, teams: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:
-        """As ``SafetyFilter.book_of``; a step that a merge cuts short books as commanded."""
+    def update_calls(self, part: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:
+        """As ``SafetyFilter.update_calls``; a step that a merge cuts short books as commanded."""
         account = self._levels, self._deposits, self._linked
         step = contact, merged_into, resting
-        return [partial(_book, teams, *account, *step, self._follow_v)]
+        return [partial(_book, part, *account, *step, self._follow_v)]
 
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
         """As ``SafetyFilter.check_state``; no level is below zero."""
