@@ -6,14 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import positive, refuse
-from ..compilation import kernel
+from ..compilation import inner_kernel, kernel
 from ..engine.threads import Calls, Slice
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import combine, dot, load, norm, scaled, store
 from ..robots.single_integrator import speed_scale
 from ..scenario.scenario import Scenario
 from .links import alignment_of
-from .robot_lanes import by_robot
 from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
 
 _NOTHING = 1e-30  # weights that add up to less, m/s, are none
@@ -99,9 +98,8 @@ register_filter("gains", Gains)
 
 
 @kernel
-def _weigh(axes, teams, constants, arrays, work):
-    robots, flat = by_robot(teams, arrays)
-    observations, held, actions, gain, alignment, lyapunov_rate = flat
+def _weigh(axes, robots, constants, arrays, work):
+    observations, held, actions, gain, alignment, lyapunov_rate = arrays
     for i in range(robots[0], robots[1]):
         rows, weights = observations[i], held[i]
         total, towards = _weighted(rows, weights, constants.neighbour_slots, 0.0)
@@ -118,7 +116,7 @@ def _weigh(axes, teams, constants, arrays, work):
         lyapunov_rate[i] = -2.0 * dot(f, velocity)
 
 
-@kernel
+@inner_kernel
 def _weighted(rows, weights, neighbour_slots, least):
     """Σ_j w_j a_ij, m/s, and Σ_j w_j a_ij g_ij, a triple, of weights cut to [``least``, 1]."""
     total, towards = 0.0, (0.0, 0.0, 0.0)

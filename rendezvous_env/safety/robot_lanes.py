@@ -10,10 +10,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.extending import overload
 from numpy.typing import NDArray
 
-from ..compilation import OVERLOADED, compiled, inner_kernel
+from ..compilation import compiled, inner_kernel
 from ..engine.memory import read, read_row, write
 from ..engine.threads import Slice
 from ..physics.neighbour_rows import net_bearing_of
@@ -44,20 +43,12 @@ def room_for(rows: int) -> Numbers:
     return np.zeros((_ROWS + 2 * rows, LANES))
 
 
-def by_robot(teams: Slice, arrays: Sequence[NDArray[Any]]) -> tuple[Any, Any]:
-    """The robots of teams, b·n + i for robot i of team b, from the first to before the second; and
-    arrays (B, n, ...), any unit, as (B·n, ...), not copied.
+def by_robot(part: Slice, arrays: Sequence[NDArray[Any]]) -> tuple[tuple[int, int], Any]:
+    """The first robot of a slice and the one after its last, b·n + i for robot i of environment b;
+    and arrays (B, n, ...) as (B·n, ...), not copied.
     """
     n = arrays[0].shape[1]
-    return (teams[0] * n, teams[1] * n), tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])
-
-
-@overload(by_robot, jit_options=OVERLOADED, strict=False)
-def _by_robot(teams: Any, arrays: Any) -> Any:
-    """In kernels, since NumPy takes a third of a microsecond for each."""
-    robots = "(teams[0] * arrays[0].shape[1], teams[1] * arrays[0].shape[1])"
-    one = "arrays[{0}].reshape((-1,) + arrays[{0}].shape[2:])".format
-    return eval(f"lambda teams, arrays: ({robots}, ({', '.join(map(one, range(len(arrays))))},))")
+    return (part[0] * n, part[1] * n), tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])
 
 
 @inner_kernel(inline="text")

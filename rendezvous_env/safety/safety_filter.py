@@ -22,7 +22,7 @@ from ..limits import MOST_TEAMS
 from ..physics.vectors import dot, load
 from ..scenario.scenario import Scenario
 from .frames import FRAMES, look_along_net_bearing
-from .robot_lanes import room_for
+from .robot_lanes import by_robot, room_for
 from .turning import robot_of
 
 Float32 = NDArray[np.float32]
@@ -47,13 +47,16 @@ def over_teams(
 _entry_points: dict[tuple[Any, type, np.dtype[Any], int], Callable[..., Any]] = {}
 
 
-def over_robots(kernel: Any, teams: Slice, constants: Any, *arrays: NDArray[Any]) -> Calls:
-    """The call of a kernel for the robots of some teams: it is given axes, (0, 1) or (0, 1, 2), the
-    teams, constants, arrays (B, n, ...), any unit, the first of which is observations, as
-    ``by_robot`` takes them, and memory for ``lanes_of`` and rows.
+def over_robots(kernel: Any, part: Slice, constants: Any, *arrays: NDArray[Any]) -> Calls:
+    """The call of a kernel for the robots of a slice.
+
+    Its arguments are axes, (0, 1) or (0, 1, 2), the range of robots, constants, arrays (B·n, ...)
+    made of ``arrays`` (B, n, ...), the first of which is observations, and memory for ``lanes_of``
+    and rows.
     """
     rows, d = arrays[0].shape[2:]
-    arguments = (0, 1, 2)[:d], teams, constants, arrays, room_for(rows)
+    robots, flat = by_robot(part, arrays)
+    arguments = (0, 1, 2)[:d], robots, constants, flat, room_for(rows)
     kind = kernel, type(constants), arrays[0].dtype, d  # all other types follow from these
     if (run := _entry_points.get(kind)) is None:
         run = _entry_points[kind] = entry_point(kernel, arguments)

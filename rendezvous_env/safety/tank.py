@@ -21,13 +21,13 @@ from ..robots.single_integrator import limit_factor, speed_scale
 from ..robots.unicycle import clip
 from ..scenario.scenario import Scenario
 from .heading import into_cap, scale_of_step, without_error
-from .robot_lanes import LANES, by_robot, lanes_of, read_rows, report, take_in, tell
+from .robot_lanes import LANES, lanes_of, read_rows, report, take_in, tell
 from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
 from .settings import TANK_MARGIN, check_margin, levels_follow_v
 from .turning import desired_rates, gated_rates, pitch_of, rates_of, robot_of, turn
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def descent_scale(strength, degree, merge_radius, duration, speed_limit):
     """Factor min(1, r/(2 D τ), v_max/‖f‖) on f with which a step is sure to let V fall, a number
     without unit (theorem D), of ‖f‖, D > 0 and v_max, m/s, r, m, and τ, s.
@@ -36,7 +36,7 @@ def descent_scale(strength, degree, merge_radius, duration, speed_limit):
     return min(scale_of_step(degree, merge_radius, duration), unhurried)
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def certain_descent(net_bearing, degree, displacement, merge_radius, error=0.0):
     """2 f·Δ − (2/r) D ‖Δ‖² − 2 e ‖Δ‖, a number, m²/s: summed over the robots V falls by so much in
     a step that begins with neighbours r or more apart (theorem D).
@@ -46,7 +46,7 @@ def certain_descent(net_bearing, degree, displacement, merge_radius, error=0.0):
     return sure - 2.0 * error * norm(displacement) if error > 0.0 else sure
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def promised_descent(strength, scale, min_alignment, duration, error=0.0):
     """ε² τ s ‖f‖², with errors τ s max(0, ε ‖f‖ − e)²: what a robot owes in every step, so that all
     meet in finite time, a number, m²/s (theorem D).
@@ -57,7 +57,7 @@ def promised_descent(strength, scale, min_alignment, duration, error=0.0):
     return min_alignment * min_alignment * duration * scale * strength * strength
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def descending_velocity(wanted, net_bearing, scale, min_alignment, error=0.0):
     """Law (4) along the wanted line, which earns at least what is owed, a pair or triple, m/s.
 
@@ -74,15 +74,14 @@ def descending_velocity(wanted, net_bearing, scale, min_alignment, error=0.0):
 
 
 @kernel
-def _spend(axes, teams, robot, arrays, work):
+def _spend(axes, robots, robot, arrays, work):
     """Actions of robots that go anywhere, carried out where A + G(Δ) ≥ 0, and what is told of them
     (theorem D). Those that see nobody rest, and owe nothing.
     """
     if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
         return
-    robots, flat = by_robot(teams, arrays)
-    observations, held, levels, actions, linked, deposits, carried_out = flat[:7]
-    alignment, lyapunov_rate = flat[7:]
+    observations, held, levels, actions, linked, deposits, carried_out = arrays[:7]
+    alignment, lyapunov_rate = arrays[7:]
     lanes, limit, radius = lanes_of(work), robot.speed_limit, robot.merge_radius
     margin, duration = robot.gate.min_alignment, robot.gate.duration
     for first in range(robots[0], robots[1], LANES):
@@ -137,11 +136,10 @@ def _moved(sent, limit, duration):
 
 
 @kernel
-def _spend_bodies(axes, teams, robot, arrays, work):
+def _spend_bodies(axes, robots, robot, arrays, work):
     """As ``_spend``, for nonholonomic robots, in their body frames."""
-    robots, flat = by_robot(teams, arrays)
-    observations, held, levels, actions, linked, deposits, carried_out = flat[:7]
-    alignment, lyapunov_rate = flat[7:]
+    observations, held, levels, actions, linked, deposits, carried_out = arrays[:7]
+    alignment, lyapunov_rate = arrays[7:]
     limit, radius, gate = robot.speed_limit, robot.merge_radius, robot.gate
     for i in range(robots[0], robots[1]):
         deposits[i], carried_out[i] = 0.0, False
