@@ -27,7 +27,7 @@ from ..physics.vectors import (
     x_axis,
 )
 from ..scenario.scenario import Scenario
-from .robot_lanes import LANES, give_out, lanes_of, read_rows, report, take_in
+from .robot_lanes import LANES, give_out, lanes_of, report, sum_rows, take_in, weigh_rows
 from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
 from .settings import MAX_TURN_RATE, check_gate_constants, check_margin, check_vectors
 from .turning import Robot, desired_rates, gated_rates, pitch_of, robot_of, turn
@@ -200,16 +200,22 @@ class _Constants(NamedTuple):
 @kernel
 def _steer(axes, robots, constants, arrays, work):
     """Actions min(1, r/(2Dτ)) h max(0, hᵀf − e), e = 2 sin(η/2) D (eq. 4, theorems C and N1')."""
-    if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
+    numbers, room = work
+    if numbers.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
         return
     observations, held, headings, actions, alignment, lyapunov_rate = arrays
-    lanes, robot, limit = lanes_of(work), constants.robot, turn_limit(constants.max_turn)
+    lanes, robot, limit = lanes_of(numbers), constants.robot, turn_limit(constants.max_turn)
     gate, weighs = robot.gate, constants.speed_scaled or robot.error_chord > 0.0
     # a question in the loop would take longer than a scale that is 1
     duration = gate.duration if constants.speed_scaled else 0.0
+    lanes.degree[:] = 0.0
     for first in range(robots[0], robots[1], LANES):
         stop = min(first + LANES, robots[1])
-        read_rows(axes, observations, first, stop, robot.neighbour_slots, weighs, work)
+        rows = observations[first:stop]
+        if weighs:
+            weigh_rows(axes, rows, robot.neighbour_slots, room, lanes.f, lanes.degree)
+        else:
+            sum_rows(axes, rows, robot.neighbour_slots, lanes.f)
         take_in(axes, held, first, stop, lanes.choice)
         take_in(axes, headings, first, stop, lanes.heading)
         if constants.certified:

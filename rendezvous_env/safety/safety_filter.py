@@ -56,7 +56,7 @@ def over_robots(kernel: Any, part: Slice, constants: Any, *arrays: NDArray[Any])
     """
     rows, d = arrays[0].shape[2:]
     robots, flat = by_robot(part, arrays)
-    arguments = (0, 1, 2)[:d], robots, constants, flat, room_for(rows)
+    arguments = (0, 1, 2)[:d], robots, constants, flat, room_for(rows, d)
     kind = kernel, type(constants), arrays[0].dtype, d  # all other types follow from these
     if (run := _entry_points.get(kind)) is None:
         run = _entry_points[kind] = entry_point(kernel, arguments)

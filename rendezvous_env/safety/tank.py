@@ -21,7 +21,7 @@ from ..robots.single_integrator import limit_factor, speed_scale
 from ..robots.unicycle import clip
 from ..scenario.scenario import Scenario
 from .heading import into_cap, scale_of_step, without_error
-from .robot_lanes import LANES, lanes_of, read_rows, report, take_in, tell
+from .robot_lanes import LANES, lanes_of, report, take_in, tell, weigh_rows
 from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
 from .settings import TANK_MARGIN, check_margin, levels_follow_v
 from .turning import desired_rates, gated_rates, pitch_of, rates_of, robot_of, turn
@@ -78,15 +78,17 @@ def _spend(axes, robots, robot, arrays, work):
     """Actions of robots that go anywhere, carried out where A + G(Δ) ≥ 0, and what is told of them
     (theorem D). Those that see nobody rest, and owe nothing.
     """
-    if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
+    numbers, room = work
+    if numbers.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
         return
     observations, held, levels, actions, linked, deposits, carried_out = arrays[:7]
     alignment, lyapunov_rate = arrays[7:]
-    lanes, limit, radius = lanes_of(work), robot.speed_limit, robot.merge_radius
+    lanes, limit, radius = lanes_of(numbers), robot.speed_limit, robot.merge_radius
     margin, duration = robot.gate.min_alignment, robot.gate.duration
     for first in range(robots[0], robots[1], LANES):
         stop = min(first + LANES, robots[1])
-        read_rows(axes, observations, first, stop, robot.neighbour_slots, True, work)
+        rows = observations[first:stop]
+        weigh_rows(axes, rows, robot.neighbour_slots, room, lanes.f, lanes.degree)
         take_in(axes, held, first, stop, lanes.choice)
         level = levels[first:stop]
         for lane in range(len(level)):

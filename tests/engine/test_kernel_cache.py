@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+import sys
 import tempfile
 import textwrap
 from pathlib import Path
@@ -74,7 +75,7 @@ def python(script: str, folder: Path, **environment: str) -> subprocess.Complete
     return run_python(folder, "-c", script, **ours | environment)
 
 
-def test_code_is_kept_apart_by_what_it_was_made_from_until_nobody_has_used_it_for_long(tmp_path):
+def test_cache_keeps_code_by_its_source_and_removes_what_is_long_unused(tmp_path):
     """An edit of an inlined kernel is noticed, one of a docstring is not."""
     package(tmp_path, 0.5)
     assert call(tmp_path) == (6.0, 0, 1)
@@ -88,7 +89,7 @@ def test_code_is_kept_apart_by_what_it_was_made_from_until_nobody_has_used_it_fo
     assert call(tmp_path, NUMBA_BOUNDSCHECK="1") == (6.0, 0, 1)  # kept apart
     for file in (tmp_path / "demo" / name for name in ("inner.py", "outer.py")):
         before = file.read_text()
-        file.write_text(before.replace("@kernel", "@kernel(slp=True)"))
+        file.write_text(before.replace("@kernel", "@kernel(allocates=True)"))
         assert call(tmp_path) == (6.0, 0, 1)
         file.write_text(before)
         assert call(tmp_path) == (6.0, 1, 0)
@@ -98,7 +99,7 @@ def test_code_is_kept_apart_by_what_it_was_made_from_until_nobody_has_used_it_fo
     assert not ancient.exists()
 
 
-def test_an_edit_of_whatever_a_kernel_freezes_is_noticed(tmp_path):
+def test_cache_notices_an_edit_of_what_a_kernel_freezes(tmp_path):
     """In a cache of one's own, too."""
     package(tmp_path, 0.5)
     for way, (importing, _, asked) in WAYS.items():
@@ -118,7 +119,7 @@ def test_an_edit_of_whatever_a_kernel_freezes_is_noticed(tmp_path):
     assert list((tmp_path / "elsewhere").rglob("f-*.code"))
 
 
-def test_an_edit_of_the_environment_makes_only_what_depends_on_it_anew(monkeypatch):
+def test_cache_recompiles_only_dependants_of_an_edit(monkeypatch):
     def contents():
         kernels = random_streams.uniform, step_blocks, vectors.dot, crossings.first_crossing
         return ["".join(kernel_cache.content(kernel)) for kernel in kernels]
@@ -129,7 +130,7 @@ def test_an_edit_of_the_environment_makes_only_what_depends_on_it_anew(monkeypat
     assert changed == [True, True, False, False]
 
 
-def test_functions_of_one_name_from_two_processes_are_told_apart(tmp_path):
+def test_cache_tells_apart_functions_of_one_name_from_two_processes(tmp_path):
     """Each of these callers holds an f of its own, the first function that its process compiled."""
     (tmp_path / "closures.py").write_text(
         f"import math\n{KERNEL}def made(k):\n"
@@ -147,7 +148,7 @@ def test_functions_of_one_name_from_two_processes_are_told_apart(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_step_is_made_from_nothing_else(tmp_path):
+def test_cache_key_of_the_step_covers_all_that_is_compiled(tmp_path):
     """Whatever numba compiles for a step and a reset is among what their code is named after."""
     script = """
         import numpy as np
@@ -198,7 +199,7 @@ def own_folder(tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("own_folder")
-def test_code_for_a_type_is_made_from_the_functions_that_it_chooses(monkeypatch):
+def test_cache_key_of_a_type_covers_the_functions_that_it_chooses(monkeypatch):
     def misses():
         @compilation.kernel
         def first(x):
@@ -217,7 +218,7 @@ def test_code_for_a_type_is_made_from_the_functions_that_it_chooses(monkeypatch)
 
 
 @pytest.mark.parametrize("chosen", [False, True], ids=["folder and home", "NUMBA_CACHE_DIR"])
-def test_a_cache_that_cannot_be_written_to_gives_one_warning(tmp_path, chosen):
+def test_cache_without_a_writable_folder_warns_once(tmp_path, chosen):
     package(tmp_path, 0.5)
     file = tmp_path / "file"
     file.write_text("in the way")
@@ -225,7 +226,7 @@ def test_a_cache_that_cannot_be_written_to_gives_one_warning(tmp_path, chosen):
     places = {"HOME": str(file), "TMPDIR": str(tmp_path / "tmp")}
     places["NUMBA_CACHE_DIR"] = str(file) if chosen else ""
     script = (
-        f"{BARE}import pathlib; from rendezvous_env import kernel_cache as k; k._BESIDE = "
+        f"{BARE}import pathlib; from rendezvous_env import kernel_cache as k; k._PACKAGE = "
         f"pathlib.Path({str(file)!r}); from demo import outer, inner; print(outer.f(10.0))"
     )
     for _ in range(2):
@@ -238,7 +239,7 @@ def test_a_cache_that_cannot_be_written_to_gives_one_warning(tmp_path, chosen):
     assert found.stdout.split() == ["6.0"] and "made anew each time" in found.stderr
 
 
-def test_a_temporary_folder_of_somebody_else_is_not_trusted(tmp_path, monkeypatch):
+def test_cache_does_not_use_a_temporary_folder_that_others_can_write_to(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     temporary = kernel_cache._temporary
     own = temporary().parent
@@ -248,7 +249,7 @@ def test_a_temporary_folder_of_somebody_else_is_not_trusted(tmp_path, monkeypatc
     assert other != own and other.parent == tmp_path and not other.stat().st_mode & 0o77
 
 
-def test_damaged_code_is_compiled_anew(own_folder):
+def test_cache_recompiles_damaged_code(own_folder):
     """Machine code with one bit flipped would end the process, so it is not given to it."""
 
     def misses():
@@ -268,3 +269,31 @@ def test_damaged_code_is_compiled_anew(own_folder):
         file.write_bytes(kinds.get(damage, bytes(content)))
         assert misses() == 1
     assert misses() == 0  # and kept
+
+
+def test_cache_compiles_once_in_processes_that_start_together(tmp_path):
+    """The others wait for the code of the first."""
+    package(tmp_path, 0.5)
+    slow = (
+        "def half(x):\n    for k in range(3):\n        x = x + k\n    return {factor} * (x - 3.0)\n"
+    )
+    (tmp_path / "demo" / "inner.py").write_text(KERNEL + "@kernel\n" + slow.format(factor=0.5))
+    script = (
+        f"{BARE}import sys; from demo.outer import f; from demo.inner import half; print('ready', "
+        "flush=True); sys.stdin.readline(); print(f(10.0), sum(f.stats.cache_misses.values()), "
+        "sum(half.stats.cache_misses.values()))"
+    )
+    ours = {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}", "NUMBA_CACHE_DIR": str(tmp_path)}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    command = [sys.executable, "-c", script]
+    started = [subprocess.Popen(command, env=os.environ | ours, **pipes) for _ in range(3)]
+    for process in started:
+        assert process.stdout.readline() == "ready\n"
+    for process in started:
+        process.stdin.write("go\n")
+        process.stdin.flush()
+    found = [process.communicate(timeout=120)[0].split() for process in started]
+    assert {value for value, *_ in found} == {"6.0"}
+    assert sum(int(misses) for _, misses, _ in found) == 1
+    assert sum(int(misses) for *_, misses in found) == 1
+    assert not list((tmp_path / "kernels").glob("*.lock"))
