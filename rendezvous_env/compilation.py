@@ -41,6 +41,7 @@ def kernel(
     *,
     inline: Inline = "never",
     allocates: bool = False,
+    slp: bool = False,
 ) -> Any:
     """Compile a function on first use: nogil, IEEE division, no fastmath; cached on disk.
 
@@ -51,21 +52,29 @@ def kernel(
         function: a function of numbers, arrays and tuples of these; None to give options first.
         inline: whether it becomes part of its callers.
         allocates: whether it may allocate and return arrays, and counts references.
+        slp: whether numbers that lie side by side outside of loops over lanes become SIMD too
+            (superword-level parallelism): for rows of one robot; loops over lanes get slower.
     """
-    return _decorated(function, _options(inline, allocates=allocates))
+    return _decorated(function, _options(inline, allocates=allocates), slp)
 
 
-def inner_kernel(function: Callable[..., Any] | None = None, *, inline: Inline = "never") -> Any:
+def inner_kernel(
+    function: Callable[..., Any] | None = None, *, inline: Inline = "never", slp: bool = False
+) -> Any:
     """A kernel for other kernels only: it has no entry for Python, which takes arguments apart and
     may be longer than the kernel. Python calls the function that was decorated.
     """
-    return _decorated(function, _options(inline, inner=True))
+    return _decorated(function, _options(inline, inner=True), slp)
 
 
-def _decorated(function: Callable[..., Any] | None, options: dict[str, Any]) -> Any:
+def _decorated(function: Callable[..., Any] | None, options: dict[str, Any], slp: bool) -> Any:
     if function is None:
-        return partial(_decorated, options=options)
-    return _Kernel(function, targetoptions=options) if compiled() else function
+        return partial(_decorated, options=options, slp=slp)
+    if not compiled():
+        return function
+    made = _Kernel(function, targetoptions=options)
+    made.slp = slp
+    return made
 
 
 def _options(inline: Inline, *, allocates: bool = False, inner: bool = False) -> dict[str, Any]:
@@ -105,6 +114,9 @@ del OVERLOADED["nopython"]
 class _Kernel(_DISPATCHER):
     """numba's dispatcher, with the rules of this project."""
 
+    slp = False
+    """Whether it is compiled with ``kernel(slp=True)``."""
+
     def __init__(self, py_func: Any, locals: Any = None, targetoptions: Any = None) -> None:
         super().__init__(py_func, locals, targetoptions, _KernelCompiler)
         self._cache = KernelCache(self)
@@ -116,7 +128,7 @@ class _Kernel(_DISPATCHER):
         with global_compiler_lock:
             if (known := self.overloads.get(tuple(arguments))) is not None:
                 return known.entry_point
-            with self._cache.exclusive(arguments), _announced(self), _collector_paused():
+            with self._cache.exclusive(arguments), _announced(self), _compiling(self.slp):
                 return super().compile(arguments)
 
     def add_overload(self, cres: Any) -> None:
@@ -158,15 +170,17 @@ def _writable(kind: Any) -> Any:
 
 
 @contextmanager
-def _collector_paused() -> Iterator[None]:
-    """Pause Python's collector of reference cycles, which would go through a million objects that
-    are all in use, again and again.
+def _compiling(slp: bool) -> Iterator[None]:
+    """Set numba's option, for this compilation, and pause Python's collector of reference cycles,
+    which would go through a million objects in use, again and again.
     """
-    collects = gc.isenabled()
+    collects, before = gc.isenabled(), _CONFIG.SLP_VECTORIZE
     gc.disable()
+    _CONFIG.SLP_VECTORIZE = slp
     try:
         yield
     finally:
+        _CONFIG.SLP_VECTORIZE = before
         if collects:  # not within the compilation of another kernel
             gc.enable()
 

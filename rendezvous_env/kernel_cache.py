@@ -146,7 +146,7 @@ def _base() -> str:
     """Versions, settings, processor, and how kernels are compiled."""
     sources = b"".join(path.read_bytes() for path in _COMPILING)
     versions = sys.version, numba.__version__, llvmlite.__version__
-    settings = _CONFIG.BOUNDSCHECK, _CONFIG.OPT, _CONFIG.SLP_VECTORIZE, _CONFIG.LOOP_VECTORIZE
+    settings = _CONFIG.BOUNDSCHECK, _CONFIG.OPT, _CONFIG.LOOP_VECTORIZE
     processor = numba.core.registry.cpu_target.target_context.codegen().magic_tuple()
     return f"{versions} {settings} {processor} {hashlib.sha256(sources).hexdigest()}"
 
@@ -168,7 +168,7 @@ def _content(values: Iterable[Any], names: frozenset[str], seen: set[int]) -> It
     """``names`` are the attributes of modules that are used, ``seen`` functions once followed."""
     for value in values:
         if hasattr(value, "targetoptions"):  # a kernel; a caller that inlines it has its options
-            yield f"{sorted(value.targetoptions.items(), key=str)}"
+            yield f"{sorted(value.targetoptions.items())} {getattr(value, 'slp', False)}"
         value = getattr(value, "py_func", value)
         if not isinstance(value, FunctionType):
             text, parts = _described(value, names)

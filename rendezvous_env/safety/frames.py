@@ -36,7 +36,7 @@ def look_along_net_bearing(axes, robots, robot, arrays, work):
                 store((0.0 + dot(x, v), 0.0 + dot(y, v), 0.0 + dot(z, v)), seen[i, row])
 
 
-@inner_kernel
+@inner_kernel(slp=True)
 def _turn_in_plane(rows, frame, seen):
     """Rows (rows, 2) ← Fᵀ row."""
     x, y = load_pair(frame[:, 0]), load_pair(frame[:, 1])

@@ -92,7 +92,7 @@ def tell(lanes, first, stop, values):
         told[lane] = lanes[lane]
 
 
-@inner_kernel
+@inner_kernel(slp=True)
 def sum_rows(axes, observations, neighbour_slots, f):
     """f_i = Σ_j a_ij g_ij of robots, from rows (N, rows, d), m/s, N ≤ LANES, into f (3, LANES)."""
     for lane in range(len(observations)):

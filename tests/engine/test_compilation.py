@@ -120,13 +120,13 @@ def test_inner_kernel_is_plain_python_for_python():
 
 
 @pytest.mark.parametrize("enabled", [True, False])
-def test_kernel_pauses_the_garbage_collector_while_it_is_compiled(enabled, monkeypatch):
+def test_kernel_sets_options_and_pauses_the_collector_while_it_is_compiled(enabled, monkeypatch):
     """Of nested compilations until the outermost ends, also where it fails."""
     if not compilation.compiled():
         pytest.skip("nothing is compiled")
     monkeypatch.setattr(kernel_cache, "_folder", lambda: None)  # else they are found again
 
-    @compilation.inner_kernel
+    @compilation.inner_kernel(slp=True)
     def inner(x):
         return 2.0 * x
 
@@ -139,7 +139,7 @@ def test_kernel_pauses_the_garbage_collector_while_it_is_compiled(enabled, monke
 
         def compiling(*a, real=kernel._compiler.compile, name=kernel.__name__):
             made = real(*a)
-            seen[name] = gc.isenabled()
+            seen[name] = gc.isenabled(), numba.config.SLP_VECTORIZE
             return made
 
         monkeypatch.setattr(kernel._compiler, "compile", compiling)
@@ -147,8 +147,8 @@ def test_kernel_pauses_the_garbage_collector_while_it_is_compiled(enabled, monke
     (gc.enable if enabled else gc.disable)()
     try:
         assert outer(3.0) == 7.0
-        assert seen == {"inner": False, "outer": False}
-        assert gc.isenabled() == enabled
+        assert seen == {"inner": (False, True), "outer": (False, False)}
+        assert gc.isenabled() == enabled and numba.config.SLP_VECTORIZE == 0
         with pytest.raises(numba.core.errors.NumbaError):
             outer("three")
         assert gc.isenabled() == enabled

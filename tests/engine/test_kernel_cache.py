@@ -1,6 +1,7 @@
 """Where compiled kernels are kept, and when they are compiled anew."""
 
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -75,6 +76,7 @@ def python(script: str, folder: Path, **environment: str) -> subprocess.Complete
     return run_python(folder, "-c", script, **ours | environment)
 
 
+@pytest.mark.slow
 def test_cache_keeps_code_by_its_source_and_removes_what_is_long_unused(tmp_path):
     """An edit of an inlined kernel is noticed, one of a docstring is not."""
     package(tmp_path, 0.5)
@@ -130,6 +132,7 @@ def test_cache_recompiles_only_dependants_of_an_edit(monkeypatch):
     assert changed == [True, True, False, False]
 
 
+@pytest.mark.slow
 def test_cache_tells_apart_functions_of_one_name_from_two_processes(tmp_path):
     """Each of these callers holds an f of its own, the first function that its process compiled."""
     (tmp_path / "closures.py").write_text(
@@ -297,3 +300,86 @@ def test_cache_compiles_once_in_processes_that_start_together(tmp_path):
     assert sum(int(misses) for _, misses, _ in found) == 1
     assert sum(int(misses) for *_, misses in found) == 1
     assert not list((tmp_path / "kernels").glob("*.lock"))
+
+
+EDITS = {
+    "physics": (
+        "physics/potential.py",
+        "return gain / distance if",
+        "return 1.01 * gain / distance if",
+        "{}",
+    ),
+    "robot model": (
+        "robots/unicycle.py",
+        "return distance * mean_cos, distance * mean_sin",
+        "return 0.9 * distance * mean_cos, distance * mean_sin",
+        "{'robot_model': 'unicycle'}",
+    ),
+    "reward term": (
+        "rewards/terms.py",
+        "return reward + weights[3] if met",
+        "return 2.0 * reward + weights[3] if met",
+        "{}",
+    ),
+    "sensor": (
+        "sensors/chance.py",
+        "return -z if word & _ONE_BIT else z",
+        "return z if word & _ONE_BIT else -z",
+        "{'sensing': rv.Sensing(noise=0.1)}",
+    ),
+    "graph": (
+        "graphs/random_graphs.py",
+        "weights[e] *= low + (high - low) * share",
+        "weights[e] *= high - (high - low) * share",
+        "{'graph': {'kind': 'random_tree', 'weight_range': [0.5, 2.0]}}",
+    ),
+    "shape": (
+        "obstacles/disc.py",
+        "return c * x - s * y, s * x + c * y, c * x + s * y",
+        "return c * x + s * y, s * x + c * y, c * x + s * y",
+        "{'obstacles': [rv.Disc((6.0, 0.0), 1.0)], 'spawn_size': 4.0}",
+    ),
+}
+"""File, text, edited text, and fields of a scenario that shows the edit."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", EDITS)
+def test_cache_notices_an_edit_of_each_kind(kind, tmp_path):
+    """The numbers change; of the kernels in use most are found on disk again."""
+    file, text, edited, fields = EDITS[kind]
+    shutil.copytree(ROOT / "rendezvous_env", tmp_path / "rendezvous_env")
+    script = f"""
+        import hashlib
+        import numpy as np
+        from rendezvous_env.kernel_cache import KernelCache
+        load, found = KernelCache.load_overload, []
+        def noted(cache, *arguments):
+            code = load(cache, *arguments)
+            found.append(code is not None)
+            return code
+        KernelCache.load_overload = noted
+        import rendezvous_env as rv
+        simulator = rv.Simulator(rv.Scenario(n_robots=4, **{fields}), 2)
+        seen = [simulator.reset(seed=0)]
+        for _ in range(3):
+            step = simulator.step(np.full((2, 4, simulator.scenario.action_size), 0.3, np.float32))
+            seen += [step.observations, step.rewards, simulator.positions]
+        text = b"".join(np.ascontiguousarray(array).tobytes() for array in seen)
+        print(hashlib.sha256(text).hexdigest(), len(found), found.count(False))
+    """
+    ours = {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": os.environ.get("NUMBA_CACHE_DIR", "")}
+
+    def run():
+        found = run_python(tmp_path, "-c", textwrap.dedent(script), **ours)
+        digest, kernels, misses = found.stdout.split()
+        return digest, int(kernels), int(misses)
+
+    before, _, _ = run()
+    assert run()[::2] == (before, 0)
+    source = tmp_path / "rendezvous_env" / file
+    assert source.read_text().count(text) == 1
+    source.write_text(source.read_text().replace(text, edited))
+    after, kernels, misses = run()
+    assert after != before
+    assert 0 < misses < (kernels if kind == "physics" else 0.5 * kernels)
