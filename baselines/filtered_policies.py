@@ -91,16 +91,16 @@ class FilteredPolicy(DecidingPolicy):
 
     def _act(self, teams: Float32, elapsed: float) -> Float32:
         if isinstance(self._filter, HeadingFilter):
-            actions = self._filter.act(teams, elapsed)
+            actions = self._filter.apply(teams, elapsed=elapsed)
             return within_limits(actions.astype(np.float64), self.scenario)
-        commanded: Float32 = self._filter.act(teams)
-        if self._filter.keeps_ledger:
-            self._filter.book()
+        commanded: Float32 = self._filter.apply(teams)
+        if self._filter.uses_feedback:
+            self._filter.update()
         return commanded
 
     def _decide(self, teams: Float32, due: Mask) -> None:
         before = None if due.all() else self._filter.get_state()
-        seen = self._as_given(self._filter.view(teams)).copy()  # not what the filter acts on
+        seen = self._as_given(self._filter.observe(teams)).copy()  # not what the filter acts on
         choices = np.asarray(self.choose(seen))
         wanted = *seen.shape[:-2], self._filter.action_size
         check_shape("what choose gave", choices, wanted, axes="(..., n, k)")

@@ -7,14 +7,15 @@ same policy steers it.
 """
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rendezvous_env.compilation import kernel
+from rendezvous_env.compilation import inner_kernel, kernel
 from rendezvous_env.engine.state_checks import Remembering
-from rendezvous_env.engine.threads import Part
+from rendezvous_env.engine.threads import Slice
 from rendezvous_env.physics.neighbour_rows import degree_of, net_bearing_of
 from rendezvous_env.physics.vectors import (
     ORIGIN,
@@ -46,11 +47,8 @@ from .obstacle_rules.planes_in_space import (
 )
 from .obstacle_rules.silhouettes import is_seen
 from .policy import Float32
+from .records import Array, make_records
 from .steering import ALIGNED_IN_SPACE, WITHIN, inputs_towards
-
-Array = NDArray[np.float64]
-_WIDTHS = {"towards": (3,), "aside": (3,), "headings": (2,), "velocities": (2,)}
-"""Shapes of what is remembered of a robot that is no number."""
 
 
 class _Way(NamedTuple):
@@ -70,7 +68,7 @@ class _Bodies(Remembering):
     is as ``kept_azimuth`` has it: PASSABLE under headings.
     """
 
-    _remembered: Any  # a tuple of arrays (B, n, ...)
+    _fields: Mapping[str, tuple[int, ...]]  # shapes of what is remembered of a robot
     _yaws: str  # which of these is by how much bodies have turned
     _look: Any
     _follow: Any
@@ -85,47 +83,49 @@ class _Bodies(Remembering):
         keeps: float = math.inf,
     ) -> None:
         robots, robot = (num_envs, scenario.n_robots), robot_of(scenario, most=most)
-        arrays = (np.zeros((*robots, *_WIDTHS.get(f, ()))) for f in self._remembered._fields)
-        self._kept = self._remembered._make(arrays)
+        self._records, self._remembered = make_records(robots, self._fields)
         aligned = clearance if scenario.dim == 2 else ALIGNED_IN_SPACE
         self._way = _Way(robot, float(aligned), float(clearance), float(keeps))
-        self.headings: Array = self._kept.headings
+        self.headings: Array = np.zeros((*robots, 2))
         """Where they are to go, (B, n, 2), in that frame or plane; zero where there is none yet."""
-        self.velocities: Array = self._kept.velocities
+        self.velocities: Array = np.zeros((*robots, 2))
         """Their mean velocities over the previous step, (B, n, 2), m/s."""
         rows = robot.neighbour_slots + 2 * robot.obstacle_slots
         self._seen = np.zeros((*robots, rows, 2), np.float32)
 
     @property
     def _memory(self) -> dict[str, Array]:
-        return self._kept._asdict()
+        return {
+            "headings": self.headings, "velocities": self.velocities, **self._remembered,
+        }  # fmt: skip
 
     def seen(self, observations: Float32, teams: NDArray[np.intp]) -> Float32:
         """What some teams see in that frame or plane, (B, n, K + 2M, 2), until the next call."""
-        self._look(teams, observations, self._way, self._kept, self._seen)
+        self._look(teams, observations, self._way, self._records, self._seen)
         return self._seen
 
-    def follow(self, teams: Part, observations: Float32, held: Array) -> None:
+    def follow(self, teams: Slice, observations: Float32, held: Array) -> None:
         """Write what some teams are to do, at law (1)'s speed, in units of their bounds: velocities
         of points; (v, ω), or where another sets the speed ω alone.
         """
-        self._follow(teams, observations, self._way, self._kept, held)
+        self._follow(teams, observations, self._way, self._records, self.headings, held)
 
-    def turn(self, teams: Part, actions: Float32) -> None:
+    def turn(self, teams: Slice, actions: Float32) -> None:
         """Note the actions that these teams take for τ."""
-        self._turn(teams, actions, self._way, self._kept)
+        self._turn(teams, actions, self._way, self._records, self.velocities)
 
     def settle(self, share: float) -> Array:
         """Correct the last step, which lasted only a share of τ; |v| ‖ω‖ τ² of it, (B, n), m, which
         is how far its arc may have been from a straight line.
         """
-        kept, bends = self._kept, self._kept.bends.copy()
-        getattr(kept, self._yaws)[...] += (min(share, 1.0) - 1.0) * kept.turns
-        kept.turns[...], kept.bends[...] = 0.0, 0.0
+        kept = self._remembered
+        bends = kept["bends"].copy()
+        kept[self._yaws][...] += (min(share, 1.0) - 1.0) * kept["turns"]
+        kept["turns"][...], kept["bends"][...] = 0.0, 0.0
         return bends
 
 
-@kernel
+@inner_kernel
 def _law_speed(rows, robot):
     """Law (1)'s speed in a step of τ, min(1, r/(2 D τ)) ‖f‖, m/s."""
     degree = degree_of(rows, robot.neighbour_slots)
@@ -133,36 +133,33 @@ def _law_speed(rows, robot):
     return norm(net_bearing_of(rows, robot.neighbour_slots)) * scale
 
 
-class _InFrames(NamedTuple):
-    """What unicycles remember of their bodies, (B, n, ...)."""
-
-    headings: Array
-    velocities: Array
-    angles: Array  # by which the body has turned, rad
-    turns: Array  # of the previous step, rad
-    bends: Array  # |v ω| τ² of that step, m
+_IN_FRAMES = {"angles": (1,), "turns": (1,), "bends": (1,)}
+"""What a unicycle remembers of its body: by how much it has turned, rad, and in the previous step;
+|v ω| τ² of that step, m."""
 
 
 @kernel
 def _look_in_frames(teams, observations, way, memory, seen):
     for team in teams:
         for i in range(observations.shape[1]):
-            c, s = math.cos(memory.angles[team, i]), math.sin(memory.angles[team, i])
-            rows, turned = observations[team, i], seen[team, i]
-            for k in range(rows.shape[0]):
-                x, y = np.float64(rows[k, 0]), np.float64(rows[k, 1])
-                turned[k, 0], turned[k, 1] = c * x - s * y, s * x + c * y
+            c, s = math.cos(memory[team, i, 0]), math.sin(memory[team, i, 0])
+            for k in range(observations.shape[2]):
+                x, y = (
+                    np.float64(observations[team, i, k, 0]),
+                    np.float64(observations[team, i, k, 1]),
+                )
+                seen[team, i, k, 0], seen[team, i, k, 1] = c * x - s * y, s * x + c * y
 
 
 @kernel
-def _follow_in_frames(teams, observations, way, memory, held):
+def _follow_in_frames(teams, observations, way, memory, headings, held):
     robot, limit, gate = way.robot, way.robot.speed_limit, way.robot.gate
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
-            rows, desired = observations[team, i], held[team, i]
-            speed = min(_law_speed(rows, robot), limit)
-            c, s = math.cos(memory.angles[team, i]), math.sin(memory.angles[team, i])
-            x, y, _ = scaled(load(memory.headings[team, i]), speed)
+            desired = held[team, i]
+            speed = min(_law_speed(observations[team, i], robot), limit)
+            c, s = math.cos(memory[team, i, 0]), math.sin(memory[team, i, 0])
+            x, y, _ = scaled(load(headings[team, i]), speed)
             wanted = c * x + s * y, c * y - s * x, 0.0
             forward, (rate, _) = inputs_towards(wanted, 0.0, gate, way.aligned)
             desired[-1] = rate / gate.yaw_limit if gate.yaw_limit > 0.0 else 0.0
@@ -171,19 +168,20 @@ def _follow_in_frames(teams, observations, way, memory, held):
 
 
 @kernel
-def _turn_in_frames(teams, actions, way, memory):
+def _turn_in_frames(teams, actions, way, memory, velocities):
     robot, gate = way.robot, way.robot.gate
     for team in range(teams[0], teams[1]):
         for i in range(actions.shape[1]):
+            kept = memory[team, i]
             speed = clip(np.float64(actions[team, i, 0]), robot.speed_limit)
             rate = clip(np.float64(actions[team, i, 1]), gate.yaw_limit)
-            x, y = arc_2d(speed, memory.angles[team, i], rate, gate.duration)
-            memory.velocities[team, i, 0] = x / gate.duration
-            memory.velocities[team, i, 1] = y / gate.duration
+            x, y = arc_2d(speed, kept[0], rate, gate.duration)
+            velocities[team, i, 0] = x / gate.duration
+            velocities[team, i, 1] = y / gate.duration
             turned = rate * gate.duration
-            memory.turns[team, i] = turned
-            memory.bends[team, i] = abs(speed * turned) * gate.duration
-            memory.angles[team, i] += turned
+            kept[1] = turned
+            kept[2] = abs(speed * turned) * gate.duration
+            kept[0] += turned
 
 
 class SteadyFrames(_Bodies):
@@ -192,26 +190,20 @@ class SteadyFrames(_Bodies):
     u = R(θ) u_body,   θ ← θ + ω τ
     """
 
-    _remembered, _yaws = _InFrames, "angles"
+    _fields, _yaws = _IN_FRAMES, "angles"
     _look, _follow = staticmethod(_look_in_frames), staticmethod(_follow_in_frames)
     _turn = staticmethod(_turn_in_frames)
 
 
-class _InPlanes(NamedTuple):
-    """What robots remember of their planes, (B, n, ...); triples in the level frame with the yaw
-    that their body had at first.
-    """
-
-    towards: Array  # f/‖f‖; zero before the first step
-    aside: Array  # the unit vector across f of the plane
-    angles: Array  # of f in the plane, rad: by how much it has turned there
-    blocked: Array  # whether something there is before f
-    yaws: Array  # by which the body has turned, rad
-    pitches: Array
-    turns: Array  # of the yaw in the previous step, rad
-    bends: Array  # |v| ‖ω‖ τ² of that step, m
-    headings: Array
-    velocities: Array
+_IN_PLANES = {
+    **{"towards": (3,), "aside": (3,)},
+    **{name: (1,) for name in ("angles", "blocked", "yaws", "pitches", "turns", "bends")},
+}
+"""What a robot remembers of its plane; triples are in the level frame with the yaw that its body
+had at first: f/‖f‖, zero before the first step; the unit vector of the plane across f; by how much
+f has turned in the plane, rad; whether something there is before f; yaw of the body, from its first
+one, and pitch, rad; the yaw of the previous step, rad, and |v| ‖ω‖ τ² of that step, m."""
+_ASIDE, _ANGLE, _BLOCKED, _YAW, _PITCH, _TURNED, _BEND = 3, *range(6, 12)
 
 
 @kernel(allocates=True)
@@ -222,9 +214,10 @@ def _look_in_planes(teams, observations, way, memory, seen):
         for i in range(observations.shape[1]):
             rows, out = observations[team, i], seen[team, i]
             silhouettes = rows[K : K + 8 * M].reshape((M, 8, 3))
+            kept = memory[team, i]
             if robot.turns:
-                memory.pitches[team, i] = pitch_of(rows, robot.gravity_row, robot.gate)
-            frame, (was, before, angle) = _plane_of((team, i), memory)
+                kept[_PITCH] = pitch_of(rows, robot.gravity_row, robot.gate)
+            frame, (was, before, angle) = _plane_of(kept)
             strength, u = split(net_bearing_of(rows, K))
             if strength == 0.0:
                 u = was if was != ORIGIN else X_AXIS
@@ -235,29 +228,29 @@ def _look_in_planes(teams, observations, way, memory, seen):
                     before = across if norm(across) > norm(before) else before
             count = widened_rays(silhouettes, way.clearance, rays)
             cones = rays[:count], cut[:count], intervals[:count]
-            keeps = way.keeps if memory.blocked[team, i] != 0.0 else 0.0
+            keeps = way.keeps if kept[_BLOCKED] != 0.0 else 0.0
             aside, _ = kept_azimuth(u, before, keeps, way.clearance, cones)
             if dot(aside, before) < 0.0:  # left stays left
                 aside = scaled(aside, -1.0)
                 cut_by(u, aside, cones[0], cones[1])
             low, high, _, _ = joined_interval_2d(X_AXIS, cones[1], cones[2])
             blocked = low < way.clearance and high > -way.clearance
-            memory.blocked[team, i] = 1.0 if blocked else 0.0
-            memory.angles[team, i] = angle
-            store(to_global(frame, u), memory.towards[team, i])
-            store(to_global(frame, aside), memory.aside[team, i])
+            kept[_BLOCKED] = 1.0 if blocked else 0.0
+            kept[_ANGLE] = angle
+            store(to_global(frame, u), kept[:_ASIDE])
+            store(to_global(frame, aside), kept[_ASIDE:_ANGLE])
             _write_plane(rows, (u, aside, angle), silhouettes, cut, out)
 
 
-@kernel
-def _plane_of(robot, memory):
+@inner_kernel
+def _plane_of(kept):
     """A robot's frame, and its plane in the body frame: f/‖f‖, the unit vector across it, θ."""
-    frame = body_frame_3d(memory.yaws[robot], memory.pitches[robot])
-    u, aside = load(memory.towards[robot]), load(memory.aside[robot])
-    return frame, (to_local(frame, u), to_local(frame, aside), memory.angles[robot])
+    frame = body_frame_3d(kept[_YAW], kept[_PITCH])
+    u, aside = load(kept[:_ASIDE]), load(kept[_ASIDE:_ANGLE])
+    return frame, (to_local(frame, u), to_local(frame, aside), kept[_ANGLE])
 
 
-@kernel
+@inner_kernel
 def _write_plane(rows, plane, silhouettes, cut, out):
     """What is seen of neighbours and obstacles in a plane, (K + 2 M, 2)."""
     M, count = silhouettes.shape[0], 0
@@ -275,7 +268,7 @@ def _write_plane(rows, plane, silhouettes, cut, out):
         count += 1
 
 
-@kernel
+@inner_kernel
 def _in_plane(vector, plane):
     """The part of a triple in a plane, a triple in its frame with z = 0."""
     u, aside, angle = plane
@@ -283,22 +276,22 @@ def _in_plane(vector, plane):
 
 
 @kernel(allocates=True)
-def _follow_in_planes(teams, observations, way, memory, held):
+def _follow_in_planes(teams, observations, way, memory, headings, held):
     robot, gate = way.robot, way.robot.gate
     K, M = robot.neighbour_slots, robot.obstacle_slots
     rays = np.empty((M, 8, 3))
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
             rows, desired = observations[team, i], held[team, i]
-            _, (u, aside, angle) = _plane_of((team, i), memory)
-            ahead, across, _ = rotated(load(memory.headings[team, i]), -angle)
+            _, (u, aside, angle) = _plane_of(memory[team, i])
+            ahead, across, _ = rotated(load(headings[team, i]), -angle)
             heading = combine(ahead, u, across, aside)
             share = WITHIN * min(_law_speed(rows, robot) / robot.speed_limit, 1.0)
             wanted = scaled(heading, share)
             if not robot.turns:
                 store(wanted, desired)
                 continue
-            pitch = memory.pitches[team, i]
+            pitch = memory[team, i, _PITCH]
             forward, rates = inputs_towards(wanted, pitch, gate, way.aligned)
             desired[-2] = rates[0] / max(gate.yaw_limit, TINY)
             desired[-1] = rates[1] / max(gate.pitch_limit, TINY)
@@ -309,20 +302,21 @@ def _follow_in_planes(teams, observations, way, memory, held):
 
 
 @kernel
-def _turn_in_planes(teams, actions, way, memory):
+def _turn_in_planes(teams, actions, way, memory, velocities):
     robot, gate = way.robot, way.robot.gate
     for team in range(teams[0], teams[1]):
         for i in range(actions.shape[1]):
-            velocity, plane = load(actions[team, i]), _plane_of((team, i), memory)[1]
+            velocity, kept = load(actions[team, i]), memory[team, i]
+            plane = _plane_of(kept)[1]
             if robot.turns:
                 rates = rates_of(actions[team, i], gate)
                 speed = clip(velocity[0], robot.speed_limit)
-                velocity = scaled(mean_axis(rates, memory.pitches[team, i], gate), speed)
+                velocity = scaled(mean_axis(rates, kept[_PITCH], gate), speed)
                 turned = math.hypot(rates[0], rates[1]) * gate.duration
-                memory.bends[team, i] = abs(speed) * turned * gate.duration
-                memory.turns[team, i] = rates[0] * gate.duration
-                memory.yaws[team, i] += memory.turns[team, i]
-            store(_in_plane(velocity, plane), memory.velocities[team, i])
+                kept[_BEND] = abs(speed) * turned * gate.duration
+                kept[_TURNED] = rates[0] * gate.duration
+                kept[_YAW] += kept[_TURNED]
+            store(_in_plane(velocity, plane), velocities[team, i])
 
 
 class SteadyPlanes(_Bodies):
@@ -334,6 +328,6 @@ class SteadyPlanes(_Bodies):
     else it takes the one with least to turn, and what it remembers turns with it about f.
     """
 
-    _remembered, _yaws = _InPlanes, "yaws"
+    _fields, _yaws = _IN_PLANES, "yaws"
     _look, _follow = staticmethod(_look_in_planes), staticmethod(_follow_in_planes)
     _turn = staticmethod(_turn_in_planes)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rendezvous_env.compilation import kernel
+from rendezvous_env.compilation import inner_kernel, kernel
 from rendezvous_env.physics.vectors import dot, load, norm, scaled, store, to_global, to_local
 from rendezvous_env.robots.nonholonomic_3d import body_frame_3d
 from rendezvous_env.safety.turning import (
@@ -100,7 +100,7 @@ class Steering:
         return out.reshape(*values.shape[:-1], size)
 
 
-@kernel
+@inner_kernel
 def inputs_towards(wanted, pitch, gate, aligned=ALIGNED):
     """Speed, m/s, and a pair of turn rates, rad/s, of a nonholonomic robot that is to follow w.
 

@@ -1,40 +1,38 @@
-"""How every kernel of this project is compiled: serial, cached on disk, IEEE arithmetic."""
+"""How all kernels are compiled: serial, cached on disk, IEEE arithmetic."""
 
 import gc
 import inspect
-import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache, partial, wraps
 from types import FunctionType
 from typing import Any, Literal
 
 import numba
-from numba.core.bytecode import FunctionIdentity
+from numba.core import sigutils, types
+from numba.core.compiler import Compiler
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.errors import TypingError
 from numba.core.options import DefaultOptions
 from numba.core.registry import CPUDispatcher
 from numba.extending import overload
 
-from .kernel_cache import KernelCache
+from .kernel_cache import KernelCache, digest_of
 
 _CONFIG: Any = numba.config
 _DISPATCHER: Any = CPUDispatcher  # numba's types leave out what is overridden here
-# numba tells functions of one name apart by a number, from 1 on in every process: kept code of two
-# processes would be taken for one and the same
-_IDENTITY: Any = FunctionIdentity
-_IDENTITY._unique_ids = iter(lambda: int.from_bytes(os.urandom(7)), None)
-_PATIENCE = 2.0  # s; compilation that is over sooner is not worth a word
+_COMPILER: Any = Compiler
+_PATIENCE = 2.0  # s; a compilation that takes longer is announced
 
 Inline = Literal["never", "code", "text"]
-"""Whether a kernel becomes part of whoever calls it.
+"""Whether a kernel becomes part of its callers.
 
-"code": its machine code does, while that is optimised. "text": its text takes the place of its call
-before anything is compiled, which costs no compiling of its own; for long ones with a single
-caller. In it no branch may hang on whether an argument is None, nor on the length of a tuple: its
-types are not known yet.
+"code": its machine code does, in the optimiser. "text": its source takes the place of the call
+before anything is compiled, which costs no compilation of its own; for long kernels with a single
+caller. In a "text" kernel no branch may depend on whether an argument is None, nor on the length of
+a tuple: types are not known yet.
 """
 
 
@@ -47,31 +45,31 @@ def kernel(
 ) -> Any:
     """Compile a function on first use: nogil, IEEE division, no fastmath; cached on disk.
 
-    It counts no references to arrays, which would take longer than a small team's arithmetic. So it
-    must neither allocate arrays nor return any; the compiler refuses both.
+    It counts no references to arrays, which would take longer than the arithmetic of a few robots.
+    So it can neither allocate nor return arrays, and the compiler refuses both.
 
     Args:
-        function: of numbers, arrays and tuples of these; None to give options first.
-        inline: whether it becomes part of whoever calls it.
-        allocates: whether it may allocate and return arrays after all, and counts references.
-        slp: whether numbers that lie side by side become SIMD outside of loops over lanes too
-            (LLVM's superword-level parallelism): for rows of a robot; loops over lanes get slower.
+        function: a function of numbers, arrays and tuples of these; None to give options first.
+        inline: whether it becomes part of its callers.
+        allocates: whether it may allocate and return arrays, and counts references.
+        slp: whether numbers that lie side by side outside of loops over lanes become SIMD too
+            (superword-level parallelism): for rows of one robot; loops over lanes get slower.
     """
-    return _made(function, _options(inline, allocates=allocates), slp)
+    return _decorated(function, _options(inline, allocates=allocates), slp)
 
 
 def inner_kernel(
     function: Callable[..., Any] | None = None, *, inline: Inline = "never", slp: bool = False
 ) -> Any:
-    """A kernel for other kernels: no entry for Python is compiled, which takes tuples of arrays
-    apart and is longer than many a kernel. Called from Python it is the function that it was.
+    """A kernel for other kernels only: it has no entry for Python, which takes arguments apart and
+    may be longer than the kernel. Python calls the function that was decorated.
     """
-    return _made(function, _options(inline, within=True), slp)
+    return _decorated(function, _options(inline, inner=True), slp)
 
 
-def _made(function: Callable[..., Any] | None, options: dict[str, Any], slp: bool) -> Any:
+def _decorated(function: Callable[..., Any] | None, options: dict[str, Any], slp: bool) -> Any:
     if function is None:
-        return partial(_made, options=options, slp=slp)
+        return partial(_decorated, options=options, slp=slp)
     if not compiled():
         return function
     made = _Kernel(function, targetoptions=options)
@@ -79,14 +77,13 @@ def _made(function: Callable[..., Any] | None, options: dict[str, Any], slp: boo
     return made
 
 
-def _options(inline: Inline, *, allocates: bool = False, within: bool = False) -> dict[str, Any]:
-    """Options of numba; what is not said here would be as whoever calls first has it.
+def _options(inline: Inline, *, allocates: bool = False, inner: bool = False) -> dict[str, Any]:
+    """Options of numba; one that is missing here would be inherited from the first caller.
 
-    Three are not documented: ``_nrt`` (count references), and two that leave out entries for
-    callers in C and in Python, a third of all compiling. With a numba that knows them no longer
-    everything works, slower (decision 11).
+    Three are not documented: ``_nrt`` (count references), and two that leave out the entries for
+    callers in C and in Python. Without them everything works, slower (decision 11).
     """
-    undocumented = {"_nrt": allocates, "no_cfunc_wrapper": True, "no_cpython_wrapper": within}
+    undocumented = {"_nrt": allocates, "no_cfunc_wrapper": True, "no_cpython_wrapper": inner}
     return {
         **({"inline": "always"} if inline == "text" else {}),
         **{"nopython": True, "nogil": True, "boundscheck": None, "error_model": "numpy"},
@@ -95,7 +92,21 @@ def _options(inline: Inline, *, allocates: bool = False, within: bool = False) -
     }
 
 
-OVERLOADED: Any = _options("code", within=True)
+class _KernelCompiler(_COMPILER):
+    """numba's compiler, which names the symbols of a function by its content.
+
+    numba itself numbers functions, from 1 on in every process: machine code that two processes have
+    kept, linked together, could hold two functions of one name.
+    """
+
+    def define_pipelines(self) -> Any:
+        identity = self.state.func_id
+        identity.unique_id = digest_of(identity.func, self.state.args)[:16]
+        identity.unique_name = f"{identity.func_qualname}${identity.unique_id}"
+        return super().define_pipelines()
+
+
+OVERLOADED: Any = _options("code", inner=True) | {"pipeline_class": _KernelCompiler}
 """Options of numba's ``overload``, for what becomes part of a kernel."""
 del OVERLOADED["nopython"]
 
@@ -107,54 +118,80 @@ class _Kernel(_DISPATCHER):
     """Whether it is compiled with ``kernel(slp=True)``."""
 
     def __init__(self, py_func: Any, locals: Any = None, targetoptions: Any = None) -> None:
-        super().__init__(py_func, locals, targetoptions)
+        super().__init__(py_func, locals, targetoptions, _KernelCompiler)
         self._cache = KernelCache(self)
-        self._within = targetoptions.get("no_cpython_wrapper", False)
+        self._inner = targetoptions.get("no_cpython_wrapper", False)
 
     def compile(self, sig: Any) -> Any:
-        """The entry point for a signature, from disk or compiled anew.
-
-        Python's collector of cycles rests meanwhile: it would look, again and again, through a
-        million objects that are all still in use, for an eighth of the time.
-        """
+        """The entry point for a signature, from disk or compiled anew."""
+        arguments, _ = sigutils.normalize_signature(sig)
         with global_compiler_lock:
-            collects = gc.isenabled()
-            gc.disable()
-            _began.append(time.monotonic())
-            slp, _CONFIG.SLP_VECTORIZE = _CONFIG.SLP_VECTORIZE, self.slp
-            try:
-                entry = super().compile(sig)
-                if self._cache_misses and time.monotonic() - _began[0] > _PATIENCE:
-                    _say_once()
-                return entry
-            finally:
-                _CONFIG.SLP_VECTORIZE = slp
-                _began.pop()
-                if collects:  # not within another function's compiling
-                    gc.enable()
+            if (known := self.overloads.get(tuple(arguments))) is not None:
+                return known.entry_point
+            with self._cache.exclusive(arguments), _announced(self), _compiling(self.slp):
+                return super().compile(arguments)
 
     def add_overload(self, cres: Any) -> None:
-        """Take compiled code in, with an entry for Python only if it has one; unless it returns an
-        array whose reference nobody counted, which would be freed while in use.
+        """Take compiled code in, with an entry for Python unless it is inner; an error if it
+        returns an array, of which no reference is counted: it would be freed while in use.
         """
         returned = cres.signature.return_type
         if not self.targetoptions.get("_nrt", True) and _holds_array(returned):
             raise TypingError(
                 f"kernel {self.py_func.__qualname__} returns {returned}; it may return no array"
             )
-        if self._within:
+        if self._inner:
             self.overloads[tuple(cres.signature.args)] = cres
         else:
             super().add_overload(cres)
 
+    def typeof_pyval(self, val: Any) -> Any:
+        """The type of an argument; a read-only array has that of a writable one."""
+        return _writable(super().typeof_pyval(val))
+
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
-        if self._within:  # what there is no entry for would end the process
+        if self._inner:  # calling what has no entry would end the process
             return self.py_func
         return super()._compile_for_args(*args, **kws)
 
 
-_began: list[float] = []
-"""When each function that is being compiled was begun, s, the outermost first."""
+def _writable(kind: Any) -> Any:
+    """A type in which all arrays are writable.
+
+    JAX and pandas give read-only arrays. Compiled code is the same for them, since kernels write to
+    memory of the package only; so none is compiled twice.
+    """
+    if isinstance(kind, types.Array):
+        return kind.copy(readonly=False)
+    if isinstance(kind, types.BaseTuple) and any(map(_holds_array, kind.types)):
+        parts = tuple(map(_writable, kind.types))
+        return types.BaseTuple.from_types(parts, getattr(kind, "instance_class", None))
+    return kind
+
+
+@contextmanager
+def _compiling(slp: bool) -> Iterator[None]:
+    """Set numba's option, for this compilation, and pause Python's collector of reference cycles,
+    which would go through a million objects in use, again and again.
+    """
+    collects, before = gc.isenabled(), _CONFIG.SLP_VECTORIZE
+    gc.disable()
+    _CONFIG.SLP_VECTORIZE = slp
+    try:
+        yield
+    finally:
+        _CONFIG.SLP_VECTORIZE = before
+        if collects:  # not within the compilation of another kernel
+            gc.enable()
+
+
+@contextmanager
+def _announced(function: _Kernel) -> Iterator[None]:
+    """Announce, once, a compilation that took long."""
+    begun = time.monotonic()
+    yield
+    if function._cache_misses and time.monotonic() - begun > _PATIENCE:
+        _say_once()
 
 
 @cache
@@ -168,7 +205,7 @@ def _say_once() -> None:
 
 def _holds_array(kind: Any) -> bool:
     parts = getattr(kind, "types", ())
-    return isinstance(kind, numba.types.Array) or any(map(_holds_array, parts))
+    return isinstance(kind, types.Array) or any(map(_holds_array, parts))
 
 
 def by_type(argument: str, choose: Callable[[type], Any]) -> Any:

@@ -1,9 +1,9 @@
-"""Where compiled kernels are kept, and when they are compiled anew.
+"""Compiled kernels on disk, and when they are compiled anew.
 
-The compiled code of a kernel for one signature is a file, named after all that it was made from:
-what numba freezes of the kernel, which is its own code and what it names, in turn, in whatever
-module; how kernels are compiled; the types of the arguments; processor and versions. It begins with
-a digest of what follows, since damaged machine code would end the process.
+The compiled code of a kernel for one signature is a file, named by a digest of all that it was made
+from: its own code and, recursively, what that names, in whatever module; how kernels are compiled;
+the types of the arguments; processor and versions. The file begins with a digest of the rest, since
+damaged machine code would end the process.
 """
 
 import hashlib
@@ -15,7 +15,7 @@ import time
 import uuid
 import warnings
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from types import BuiltinMethodType, CodeType, FunctionType, MethodType, ModuleType
@@ -24,26 +24,31 @@ from typing import Any
 import llvmlite
 import numba
 import numpy as np
-from numba.core import serialize, sigutils
+from numba.core import serialize
 from numba.core.compiler import CompileResult
 
+try:
+    import fcntl
+except ImportError:  # not on Windows, where two processes may compile the same kernel
+    fcntl = None  # type: ignore[assignment]
+
 _CONFIG: Any = numba.config
-_BESIDE = Path(__file__).parent / "__pycache__"
+_PACKAGE = Path(__file__).parent / "__pycache__"
 _COMPILING = [Path(__file__).with_name(name) for name in ("compilation.py", "kernel_cache.py")]
-"""How kernels are compiled and kept: an edit of these makes every kernel anew."""
+"""An edit of these compiles every kernel anew."""
 _LIBRARIES = {"numba", "numpy", *sys.stdlib_module_names}
-"""Known by their version; the code of all other modules is followed."""
+"""Identified by their version; the code of all other modules is followed."""
 _DIGEST_SIZE = 32
-_SIGNATURE = 3  # Place of the signature in what numba makes of a compiled function for pickle
-_KEPT_UNUSED = 14 * 24 * 3600.0
-"""s; code of other versions, and of other installations that share the folder, is kept so long."""
+_SIGNATURE = 3  # position of the signature in what numba makes of a compiled function for pickle
+_MAX_AGE = 14 * 24 * 3600.0  # s; kernels that were not used for so long are removed
 
 
 class KernelCache:
-    """Compiled code of one kernel, by signature: what numba asks of a dispatcher's cache."""
+    """Compiled code of one kernel, by signature; the methods are those that numba calls."""
 
     def __init__(self, kernel: Any) -> None:
         self._kernel = kernel
+        self._paths: dict[Any, Path | None] = {}  # of signatures that are being compiled
 
     @property
     def cache_path(self) -> str:
@@ -51,10 +56,9 @@ class KernelCache:
         return str(_folder())
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The compiled code for a signature; None if there is none that is whole."""
+        """The compiled code for a signature; None if there is none or it is damaged."""
         target_context.refresh()
-        arguments, path = self._file(sig, target_context)
-        if path is None:
+        if (path := self._path(sig)) is None:
             return None
         try:
             content = path.read_bytes()
@@ -62,16 +66,16 @@ class KernelCache:
             if hashlib.sha256(code).digest() != digest:
                 return None
             parts = pickle.loads(code)
-            if parts[_SIGNATURE].args != arguments:  # of a class of the same name
+            if parts[_SIGNATURE].args != sig:  # of a class of the same name
                 return None
             os.utime(path)
             return CompileResult._rebuild(target_context, *parts)
-        except Exception:  # it is not there, or names a class that is no longer there
+        except Exception:  # there is no file, or it names a class that no longer exists
             return None
 
     def save_overload(self, sig: Any, compiled: Any) -> None:
-        """Keep compiled code, unless the disk is full or the folder gone."""
-        _, path = self._file(sig, compiled.target_context)
+        """Keep compiled code, unless the disk is full or the folder is gone."""
+        path = self._path(sig)
         if path is None or compiled.lifted or compiled.library.has_dynamic_globals:
             return
         code = serialize.dumps(compiled._reduce())
@@ -83,36 +87,68 @@ class KernelCache:
             finally:
                 part.unlink(missing_ok=True)
 
-    def _file(self, sig: Any, target_context: Any) -> tuple[tuple[Any, ...], Path | None]:
-        """Types of the arguments, and the file for them; None where no later process finds it."""
-        arguments, _ = sigutils.normalize_signature(sig)
-        kinds = [kind for argument in arguments for kind in named_tuples(argument)]
+    @contextmanager
+    def exclusive(self, sig: Any) -> Iterator[None]:
+        """Let one process at a time compile for a signature; the others find its code then."""
+        path = self._paths[sig] = self._path(sig)
+        try:
+            if fcntl is None or path is None or path.exists():
+                yield
+            else:
+                with _locked(path.with_suffix(".lock")):
+                    yield
+        finally:
+            del self._paths[sig]
+
+    def _path(self, sig: Any) -> Path | None:
+        """The file for a signature; None if no later process could find it."""
+        if sig in self._paths:
+            return self._paths[sig]
+        kinds = [kind for argument in sig for kind in named_tuples(argument)]
         if (folder := _folder()) is None or any(kind.__module__ == "__main__" for kind in kinds):
-            return arguments, None
-        made_from = [_base(), target_context.codegen().magic_tuple(), arguments]
-        digest = hashlib.sha256(repr(made_from).encode())
-        for text in content(self._kernel, *kinds):
-            digest.update(text.encode())
+            return None
         name = self._kernel.__name__.strip("<>")
-        return arguments, folder / f"{name}-{digest.hexdigest()[:32]}.code"
+        return folder / f"{name}-{digest_of(self._kernel, sig)[:32]}.code"
+
+
+@contextmanager
+def _locked(lock: Path) -> Iterator[None]:
+    """Hold a lock file; where it cannot be made, or locked, nothing is held."""
+    with ExitStack() as held:
+        with suppress(OSError):
+            file = held.enter_context(lock.open("w"))
+            held.callback(lock.unlink, missing_ok=True)
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+def digest_of(function: Any, argument_types: Any) -> str:
+    """Digest, in hexadecimal digits, of all that the code of a function for types is made from."""
+    kinds = [kind for argument in argument_types for kind in named_tuples(argument)]
+    made = hashlib.sha256(f"{_base()} {argument_types}".encode())
+    for text in content(function, *kinds):
+        made.update(text.encode())
+    return made.hexdigest()
 
 
 _CHOSEN_BY: dict[type, tuple[Any, ...]] = {}
 
 
 def depends_on(kind: type, functions: tuple[Any, ...]) -> None:
-    """Say that compiled code that has to do with a NamedTuple class is made from these functions,
-    plain or compiled, which are chosen by it.
+    """Declare that code for a NamedTuple class is made from these functions, plain or compiled,
+    which are chosen by the class.
     """
     _CHOSEN_BY[kind] = functions
 
 
 @cache
 def _base() -> str:
-    """Of versions, settings and the way in which kernels are compiled."""
+    """Versions, settings, processor, and how kernels are compiled."""
     sources = b"".join(path.read_bytes() for path in _COMPILING)
-    versions = sys.version, numba.__version__, llvmlite.__version__, _CONFIG.BOUNDSCHECK
-    return f"{versions} {hashlib.sha256(sources).hexdigest()}"
+    versions = sys.version, numba.__version__, llvmlite.__version__
+    settings = _CONFIG.BOUNDSCHECK, _CONFIG.OPT, _CONFIG.LOOP_VECTORIZE
+    processor = numba.core.registry.cpu_target.target_context.codegen().magic_tuple()
+    return f"{versions} {settings} {processor} {hashlib.sha256(sources).hexdigest()}"
 
 
 def named_tuples(kind: Any) -> Iterator[type]:
@@ -124,20 +160,18 @@ def named_tuples(kind: Any) -> Iterator[type]:
 
 
 def content(*values: Any) -> Iterator[str]:
-    """What numba freezes of values: of a function its code and what that names, in turn."""
+    """What numba freezes of values: of a function its code and, recursively, what that names."""
     return _content(values, frozenset(), set())
 
 
 def _content(values: Iterable[Any], names: frozenset[str], seen: set[int]) -> Iterator[str]:
-    """``names`` are the attributes of modules that are asked for, ``seen`` functions that need not
-    be followed again.
-    """
+    """``names`` are the attributes of modules that are used, ``seen`` functions once followed."""
     for value in values:
-        if hasattr(value, "targetoptions"):  # a kernel, whose options hold for whoever inlines it
+        if hasattr(value, "targetoptions"):  # a kernel; a caller that inlines it has its options
             yield f"{sorted(value.targetoptions.items())} {getattr(value, 'slp', False)}"
         value = getattr(value, "py_func", value)
         if not isinstance(value, FunctionType):
-            text, parts = _told(value, names)
+            text, parts = _described(value, names)
             yield text
             yield from _content(parts, names, seen)
             continue
@@ -157,15 +191,15 @@ def _frozen(function: FunctionType) -> Iterable[Any]:
     return (code, *named, *held, function.__defaults__)
 
 
-def _told(value: Any, names: frozenset[str]) -> tuple[str, Iterable[Any]]:
-    """What a value that is no function says of itself, and what there is in it to follow."""
+def _described(value: Any, names: frozenset[str]) -> tuple[str, Iterable[Any]]:
+    """Text that identifies a value that is no function, and its parts to follow."""
     if isinstance(value, CodeType):
         variables = value.co_varnames, value.co_freevars, value.co_cellvars
         code = value.co_code, value.co_exceptiontable
         return f"{code} {value.co_names} {variables}", value.co_consts
     if isinstance(value, ModuleType):
-        asked = sorted(names & set(vars(value))) if _is_followed(value.__name__) else ()
-        return value.__name__, [vars(value)[name] for name in asked]
+        used = sorted(names & set(vars(value))) if _is_followed(value.__name__) else ()
+        return value.__name__, [vars(value)[name] for name in used]
     if isinstance(value, MethodType | BuiltinMethodType):  # of a table, say
         return value.__name__, (value.__self__, getattr(value, "__func__", None))
     if isinstance(value, type):
@@ -187,20 +221,20 @@ def _is_followed(module: str) -> bool:
 
 
 def _names(code: CodeType) -> frozenset[str]:
-    """What a function and the functions within it name."""
+    """The names in a function and in the functions within it."""
     within = [_names(part) for part in code.co_consts if isinstance(part, CodeType)]
     return frozenset(code.co_names).union(*within)
 
 
 @cache
 def _folder() -> Path | None:
-    """Where compiled code is kept: NUMBA_CACHE_DIR if that is set, else beside the sources or at
-    home; where these cannot be written to a temporary folder, with a warning; or nowhere.
+    """The folder of kernels: in NUMBA_CACHE_DIR if that is set, else in the package or the user's
+    cache; if these are not writable in a temporary folder, with a warning; None if there is none.
     """
-    places = [Path(_CONFIG.CACHE_DIR or _BESIDE)]
-    with suppress(RuntimeError):  # nobody's home
+    places = [Path(_CONFIG.CACHE_DIR or _PACKAGE)]
+    with suppress(RuntimeError):  # no home directory
         places += [] if _CONFIG.CACHE_DIR else [Path.home() / ".cache" / "rendezvous-env"]
-    if found := next(filter(None, map(_made, places)), None):
+    if found := next(filter(None, map(_prepared, places)), None):
         return found
     found = _temporary()
     warnings.warn(
@@ -213,9 +247,9 @@ def _folder() -> Path | None:
     return found
 
 
-def _made(place: Path) -> Path | None:
-    """The folder of kernels in a place, made if need be, without what was long not used; None if it
-    cannot be written to.
+def _prepared(place: Path) -> Path | None:
+    """The folder of kernels in a place, created if need be, without kernels that were not used for
+    long; None if it is not writable.
     """
     folder = place / "kernels"
     try:
@@ -225,13 +259,13 @@ def _made(place: Path) -> Path | None:
         return None
     for file in folder.iterdir():
         with suppress(OSError):  # another process removes them, too
-            if time.time() - file.stat().st_mtime > _KEPT_UNUSED:
+            if time.time() - file.stat().st_mtime > _MAX_AGE:
                 file.unlink()
     return folder
 
 
 def _temporary() -> Path | None:
-    """A folder of this user's own, the same for all processes: nobody else may leave code in it."""
+    """A folder that only this user can write to, the same for all processes."""
     user = os.getuid()
     try:
         place = Path(tempfile.gettempdir()) / f"rendezvous-env-{user}"
@@ -241,4 +275,4 @@ def _temporary() -> Path | None:
             place = Path(tempfile.mkdtemp(prefix="rendezvous-env-"))
     except OSError:
         return None
-    return _made(place)
+    return _prepared(place)

@@ -7,7 +7,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .checks import bools, exact, whole
-from .engine.batch_runner import BatchRunner, Driven, Pilot, Show
+from .engine.batch_runner import (
+    BatchController,
+    BatchRunner,
+    ObservationCallback,
+    RolloutResult,
+)
 from .engine.episodes import Episodes
 from .engine.memory import RENDEZVOUS, RUNNING
 from .engine.memory_layout import MemoryLayout, check_memory
@@ -172,32 +177,42 @@ class Simulator(StateView):
             raise RuntimeError(f"call reset() before step(){which}")
 
     @property
-    def can_drive(self) -> bool:
+    def supports_step_n(self) -> bool:
         """Whether nothing of a user's own is called in every step, and no robot can come to have
         more neighbours than rows.
         """
         slots = self.scenario.observation_layout.neighbour_slots
         return not (self._custom or self._own_model or slots < self.scenario.n_robots - 1)
 
-    def drive(
+    can_drive = supports_step_n  # its name in version 0.2
+
+    def step_n(
         self,
-        pilot: Pilot,
+        controller: BatchController,
         observations: NDArray[np.float32],
         count: int,
-        show: Show | None = None,
-    ) -> Driven:
-        """Advance every running team by ``count`` ≥ 1 steps, as ``step`` under the pilot's actions,
-        which are not checked, from observations (B, n, rows, d) of the teams as they are. Only
-        where it ``can_drive``. ``show`` is called with some teams and what they see after the last
-        step, by their thread.
+        callback: ObservationCallback | None = None,
+    ) -> RolloutResult:
+        """Advance every running environment by ``count`` ≥ 1 steps, as ``step`` under the actions
+        of a controller, which are not checked, from observations (B, n, rows, d) of the
+        environments as they are. Only where the simulator ``supports_step_n``.
+
+        Args:
+            controller: turns observations into actions.
+            observations: of all environments.
+            count: number of steps.
+            callback: called with slices of the batch and the observations after the last step, by
+                the thread of the slice.
         """
         self._check_ready()
         resting = np.zeros(self.num_envs, np.bool_) if self._all_running else self.status != RUNNING
         self.changes += 1
         self._all_running = False  # not known, should an interrupt leave from here
-        driven = self._runner.drive(pilot, observations, resting, count, show)
-        self._all_running = not np.count_nonzero(driven.output.status)
-        return driven
+        result = self._runner.step_n(controller, observations, resting, count, callback)
+        self._all_running = not np.count_nonzero(result.output.status)
+        return result
+
+    drive = step_n  # its name in version 0.2
 
     def _refuse_leaps(self, before: NDArray[np.float64], active: NDArray[np.bool_]) -> None:
         """Contact and merging rest on the speed limit, which a custom model may not keep."""

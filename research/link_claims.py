@@ -160,9 +160,9 @@ def _desiring(random: Random, scenario: Scenario, weight: float, share: float, e
             towards = np.where(outwards, away(teams, sights), anyhow)
             bearings = turned(bearings, towards, error * (1.0 - 1e-6))
         rows = rows_in_sight(sights, bearings, weight).astype(np.float32)
-        keeping.hold(desired(keeping.view(rows), calls))
+        keeping.hold(desired(keeping.observe(rows), calls))
         calls += 1
-        return keeping.act(rows).astype(np.float64)
+        return keeping.apply(rows).astype(np.float64)
 
     return law
 

@@ -1,19 +1,16 @@
 """What robots are shown, in the frame with x along f, made from what they see and remember."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rendezvous_env.compilation import kernel
+from rendezvous_env.compilation import inner_kernel, kernel
 from rendezvous_env.physics.neighbour_rows import degree_of, net_bearing_of
-from rendezvous_env.physics.vectors import X_AXIS, load, scaled
+from rendezvous_env.physics.vectors import X_AXIS
 from rendezvous_env.safety.heading import scale_of_step
 
 from ..obstacle_rules.merged_silhouettes_2d import TWO_PI, joined_interval_2d
 
-Array = NDArray[np.float64]
 NEIGHBOUR_COLUMNS = 3
 """Unit bearing x, y; gain a_ij, m/s."""
 OBSTACLE_COLUMNS = 6
@@ -38,51 +35,47 @@ _BLOCKED = 16
 """Of the context: whether the joined silhouettes leave nothing free; then, whether any is seen."""
 
 
-class Memory(NamedTuple):
-    """What robots remember from decision to decision, in their local frames, (B, n, ...)."""
-
-    edges: Array  # (M, 2, 2), of obstacles at the last decision; zero where none was seen
-    towards: Array  # (2,), direction of f then; zero before the first decision
-    averages: Array  # (4, 2), of the velocity over a short and a long time, and of f's direction
-    time: Array  # s from the first decision to the last
-
-
-class Walls(NamedTuple):
-    """What robots with a tank remember of the wall that they are at, (B, n, ...)."""
-
-    since: Array  # s at the wall; 0 at none
-    clear: Array  # s for which nothing was before f
-    level: Array  # log(1 + A/(r D̄)) when it was met
-    turned: Array  # by how much f has turned since, rad
-    wound: Array  # and the heading
-    angle: Array  # last chosen, rad
-    towards: Array  # (2,), f/‖f‖; zero before the first decision
-    heading: Array  # (2,)
-    averages: Array  # (2, 2), of velocity and direction of f
+MEMORY = {"time": (1,), "towards": (2,), "averages": (4, 2)}
+"""What a robot remembers from decision to decision, in its local frame: the time from its first
+decision, s; the direction of f at the last one, zero before the first; the averages of its velocity
+over a short and a long time, and those of the direction of f."""
+_TOWARDS, _AVERAGES = 1, 3
+WALLS = {
+    **{name: (1,) for name in ("since", "clear", "level", "turned", "wound", "angle")},
+    **{"towards": (2,), "heading": (2,), "averages": (2, 2)},
+}
+"""What a robot with a tank remembers of the wall that it is at: the time there, s, 0 at none; the
+time without anything before f, s; log(1 + A/(r D̄)) when it was met; by how much f and the heading
+have turned since, rad; the angle last chosen, rad; f/‖f‖, zero before the first decision, and the
+heading; averages of velocity and direction of f."""
+_SINCE, _CLEAR, _LEVEL, _TURNED, _WOUND, _ANGLE, _WALL_F, _HEADING, _WALL_AVERAGES = (
+    *range(7), 8, 10,
+)  # fmt: skip
 
 
-@kernel
-def _velocity(place, velocities, f, degree, h, robot):
-    """That of a robot, a triple, m/s, or where there are none law (4)'s along its heading (2,)."""
-    if velocities is not None:
-        return load(velocities[place])
+@inner_kernel
+def _velocity(given, f, degree, h, robot):
+    """That of a robot, (2,), m/s, or where none is given law (4)'s along its heading (2,)."""
+    if len(given) > 0:
+        return given[0], given[1]
     speed = h[0] * f[0] + h[1] * f[1]
     speed *= scale_of_step(degree, robot.merge_radius, robot.gate.duration)
     speed = min(max(speed, -robot.speed_limit), robot.speed_limit)
-    return speed * h[0], speed * h[1], 0.0
+    return speed * h[0], speed * h[1]
 
 
 @kernel
 def show(part, which, observations, moving, known, memory, tanks, shown):
-    """Fill the rows of ``shown`` (B, n, size) of some teams, and update their memory.
+    """Fill the rows of ``shown`` (B, n, size) of some environments, and update their memory.
 
-    ``which`` are teams and the s since they decided, (B,), ``part`` a range of these; ``moving``
-    headings and velocities, ``tanks`` levels or None, as in ``Features.see``, and Walls or None.
-    ``known`` are a Robot and the number of columns before the context. With the memory comes
-    working memory for intervals, (M, 2).
+    ``which`` are environments and the s since they decided, (B,), ``part`` a range of these;
+    ``moving`` headings and velocities, (B, n, 2), or (B, n, 0); ``tanks`` levels (B, n, 1) or
+    (B, n, 0), and what is remembered of walls, (B, n, 14) or (B, n, 0). ``known`` are a Robot and
+    the number of columns before the context. ``memory`` is that of edges at the last decision,
+    (B, n, M, 2, 2), zero where none was seen, of MEMORY, (B, n, 11), and working memory (M, 2).
     """
-    (teams, elapsed), (memory, intervals), (headings, velocities) = which, memory, moving
-    robot, before_context = known
+    (teams, elapsed), (edges, memories, intervals), (headings, velocities) = which, memory, moving
+    (robot, before_context), (levels, walls) = known, tanks
     K, M = robot.neighbour_slots, intervals.shape[0]
     for k in range(part[0], part[1]):
         team = teams[k]
@@ -98,51 +91,58 @@ def show(part, which, observations, moving, known, memory, tanks, shown):
             f, degree = net_bearing_of(rows, K), degree_of(rows, K)
             strength = math.sqrt(f[0] * f[0] + f[1] * f[1])
             u = (f[0] / strength, f[1] / strength, 0.0) if strength > 0.0 else X_AXIS
-            velocity = _velocity((team, i), velocities, f, degree, h, robot)
-            context = out[before_context:]
+            velocity = _velocity(velocities[team, i], f, degree, h, robot)
+            heading, context = (h[0], h[1]), out[before_context:]
             context[0], context[1] = strength / degree, min(strength, 2.0)
             context[2] = 1.0 / count
             _show_neighbours(rows, u, K, out)
-            _show_obstacles(rows, u, memory.edges[team, i], time, K, out)
-            _show_motion((team, i), u, (h, velocity), (time, kept), memory, context[3:16])
+            _show_obstacles(rows, u, edges[team, i], time, K, out)
+            _show_motion(memories[team, i], u, heading, velocity, time, kept, context[3:16])
             silhouettes = rows[K : K + 2 * M].reshape((M, 2, 2))
             _show_joined(joined_interval_2d(u, silhouettes, intervals), context[_BLOCKED:])
-            towards = scaled(u, 1.0 if strength > 0.0 else 0.0)
-            _show_tank((team, i), towards, (h, velocity), time, tanks[0], tanks[1], context)
+            if levels.shape[2] > 0:
+                level = math.log1p(levels[team, i, 0])
+                context[CONTEXT_COLUMNS] = level
+                if walls.shape[2] > 0:
+                    blocked = context[_BLOCKED] != 0.0 or context[_BLOCKED + 1] != 0.0
+                    sure = 1.0 if strength > 0.0 else 0.0
+                    f_now, wall = (sure * u[0], sure * u[1]), context[CONTEXT_COLUMNS + 1 :]
+                    _update_wall(walls[team, i], f_now, heading, velocity, time, (blocked, level))
+                    _show_wall(walls[team, i], f_now, wall)
 
 
-@kernel
-def _along(vector, u, out):
-    """Write a vector in the frame with x along u."""
-    out[0] = vector[0] * u[0] + vector[1] * u[1]
-    out[1] = vector[1] * u[0] - vector[0] * u[1]
+@inner_kernel
+def _along(x, y, u, out):
+    """Write a vector (x, y) in the frame with x along u."""
+    out[0] = x * u[0] + y * u[1]
+    out[1] = y * u[0] - x * u[1]
 
 
-@kernel
+@inner_kernel
 def _turn(before, now):
-    """From one vector to another, rad counter-clockwise in (−π, π]; 0 where one is zero."""
+    """From one pair to another, rad counter-clockwise in (−π, π]; 0 where one is zero."""
     across = before[0] * now[1] - before[1] * now[0]
     ahead = 0.0 + before[0] * now[0] + before[1] * now[1]  # 0.0: never −0.0, half a turn
     return math.atan2(across, ahead)
 
 
-@kernel
+@inner_kernel
 def _turn_rate(before, now, time):
     """From one direction to another, rad/s counter-clockwise, cut off."""
     return min(max(_turn(before, now) / time, -_FASTEST), _FASTEST)
 
 
-@kernel
+@inner_kernel
 def _show_neighbours(rows, u, neighbour_slots, out):
     for k in range(neighbour_slots):
         gain = math.sqrt(np.float64(rows[k, 0]) ** 2 + np.float64(rows[k, 1]) ** 2)
         if gain > 0.0:
             place = out[k * NEIGHBOUR_COLUMNS : (k + 1) * NEIGHBOUR_COLUMNS]
-            _along((rows[k, 0] / gain, rows[k, 1] / gain), u, place)
+            _along(rows[k, 0] / gain, rows[k, 1] / gain, u, place)
             place[2] = gain
 
 
-@kernel
+@inner_kernel
 def _show_obstacles(rows, u, before, time, neighbour_slots, out):
     """Write both edges of each obstacle, and how fast they turned since ``before``, (M, 2, 2)."""
     for m in range(before.shape[0]):
@@ -153,36 +153,37 @@ def _show_obstacles(rows, u, before, time, neighbour_slots, out):
             before[m, :] = 0.0
             continue
         for s in range(2):
-            edge, first = rows[row + s], column + 2 * s
-            _along(edge, u, out[first : first + 2])
+            x, y, first = np.float64(rows[row + s, 0]), np.float64(rows[row + s, 1]), column + 2 * s
+            _along(x, y, u, out[first : first + 2])
             if known:
-                out[column + 4 + s] = _turn_rate(before[m, s], edge, time)
-            before[m, s, 0], before[m, s, 1] = edge[0], edge[1]
+                last = before[m, s, 0], before[m, s, 1]
+                out[column + 4 + s] = _turn_rate(last, (x, y), time)
+            before[m, s, 0], before[m, s, 1] = x, y
 
 
-@kernel
-def _show_motion(robot, u, moving, elapsed, memory, out):
+@inner_kernel
+def _show_motion(memory, u, heading, velocity, time, kept, out):
     """Write and remember what only time tells: own motion, turning of f, the carried heading."""
-    (heading, velocity), (time, kept) = moving, elapsed
-    towards, averages = memory.towards[robot], memory.averages[robot]
+    towards = memory[_TOWARDS], memory[_TOWARDS + 1]
     first = towards[0] == 0.0 and towards[1] == 0.0
     for axis in range(2):
         for k in range(4):
-            now = velocity[axis] if k < 2 else u[axis]
-            before = averages[k, axis] if not first else (0.0 if k < 2 else now)
-            averages[k, axis] = kept[k % 2] * before + (1.0 - kept[k % 2]) * now
+            now, place = velocity[axis] if k < 2 else u[axis], _AVERAGES + 2 * k + axis
+            before = memory[place] if not first else (0.0 if k < 2 else now)
+            memory[place] = kept[k % 2] * before + (1.0 - kept[k % 2]) * now
     if not first:
-        memory.time[robot] += time
-        out[10] = _turn_rate(towards, u, time)
-    out[0] = memory.time[robot] / 60.0
-    out[1] = math.exp(-memory.time[robot] / _FRESH)
+        memory[0] += time
+        out[10] = _turn_rate(towards, (u[0], u[1]), time)
+    out[0] = memory[0] / 60.0
+    out[1] = math.exp(-memory[0] / _FRESH)
     for k in range(4):
-        _along(averages[k], u, out[2 + 2 * k : 4 + 2 * k])
-    _along(heading, u, out[11:13])
-    towards[0], towards[1] = u[0], u[1]
+        x, y = memory[_AVERAGES + 2 * k], memory[_AVERAGES + 2 * k + 1]
+        _along(x, y, u, out[2 + 2 * k : 4 + 2 * k])
+    _along(heading[0], heading[1], u, out[11:13])
+    memory[_TOWARDS], memory[_TOWARDS + 1] = u[0], u[1]
 
 
-@kernel
+@inner_kernel
 def _show_joined(joined, out):
     """Write the interval of silhouettes before f."""
     low, high, gap_below, gap_above = joined
@@ -192,42 +193,40 @@ def _show_joined(joined, out):
         out[1], out[2], out[3], out[4], out[5] = 1.0, high, low, gap_above, gap_below
 
 
-@kernel
-def _show_tank(robot, towards, moving, time, levels, walls, context):
-    """Write what a tank adds to the context: its level, and what is remembered of a wall."""
-    if levels is not None:
-        context[CONTEXT_COLUMNS] = math.log1p(levels[robot])
-    if walls is not None:
-        blocked = context[_BLOCKED] != 0.0 or context[_BLOCKED + 1] != 0.0
-        seen = blocked, math.log1p(levels[robot])
-        _show_wall(robot, towards, moving, time, seen, walls, context[CONTEXT_COLUMNS + 1 :])
-
-
-@kernel
-def _show_wall(robot, towards, moving, elapsed, seen, walls, out):
-    """Update and write what a robot remembers of a wall."""
-    (heading, velocity), (blocked, level) = moving, seen
-    before, last, averages = walls.towards[robot], walls.heading[robot], walls.averages[robot]
-    walls.clear[robot] = 0.0 if blocked else walls.clear[robot] + elapsed
-    if walls.since[robot] > 0.0 and walls.clear[robot] <= _LEFT:
-        walls.since[robot] += elapsed
-        walls.turned[robot] += _turn(before, towards)
-        walls.wound[robot] += _turn(last, heading)
+@inner_kernel
+def _update_wall(wall, towards, heading, velocity, elapsed, seen):
+    """Update what a robot remembers of a wall, (14,): whether one is ``seen`` before f, and the
+    level of its tank, log(1 + A/(r D̄)).
+    """
+    blocked, level = seen
+    before, last = (wall[_WALL_F], wall[_WALL_F + 1]), (wall[_HEADING], wall[_HEADING + 1])
+    wall[_CLEAR] = 0.0 if blocked else wall[_CLEAR] + elapsed
+    if wall[_SINCE] > 0.0 and wall[_CLEAR] <= _LEFT:
+        wall[_SINCE] += elapsed
+        wall[_TURNED] += _turn(before, towards)
+        wall[_WOUND] += _turn(last, heading)
     else:
-        walls.since[robot] = elapsed if blocked else 0.0
-        walls.level[robot] = level if blocked else 0.0
-        walls.turned[robot] = walls.wound[robot] = 0.0
+        wall[_SINCE] = elapsed if blocked else 0.0
+        wall[_LEVEL] = level if blocked else 0.0
+        wall[_TURNED] = wall[_WOUND] = 0.0
     known, kept = before[0] != 0.0 or before[1] != 0.0, math.exp(-elapsed / _LONG_AT_WALLS)
     for axis in range(2):
+        moved, along = _WALL_AVERAGES + axis, _WALL_AVERAGES + 2 + axis
         if not known:
-            averages[0, axis], averages[1, axis] = 0.0, towards[axis]
-        averages[0, axis] = kept * averages[0, axis] + (1.0 - kept) * velocity[axis]
-        averages[1, axis] = kept * averages[1, axis] + (1.0 - kept) * towards[axis]
-        before[axis], last[axis] = towards[axis], heading[axis]
-    since = walls.since[robot]
-    out[0], out[1], out[2] = 1.0 if since > 0.0 else 0.0, walls.level[robot], since / _SLOW
+            wall[moved], wall[along] = 0.0, towards[axis]
+        wall[moved] = kept * wall[moved] + (1.0 - kept) * velocity[axis]
+        wall[along] = kept * wall[along] + (1.0 - kept) * towards[axis]
+        wall[_WALL_F + axis], wall[_HEADING + axis] = towards[axis], heading[axis]
+
+
+@inner_kernel
+def _show_wall(wall, towards, out):
+    """Write what a robot remembers of a wall."""
+    since = wall[_SINCE]
+    out[0], out[1], out[2] = 1.0 if since > 0.0 else 0.0, wall[_LEVEL], since / _SLOW
     out[3] = math.exp(-since / _FRESH) if since > 0.0 else 0.0
-    out[4], out[5] = walls.turned[robot] / math.pi, walls.wound[robot] / math.pi
-    out[6], out[7] = math.cos(walls.angle[robot]), math.sin(walls.angle[robot])
+    out[4], out[5] = wall[_TURNED] / math.pi, wall[_WOUND] / math.pi
+    out[6], out[7] = math.cos(wall[_ANGLE]), math.sin(wall[_ANGLE])
     for k in range(2):
-        _along(averages[k], towards, out[8 + 2 * k : 10 + 2 * k])
+        x, y = wall[_WALL_AVERAGES + 2 * k], wall[_WALL_AVERAGES + 2 * k + 1]
+        _along(x, y, towards, out[8 + 2 * k : 10 + 2 * k])

@@ -15,21 +15,21 @@ from rendezvous_env.engine.state_checks import (
     check_numbers,
     check_observations,
 )
-from rendezvous_env.engine.threads import Calls, Part
+from rendezvous_env.engine.threads import Calls, Slice
 from rendezvous_env.safety.safety_filter import over_teams
 from rendezvous_env.safety.turning import robot_of
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..policy import Float32, Mask
+from ..records import Array, make_records
 from ..steering import check_steerable
 from .feature_kernels import (
     CONTEXT_COLUMNS,
     LEVEL_COLUMNS,
+    MEMORY,
     NEIGHBOUR_COLUMNS,
     OBSTACLE_COLUMNS,
-    Array,
-    Memory,
-    Walls,
+    WALLS,
     show,
 )
 
@@ -111,17 +111,17 @@ class Features(Remembering):
         self._rows, self._decision_time = rows, float(decision_time)
         self._known = robot_of(scenario), self.layout.size - self.layout.context_columns
         robots = num_envs, scenario.n_robots
-        shapes: list[tuple[int, ...]] = [(rows.obstacle_slots, 2, 2), (2,), (4, 2), ()]
-        self._kept = Memory._make(np.zeros((*robots, *shape)) for shape in shapes)
-        shapes = [()] * 6 + [(2,), (2,), (2, 2)]
-        walls = Walls._make(np.zeros((*robots, *shape)) for shape in shapes)
-        self._walls = walls if tank_columns > LEVEL_COLUMNS else None
+        self._edges = np.zeros((*robots, rows.obstacle_slots, 2, 2))
+        self._records, self._remembered = make_records(robots, MEMORY)
+        self._walls, self._of_walls = make_records(
+            robots, WALLS if tank_columns > LEVEL_COLUMNS else {}
+        )
         self._num_threads = num_threads
 
     @property
     def _memory(self) -> dict[str, Array]:
-        walls = {} if self._walls is None else self._walls._asdict()
-        return self._kept._asdict() | {f"wall_{name}": array for name, array in walls.items()}
+        walls = {f"wall_{name}": array for name, array in self._of_walls.items()}
+        return {"edges": self._edges, **self._remembered, **walls}
 
     def see(
         self,
@@ -148,30 +148,31 @@ class Features(Remembering):
         Raises:
             ValueError: for arrays of another shape or type; nothing has changed then.
         """
-        robots, slots = self._kept.time.shape, self._rows.obstacle_slots
+        robots, slots = self._records.shape[:2], self._rows.obstacle_slots
         observations = check_observations(observations, (*robots, *self._rows.shape))
         headings = check_numbers("headings", headings, (*robots, 2), "(B, n, 2)")
         teams = np.arange(len(observations))
         if which is not None:
             teams = np.flatnonzero(check_mask(which, len(observations)))
-        if velocities is not None:
-            velocities = np.ascontiguousarray(velocities)
+        nothing = np.empty((*robots, 0))
+        moving = headings, nothing if velocities is None else np.ascontiguousarray(velocities)
         times = np.full(robots[0], self._decision_time)
         if elapsed is not None:
             times[:] = check_numbers("elapsed", elapsed, robots[:1], "(B,)")
         if shown is None:
             shown = np.zeros((*robots, self.layout.size), dtype=np.float32)
-        given = (teams, times), observations, (headings, velocities), self._known
-        remembered, weight = (levels, self._walls), _WEIGHT * robots[1]
+        given = (teams, times), observations, moving, self._known
+        tanks = nothing if levels is None else levels[..., np.newaxis], self._walls
+        weight = _WEIGHT * robots[1]
 
-        def calls_of(part: Part) -> Calls:
-            memory = self._kept, np.empty((slots, 2))
-            return [partial(show, part, *given, memory, remembered, shown)]
+        def calls_of(part: Slice) -> Calls:
+            memory = self._edges, self._records, np.empty((slots, 2))
+            return [partial(show, part, *given, memory, tanks, shown)]
 
         over_teams(calls_of, len(teams), weight, self._num_threads)
         return shown
 
     def note(self, angles: Array) -> None:
         """Remember the angles (B, n) that were chosen, rad."""
-        if self._walls is not None:
-            self._walls.angle[...] = angles
+        if self._of_walls:
+            self._of_walls["angle"][...] = angles

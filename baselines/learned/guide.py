@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from rendezvous_env.checks import check_shape, floats, refuse
 from rendezvous_env.compilation import kernel
 from rendezvous_env.engine.state_checks import check_observations
-from rendezvous_env.engine.threads import Calls, Part
+from rendezvous_env.engine.threads import Calls, Slice
 from rendezvous_env.physics.neighbour_rows import net_bearing_of
 from rendezvous_env.physics.vectors import X_AXIS, load, norm, scaled, split, store
 from rendezvous_env.safety.heading import HeadingFilter, scale_of_step
@@ -36,7 +36,7 @@ class CommandedTank(EnergyTank):
     commanded.
     """
 
-    keeps_ledger = False
+    uses_feedback = False
 
     def __init__(self, scenario: Scenario, num_envs: int, **arguments: Any) -> None:
         super().__init__(scenario, num_envs, frame="local", **arguments)
@@ -62,14 +62,14 @@ class CommandedTank(EnergyTank):
         self._levels[...] = np.maximum(self._levels - lost, 0.0)
         self._booked[...] = 0.0
 
-    def act_of(
-        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
+    def apply_calls(
+        self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
-        """As ``EnergyTank.act_of``; the step is booked at once, as one that lasts τ."""
-        mine = slice(*teams[:2])
+        """As ``EnergyTank.apply_calls``; the step is booked at once, as one that lasts τ."""
+        mine = slice(*part[:2])
         note = partial(np.copyto, self._booked[mine], self._deposits[mine])
-        acted = super().act_of(teams, observations, actions)
-        return [*acted, note, *self.book_of(teams, *self._alone)]
+        acted = super().apply_calls(part, observations, actions)
+        return [*acted, note, *self.update_calls(part, *self._alone)]
 
 
 class HeadingTankFilter(CommandedTank):
@@ -97,14 +97,14 @@ class HeadingTankFilter(CommandedTank):
         super()._begin(which)
         self.carried[which] = self._velocities[which] = 0.0
 
-    def act_of(
-        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
+    def apply_calls(
+        self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
-        """As ``CommandedTank.act_of``."""
-        memory, mine = (self.carried, self._held), slice(*teams[:2])
-        desire = partial(_desired_velocities, teams, observations, self._robot, *memory)
+        """As ``CommandedTank.apply_calls``."""
+        memory, mine = (self.carried, self._held), slice(*part[:2])
+        desire = partial(_desired_velocities, part, observations, self._robot, *memory)
         note = partial(np.copyto, self._velocities[mine], actions[mine])
-        return [desire, *super().act_of(teams, observations, actions), note]
+        return [desire, *super().apply_calls(part, observations, actions), note]
 
 
 @kernel
@@ -149,16 +149,16 @@ class GuidedTeams:
     """B teams whose robots are shown something, choose by it, and head where the rule of
     ``tangent-joined-tuned`` does if f is turned as they chose.
 
-        show → (a network chooses) → choose, or head → act:  raw = joined rule(R(φ) f)
+        show → (a network chooses) → choose, or head → apply:  raw = joined rule(R(φ) f)
 
     The raw vector becomes a certified heading, or with tanks any heading that they pay for;
     unicycles turn there as their gate or their tank allows, and remember in ``SteadyFrames``; in
     space all that happens in a plane (``SteadyPlanes``). ``show`` updates the memory, so it is
-    called once in each decision, ``act`` in every step. Arguments and errors as ``Features``.
+    called once in each decision, ``apply`` in every step. Arguments and errors as ``Features``.
     """
 
-    keeps_ledger = False  # as ``CommandedTank``
-    of_actions = ()
+    uses_feedback = False  # as ``CommandedTank``
+    action_diagnostics = ()
 
     def __init__(
         self,
@@ -266,35 +266,37 @@ class GuidedTeams:
         self._directions = turned = np.where(length > 0.0, unit, self._turns[0])
         self.perception.note(np.arctan2(turned[..., 1], turned[..., 0]))
 
-    def act(self, observations: Float32, elapsed: float | None = None) -> Float32:
+    def apply(self, observations: Float32, *, elapsed: float | None = None) -> Float32:
         """Actions (B, n, a) of robots that see (B, n, rows, d); ``elapsed`` as
-        ``SafetyFilter.act``.
+        ``SafetyFilter.apply``.
         """
         observations = check_observations(observations, self._seen)
         actions = np.zeros((*self._seen[:2], self._action_size), np.float32)
-        over_teams(lambda teams: self.act_of(teams, observations, actions, elapsed), *self._batch)
+        over_teams(
+            lambda part: self.apply_calls(part, observations, actions, elapsed), *self._batch
+        )
         return actions
 
-    def act_of(
-        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
+    def apply_calls(
+        self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
-        """What does as ``act``, of some teams and unchecked."""
+        """As ``apply``, into ``actions``, for a slice, unchecked."""
         carried, intervals = self._carried, np.empty((self._obstacle_slots, 2))
         aim, bodies = (self._directions, self._rule), self.bodies
-        steer = self.steering.act_of(teams, observations, actions, elapsed)
+        steer = self.steering.apply_calls(part, observations, actions, elapsed)
         if bodies is None:
             raw = self.steering.held if self.tank is None else carried
-            return [partial(_aim, teams, observations, *aim, carried, raw, intervals), *steer]
+            return [partial(_aim, part, observations, *aim, carried, raw, intervals), *steer]
 
         def follow() -> None:
-            there = bodies.seen(observations, np.arange(*teams[:2]))
-            _aim(teams, there, *aim, carried, carried, intervals)
-            bodies.follow(teams, observations, self.steering.held)
+            there = bodies.seen(observations, np.arange(*part[:2]))
+            _aim(part, there, *aim, carried, carried, intervals)
+            bodies.follow(part, observations, self.steering.held)
 
-        return [follow, *steer, partial(bodies.turn, teams, actions)]
+        return [follow, *steer, partial(bodies.turn, part, actions)]
 
-    def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> Calls:
-        """Nothing, see ``keeps_ledger``."""
+    def update_calls(self, part: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:
+        """Nothing, see ``uses_feedback``."""
         return ()
 
     def forget(self, which: Mask | None = None) -> None:

@@ -56,7 +56,9 @@ class GuidedPolicy(DecidingPolicy):
         self._choose(self._guided.show(shown, teams, due, steps * self.scenario.tau), due)
 
     def _act(self, teams: Float32, elapsed: float) -> Float32:
-        return within_limits(self._guided.act(teams, elapsed).astype(np.float64), self.scenario)
+        return within_limits(
+            self._guided.apply(teams, elapsed=elapsed).astype(np.float64), self.scenario
+        )
 
 
 class LearnedPolicy(GuidedPolicy):

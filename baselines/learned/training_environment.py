@@ -9,7 +9,7 @@ from gymnasium.spaces import Box, MultiDiscrete
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import number, refuse, whole
-from rendezvous_env.engine.batch_runner import Pilot
+from rendezvous_env.engine.batch_runner import BatchController
 from rendezvous_env.engine.state_checks import check_keys
 from rendezvous_env.envs.spaces import team_box
 from rendezvous_env.envs.training import charge_first_touches
@@ -98,11 +98,11 @@ class FeatureVectorEnv(GuaranteeWrapper):
         (self.guided.choose if self.discrete else self.guided.head)(actions)
 
     @property
-    def _pilot(self) -> Pilot | None:
+    def _pilot(self) -> BatchController | None:
         return self.guided
 
     def _act(self) -> NDArray[np.float32]:
-        return self.guided.act(self._observed)
+        return self.guided.apply(self._observed)
 
     def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
         size = self.layout.size

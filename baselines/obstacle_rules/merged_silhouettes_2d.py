@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from rendezvous_env.compilation import kernel
+from rendezvous_env.compilation import inner_kernel, kernel
 from rendezvous_env.physics.vectors import X_AXIS, cross_in_plane, dot, load, rotated, store
 from rendezvous_env.safety.turning import mean_axis
 
@@ -37,7 +37,7 @@ def joined_headings_2d(net_bearing, silhouettes, clearance, carried, persistence
         store(joined_heading_2d(towards, silhouettes[i], before, rule, intervals), out[i])
 
 
-@kernel
+@inner_kernel
 def joined_heading_2d(towards, silhouettes, carried, rule, intervals):
     """``joined_headings_2d`` of one robot, in triples; ``rule`` is clearance and persistence."""
     clearance, persistence = rule
@@ -59,7 +59,7 @@ def joined_heading_2d(towards, silhouettes, carried, rule, intervals):
     return rotated(towards, turn)
 
 
-@kernel
+@inner_kernel
 def is_clear(towards, silhouettes, clearance):
     """Whether each of (M, 2, 2), and so all of them joined, is surely farther from a unit triple
     than the clearance, rad, as for most robots in most steps; found without an angle.
@@ -83,14 +83,14 @@ def is_clear(towards, silhouettes, clearance):
     return True
 
 
-@kernel
+@inner_kernel
 def axis_is_clear(rates, silhouettes, gate):
     """Whether a unicycle's axis, and its mean over a step with these rates, miss (M, 2, 2)."""
     on_the_way = mean_axis(rates, 0.0, gate)
     return is_clear(X_AXIS, silhouettes, 0.0) and is_clear(on_the_way, silhouettes, 0.0)
 
 
-@kernel
+@inner_kernel
 def joined_interval_2d(towards, silhouettes, intervals):
     """The angles that silhouettes (M, 2, 2) before a unit triple cover, overlapping ones joined.
 
@@ -122,14 +122,14 @@ def joined_interval_2d(towards, silhouettes, intervals):
     return low, high, gap_below, gap_above
 
 
-@kernel
+@inner_kernel
 def _between(a, b):
     """Angle between two directions given as angles, rad."""
     apart = counter_clockwise(a - b)
     return min(apart, TWO_PI - apart)
 
 
-@kernel
+@inner_kernel
 def _nearest_interval(intervals):
     """Index of an interval that holds 0, or else of the one with the nearest edge."""
     nearest, least = STRAIGHT_AHEAD, math.inf
@@ -144,7 +144,7 @@ def _nearest_interval(intervals):
     return nearest
 
 
-@kernel
+@inner_kernel
 def counter_clockwise(angle):
     """The same angle in [0, 2π); what rounds to 2π is 0, and NaN stays NaN."""
     if not -_FAR < angle < _FAR:  # ±∞ would never get there turn by turn; % makes it NaN
@@ -156,7 +156,7 @@ def counter_clockwise(angle):
     return max(angle, 0.0)
 
 
-@kernel
+@inner_kernel
 def _join_from(first, intervals):
     """Grow an interval by all that overlap it: (low, high), rad from f, up to a full turn."""
     low = intervals[first, 0]

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from rendezvous_env.compilation import kernel
+from rendezvous_env.compilation import inner_kernel, kernel
 from rendezvous_env.physics.vectors import combine, dot, load, split, store, without
 
 from .silhouettes import STRAIGHT_AHEAD, direction_of, is_seen, middle_of, unit
@@ -46,13 +46,13 @@ def joined_headings_3d(net_bearing, silhouettes, clearance, out):
         store(_nearest_free_ray(towards, seen, joined, silhouettes[i], slots, clearance), out[i])
 
 
-@kernel
+@inner_kernel
 def _angle(a, b):
     """Angle between unit vectors, rad."""
     return math.acos(min(max(dot(a, b), -1.0), 1.0))
 
 
-@kernel
+@inner_kernel
 def _join(first, cones, joined):
     """Mark the cones that overlap the first one, directly or through others."""
     joined[:] = False
@@ -68,7 +68,7 @@ def _join(first, cones, joined):
                         joined[k] = grown = True
 
 
-@kernel
+@inner_kernel
 def _nearest_free_ray(towards, cones, joined, silhouettes, slots, clearance):
     """The widened boundary ray nearest to f that lies in no other cone; f if there is none."""
     heading, best = towards, -math.inf
@@ -85,7 +85,7 @@ def _nearest_free_ray(towards, cones, joined, silhouettes, slots, clearance):
     return heading
 
 
-@kernel
+@inner_kernel
 def _is_free(ray, own, cones):
     for k in range(cones.shape[0]):
         if k != own and dot(ray, load(cones[k, :3])) > math.cos(cones[k, 3]):

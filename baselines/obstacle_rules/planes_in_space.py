@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from rendezvous_env.compilation import kernel
+from rendezvous_env.compilation import inner_kernel, kernel
 from rendezvous_env.obstacles.shape import azimuth_axes
 from rendezvous_env.physics.vectors import (
     ORIGIN,
@@ -54,7 +54,7 @@ def headings_in_planes(net_bearing, silhouettes, clearance, carried, persistence
         store(aside if heading[1] != 0.0 else ORIGIN, asides[i])
 
 
-@kernel
+@inner_kernel
 def _nearest_ray(towards, rays):
     """The boundary ray nearest to f, in whatever order obstacles come; zero without one."""
     nearest, best = ORIGIN, -math.inf
@@ -66,7 +66,7 @@ def _nearest_ray(towards, rays):
     return nearest
 
 
-@kernel
+@inner_kernel
 def widened_rays(silhouettes, clearance, out):
     """How many cones of (M, 8, 3) are seen; ``out`` has them first, widened by so many rad."""
     count = 0
@@ -89,7 +89,7 @@ def widened_rays(silhouettes, clearance, out):
     return count
 
 
-@kernel
+@inner_kernel
 def kept_azimuth(towards, before, keeps, clearance, views):
     """The azimuth about f at which a robot passes what blocks f, a unit triple across f; and
     whether it is that of the previous step, ``before``, zero = none yet.
@@ -112,7 +112,7 @@ def kept_azimuth(towards, before, keeps, clearance, views):
     return aside, False
 
 
-@kernel
+@inner_kernel
 def _best_azimuth(towards, first, clearance, views):
     """The azimuth at which a free direction is nearest to f, or the first one."""
     rays, cut, intervals = views
@@ -131,7 +131,7 @@ def _best_azimuth(towards, first, clearance, views):
     return best
 
 
-@kernel
+@inner_kernel
 def lies_outside(direction, rays):
     """Whether a triple lies outside all cones, (K, 8, 3), whose rays go round right-handed."""
     for m in range(rays.shape[0]):
@@ -143,14 +143,14 @@ def lies_outside(direction, rays):
     return True
 
 
-@kernel
+@inner_kernel
 def axis_is_clear_3d(rates, pitch, rays, gate):
     """As ``axis_is_clear``, of cones (K, 8, 3); the pitch is β at the start of the step, rad."""
     on_the_way = mean_axis(rates, pitch, gate)
     return lies_outside(X_AXIS, rays) and lies_outside(on_the_way, rays)
 
 
-@kernel
+@inner_kernel
 def cut_by(towards, aside, rays, out):
     """Where a plane cuts the cones, flat between rays: (K, 2, 2), x along f, y aside; the rays go
     round right-handed, and come up through the plane at the counter-clockwise edge.

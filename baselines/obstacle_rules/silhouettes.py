@@ -9,7 +9,7 @@ along its x axis. Overlapping silhouettes are joined in ``merged_silhouettes_2d`
 
 import math
 
-from rendezvous_env.compilation import kernel
+from rendezvous_env.compilation import inner_kernel, kernel
 from rendezvous_env.physics.vectors import X_AXIS, combine, cross, dot, load, split, store
 
 STRAIGHT_AHEAD = -1
@@ -31,14 +31,14 @@ def tangent_headings(net_bearing, silhouettes, only_blocking, out):
         store(heading, out[i])
 
 
-@kernel
+@inner_kernel
 def direction_of(net_bearing):
     """Unit vector along a net bearing, the x axis where there is none, as a triple."""
     length, direction = split(load(net_bearing))
     return direction if length > 0.0 else X_AXIS
 
 
-@kernel
+@inner_kernel
 def is_seen(points):
     """Whether the obstacle with these silhouette points is in sight."""
     for k in range(points.shape[1]):
@@ -47,19 +47,19 @@ def is_seen(points):
     return False
 
 
-@kernel
+@inner_kernel
 def unit(point):
     """A silhouette point as a unit triple."""
     return split(load(point))[1]
 
 
-@kernel
+@inner_kernel
 def opposite(points):
     """Two points across the silhouette: both edges in the plane, rays 0 and 4 in 3-D."""
     return unit(points[0]), unit(points[points.shape[0] // 2])
 
 
-@kernel
+@inner_kernel
 def middle_of(points):
     """Unit triple towards the middle of a silhouette: along the sum of two points across it; of an
     obstacle that is touched, whose points add up to nothing, to the right of the counter-clockwise
@@ -74,7 +74,7 @@ def middle_of(points):
     return split(cross(first, unit(points[2])))[1]
 
 
-@kernel
+@inner_kernel
 def _most_prominent(towards, silhouettes, only_blocking):
     """Index of the widest obstacle; one blocks what is as near to its middle as its edges are."""
     prominent, least_cosine = STRAIGHT_AHEAD, math.inf
@@ -90,7 +90,7 @@ def _most_prominent(towards, silhouettes, only_blocking):
     return prominent
 
 
-@kernel
+@inner_kernel
 def _nearest_point(towards, points):
     """The silhouette point nearest in angle, the first of equals."""
     nearest, best = unit(points[0]), -math.inf

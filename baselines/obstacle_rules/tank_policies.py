@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import number, positive
-from rendezvous_env.compilation import kernel
+from rendezvous_env.compilation import inner_kernel, kernel
 from rendezvous_env.limits import LARGEST
 from rendezvous_env.physics.vectors import (
     ORIGIN,
@@ -121,7 +121,7 @@ def wall_following_velocities(
         send_rates(rates, out[i], robot.gate)
 
 
-@kernel
+@inner_kernel
 def _way_in_space(towards, before, spent, settings, memory, views):
     """Whether any direction is free, the heading, and the unit vector across f of its plane."""
     held, keeps = memory[SIDE], TWO_PI if memory[SIDE] != 0.0 else 0.0
@@ -138,7 +138,7 @@ def _way_in_space(towards, before, spent, settings, memory, views):
     return free, heading, aside
 
 
-@kernel
+@inner_kernel
 def _turn(towards, before, spent, silhouettes, settings, memory, intervals):
     """Whether any direction is free, and the angle from f to the heading, rad."""
     joined = joined_interval_2d(towards, silhouettes, intervals)
@@ -166,7 +166,7 @@ def _turn(towards, before, spent, silhouettes, settings, memory, intervals):
     return True, edge + side * min(clearance, 0.5 * gap)
 
 
-@kernel
+@inner_kernel
 def _along_wall(towards, kept, edge, gap, silhouettes, settings, side, intervals):
     """Edge of the wall beside the heading, rad from f, and the gap beyond; else as given."""
     feeler = kept - side * _BEHIND_EDGE * settings.clearance
@@ -182,7 +182,7 @@ def _along_wall(towards, kept, edge, gap, silhouettes, settings, side, intervals
     return feeler + nearest, beyond
 
 
-@kernel
+@inner_kernel
 def _edge(joined, side):
     """The edge of a joined interval on a side, and the free angle beyond it, rad."""
     if side > 0.0:
@@ -190,7 +190,7 @@ def _edge(joined, side):
     return joined[0], joined[2]
 
 
-@kernel
+@inner_kernel
 def _affordable(f, plane, account, heading, free, robot, memory):
     """The velocity along a heading, or rest where the tank would not last; ``plane`` is f/‖f‖ and a
     unit vector across it, ``account`` D, m/s, and A, m²/s.
@@ -213,7 +213,7 @@ def _affordable(f, plane, account, heading, free, robot, memory):
     return combine(speed * math.cos(turn), towards, speed * math.sin(turn), aside)
 
 
-@kernel
+@inner_kernel
 def _inputs(f, account, heading, free, pitch, settings, memory):
     """Speed and turn rates to a heading, where a robot that turns drives while its tank lasts."""
     (degree, level), strength = account, norm(f)
@@ -306,9 +306,9 @@ class TankJoinedPolicy(RememberingPolicy):
             self._memory.reshape(robots, MEMORY),
             desired,
         )
-        self._tank.hold(desired.reshape(*f.shape[:-1], -1) / self._unit)
-        actions = self._tank.act(seen)
-        self._tank.book()
+        choices = desired.reshape(*f.shape[:-1], -1) / self._unit
+        actions = self._tank.apply(seen, choices)
+        self._tank.update()
         velocities = self._steering.velocities(actions, seen)
         self._memory[..., WORK] += self.scenario.tau * np.sum(f * velocities, axis=-1)
         if self._steering.turns:

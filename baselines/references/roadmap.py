@@ -13,7 +13,7 @@ import scipy.spatial
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
-from rendezvous_env.compilation import kernel
+from rendezvous_env.compilation import inner_kernel, kernel
 from rendezvous_env.obstacles.capsule import AXIS, CAPSULE, THICKNESS
 from rendezvous_env.obstacles.obstacle_set import ObstacleSet, entry, outlines, world_of
 from rendezvous_env.obstacles.polygon import POLYGON
@@ -192,7 +192,7 @@ def _margins_at(world, around, points, most, out):
                 break
 
 
-@kernel
+@inner_kernel
 def _in_the_way(world, spikes, order, here, way, margin):
     """Whether a way comes nearer to an obstacle; corners of polygons count as pointed."""
     length = dot(way, way)

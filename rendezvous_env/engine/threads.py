@@ -1,17 +1,16 @@
-"""Threads for kernels that release the interpreter lock: each does one slice of the batch.
+"""Threads for kernels that release the interpreter lock: each runs one slice of the blocks.
 
-Python's signals reach the caller's thread alone, between two of its own instructions. So the caller
-does a slice itself only where that is calls of kernels, all made within one instruction; else it
-waits. A step that Ctrl-C interrupts is one for all teams or for none.
+Python runs signal handlers in the main thread, between two of its own instructions. The caller
+therefore runs a slice only if that is calls of compiled code, made within one instruction; else the
+workers run all slices. So an interrupted job (Ctrl-C) is complete or was never begun.
 """
 
-import ctypes
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from functools import cache, partial
+from itertools import chain
 from operator import call
 from queue import SimpleQueue
 from types import BuiltinFunctionType
@@ -21,116 +20,84 @@ import numpy as np
 
 from ..compilation import compiled, entry_point, is_kernel, kernel
 
-Part = tuple[int, int, int]
-"""One thread's part of the work: its first block, the one after its last, and its own index."""
+Slice = tuple[int, int, int]
+"""A part of a batch: its first index, the index after its last, and its own number."""
 Calls = Sequence[Callable[[], Any]]
-"""What there is to call for a part, in order."""
+"""The calls that make up the work of a slice, in order."""
 
-_PATIENCE = 200_000
-"""Turns, some 60 µs, for which the caller watches the others before it sleeps: to be woken takes
-half as long, and nobody else would use its core."""
-_FOR_EVER = 2**62
-_POLITENESS = 6_000
-"""Turns, some 2 µs, in which a helper that has ended lets go of the interpreter's lock: to find it
-taken and be woken takes ten times as long."""
+_WAIT_SPINS = 200_000
+"""Iterations, about 60 µs, for which the caller polls the workers before it sleeps."""
+_GIL_YIELD_SPINS = 6_000
+"""Iterations, about 2 µs, for which the caller, once done, leaves the interpreter lock to a worker
+that has just finished: a worker that finds the lock taken sleeps, and delays the next job."""
+_FOREVER = 2**62
 
 
-def share(calls_of: Callable[[Part], Calls], blocks: int, most: int, ahead: float = 0.0) -> None:
-    """Let up to ``most`` threads, one of them the caller's, do so many blocks: each makes the calls
-    for its part, which ``calls_of`` says and does not begin. The caller's part is larger by a share
-    that it does while the others wake up.
+def share(
+    calls_of: Callable[[Slice], Calls], blocks: int, num_threads: int, head_start: float = 0.0
+) -> None:
+    """Run the calls of all blocks in ``num_threads`` threads, the caller's among them.
+
+    Args:
+        calls_of: a slice of the blocks → its calls, which it does not make.
+        blocks: number of blocks.
+        num_threads: number of slices.
+        head_start: share of the blocks by which the first slice, the caller's, is larger.
 
     Raises:
-        BaseException: what a call raised, or what interrupted the caller (Ctrl-C). No thread works
-            on any block then, and unless a call has failed all are done or none.
+        BaseException: an error of a call, or of a signal handler in the caller. No thread works on
+            a block any more, and unless a call has failed all are done or none.
     """
-    # a helper that shares waits for the others, and they might for it
-    if most == 1 or not compiled() or threading.current_thread() in _workers:
+    # a worker that shared its slice would wait for the others, and they for it
+    if num_threads == 1 or not compiled() or threading.current_thread() in _workers:
         for one in calls_of((0, blocks, 0)):
             one()
         return
-    ends = [round(blocks * (ahead + (1.0 - ahead) * k / most)) for k in range(1, most + 1)]
-    parts = zip([0, *ends], ends, range(most), strict=False)
-    job = _Job([[*calls_of(part)] for part in parts])
-    see_through = job.calls_to_see_it_through()
-    _ensure_workers(most - 1)
+    fractions = [head_start + (1.0 - head_start) * k / num_threads for k in range(num_threads + 1)]
+    ends = [0, *(round(blocks * fraction) for fraction in fractions[1:])]
+    slices = zip(ends, ends[1:], range(num_threads), strict=False)
+    own, *others = (list(calls_of(part)) for part in slices)
+    if not all(map(_is_compiled_call, own)):
+        own, others = [], [own, *others]
+    _run(own, others)
+
+
+def _run(own: list[Callable[[], Any]], others: list[list[Callable[[], Any]]]) -> None:
+    """Make the caller's calls, and in workers those of other slices."""
+    ended, wake = np.zeros(len(others), np.int64), SimpleQueue()  # type: ignore[var-annotated]
+    errors: list[BaseException] = []
+    reports = [(ended[k : k + 1], wake, errors) for k in range(len(others))]
+    submit = [partial(_jobs.put, job) for job in zip(others, reports, strict=True)]
+    wait, spins = _compiled_wait(), _WAIT_SPINS if own else 0
+    turns = np.zeros(1, np.int64)
+    left = map(call, chain(submit, own))
+    finish = partial(wait, ended, np.zeros(1, np.int64), _FOREVER)
+    rest = chain(left, map(call, [finish]))
+    _ensure_workers(len(others))
     try:
-        for _ in range(most - 1):
-            _jobs.put(job)
-        job.take_part()
+        deque(left, 0)  # one instruction
+        while not wait(ended, turns, spins):
+            wake.get()
     except BaseException:
-        deque(see_through, 0)  # from what is raised to here, and within, no signal is heard
+        deque(rest, 0)  # up to here, and in it, no other handler runs
         raise
-    if job.errors:
-        raise job.errors[0]
+    if errors:
+        raise errors[0]
 
 
-class _Job:
-    """One call of ``share``, whose parts are lists of calls; the first is the caller's, if nothing
-    can interrupt that.
-    """
-
-    def __init__(self, parts: list[list[Callable[[], Any]]]) -> None:
-        self._ended = np.zeros(len(parts), np.int64)  # 1 for each part that has
-        self._uninterrupted = all(map(_is_uninterrupted, parts[0]))
-        self._own, *others = map(iter, parts)  # what has been called is let go
-        self._left = deque(enumerate(others, 1))
-        self._to_hand_over = iter([(0, self._own)])
-        self._over: SimpleQueue[None] = SimpleQueue()
-        self.core, self.caller = _own_core(), threading.get_native_id()
-        self.errors: list[BaseException] = []
-
-    def help(self) -> None:
-        """Do parts that nobody has taken yet."""
-        while self._left:
-            try:
-                number, calls = self._left.popleft()
-            except IndexError:  # another thread was faster
-                return
-            try:
-                for one in calls:
-                    one()
-            except BaseException as error:
-                self.errors.append(error)
-            self._ended[number] = 1  # the caller sees it, and wants the interpreter's lock at once
-            self._over.put(None)
-
-    def take_part(self) -> None:
-        """Do the caller's part, or leave it to the others, and wait for them."""
-        patience = 0
-        if self._uninterrupted:
-            deque(map(call, self._own), 0)
-            self._ended[0], patience = 1, _PATIENCE
-        else:
-            _ensure_workers(len(self._ended))
-            self.core = _NO_CORE  # it is free while the caller waits
-            self._left.extend(self._to_hand_over)
-            _jobs.put(self)
-        watch, turns = _compiled_watch(), np.zeros(1, np.int64)
-        while not watch(self._ended, turns, patience):
-            self._over.get()  # a part has ended
-
-    def calls_to_see_it_through(self) -> Iterator[Any]:
-        """Hands over what the caller has left, and waits for all: each by a call in which Python
-        executes no instruction of its own, when the iterator is asked.
-        """
-        watch = _compiled_watch()
-        hand_over, put = partial(self._left.extend, self._to_hand_over), partial(_jobs.put, self)
-        wait = partial(watch, self._ended, np.zeros(1, np.int64), _FOR_EVER)
-        return map(call, (hand_over, put, wait))
-
-
-def _is_uninterrupted(one: Any) -> bool:
-    """Whether Python executes no instruction of its own while this is called."""
+def _is_compiled_call(one: Any) -> bool:
+    """Whether Python executes no instruction of its own during a call."""
     return isinstance(one, partial) and (
         isinstance(one.func, BuiltinFunctionType) or is_kernel(one.func)
     )
 
 
 @kernel
-def _watch(ended, turns, most):
-    """Wait for all to be 1, for so many turns at most, and then politely; whether they are. Turns
-    are counted in an array, which might be the same one, so that the compiler looks each time.
+def _wait(ended, turns, most):
+    """Poll until all of ``ended`` are 1, at most ``most`` times; whether they are.
+
+    Turns are counted in an array, which might be the same one, so that the compiler reads
+    ``ended`` from memory each time.
     """
     k = 0
     while k < len(ended) and (ended[k] == 1 or turns[0] < most):
@@ -139,18 +106,19 @@ def _watch(ended, turns, most):
         else:
             turns[0] += 1
     if k == len(ended) and turns[0] > 0:
-        enough = turns[0] + _POLITENESS
+        enough = turns[0] + _GIL_YIELD_SPINS
         while turns[0] < enough:
             turns[0] += ended[0]
     return k == len(ended)
 
 
 @cache
-def _compiled_watch() -> Callable[..., Any]:
-    return entry_point(_watch, (np.zeros(1, np.int64), np.zeros(1, np.int64), 0))
+def _compiled_wait() -> Callable[..., Any]:
+    return entry_point(_wait, (np.zeros(1, np.int64), np.zeros(1, np.int64), 0))
 
 
-_jobs: SimpleQueue[_Job] = SimpleQueue()
+_jobs: SimpleQueue[Any] = SimpleQueue()
+"""Pairs of a slice's calls and its report: a flag to set, a queue that wakes the caller, errors."""
 _workers: list[threading.Thread] = []
 _workers_lock = threading.Lock()
 
@@ -165,40 +133,25 @@ def _ensure_workers(wanted: int) -> None:
             _workers.append(worker)
 
 
-def _serve(jobs: SimpleQueue[_Job]) -> None:
-    left = _NO_CORE
+def _serve(jobs: SimpleQueue[Any]) -> None:
     while True:
-        job = jobs.get()
-        if (core := job.core) != left:
-            _keep_off(core, job.caller)
-            left = core
-        job.help()
+        _work(*jobs.get())
 
 
-def _keep_off(core: int, caller: int) -> None:
-    """Let this thread run wherever its caller may, a thread's native number, but for the caller's
-    core. The system would often wake it there, to take turns with the caller while the next core is
-    idle, which is slower than one thread.
-    """
-    with suppress(OSError):  # a sandbox may forbid it
-        allowed = os.sched_getaffinity(caller)
-        os.sched_setaffinity(0, allowed - {core} or allowed)
-
-
-def _teller_of_core() -> Callable[[], int]:
-    """What tells which core this thread is on; _NO_CORE where threads cannot choose."""
-    if not hasattr(os, "sched_setaffinity"):
-        return lambda: _NO_CORE
-    tell: Callable[[], int] = getattr(ctypes.PyDLL(None), "sched_getcpu", lambda: _NO_CORE)
-    return tell
-
-
-_NO_CORE = -1
-_own_core = _teller_of_core()
+def _work(calls: list[Callable[[], Any]], report: Any) -> None:
+    ended, wake, errors = report
+    try:
+        while calls:  # what has been called is released
+            calls.pop(0)()
+    except BaseException as error:
+        errors.append(error)
+    calls.clear()
+    ended[0] = 1  # the caller polls it, and needs the interpreter lock at once
+    wake.put(None)
 
 
 def _forget_workers() -> None:
-    """A forked child has none of its parent's threads."""
+    """Start anew in a forked child, which has none of its parent's threads."""
     global _jobs, _workers_lock
     _jobs, _workers_lock = SimpleQueue(), threading.Lock()
     _workers.clear()
@@ -208,14 +161,14 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_forget_workers)
 
 
-def most_threads(asked: int | None) -> int:
-    """As many threads as were asked for, or one for each core."""
-    return available_cores() if asked is None else asked
+def max_threads(num_threads: int | None) -> int:
+    """The given number of threads, or if None one per core."""
+    return available_cores() if num_threads is None else num_threads
 
 
 def available_cores() -> int:
-    """Cores that this process may run on, within its container's quota of processor time and within
-    NUMBA_NUM_THREADS, the share of a process that is one of many.
+    """Number of cores of this process: those of its affinity mask and its container's CPU quota, at
+    most NUMBA_NUM_THREADS.
     """
     share = os.environ.get("NUMBA_NUM_THREADS", "")
     return min(_cores(), int(share)) if share.isdecimal() and int(share) else _cores()
@@ -223,6 +176,6 @@ def available_cores() -> int:
 
 @cache
 def _cores() -> int:
-    from joblib import cpu_count  # imported when it is asked for: it takes a while
+    from joblib import cpu_count  # imported here, since it is slow to import
 
     return cpu_count()

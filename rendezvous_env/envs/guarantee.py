@@ -146,7 +146,7 @@ class HoldsFilter:
         if key in _OF_STATES or hasattr(type(self), key) or hasattr(self._base, key):
             refuse(f"state_key of {kind}", key, "no name of an environment's own, which this is")
         of_infos = {*_OF_INFOS, *self._base.simulator.costs}
-        if taken := sorted(of_infos & set(made.told)):
+        if taken := sorted(of_infos & set(made.diagnostics)):
             raise ValueError(
                 f"{kind} tells {taken[0]!r}, which environments tell in infos themselves; give it "
                 "another name"

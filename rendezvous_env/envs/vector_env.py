@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from ..checks import bools, flag
-from ..engine.batch_runner import Driven, Pilot, Show
+from ..engine.batch_runner import BatchController, ObservationCallback, RolloutResult
 from ..engine.memory import RENDEZVOUS, TIME_OUT
 from ..outcome import StepOutput
 from ..render.renderer import Renderer, render_metadata
@@ -161,14 +161,14 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
 
     @property
     def can_drive(self) -> bool:
-        """Whether no renderer sees every step, and ``Simulator.can_drive``."""
-        return self.render_mode is None and self.simulator.can_drive
+        """Whether no renderer sees every step, and ``Simulator.supports_step_n``."""
+        return self.render_mode is None and self.simulator.supports_step_n
 
     def drive(
-        self, pilot: Pilot, observations: NDArray[np.float32], count: int, show: Show | None = None
-    ) -> Driven:
+        self, pilot: BatchController, observations: NDArray[np.float32], count: int, show: ObservationCallback | None = None
+    ) -> RolloutResult:
         """As ``advance``, ``count`` times; arguments as ``Simulator.drive``."""
-        driven = self.simulator.drive(pilot, observations, count, show)
+        driven = self.simulator.step_n(pilot, observations, count, show)
         self.outcome = driven.output
         return driven
 

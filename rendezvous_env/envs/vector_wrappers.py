@@ -9,7 +9,7 @@ from gymnasium.spaces import Box, Space
 from gymnasium.vector import AutoresetMode, VectorActionWrapper, VectorObservationWrapper
 from numpy.typing import ArrayLike, NDArray
 
-from ..engine.batch_runner import Kept, Pilot, Show
+from ..engine.batch_runner import BatchController, DiagnosticsSnapshot, ObservationCallback
 from ..engine.memory import RUNNING
 from ..rewards.costs import no_costs
 from ..scenario.start_options import as_options
@@ -109,9 +109,9 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         return seen, rewards, terminations, truncations, infos
 
     @property
-    def _pilot(self) -> Pilot | None:
+    def _pilot(self) -> BatchController | None:
         """What computes actions within threads; None where each step is Python's."""
-        return self.filter if self.filter.leads else None
+        return self.filter if self.filter.supports_multi_step else None
 
     def _drive(self) -> tuple[NDArray[np.float32] | None, Any, Any, Any, Info]:
         """Base steps under the held choices, in which no team is reset: the policy's observations
@@ -135,7 +135,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
             leave_out_summary(infos)
         return shown, rewards, terminations, truncations, infos
 
-    def _viewing(self) -> tuple[NDArray[np.float32] | None, Show | None]:
+    def _viewing(self) -> tuple[NDArray[np.float32] | None, ObservationCallback | None]:
         """Memory for the policy's observations, and a function that fills it for some teams; None
         where it sees base observations, or something else.
         """
@@ -143,7 +143,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         shown = made.new_view() if self._pilot is made else None
         if shown is None:
             return None, None
-        return shown, lambda teams, observations: made.view_of(teams, observations, shown)
+        return shown, lambda part, observations: made.observe_calls(part, observations, shown)
 
     def _drive_by_steps(self) -> tuple[Any, Any, Any, Info, Info, NDArray[np.bool_]]:
         """The same step by step: rewards, robot rewards, contacts, costs, and the infos and ends of
@@ -159,7 +159,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
             resting = None if simulator.all_running else simulator.status != RUNNING
             if number:
                 running = (simulator.status == RUNNING)[:, None]
-                kept = Kept(self.filter.of_actions, running & (follows | simulator.active))
+                kept = DiagnosticsSnapshot(self.filter.action_diagnostics, running & (follows | simulator.active))
             if type(self.env) is RendezvousVectorEnv:
                 outcome = base.advance(self._act())
                 seen, earned = outcome.observations, outcome.rewards
@@ -172,9 +172,9 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
                 robots_earned, touched = cost["robot_rewards"], cost["contact"]
             self._observed = seen.reshape(shape)
             if number:
-                kept.put_back()
-            if self.filter.keeps_ledger:
-                self.filter.book(touched, simulator.merged_into, resting)
+                kept.restore()
+            if self.filter.uses_feedback:
+                self.filter.update(touched, simulator.merged_into, resting)
             rewards += earned
             robot_rewards += robots_earned
             contact |= touched
@@ -187,12 +187,12 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         fresh = self._base.begin_anew(which, infos).reshape(self._observed.shape)
         self._observed[which] = fresh[which]
         self._forget(which)
-        for key, values in self.filter.told.items():
+        for key, values in self.filter.diagnostics.items():
             infos[key][which] = values[which]
         self._note_seen()
 
     def _told(self) -> Info:
-        return {key: values.copy() for key, values in self.filter.told.items()}
+        return {key: values.copy() for key, values in self.filter.diagnostics.items()}
 
     def _take(self, actions: ArrayLike) -> None:
         """Take the choices of this period."""
@@ -200,13 +200,13 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
 
     def _act(self) -> NDArray[np.float32]:
         """Actions of the next base step."""
-        return self.filter.act(self._observed)
+        return self.filter.apply(self._observed)
 
     def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
         """The policy's observations, (B, n, ...), which it may write to, not what the filter acts
         on; only teams of the mask, None is all, are new.
         """
-        seen = self.filter.view(self._observed)
+        seen = self.filter.observe(self._observed)
         own = seen.copy() if np.may_share_memory(seen, self._observed) else seen
         return as_told(own, self._base.flatten)
 

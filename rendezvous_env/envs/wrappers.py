@@ -88,12 +88,12 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
         returned: StepReturn = {}, dict.fromkeys(self.agents, 0.0), {}, {}, {}
         observations, rewards, terminations, truncations, infos = returned
         for _ in range(self.decision_period):
-            table = self.filter.act(self._observed)[0]
+            table = self.filter.apply(self._observed)[0]
             chosen = {name: table[self._base.index(name)] for name in self.agents}
             seen, earned, ended, cut, told = self._step_beneath(chosen)
-            if self.filter.keeps_ledger:
+            if self.filter.uses_feedback:
                 touched = {name: info["contact"] for name, info in told.items()}
-                self.filter.book(self._table(touched, (), np.bool_), simulator.merged_into)
+                self.filter.update(self._table(touched, (), np.bool_), simulator.merged_into)
             self._add_told(told)
             for name, info in told.items():
                 rewards[name] += earned[name]
@@ -113,7 +113,7 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
 
     def _add_told(self, infos: Infos) -> None:
         """Add the filter's infos of the last base step."""
-        told = {key: values[0].tolist() for key, values in self.filter.told.items()}
+        told = {key: values[0].tolist() for key, values in self.filter.diagnostics.items()}
         for name, info in infos.items():
             i = self._base.index(name)
             info.update({key: values[i] for key, values in told.items()})
@@ -135,7 +135,7 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
 
     def _view(self, observations: Observations) -> Observations:
         """Observations as the policy is given them."""
-        seen = as_told(self.filter.view(self._observed)[0], self._base.flatten)
+        seen = as_told(self.filter.observe(self._observed)[0], self._base.flatten)
         return {name: seen[self._base.index(name)].copy() for name in observations}
 
 

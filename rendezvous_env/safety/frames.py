@@ -6,7 +6,7 @@ from ..compilation import inner_kernel, kernel
 from ..engine.memory import read, write
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import cross, dot, load, load_pair, split, store, without
-from .robot_lanes import LANES, by_robot, lanes_of, read_rows
+from .robot_lanes import LANES, lanes_of, sum_rows
 
 FRAMES = ("net_bearing", "local")
 _NEARLY_ALONG = 1e-6
@@ -16,11 +16,11 @@ _CLEARLY_LONGER = 1.001
 
 
 @kernel
-def look_along_net_bearing(axes, teams, robot, arrays, work):
+def look_along_net_bearing(axes, robots, robot, arrays, work):
     """Turn observations (B, n, rows, d), m/s, of some teams into frames with x along f: row ← Fᵀ
     row, F = (f/‖f‖, …) (theory 7). Where ‖f‖ < δ the last frame is kept.
     """
-    robots, (observations, frames, seen) = by_robot(teams, arrays)
+    observations, frames, seen = arrays
     if len(axes) == 2:
         for first in range(robots[0], robots[1], LANES):
             stop = min(first + LANES, robots[1])
@@ -48,10 +48,11 @@ def _turn_in_plane(rows, frame, seen):
 @inner_kernel(inline="code")
 def _aim_in_plane(axes, observations, robot, frames, first, stop, work):
     """The only right-handed frames with x along f; columns are axes in the local frame."""
-    if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
+    numbers, _ = work
+    if numbers.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
         return
-    lanes = lanes_of(work)
-    read_rows(axes, observations, first, stop, robot.neighbour_slots, False, work)
+    lanes = lanes_of(numbers)
+    sum_rows(axes, observations[first:stop], robot.neighbour_slots, lanes.f)
     for lane in range(LANES):
         strength, towards = split(read(lanes.f, lane, axes))
         write(towards, lanes.heading, lane)

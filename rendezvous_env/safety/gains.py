@@ -6,14 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import positive, refuse
-from ..compilation import kernel
-from ..engine.threads import Calls, Part
+from ..compilation import inner_kernel, kernel
+from ..engine.threads import Calls, Slice
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import combine, dot, load, norm, scaled, store
 from ..robots.single_integrator import speed_scale
 from ..scenario.scenario import Scenario
 from .links import alignment_of
-from .robot_lanes import by_robot
 from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
 
 _NOTHING = 1e-30  # weights that add up to less, m/s, are none
@@ -79,29 +78,28 @@ class Gains(SafetyFilter):
         self.gain = np.zeros((num_envs, scenario.n_robots))
 
     @property
-    def told(self) -> dict[str, NDArray[Any]]:
-        """What there is to tell of the last step, (B, n) each; not copied."""
-        return {"gain": self.gain, **super().told}
+    def diagnostics(self) -> dict[str, NDArray[Any]]:
+        """As ``SafetyFilter.diagnostics``."""
+        return {"gain": self.gain, **super().diagnostics}
 
     def _begin(self, which: Any) -> None:
         super()._begin(which)
         self.gain[which] = 0.0
 
-    def act_of(
-        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
+    def apply_calls(
+        self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
-        """As ``SafetyFilter.act_of``."""
+        """As ``SafetyFilter.apply_calls``."""
         arrays = observations, self._held, actions, self.gain, self.alignment, self.lyapunov_rate
-        return over_robots(_weigh, teams, self._constants, *arrays)
+        return over_robots(_weigh, part, self._constants, *arrays)
 
 
 register_filter("gains", Gains)
 
 
 @kernel
-def _weigh(axes, teams, constants, arrays, work):
-    robots, flat = by_robot(teams, arrays)
-    observations, held, actions, gain, alignment, lyapunov_rate = flat
+def _weigh(axes, robots, constants, arrays, work):
+    observations, held, actions, gain, alignment, lyapunov_rate = arrays
     for i in range(robots[0], robots[1]):
         rows, weights = observations[i], held[i]
         total, towards = _weighted(rows, weights, constants.neighbour_slots, 0.0)
@@ -118,7 +116,7 @@ def _weigh(axes, teams, constants, arrays, work):
         lyapunov_rate[i] = -2.0 * dot(f, velocity)
 
 
-@kernel
+@inner_kernel
 def _weighted(rows, weights, neighbour_slots, least):
     """Σ_j w_j a_ij, m/s, and Σ_j w_j a_ij g_ij, a triple, of weights cut to [``least``, 1]."""
     total, towards = 0.0, (0.0, 0.0, 0.0)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import flag, positive, real, refuse, shown
-from ..compilation import kernel
+from ..compilation import inner_kernel, kernel
 from ..engine.memory import read, write
-from ..engine.threads import Calls, Part
+from ..engine.threads import Calls, Slice
 from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import (
     combine,
@@ -27,7 +27,7 @@ from ..physics.vectors import (
     x_axis,
 )
 from ..scenario.scenario import Scenario
-from .robot_lanes import LANES, by_robot, give_out, lanes_of, read_rows, report, take_in
+from .robot_lanes import LANES, give_out, lanes_of, report, sum_rows, take_in, weigh_rows
 from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
 from .settings import MAX_TURN_RATE, check_gate_constants, check_margin, check_vectors
 from .turning import Robot, desired_rates, gated_rates, pitch_of, robot_of, turn
@@ -130,7 +130,7 @@ def certify(raw, net_bearing, previous, min_alignment, dead_zone, max_turn, out)
             store(certify_one(q3, f3, h3, min_alignment, dead_zone, limit), out[i])
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def certify_one(raw, net_bearing, previous, min_alignment, dead_zone, limit):
     """As ``certified_heading`` of one robot, pairs or triples; ``limit`` is from ``turn_limit``."""
     strength, towards = split(net_bearing)
@@ -143,7 +143,7 @@ def certify_one(raw, net_bearing, previous, min_alignment, dead_zone, limit):
     return into_cap(_turn(carried, aim, towards, limit), towards, margin, towards)
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def _carry(previous, towards, margin):
     """The previous heading as a line: its end that looks along f, projected onto the cap."""
     length, heading = split(previous)
@@ -167,7 +167,7 @@ def into_cap(direction, towards, margin, otherwise):
     return combine(margin, towards, math.sqrt(1.0 - margin * margin), across)
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def _turn(carried, aim, towards, limit):
     """From carried towards aim along the great circle by at most γ of ``turn_limit``: h cos γ + t
     sin γ, t the unit tangent at h. An antipodal aim is reached through ``towards``.
@@ -184,7 +184,7 @@ def _turn(carried, aim, towards, limit):
     return combine(cos_limit, carried, sin_limit, split_across(through, carried)[1])
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def without_error(along, error):
     """What is sure of hᵀf, m/s, if f is wrong by e: sgn(hᵀf) max(0, |hᵀf| − e), a number (N1')."""
     return max(along - error, 0.0) + min(along + error, 0.0)
@@ -198,19 +198,24 @@ class _Constants(NamedTuple):
 
 
 @kernel
-def _steer(axes, teams, constants, arrays, work):
+def _steer(axes, robots, constants, arrays, work):
     """Actions min(1, r/(2Dτ)) h max(0, hᵀf − e), e = 2 sin(η/2) D (eq. 4, theorems C and N1')."""
-    if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
+    numbers, room = work
+    if numbers.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
         return
-    robots, flat = by_robot(teams, arrays)
-    observations, held, headings, actions, alignment, lyapunov_rate = flat
-    lanes, robot, limit = lanes_of(work), constants.robot, turn_limit(constants.max_turn)
+    observations, held, headings, actions, alignment, lyapunov_rate = arrays
+    lanes, robot, limit = lanes_of(numbers), constants.robot, turn_limit(constants.max_turn)
     gate, weighs = robot.gate, constants.speed_scaled or robot.error_chord > 0.0
     # a question in the loop would take longer than a scale that is 1
     duration = gate.duration if constants.speed_scaled else 0.0
+    lanes.degree[:] = 0.0
     for first in range(robots[0], robots[1], LANES):
         stop = min(first + LANES, robots[1])
-        read_rows(axes, observations, first, stop, robot.neighbour_slots, weighs, work)
+        rows = observations[first:stop]
+        if weighs:
+            weigh_rows(axes, rows, robot.neighbour_slots, room, lanes.f, lanes.degree)
+        else:
+            sum_rows(axes, rows, robot.neighbour_slots, lanes.f)
         take_in(axes, held, first, stop, lanes.choice)
         take_in(axes, headings, first, stop, lanes.heading)
         if constants.certified:
@@ -237,10 +242,9 @@ def _steer(axes, teams, constants, arrays, work):
 
 
 @kernel
-def _turn_bodies(axes, teams, constants, arrays, work):
+def _turn_bodies(axes, robots, constants, arrays, work):
     """Gated turn rates, and the speed v = s mᵀf for the mean body axis m, less by e (theory 4)."""
-    robots, flat = by_robot(teams, arrays)
-    observations, held, _, actions, alignment, lyapunov_rate = flat
+    observations, held, _, actions, alignment, lyapunov_rate = arrays
     robot, gate = constants.robot, constants.robot.gate
     duration = gate.duration if constants.speed_scaled else 0.0  # of 0 the scale is 1
     for i in range(robots[0], robots[1]):
@@ -315,15 +319,15 @@ class HeadingFilter(SafetyFilter):
     def _memory(self) -> dict[str, NDArray[np.float64]]:
         return {"headings": self.carried, **super()._memory}
 
-    def act_of(
-        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
+    def apply_calls(
+        self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
-        """As ``SafetyFilter.act_of``."""
+        """As ``SafetyFilter.apply_calls``."""
         act, constants = _turn_bodies if self.turns_body else _steer, self._constants
         if elapsed is not None:
             constants = constants._replace(max_turn=self._heading_rate * float(elapsed))
         memory, told = (self._held, self.carried), (self.alignment, self.lyapunov_rate)
-        return over_robots(act, teams, constants, observations, *memory, actions, *told)
+        return over_robots(act, part, constants, observations, *memory, actions, *told)
 
 
 register_filter("heading", HeadingFilter)

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..compilation import kernel
-from ..engine.threads import Calls, Part
+from ..compilation import inner_kernel, kernel
+from ..engine.threads import Calls, Slice
 from ..physics.least_norm import least_along, least_norm_of
 from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import (
@@ -25,7 +25,6 @@ from ..physics.vectors import (
 )
 from ..robots.single_integrator import speed_scale
 from ..scenario.scenario import Scenario
-from .robot_lanes import by_robot
 from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
 from .settings import check_bearing_error, check_share, check_vectors
 
@@ -66,7 +65,7 @@ _SLACK = 1e-13  # so far outside of a ball, as a share of ρ², counts as on it
 _ALIKE = 1e-11  # bearings whose difference is shorter than this are one bearing
 
 
-@kernel
+@inner_kernel
 def project_on_links(wanted, rows, neighbour_slots, radius, error):
     """The velocity in B_i, a triple, m/s, that is nearest to the desired one (theorem R c), of rows
     a_ij g_ij, (rows, d), m/s, the first K neighbours; ρ, m/s; and η, rad.
@@ -89,7 +88,7 @@ def project_on_links(wanted, rows, neighbour_slots, radius, error):
     return point if speed <= most else scaled(direction, most)
 
 
-@kernel
+@inner_kernel
 def worst_bearing(direction, rows, neighbour_slots, error):
     """Of all bearings within η, rad, of the seen ones the one that lies least along a direction v,
     a triple, zero where nobody is seen: g cos α − u sin α, α = min(η, π − ∠(g, v)), u ⟂ g along v.
@@ -104,13 +103,13 @@ def worst_bearing(direction, rows, neighbour_slots, error):
     return combine(math.cos(tilt), g, -math.sin(tilt), across)
 
 
-@kernel
+@inner_kernel
 def _excess(point, bearing, radius):
     """‖x‖² − 2 ρ x·g: how far a point is outside of the ball of a bearing; negative inside."""
     return dot(point, point) - 2.0 * radius * dot(point, bearing)
 
 
-@kernel
+@inner_kernel
 def _nearest_on(wanted, bearing, active, radius):
     """The point of some balls nearest to the desired one, on the first one's boundary; and the
     balls it is on. ``active`` are up to three others, zero for none.
@@ -132,7 +131,7 @@ def _nearest_on(wanted, bearing, active, radius):
     return found, kept
 
 
-@kernel
+@inner_kernel
 def _nearest_on_all(wanted, on, radius):
     """The point nearest to the desired one on the boundaries of one to three balls; the origin,
     which they share, where there is no other. Two meet in a circle, three in one more point.
@@ -200,12 +199,12 @@ class LinkKeeping(SafetyFilter):
             bearing_error=check_bearing_error(bearing_error),
         )
 
-    def act_of(
-        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
+    def apply_calls(
+        self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
-        """As ``SafetyFilter.act_of``."""
+        """As ``SafetyFilter.apply_calls``."""
         arrays = observations, self._held, actions, self.alignment, self.lyapunov_rate
-        return over_robots(_keep_links, teams, self._constants, *arrays)
+        return over_robots(_keep_links, part, self._constants, *arrays)
 
 
 register_filter("links", LinkKeeping)
@@ -232,10 +231,9 @@ def asymmetric_sight(scenario: Scenario) -> str:
 
 
 @kernel
-def _keep_links(axes, teams, constants, arrays, work):
+def _keep_links(axes, robots, constants, arrays, work):
     """Velocities (R c and d) from desired ones in units of v_max, and what is told of them."""
-    robots, flat = by_robot(teams, arrays)
-    observations, held, actions, alignment, lyapunov_rate = flat
+    observations, held, actions, alignment, lyapunov_rate = arrays
     slots, radius, error = constants.neighbour_slots, constants.radius, constants.bearing_error
     for i in range(robots[0], robots[1]):
         rows, velocity = observations[i], ORIGIN
@@ -254,7 +252,7 @@ def _keep_links(axes, teams, constants, arrays, work):
         lyapunov_rate[i] = -2.0 * dot(f, velocity)
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def alignment_of(velocity, net_bearing):
     """|hᵀf|/‖f‖ of a velocity's direction h, without unit; NaN where either triple is zero."""
     (speed, direction), (strength, towards) = split(velocity), split(net_bearing)

@@ -10,12 +10,11 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.extending import overload
 from numpy.typing import NDArray
 
-from ..compilation import OVERLOADED, compiled, inner_kernel
+from ..compilation import compiled, inner_kernel
 from ..engine.memory import read, read_row, write
-from ..engine.threads import Part
+from ..engine.threads import Slice
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import combine, exactly, load_pair, norm
 
@@ -39,30 +38,22 @@ class Lanes(NamedTuple):
     lyapunov_rate: Numbers
 
 
-def room_for(rows: int) -> Numbers:
-    """Memory (18 + 2·rows, LANES), of any unit, for ``lanes_of`` and so many neighbour rows."""
-    return np.zeros((_ROWS + 2 * rows, LANES))
+def room_for(rows: int, dim: int) -> tuple[Numbers, NDArray[np.float32]]:
+    """Memory of a kernel: (18, LANES) for ``lanes_of``, (rows, LANES·d) for ``weigh_rows``."""
+    return np.zeros((_ROWS, LANES)), np.zeros((rows, LANES * dim), np.float32)
 
 
-def by_robot(teams: Part, arrays: Sequence[NDArray[Any]]) -> tuple[Any, Any]:
-    """The robots of teams, b·n + i for robot i of team b, from the first to before the second; and
-    arrays (B, n, ...), any unit, as (B·n, ...), not copied.
+def by_robot(part: Slice, arrays: Sequence[NDArray[Any]]) -> tuple[tuple[int, int], Any]:
+    """The first robot of a slice and the one after its last, b·n + i for robot i of environment b;
+    and arrays (B, n, ...) as (B·n, ...), not copied.
     """
     n = arrays[0].shape[1]
-    return (teams[0] * n, teams[1] * n), tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])
-
-
-@overload(by_robot, jit_options=OVERLOADED, strict=False)
-def _by_robot(teams: Any, arrays: Any) -> Any:
-    """In kernels, since NumPy takes a third of a microsecond for each."""
-    robots = "(teams[0] * arrays[0].shape[1], teams[1] * arrays[0].shape[1])"
-    one = "arrays[{0}].reshape((-1,) + arrays[{0}].shape[2:])".format
-    return eval(f"lambda teams, arrays: ({robots}, ({', '.join(map(one, range(len(arrays))))},))")
+    return (part[0] * n, part[1] * n), tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])
 
 
 @inner_kernel(inline="text")
 def lanes_of(work):
-    """The Lanes whose rows, (18 + 2·rows, LANES) of any unit, these are."""
+    """The Lanes whose rows, (18, LANES), these are."""
     vectors = work[0:3], work[3:6], work[6:9], work[9:12]
     return Lanes(*vectors, work[12], work[13], work[14], work[15], work[16], work[17])
 
@@ -102,59 +93,35 @@ def tell(lanes, first, stop, values):
 
 
 @inner_kernel(slp=True)
-def _sum_in_plane(observations, neighbour_slots, f):
-    """f_i = Σ_j a_ij g_ij, as ``net_bearing_of``, from rows (N, rows, 2), m/s, into f (2, N)."""
+def sum_rows(axes, observations, neighbour_slots, f):
+    """f_i = Σ_j a_ij g_ij of robots, from rows (N, rows, d), m/s, N ≤ LANES, into f (3, LANES)."""
     for lane in range(len(observations)):
         rows = observations[lane]
-        x, y = 0.0, 0.0
-        for k in range(neighbour_slots):
-            row = load_pair(rows[k])
-            x, y = x + row[0], y + row[1]
-        f[0, lane], f[1, lane] = x, y
+        if len(axes) == 2:
+            x, y = 0.0, 0.0
+            for k in range(neighbour_slots):
+                row = load_pair(rows[k])
+                x, y = x + row[0], y + row[1]
+            f[0, lane], f[1, lane] = x, y
+        else:
+            write(net_bearing_of(rows, neighbour_slots), f, lane)
 
 
-@inner_kernel(inline="code")
-def read_rows(axes, observations, first, stop, neighbour_slots, weighs, work):
-    """What robots first ≤ i < stop see in rows (N, rows, d), m/s: f_i = Σ_j a_ij g_ij, and D_i =
-    Σ_j a_ij if ``weighs``.
-    """
-    lanes = lanes_of(work)
-    if weighs:
-        room = work[_ROWS:].reshape(-1).view(np.float32)[: neighbour_slots * LANES * len(axes)]
-        rows = room.reshape(neighbour_slots, LANES * len(axes))
-        _weigh_rows(axes, observations[first:stop], rows, lanes)
-        return
-    lanes.degree[:] = 0.0
-    if len(axes) == 2:
-        _sum_in_plane(observations[first:stop], neighbour_slots, lanes.f)
-    else:
-        for lane in range(min(LANES, stop - first)):
-            write(net_bearing_of(observations[first + lane], neighbour_slots), lanes.f, lane)
-
-
-@inner_kernel(inline="code")
-def _weigh_rows(axes, observations, rows, lanes):
-    """f_i and D_i by way of neighbour rows (K, LANES·d) side by side, where roots are quicker."""
-    if len(axes) == 2:  # both numbers of a row in one piece
-        _bring(observations.view(np.float64), rows.view(np.float64), 1)
-    else:
-        _bring(observations, rows, 3)
-    lanes.f[:] = 0.0
-    lanes.degree[:] = 0.0
+@inner_kernel
+def weigh_rows(axes, observations, neighbour_slots, room, f, degree):
+    """As ``sum_rows``, and D_i = Σ_j a_ij into degree (LANES,), by way of rows side by side."""
+    rows, d = room[:neighbour_slots], len(axes)
+    for lane in range(len(observations)):
+        for k in range(len(rows)):
+            for part in range(d):
+                rows[k, lane * d + part] = observations[lane, k, part]
+    f[:] = 0.0
+    degree[:] = 0.0
     for k in range(len(rows)):
         for lane in range(LANES):
             row = exactly(read_row(rows[k], lane, axes))
-            write(combine(1.0, read(lanes.f, lane, axes), 1.0, row), lanes.f, lane)
-            lanes.degree[lane] += norm(row)
-
-
-@inner_kernel(inline="code")
-def _bring(observations, rows, parts):
-    """Copy rows (N, K, parts) into those of lanes, (K, LANES·parts)."""
-    for lane in range(len(observations)):
-        for k in range(len(rows)):
-            for part in range(parts):
-                rows[k, lane * parts + part] = observations[lane, k, part]
+            write(combine(1.0, read(f, lane, axes), 1.0, row), f, lane)
+            degree[lane] += norm(row)
 
 
 @inner_kernel(inline="code")

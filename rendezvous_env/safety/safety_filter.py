@@ -1,10 +1,11 @@
-"""What stands between a policy and its robots: choices held, frames to look along, filters by name.
+"""Safety filters: held choices, frames of observation, registration by name.
 
-Everything here comes from the robots' own observations: no position, no global frame.
+Filters use the robots' own observations only: no position, no global frame.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from functools import cached_property, partial
 from typing import Any
@@ -16,12 +17,12 @@ from ..checks import bools, choice, floats, refuse, whole
 from ..compilation import entry_point, kernel
 from ..engine import threads
 from ..engine.state_checks import Remembering, check_actions, check_observations, check_rotations
-from ..engine.threads import Calls, Part
+from ..engine.threads import Calls, Slice
 from ..limits import MOST_TEAMS
 from ..physics.vectors import dot, load
 from ..scenario.scenario import Scenario
 from .frames import FRAMES, look_along_net_bearing
-from .robot_lanes import room_for
+from .robot_lanes import by_robot, room_for
 from .turning import robot_of
 
 Float32 = NDArray[np.float32]
@@ -32,27 +33,30 @@ FILTERS: dict[str, type[SafetyFilter]] = {}
 
 
 def over_teams(
-    calls_of: Callable[[Part], Calls], num_envs: int, n_robots: int, num_threads: int | None
+    calls_of: Callable[[Slice], Calls], num_envs: int, n_robots: int, num_threads: int | None
 ) -> None:
     """Let up to ``num_threads`` threads make the calls for the teams of a batch; None is one for
     each core.
     """
     most = num_envs * n_robots // _ROBOTS_PER_THREAD
     if most > 1:  # to ask how many cores there are takes a while
-        most = min(most, threads.most_threads(num_threads))
+        most = min(most, threads.max_threads(num_threads))
     threads.share(calls_of, num_envs, max(1, most))
 
 
 _entry_points: dict[tuple[Any, type, np.dtype[Any], int], Callable[..., Any]] = {}
 
 
-def over_robots(kernel: Any, teams: Part, constants: Any, *arrays: NDArray[Any]) -> Calls:
-    """The call of a kernel for the robots of some teams: it is given axes, (0, 1) or (0, 1, 2), the
-    teams, constants, arrays (B, n, ...), any unit, the first of which is observations, as
-    ``by_robot`` takes them, and memory for ``lanes_of`` and rows.
+def over_robots(kernel: Any, part: Slice, constants: Any, *arrays: NDArray[Any]) -> Calls:
+    """The call of a kernel for the robots of a slice.
+
+    Its arguments are axes, (0, 1) or (0, 1, 2), the range of robots, constants, arrays (B·n, ...)
+    made of ``arrays`` (B, n, ...), the first of which is observations, and memory for ``lanes_of``
+    and rows.
     """
     rows, d = arrays[0].shape[2:]
-    arguments = (0, 1, 2)[:d], teams, constants, arrays, room_for(rows)
+    robots, flat = by_robot(part, arrays)
+    arguments = (0, 1, 2)[:d], robots, constants, flat, room_for(rows, d)
     kind = kernel, type(constants), arrays[0].dtype, d  # all other types follow from these
     if (run := _entry_points.get(kind)) is None:
         run = _entry_points[kind] = entry_point(kernel, arguments)
@@ -94,27 +98,51 @@ def check_inputs(scenario: Scenario, theorem: str, *, bodies: bool = False) -> N
     )
 
 
-class SafetyFilter(Remembering):
-    """What the policies of B teams chose, held, and what the robots do because of it.
+_RENAMED = {
+    "act": "compute",
+    "act_of": "apply_calls",
+    "book": "update",
+    "book_of": "update_calls",
+    "keeps_ledger": "uses_feedback",
+    "leads": "supports_multi_step",
+    "of_actions": "action_diagnostics",
+    "told": "diagnostics",
+    "view": "observe",
+    "view_of": "observe_calls",
+}
+"""Deprecated names of attributes of filters → their new names."""
 
-    A subclass says what that is (``act``) and what more is remembered (``_memory``). Its
-    constructor takes ``(scenario, num_envs, *, num_threads=None, …)``, the rest being its settings
-    by name, of which a ValueError names the one that is wrong; ``register_filter`` gives it a name.
+
+class SafetyFilter(Remembering):
+    """Turns the choices of the policies of B environments into actions that keep a promise.
+
+        actions = safety_filter.apply(safety_filter.observe(observations), choices)
+        ... step the environments ...
+        safety_filter.update(contact, merged_into)         # if safety_filter.uses_feedback
+
+    Choices are held until the next ones; ``apply`` without choices uses them again. A subclass
+    writes ``compute``, in NumPy, or ``apply_calls``, compiled; and adds to ``_memory`` and
+    ``diagnostics``. Its constructor takes ``(scenario, num_envs, *, num_threads=None, …)``, the
+    rest being its settings by name, of which a ValueError names the one that is wrong;
+    ``register_filter`` gives it a name.
+
+    The methods ``observe_calls``, ``apply_calls`` and ``update_calls`` are those of the same name
+    for the environments of one slice, unchecked: calls of compiled code, which threads make.
 
     Args:
-        scenario: whose robots they are.
+        scenario: the scenario of the environments.
         num_envs: B.
-        action_size: numbers that a policy chooses for a robot.
+        action_size: k, the number of numbers in the choice of a robot.
         frame: "net_bearing" (x along f; single integrators only, the other models keep the body
             frame) or "local".
-        num_threads: most threads that may be used; None is one for each core.
+        num_threads: maximum number of threads; None is one per core.
     """
 
     chooses_vectors = True  # whether a choice is a vector, which turns with the frame it is seen in
     lowest_choice = -1.0  # the least that each number of a choice can be; the most is 1
-    keeps_ledger = False  # whether ``book`` is to be called after every step
+    uses_feedback = False  # whether ``update`` has to be called after every step
     state_key = "filter"  # what its memory is called in a wrapper's state
-    observes_level = False  # whether ``view`` adds one row, the level of a robot's own tank
+    observes_level = False  # whether ``observe`` adds one row, the level of a robot's own tank
 
     def __init__(
         self,
@@ -140,16 +168,23 @@ class SafetyFilter(Remembering):
         self.alignment = np.full((num_envs, n), np.nan)
         self.lyapunov_rate = np.zeros((num_envs, n))
 
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Take the old names of what a subclass overrides for the new ones."""
+        super().__init_subclass__(**kwargs)
+        for old in _RENAMED.keys() & vars(cls).keys():
+            _warn_renamed(f"{cls.__name__}.{old}", _RENAMED[old])
+            setattr(cls, _RENAMED[old], vars(cls)[old])
+
     @property
-    def told(self) -> dict[str, NDArray[Any]]:
-        """What there is to tell of the last step, (B, n) each; not copied."""
+    def diagnostics(self) -> dict[str, NDArray[Any]]:
+        """Values of the last step for the infos, by key, (B, n) each; not copied."""
         return {"alignment": self.alignment, "lyapunov_rate": self.lyapunov_rate}
 
     @property
-    def of_actions(self) -> list[NDArray[Any]]:
-        """What is told of actions: all but what is remembered."""
+    def action_diagnostics(self) -> list[NDArray[Any]]:
+        """The diagnostics that describe actions: all that are no memory."""
         remembered = list(map(id, self._memory.values()))
-        return [values for values in self.told.values() if id(values) not in remembered]
+        return [values for values in self.diagnostics.values() if id(values) not in remembered]
 
     @property
     def _memory(self) -> dict[str, NDArray[np.float64]]:
@@ -161,29 +196,29 @@ class SafetyFilter(Remembering):
         self._frames[which] = np.eye(self.scenario.dim)
         self.alignment[which], self.lyapunov_rate[which] = np.nan, 0.0
 
-    def view(self, observations: Float32) -> Float32:
-        """Observations (B, n, rows, d) as the policy sees them, with x along f where that is asked
-        for; brings the frames up to date. Refuses another shape or type in a ValueError.
+    def observe(self, observations: Float32) -> Float32:
+        """Observations (B, n, rows, d) as the policy sees them, with x along f for that frame; the
+        frames are updated. A ValueError for another shape or type.
         """
         observations = check_observations(observations, self._seen)
         if (shown := self.new_view(observations.dtype)) is None:
             return observations
-        over_teams(lambda teams: self.view_of(teams, observations, shown), *self._batch)
+        over_teams(lambda part: self.observe_calls(part, observations, shown), *self._batch)
         return shown
 
     def new_view(self, dtype: DTypeLike = np.float32) -> Float32 | None:
-        """Memory for ``view_of``; None if the policy is shown observations as they are."""
+        """Memory for ``observe_calls``; None if the policy sees observations as they are."""
         if not (self.along_net_bearing or self.observes_level):
             return None
         num_envs, n, rows, d = self._seen
         return np.empty((num_envs, n, rows + self.observes_level, d), dtype)
 
-    def view_of(self, teams: Part, observations: Float32, shown: Float32) -> Calls:
-        """What does as ``view``, of some teams and unchecked."""
+    def observe_calls(self, part: Slice, observations: Float32, shown: Float32) -> Calls:
+        """As ``observe``, into memory of ``new_view``, for a slice."""
         if self.along_net_bearing:
             arrays = observations, self._frames, shown
-            return over_robots(look_along_net_bearing, teams, self._robot, *arrays)
-        mine = slice(*teams[:2])
+            return over_robots(look_along_net_bearing, part, self._robot, *arrays)
+        mine = slice(*part[:2])
         return [partial(np.copyto, shown[mine, :, : self._seen[2]], observations[mine])]
 
     @property
@@ -203,39 +238,58 @@ class SafetyFilter(Remembering):
         else:
             self._held[...] = given
 
-    def act(self, observations: Float32, elapsed: float | None = None) -> Float32:
-        """Actions for the base environment, (B, n, a) float32, from observations (B, n, rows, d) in
-        the robots' own frames, rounded to float32; zero for robots that see no neighbour. Sets what
-        is ``told``. ``elapsed``, s since the actions before, is how long a heading may have turned;
-        None is τ.
+    def apply(
+        self,
+        observations: Float32,
+        choices: ArrayLike | None = None,
+        *,
+        elapsed: float | None = None,
+    ) -> Float32:
+        """Actions for the base environment; updates the ``diagnostics``.
+
+        Args:
+            observations: (B, n, rows, d), in the robots' own frames.
+            choices: (B, n, k), as ``hold`` takes them; None keeps those that are held.
+            elapsed: time since the last actions, s, in which a heading may turn; None is τ.
+
+        Returns:
+            Actions (B, n, a), float32; zero for robots without neighbours in sight.
         """
+        if choices is not None:
+            self.hold(choices)
+        if elapsed is None:
+            return self.compute(observations)
+        return self.compute(observations, elapsed)
+
+    def compute(self, observations: Float32, elapsed: float | None = None) -> Float32:
+        """Actions (B, n, a) under the choices ``held``; called by ``apply``, to be overridden."""
         seen = check_observations(observations, self._seen)
         observations = np.ascontiguousarray(seen, np.float32)
         actions = np.zeros(self._acted, dtype=np.float32)
-        over_teams(lambda teams: self.act_of(teams, observations, actions, elapsed), *self._batch)
+        over_teams(
+            lambda part: self.apply_calls(part, observations, actions, elapsed), *self._batch
+        )
         return actions
 
-    def act_of(
-        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
+    def apply_calls(
+        self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
-        """What does as ``act``, written for some teams, from the first of a part to before its
-        second.
-        """
-        raise NotImplementedError(f"{type(self).__name__} needs act(observations) → actions")
+        """As ``compute``, into ``actions``, for a slice."""
+        raise NotImplementedError(f"{type(self).__name__} needs compute(observations) → actions")
 
-    def book(
+    def update(
         self,
         contact: ArrayLike | None = None,
         merged_into: ArrayLike | None = None,
         resting: ArrayLike | None = None,
     ) -> None:
-        """Learn how the step went in which the actions last given were held; see ``keeps_ledger``.
-        What no step can have been is refused in a ValueError, and nothing has changed.
+        """Record the outcome of the step under the last actions; see ``uses_feedback``. A
+        ValueError for an impossible outcome changes nothing.
 
         Args:
-            contact: (B, n) bool, whether the robot touched an obstacle; None is nobody.
-            merged_into: (B, n) int, the robot that each one is now part of; None: nobody knows.
-            resting: (B,) bool, teams that the step passed by; None is no team.
+            contact: (B, n) bool, whether the robot was in contact with an obstacle; None is False.
+            merged_into: (B, n) int, the robot that each one is part of now; None is itself.
+            resting: (B,) bool, environments that did not step; None is False.
         """
         team = self._held.shape[:2]
         contact = np.zeros(team, np.bool_) if contact is None else contact
@@ -249,26 +303,45 @@ class SafetyFilter(Remembering):
         if robots.min() < 0 or robots.max() >= team[1]:
             refuse("merged_into", merged_into, f"indices of robots, from 0 to {team[1] - 1}")
         merged = np.ascontiguousarray(robots, np.int64)
-        for call in self.book_of((0, *team), touched, merged, passed):
-            call()
+        for one in self.update_calls((0, *team), touched, merged, passed):
+            one()
 
-    def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> Calls:
-        """What does as ``book``, of some teams and unchecked."""
+    def update_calls(self, part: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:
+        """As ``update``, unchecked, for a slice."""
         return ()
 
     @cached_property
-    def leads(self) -> bool:
-        """Whether ``act``, ``book`` and ``view`` are those above, so that a thread can lead its
-        teams through many steps without waiting for the others (``Simulator.drive``).
+    def supports_multi_step(self) -> bool:
+        """Whether ``apply``, ``compute``, ``observe`` and ``update`` are those above, so that a
+        thread can take its slice through many steps without waiting (``Simulator.drive``).
         """
-        own, base = type(self), SafetyFilter
-        return all(getattr(own, name) is getattr(base, name) for name in ("act", "book", "view"))
+        own, names = type(self), ("apply", "compute", "observe", "update")
+        return all(getattr(own, name) is getattr(SafetyFilter, name) for name in names)
 
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
         """As ``Remembering.check_state``; frames are rotations."""
         checked = super().check_state(state)
         check_rotations(checked, np.ones(len(self._held), np.bool_), _ROUNDING)
         return checked
+
+
+def _warn_renamed(old: str, new: str) -> None:
+    warnings.warn(f"{old} is called {new} now", DeprecationWarning, stacklevel=3)
+
+
+def _alias(old: str, new: str) -> property:
+    """The attribute of a new name under its old name, for ``super()`` too."""
+
+    def read(self: SafetyFilter) -> Any:
+        _warn_renamed(f"SafetyFilter.{old}", "apply" if old == "act" else new)
+        kinds = [kind for kind in type(self).__mro__ if old in vars(kind)]
+        return getattr(super(kinds[-2], self) if len(kinds) > 1 else self, new)
+
+    return property(read, doc=f"Deprecated: ``{new}``.")
+
+
+for _old, _new in _RENAMED.items():
+    setattr(SafetyFilter, _old, _alias(_old, _new))
 
 
 def register_filter(name: str, safety_filter: type[SafetyFilter]) -> None:

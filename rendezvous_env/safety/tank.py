@@ -14,20 +14,20 @@ from ..checks import flag, number
 from ..compilation import inner_kernel, kernel
 from ..engine.memory import read, write
 from ..engine.state_checks import refuse_first
-from ..engine.threads import Calls, Part
+from ..engine.threads import Calls, Slice
 from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import dot, norm, rounded, scaled, split
 from ..robots.single_integrator import limit_factor, speed_scale
 from ..robots.unicycle import clip
 from ..scenario.scenario import Scenario
 from .heading import into_cap, scale_of_step, without_error
-from .robot_lanes import LANES, by_robot, lanes_of, read_rows, report, take_in, tell
+from .robot_lanes import LANES, lanes_of, report, take_in, tell, weigh_rows
 from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
 from .settings import TANK_MARGIN, check_margin, levels_follow_v
 from .turning import desired_rates, gated_rates, pitch_of, rates_of, robot_of, turn
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def descent_scale(strength, degree, merge_radius, duration, speed_limit):
     """Factor min(1, r/(2 D τ), v_max/‖f‖) on f with which a step is sure to let V fall, a number
     without unit (theorem D), of ‖f‖, D > 0 and v_max, m/s, r, m, and τ, s.
@@ -36,7 +36,7 @@ def descent_scale(strength, degree, merge_radius, duration, speed_limit):
     return min(scale_of_step(degree, merge_radius, duration), unhurried)
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def certain_descent(net_bearing, degree, displacement, merge_radius, error=0.0):
     """2 f·Δ − (2/r) D ‖Δ‖² − 2 e ‖Δ‖, a number, m²/s: summed over the robots V falls by so much in
     a step that begins with neighbours r or more apart (theorem D).
@@ -46,7 +46,7 @@ def certain_descent(net_bearing, degree, displacement, merge_radius, error=0.0):
     return sure - 2.0 * error * norm(displacement) if error > 0.0 else sure
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def promised_descent(strength, scale, min_alignment, duration, error=0.0):
     """ε² τ s ‖f‖², with errors τ s max(0, ε ‖f‖ − e)²: what a robot owes in every step, so that all
     meet in finite time, a number, m²/s (theorem D).
@@ -57,7 +57,7 @@ def promised_descent(strength, scale, min_alignment, duration, error=0.0):
     return min_alignment * min_alignment * duration * scale * strength * strength
 
 
-@kernel(inline="code")
+@inner_kernel(inline="code")
 def descending_velocity(wanted, net_bearing, scale, min_alignment, error=0.0):
     """Law (4) along the wanted line, which earns at least what is owed, a pair or triple, m/s.
 
@@ -74,20 +74,21 @@ def descending_velocity(wanted, net_bearing, scale, min_alignment, error=0.0):
 
 
 @kernel
-def _spend(axes, teams, robot, arrays, work):
+def _spend(axes, robots, robot, arrays, work):
     """Actions of robots that go anywhere, carried out where A + G(Δ) ≥ 0, and what is told of them
     (theorem D). Those that see nobody rest, and owe nothing.
     """
-    if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
+    numbers, room = work
+    if numbers.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
         return
-    robots, flat = by_robot(teams, arrays)
-    observations, held, levels, actions, linked, deposits, carried_out = flat[:7]
-    alignment, lyapunov_rate = flat[7:]
-    lanes, limit, radius = lanes_of(work), robot.speed_limit, robot.merge_radius
+    observations, held, levels, actions, linked, deposits, carried_out = arrays[:7]
+    alignment, lyapunov_rate = arrays[7:]
+    lanes, limit, radius = lanes_of(numbers), robot.speed_limit, robot.merge_radius
     margin, duration = robot.gate.min_alignment, robot.gate.duration
     for first in range(robots[0], robots[1], LANES):
         stop = min(first + LANES, robots[1])
-        read_rows(axes, observations, first, stop, robot.neighbour_slots, True, work)
+        rows = observations[first:stop]
+        weigh_rows(axes, rows, robot.neighbour_slots, room, lanes.f, lanes.degree)
         take_in(axes, held, first, stop, lanes.choice)
         level = levels[first:stop]
         for lane in range(len(level)):
@@ -137,11 +138,10 @@ def _moved(sent, limit, duration):
 
 
 @kernel
-def _spend_bodies(axes, teams, robot, arrays, work):
+def _spend_bodies(axes, robots, robot, arrays, work):
     """As ``_spend``, for nonholonomic robots, in their body frames."""
-    robots, flat = by_robot(teams, arrays)
-    observations, held, levels, actions, linked, deposits, carried_out = flat[:7]
-    alignment, lyapunov_rate = flat[7:]
+    observations, held, levels, actions, linked, deposits, carried_out = arrays[:7]
+    alignment, lyapunov_rate = arrays[7:]
     limit, radius, gate = robot.speed_limit, robot.merge_radius, robot.gate
     for i in range(robots[0], robots[1]):
         deposits[i], carried_out[i] = 0.0, False
@@ -236,18 +236,18 @@ class EnergyTank(SafetyFilter):
     A desired velocity is carried out where A + G ≥ 0, else law (4) along it; G is that of actions
     as they are sent, in float32. Nonholonomic robots keep the account without the term ε²; with an
     empty tank they turn through the gate and drive with v = s mᵀf. A policy, which learns of
-    neither contacts nor merges, calls ``book()`` bare after each ``act``.
+    neither contacts nor merges, calls ``update()`` without arguments after each ``apply``.
 
     Args:
         scenario, num_envs, frame, num_threads: as ``SafetyFilter``.
         budget: B_i, the level of every robot's tank at the start of an episode, m²/s.
         min_alignment: ε, at least 10⁻⁶ and less than 1.
-        observe_level: whether ``view`` shows one row more, (A/(r D̄), 0, …).
+        observe_level: whether ``observe`` shows one row more, (A/(r D̄), 0, …).
         bearing_error: η, rad: the account stays right while no bearing is wrong by more.
     """
 
     state_key = "tank"
-    keeps_ledger = True
+    uses_feedback = True
 
     def __init__(
         self,
@@ -283,9 +283,9 @@ class EnergyTank(SafetyFilter):
         return self._levels / unit_of_tanks(self.scenario)
 
     @property
-    def told(self) -> dict[str, NDArray[Any]]:
-        """What there is to tell of the last step, (B, n) each; not copied."""
-        return {"tank": self._levels, "carried_out": self.carried_out, **super().told}
+    def diagnostics(self) -> dict[str, NDArray[Any]]:
+        """As ``SafetyFilter.diagnostics``."""
+        return {"tank": self._levels, "carried_out": self.carried_out, **super().diagnostics}
 
     @property
     def _memory(self) -> dict[str, NDArray[np.float64]]:
@@ -296,9 +296,9 @@ class EnergyTank(SafetyFilter):
         self._levels[which], self._deposits[which] = self.budget, 0.0
         self._linked[which] = self.carried_out[which] = False
 
-    def view_of(self, teams: Part, observations: Float32, shown: Float32) -> Calls:
-        """As ``SafetyFilter.view_of``; the row of the level last."""
-        calls, mine = super().view_of(teams, observations, shown), slice(*teams[:2])
+    def observe_calls(self, part: Slice, observations: Float32, shown: Float32) -> Calls:
+        """As ``SafetyFilter.observe_calls``; the row of the level last."""
+        calls, mine = super().observe_calls(part, observations, shown), slice(*part[:2])
         return [*calls, partial(self._show_levels, mine, shown)] if self.observes_level else calls
 
     def _show_levels(self, mine: slice, shown: Float32) -> None:
@@ -306,20 +306,20 @@ class EnergyTank(SafetyFilter):
         shown[mine, :, -1] = 0.0
         shown[mine, :, -1, 0] = np.minimum(levels, _LARGEST)
 
-    def act_of(
-        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
+    def apply_calls(
+        self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
-        """As ``SafetyFilter.act_of``; what the step earns waits for ``book``."""
+        """As ``SafetyFilter.apply_calls``; what the step earns waits for ``update``."""
         act = _spend_bodies if self.turns_body else _spend
         told = self._deposits, self.carried_out, self.alignment, self.lyapunov_rate
         memory = self._held, self._levels, actions, self._linked
-        return over_robots(act, teams, self._robot, observations, *memory, *told)
+        return over_robots(act, part, self._robot, observations, *memory, *told)
 
-    def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> Calls:
-        """As ``SafetyFilter.book_of``; a step that a merge cuts short books as commanded."""
+    def update_calls(self, part: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:
+        """As ``SafetyFilter.update_calls``; a step that a merge cuts short books as commanded."""
         account = self._levels, self._deposits, self._linked
         step = contact, merged_into, resting
-        return [partial(_book, teams, *account, *step, self._follow_v)]
+        return [partial(_book, part, *account, *step, self._follow_v)]
 
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
         """As ``SafetyFilter.check_state``; no level is below zero."""

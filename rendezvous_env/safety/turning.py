@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..compilation import kernel
+from ..compilation import inner_kernel, kernel
 from ..physics.vectors import dot, load
 from ..robots.nonholonomic_3d import arc_3d
 from ..robots.unicycle import clip, mean_cos_sin
@@ -80,7 +80,7 @@ def robot_of(
     )
 
 
-@kernel
+@inner_kernel
 def gated_rates(requested, net_bearing, pitch, gate):
     """Turn rates with which a nonholonomic robot cannot stay orthogonal to f, a triple, m/s.
 
@@ -102,7 +102,7 @@ def gated_rates(requested, net_bearing, pitch, gate):
     return clip(net_bearing[1], min(gate.yaw_limit, left / gate.duration)), 0.0
 
 
-@kernel
+@inner_kernel
 def rates_onto_line(net_bearing, pitch, gate):
     """Yaw and pitch rates, a pair, rad/s, that bring the body axis h onto the line of f, m/s, in
     this step if they may: ω_α = ψ/τ, ω_β = (β* − β)/τ (docs/proofs.md, T). The meridian of h holds
@@ -116,14 +116,14 @@ def rates_onto_line(net_bearing, pitch, gate):
     return clip(yaw / gate.duration, gate.yaw_limit), clip(rise / gate.duration, gate.pitch_limit)
 
 
-@kernel
+@inner_kernel
 def _levelled(vector, pitch):
     """A triple of the body frame in the frame of the same yaw that is level."""
     c, s = math.cos(pitch), math.sin(pitch)
     return c * vector[0] - s * vector[2], vector[1], s * vector[0] + c * vector[2]
 
 
-@kernel
+@inner_kernel
 def rates_towards(wanted, pitch, gate):
     """Turn rates ω = ψ/τ, in 3-D (ψ, β* − β)/τ scaled together, a pair, rad/s, that bring the body
     axis h to a direction, of any length but 0, in this step if their limits allow it, and never
@@ -140,7 +140,7 @@ def rates_towards(wanted, pitch, gate):
     return yaw_rate / max(steps, 1.0), pitch_rate / max(steps, 1.0)
 
 
-@kernel
+@inner_kernel
 def _in_one_go(yaw, rise, gate):
     """Turn rates that make two turns within one step, rad/s, and how many steps they take."""
     rise -= 2.0 * math.pi * round(rise / (2.0 * math.pi))
@@ -149,7 +149,7 @@ def _in_one_go(yaw, rise, gate):
     return yaw_rate, pitch_rate, max(abs(yaw_rate) / yaw_limit, abs(pitch_rate) / pitch_limit)
 
 
-@kernel
+@inner_kernel
 def mean_axis(rates, pitch, gate):
     """Mean of the body axis over a step with held turn rates, m = (1/τ) ∫ h dt (theory 4, arcs), a
     triple without unit: exactly, the displacement of eqs. (5) and (9) at unit speed.
@@ -170,7 +170,7 @@ def pitch_of(rows, gravity_row, gate):
     return math.atan2(-gravity[0], -gravity[2])
 
 
-@kernel
+@inner_kernel
 def rates_of(action, gate):
     """The turn rates |ω| ≤ limit of an action, as executed after rounding to float32, a pair,
     rad/s.
@@ -179,14 +179,14 @@ def rates_of(action, gate):
     return clip(np.float64(action[1]), gate.yaw_limit), pitch_rate
 
 
-@kernel
+@inner_kernel
 def desired_rates(shares, gate):
     """Desired turn rates from shares of their limits, a pair, rad/s: |ω| ≤ its limit."""
     pitch_rate = 0.0 if gate.planar else clip(shares[-1], 1.0) * gate.pitch_limit
     return clip(shares[0], 1.0) * gate.yaw_limit, pitch_rate
 
 
-@kernel
+@inner_kernel
 def send_rates(rates, action, gate):
     """Write a pair of turn rates, rad/s, after the speed of an action (theory 3)."""
     action[1] = rates[0]
@@ -194,7 +194,7 @@ def send_rates(rates, action, gate):
         action[2] = rates[1]
 
 
-@kernel
+@inner_kernel
 def turn(rates, pitch, action, gate):
     """``send_rates``; and m with them as they are rounded, a triple without unit (theory 4)."""
     send_rates(rates, action, gate)

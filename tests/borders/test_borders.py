@@ -86,7 +86,7 @@ def test_observations_of_another_batch_are_refused(kind, batch):
     scenario = five(kind)
     steering = HeadingFilter(scenario, TEAMS)
     seen = np.zeros((batch, 5, *scenario.observation_layout.shape), np.float32)
-    for refuse in (steering.view, steering.act):
+    for refuse in (steering.observe, steering.apply):
         with refusing(steering, r"observations have shape .*must be \(B, n, rows, d\)"):
             refuse(seen)
         with refusing(steering, "observations are int64"):

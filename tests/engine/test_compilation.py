@@ -3,6 +3,8 @@
 import gc
 import importlib
 import pkgutil
+import textwrap
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -15,7 +17,7 @@ import train
 from rendezvous_env import compilation, kernel_cache
 
 
-def test_bounds_are_checked_in_inlined_kernels_too(tmp_path):
+def test_kernel_inlined_checks_bounds(tmp_path):
     """Which count no references: an error has to get through them all the same."""
     (tmp_path / "reading.py").write_text(
         "import numpy as np\nfrom rendezvous_env.compilation import inner_kernel, kernel\n"
@@ -29,7 +31,7 @@ def test_bounds_are_checked_in_inlined_kernels_too(tmp_path):
 
 @pytest.mark.parametrize("inline", ["never", "code", "text"])
 @pytest.mark.parametrize("decorate", ["kernel", "inner_kernel"])
-def test_a_kernel_may_not_allocate(decorate, inline):
+def test_kernel_refuses_to_allocate(decorate, inline):
     @getattr(compilation, decorate)(inline=inline)
     def zeros(n):
         return np.zeros(n).sum()
@@ -42,7 +44,7 @@ def test_a_kernel_may_not_allocate(decorate, inline):
         caller(3)
 
 
-def test_an_allocating_kernel_may_allocate_and_return_arrays():
+def test_kernel_with_allocates_returns_arrays():
     assert compilation.kernel(allocates=True)(lambda n: np.zeros(n))(3).tolist() == [0.0] * 3
 
 
@@ -59,7 +61,7 @@ def all_kernels():
     return found
 
 
-def test_no_kernel_that_counts_no_references_returns_an_array():
+def test_kernel_without_reference_counts_refuses_to_return_arrays():
     """Nobody would have counted that reference: the array would be freed while it is in use. It is
     refused when it is compiled, so that this holds whether or not code was found on disk.
     """
@@ -94,7 +96,7 @@ def test_no_kernel_that_counts_no_references_returns_an_array():
     assert len(uncounted) > 100
 
 
-def test_what_only_kernels_call_is_plain_python_for_python():
+def test_inner_kernel_is_plain_python_for_python():
     @compilation.inner_kernel
     def halved(x):
         return 0.5 * x
@@ -117,27 +119,23 @@ def test_what_only_kernels_call_is_plain_python_for_python():
     assert not compilation.compiled() or not squared.overloads
 
 
-@pytest.mark.parametrize("at_work", [True, False])
-def test_the_collector_rests_while_compiling_and_slp_is_for_who_asks_for_it(at_work, monkeypatch):
-    """However deep within each other they are compiled; and no longer."""
+@pytest.mark.parametrize("enabled", [True, False])
+def test_kernel_sets_options_and_pauses_the_collector_while_it_is_compiled(enabled, monkeypatch):
+    """Of nested compilations until the outermost ends, also where it fails."""
     if not compilation.compiled():
         pytest.skip("nothing is compiled")
     monkeypatch.setattr(kernel_cache, "_folder", lambda: None)  # else they are found again
 
-    @compilation.inner_kernel
-    def loops(x):
+    @compilation.inner_kernel(slp=True)
+    def inner(x):
         return 2.0 * x
 
-    @compilation.inner_kernel(slp=True)
-    def rows(x):
-        return loops(x)
-
     @compilation.kernel
-    def around(x):
-        return rows(x) + loops(x)
+    def outer(x):
+        return inner(x) + 1.0
 
     seen = {}
-    for kernel in (loops, rows, around):
+    for kernel in (inner, outer):
 
         def compiling(*a, real=kernel._compiler.compile, name=kernel.__name__):
             made = real(*a)
@@ -145,14 +143,72 @@ def test_the_collector_rests_while_compiling_and_slp_is_for_who_asks_for_it(at_w
             return made
 
         monkeypatch.setattr(kernel._compiler, "compile", compiling)
-    was_at_work = gc.isenabled()
-    (gc.enable if at_work else gc.disable)()
+    before = gc.isenabled()
+    (gc.enable if enabled else gc.disable)()
     try:
-        assert around(3.0) == 12.0  # the inner ones end first
-        assert seen == {"loops": (False, 0), "rows": (False, 1), "around": (False, 0)}
-        assert gc.isenabled() == at_work and numba.config.SLP_VECTORIZE == 0
+        assert outer(3.0) == 7.0
+        assert seen == {"inner": (False, True), "outer": (False, False)}
+        assert gc.isenabled() == enabled and numba.config.SLP_VECTORIZE == 0
         with pytest.raises(numba.core.errors.NumbaError):
-            around("three")
-        assert gc.isenabled() == at_work
+            outer("three")
+        assert gc.isenabled() == enabled
     finally:
-        (gc.enable if was_at_work else gc.disable)()
+        (gc.enable if before else gc.disable)()
+
+
+def test_compilation_changes_nothing_of_numba_for_others(tmp_path):
+    """Numbers of functions count on, one by one; settings stay; a user's kernels are theirs."""
+    script = """
+        import numba
+        from numba.core.bytecode import FunctionIdentity
+        kept = {name: value for name, value in vars(numba.config).items() if name.isupper()}
+        import rendezvous_env
+        from rendezvous_env.physics.vectors import norm
+        norm((3.0, 4.0))
+        first, second = (FunctionIdentity.from_function(lambda: None).unique_id for _ in range(2))
+        assert second == first + 1 < 10_000
+        assert kept == {name: value for name, value in vars(numba.config).items() if name.isupper()}
+        assert type(numba.njit(lambda x: x)) is numba.core.registry.CPUDispatcher
+        print("unchanged")
+    """
+    assert python(textwrap.dedent(script), tmp_path).stdout == "unchanged\n"
+
+
+def test_kernel_is_compiled_once_for_writable_and_read_only_arrays():
+    if not compilation.compiled():
+        pytest.skip("nothing is compiled")
+
+    class Pair(NamedTuple):
+        values: np.ndarray
+        factor: float
+
+    @compilation.kernel
+    def total(x, pair):
+        return x.sum() + pair.values[0] * pair.factor
+
+    writable = np.arange(4.0)
+    frozen = writable.copy()
+    frozen.flags.writeable = False
+    for x in (writable, frozen):
+        for values in (writable, frozen):
+            assert total(x, Pair(values, 2.0)) == 6.0
+    assert total(frozen, Pair(frozen + 1.0, 1.0)) == 7.0
+    assert len(total.signatures) == 1
+
+
+def test_learned_policy_compiles_nothing_for_read_only_observations():
+    """As JAX and pandas give them."""
+    if not compilation.compiled():
+        pytest.skip("nothing is compiled")
+    scenario = rendezvous_env.scenarios.get("clutter-4")
+    observations = rendezvous_env.Simulator(scenario, 2).reset(seed=0)
+    frozen = observations.copy()
+    frozen.flags.writeable = False
+    actions = {}
+    for name, given in (("writable", observations), ("read-only", frozen)):
+        policy = baselines.make("learned", scenario)
+        before = sum(len(kernel.overloads) for kernel in all_kernels().values())
+        actions[name] = policy(given, np.zeros(2))
+        compiled = sum(len(kernel.overloads) for kernel in all_kernels().values()) - before
+    np.testing.assert_array_equal(actions["writable"], actions["read-only"])
+    assert compiled == 0

@@ -1,7 +1,9 @@
 """Where compiled kernels are kept, and when they are compiled anew."""
 
 import os
+import shutil
 import subprocess
+import sys
 import tempfile
 import textwrap
 from pathlib import Path
@@ -74,7 +76,8 @@ def python(script: str, folder: Path, **environment: str) -> subprocess.Complete
     return run_python(folder, "-c", script, **ours | environment)
 
 
-def test_code_is_kept_apart_by_what_it_was_made_from_until_nobody_has_used_it_for_long(tmp_path):
+@pytest.mark.slow
+def test_cache_keeps_code_by_its_source_and_removes_what_is_long_unused(tmp_path):
     """An edit of an inlined kernel is noticed, one of a docstring is not."""
     package(tmp_path, 0.5)
     assert call(tmp_path) == (6.0, 0, 1)
@@ -88,7 +91,7 @@ def test_code_is_kept_apart_by_what_it_was_made_from_until_nobody_has_used_it_fo
     assert call(tmp_path, NUMBA_BOUNDSCHECK="1") == (6.0, 0, 1)  # kept apart
     for file in (tmp_path / "demo" / name for name in ("inner.py", "outer.py")):
         before = file.read_text()
-        file.write_text(before.replace("@kernel", "@kernel(slp=True)"))
+        file.write_text(before.replace("@kernel", "@kernel(allocates=True)"))
         assert call(tmp_path) == (6.0, 0, 1)
         file.write_text(before)
         assert call(tmp_path) == (6.0, 1, 0)
@@ -98,7 +101,7 @@ def test_code_is_kept_apart_by_what_it_was_made_from_until_nobody_has_used_it_fo
     assert not ancient.exists()
 
 
-def test_an_edit_of_whatever_a_kernel_freezes_is_noticed(tmp_path):
+def test_cache_notices_an_edit_of_what_a_kernel_freezes(tmp_path):
     """In a cache of one's own, too."""
     package(tmp_path, 0.5)
     for way, (importing, _, asked) in WAYS.items():
@@ -118,7 +121,7 @@ def test_an_edit_of_whatever_a_kernel_freezes_is_noticed(tmp_path):
     assert list((tmp_path / "elsewhere").rglob("f-*.code"))
 
 
-def test_an_edit_of_the_environment_makes_only_what_depends_on_it_anew(monkeypatch):
+def test_cache_recompiles_only_dependants_of_an_edit(monkeypatch):
     def contents():
         kernels = random_streams.word_of, apply_noise, vectors.dot, crossings.first_crossing
         return ["".join(kernel_cache.content(kernel)) for kernel in kernels]
@@ -129,7 +132,8 @@ def test_an_edit_of_the_environment_makes_only_what_depends_on_it_anew(monkeypat
     assert changed == [True, True, False, False]
 
 
-def test_functions_of_one_name_from_two_processes_are_told_apart(tmp_path):
+@pytest.mark.slow
+def test_cache_tells_apart_functions_of_one_name_from_two_processes(tmp_path):
     """Each of these callers holds an f of its own, the first function that its process compiled."""
     (tmp_path / "closures.py").write_text(
         f"import math\n{KERNEL}def made(k):\n"
@@ -147,7 +151,7 @@ def test_functions_of_one_name_from_two_processes_are_told_apart(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_step_is_made_from_nothing_else(tmp_path):
+def test_cache_key_of_the_step_covers_all_that_is_compiled(tmp_path):
     """Whatever numba compiles for a step and a reset is among what their code is named after."""
     script = """
         import numpy as np
@@ -197,7 +201,7 @@ def own_folder(tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("own_folder")
-def test_code_for_a_type_is_made_from_the_functions_that_it_chooses(monkeypatch):
+def test_cache_key_of_a_type_covers_the_functions_that_it_chooses(monkeypatch):
     def misses():
         @compilation.kernel
         def first(x):
@@ -216,7 +220,7 @@ def test_code_for_a_type_is_made_from_the_functions_that_it_chooses(monkeypatch)
 
 
 @pytest.mark.parametrize("chosen", [False, True], ids=["folder and home", "NUMBA_CACHE_DIR"])
-def test_a_cache_that_cannot_be_written_to_gives_one_warning(tmp_path, chosen):
+def test_cache_without_a_writable_folder_warns_once(tmp_path, chosen):
     package(tmp_path, 0.5)
     file = tmp_path / "file"
     file.write_text("in the way")
@@ -224,7 +228,7 @@ def test_a_cache_that_cannot_be_written_to_gives_one_warning(tmp_path, chosen):
     places = {"HOME": str(file), "TMPDIR": str(tmp_path / "tmp")}
     places["NUMBA_CACHE_DIR"] = str(file) if chosen else ""
     script = (
-        f"{BARE}import pathlib; from rendezvous_env import kernel_cache as k; k._BESIDE = "
+        f"{BARE}import pathlib; from rendezvous_env import kernel_cache as k; k._PACKAGE = "
         f"pathlib.Path({str(file)!r}); from demo import outer, inner; print(outer.f(10.0))"
     )
     for _ in range(2):
@@ -237,7 +241,7 @@ def test_a_cache_that_cannot_be_written_to_gives_one_warning(tmp_path, chosen):
     assert found.stdout.split() == ["6.0"] and "made anew each time" in found.stderr
 
 
-def test_a_temporary_folder_of_somebody_else_is_not_trusted(tmp_path, monkeypatch):
+def test_cache_does_not_use_a_temporary_folder_that_others_can_write_to(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     temporary = kernel_cache._temporary
     own = temporary().parent
@@ -247,7 +251,7 @@ def test_a_temporary_folder_of_somebody_else_is_not_trusted(tmp_path, monkeypatc
     assert other != own and other.parent == tmp_path and not other.stat().st_mode & 0o77
 
 
-def test_damaged_code_is_compiled_anew(own_folder):
+def test_cache_recompiles_damaged_code(own_folder):
     """Machine code with one bit flipped would end the process, so it is not given to it."""
 
     def misses():
@@ -267,3 +271,114 @@ def test_damaged_code_is_compiled_anew(own_folder):
         file.write_bytes(kinds.get(damage, bytes(content)))
         assert misses() == 1
     assert misses() == 0  # and kept
+
+
+def test_cache_compiles_once_in_processes_that_start_together(tmp_path):
+    """The others wait for the code of the first."""
+    package(tmp_path, 0.5)
+    slow = (
+        "def half(x):\n    for k in range(3):\n        x = x + k\n    return {factor} * (x - 3.0)\n"
+    )
+    (tmp_path / "demo" / "inner.py").write_text(KERNEL + "@kernel\n" + slow.format(factor=0.5))
+    script = (
+        f"{BARE}import sys; from demo.outer import f; from demo.inner import half; print('ready', "
+        "flush=True); sys.stdin.readline(); print(f(10.0), sum(f.stats.cache_misses.values()), "
+        "sum(half.stats.cache_misses.values()))"
+    )
+    ours = {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}", "NUMBA_CACHE_DIR": str(tmp_path)}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    command = [sys.executable, "-c", script]
+    started = [subprocess.Popen(command, env=os.environ | ours, **pipes) for _ in range(3)]
+    for process in started:
+        assert process.stdout.readline() == "ready\n"
+    for process in started:
+        process.stdin.write("go\n")
+        process.stdin.flush()
+    found = [process.communicate(timeout=120)[0].split() for process in started]
+    assert {value for value, *_ in found} == {"6.0"}
+    assert sum(int(misses) for _, misses, _ in found) == 1
+    assert sum(int(misses) for *_, misses in found) == 1
+    assert not list((tmp_path / "kernels").glob("*.lock"))
+
+
+EDITS = {
+    "physics": (
+        "physics/potential.py",
+        "return gain / distance if",
+        "return 1.01 * gain / distance if",
+        "{}",
+    ),
+    "robot model": (
+        "robots/unicycle.py",
+        "return distance * mean_cos, distance * mean_sin",
+        "return 0.9 * distance * mean_cos, distance * mean_sin",
+        "{'robot_model': 'unicycle'}",
+    ),
+    "reward term": (
+        "rewards/terms.py",
+        "return reward + weights[3] if met",
+        "return 2.0 * reward + weights[3] if met",
+        "{}",
+    ),
+    "sensor": (
+        "sensors/chance.py",
+        "return -z if word & _ONE_BIT else z",
+        "return z if word & _ONE_BIT else -z",
+        "{'sensing': rv.Sensing(noise=0.1)}",
+    ),
+    "graph": (
+        "graphs/random_graphs.py",
+        "weights[e] *= low + (high - low) * share",
+        "weights[e] *= high - (high - low) * share",
+        "{'graph': {'kind': 'random_tree', 'weight_range': [0.5, 2.0]}}",
+    ),
+    "shape": (
+        "obstacles/disc.py",
+        "return c * x - s * y, s * x + c * y, c * x + s * y",
+        "return c * x + s * y, s * x + c * y, c * x + s * y",
+        "{'obstacles': [rv.Disc((6.0, 0.0), 1.0)], 'spawn_size': 4.0}",
+    ),
+}
+"""File, text, edited text, and fields of a scenario that shows the edit."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", EDITS)
+def test_cache_notices_an_edit_of_each_kind(kind, tmp_path):
+    """The numbers change; of the kernels in use most are found on disk again."""
+    file, text, edited, fields = EDITS[kind]
+    shutil.copytree(ROOT / "rendezvous_env", tmp_path / "rendezvous_env")
+    script = f"""
+        import hashlib
+        import numpy as np
+        from rendezvous_env.kernel_cache import KernelCache
+        load, found = KernelCache.load_overload, []
+        def noted(cache, *arguments):
+            code = load(cache, *arguments)
+            found.append(code is not None)
+            return code
+        KernelCache.load_overload = noted
+        import rendezvous_env as rv
+        simulator = rv.Simulator(rv.Scenario(n_robots=4, **{fields}), 2)
+        seen = [simulator.reset(seed=0)]
+        for _ in range(3):
+            step = simulator.step(np.full((2, 4, simulator.scenario.action_size), 0.3, np.float32))
+            seen += [step.observations, step.rewards, simulator.positions]
+        text = b"".join(np.ascontiguousarray(array).tobytes() for array in seen)
+        print(hashlib.sha256(text).hexdigest(), len(found), found.count(False))
+    """
+    ours = {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": os.environ.get("NUMBA_CACHE_DIR", "")}
+
+    def run():
+        found = run_python(tmp_path, "-c", textwrap.dedent(script), **ours)
+        digest, kernels, misses = found.stdout.split()
+        return digest, int(kernels), int(misses)
+
+    before, _, _ = run()
+    assert run()[::2] == (before, 0)
+    source = tmp_path / "rendezvous_env" / file
+    assert source.read_text().count(text) == 1
+    source.write_text(source.read_text().replace(text, edited))
+    after, kernels, misses = run()
+    assert after != before
+    assert 0 < misses < (kernels if kind == "physics" else 0.5 * kernels)

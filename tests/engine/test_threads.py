@@ -1,4 +1,4 @@
-"""Kernels on several threads: slices of the batch, what interrupts them, how many are quicker."""
+"""Threads: slices of a batch, interrupts, and the number of threads."""
 
 import gc
 import multiprocessing
@@ -11,7 +11,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from itertools import islice
-from queue import SimpleQueue
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ import rendezvous_env as rv
 from rendezvous_env import Simulator
 from rendezvous_env.compilation import kernel
 from rendezvous_env.engine import batch_runner, threads
-from rendezvous_env.engine.pace import Pace
+from rendezvous_env.engine.thread_tuner import ThreadTuner
 from rendezvous_env.safety import safety_filter as teams
 from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper
 
@@ -49,22 +48,24 @@ def python(marks, work=0):
 KINDS = pytest.mark.parametrize("kind", [kernels, python])
 
 
-def marked(blocks, most, work=0, kind=kernels, ahead=0.0):
+def marked(blocks, most, work=0, kind=kernels, head_start=0.0):
     marks = np.zeros(blocks)
-    threads.share(kind(marks, work), blocks, most, ahead)
+    threads.share(kind(marks, work), blocks, most, head_start)
     return marks
 
 
 @KINDS
 @pytest.mark.parametrize("most", [1, 2, 4])
 @pytest.mark.parametrize("blocks", [0, 1, 2, 7, 1000])
-def test_every_block_is_done_once(blocks, most, kind):
-    for ahead in (0.0, 0.1, 1.0):
+def test_share_runs_every_block_once(blocks, most, kind):
+    for head_start in (0.0, 0.1, 1.0):
         for _ in range(20):
-            np.testing.assert_array_equal(marked(blocks, most, kind=kind, ahead=ahead), 1.0)
+            np.testing.assert_array_equal(
+                marked(blocks, most, kind=kind, head_start=head_start), 1.0
+            )
 
 
-def test_the_caller_takes_the_larger_part_of_what_are_calls_of_kernels_alone():
+def test_share_gives_the_caller_the_larger_slice_of_compiled_calls_only():
     """Else it waits, since Python might interrupt it within its part."""
     parts, by = {}, {0: [], 1: []}
 
@@ -82,7 +83,7 @@ def test_the_caller_takes_the_larger_part_of_what_are_calls_of_kernels_alone():
 
 
 @pytest.mark.parametrize("compiled", [True, False])
-def test_one_thread_is_the_callers_and_without_compilation_there_is_no_other(compiled, monkeypatch):
+def test_share_with_one_thread_or_without_compilation_runs_in_the_caller(compiled, monkeypatch):
     monkeypatch.setattr(threads, "compiled", lambda: compiled)
     seen = set()
     most = 1 if compiled else 4
@@ -90,7 +91,7 @@ def test_one_thread_is_the_callers_and_without_compilation_there_is_no_other(com
     assert seen == {threading.current_thread()}
 
 
-def test_what_is_shared_within_a_part_is_done_by_the_thread_that_has_the_part():
+def test_share_within_a_slice_runs_in_the_thread_of_the_slice():
     """All threads might wait for each other else."""
     caller, done = threading.current_thread(), []
 
@@ -101,7 +102,7 @@ def test_what_is_shared_within_a_part_is_done_by_the_thread_that_has_the_part():
     assert done == [((0, 8, 0), False)] * 2
 
 
-def test_slices_are_done_at_the_same_time_and_the_caller_waits_for_the_slowest():
+def test_share_runs_slices_concurrently_and_waits_for_the_slowest():
     barrier, done = threading.Barrier(2, timeout=20), []
 
     def run(part):
@@ -114,7 +115,7 @@ def test_slices_are_done_at_the_same_time_and_the_caller_waits_for_the_slowest()
 
 
 @KINDS
-def test_what_was_handed_over_is_let_go(kind):
+def test_share_releases_the_arguments_of_its_calls(kind):
     """Though a thread that woke too late still has the job."""
     marks = np.zeros(9)
     gone = weakref.ref(marks)
@@ -133,7 +134,7 @@ def fail(part, wrong):
 
 
 @pytest.mark.parametrize(("most", "wrong"), [(1, 0), (2, 0), (2, 1)])
-def test_what_a_slice_raises_reaches_the_caller(most, wrong):
+def test_share_raises_the_error_of_a_slice_in_the_caller(most, wrong):
     """The caller's own, or another's; and nobody writes any more."""
     for call in (fail, fail.py_func if hasattr(fail, "py_func") else fail, partial(fail)):
         marks = np.zeros(8)
@@ -172,7 +173,7 @@ def interrupts(handler):
 @KINDS
 @pytest.mark.parametrize("most", [2, 4])
 @pytest.mark.parametrize("again", [0.0, 3e-5], ids=["one signal", "several in a row"])
-def test_an_interrupted_job_is_done_or_was_never_begun(again, most, kind):
+def test_share_when_interrupted_is_complete_or_never_begun(again, most, kind):
     """Each raises wherever in ``threads`` Python hears it: all blocks are done, or none, and nobody
     writes any more when the caller leaves. A time-out is no KeyboardInterrupt.
     """
@@ -202,12 +203,14 @@ def test_an_interrupted_job_is_done_or_was_never_begun(again, most, kind):
 
 
 @pytest.mark.parametrize("around", [None, HeadingVectorWrapper, EnergyTankWrapper])
-def test_an_interrupted_step_is_one_for_all_teams_or_none(around, monkeypatch):
+def test_step_when_interrupted_advances_all_environments_or_none(around, monkeypatch):
     """At all moments of a step of four threads; under a guarantee tanks are filled in all teams
     that have stepped, and where the wrapper has not seen the step it takes none from what it saw.
     """
     monkeypatch.setattr(batch_runner, "_WORK_PER_THREAD", 1)
-    monkeypatch.setattr(Pace, "begin", lambda pace: pace.most)  # though one may be quicker
+    monkeypatch.setattr(
+        ThreadTuner, "begin", lambda tuner: tuner.max_threads
+    )  # though one may be quicker
     scenario = rv.scenarios.get("swarm-20").replace(time_limit=1e4)
     env = rv.make_vec(scenario, 256, num_threads=4)
     env = env if around is None else around(env)
@@ -215,7 +218,7 @@ def test_an_interrupted_step_is_one_for_all_teams_or_none(around, monkeypatch):
     sim, count, refused = env.unwrapped.simulator, 0, 0
     actions = np.full((256, 20, 2), 1e-3, np.float32)
     env.step(actions)
-    assert sim._runner._pace.most == 4
+    assert sim._runner._tuner.max_threads == 4
     with interrupts(signal.default_int_handler) as within:
         for _ in range(300):
             try:
@@ -241,7 +244,7 @@ def test_an_interrupted_step_is_one_for_all_teams_or_none(around, monkeypatch):
     assert sim.all_running
 
 
-def test_steering_uses_no_more_threads_than_it_may(monkeypatch):
+def test_filter_uses_at_most_num_threads(monkeypatch):
     used = []
     monkeypatch.setattr(teams, "_ROBOTS_PER_THREAD", 1)
     monkeypatch.setattr(threads, "available_cores", lambda: 3)
@@ -252,50 +255,31 @@ def test_steering_uses_no_more_threads_than_it_may(monkeypatch):
     assert used == [3, 1, 2]
 
 
-def test_callers_do_not_get_into_each_others_way():
+def test_share_from_several_callers_at_once():
     with ThreadPoolExecutor(4) as callers:
         work = [callers.submit(lambda: [marked(40, 3, 100) for _ in range(50)]) for _ in range(4)]
         np.testing.assert_array_equal([one.result(30) for one in work], 1.0)
 
 
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs threads that choose cores")
-def test_helpers_may_run_where_their_caller_may_but_not_where_it_works(monkeypatch):
-    everywhere = os.sched_getaffinity(0)
-    if len(everywhere) < 2:
-        pytest.skip("needs two cores")
-    one, other = sorted(everywhere)[:2]
-    monkeypatch.setattr(threads, "_workers", [])
-    monkeypatch.setattr(threads, "_jobs", SimpleQueue())
-    found = []
-
-    def look():
-        found.append(os.sched_getaffinity(0))
-
-    def cores_of_helper(core):
-        monkeypatch.setattr(threads, "_own_core", lambda: core)
-        work = kernels(np.zeros(2))
-        threads.share(lambda part: [look] if part[2] else work(part), 2, 2)
-        return found.pop()
-
-    for core in (one, other, one):
-        assert cores_of_helper(core) == everywhere - {core}
-    try:
-        os.sched_setaffinity(0, {one})
-        assert cores_of_helper(other) == cores_of_helper(one) == {one}
-    finally:
-        os.sched_setaffinity(0, everywhere)
-    assert cores_of_helper(other) == everywhere - {other}
-    threads.share(lambda _: [look], 2, 2)  # the caller waits: there is room where it was
-    assert everywhere in found
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="needs threads that choose cores")
+def test_workers_run_on_the_cores_of_their_process():
+    """The affinity of no thread changes."""
+    before, found = os.sched_getaffinity(0), []
+    for kind in (lambda part: [partial(list)], lambda part: [list]):
+        for _ in range(3):
+            calls = lambda part: [*kind(part), lambda: found.append(os.sched_getaffinity(0))]  # noqa: B023, E731
+            threads.share(calls, 2, 2)
+    assert len(found) == 12 and all(cores == before for cores in found)
+    assert os.sched_getaffinity(0) == before
 
 
-def test_threads_are_as_many_as_needed_and_do_not_keep_the_process_alive():
+def test_workers_are_daemons_and_as_many_as_needed():
     marked(10, 5, kind=python)  # the caller waits for five
     workers = [thread for thread in threading.enumerate() if thread.name == "rendezvous"]
     assert len(workers) >= 5 and all(worker.daemon for worker in workers)
 
 
-def test_a_process_keeps_to_its_share_of_the_cores(monkeypatch):
+def test_available_cores_is_at_most_numba_num_threads(monkeypatch):
     monkeypatch.setattr(threads, "_cores", lambda: 8)
     for share, left in (("3", 3), ("12", 8), ("", 8), ("0", 8), ("some", 8)):
         monkeypatch.setenv("NUMBA_NUM_THREADS", share)
@@ -304,7 +288,7 @@ def test_a_process_keeps_to_its_share_of_the_cores(monkeypatch):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
-def test_a_fork_after_a_threaded_step_works(monkeypatch):
+def test_step_in_a_forked_child_after_a_threaded_step(monkeypatch):
     monkeypatch.setattr(batch_runner, "_WORK_PER_THREAD", 1)
     sim = Simulator(five("unicycle"), 64, num_threads=2)
     sim.reset(0)
@@ -325,37 +309,37 @@ def test_a_fork_after_a_threaded_step_works(monkeypatch):
 @pytest.fixture
 def steps(monkeypatch):
     """Makes steps that take so long by one thread and by several: the threads of each."""
-    now, pace = [0], Pace(4, 0.1)
+    now, tuner = [0], ThreadTuner(4, 0.1)
     monkeypatch.setattr(time, "perf_counter_ns", lambda: now[0])
 
     def make(count, alone, several):
         made = []
         for _ in range(count):
-            made.append(pace.begin())
+            made.append(tuner.begin())
             now[0] += alone if made[-1] == 1 else several
-            pace.end()
+            tuner.end()
         return made
 
     return make
 
 
-def test_several_threads_begin_and_one_takes_over_where_it_is_quicker(steps):
+def test_tuner_starts_with_several_threads_and_settles_on_one_if_faster(steps):
     made = steps(9000, alone=200, several=300)
     assert set(made[:399]) == {4} and made[500:].count(1) > 0.94 * len(made[500:])
 
 
-def test_several_stay_where_they_are_quicker_and_one_is_tried_now_and_then(steps):
+def test_tuner_keeps_several_threads_if_faster_and_retries_one(steps):
     made = steps(9000, alone=300, several=200)
     assert 0 < made.count(1) < 0.06 * len(made)
 
 
-def test_what_becomes_quicker_is_found_out(steps):
+def test_tuner_follows_a_change_of_speed(steps):
     steps(2000, alone=300, several=200)
     assert steps(1000, alone=300, several=900)[100:].count(4) < 120
     assert steps(4000, alone=300, several=200)[2000:].count(1) < 150
 
 
-def test_one_step_that_is_held_up_changes_nothing_and_many_do(steps):
+def test_tuner_ignores_one_slow_step_but_not_many(steps):
     steps(2700, alone=300, several=200)
     steps(1, alone=300, several=10**9)
     assert set(steps(20, alone=300, several=200)) == {4}
@@ -365,7 +349,7 @@ def test_one_step_that_is_held_up_changes_nothing_and_many_do(steps):
     assert set(steps(20, alone=300, several=200)) == {1}
 
 
-def test_the_first_steps_of_a_trial_do_not_count(steps):
+def test_tuner_discards_the_first_steps_of_a_trial(steps):
     """A core that was idle is slow for a while."""
     assert set(steps(399, alone=200, several=300)) == {4}
     assert set(steps(48, alone=10**6, several=300)) == {1}
@@ -373,5 +357,5 @@ def test_the_first_steps_of_a_trial_do_not_count(steps):
     assert set(steps(500, alone=200, several=300)) == {1}
 
 
-def test_one_thread_is_all_there_may_be():
-    assert {Pace(1, 0.0).begin() for _ in range(600)} == {1}
+def test_tuner_with_one_thread_always_returns_one():
+    assert {ThreadTuner(1, 0.0).begin() for _ in range(600)} == {1}

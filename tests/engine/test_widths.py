@@ -98,9 +98,9 @@ def shared(monkeypatch):
     """How many threads each step was shared among, from here on; none if it was not."""
     given, real_share = [], threads.share
 
-    def share(calls_of, blocks, most, ahead=0.0):
+    def share(calls_of, blocks, most, head_start=0.0):
         given.append(most)
-        real_share(calls_of, blocks, most, ahead)
+        real_share(calls_of, blocks, most, head_start)
 
     monkeypatch.setattr(threads, "share", share)
     return given

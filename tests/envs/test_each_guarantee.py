@@ -125,7 +125,7 @@ def test_a_weak_f_keeps_the_last_frame():
     frame = env.steering.get_state()["frames"][0, 1]
     rows = env.unwrapped.simulator.observe()
     rows[0, 1] = 0.0
-    env.steering.view(rows)
+    env.steering.observe(rows)
     np.testing.assert_array_equal(env.steering.get_state()["frames"][0, 1], frame)
     assert not np.array_equal(frame, np.eye(2))
 

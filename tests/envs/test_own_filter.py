@@ -26,7 +26,7 @@ class HalfSpeed(rv.SafetyFilter):
         super().__init__(scenario, num_envs, action_size=1, frame="local", num_threads=num_threads)
         self.least = least
 
-    def act(self, observations):
+    def compute(self, observations):
         f = self.scenario.observation_layout.net_bearing(observations)
         return (np.maximum(self.held, self.least) * f).astype(np.float32)
 
@@ -119,7 +119,7 @@ def test_a_filter_takes_no_name_of_an_environments(wrapper):
     named = type("Named", (HalfSpeed,), {"state_key": "shown"})  # as only a learner's teams have it
     assert set(wrapper(base, named).get_state()) == {"env", "observed", "shown"}
     for key in ("contact", "lyapunov", "robot_rewards"):
-        told = type("Tells", (HalfSpeed,), {"told": property(lambda _, k=key: {k: None})})
+        told = type("Tells", (HalfSpeed,), {"diagnostics": property(lambda _, k=key: {k: None})})
         with pytest.raises(ValueError, match=f"Tells tells '{key}', which environments tell"):
             wrapper(base, told)
 

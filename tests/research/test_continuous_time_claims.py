@@ -170,8 +170,8 @@ def test_bearings_that_are_far_too_old_are_caught(monkeypatch):
 @pytest.mark.parametrize("name", ["links", "links-misled"])
 def test_velocities_that_are_carried_out_are_caught(name, monkeypatch):
     class Careless(link_claims.LinkKeeping):
-        def act(self, observations):
-            super().act(observations)
+        def compute(self, observations):
+            super().compute(observations)
             return (self.scenario.speed_limit * self._held).astype(np.float32)
 
     monkeypatch.setattr(link_claims, "LinkKeeping", Careless)

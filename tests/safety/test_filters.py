@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from conftest import MODELS, five
 
-from rendezvous_env import Scenario, Sensing, Simulator, graphs
+from rendezvous_env import Scenario, Sensing, Simulator, graphs, scenarios
 from rendezvous_env.safety.gains import Gains
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.safety.links import LinkKeeping
@@ -26,11 +26,11 @@ def begun(made, kind, num_envs, **options):
 
 
 def go_on(filtered, observations, choices, contact=None):
-    seen = filtered.view(observations)
+    seen = filtered.observe(observations)
     filtered.hold(choices)
-    actions = filtered.act(observations)
-    filtered.book(contact)
-    told = {name: values.copy() for name, values in filtered.told.items()}
+    actions = filtered.apply(observations)
+    filtered.update(contact)
+    told = {name: values.copy() for name, values in filtered.diagnostics.items()}
     return {"seen": seen, "actions": actions, **told}
 
 
@@ -132,8 +132,8 @@ def test_what_it_cannot_do_is_refused_when_it_is_made(made, changes, options, me
 
 def test_a_filter_must_say_what_the_robots_do():
     bare = SafetyFilter(five("single_integrator-2d"), 1, 2, "local", None)
-    with pytest.raises(NotImplementedError, match="SafetyFilter needs act"):
-        bare.act(np.zeros((1, 5, *bare.scenario.observation_layout.shape), np.float32))
+    with pytest.raises(NotImplementedError, match="SafetyFilter needs compute"):
+        bare.apply(np.zeros((1, 5, *bare.scenario.observation_layout.shape), np.float32))
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -148,7 +148,58 @@ def test_observations_of_other_types_and_strides_are_taken_as_float32(made, dim)
         error = {"bearing_error": 0.1} if made is HeadingFilter else {}
         safe = made(scenario, 3, **error)
         safe.hold(choices)
-        found.append(safe.act(given))
+        found.append(safe.apply(given))
     assert np.abs(found[0]).max() > 0.1
     np.testing.assert_array_equal(found[1], found[0])
     np.testing.assert_array_equal(found[2], found[0])
+
+
+def test_filter_apply_takes_choices_and_keeps_them():
+    """As ``hold`` and ``apply`` without choices."""
+    scenario = scenarios.get("fig3")
+    observations = Simulator(scenario, 2).reset(seed=0)
+    choices = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 3, 2))
+    one, other = HeadingFilter(scenario, 2), HeadingFilter(scenario, 2)
+    first = one.apply(observations, choices)
+    other.hold(choices)
+    np.testing.assert_array_equal(first, other.apply(observations))
+    np.testing.assert_array_equal(one.held, other.held)
+    np.testing.assert_array_equal(one.apply(observations), other.apply(observations))
+    with pytest.raises(ValueError, match="actions"):
+        one.apply(observations, choices[:1])
+
+
+def test_filter_old_names_work_with_a_warning():
+    """Of a filter, in ``super()``, and of what a subclass overrides."""
+    scenario = scenarios.get("fig3")
+    observations = Simulator(scenario).reset(seed=0)
+    tank, other = (EnergyTank(scenario, 1, frame="local") for _ in range(2))
+    for each in (tank, other):
+        each.hold(np.full((1, 3, 2), 0.1))
+    with pytest.warns(DeprecationWarning, match=r"SafetyFilter\.\w+ is called \w+ now"):
+        np.testing.assert_array_equal(tank.act(observations), other.apply(observations))
+        tank.book()
+        assert tank.keeps_ledger and tank.leads and set(tank.told) == set(other.diagnostics)
+        assert tank.view(observations) is observations
+    other.update()
+    np.testing.assert_array_equal(tank.levels, other.levels)
+    assert (tank.levels > 0.0).all()
+
+    with pytest.warns(DeprecationWarning, match=r"Old\.(act|told|keeps_ledger) is called \w+ now"):
+
+        class Old(HeadingFilter):
+            keeps_ledger = True
+
+            @property
+            def told(self):
+                return {"more": self.lyapunov_rate, **super().told}
+
+            def act(self, observations):
+                return 0.5 * super().act(observations)
+
+    with pytest.warns(DeprecationWarning):
+        old, new = Old(scenario, 1), HeadingFilter(scenario, 1)
+        halved = old.apply(observations, np.ones((1, 3, 2)))
+        np.testing.assert_array_equal(halved, 0.5 * new.apply(observations, np.ones((1, 3, 2))))
+        assert list(old.diagnostics) == ["more", *new.diagnostics]
+    assert old.uses_feedback and not old.supports_multi_step and new.supports_multi_step

@@ -32,7 +32,7 @@ def test_gains_by_hand(chosen, gain, velocity):
     held = np.zeros((1, 4, 3))
     held[0, 0] = chosen
     gains.hold(held)
-    actions = gains.act(observed(scenario, [1.0, 0.0], [0.0, 2.0]))
+    actions = gains.apply(observed(scenario, [1.0, 0.0], [0.0, 2.0]))
     np.testing.assert_allclose(actions[0, 0], velocity, rtol=1e-6)
     assert gains.gain[0, 0] == pytest.approx(gain) and not actions[0, 1:].any()
     f = np.array([1.0, 2.0])
@@ -46,10 +46,10 @@ def test_too_much_is_scaled_down_and_a_speed_limit_too():
     scenario = Scenario(n_robots=3, max_speed=0.5)
     gains = Gains(scenario, 1, frame="local", max_gain=1.5)
     gains.hold(np.ones((1, 3, 2)))
-    actions = gains.act(observed(scenario, [1.0, 0.0], [0.0, 1.0]))
+    actions = gains.apply(observed(scenario, [1.0, 0.0], [0.0, 1.0]))
     np.testing.assert_allclose(actions[0, 0], [0.5 / np.sqrt(2)] * 2, rtol=1e-6)
     assert gains.gain[0, 0] == pytest.approx(0.5 * np.sqrt(2))  # more than v_max
-    away = gains.act(observed(scenario, [1.0, 0.0], [-1.0, 0.0]))
+    away = gains.apply(observed(scenario, [1.0, 0.0], [-1.0, 0.0]))
     assert gains.gain[0, 0] == pytest.approx(1.5) and not away.any()
 
 

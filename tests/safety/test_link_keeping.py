@@ -253,7 +253,7 @@ def test_velocities_by_hand():
     rows[0, 1, 0] = [0.0, 1.0]
     rows[0, 2] = [[1.0, 0.0], [-1.0, 0.0]]
     links.hold([[[0.5, 0.5], [0.0, -1.0], [0.3, 0.4]]])
-    actions = links.act(rows)[0]
+    actions = links.apply(rows)[0]
     np.testing.assert_allclose(actions[0], np.array([1.0, 1.0]) * 0.25 + 0.75 * 1.5, rtol=1e-6)
     np.testing.assert_allclose(actions[1], [0.0, 0.25], atol=1e-6)  # away is not allowed at all
     assert not actions[2].any()  # between two robots nobody moves

@@ -39,7 +39,7 @@ def test_v_never_rises_beside_obstacles_but_while_a_robot_slides(name, contact):
 
     def policy(seen, time):
         steering.hold(adversary(seen, Moment(simulator)))
-        return steering.act(seen)
+        return steering.apply(seen)
 
     most, contacts = scenario.tau * scenario.n_robots * scenario.max_degree**2, 0
     for step in run(simulator, policy, simulator.reset(3)):
@@ -57,7 +57,7 @@ def test_the_turn_limit_is_the_smaller_one():
         steering = HeadingFilter(scenario, 1, certified=False)
         observations = Simulator(scenario).reset(0)
         steering.hold(np.ones((1, 5, 1)))
-        np.testing.assert_allclose(steering.act(observations)[..., 1], limit, rtol=1e-6)
+        np.testing.assert_allclose(steering.apply(observations)[..., 1], limit, rtol=1e-6)
 
 
 def test_headings_turn_by_at_most_the_limit():
@@ -68,7 +68,7 @@ def test_headings_turn_by_at_most_the_limit():
     first = f / np.linalg.norm(f, axis=-1, keepdims=True)
     steering.hold(np.stack([-f[:, 1], f[:, 0]], axis=-1)[None])
     for k in range(1, 4):
-        steering.act(observations)
+        steering.apply(observations)
         cosines = np.sum(steering.headings[0] * first, axis=-1)
         np.testing.assert_allclose(np.arccos(cosines), k * scenario.tau * 1.0, rtol=1e-6)
 
@@ -92,7 +92,7 @@ def test_in_space_the_second_axis_comes_from_the_row_most_across_f_and_not_from_
         turn *= np.sign(np.linalg.det(turn))
         seen = np.zeros((1, rows + 1, rows, 3), np.float32)
         seen[0, 0] = table @ turn.T
-        view = HeadingFilter(scenario, 1).view(seen)[0, 0]
+        view = HeadingFilter(scenario, 1).observe(seen)[0, 0]
         axis = view if axis is None else axis
         np.testing.assert_allclose(view, axis, atol=1e-6)
     np.testing.assert_allclose(axis[most], [0.6, 0.8, 0.0], atol=1e-6)
@@ -107,7 +107,7 @@ def test_a_robot_goes_slower_by_what_errors_could_feign():
     actions = []
     for steering in (wary, sure):
         steering.hold(f)
-        actions.append(np.linalg.norm(steering.act(observations), axis=-1))
+        actions.append(np.linalg.norm(steering.apply(observations), axis=-1))
     strength = np.linalg.norm(f, axis=-1)
     slower = np.maximum(strength - 2 * math.sin(0.15) * 2.0, 0.0)
     np.testing.assert_allclose(actions[0], slower, atol=1e-6)

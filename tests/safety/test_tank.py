@@ -100,9 +100,9 @@ def test_deposits_are_those_of_the_motion_that_the_simulator_executes(kind, fact
         tank.hold(random.uniform(-1, 1, (TEAMS, 5, scenario.action_size)))
         f, degree = layout.net_bearing(observations), layout.degree(observations)
         before, frames, places = tank.levels, simulator.frames, simulator.positions
-        outcome = simulator.step(tank.act(observations))
+        outcome = simulator.step(tank.apply(observations))
         whole = outcome.active.all(axis=-1)
-        tank.book()
+        tank.update()
         moved = np.einsum("bnji,bnj->bni", frames, simulator.positions - places)
         strength = np.linalg.norm(f, axis=-1)
         earned = 2 * np.sum(f * moved, axis=-1)
@@ -127,7 +127,7 @@ def test_a_desired_velocity_is_carried_out_as_it_is(kind):
     observations = Simulator(scenario, 2).reset(0)
     desired = np.random.default_rng(0).uniform(-1, 1, (2, 5, scenario.action_size))
     tank.hold(2.0 * desired)
-    actions = tank.act(observations)
+    actions = tank.apply(observations)
     assert tank.carried_out.all()
     expected = np.clip(2 * desired, -1, 1) * scenario.action_bounds
     if scenario.model.bounded:  # too long: direction kept
@@ -144,7 +144,7 @@ def test_with_an_empty_tank_a_body_turns_through_the_gate_and_drives_with_m(mode
     desired = np.zeros((8, 5, scenario.action_size))
     desired[..., 0] = -np.sign(f[..., 0])
     tank.hold(desired)
-    actions = tank.act(observations)
+    actions = tank.apply(observations)
     gated = np.abs(f[..., 0]) < 0.05 * np.linalg.norm(f, axis=-1)
     assert not tank.carried_out.any() and (tank.lyapunov_rate <= 0).all()
     assert not actions[..., 1:][~gated].any()  # no turn was desired, and none was due
@@ -159,9 +159,9 @@ def test_in_a_step_with_contact_only_a_loss_is_booked():
     observations = Simulator(scenario).reset(0, start)
     for along, earns in ((1.0, True), (-1.0, False)):
         tank.hold([[[along, 0.0], [-along, 0.0]]])
-        tank.act(observations)
+        tank.apply(observations)
         before = tank.levels[0]
-        tank.book(contact=[[True, False]])
+        tank.update(contact=[[True, False]])
         gained = tank.levels[0] - before
         assert (gained[1] > 0) == earns and (gained[0] == 0 if earns else gained[0] < 0)
 
@@ -171,26 +171,26 @@ def test_levels_at_a_merge_by_hand():
     tank, twin = (EnergyTank(Scenario(n_robots=5), 1, budget=2.0) for _ in range(2))
     observations = Simulator(tank.scenario).reset(0)
     for each in (tank, twin):
-        each.act(observations)
-    twin.book()
+        each.apply(observations)
+    twin.update()
     own = twin.levels[0]
-    tank.book(merged_into=[[0, 0, 2, 3, 4]])
+    tank.update(merged_into=[[0, 0, 2, 3, 4]])
     expected = 0.75 * np.array([own[0] + own[1], 0.0, *own[2:]])
     np.testing.assert_allclose(tank.levels[0], expected, rtol=1e-15)
-    tank.act(np.where(np.arange(5)[:, None, None] == 1, np.float32(0.0), observations))
+    tank.apply(np.where(np.arange(5)[:, None, None] == 1, np.float32(0.0), observations))
     before = tank.levels[0]
-    tank.book(contact=np.ones((1, 5), bool), merged_into=[[0, 0, 2, 2, 0]])
+    tank.update(contact=np.ones((1, 5), bool), merged_into=[[0, 0, 2, 2, 0]])
     assert tank.levels[0, [1, 3, 4]].tolist() == [0.0, 0.0, 0.0]
     assert tank.levels[0].sum() <= before.sum() / 3
-    tank.book(merged_into=[[0, 0, 2, 2, 0]])  # no step in between: nothing merges anew
+    tank.update(merged_into=[[0, 0, 2, 2, 0]])  # no step in between: nothing merges anew
     assert tank.levels[0].sum() > 0
 
 
 @pytest.mark.parametrize("change", [{"graph": "path"}, {"graph": UNEQUAL}, {"sensing": SHORT}])
 def test_levels_elsewhere_do_not(change):
     tank = EnergyTank(Scenario(**{"n_robots": 5, **change}), 1, budget=2.0)
-    tank.act(Simulator(tank.scenario).reset(0))
-    tank.book(merged_into=[[0, 0, 2, 3, 4]], resting=[True])
+    tank.apply(Simulator(tank.scenario).reset(0))
+    tank.update(merged_into=[[0, 0, 2, 3, 4]], resting=[True])
     assert tank.levels[0].tolist() == [4.0, 0.0, 2.0, 2.0, 2.0]
 
 
@@ -198,11 +198,11 @@ def test_resting_teams_book_nothing_and_nothing_is_booked_twice():
     scenario = five("single_integrator-2d")
     tank = EnergyTank(scenario, 3, budget=1.0)
     tank.hold(np.zeros((3, 5, 2)))
-    tank.act(Simulator(scenario, 3).reset(0))
-    tank.book(resting=[False, True, False])
+    tank.apply(Simulator(scenario, 3).reset(0))
+    tank.update(resting=[False, True, False])
     once = tank.levels
     assert (once[1] == 1.0).all() and (once[[0, 2]] < 1.0).all()  # rest has its price
-    tank.book()
+    tank.update()
     np.testing.assert_array_equal(tank.levels, once)
 
 
@@ -215,11 +215,11 @@ def test_alignment_is_that_of_the_motion():
     across = np.stack([-u[..., 1], u[..., 0]], axis=-1)
     for cosine in (-1.0, -0.6, 0.0, 0.8):
         tank.hold(cosine * u + np.sqrt(1 - cosine**2) * across)
-        tank.act(observations)
+        tank.apply(observations)
         np.testing.assert_allclose(tank.alignment, abs(cosine), atol=1e-6)
         assert (np.sign(np.round(tank.lyapunov_rate, 4)) == -np.sign(cosine)).all()
     tank.hold(0 * u)
-    tank.act(observations)
+    tank.apply(observations)
     assert np.isnan(tank.alignment).all()
 
 
@@ -238,7 +238,7 @@ def test_alignment_is_that_of_the_motion():
 def test_what_no_step_can_have_been_is_not_booked(told, message):
     scenario = five("single_integrator-2d")
     tank = EnergyTank(scenario, 2, budget=1.0)
-    tank.act(Simulator(scenario, 2).reset(0))
+    tank.apply(Simulator(scenario, 2).reset(0))
     with pytest.raises(ValueError, match=message):
-        tank.book(**told)
+        tank.update(**told)
     assert (tank.levels == 1.0).all()

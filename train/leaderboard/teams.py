@@ -58,7 +58,7 @@ class Unled(FeatureVectorEnv):
     def _act(self) -> NDArray[np.float32]:
         seen, base = self._observed.copy(), self._base
         seen[..., base.scenario.observation_layout.obstacles, :] = 0.0
-        return self.guided.act(seen)
+        return self.guided.apply(seen)
 
 
 def unled(teams: TrainingTeams) -> TrainingTeams:

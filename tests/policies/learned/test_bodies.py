@@ -135,7 +135,7 @@ def test_robots_turn_to_where_they_choose(settings):
         if step == 80:
             f = free.observation_layout.net_bearing(seen)
             off = np.abs(np.arctan2(f[..., 1], f[..., 0]))
-        seen = simulator.step(guided.act(seen)).observations
+        seen = simulator.step(guided.apply(seen)).observations
     assert np.median(off) < 0.1 and (simulator.status == RENDEZVOUS).all()
 
 
@@ -163,7 +163,7 @@ def test_v_and_the_tanks_together_never_rise(scenario, budget, every, least_apar
         if step % every == 0:
             guided.choose(random.integers(14, size=guided.choices.shape))
         v = simulator.lyapunov()
-        seen = simulator.step(guided.act(seen)).observations
+        seen = simulator.step(guided.apply(seen)).observations
         apart &= (simulator.merged_into == np.arange(free.n_robots)).all(axis=1)
         rises += int((simulator.lyapunov() > v)[apart].sum())
         now = simulator.lyapunov() + guided.tank.levels.sum(axis=1)
@@ -193,7 +193,7 @@ def test_an_arc_that_is_cut_short_books_no_more_than_it_earned(scenario, kind, m
         tank.forget()
         tank.hold(random.uniform(-1, 1, actions.shape))
         bodies.seen(seen, np.arange(50))
-        tank.act_of((0, 50, 0), seen, actions)
+        tank.apply_calls((0, 50, 0), seen, actions)
         bodies.turn((0, 50, 0), actions)
         tank.settle(share, bodies.settle(share))
         short.step(actions)

@@ -119,7 +119,7 @@ def test_with_a_tank_robots_go_where_they_choose_as_fast_as_law_one():
     observations = simulator.reset(0)
     choices = np.arange(16).reshape(4, 4) % len(ALL_ROUND)
     guided.choose(choices)
-    v = guided.act(observations).astype(np.float64)
+    v = guided.apply(observations).astype(np.float64)
     f = free.observation_layout.net_bearing(observations)
     turned = np.arctan2(f[..., 0] * v[..., 1] - f[..., 1] * v[..., 0], np.sum(f * v, axis=-1))
     off = np.abs(np.angle(np.exp(1j * (turned - ALL_ROUND[choices]))))
