@@ -150,12 +150,13 @@ class BatchRunner:
 
     def step(self, actions: NDArray[np.float32]) -> StepOutput:
         """Advance all environments under actions (B, n, a), checked."""
-        output = self.new_output()
-        calls_of = self._step_calls(actions, output)
-        blocks = self._state.place.blocks
+        output, place = self.new_output(), self._state.place
+        blocks = place.blocks
         if (tuner := self._tuner).max_threads == 1:  # one environment would notice what follows
-            deque(map(call, calls_of((0, blocks, 0))), 0)  # one instruction: all calls, or none
+            calls = self._calls_of_one_thread(actions, output)
+            deque(map(call, calls), 0)  # one instruction: all calls, or none
         else:
+            calls_of = self._step_calls(actions, output)
             threads.share(calls_of, blocks, tuner.begin(), tuner.head_start)
             tuner.end()
         # the next step's arrays come from other memory: where both steps' were free at once, the
@@ -184,7 +185,7 @@ class BatchRunner:
             tuner = self._tuners[count] = self._tuner_of(_CONTROLLED * count)
         while len(self._scratch) < tuner.max_threads:
             self._scratch.append(scratch(state.place))
-        step_calls = self._step_calls(actions, output, always=count > 1)
+        step_calls = self._step_calls(actions, output)
 
         def step(part: Slice, mine: Slice, now: _Observations) -> _Steps:
             yield from controller.apply_calls(mine, now, actions)
@@ -244,34 +245,45 @@ class BatchRunner:
         calls = [
             one
             for block in blocks
-            for one in self._stages.calls(block, block + 1, None, output, self.scratch)
+            for one in self._stages.calls(block, block + 1, None, output, self.scratch, False)
         ]
         deque(map(call, [*calls, self._state.settle]), 0)
 
     def _step_calls(
-        self, actions: NDArray[np.float32], output: StepOutput, *, always: bool = False
+        self, actions: NDArray[np.float32], output: StepOutput
     ) -> Callable[[Slice], list[Callable[[], Any]]]:
-        """The calls that advance the blocks of a slice, whose stages are compiled before any is
-        called: an interrupt while they are changes nothing. Contacts and merges are first compiled
-        when something can meet, or ``always``.
+        """The calls that advance the blocks of a slice. Stages are compiled before any is called:
+        an interrupt while they are changes nothing.
         """
         if self._may_overflow:
             output.crowded.fill(-1)
         stages, scratch, group = self._stages, self._scratch, self._state.place.group
-        stages.collides = stages.collides or always or stages.can_collide()
 
         def calls_of(part: Slice) -> list[Callable[[], Any]]:
             first, last, thread = part
-            if last - first <= group:
-                return stages.calls(first, last, actions, output, scratch[thread])
             return [
                 one
                 for start in range(first, last, group)
                 for one in stages.calls(
-                    start, min(start + group, last), actions, output, scratch[thread]
+                    start, min(start + group, last), actions, output, scratch[thread], True
                 )
             ]
 
-        if always:
-            calls_of((0, 1, 0))  # compiles
+        stages.calls(0, 1, actions, output, self.scratch, True)
         return calls_of
+
+    def _calls_of_one_thread(
+        self, actions: NDArray[np.float32], output: StepOutput
+    ) -> list[Callable[[], Any]]:
+        """The same of all blocks. Where they are few, contacts and merges are not called, nor
+        compiled, until something can meet.
+        """
+        stages, blocks = self._stages, self._state.place.blocks
+        if blocks > self._state.place.group:
+            return self._step_calls(actions, output)((0, blocks, 0))
+        if self._may_overflow:
+            output.crowded.fill(-1)
+        propose, *others = stages.calls(0, blocks, actions, output, self.scratch, False)
+        if propose():
+            _, *others = stages.calls(0, blocks, actions, output, self.scratch, True)
+        return others

@@ -63,9 +63,7 @@ def draw_graphs(lanes, which, seeds, episodes, rules, links, listed, weights, pl
 
 
 @kernel
-def draw_fields(
-    lanes, which, trial, seeds, episodes, field, n_given, robots, obstacles, positions
-):
+def draw_fields(lanes, which, trial, seeds, episodes, field, n_given, robots, obstacles, positions):
     """Draw the obstacles of environments, clear of the first ``n_given`` robots; the first
     environment without room for them, or −1. ``positions``, (n, d), is working memory.
     """

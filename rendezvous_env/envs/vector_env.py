@@ -165,7 +165,11 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         return self.render_mode is None and self.simulator.supports_step_n
 
     def drive(
-        self, pilot: BatchController, observations: NDArray[np.float32], count: int, show: ObservationCallback | None = None
+        self,
+        pilot: BatchController,
+        observations: NDArray[np.float32],
+        count: int,
+        show: ObservationCallback | None = None,
     ) -> RolloutResult:
         """As ``advance``, ``count`` times; arguments as ``Simulator.drive``."""
         driven = self.simulator.step_n(pilot, observations, count, show)

@@ -159,7 +159,9 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
             resting = None if simulator.all_running else simulator.status != RUNNING
             if number:
                 running = (simulator.status == RUNNING)[:, None]
-                kept = DiagnosticsSnapshot(self.filter.action_diagnostics, running & (follows | simulator.active))
+                kept = DiagnosticsSnapshot(
+                    self.filter.action_diagnostics, running & (follows | simulator.active)
+                )
             if type(self.env) is RendezvousVectorEnv:
                 outcome = base.advance(self._act())
                 seen, earned = outcome.observations, outcome.rewards

@@ -44,12 +44,12 @@ def apply_noise(
     episodes,
     robots,
     environments,
-    rows,
     listed,
     weights,
     counts,
     keys,
     words,
+    rows,
 ):
     """Drop rows of neighbours, and turn them. It may be done again for the same step: the random
     numbers are a function of the number of the step.
@@ -57,7 +57,7 @@ def apply_noise(
     Rows of ``slots`` neighbours are in the order of links if ``in_order``, else each robot has its
     own. Working memory: listed (2, E), weights (E,), counts (n,), keys (2, L), words (3, 4, L).
     """
-    lanes, n = lane_count(width), robots.shape[1]
+    n = robots.shape[1]
     for block in range(first, last):
         _begin(width, block, moves, seeds, episodes, environments[block], keys)
         found = links.first.shape[1]
@@ -200,9 +200,9 @@ def apply_noise_to_silhouettes(
     seeds,
     episodes,
     environments,
-    rows,
     keys,
     words,
+    rows,
 ):
     """Silhouettes, ``points`` rows each from the row ``own`` on: in the field of view, turned, and
     rounded. Working memory as ``apply_noise``.

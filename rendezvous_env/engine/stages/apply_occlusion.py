@@ -32,11 +32,11 @@ def apply_occlusion(
     robots,
     merged_into,
     obstacles,
-    observations,
     vectors,
     listed,
     weights,
     counts,
+    observations,
 ):
     """Both ends of every link, in the order of their rows; of a one-way link one. ``radius`` is
     that of a robot that hides others, m. Working memory: vectors (3, n, d), listed (2, E), weights
@@ -86,7 +86,7 @@ def close_rows(first, last, slots, observations):
 
 
 @kernel
-def delay_observations(lanes, first, last, moves, merged_into, environments, observations, past):
+def delay_observations(lanes, first, last, moves, merged_into, environments, past, observations):
     """Keep the rows of this step, and replace them by those of some steps before; inactive robots
     see nothing. ``past`` is (B, delay + 1, n, K + M·S, d): step t is at t mod (delay + 1).
     """

@@ -28,6 +28,9 @@ from ..memory import (
     store_positions,
 )
 
+_ROUNDING = 1.0 + 1e-9
+_NEAREST = 1e-9  # m; nearer than this to what it could reach, a robot is moved exactly
+
 
 @kernel
 def stop_at_obstacles(
@@ -41,8 +44,8 @@ def stop_at_obstacles(
     environments,
     moves,
     obstacles,
-    contact,
     normals,
+    contact,
 ):
     """Replace straight displacements by those that obstacles leave; ``normals``, (2M, 3), is
     working memory.
@@ -77,8 +80,8 @@ def stop_curves_at_obstacles(
     environments,
     moves,
     obstacles,
-    contact,
     normals,
+    contact,
 ):
     """The same for robot models that move along curves."""
     n, d = robots.shape[1], len(robot.axes)
@@ -220,12 +223,11 @@ def pack_robots(
             store_positions(positions, robots[block], lane, lanes)
 
 
-def reaches(speed_limit, duration, merge_radius, packs, sees_obstacles):
+def reaches(rules, has_contacts):
     """Square distance of neighbours, m², and clearance, m, below which something can meet in a
-    step: they close in by 2 v_max τ, or v_max τ.
+    step: they close in by 2 v_max τ, or v_max τ. Of ``rules``, the ``Constants``.
     """
-    rounding, nearest = 1.0 + 1e-9, 1e-9
-    reach = speed_limit * duration * rounding
-    square = (merge_radius * rounding + 2.0 * reach) ** 2
+    reach = rules.speed_limit * rules.duration * _ROUNDING
+    square = (rules.merge_radius * _ROUNDING + 2.0 * reach) ** 2
     # bodies touch whether or not they are neighbours
-    return math.inf if packs else square, reach + nearest if sees_obstacles else -math.inf
+    return math.inf if rules.packs else square, reach + _NEAREST if has_contacts else -math.inf

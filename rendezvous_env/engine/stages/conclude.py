@@ -65,12 +65,15 @@ def conclude_step(
             score, field = scores[row, start:end], (REWARD + row) * lanes
             for lane in range(len(score)):
                 score[lane] = environment[field + lane]
+        codes, touched, earned = status[start:end], contacts[start:end], robot_rewards[start:end]
+        for lane in range(len(codes)):
+            codes[lane] = int(environment[STATUS * lanes + lane])
+            touched[lane] = int(environment[CONTACTS * lanes + lane])
+        for i in range(n):
+            for lane in range(len(earned)):
+                earned[lane, i] = environment[REWARD * lanes + lane]
         for lane in range(end - start):
             b = start + lane
-            status[b] = int(environment[STATUS * lanes + lane])
-            contacts[b] = int(environment[CONTACTS * lanes + lane])
-            for i in range(n):
-                robot_rewards[b, i] = environment[REWARD * lanes + lane]
             if environment[ACTIVE * lanes + lane] < n:  # who exists, and earns
                 merged = environment[PROXIMITY * lanes + lane] == MERGED
                 for i in range(n):
@@ -80,7 +83,7 @@ def conclude_step(
                         robot_rewards[b, i] = 0.0
 
 
-@inner_kernel(inline="text")
+@inner_kernel(inline="code")
 def _conclude(width, duration, max_steps, reward_weights, environment):
     """Reward, rendezvous and time limit over lanes: the one place where an episode ends."""
     lanes, time_share = lane_count(width), 1.0 / max_steps
@@ -99,9 +102,14 @@ def _conclude(width, duration, max_steps, reward_weights, environment):
         closeness = environment[CLOSENESS * lanes + lane]
         reward = team_reward(progress, time_share, touched, closeness, met, reward_weights)
         ended = _RENDEZVOUS if met else _TIME_OUT if over else _RUNNING
-        path_length = environment[PATH_LENGTH * lanes + lane] + environment[STEP_LENGTH * lanes + lane]
+        path_length = (
+            environment[PATH_LENGTH * lanes + lane] + environment[STEP_LENGTH * lanes + lane]
+        )
         merged = proximity == MERGED
-        first, last = environment[BEFORE_MERGE * lanes + lane], environment[AFTER_MERGE * lanes + lane]
+        first, last = (
+            environment[BEFORE_MERGE * lanes + lane],
+            environment[AFTER_MERGE * lanes + lane],
+        )
         environment[STATUS * lanes + lane] = ended if running | awaiting else status
         environment[INITIAL_LYAPUNOV * lanes + lane] = now if awaiting else initial
         environment[STEPS * lanes + lane] = steps

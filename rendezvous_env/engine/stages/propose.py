@@ -28,26 +28,31 @@ from ..memory import (
 
 @kernel
 def propose_motion(
-    width, robot, first, last, reach, actions, robots, merged_into, environments, moves
+    width, robot, first, last, reach, robots, merged_into, environments, moves, actions
 ):
     """Write displacement (d), length of the path, and action (a) of every robot of some blocks to
-    ``moves``, (blocks, n, (d + 1 + a)·L), and mark the environments in which something can meet.
+    ``moves``, (blocks, n, (d + 1 + a)·L), and mark the environments in which something can meet:
+    their number. Nothing else changes.
 
     ``reach`` is the square distance of neighbours and the clearance below which that is so.
     Actions are (B, n, a); those of finished environments and of merged-away robots count as zero.
     """
     lanes, d, n = lane_count(width), len(robot.axes), robots.shape[1]
+    near = 0.0
     for block in range(first, last):
         start, move, environment = block * lanes, moves[block - first], environments[block]
-        count = min(lanes, len(actions) - start)
+        given = actions[start : min(start + lanes, len(actions))]
+        count = len(given)
         for i in range(n):
             for k in range(len(robot.inputs)):
-                for lane in range(count):
-                    move[i, (d + 1 + k) * lanes + lane] = actions[start + lane, i, k]
+                row, values = move[i], given[:, i, k]
+                for lane in range(len(values)):
+                    row[(d + 1 + k) * lanes + lane] = values[lane]
         for i in range(n):
             _propose_robot(width, robot, robots[block, i], move[i])
         _hold_still(move, count, lanes, start, environment, merged_into)
-        _begin_step(width, reach, environment)
+        near += _begin_step(width, reach, environment)
+    return near
 
 
 @inner_kernel(inline="code")
@@ -86,7 +91,7 @@ def _begin_step(width, reach, environment):
     """Begin the fields of the step. Distances are those of the last observation, which is of the
     positions where this step begins.
     """
-    lanes = lane_count(width)
+    lanes, count = lane_count(width), 0.0
     for lane in range(lanes):
         near = (environment[SQUARE_CLOSEST * lanes + lane] < reach[0]) | (
             environment[CLEARANCE * lanes + lane] < reach[1]
@@ -98,6 +103,8 @@ def _begin_step(width, reach, environment):
         environment[CLOSENESS * lanes + lane] = 0.0
         environment[MERGE_RISE * lanes + lane] = 0.0
         environment[MERGE_EXCESS * lanes + lane] = 0.0
+        count += MOVED if near else FREE
+    return count
 
 
 @kernel

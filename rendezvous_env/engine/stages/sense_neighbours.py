@@ -26,13 +26,13 @@ _ROUNDING = 1e-9  # Share of a dwell time by which a step may miss its end
 
 
 @kernel
-def sense_pairs(width, axes, entries, first, last, robots, weights, rows, pair, environments):
+def sense_pairs(width, axes, entries, first, last, robots, weights, pair, environments, rows):
     """Every pair of robots once, in index order, in all lanes; a link that is absent weighs 0.
 
     Rows, (blocks, n, rows, L·d) float32, are those of neighbours in index order. Working memory is
     ``pair``, ((d + 3)·L,): offset (m), factor (1/s), V/2 and least square distance so far.
     """
-    lanes, d, n = lane_count(width), len(axes), robots.shape[1]
+    d, n = len(axes), robots.shape[1]
     for block in range(first, last):
         _begin_pairs(width, d, pair)
         e, row = 0, rows[block - first]
@@ -93,7 +93,7 @@ def _store_sight(width, axes, entries, pair, sign, robot, row):
 
 
 @kernel
-def sense_links(axes, entries, first, last, slots, links, robots, rows, counts, environments, over):
+def sense_links(axes, entries, first, last, slots, links, robots, counts, environments, rows, over):
     """Every link of environments with a list of links or a matrix of arcs, in the order of its
     robots, which is that of the rows. ``counts``, (n,), is working memory; a robot with more
     neighbours than ``slots`` is left in ``over``, (B,).
@@ -217,7 +217,7 @@ def _keep_in_sight(axes, entries, robots, arcs, changes):
 
 
 @kernel
-def hide_docked(lanes, first, last, docked, robots, rows, positions):
+def hide_docked(lanes, first, last, docked, robots, positions, rows):
     """Zero the rows of robots whose bodies touch, as a link is gone with a merge; a robot that
     touches all others keeps its rows, or it would have nothing to go by.
 

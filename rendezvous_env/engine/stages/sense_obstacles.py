@@ -10,7 +10,6 @@ from ...obstacles.obstacle_set import (
     silhouette_2d,
     silhouette_3d,
 )
-from ...obstacles.shape import BOUND, MIDDLE
 from ...physics.potential import net_bearings_of_arcs, net_bearings_of_links
 from ...physics.vectors import load, local_axis, to_local
 from ..memory import (
@@ -34,23 +33,7 @@ sight, m, −inf for a robot that has merged away."""
 
 
 @kernel
-def lay_out_discs(lanes, which, obstacles, discs):
-    """Bring the discs of some environments into their lanes, (blocks, M, 3·L): centre and radius,
-    m; a radius of NaN is no disc.
-    """
-    for k in range(len(which)):
-        block, lane = which[k] // lanes, which[k] % lanes
-        for m in range(discs.shape[1]):
-            shape, disc = obstacles.shapes[which[k], m], discs[block, m]
-            disc[lane], disc[lanes + lane] = shape[MIDDLE], shape[MIDDLE + 1]
-            is_disc = obstacles.kinds[which[k], m] == BALL
-            disc[2 * lanes + lane] = shape[BOUND] if is_disc else np.nan
-
-
-@kernel
-def sense_discs(
-    width, first, last, reach, own, robots, merged_into, discs, rows, clearance, seen
-):
+def sense_discs(width, first, last, reach, own, robots, merged_into, discs, seen, rows, clearance):
     """Discs in the plane, over lanes, into the rows from ``own`` on: those of all other shapes are
     zero. Distances to the nearest disc go to ``clearance``, (B, n); ``seen`` is working memory.
     """
@@ -116,12 +99,12 @@ def sense_shapes(
     merged_into,
     obstacles,
     links,
-    rows,
-    clearance,
     silhouette,
     vectors,
     listed,
     weights,
+    rows,
+    clearance,
 ):
     """Polygons and capsules of the plane, and everything in 3-D, into the rows from ``own`` on.
     Working memory: silhouette (S, d), vectors (3, n, d), listed (2, E) and weights (E,).
@@ -193,7 +176,7 @@ def _see_all(
 
 
 @kernel
-def measure_clearance(lanes, first, last, reach, weighs, clearance, environments):
+def measure_clearance(lanes, first, last, reach, weighs, environments, clearance):
     """Least clearance, of now and of the episode, and, if it ``weighs`` in the reward, closeness
     to obstacles.
     """

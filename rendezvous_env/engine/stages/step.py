@@ -20,9 +20,10 @@ for; what a scenario does not have is not called. Between stages numbers are in 
 of a thread. An observation without a step leaves out the first five and the last.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any
+from operator import itemgetter
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,12 +34,12 @@ from ...obstacles.contact import IGNORE
 from ...outcome import StepOutput
 from ...physics.random_streams import ignore_overflow
 from ...robots.motion import frame_turns
-from ..memory import CLEARANCE, SQUARE_CLOSEST, Robot
+from ..memory import Robot
 from ..memory_layout import Scratch
 from ..preparation import Constants, Sensor
 from ..state import State
-from . import apply_noise as noise
-from . import apply_occlusion as occlusion
+from .apply_noise import apply_noise, apply_noise_to_silhouettes
+from .apply_occlusion import apply_occlusion, close_rows, delay_observations
 from .collide import (
     merge_robots,
     pack_robots,
@@ -56,44 +57,32 @@ _LARGEST = np.finfo(np.float32).max
 Call = Callable[[], Any]
 
 
+class _Late(NamedTuple):
+    """An argument that is another one in each step, the last ones of a stage."""
+
+    place: int  # Among the output, the actions, and the rows
+
+
+_OUTPUT = StepOutput(*map(_Late, range(len(StepOutput._fields))))
+_ACTIONS, _ROWS = _Late(len(_OUTPUT)), _Late(len(_OUTPUT) + 1)
+
+
 class StepStages:
     """The stages of the steps of B environments, as calls."""
 
     def __init__(
         self, state: State, robot: Robot, constants: Constants, sensor: Sensor | None
     ) -> None:
-        self.constants = constants
-        self.collides = False
-        """Whether the stages of contacts and merges are called, and so compiled."""
-        self._state, self._robot, self._sensor = state, robot, sensor
+        self._state, self._robot, self._constants, self._sensor = state, robot, constants, sensor
         self._entries: dict[Any, Callable[..., Any]] = {}
-        place, obstacles = state.place, state.obstacles
+        self._plans: dict[Any, list[tuple[Call, Any]]] = {}
+        place = state.place
         self._took_part = np.zeros(state.merged_into.shape, np.bool_)
-        self._meets_obstacles = constants.contact_mode != IGNORE and obstacles.kinds.shape[1] > 0
-        self._reach = reaches(
-            constants.speed_limit,
-            constants.duration,
-            constants.merge_radius,
-            constants.packs,
-            self._meets_obstacles,
-        )
-        fields = state.environments.reshape(place.blocks, -1, place.lanes)
-        self._square_closest, self._clearance = fields[:, SQUARE_CLOSEST], fields[:, CLEARANCE]
+        self._has_obstacles = state.obstacles.kinds.shape[1] > 0
+        self._has_contacts = constants.contact_mode != IGNORE and self._has_obstacles
         self._dense = state.links.form == DENSE
-        self._has_shapes = place.scenario.dim == 3 or not place.only_balls
-
-    def can_collide(self) -> bool:
-        """Whether something can meet in the next step."""
-        near = self._square_closest < self._reach[0]
-        return bool(near.any() or (self._clearance < self._reach[1]).any())
-
-    def _bind(self, kernel: Any, *arguments: Any) -> Call:
-        """A call of a kernel, which is compiled here if it has not been."""
-        if (entry := self._entries.get(kernel)) is None:
-            # for arrays that may be written to, as a caller's actions need not be
-            types = tuple(map(_writable, arguments))
-            entry = self._entries[kernel] = ignore_overflow(entry_point(kernel, types))
-        return partial(entry, *arguments)
+        # where blocks have one lane, and rows are in their order, they are sensed in the output
+        self._direct = place.lanes == 1 and not (self._dense and place.packed)
 
     def calls(
         self,
@@ -102,156 +91,167 @@ class StepStages:
         actions: NDArray[np.float32] | None,
         output: StepOutput,
         scratch: Scratch,
+        collides: bool,
     ) -> list[Call]:
-        """What there is to call, in order, for some blocks: a step under actions (B, n, a), or if
-        they are None an observation.
+        """The calls of some blocks, in order: of a step under actions (B, n, a), with contacts and
+        merges if it ``collides``, or, if actions are None, of an observation. What has not been
+        compiled is compiled here.
         """
-        calls: list[Call] = []
-        moves = actions is not None
-        if moves:
-            self._move(calls.append, first, last, actions, output, scratch)
-        elif self._robot.memories and frame_turns(type(self._robot.model)):
-            lanes, robots = self._state.lanes, self._state.robots
-            calls.append(self._bind(refresh_frames, self._robot, lanes, first, last, robots))
-        self._sense(calls.append, first, last, moves, output, scratch)
-        if moves:
-            self._conclude(calls.append, first, last, output)
-        return calls
+        rows = scratch.rows
+        if self._direct:
+            whole = last - first == len(output.observations)
+            rows = output.observations if whole else output.observations[first:last]
+        given = (*output, actions, rows)
+        key = first, last, id(scratch), actions is not None, collides
+        if (plan := self._plans.get(key)) is None:
+            stages = self._stages_of(first, last, actions is not None, collides, scratch)
+            plan = self._plans[key] = [self._bound(given, *stage) for stage in stages]
+        # of a partial call a further one is as quick, and to make one takes 0.2 µs
+        return [call if late is None else partial(call, *late(given)) for call, late in plan]
 
-    def _move(self, add: Any, first: int, last: int, actions: Any, output: Any, work: Any) -> None:
-        state, robot, constants = self._state, self._robot, self.constants
-        width, lanes, moves = state.place.width, state.lanes, work.moves
-        robots, merged, environments = state.robots, state.merged_into, state.environments
-        now = robots, merged, environments, moves
-        reach = self._reach
-        add(self._bind(propose_motion, width, robot, first, last, reach, actions, *now))
-        if self.collides:
-            blocks, mode = (first, last), constants.contact_mode
-            if self._meets_obstacles:
-                given = *blocks, mode, *now, state.obstacles, output.contact, work.normals
+    def _bound(self, given: tuple[Any, ...], kernel: Any, *arguments: Any) -> tuple[Call, Any]:
+        """A call of a kernel with all arguments but the late ones, and what takes these out of
+        those ``given`` in a step; the kernel is compiled here if it has not been.
+        """
+        late = [one.place for one in arguments if isinstance(one, _Late)]
+        fixed = arguments[: len(arguments) - len(late)]
+        if (entry := self._entries.get(kernel)) is None:
+            found = (*fixed, *(_writable(given[place]) for place in late))
+            entry = self._entries[kernel] = ignore_overflow(entry_point(kernel, found))
+        if not late:
+            return partial(entry, *fixed), None
+        if len(late) == 1:
+            late = [slice(late[0], late[0] + 1)]
+        return partial(entry, *fixed), itemgetter(*late)
+
+    def _stages_of(
+        self, first: int, last: int, moves: bool, collides: bool, work: Scratch
+    ) -> Iterator[Any]:
+        """Kernels and their arguments, in order."""
+        state, robot, lanes = self._state, self._robot, self._state.lanes
+        if moves:
+            yield from self._move(first, last, collides, work)
+        elif robot.memories and frame_turns(type(robot.model)):
+            yield refresh_frames, robot, lanes, first, last, state.robots
+        yield from self._sense_neighbours(first, last, moves, work)
+        if self._has_obstacles:
+            yield from self._sense_obstacles(first, last, work)
+        if self._sensor is not None:
+            yield from self._apply_noise(first, last, moves, self._sensor, work)
+        yield from self._write_observations(first, last, work)
+        if self._sensor is not None:
+            yield from self._apply_occlusion(first, last, moves, self._sensor, work)
+        if moves:
+            yield self._conclude(first, last)
+
+    def _move(self, first: int, last: int, collides: bool, work: Scratch) -> Iterator[Any]:
+        state, robot, rules = self._state, self._robot, self._constants
+        width, lanes, environments = state.place.width, state.lanes, state.environments
+        now = state.robots, state.merged_into, environments, work.moves
+        reach = reaches(rules, self._has_contacts)
+        yield propose_motion, width, robot, first, last, reach, *now, _ACTIONS
+        if collides:
+            blocks, mode = (first, last), rules.contact_mode
+            if self._has_contacts:
+                given = *blocks, mode, *now, state.obstacles, work.normals, _OUTPUT.contact
                 if robot.memories:
-                    add(self._bind(stop_curves_at_obstacles, robot, lanes, *given))
+                    yield stop_curves_at_obstacles, robot, lanes, *given
                 else:
-                    add(self._bind(stop_at_obstacles, lanes, len(robot.axes), *given))
+                    yield stop_at_obstacles, lanes, len(robot.axes), *given
             memory = work.vectors, work.numbers, work.listed, work.flags
-            if constants.packs:
-                sizes = 2.0 * constants.body_radius, constants.merge_radius
-                add(self._bind(pack_robots, lanes, *blocks, sizes, *now, *memory))
+            if rules.packs:
+                sizes = 2.0 * rules.body_radius, rules.merge_radius
+                yield pack_robots, lanes, *blocks, sizes, *now, *memory
             else:
                 given = *now, state.links, state.obstacles, self._took_part, *memory
-                add(self._bind(merge_robots, lanes, *blocks, constants.merge_radius, *given))
-        add(self._bind(advance_free, width, robot.axes, first, last, robots, environments, moves))
+                yield merge_robots, lanes, *blocks, rules.merge_radius, *given
+        yield advance_free, width, robot.axes, first, last, state.robots, environments, work.moves
         if robot.memories:
-            given = width, robot, first, last, constants.contact_mode, *now, output.contact
-            add(self._bind(update_robots, *given))
+            given = first, last, rules.contact_mode, *now
+            yield update_robots, width, robot, *given, _OUTPUT.contact
 
-    def _sense(self, add: Any, first: int, last: int, moves: bool, output: Any, work: Any) -> None:
-        state, robot, constants, place = self._state, self._robot, self.constants, self._state.place
-        width, lanes, links, axes, entries = place.width, state.lanes, state.links, robot.axes, robot.entries
-        robots, merged, environments = state.robots, state.merged_into, state.environments
-        slots, rows = constants.neighbour_slots, self._rows(first, last, output, work)
+    def _sense_neighbours(self, first: int, last: int, moves: bool, work: Scratch) -> Iterator[Any]:
+        state, robot, rules, links = self._state, self._robot, self._constants, self._state.links
+        shape, blocks, robots = (robot.axes, robot.entries), (first, last), state.robots
         if state.changes is not None:
-            time = moves, constants.duration, state.changes, state.seed, state.number
-            given = *time, robots, merged, environments, links
-            add(self._bind(update_links, axes, entries, first, last, *given))
+            given = moves, rules.duration, state.changes, state.seed, state.number, robots
+            others = state.merged_into, state.environments, links
+            yield update_links, *shape, *blocks, *given, *others
         if self._dense:
-            given = robots, links.weights, rows, work.pair, environments
-            add(self._bind(sense_pairs, width, axes, entries, first, last, *given))
+            given = robots, links.weights, work.pair, state.environments
+            yield sense_pairs, state.place.width, *shape, *blocks, *given, _ROWS
         else:
-            given = links, robots, rows, work.counts, environments, output.crowded
-            add(self._bind(sense_links, axes, entries, first, last, slots, *given))
-        if constants.packs:
-            docked = constants.body_radius + 0.5 * constants.merge_radius
-            given = docked, robots, rows, work.vectors[0]
-            add(self._bind(hide_docked, lanes, first, last, *given))
-        if state.obstacles.kinds.shape[1]:
-            self._sense_obstacles(add, first, last, rows, output, work)
-        if self._sensor is not None:
-            self._apply_noise(add, first, last, moves, self._sensor, rows, work)
-        observations = output.observations
-        if self._dense and place.packed:
-            given = slots, links, rows, work.counts, observations, output.crowded
-            add(self._bind(write_packed, lanes, first, last, *given))
-        elif rows is work.rows:
-            add(self._bind(write_observations, width, axes, first, last, rows, observations))
-        if place.scenario.model.senses:
-            given = robots, merged, observations
-            add(self._bind(sense_oneself, robot, lanes, first, last, *given))
-        if self._sensor is not None:
-            self._apply_occlusion(add, first, last, moves, self._sensor, output, work)
+            given = rules.neighbour_slots, links, robots, work.counts, state.environments
+            yield sense_links, *shape, *blocks, *given, _ROWS, _OUTPUT.crowded
+        if rules.packs:
+            docked = rules.body_radius + 0.5 * rules.merge_radius
+            yield hide_docked, state.lanes, *blocks, docked, robots, work.vectors[0], _ROWS
 
-    def _rows(self, first: int, last: int, output: StepOutput, work: Scratch) -> Any:
-        """Where observations are sensed: in scratch memory, or, where blocks have one lane and rows
-        are already in their order, in the output.
-        """
-        place = self._state.place
-        if place.lanes > 1 or (self._dense and place.packed):
-            return work.rows
-        whole = first == 0 and last == place.blocks
-        return output.observations if whole else output.observations[first:last]
-
-    def _sense_obstacles(
-        self, add: Any, first: int, last: int, rows: Any, output: Any, work: Any
-    ) -> None:
-        state, constants, robot = self._state, self.constants, self._robot
-        width, lanes, reach = state.place.width, state.lanes, constants.obstacle_range
-        robots, merged, own = state.robots, state.merged_into, state.place.neighbours
-        clearance = output.clearance
+    def _sense_obstacles(self, first: int, last: int, work: Scratch) -> Iterator[Any]:
+        state, robot, rules, place = self._state, self._robot, self._constants, self._state.place
+        blocks = first, last, rules.obstacle_range
+        given, late = (state.robots, state.merged_into), (_ROWS, _OUTPUT.clearance)
         if len(robot.axes) == 2:
-            given = robots, merged, state.discs, rows, clearance, work.disc
-            add(self._bind(sense_discs, width, first, last, reach, own, *given))
-        if self._has_shapes:
-            given = robots, merged, state.obstacles, state.links, rows, clearance
+            own = place.neighbours
+            yield sense_discs, place.width, *blocks, own, *given, state.discs, work.disc, *late
+        if len(robot.axes) == 3 or not place.only_balls:
+            blocks_of = robot.axes, robot.entries, state.lanes, *blocks, place.neighbours
             memory = work.silhouette, work.vectors, work.listed, work.numbers[0]
-            blocks = lanes, first, last, reach, own
-            add(self._bind(sense_shapes, robot.axes, robot.entries, *blocks, *given, *memory))
-        given = constants.weighs_clearance, clearance, state.environments
-        add(self._bind(measure_clearance, lanes, first, last, reach, *given))
+            yield sense_shapes, *blocks_of, *given, state.obstacles, state.links, *memory, *late
+        given = rules.weighs_clearance, state.environments
+        yield measure_clearance, state.lanes, *blocks, *given, _OUTPUT.clearance
 
     def _apply_noise(
-        self, add: Any, first: int, last: int, moves: bool, sensor: Sensor, rows: Any, work: Any
-    ) -> None:
-        state, robot, own = self._state, self._robot, self._state.place.neighbours
-        width, errors, memory = state.place.width, sensor.errors, (work.keys, work.words)
-        blocks = first, last, moves, errors
-        streams, environments = (state.seed, state.number), state.environments
+        self, first: int, last: int, moves: bool, sensor: Sensor, work: Scratch
+    ) -> Iterator[Any]:
+        state, robot, place = self._state, self._robot, self._state.place
+        blocks, errors = (first, last, moves, sensor.errors), sensor.errors
+        memory, streams = (work.keys, work.words), (state.seed, state.number)
         if errors.over_lanes:
-            slots = self.constants.neighbour_slots
-            given = slots, sensor.listed, state.links, *streams, state.robots, environments
-            lists = rows, work.listed, work.numbers[0], work.counts
-            arguments = *blocks, *given, *lists, *memory
-            add(self._bind(noise.apply_noise, width, robot.axes, robot.entries, *arguments))
-        if state.obstacles.kinds.shape[1] and errors.changes_silhouettes:
-            points = len(work.silhouette)
-            given = own, points, *streams, environments, rows, *memory
-            kernel = noise.apply_noise_to_silhouettes
-            add(self._bind(kernel, width, robot.axes, *blocks, *given))
+            given = self._constants.neighbour_slots, sensor.listed, state.links, *streams
+            lists = work.listed, work.numbers[0], work.counts
+            shape = place.width, robot.axes, robot.entries
+            now = state.robots, state.environments
+            yield apply_noise, *shape, *blocks, *given, *now, *lists, *memory, _ROWS
+        if self._has_obstacles and errors.changes_silhouettes:
+            given = place.neighbours, place.points, *streams, state.environments, *memory
+            yield apply_noise_to_silhouettes, place.width, robot.axes, *blocks, *given, _ROWS
+
+    def _write_observations(self, first: int, last: int, work: Scratch) -> Iterator[Any]:
+        state, robot, place = self._state, self._robot, self._state.place
+        seen, blocks = _OUTPUT.observations, (first, last)
+        if self._dense and place.packed:
+            given = self._constants.neighbour_slots, state.links, work.rows, work.counts
+            yield write_packed, state.lanes, *blocks, *given, seen, _OUTPUT.crowded
+        elif not self._direct:
+            yield write_observations, place.width, robot.axes, *blocks, work.rows, seen
+        if place.scenario.model.senses:
+            yield sense_oneself, robot, state.lanes, *blocks, state.robots, state.merged_into, seen
 
     def _apply_occlusion(
-        self, add: Any, first: int, last: int, moves: bool, sensor: Sensor, output: Any, work: Any
-    ) -> None:
-        state, robot, slots = self._state, self._robot, self.constants.neighbour_slots
-        lanes, merged, seen = state.lanes, state.merged_into, output.observations
+        self, first: int, last: int, moves: bool, sensor: Sensor, work: Scratch
+    ) -> Iterator[Any]:
+        state, robot, rules, lanes = self._state, self._robot, self._constants, self._state.lanes
+        slots, merged, seen = rules.neighbour_slots, state.merged_into, _OUTPUT.observations
         if sensor.errors.one_by_one:
-            radius, scene = self.constants.body_radius, (state.robots, merged, state.obstacles)
-            given = sensor.errors, radius, slots, sensor.packed, state.links, *scene, seen
+            given = sensor.errors, rules.body_radius, slots, sensor.packed, state.links
             memory = work.vectors, work.listed, work.numbers[0], work.counts
-            kernel, shape = occlusion.apply_occlusion, (robot.axes, robot.entries, lanes)
-            add(self._bind(kernel, *shape, first, last, *given, *memory))
+            shape = robot.axes, robot.entries, lanes, first, last
+            scene = state.robots, merged, state.obstacles
+            yield apply_occlusion, *shape, *given, *scene, *memory, seen
         if sensor.packed:
-            start, end = first * lanes, min(last * lanes, len(seen))
-            add(self._bind(occlusion.close_rows, start, end, slots, seen))
+            yield close_rows, first * lanes, min(last * lanes, state.batch), slots, seen
         if state.past.shape[1] > 1:
-            given = moves, merged, state.environments, seen, state.past
-            add(self._bind(occlusion.delay_observations, lanes, first, last, *given))
+            given = moves, merged, state.environments, state.past
+            yield delay_observations, lanes, first, last, *given, seen
 
-    def _conclude(self, add: Any, first: int, last: int, output: StepOutput) -> None:
-        state, constants = self._state, self.constants
-        rules = constants.duration, constants.max_steps, constants.reward_weights
-        given = state.environments, state.merged_into, self._took_part
-        written = output.scores, output.active, output.status, output.robot_rewards, output.contacts
+    def _conclude(self, first: int, last: int) -> tuple[Any, ...]:
+        state, rules, late = self._state, self._constants, _OUTPUT
         blocks = state.place.width, first, last
-        add(self._bind(conclude_step, *blocks, *rules, constants.all_earn, *given, *written))
+        given = rules.duration, rules.max_steps, rules.reward_weights, rules.all_earn
+        now = state.environments, state.merged_into, self._took_part
+        written = late.scores, late.active, late.status, late.robot_rewards, late.contacts
+        return conclude_step, *blocks, *given, *now, *written
 
 
 def _writable(value: Any) -> Any:
