@@ -269,7 +269,9 @@ class BatchRunner:
                 )
             ]
 
-        stages.calls(0, 1, actions, output, self.scratch, True)
+        if not stages.all_compiled:
+            stages.calls(0, 1, actions, output, self.scratch, True)
+            stages.all_compiled = True
         return calls_of
 
     def _calls_of_one_thread(

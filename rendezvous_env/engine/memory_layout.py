@@ -19,7 +19,7 @@ _FEWEST_SIDE_BY_SIDE = 5
 _SPARSE_FROM = 48
 """Robots from which a list of links is faster, one by one, than all pairs in lanes."""
 _SPARSE_SHARE = 0.25  # Share of all pairs above which it is not
-_NEAR_CACHE = 2**18  # Bytes of scratch memory that stay in the cache from stage to stage
+_NEAR_CACHE = 2**20  # Bytes of scratch memory that stay in the cache from stage to stage
 Floats = NDArray[np.float64]
 
 

@@ -52,7 +52,7 @@ def stop_at_obstacles(
     """
     n = robots.shape[1]
     for block in range(first, last):
-        for lane in range(min(lanes, len(merged_into) - block * lanes)):
+        for lane in range(_lanes_near(block, lanes, len(merged_into), environments[block])):
             if environments[block, PROXIMITY * lanes + lane] == FREE:
                 continue
             b = block * lanes + lane
@@ -86,7 +86,7 @@ def stop_curves_at_obstacles(
     """The same for robot models that move along curves."""
     n, d = robots.shape[1], len(robot.axes)
     for block in range(first, last):
-        for lane in range(min(lanes, len(merged_into) - block * lanes)):
+        for lane in range(_lanes_near(block, lanes, len(merged_into), environments[block])):
             if environments[block, PROXIMITY * lanes + lane] == FREE:
                 continue
             b = block * lanes + lane
@@ -109,6 +109,15 @@ def stop_curves_at_obstacles(
                     if met:
                         contact[b, i] = True
                         environments[block, STEP_CONTACTS * lanes + lane] += 1.0
+
+
+@inner_kernel
+def _lanes_near(block, lanes, batch, environment):
+    """Lanes of a block to look at one by one: all, or none where nothing can meet."""
+    near = 0.0
+    for lane in range(lanes):
+        near += environment[PROXIMITY * lanes + lane]
+    return min(lanes, batch - block * lanes) if near > 0.0 else 0
 
 
 @inner_kernel
@@ -151,7 +160,7 @@ def merge_robots(
     weights, moments, lengths, report = numbers[0], numbers[1], numbers[2, :n], numbers[3]
     for block in range(first, last):
         environment, move = environments[block], moves[block - first]
-        for lane in range(min(lanes, len(merged_into) - block * lanes)):
+        for lane in range(_lanes_near(block, lanes, len(merged_into), environment)):
             if environment[PROXIMITY * lanes + lane] == FREE:
                 continue
             b = block * lanes + lane
@@ -208,7 +217,7 @@ def pack_robots(
     positions, displacements, lengths = vectors[0], vectors[1], numbers[2, :n]
     for block in range(first, last):
         environment, move = environments[block], moves[block - first]
-        for lane in range(min(lanes, len(merged_into) - block * lanes)):
+        for lane in range(_lanes_near(block, lanes, len(merged_into), environment)):
             if environment[PROXIMITY * lanes + lane] == FREE:
                 continue
             load_positions(robots[block], lane, lanes, positions)

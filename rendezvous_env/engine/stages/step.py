@@ -74,6 +74,8 @@ class StepStages:
         self, state: State, robot: Robot, constants: Constants, sensor: Sensor | None
     ) -> None:
         self._state, self._robot, self._constants, self._sensor = state, robot, constants, sensor
+        self.all_compiled = False
+        """Whether those of contacts and merges are compiled, too."""
         self._entries: dict[Any, Callable[..., Any]] = {}
         self._plans: dict[Any, list[tuple[Call, Any]]] = {}
         place = state.place
