@@ -1,7 +1,7 @@
 # make compare: the main job.  make test: linters, types, fast tests.  Each sets up .venv by itself;
 # compare needs no extra, the others add all of them, as make install does.
-# make test-slow: the long tests, and those that together call every kernel (KERNELS in
-#   tests/conftest.py) once more with every index checked, as plain Python and, where filters
+# make test-slow: the long tests, and those that together call every kernel (marker "kernels")
+#   once more with every index checked, as plain Python and, where filters
 #   work in lanes, compiled.
 # make docs: the documentation as a site, in out/site.
 PYTHON ?= python3

@@ -122,7 +122,7 @@ def options_of(draw: st.DrawFn, team: str, num_envs: int) -> Any:
     return options
 
 
-@fuzzed(60, names, teams, st.data())
+@fuzzed(60, names, teams, st.data(), kernels=True)
 def test_options_of_a_reset(name, team, data):
     it = door(name, team)
     it.env.reset(seed=1)
@@ -153,7 +153,7 @@ def actions_of(draw: st.DrawFn, it: Door) -> Any:
     return draw(any_table(*single, it.n, it.size))
 
 
-@fuzzed(60, names, teams, st.data())
+@fuzzed(60, names, teams, st.data(), kernels=True)
 def test_actions(name, team, data):
     it = door(name, team)
     it.env.reset(seed=data.draw(st.integers(0, 3)))
@@ -199,7 +199,9 @@ def _whole(dtype: np.dtype) -> st.SearchStrategy:
     return st.sampled_from([0, 1, 2, 5, 10**9, low, high]) | st.integers(low, high)
 
 
-@fuzzed(40, st.sampled_from([name for name in NAMES if name != "aec"]), teams, st.data())
+@fuzzed(
+    40, st.sampled_from([name for name in NAMES if name != "aec"]), teams, st.data(), kernels=True
+)
 def test_states(name, team, data):
     it = door(name, team)
     it.env.reset(seed=data.draw(st.integers(0, 3)))

@@ -222,6 +222,7 @@ def test_robots_that_a_current_carries_faster_than_v_max_take_their_own_state(re
         env.set_state(state)
 
 
+@pytest.mark.slow
 def test_a_sluggish_unicycle_moves_as_its_equations_say(own):
     own("own_sluggish", SLUGGISH)
     disc = rv.Disc((13.0, 0.0), 10.0)

@@ -159,7 +159,9 @@ def test_bias_is_gaussian_and_belongs_to_pair_and_episode():
 
 
 @pytest.mark.parametrize("field", ["noise", "bias"])
-@pytest.mark.parametrize("scenario", [WALLED, SPACE], ids=["plane", "space"])
+@pytest.mark.parametrize(
+    "scenario", [WALLED, pytest.param(SPACE, marks=pytest.mark.slow)], ids=["plane", "space"]
+)
 def test_silhouettes_are_turned_point_by_point(scenario, field):
     exact = simulator(scenario, seed=5)
     erring = simulator(sensing(scenario, **{field: 0.1}), seed=5)
@@ -311,7 +313,9 @@ def test_what_is_seen_is_late_by_exactly_so_many_steps(scenario, fields):
 
 
 @pytest.mark.parametrize(
-    ("scenario", "batch"), [(WALLED, 6), (SPACE, 6), (RING, 1)], ids=["plane", "space", "ring"]
+    ("scenario", "batch"),
+    [(WALLED, 6), (SPACE, 6), pytest.param(RING, 1, marks=pytest.mark.slow)],
+    ids=["plane", "space", "ring"],
 )
 def test_motion_merges_and_v_follow_the_graph_not_what_is_seen(scenario, batch):
     exact = simulator(scenario, batch)
@@ -324,6 +328,7 @@ def test_motion_merges_and_v_follow_the_graph_not_what_is_seen(scenario, batch):
     assert (exact.lyapunov() == erring.lyapunov()).all()
 
 
+@pytest.mark.slow
 def test_with_few_rows_those_that_are_seen_stand_first():
     scenario = PLANE.replace(graph=UNEQUAL, neighbour_slots=3)
     exact, erring, moved = simulator(scenario, 1), simulator(sensing(scenario, dropout=0.5), 1), 0

@@ -19,6 +19,8 @@ from rendezvous_env.obstacles.polygon import Polygon
 from rendezvous_env.robots.nonholonomic_3d import Nonholonomic3D
 from rendezvous_env.robots.unicycle import Unicycle
 
+pytestmark = pytest.mark.kernels
+
 MICRON, HALF = 1e-6, math.sqrt(0.5)
 WALL = Polygon(((-20, 0), (20, 0), (20, 2), (-20, 2)))  # free below y = 0
 FLOOR, UPWARDS = Polygon(((-9, -1), (9, -1), (9, 0), (-9, 0))), Polygon(((0, 0), (9, -1), (9, 9)))

@@ -16,6 +16,8 @@ from rendezvous_env.physics.potential import (
 )
 from rendezvous_env.safety.lyapunov import lyapunov
 
+pytestmark = pytest.mark.kernels
+
 
 def linked(n, *links):
     """Weights of links (i, j, a) among n robots."""

@@ -25,6 +25,8 @@ from rendezvous_env.obstacles.shape import MIDDLE, OWN, azimuth_axes, centre_dir
 from rendezvous_env.physics.crossings import first_crossing
 from rendezvous_env.physics.vectors import ORIGIN
 
+pytestmark = pytest.mark.kernels
+
 N_VIEWS = 10_000
 SQUARE = Polygon(((0, 0), (2, 0), (2, 2), (0, 2)))
 

@@ -18,6 +18,8 @@ from rendezvous_env.sensors.imperfections import (
     turned_towards,
 )
 
+pytestmark = pytest.mark.kernels
+
 Z_AXIS = (0.0, 0.0, 1.0)
 
 

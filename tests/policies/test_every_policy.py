@@ -7,6 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
+from parameters import marked
 
 import baselines
 import rendezvous_env as rv
@@ -73,7 +74,7 @@ def same(name, found, wanted):
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6 * (name.split()[0] in ROUNDED))
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "trained"])
+@pytest.mark.parametrize("name", marked([n for n in NAMES if n != "trained"], slow=["damped"]))
 def test_it_goes_on_bit_by_bit_from_a_pickle(name):
     """With the teams that it steers, which privileged ones read."""
     policy, scenario = made(name)
@@ -93,7 +94,8 @@ def test_it_goes_on_bit_by_bit_from_a_pickle(name):
     assert name == "zero" or (simulator.observe() != before).any()
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "random"])
+@pytest.mark.kernels
+@pytest.mark.parametrize("name", marked([n for n in NAMES if n != "random"], slow=["damped"]))
 def test_a_batch_is_its_teams_one_by_one(name):
     together, scenario = made(name)
     simulator = rv.Simulator(scenario, 3)
@@ -111,7 +113,7 @@ def test_a_batch_is_its_teams_one_by_one(name):
         seen = simulator.step(actions).observations
 
 
-@pytest.mark.parametrize("name", SEES)
+@pytest.mark.parametrize("name", marked(SEES, slow=["damped"]))
 def test_teams_of_a_mask_begin_anew_and_the_others_do_not(name):
     policy, scenario = made(name)
     *_, last = sights(policy, scenario)

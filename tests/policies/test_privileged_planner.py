@@ -114,7 +114,8 @@ class TestItPasses:
               for name in ("trap", "corridor", "rooms", "clutter-32")),
             ("clutter-3d-32", 10, ""), ("clutter-3d-96", 2, ""), ("slab-3d", 20, "bearing-only"),
             ("bowl-3d", 10, ""), ("window-3d", 10, ""), ("uav-clutter-16", 3, ""),
-            ("unicycle-clutter-24-slower", 20, ""), ("unicycle-rooms", 20, ""),
+            ("unicycle-clutter-24-slower", 20, ""),
+            pytest.param("unicycle-rooms", 20, "", marks=pytest.mark.slow),
         ],
     )  # fmt: skip
     def test_every_field_is_passed(self, name, starts, fails):

@@ -14,6 +14,8 @@ from rendezvous_env.robots import motion
 from rendezvous_env.robots.double_integrator import DoubleIntegrator, final_velocity, mean_speed
 from rendezvous_env.robots.unicycle import mean_cos_sin
 
+pytestmark = pytest.mark.kernels
+
 angles = st.floats(-3.2, 3.2)
 rates = st.floats(-6.0, 6.0)
 

@@ -164,6 +164,7 @@ def team(registry):
     return Scenario(n_robots=4, robot_model="omni")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", ["heading", "tank"])
 def test_robots_that_go_any_way_choose_directions_although_they_have_angles(team, by):
     """They were taken for robots that drive along an axis: speed and turn rate, and V rose."""

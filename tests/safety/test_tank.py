@@ -22,6 +22,7 @@ TEAMS = 24
 SHORT = Sensing(range=4.0)
 
 
+@pytest.mark.kernels
 class TestEquations:
     @pytest.mark.parametrize(
         ("strength", "degree", "radius", "duration", "limit", "expected"),

@@ -10,6 +10,8 @@ from tuples import body_frame, mean_body_axis, triple
 
 from rendezvous_env.safety.turning import Gate, gated_rates, mean_axis, yaw_rate_law
 
+pytestmark = pytest.mark.kernels
+
 GATE = Gate(True, 0.1, 0.05, 0.5, 2.0, 0.0)
 IN_SPACE = GATE._replace(planar=False, yaw_limit=20.0, pitch_limit=2.0)
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(80)

@@ -9,6 +9,8 @@ from baselines.learned.features import Features
 from rendezvous_env import Scenario, Simulator
 from rendezvous_env.scenario import scenarios
 
+pytestmark = pytest.mark.kernels
+
 TEAMS = 6
 CLUTTER = scenarios.get("clutter-16")
 NO_HEADINGS = np.zeros((TEAMS, CLUTTER.n_robots, 2))
