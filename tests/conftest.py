@@ -35,12 +35,28 @@ with suppress(ImportError, AttributeError):
     providers._get_local_constants = lambda: providers._local_constants
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--every-kernel",
+        action="store_true",
+        help="fail unless every kernel has run; see tests/kernel_coverage.py",
+    )
+
+
 def pytest_configure(config: pytest.Config) -> None:
-    """What libraries leave in the folder for temporary files goes when the run ends."""
+    """Warnings of uncompiled kernels, temporary files, kernels that have to run."""
     if not compiled():  # numbers of streams wrap around, which compiled code says nothing of
         config.addinivalue_line("filterwarnings", "ignore:overflow encountered:RuntimeWarning")
-    if hasattr(config, "workerinput"):
-        return  # a worker has its controller's
+    if not hasattr(config, "workerinput"):  # a worker has its controller's
+        use_own_temporary_folder(config)
+    if config.option.every_kernel:
+        from kernel_coverage import EveryKernel
+
+        config.pluginmanager.register(EveryKernel(config, Path(os.environ["TMPDIR"]) / "checked"))
+
+
+def use_own_temporary_folder(config: pytest.Config) -> None:
+    """Let everything that is written to the folder for temporary files go when the run ends."""
     for left in Path(tempfile.gettempdir()).glob("rv-*-*"):  # by runs that were killed
         try:
             os.kill(int(left.name.split("-")[1]), 0)
