@@ -10,6 +10,8 @@ from rendezvous_env import Capsule, Disc, Polygon, Scenario, Simulator, Sphere
 from rendezvous_env.obstacles.obstacle_set import distance_to
 from rendezvous_env.trajectory import run
 
+pytestmark = pytest.mark.slow
+
 FLAT = (
     Disc((0.0, 0.0), 1.0),
     Polygon(((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))),
@@ -56,7 +58,7 @@ def clearance(scenario: Scenario, point) -> float:
     return min(distance_to(scene, m, triple(point)) for m in range(len(scenario.obstacles)))
 
 
-@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("dim", [2, 3])
 def test_free_motion_against_its_own_sum(dim):
     scenario = two(dim, local_frames="random")
     sim, random = begin(scenario, [0.0] * dim), np.random.default_rng(0)
@@ -83,11 +85,7 @@ def test_free_motion_against_its_own_sum(dim):
 
 
 @pytest.mark.parametrize("mode", ["slide", "stop"])
-@pytest.mark.parametrize(
-    "obstacle",
-    [*FLAT, *(pytest.param(o, marks=pytest.mark.slow) for o in SOLID)],
-    ids=lambda o: f"{type(o).__name__}{o.dim}",
-)
+@pytest.mark.parametrize("obstacle", [*FLAT, *SOLID], ids=lambda o: f"{type(o).__name__}{o.dim}")
 def test_nobody_gets_into_or_through_an_obstacle(obstacle, mode):
     """Robots that are driven at it from all sides, and then this way and that."""
     dim = obstacle.dim
@@ -152,7 +150,7 @@ def test_the_survivor_of_a_merge_keeps_its_own_velocity():
     assert (out.observations[0, 1] == 0).all()
 
 
-@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("dim", [2, 3])
 def test_teams_meet_under_the_damped_law(dim):
     scenario = Scenario(
         n_robots=5, dim=dim, robot_model="double_integrator", graph=UNEQUAL, obstacles=(FAR[dim],)

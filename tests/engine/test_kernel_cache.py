@@ -74,6 +74,7 @@ def python(script: str, folder: Path, **environment: str) -> subprocess.Complete
     return run_python(folder, "-c", script, **ours | environment)
 
 
+@pytest.mark.slow
 def test_code_is_kept_apart_by_what_it_was_made_from_until_nobody_has_used_it_for_long(tmp_path):
     """An edit of an inlined kernel is noticed, one of a docstring is not."""
     package(tmp_path, 0.5)
@@ -129,6 +130,7 @@ def test_an_edit_of_the_environment_makes_only_what_depends_on_it_anew(monkeypat
     assert changed == [True, True, False, False]
 
 
+@pytest.mark.slow
 def test_functions_of_one_name_from_two_processes_are_told_apart(tmp_path):
     """Each of these callers holds an f of its own, the first function that its process compiled."""
     (tmp_path / "closures.py").write_text(

@@ -201,6 +201,7 @@ def test_a_leap_that_no_check_of_the_model_found_is_told_in_the_step(own):
             teams.step(actions)
 
 
+@pytest.mark.slow
 def test_robots_that_a_current_carries_faster_than_v_max_take_their_own_state(registry):
     still = robot_models.ROBOT_MODELS["double_integrator"]
 
@@ -270,6 +271,7 @@ def ran(folder: Path) -> tuple[float, int]:
     return float(way), int(anew)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not compiled(), reason="nothing is kept")
 def test_an_edited_model_moves_as_edited(tmp_path):
     """Compiled code is kept on disk: it must follow the file that the model is in, and those that

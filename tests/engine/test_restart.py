@@ -30,7 +30,7 @@ TEAMS = 7
 SOME = np.array([False, True, False, False, True, True, False])
 
 
-@pytest.fixture(params=marked(KINDS, slow=["double_integrator-3d"]))
+@pytest.fixture(params=marked(KINDS, slow=INERTIA))
 def scenario(request) -> Scenario:
     team = {"n_robots": 5, "graph": UNEQUAL, "spawn_size": 6.0, "merge_radius": 0.4}
     return Scenario(**team | (KINDS | CHANGING)[request.param])
