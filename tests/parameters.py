@@ -15,3 +15,8 @@ def marked(
         pytest.param(name, marks=[getattr(pytest.mark, m) for m in marks if name in marks[m]])
         for name in names
     ]
+
+
+def slow(*values: object) -> object:
+    """One set of parameters with the marker ``slow``."""
+    return pytest.param(*values, marks=pytest.mark.slow)

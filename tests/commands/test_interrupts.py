@@ -11,6 +11,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from parameters import slow
 
 from baselines.obstacle_rules.merged_silhouettes_2d import TWO_PI, counter_clockwise
 from train import cli, interrupts
@@ -53,8 +54,8 @@ class TestCommands:
         ("command", "number"),
         [
             ("compare", signal.SIGINT),
-            ("train", signal.SIGTERM),
-            *(pytest.param(*both, marks=pytest.mark.slow) for both in product(COMMANDS, SIGNALS)),
+            slow("train", signal.SIGTERM),
+            *(slow(*both) for both in product(COMMANDS, SIGNALS)),
         ],
     )
     def test_at_work(self, command, number, tmp_path):

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import run_python
+from parameters import slow
 
 import baselines
 import rendezvous_env as rv
@@ -71,8 +72,8 @@ class TestAgreement:
         ("policy", "name", "steps"),
         [
             *((policy, "clutter-12", 120) for policy in POLICIES),
-            *((*one, 60) for one in SHORT),
-            *(pytest.param(*one, 10_000, marks=pytest.mark.slow) for one in LONG),
+            *(slow(*one, 60) for one in SHORT),
+            *(slow(*one, 10_000) for one in LONG),
         ],
     )
     def test_it_does_what_the_policy_does(self, exported, policy, name, steps):

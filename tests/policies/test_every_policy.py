@@ -44,6 +44,8 @@ ELSEWHERE = {
 }  # fmt: skip
 ALSO_ELSEWHERE = [f"{name} {field}" for field, names in ELSEWHERE.items() for name in names]
 NAMES = [*baselines.names(), *FILTERED, *ALSO_ELSEWHERE]
+OTHER_KINDS = {"damped", *ALSO_ELSEWHERE}
+"""Kinds of environments that fast tests do without."""
 SEES = [name for name in NAMES if not name.startswith(("privileged", "random"))]
 
 
@@ -74,7 +76,7 @@ def same(name, found, wanted):
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6 * (name.split()[0] in ROUNDED))
 
 
-@pytest.mark.parametrize("name", marked([n for n in NAMES if n != "trained"], slow=["damped"]))
+@pytest.mark.parametrize("name", marked([n for n in NAMES if n != "trained"], slow=OTHER_KINDS))
 def test_it_goes_on_bit_by_bit_from_a_pickle(name):
     """With the teams that it steers, which privileged ones read."""
     policy, scenario = made(name)
@@ -95,7 +97,7 @@ def test_it_goes_on_bit_by_bit_from_a_pickle(name):
 
 
 @pytest.mark.kernels
-@pytest.mark.parametrize("name", marked([n for n in NAMES if n != "random"], slow=["damped"]))
+@pytest.mark.parametrize("name", marked([n for n in NAMES if n != "random"], slow=OTHER_KINDS))
 def test_a_batch_is_its_teams_one_by_one(name):
     together, scenario = made(name)
     simulator = rv.Simulator(scenario, 3)
@@ -113,7 +115,7 @@ def test_a_batch_is_its_teams_one_by_one(name):
         seen = simulator.step(actions).observations
 
 
-@pytest.mark.parametrize("name", marked(SEES, slow=["damped"]))
+@pytest.mark.parametrize("name", marked(SEES, slow=OTHER_KINDS & {*SEES}))
 def test_teams_of_a_mask_begin_anew_and_the_others_do_not(name):
     policy, scenario = made(name)
     *_, last = sights(policy, scenario)
