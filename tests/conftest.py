@@ -70,10 +70,10 @@ def use_own_temporary_folder(config: pytest.Config) -> None:
 
 
 LONG = (
-    "test_any", "test_inertia", "test_widths", "test_sensing_engine", "test_paper",
-    "test_guarantee_wrappers", "test_docs", "test_fuzz_files", "test_fuzz_core", "test_installed",
-    "test_examples", "test_package", "test_resuming", "test_interrupts", "test_shipped",
-    "test_site",
+    "test_random_scenarios", "test_double_integrator", "test_batch_equals_singles",
+    "test_sensing_engine", "test_paper", "test_guarantee_wrappers", "test_installed", "test_docs",
+    "test_fuzz_files", "test_fuzz_core", "test_every_policy", "test_examples", "test_package",
+    "test_resuming", "test_interrupts", "test_shipped", "test_site",
 )  # fmt: skip
 """Files that take longest, fast tests or slow ones, in the order in which two workers are given
 them: files that need the same kernels stand apart, or both workers would compile those.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.vector import AutoresetMode
-from small_world import ROBOTS, SCENARIO, SEED, Lives
+from small_scenario import ROBOTS, SCENARIO, SEED, Lives
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize, VecVideoRecorder

@@ -7,18 +7,18 @@ import pickle
 
 import numpy as np
 import pytest
-import test_graphs_that_change as changing
+import test_changing_graphs as changing
 from conftest import MODELS, UNEQUAL, assert_same_state, five, started
 from parameters import marked
-from test_inertia import FAR
+from test_batch_equals_singles import towards_neighbours
+from test_double_integrator import FAR
 from test_sensing_engine import PLANE, WORST
 from test_sparse import RING, WEB
-from test_widths import towards_neighbours
 
 from rendezvous_env import ObstacleField, Scenario, Sensing, Simulator, scenarios
 from rendezvous_env.engine.memory import AWAITING_RESET, RUNNING, TIME_OUT
 
-# obstacles as in ``test_inertia``: nothing else is compiled
+# obstacles as in ``test_double_integrator``: nothing else is compiled
 INERT = {d: {"robot_model": "double_integrator", "dim": d, "obstacles": (FAR[d],)} for d in (2, 3)}
 INERTIA = {f"double_integrator-{d}d": INERT[d] for d in (2, 3)}
 KINDS = MODELS | INERTIA

@@ -9,8 +9,8 @@ import math
 import numpy as np
 import pytest
 from conftest import UNEQUAL, actions_shape, started
+from geometry import along, triple, world
 from scipy import stats
-from tuples import along, triple, world
 
 import rendezvous_env as rv
 from rendezvous_env.physics.worst_bias import outward_directions

@@ -5,9 +5,9 @@ links.
 import numpy as np
 import pytest
 from conftest import assert_same_state, refusing, started, unequal_matrix
+from geometry import along
 from parameters import marked
-from test_graphs_that_change import ARCS
-from tuples import along
+from test_changing_graphs import ARCS
 
 import baselines
 import rendezvous_env as rv

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from bare_network import make_network, stirred
+from inference_network import make_network, stirred
 
 from baselines.learned import checkpoints, shipped
 from baselines.learned.features import CONTEXT_COLUMNS, FeatureLayout

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from tuples import arc, triple, world
+from geometry import arc, triple, world
 
 from rendezvous_env.obstacles.contact import (
     CONTACT_DEPTH,

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from conftest import started
+from geometry import world
 from hypothesis import given
 from hypothesis import strategies as st
-from tuples import world
 
 from rendezvous_env import Disc, Scenario
 from rendezvous_env.graphs.merging import contract, contract_arcs, merge_swept

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 import shapely
+from geometry import along, triple, world
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.optimize import minimize_scalar
-from tuples import along, triple, world
 
 from rendezvous_env.obstacles.capsule import CAPSULES
 from rendezvous_env.obstacles.disc import Disc, Sphere

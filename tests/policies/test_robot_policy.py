@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from conftest import LAWS
+from geometry import along
 from parameters import slow
 from scipy.optimize import linear_sum_assignment
-from tuples import along
 
 import baselines
 import rendezvous_env as rv

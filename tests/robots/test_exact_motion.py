@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from geometry import arc, body_frame
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.integrate import quad, solve_ivp
-from tuples import arc, body_frame
 
 from rendezvous_env.robots import motion
 from rendezvous_env.robots.double_integrator import DoubleIntegrator, final_velocity, mean_speed

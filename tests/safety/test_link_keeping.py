@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from geometry import triple
 from scipy.optimize import nnls
-from tuples import triple
 
 import baselines
 import rendezvous_env as rv

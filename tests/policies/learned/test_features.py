@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tuples import along
+from geometry import along
 
 from baselines.learned.feature_kernels import CONTEXT_COLUMNS, LEVEL_COLUMNS, WALL_COLUMNS
 from baselines.learned.features import Features

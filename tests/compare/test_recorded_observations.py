@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_starts import FAR
+from test_initial_conditions import FAR
 
 import rendezvous_env as rv
 from rendezvous_env import graphs

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from conftest import UNEQUAL, started
-from tuples import triple, world
+from geometry import triple, world
 
 import baselines
 from rendezvous_env import Capsule, Disc, Polygon, Scenario, Simulator, Sphere

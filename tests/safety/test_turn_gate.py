@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from geometry import body_frame, mean_body_axis, triple
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from tuples import body_frame, mean_body_axis, triple
 
 from rendezvous_env.safety.turning import Gate, gated_rates, mean_axis, yaw_rate_law
 

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 from conftest import UNEQUAL, assert_same_state, five, law_of, refusing, started
-from test_borders import AMONG, TEAMS
+from test_input_shapes import AMONG, TEAMS
 
 import rendezvous_env as rv
 from baselines.learned.policy_settings import PolicySettings

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from conftest import started
 from scipy.integrate import solve_ivp
-from test_inertia import FAR
+from test_double_integrator import FAR
 from test_kernel_cache import python
 
 import rendezvous_env as rv
