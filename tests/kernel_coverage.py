@@ -1,8 +1,8 @@
 """Which kernels a test run has executed: ``pytest -m kernels --every-kernel``.
 
 With this option compiled kernels record that they run, and the test run fails unless every kernel
-of the packages has run at least once. Together with ``NUMBA_BOUNDSCHECK=1``, as in ``make
-test-slow``, every index of every kernel is checked.
+of the packages has run at least once. ``make test-kernels`` combines it with
+``NUMBA_BOUNDSCHECK=1``, so that every index of every kernel is checked.
 
 While a kernel is lowered to LLVM, a store of 1 into a table of bytes is put at its beginning. The
 table is an external symbol, so compiled code that is kept on disk finds it in any process of this
@@ -121,6 +121,7 @@ class EveryKernel:
         self._worker_output = getattr(config, "workeroutput", None)
         record()
 
+    @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any) -> None:
         self._ran |= {*getattr(node, "workeroutput", {}).get("kernels", ())}
 
