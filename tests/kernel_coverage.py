@@ -26,6 +26,8 @@ from llvmlite import ir
 from numba.core import lowering
 from numba.core.dispatcher import Dispatcher
 
+from rendezvous_env import kernel_cache
+
 PACKAGES = "rendezvous_env", "baselines", "train"
 SIZE = 2**24
 SYMBOL = "rendezvous_kernel_runs"
@@ -116,6 +118,7 @@ class EveryKernel:
 
     def __init__(self, config: pytest.Config, folder: Path) -> None:
         numba.config.CACHE_DIR = str(folder)
+        assert kernel_cache._folder().is_relative_to(folder), "kernels were loaded too early"
         self._ran: set[str] = set()
         self._missing: list[str] = []
         self._worker_output = getattr(config, "workeroutput", None)
