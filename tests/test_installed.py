@@ -22,7 +22,7 @@ def run(*command: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     environment.setdefault("NUMBA_CACHE_DIR", str(KERNELS))
     return subprocess.run(
         [str(part) for part in command],
-        capture_output=True, text=True, cwd=cwd, env=environment, timeout=900,
+        capture_output=True, text=True, cwd=cwd, env=environment, timeout=1800,
     )  # fmt: skip
 
 
