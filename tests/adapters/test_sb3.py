@@ -68,6 +68,7 @@ def lived(model, team):
     return advantages, ends
 
 
+@pytest.mark.kernels
 def test_advantages_are_those_of_each_robot_on_its_own():
     np.testing.assert_array_equal(SCENARIO.action_bounds, 2.0)
     model = collected(RobotPPO, make_robots(SCENARIO, TEAMS))

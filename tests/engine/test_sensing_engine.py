@@ -177,6 +177,7 @@ def test_silhouettes_are_turned_point_by_point(scenario, field):
     assert (np.abs(again - first).max() < 1e-4) == (field == "bias")
 
 
+@pytest.mark.kernels
 @BOTH
 def test_the_adversary_turns_every_bearing_outwards(scenario):
     eta, everybody = 0.3, np.arange(5)
@@ -280,6 +281,7 @@ def test_in_space_spheres_hide_what_is_behind_them():
     assert (by_robot(neighbours(sim)).any(axis=-1) == expected).all()
 
 
+@pytest.mark.kernels
 def test_sectors_leave_so_many_bearings():
     sim = simulator(sensing(WALLED, sectors=12), seed=5)
     rows, true = by_robot(neighbours(sim)), true_rows(sim)

@@ -82,6 +82,7 @@ def test_rates_are_those_of_the_motion(which, kind):
     assert compared > 20
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize(
     ("which", "name"),
     [

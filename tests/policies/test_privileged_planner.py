@@ -158,6 +158,7 @@ class TestItPasses:
     def test_cleanly(self, scenario, seed, starts):
         assert clean(rv.rollout(scenario, planner(scenario), seed, num_envs=starts)).all()
 
+    @pytest.mark.kernels
     def test_two_robots_meet_as_soon_as_can_be(self):
         scenario = Scenario(n_robots=2, start_positions=((-2, 0), (2, 0)), **SLOW)
         found = rv.rollout(scenario, planner(scenario))

@@ -122,6 +122,7 @@ class TestLayouts:
 
 
 class TestNobodyIsWalledIn:
+    @pytest.mark.kernels
     @pytest.mark.parametrize("name", ["trap", "corridor", "rooms"])
     def test_in_a_thousand_starts(self, name):
         tables, positions = drawn(name, 1000)
