@@ -46,6 +46,7 @@ JUDGED = re.compile(
 """What an example that learns says of the held-out starts, before and after."""
 
 
+@pytest.mark.slow
 def test_ppo_in_one_file():
     small = ("--scenario", "duo", "--updates", "3", "--teams", "8", "--held-out", "20")
     first, update, last = run("04_cleanrl_ppo.py", *small).splitlines()
