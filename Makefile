@@ -1,8 +1,6 @@
-# make compare: the main job.  make test: linters, types, fast tests.  Each sets up .venv by itself;
-# compare needs no extra, the others add all of them, as make install does.
-# make test-slow: the long tests, and those that together call every kernel (KERNELS in
-#   tests/conftest.py) once more with every index checked, as plain Python and, where filters
-#   work in lanes, compiled.
+# make compare: the main job.  make test: linters, types, fast tests: every promise once.  Each sets
+# up .venv by itself; compare needs no extra, the others add all of them, as make install does.
+# make test-all: make test, then make again, test-slow, test-kernels and test-adapters.
 # make docs: the documentation as a site, in out/site.
 PYTHON ?= python3
 BIN := .venv/bin
@@ -17,7 +15,7 @@ BY_TWO := -n 2 --dist loadfile --no-loadscope-reorder
 
 PYTHONS := $(foreach minor,12 13 14,$(if $(shell python3.$(minor) -c 0 2>&1 || echo no),,python3.$(minor)))
 
-.PHONY: compare install learners test fast again test-slow test-floors test-pythons test-adapters lint style types docs clean $(LEARNERS:%=test-adapter-%)
+.PHONY: compare install learners test test-all fast again test-slow test-kernels test-floors test-pythons test-adapters lint lint-ci style types docs clean $(LEARNERS:%=test-adapter-%)
 .SECONDARY: $(PYTHONS:%=.venv-%/installed) $(LEARNERS:%=.venv-adapters/%/installed)
 .DEFAULT_GOAL := compare
 
@@ -34,16 +32,23 @@ test: .venv/installed
 fast: style
 	$(BIN)/python -m pytest -q $(BY_TWO)
 
-# those that together call every kernel, once more: kernels come from the disk now
+# with --jobs=2 the learners' environments are installed while the fast tests run
+test-all: test learners
+	$(MAKE) again
+	$(MAKE) test-slow
+	$(MAKE) test-kernels
+	$(MAKE) test-adapters
+
+# the tests that run every kernel, once more: kernels come from the disk now
 again: .venv/installed
 	$(BIN)/python -m pytest -q -m 'kernels and not slow' $(BY_TWO)
 
 test-slow: .venv/installed
 	$(BIN)/python -m pytest -q -m slow $(BY_TWO)
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -m kernels $(BY_TWO)
-	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 $(BIN)/python -m pytest -q -m 'kernels and not slow' -k safety
-	$(MAKE) test-adapter-ros  # goes by the clock, so alone
-	$(MAKE) --jobs=2 --output-sync=target $(filter-out %-ros,$(LEARNERS:%=test-adapter-%))
+
+# the same with every index checked; it fails if a kernel was never run
+test-kernels: .venv/installed
+	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 $(BIN)/python -m pytest -q -m kernels --every-kernel $(BY_TWO)
 
 # the oldest Gymnasium and PettingZoo that are supported, in an environment of their own
 test-floors: .venv-floors/installed
@@ -54,13 +59,22 @@ test-pythons: $(PYTHONS:%=.venv-%/installed)
 	for python in $(PYTHONS); do .venv-$$python/bin/python -m pytest -q $(BY_TWO) \
 		tests/envs tests/engine tests/policies tests/scenario || exit 1; done
 
-# TorchRL with BenchMARL, and whoever else has a folder in tests/adapters; slow tests too
-test-adapters: $(LEARNERS:%=test-adapter-%)
+# TorchRL with BenchMARL, and all others that have a folder in tests/adapters; slow tests too
+test-adapters: learners
+	$(MAKE) test-adapter-ros  # depends on the clock, so alone
+	$(MAKE) --jobs=2 --output-sync=target $(filter-out %-ros,$(LEARNERS:%=test-adapter-%))
 
 $(LEARNERS:%=test-adapter-%): test-adapter-%: .venv-adapters/%/installed
 	.venv-adapters/$*/bin/python -m pytest -q -m 'slow or not slow' tests/adapters/$*
 
 lint: style types
+
+# workflow, Dockerfile and shell script, with tools that only this needs
+lint-ci: .venv-lint/installed
+	.venv-lint/bin/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
+	.venv-lint/bin/zizmor --offline --no-progress .github/workflows
+	.venv-lint/bin/hadolint Dockerfile
+	.venv-lint/bin/shellcheck .ci/run
 
 style: .venv/installed
 	$(BIN)/ruff check .
@@ -81,6 +95,11 @@ docs: .venv/installed
 .venv/installed: .venv/run
 	$(BIN)/pip install --quiet --constraint constraints.txt torch==2.13.0
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[train,render,analysis,export,docs,dev]'
+	touch $@
+
+.venv-lint/installed: constraints-lint.txt
+	test -x .venv-lint/bin/python || $(PYTHON) -m venv .venv-lint
+	.venv-lint/bin/pip install --quiet --requirement $<
 	touch $@
 
 .venv-floors/installed: pyproject.toml constraints.txt constraints-floors.txt
@@ -111,5 +130,5 @@ docs: .venv/installed
 	touch $@
 
 clean:
-	rm -rf .venv .venv-adapters .venv-floors .venv-python3.* out build *.egg-info
+	rm -rf .venv .venv-adapters .venv-floors .venv-lint .venv-python3.* out build *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

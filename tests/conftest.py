@@ -35,12 +35,28 @@ with suppress(ImportError, AttributeError):
     providers._get_local_constants = lambda: providers._local_constants
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--every-kernel",
+        action="store_true",
+        help="fail unless every kernel has run; see tests/kernel_coverage.py",
+    )
+
+
 def pytest_configure(config: pytest.Config) -> None:
-    """What libraries leave in the folder for temporary files goes when the run ends."""
+    """Warnings of uncompiled kernels, temporary files, kernels that have to run."""
     if not compiled():  # numbers of streams wrap around, which compiled code says nothing of
         config.addinivalue_line("filterwarnings", "ignore:overflow encountered:RuntimeWarning")
-    if hasattr(config, "workerinput"):
-        return  # a worker has its controller's
+    if not hasattr(config, "workerinput"):  # a worker has its controller's
+        use_own_temporary_folder(config)
+    if config.option.every_kernel:
+        from kernel_coverage import EveryKernel
+
+        config.pluginmanager.register(EveryKernel(config, Path(os.environ["TMPDIR"]) / "checked"))
+
+
+def use_own_temporary_folder(config: pytest.Config) -> None:
+    """Let everything that is written to the folder for temporary files go when the run ends."""
     for left in Path(tempfile.gettempdir()).glob("rv-*-*"):  # by runs that were killed
         try:
             os.kill(int(left.name.split("-")[1]), 0)
@@ -54,124 +70,18 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 LONG = (
-    "test_any", "test_inertia", "test_widths", "test_sensing_engine", "test_paper",
-    "test_guarantee_wrappers", "test_docs", "test_fuzz_files", "test_fuzz_core", "test_installed",
-    "test_examples", "test_package", "test_resuming", "test_interrupts", "test_shipped",
-    "test_site",
+    "test_random_scenarios", "test_double_integrator", "test_batch_equals_singles",
+    "test_sensing_engine", "test_paper", "test_guarantee_wrappers", "test_installed", "test_docs",
+    "test_fuzz_files", "test_fuzz_core", "test_every_policy", "test_examples", "test_package",
+    "test_resuming", "test_interrupts", "test_shipped", "test_site",
 )  # fmt: skip
 """Files that take longest, fast tests or slow ones, in the order in which two workers are given
 them: files that need the same kernels stand apart, or both workers would compile those.
 """
 
 
-KERNELS = tuple(
-    f"tests/{name}"
-    for name in (
-        "borders/test_fuzz_core.py::test_actions[few]",
-        "borders/test_fuzz_core.py::test_options_of_a_reset[few]",
-        "borders/test_fuzz_core.py::test_states[few]",
-        "engine/test_graphs_that_change.py::test_law_1",
-        "engine/test_packing.py::TestMoving",
-        "engine/test_restart.py::test_all_ways_to_restart_show_the_same_start_and_leave_the_others"
-        "_alone[proximity",
-        "engine/test_sparse.py::test_a",
-        "engine/test_sparse.py::test_given",
-        "engine/test_sparse.py::test_graphs_are_drawn_alike",
-        "engine/test_sparse.py::test_lists_of_links_give_the_motion_of_all_pairs[errors",
-        "engine/test_sparse.py::test_lists_of_links_give_the_motion_of_all_pairs[web",
-        "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[drawn graphs]",
-        "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[errors]",
-        "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[errors in space]",
-        "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[flying among solids]",
-        "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[packing]",
-        "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[two rows]",
-        "learn/test_networks.py::test_kernels_pool",
-        "learn/test_updates.py::test_slopes",
-        "physics/test_chance.py::TestOneNumber::test_plain",
-        "physics/test_chance.py::TestOneTurn::test_small",
-        "physics/test_chance.py::test_every",
-        "physics/test_contact.py",
-        "physics/test_merging.py",
-        "physics/test_obstacle_geometry.py",
-        "physics/test_random_streams.py::test_numbers",
-        "physics/test_random_streams.py::test_rotations",
-        "physics/test_sensing_equations.py",
-        "physics/test_size.py::test_it",
-        "policies/learned/test_bodies.py::test_a",
-        "policies/learned/test_features.py",
-        "policies/test_every_policy.py::test_a_batch",
-        "policies/test_obstacle_avoidance.py",
-        "policies/test_planes_in_space.py",
-        "robots/test_exact_motion.py",
-        "safety/test_filters.py::test_a_batch",
-        "safety/test_heading.py",
-        "safety/test_link_keeping.py::test_nothing_that_is_allowed",
-        "safety/test_link_keeping.py::test_random",
-        "safety/test_tank.py::TestEquations",
-        "safety/test_turning.py",
-        "scenario/test_from_outside.py::test_what_is_seen_follows_from_the_state",
-        "scenario/test_obstacles.py",
-        "scenario/test_walls.py::TestField::test_positions",
-        "scenario/test_walls.py::TestNobodyIsWalledIn::test_the_check",
-    )
-)
-"""Beginnings of the names of tests that together call every kernel: of one team and of blocks of
-them, of all robots and shapes, sensors, graphs and filters. make test-slow runs them once more as
-plain Python, in which every index is checked; but there lanes of filters are of one robot each.
-"""
-
-
-OF_THEIR_OWN_KIND = tuple(
-    f"tests/{name}"
-    for name in (
-        "engine/test_graphs_that_change.py::test_an_undirected_graph_moves_alike_however_it_is_said"
-        "[a sensor, those",
-        "engine/test_inertia.py::test_free_motion_against_its_own_sum[3",
-        "engine/test_inertia.py::test_nobody_gets_into_or_through_an_obstacle[Sphere3",
-        "engine/test_inertia.py::test_nobody_gets_into_or_through_an_obstacle[Capsule3",
-        "engine/test_inertia.py::test_teams_meet_under_the_damped_law[3",
-        "engine/test_own_models.py::test_a_sluggish_unicycle",
-        "engine/test_restart.py::test_all_ways_to_restart_show_the_same_start_and_leave_the_others"
-        "_alone[double",
-        "engine/test_restart.py::test_a_team_that_has_ended_rests[double_integrator-3d",
-        "engine/test_restart.py::test_the_way_is_that_of_the_robots_that_are_left[double_integrator-3d",
-        "engine/test_sensing_engine.py::test_silhouettes_are_turned_point_by_point[space",
-        "engine/test_sensing_engine.py::test_motion_merges_and_v_follow_the_graph_not_what_is_seen"
-        "[ring",
-        "engine/test_sensing_engine.py::test_with_few_rows",
-        "engine/test_sparse.py::test_lists_of_links_give_the_motion_of_all_pairs[errors",
-        "envs/test_api_suites.py::test_gymnasium[scenario4",
-        "envs/test_api_suites.py::test_one_after_another[with inertia",
-        "envs/test_api_suites.py::test_parallel[with inertia",
-        "envs/test_pettingzoo.py::test_robots_with_inertia",
-        "policies/test_baselines.py::TestLargeSparseGraphs::test_all_meet",
-        "policies/test_every_policy.py::test_it_goes_on_bit_by_bit_from_a_pickle[damped]",
-        "policies/test_every_policy.py::test_a_batch_is_its_teams_one_by_one[damped]",
-        "policies/test_every_policy.py::test_teams_of_a_mask_begin_anew_and_the_others_do_not[damped",
-        "policies/test_privileged_planner.py::TestItPasses::test_every_field_is_passed[unicycle-rooms",
-        "safety/test_steering.py::test_robots_that_go_any_way",
-        "test_docs.py::test_every_python_block_runs[docs/environment.md]",
-        "test_docs.py::test_every_python_block_runs[docs/graphs.md]",
-        "test_docs.py::test_every_python_block_runs[docs/robot-models.md]",
-        "test_docs.py::test_every_python_block_runs[docs/scenarios.md]",
-    )
-)
-"""Beginnings of the names of tests that compile a kind of team which no other fast test needs, so
-that they are slow ones.
-"""
-
-
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Long files first, then those of many tests: no worker is left with a long one at the end."""
-    for item in items:
-        if item.nodeid.startswith(KERNELS):
-            item.add_marker("kernels")
-        if item.nodeid.startswith(OF_THEIR_OWN_KIND):
-            item.add_marker("slow")
-    if "kernels" in config.option.markexpr:
-        named = KERNELS + OF_THEIR_OWN_KIND
-        gone = [name for name in named if not any(i.nodeid.startswith(name) for i in items)]
-        assert not gone, f"no such tests: {gone}"
     tests = Counter(item.path for item in items)
 
     def rank(item: pytest.Item) -> tuple[int, int]:
@@ -182,7 +92,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 ROOT = Path(__file__).parent.parent
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
+CHROMIUM = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, BROWSERS)), None)
 needs_browser = pytest.mark.skipif(
     CHROMIUM is None and not os.environ.get("CI"),
     reason="no chromium on this machine; apt-get install chromium",

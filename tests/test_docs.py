@@ -45,6 +45,7 @@ def own_modules(monkeypatch, tmp_path, registry):
             del sys.modules[name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", with_blocks("python", PAGES[1:]))
 def test_every_python_block_runs(page, tmp_path, monkeypatch, own_modules):
     """One page is one program, in a folder of its own; README.md has a test of its own.

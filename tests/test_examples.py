@@ -20,6 +20,7 @@ def test_step_loop_and_own_law():
     assert law.startswith("law (1): 100% met") and fast.startswith("full speed along f:")
 
 
+@pytest.mark.slow
 def test_train_and_compare(tmp_path):
     small = ("--steps", "1000", "--teams", "8", "--episodes", "3", "--out", str(tmp_path))
     last = run("03_train_and_compare.py", *small).splitlines()[-3:]
@@ -28,6 +29,7 @@ def test_train_and_compare(tmp_path):
     assert (tmp_path / "run" / "checkpoints" / "latest.json").is_file()
 
 
+@pytest.mark.slow
 def test_stable_baselines3(tmp_path):
     program = (EXAMPLES / "11_sb3_ppo.py").read_text(encoding="utf-8")
     assert len([line for line in program.splitlines() if line.strip()]) <= 30
@@ -44,6 +46,7 @@ JUDGED = re.compile(
 """What an example that learns says of the held-out starts, before and after."""
 
 
+@pytest.mark.slow
 def test_ppo_in_one_file():
     small = ("--scenario", "duo", "--updates", "3", "--teams", "8", "--held-out", "20")
     first, update, last = run("04_cleanrl_ppo.py", *small).splitlines()
@@ -62,6 +65,7 @@ def test_ppo_in_one_file_learns():
     assert float(clean_after) > float(clean) + 5
 
 
+@pytest.mark.slow
 def test_noisy_sensors(tmp_path):
     table, figure = tmp_path / "rows.csv", tmp_path / "clean.png"
     counts = ("--scenarios", "clutter-4", "--episodes", "3", "--sensors", "exact", "noise 0.2")

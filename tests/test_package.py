@@ -270,6 +270,7 @@ def test_the_console_script_works_beside_a_train_py(tmp_path):
     assert ours == theirs and rows[2].startswith("clutter-4,mine:make,2,")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script", ["main.py", "train.py"])
 def test_the_safe_names_work_beside_a_train_py_and_baselines_py(script, tmp_path):
     """Or in a script that is called so; workers load it under another name."""

@@ -8,6 +8,7 @@ import pytest
 from conftest import MODELS, UNEQUAL, five, law_of, unequal_matrix
 from hypothesis import given
 from hypothesis import strategies as st
+from parameters import slow
 from scipy.spatial.distance import pdist
 
 import baselines
@@ -74,7 +75,7 @@ class TestTheorem1:
     """Law (1) meets if and only if the graph is connected."""
 
     @pytest.mark.parametrize("dim", [2, 3])
-    @pytest.mark.parametrize("n", [2, 3, 5, 8, 12])
+    @pytest.mark.parametrize("n", [2, slow(3), 5, slow(8), 12])
     @pytest.mark.parametrize("family", FAMILIES)
     def test_connected_graphs_meet_in_bounded_time_and_v_always_falls(self, family, n, dim):
         graph = FAMILIES[family](n)
@@ -171,7 +172,7 @@ class TestTheorems3And4:
             (4, "nonholonomic_3d", "nonholonomic-3d"),
         ],
     )
-    @pytest.mark.parametrize("n", [2, 3, 5, 8])
+    @pytest.mark.parametrize("n", [2, slow(3), 5, slow(8)])
     @pytest.mark.parametrize("family", FAMILIES)
     def test_all_meet(self, theorem, model, policy, family, n):
         scenario = Scenario(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.vector import AutoresetMode
-from small_world import ROBOTS, SCENARIO, SEED, Lives
+from small_scenario import ROBOTS, SCENARIO, SEED, Lives
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize, VecVideoRecorder
@@ -68,6 +68,7 @@ def lived(model, team):
     return advantages, ends
 
 
+@pytest.mark.kernels
 def test_advantages_are_those_of_each_robot_on_its_own():
     np.testing.assert_array_equal(SCENARIO.action_bounds, 2.0)
     model = collected(RobotPPO, make_robots(SCENARIO, TEAMS))

@@ -26,6 +26,7 @@ def measured(folder, **choices):
     return written["rows"], written
 
 
+@pytest.mark.kernels
 def test_the_limit_computes_bearings_sums_and_a_step():
     n, lanes = 4, 64
     positions = np.random.default_rng(0).uniform(-1, 1, (1, n, 2, lanes))

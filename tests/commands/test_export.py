@@ -8,7 +8,7 @@ import numpy as np
 import onnx
 import onnxruntime
 import pytest
-from bare_network import make_network, stirred
+from inference_network import make_network, stirred
 
 import rendezvous_env as rv
 from baselines import RobotPolicy

@@ -11,6 +11,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from parameters import slow
 
 from baselines.obstacle_rules.merged_silhouettes_2d import TWO_PI, counter_clockwise
 from train import cli, interrupts
@@ -48,13 +49,15 @@ def stop(process, number):
     return process.returncode, said, wrong, time.monotonic() - began
 
 
+FAST = ("compare", signal.SIGINT)
+
+
 class TestCommands:
     @pytest.mark.parametrize(
         ("command", "number"),
         [
-            ("compare", signal.SIGINT),
-            ("train", signal.SIGTERM),
-            *(pytest.param(*both, marks=pytest.mark.slow) for both in product(COMMANDS, SIGNALS)),
+            FAST,
+            *(slow(*both) for both in product(COMMANDS, SIGNALS) if both != FAST),
         ],
     )
     def test_at_work(self, command, number, tmp_path):

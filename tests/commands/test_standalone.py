@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import run_python
+from parameters import slow
 
 import baselines
 import rendezvous_env as rv
@@ -23,7 +24,7 @@ SPACE = [("learned-tank", name) for name in ("clutter-3d-32", "window-3d", "uav-
 SPACE += [("tangent-joined-tuned", "uav-clutter-16")]
 LONG = [*SPACE, *product(POLICIES, ["trap"])]
 LONG += product(["learned-tank", "bearing-only"], ["robotarium-10"])
-SHORT = [*SPACE, ("learned", "unicycle-6"), ("learned", "uav-6")]
+SHORT = [("learned", "unicycle-6"), ("learned", "uav-6")]
 
 
 @pytest.fixture(scope="module")
@@ -71,8 +72,8 @@ class TestAgreement:
         ("policy", "name", "steps"),
         [
             *((policy, "clutter-12", 120) for policy in POLICIES),
-            *((*one, 60) for one in SHORT),
-            *(pytest.param(*one, 10_000, marks=pytest.mark.slow) for one in LONG),
+            *(slow(*one, 60) for one in SHORT),
+            *(slow(*one, 10_000) for one in LONG),
         ],
     )
     def test_it_does_what_the_policy_does(self, exported, policy, name, steps):

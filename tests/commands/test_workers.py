@@ -7,9 +7,9 @@ from itertools import chain, islice
 
 import numpy as np
 import pytest
-from light_tasks import dies, dies_once, refuses, threads, where
 from threadpoolctl import threadpool_limits
 from training_runs import SMALL, UPDATE, network
+from worker_tasks import dies, dies_once, refuses, threads, where
 
 import rendezvous_env as rv
 from train import interrupts, tasks

@@ -149,6 +149,7 @@ class TestMeasures:
         assert (usual.min_alignment < 0.9).all()
         np.testing.assert_array_equal(spoilt.min_alignment, usual.min_alignment)
 
+    @pytest.mark.kernels
     def test_law_1_is_aligned_falls_and_keeps_its_bound(self):
         scenario = scenarios.get("random-10")
         done, _ = run_play(scenario, "bearing-only", 5)

@@ -68,6 +68,7 @@ class TestStatistics:
         assert tables.improvements(own)[0]["probability"] == 0.5
 
 
+@pytest.mark.kernels
 class TestBarrier:
     def test_nobody_is_sent_more_than_half_way_to_a_disc(self):
         random = np.random.default_rng(0)

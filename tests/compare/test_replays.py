@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 import pytest
 from conftest import ROOT
-from page_reading import arrays_of
 from rendezvous_env.baselines.learned.plain_data import digest
+from report_data import arrays_of
 
 from rendezvous_env import Simulator, scenarios
 from rendezvous_env.obstacles.shape import RADIUS

@@ -15,6 +15,7 @@ def distances(positions):
     return np.linalg.norm(positions[..., pairs[0], :] - positions[..., pairs[1], :], axis=-1)
 
 
+@pytest.mark.kernels
 class TestMoving:
     @pytest.mark.parametrize(
         ("wanted", "ways"),

@@ -7,19 +7,21 @@ import pickle
 
 import numpy as np
 import pytest
-import test_graphs_that_change as changing
+import test_changing_graphs as changing
 from conftest import MODELS, UNEQUAL, assert_same_state, five, started
-from test_inertia import FAR
+from parameters import marked
+from test_batch_equals_singles import towards_neighbours
+from test_double_integrator import FAR
 from test_sensing_engine import PLANE, WORST
 from test_sparse import RING, WEB
-from test_widths import towards_neighbours
 
 from rendezvous_env import ObstacleField, Scenario, Sensing, Simulator, scenarios
 from rendezvous_env.engine.memory import AWAITING_RESET, RUNNING, TIME_OUT
 
-# obstacles as in ``test_inertia``: nothing else is compiled
+# obstacles as in ``test_double_integrator``: nothing else is compiled
 INERT = {d: {"robot_model": "double_integrator", "dim": d, "obstacles": (FAR[d],)} for d in (2, 3)}
-KINDS = MODELS | {f"double_integrator-{d}d": INERT[d] for d in (2, 3)}
+INERTIA = {f"double_integrator-{d}d": INERT[d] for d in (2, 3)}
+KINDS = MODELS | INERTIA
 CHANGING = {
     "sensing": {"sensing": WORST},
     "proximity": {"graph": "proximity", "sensing": Sensing(range=4.0, field_of_view=5.0)},
@@ -28,7 +30,7 @@ TEAMS = 7
 SOME = np.array([False, True, False, False, True, True, False])
 
 
-@pytest.fixture(params=KINDS)
+@pytest.fixture(params=marked(KINDS, slow=INERTIA))
 def scenario(request) -> Scenario:
     team = {"n_robots": 5, "graph": UNEQUAL, "spawn_size": 6.0, "merge_radius": 0.4}
     return Scenario(**team | (KINDS | CHANGING)[request.param])
@@ -43,7 +45,11 @@ def halfway(scenario: Scenario, merges: bool = True) -> tuple[Simulator, np.ndar
     return sim, observations
 
 
-@pytest.mark.parametrize("scenario", [*KINDS, *CHANGING], indirect=True)
+@pytest.mark.parametrize(
+    "scenario",
+    marked([*KINDS, *CHANGING], slow=INERTIA, kernels=["proximity"]),
+    indirect=True,
+)
 def test_all_ways_to_restart_show_the_same_start_and_leave_the_others_alone(scenario):
     """At once in what the last step gave out, in a step in which these teams rest, by a reset."""
     (sim, seen), (other, _), (alone, _), (anew, _) = (halfway(scenario) for _ in range(4))

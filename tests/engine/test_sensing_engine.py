@@ -9,8 +9,8 @@ import math
 import numpy as np
 import pytest
 from conftest import UNEQUAL, actions_shape, started
+from geometry import along, triple, world
 from scipy import stats
-from tuples import along, triple, world
 
 import rendezvous_env as rv
 from rendezvous_env.physics.worst_bias import outward_directions
@@ -159,7 +159,9 @@ def test_bias_is_gaussian_and_belongs_to_pair_and_episode():
 
 
 @pytest.mark.parametrize("field", ["noise", "bias"])
-@pytest.mark.parametrize("scenario", [WALLED, SPACE], ids=["plane", "space"])
+@pytest.mark.parametrize(
+    "scenario", [WALLED, pytest.param(SPACE, marks=pytest.mark.slow)], ids=["plane", "space"]
+)
 def test_silhouettes_are_turned_point_by_point(scenario, field):
     exact = simulator(scenario, seed=5)
     erring = simulator(sensing(scenario, **{field: 0.1}), seed=5)
@@ -175,6 +177,7 @@ def test_silhouettes_are_turned_point_by_point(scenario, field):
     assert (np.abs(again - first).max() < 1e-4) == (field == "bias")
 
 
+@pytest.mark.kernels
 @BOTH
 def test_the_adversary_turns_every_bearing_outwards(scenario):
     eta, everybody = 0.3, np.arange(5)
@@ -278,6 +281,7 @@ def test_in_space_spheres_hide_what_is_behind_them():
     assert (by_robot(neighbours(sim)).any(axis=-1) == expected).all()
 
 
+@pytest.mark.kernels
 def test_sectors_leave_so_many_bearings():
     sim = simulator(sensing(WALLED, sectors=12), seed=5)
     rows, true = by_robot(neighbours(sim)), true_rows(sim)
@@ -311,7 +315,9 @@ def test_what_is_seen_is_late_by_exactly_so_many_steps(scenario, fields):
 
 
 @pytest.mark.parametrize(
-    ("scenario", "batch"), [(WALLED, 6), (SPACE, 6), (RING, 1)], ids=["plane", "space", "ring"]
+    ("scenario", "batch"),
+    [(WALLED, 6), (SPACE, 6), pytest.param(RING, 1, marks=pytest.mark.slow)],
+    ids=["plane", "space", "ring"],
 )
 def test_motion_merges_and_v_follow_the_graph_not_what_is_seen(scenario, batch):
     exact = simulator(scenario, batch)
@@ -324,6 +330,7 @@ def test_motion_merges_and_v_follow_the_graph_not_what_is_seen(scenario, batch):
     assert (exact.lyapunov() == erring.lyapunov()).all()
 
 
+@pytest.mark.slow
 def test_with_few_rows_those_that_are_seen_stand_first():
     scenario = PLANE.replace(graph=UNEQUAL, neighbour_slots=3)
     exact, erring, moved = simulator(scenario, 1), simulator(sensing(scenario, dropout=0.5), 1), 0

@@ -5,8 +5,9 @@ links.
 import numpy as np
 import pytest
 from conftest import assert_same_state, refusing, started, unequal_matrix
-from test_graphs_that_change import ARCS
-from tuples import along
+from geometry import along
+from parameters import marked
+from test_changing_graphs import ARCS
 
 import baselines
 import rendezvous_env as rv
@@ -25,10 +26,11 @@ WEB = Scenario(
     allow_long_step=True,
     max_speed=4.0,
 )
+ERRORS = "errors among obstacles"
 FAST = {
     "ring": RING,
     "web": WEB,
-    "errors among obstacles": RING.replace(
+    ERRORS: RING.replace(
         obstacles=[rv.Disc((1.0, 1.0), 0.8), rv.Capsule(((-3.0, -0.5), (-3.0, 0.5)), 1.0)],
         neighbour_slots=59,
         sensing=rv.Sensing(noise=0.1, dropout=0.2, occlusion="both"),
@@ -57,7 +59,8 @@ def simulators(scenario: Scenario, batch: int, monkeypatch) -> tuple[Simulator, 
 
 
 @pytest.mark.parametrize(
-    "name", [*FAST, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)]
+    "name",
+    marked([*FAST, *SLOW], slow=[ERRORS, *SLOW], kernels=[ERRORS, "web", "web with 40 rows"]),
 )
 def test_lists_of_links_give_the_motion_of_all_pairs(name, monkeypatch):
     scenario = (FAST | SLOW)[name]
@@ -91,6 +94,7 @@ def test_lists_of_links_give_the_motion_of_all_pairs(name, monkeypatch):
     assert lists.active.mean() <= 100 / 120 or not compiled()
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize(
     "graph", [graphs.erdos_renyi(0.05), graphs.erdos_renyi(0.01, (0.5, 2.0)), graphs.random_tree()]
 )
@@ -106,6 +110,7 @@ def test_graphs_are_drawn_alike(graph, monkeypatch):
         assert all(len(graphs.components(team)) == 1 for team in weights)
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("sparse", [False, True])
 def test_a_robot_with_more_neighbours_than_rows_is_named(sparse):
     """A double star: when its two centres merge, robot 0 has the neighbours of both."""
@@ -130,6 +135,7 @@ def test_a_robot_with_more_neighbours_than_rows_is_named(sparse):
         sim.observe()
 
 
+@pytest.mark.kernels
 def test_a_start_with_too_many_neighbours_is_refused():
     """A drawn one, one of arcs; and the star of the next episode, where rows were enough for this
     one's path.
@@ -148,6 +154,7 @@ def test_a_start_with_too_many_neighbours_is_refused():
     assert sim.step(np.zeros((1, 4, 2))).active.all()
 
 
+@pytest.mark.kernels
 def test_a_thousand_robots_in_every_environment():
     scenario = Scenario(n_robots=1000, graph="cycle", spawn_size=300.0, time_limit=1.0)
     venv, env = rv.make_vec(scenario, 2), rv.parallel_env(scenario)
@@ -166,6 +173,7 @@ def test_a_thousand_robots_in_every_environment():
     assert played.positions.shape[-3:] == (1, 1000, 2)
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("n", [6, 60])
 def test_a_state_with_more_neighbours_than_rows_is_refused(n):
     ring, star = (Scenario(n_robots=n, graph=kind) for kind in ("cycle", "star"))
@@ -176,6 +184,7 @@ def test_a_state_with_more_neighbours_than_rows_is_refused(n):
         slim.set_state(started(star, 2).get_state())
 
 
+@pytest.mark.kernels
 def test_given_weights_are_those_of_the_team():
     n = 60
     scenario = RING.replace(graph=graphs.cycle((0.5, 2.0)))
@@ -190,6 +199,7 @@ def test_given_weights_are_those_of_the_team():
     assert ((sim.weights > 0) == (ring > 0)).all() and sim.weights.max() > 1.0
 
 
+@pytest.mark.kernels
 def test_given_weights_that_find_no_room_are_refused_and_change_nothing():
     scenario = Scenario(n_robots=80, graph=graphs.erdos_renyi(0.05))
     sim = started(scenario, seed=3)

@@ -11,6 +11,7 @@ import pytest
 from conftest import MODELS, five
 from guarantees import GUARANTEES, WHICH_AND_KIND, make, same
 from gymnasium.utils.env_checker import check_env
+from parameters import marked
 from pettingzoo.utils.conversions import parallel_to_aec
 from test_training_env import FORMS, SCENARIO
 
@@ -48,7 +49,7 @@ PARALLEL = {
 }
 
 
-@pytest.mark.parametrize("name", PARALLEL)
+@pytest.mark.parametrize("name", marked(PARALLEL, slow=["with inertia"]))
 def test_parallel(name, capsys):
     build = PARALLEL[name]
     suites.parallel_api_test(build(), num_cycles=300)
@@ -57,7 +58,7 @@ def test_parallel(name, capsys):
     assert not same(*(build().reset(seed=seed)[0] for seed in (1, 2)))
 
 
-@pytest.mark.parametrize("name", [*TEAMS, *WRAPPED])
+@pytest.mark.parametrize("name", marked([*TEAMS, *WRAPPED], slow=["with inertia"]))
 def test_one_after_another(name, capsys):
     build = PARALLEL[name]
     if name in TEAMS:
@@ -80,7 +81,10 @@ def test_max_cycles():
     suites.max_cycles_test(SimpleNamespace(parallel_env=parallel, env=aec))
 
 
-@pytest.mark.parametrize("scenario", ["fig4", "swarm-20", "unicycle-6", "uav-6", HEAVY])
+@pytest.mark.parametrize(
+    "scenario",
+    ["fig4", "swarm-20", "unicycle-6", "uav-6", pytest.param(HEAVY, marks=pytest.mark.slow)],
+)
 def test_gymnasium(scenario):
     with warnings.catch_warnings():
         warnings.simplefilter("error")

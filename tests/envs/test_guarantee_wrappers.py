@@ -13,7 +13,7 @@ from guarantees import GUARANTEES, NAMES, draw, make, same, tape, which_and_kind
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import FlattenObservation, TransformAction
 from pettingzoo.utils.wrappers import BaseParallelWrapper
-from soup import HUGE
+from strategies import HUGE
 
 import rendezvous_env as rv
 from rendezvous_env.checks import shown
@@ -82,6 +82,7 @@ def test_rates_are_those_of_the_motion(which, kind):
     assert compared > 20
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize(
     ("which", "name"),
     [

@@ -156,6 +156,7 @@ def test_spaces(kind):
     assert env.state_space is env.state_space
 
 
+@pytest.mark.slow
 def test_robots_with_inertia_see_their_velocity():
     heavy = {"robot_model": "double_integrator", "max_speed": 0.7}
     env, usual = (make("single_integrator-2d", **heavy, max_acceleration=a) for a in (50.0, None))

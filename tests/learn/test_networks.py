@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from bare_network import make_network, stirred
+from inference_network import make_network, stirred
 
 from baselines.learned import checkpoints, shipped
 from baselines.learned.features import CONTEXT_COLUMNS, FeatureLayout
@@ -126,6 +126,7 @@ def judged(made, seen):
     return [*(told.detach() for told in found), *torch.autograd.grad(loss, made.parameters())]
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("name", shipped.NAMES)
 def test_kernels_pool_as_torch_does(name, monkeypatch):
     """Outputs and gradients of the shipped weights; equal rows share those of the largest."""

@@ -83,6 +83,7 @@ def test_threads_share_it_without_a_trace(memory, set_threads):
         assert all(torch.equal(weight, first[name]) for name, weight in weights.items())
 
 
+@pytest.mark.kernels
 def test_slopes_are_those_of_the_loss():
     """Ratios on both sides of the clip range, advantages of both signs."""
     torch.manual_seed(0)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from tuples import arc, triple, world
+from geometry import arc, triple, world
 
 from rendezvous_env.obstacles.contact import (
     CONTACT_DEPTH,
@@ -18,6 +18,8 @@ from rendezvous_env.obstacles.disc import Disc, Sphere
 from rendezvous_env.obstacles.polygon import Polygon
 from rendezvous_env.robots.nonholonomic_3d import Nonholonomic3D
 from rendezvous_env.robots.unicycle import Unicycle
+
+pytestmark = pytest.mark.kernels
 
 MICRON, HALF = 1e-6, math.sqrt(0.5)
 WALL = Polygon(((-20, 0), (20, 0), (20, 2), (-20, 2)))  # free below y = 0

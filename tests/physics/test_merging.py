@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from conftest import started
+from geometry import world
 from hypothesis import given
 from hypothesis import strategies as st
-from tuples import world
 
 from rendezvous_env import Disc, Scenario
 from rendezvous_env.graphs.merging import contract, contract_arcs, merge_swept
@@ -15,6 +15,8 @@ from rendezvous_env.physics.potential import (
     net_bearings_of_links,
 )
 from rendezvous_env.safety.lyapunov import lyapunov
+
+pytestmark = pytest.mark.kernels
 
 
 def linked(n, *links):

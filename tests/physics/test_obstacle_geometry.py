@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 import shapely
+from geometry import along, triple, world
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.optimize import minimize_scalar
-from tuples import along, triple, world
 
 from rendezvous_env.obstacles.capsule import CAPSULES
 from rendezvous_env.obstacles.disc import Disc, Sphere
@@ -24,6 +24,8 @@ from rendezvous_env.obstacles.polygon import Polygon
 from rendezvous_env.obstacles.shape import MIDDLE, OWN, azimuth_axes, centre_direction
 from rendezvous_env.physics.crossings import first_crossing
 from rendezvous_env.physics.vectors import ORIGIN
+
+pytestmark = pytest.mark.kernels
 
 N_VIEWS = 10_000
 SQUARE = Polygon(((0, 0), (2, 0), (2, 2), (0, 2)))

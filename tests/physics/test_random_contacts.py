@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 import shapely
+from geometry import arc, body_frame, mean_body_axis, world
 from test_contact import MICRON, move_one_curved, move_one_straight
-from tuples import arc, body_frame, mean_body_axis, world
 
 from rendezvous_env.obstacles.capsule import Capsule
 from rendezvous_env.obstacles.contact import SLIDE, STOP

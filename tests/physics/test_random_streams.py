@@ -48,6 +48,7 @@ def test_a_number_is_a_function_of_key_and_counter_alone():
         assert uniform(key, k) == (int(word) >> 11) / 2**53
 
 
+@pytest.mark.kernels
 def test_numbers_are_uniform_in_each_stream_and_over_seeds():
     firsts = np.array([uniform(stream_key(seed, 0, START), 0) for seed in range(3000)])
     for drawn in (firsts, *(numbers(3, 0, purpose) for purpose in PURPOSES)):
@@ -80,6 +81,7 @@ def test_a_start_and_its_frames_are_drawn_from_their_own_streams():
             np.testing.assert_array_equal(sim.frames[team, 1], frame)
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("d", [2, 3])
 def test_rotations_are_rotations_and_uniform(d):
     keys = [stream_key(k, 0, FRAMES) for k in range(3000)]

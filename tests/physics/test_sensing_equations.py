@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from geometry import triple, world
 from shapely.geometry import LineString, Point, Polygon
-from tuples import triple, world
 
 import rendezvous_env as rv
 from rendezvous_env.physics.hull_perimeter import size
@@ -17,6 +17,8 @@ from rendezvous_env.sensors.imperfections import (
     turned,
     turned_towards,
 )
+
+pytestmark = pytest.mark.kernels
 
 Z_AXIS = (0.0, 0.0, 1.0)
 

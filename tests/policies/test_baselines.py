@@ -194,6 +194,7 @@ class TestLargeSparseGraphs:
         given = self.sparse(time_step=0.001)
         assert given.tau == 0.001 and not given.scales_velocity
 
+    @pytest.mark.slow
     def test_all_meet_and_v_never_rises_between_merges(self):
         scenario = self.sparse(time_limit=40.0)
         found = rv.rollout(scenario, baselines.make("bearing-only", scenario), seed=3, num_envs=6)

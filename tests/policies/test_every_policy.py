@@ -7,6 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
+from parameters import marked
 
 import baselines
 import rendezvous_env as rv
@@ -43,6 +44,8 @@ ELSEWHERE = {
 }  # fmt: skip
 ALSO_ELSEWHERE = [f"{name} {field}" for field, names in ELSEWHERE.items() for name in names]
 NAMES = [*baselines.names(), *FILTERED, *ALSO_ELSEWHERE]
+OTHER_KINDS = {"damped", *ALSO_ELSEWHERE}
+"""Kinds of environments that fast tests do without."""
 SEES = [name for name in NAMES if not name.startswith(("privileged", "random"))]
 
 
@@ -73,7 +76,7 @@ def same(name, found, wanted):
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6 * (name.split()[0] in ROUNDED))
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "trained"])
+@pytest.mark.parametrize("name", marked([n for n in NAMES if n != "trained"], slow=OTHER_KINDS))
 def test_it_goes_on_bit_by_bit_from_a_pickle(name):
     """With the teams that it steers, which privileged ones read."""
     policy, scenario = made(name)
@@ -93,7 +96,8 @@ def test_it_goes_on_bit_by_bit_from_a_pickle(name):
     assert name == "zero" or (simulator.observe() != before).any()
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "random"])
+@pytest.mark.kernels
+@pytest.mark.parametrize("name", marked([n for n in NAMES if n != "random"], slow=OTHER_KINDS))
 def test_a_batch_is_its_teams_one_by_one(name):
     together, scenario = made(name)
     simulator = rv.Simulator(scenario, 3)
@@ -111,7 +115,7 @@ def test_a_batch_is_its_teams_one_by_one(name):
         seen = simulator.step(actions).observations
 
 
-@pytest.mark.parametrize("name", SEES)
+@pytest.mark.parametrize("name", marked(SEES, slow=OTHER_KINDS & {*SEES}))
 def test_teams_of_a_mask_begin_anew_and_the_others_do_not(name):
     policy, scenario = made(name)
     *_, last = sights(policy, scenario)

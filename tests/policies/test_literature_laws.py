@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from tuples import along, body_frame
+from geometry import along, body_frame
 
 import baselines
 import rendezvous_env as rv

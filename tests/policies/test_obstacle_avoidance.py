@@ -15,6 +15,8 @@ from baselines.obstacle_rules.obstacle_avoidance import (
 from rendezvous_env.scenario.scenario import Scenario
 from train.verify.monitors import unit
 
+pytestmark = pytest.mark.kernels
+
 CLEARANCE = 0.05
 DEGREE = math.pi / 180
 CLEAR = CLEARANCE / DEGREE

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from parameters import slow
 
 import baselines
 import rendezvous_env as rv
@@ -110,11 +111,12 @@ class TestItPasses:
     @pytest.mark.parametrize(
         ("name", "starts", "fails"),
         [
-            *((name, 40, "tangent-joined-tuned")
-              for name in ("trap", "corridor", "rooms", "clutter-32")),
-            ("clutter-3d-32", 10, ""), ("clutter-3d-96", 2, ""), ("slab-3d", 20, "bearing-only"),
-            ("bowl-3d", 10, ""), ("window-3d", 10, ""), ("uav-clutter-16", 3, ""),
-            ("unicycle-clutter-24-slower", 20, ""), ("unicycle-rooms", 20, ""),
+            ("trap", 40, "tangent-joined-tuned"), ("clutter-3d-96", 2, ""),
+            *(slow(name, 40, "tangent-joined-tuned")
+              for name in ("corridor", "rooms", "clutter-32")),
+            slow("clutter-3d-32", 10, ""), slow("slab-3d", 20, "bearing-only"),
+            slow("bowl-3d", 10, ""), slow("window-3d", 10, ""), slow("uav-clutter-16", 3, ""),
+            slow("unicycle-clutter-24-slower", 20, ""), slow("unicycle-rooms", 20, ""),
         ],
     )  # fmt: skip
     def test_every_field_is_passed(self, name, starts, fails):
@@ -156,6 +158,7 @@ class TestItPasses:
     def test_cleanly(self, scenario, seed, starts):
         assert clean(rv.rollout(scenario, planner(scenario), seed, num_envs=starts)).all()
 
+    @pytest.mark.kernels
     def test_two_robots_meet_as_soon_as_can_be(self):
         scenario = Scenario(n_robots=2, start_positions=((-2, 0), (2, 0)), **SLOW)
         found = rv.rollout(scenario, planner(scenario))

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from conftest import LAWS
+from geometry import along
+from parameters import slow
 from scipy.optimize import linear_sum_assignment
-from tuples import along
 
 import baselines
 import rendezvous_env as rv
@@ -43,9 +44,11 @@ IN_THE_PLANE = (
     ("bearing-only", CLUTTER), ("tangent-joined", CLUTTER), ("tangent-joined-tuned", CLUTTER),
     ("learned", CLUTTER), ("learned-tank", CLUTTER), ("learned-tank", TURNING),
     ("unicycle", "unicycle-6"), ("unicycle-cosine", "unicycle-6"),
+)  # fmt: skip
+UNICYCLES = (
     ("tangent-joined", "unicycle-clutter-8"),
     ("tangent-joined-tuned", "unicycle-clutter-24-slow"),
-)  # fmt: skip
+)
 IN_SPACE = (
     ("learned-tank", "clutter-3d-32"), ("learned-tank", "window-3d"),
     ("learned-tank", "uav-clutter-16"), ("learned", "clutter-3d-32"),
@@ -55,7 +58,9 @@ IN_SPACE = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "scenario"), [*IN_THE_PLANE, *IN_SPACE])
+@pytest.mark.parametrize(
+    ("name", "scenario"), [*IN_THE_PLANE, *(slow(*pair) for pair in (*UNICYCLES, *IN_SPACE))]
+)
 def test_it_does_what_a_robot_of_a_batch_does(name, scenario):
     """In space bit for bit, in whole episodes; in the plane but for sums in another order."""
     if isinstance(scenario, str):

@@ -9,8 +9,8 @@ import shutil
 import pytest
 from browsing import chosen, clock, column, picture, reloaded, visited
 from conftest import ROOT, needs_browser
-from page_reading import data_of
 from rendezvous_env.baselines.learned import plain_data
+from report_data import data_of
 
 from train.checks import UserError
 from train.leaderboard import cards

@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from page_reading import arrays_of, data_of
+from report_data import arrays_of, data_of
 
 from rendezvous_env import Disc
 from rendezvous_env.obstacles.obstacle_set import pack

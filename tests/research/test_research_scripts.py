@@ -9,8 +9,8 @@ import time
 
 import numpy as np
 import pytest
-from bare_network import make_network
 from conftest import ROOT
+from inference_network import make_network
 from learning_figures import learning_figure, tank_figure, watch_tanks
 
 import baselines

@@ -4,15 +4,17 @@ import math
 
 import numpy as np
 import pytest
+from geometry import arc, body_frame
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.integrate import quad, solve_ivp
-from tuples import arc, body_frame
 
 from rendezvous_env.robots import motion
 from rendezvous_env.robots.double_integrator import DoubleIntegrator, final_velocity, mean_speed
 from rendezvous_env.robots.unicycle import mean_cos_sin
+
+pytestmark = pytest.mark.kernels
 
 angles = st.floats(-3.2, 3.2)
 rates = st.floats(-6.0, 6.0)

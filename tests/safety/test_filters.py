@@ -34,6 +34,7 @@ def go_on(filtered, observations, choices, contact=None):
     return {"seen": seen, "actions": actions, **told}
 
 
+@pytest.mark.kernels
 @all_filters
 def test_a_batch_is_its_teams_one_by_one(made, kind):
     together, observations, choose = begun(made, kind, 6)

@@ -18,6 +18,8 @@ from rendezvous_env.safety.heading import (
 )
 from train.verify.monitors import unit
 
+pytestmark = pytest.mark.kernels
+
 CONSTANTS = {"min_alignment": 0.1, "dead_zone": 0.1, "max_turn": 0.2}
 numbers = st.floats(-3, 3, allow_nan=False, width=32)
 

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from geometry import triple
 from scipy.optimize import nnls
-from tuples import triple
 
 import baselines
 import rendezvous_env as rv
@@ -70,6 +70,7 @@ def sets_of_bearings(dim):
             yield BALANCED
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("dim", [2, 3])
 def test_random_and_degenerate_bearings(dim):
     """‖q‖² ≤ q·g for all g says that no point of the hull is nearer; q is in it by the other."""
@@ -225,6 +226,7 @@ def draw(random, dim):
     return bearings, random.uniform(0.3, 2), random.normal(size=dim) * random.uniform(0, 3)
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("error", [0.0, 0.2])
 def test_nothing_that_is_allowed_is_nearer_to_a_desired_one(dim, error):

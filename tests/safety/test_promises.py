@@ -6,7 +6,7 @@ import math
 
 import pytest
 from conftest import MODELS, five
-from mistakes import mistaken
+from faulty_filters import mistaken
 
 import baselines
 from rendezvous_env import Scenario, Sensing, certificate, graphs, rollout

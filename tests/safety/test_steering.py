@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from conftest import five
+from parameters import marked
 
 import rendezvous_env as rv
 from rendezvous_env import Scenario, Simulator
@@ -28,7 +29,7 @@ CLUTTERS = {
 
 
 @pytest.mark.parametrize("contact", ["stop", "slide"])
-@pytest.mark.parametrize("name", CLUTTERS)
+@pytest.mark.parametrize("name", marked(CLUTTERS, slow=[*CLUTTERS][1:]))
 def test_v_never_rises_beside_obstacles_but_while_a_robot_slides(name, contact):
     """A slide takes away the inward part of h hᵀf and may leave an uphill one; whatever the raw
     vectors. What certificates promise holds without obstacles, see test_promises.
@@ -164,6 +165,7 @@ def team(registry):
     return Scenario(n_robots=4, robot_model="omni")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", ["heading", "tank"])
 def test_robots_that_go_any_way_choose_directions_although_they_have_angles(team, by):
     """They were taken for robots that drive along an axis: speed and turn rate, and V rose."""

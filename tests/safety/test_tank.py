@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 from conftest import UNEQUAL, five
+from geometry import triple
 from test_promises import longer
-from tuples import triple
 
 from rendezvous_env import Scenario, Sensing, Simulator
 from rendezvous_env.safety.settings import error_chord
@@ -22,6 +22,7 @@ TEAMS = 24
 SHORT = Sensing(range=4.0)
 
 
+@pytest.mark.kernels
 class TestEquations:
     @pytest.mark.parametrize(
         ("strength", "degree", "radius", "duration", "limit", "expected"),

@@ -23,6 +23,8 @@ from rendezvous_env.obstacles.polygon import POLYGON, Polygon
 from rendezvous_env.obstacles.shape import ABSENT, CENTRE, KIND, RADIUS
 from rendezvous_env.physics.random_streams import OBSTACLES, stream_key
 
+pytestmark = pytest.mark.kernels
+
 TRIANGLE = ((0, 0), (3, 0), (0, 3))
 FIELD = ObstacleField(count=(2, 5), radius=(0.5, 1.5), region=12.0, keep_out=0.4, overlap=False)
 

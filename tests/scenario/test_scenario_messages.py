@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import UNEQUAL
-from soup import DEEP, HUGE, in_numpy, refusal
+from strategies import DEEP, HUGE, in_numpy, refusal
 
 import rendezvous_env as rv
 from rendezvous_env import Capsule, Disc, ObstacleField, Polygon, Scenario, Sphere, checks

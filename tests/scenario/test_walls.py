@@ -57,6 +57,7 @@ class TestField:
         assert scenario.observation_layout.obstacle_slots == boxes
         assert Scenario.from_plain(scenario.to_plain()) == scenario
 
+    @pytest.mark.kernels
     def test_positions_are_given_and_walls_keep_clear_of_them(self):
         walls = field("rooms", region=10.0)
         starts = np.array([[0.0, 0.0], [3.0, 1.0], [-2.0, 4.0]])
@@ -121,6 +122,7 @@ class TestLayouts:
 
 
 class TestNobodyIsWalledIn:
+    @pytest.mark.kernels
     @pytest.mark.parametrize("name", ["trap", "corridor", "rooms"])
     def test_in_a_thousand_starts(self, name):
         tables, positions = drawn(name, 1000)
@@ -131,6 +133,7 @@ class TestNobodyIsWalledIn:
         tables, positions = drawn("clutter-32", 200)
         assert all(together(*start, wider=0.0999) for start in zip(tables, positions, strict=True))
 
+    @pytest.mark.kernels
     def test_the_check_agrees_with_shapely(self):
         """On discs that nearly close two rings, one in the other, a robot in the middle and
         two outside; where a little smaller and larger ones give the same answer.

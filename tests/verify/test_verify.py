@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from mistakes import mistaken
+from faulty_filters import mistaken
 from rich.console import Console
 
 import baselines

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small_world import BARE, ROBOTS, SCENARIO, SEED
+from small_scenario import BARE, ROBOTS, SCENARIO, SEED
 from test_examples import JUDGED, run
 
 import rendezvous_env as rv

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete
-from small_world import BARE, ROBOTS, SCENARIO, SEED, Lives
+from small_scenario import BARE, ROBOTS, SCENARIO, SEED, Lives
 from test_examples import JUDGED, run
 
 import rendezvous_env as rv

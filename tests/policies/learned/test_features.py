@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
-from tuples import along
+from geometry import along
 
 from baselines.learned.feature_kernels import CONTEXT_COLUMNS, LEVEL_COLUMNS, WALL_COLUMNS
 from baselines.learned.features import Features
 from rendezvous_env import Scenario, Simulator
 from rendezvous_env.scenario import scenarios
+
+pytestmark = pytest.mark.kernels
 
 TEAMS = 6
 CLUTTER = scenarios.get("clutter-16")

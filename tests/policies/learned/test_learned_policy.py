@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from bare_network import make_network, stirred
 from gymnasium.vector import AutoresetMode
+from inference_network import make_network, stirred
 
 import baselines
 from baselines.learned import checkpoints, learned_policy

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import test_bodies
+import test_nonholonomic_features
 from gymnasium.vector import AutoresetMode
-from test_bodies import CARS, POINTS, UAV
+from test_nonholonomic_features import CARS, POINTS, UAV
 
 import rendezvous_env as rv
 from baselines.learned.features import Features
@@ -21,8 +21,8 @@ from train.learn.checkpoint import flatten, unflatten
 TEAMS, PERIOD = 5, 3
 SCENARIO = rv.scenarios.get("clutter-12").replace(time_limit=6.0)
 CHANGES = {"clearance": 0.1, "max_turn_rate": 3.0, "decision_time": PERIOD * SCENARIO.tau}
-HEADING = replace(test_bodies.HEADING, **CHANGES)
-TANK = replace(test_bodies.TANK, budget=0.5, **CHANGES)
+HEADING = replace(test_nonholonomic_features.HEADING, **CHANGES)
+TANK = replace(test_nonholonomic_features.TANK, budget=0.5, **CHANGES)
 
 
 def aim(observations, choices, carried):

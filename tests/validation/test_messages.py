@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import started
 from fuzzing import DOORS
-from soup import DEEP, HUGE, UNWRITABLE, refusal
+from strategies import DEEP, HUGE, UNWRITABLE, refusal
 
 import baselines
 import rendezvous_env as rv

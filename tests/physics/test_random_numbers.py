@@ -80,6 +80,7 @@ class TestOneNumber:
         assert (gaussians((magnitudes << 1 | 1).astype(np.uint32)) == -found).all()
         assert 6.3 < found.max() < 6.34
 
+    @pytest.mark.kernels
     def test_plain_python_gives_the_same_bits(self):
         _, words = halves(100)
         plain = getattr(gaussian, "py_func", gaussian)
@@ -96,6 +97,7 @@ class TestOneTurn:
         near = angles[np.abs(angles) <= math.pi / 4]
         assert (rotations(near, small=True) == rotations(near, small=False)).all()
 
+    @pytest.mark.kernels
     def test_small_is_what_the_short_way_bears(self):
         largest = gaussians(np.zeros(1, np.uint32))[0]
         deviations = np.linspace(0.0, 0.2, 1000).astype(np.float32)
@@ -126,6 +128,7 @@ class TestOneTurn:
         assert stats.kstest(turn, stats.uniform(-math.pi, 2 * math.pi).cdf).pvalue > 0.01
 
 
+@pytest.mark.kernels
 def test_every_step_has_a_key_of_its_own():
     key = np.uint64(stream_key(SEED, EPISODE, SENSING))
     keys = {int(np.uint64(step_key(key, step))) for step in (0, 1, 2, 10**15)}

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_starts import FAR
+from test_initial_conditions import FAR
 
 import rendezvous_env as rv
 from rendezvous_env import graphs
@@ -19,7 +19,11 @@ TEAMS = [
 ]
 
 
-@pytest.mark.parametrize("team", TEAMS, ids=lambda team: team.name)
+@pytest.mark.parametrize(
+    "team",
+    [*TEAMS[:-1], pytest.param(TEAMS[-1], marks=pytest.mark.slow)],
+    ids=lambda team: team.name,
+)
 def test_what_was_seen(team):
     scenario, name = team.replace(time_limit=6.0), team.name
     law, count = policies.fitting(scenario, ())[-1], 6 if name == "inertia" else 3

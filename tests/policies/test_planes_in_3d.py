@@ -16,6 +16,8 @@ from baselines.obstacle_rules.planes_in_space import (
 )
 from train.verify.monitors import unit
 
+pytestmark = pytest.mark.kernels
+
 X, Y, Z = np.eye(3)
 NONE = (0.0, 0.0, 0.0)
 

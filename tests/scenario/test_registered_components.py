@@ -125,6 +125,7 @@ def test_batches_see_and_earn_what_single_teams_do():
             np.testing.assert_array_equal(many[:, team], one[:, 0])
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("teams", [2, 7])  # 5 and more stand side by side, in blocks
 def test_what_is_seen_follows_from_the_state(teams):
     simulator = Simulator(Scenario(n_robots=4, sensing=Sensing(custom=("half-lost",))), teams)

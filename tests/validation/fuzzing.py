@@ -27,7 +27,7 @@ import rendezvous_env as rv
 from rendezvous_env import Scenario, Simulator, TimeStepWarning, vector
 from rendezvous_env.envs.gymnasium_env import make_env
 
-EFFORTS = [pytest.param(2, id="few"), pytest.param(14, id="many", marks=pytest.mark.slow)]
+MANY = pytest.param(14, id="many", marks=pytest.mark.slow)
 LONGEST = 5.0
 """Seconds of its thread's processor time that one call may take."""
 OURS = tuple(str(Path(module.__file__).parent) for module in (rv, baselines))
@@ -73,11 +73,20 @@ DOORS: dict[str, tuple[int, Callable[[Scenario, int], Any]]] = {
 """How many teams stand behind each kind of environment, and how it is made."""
 
 
-def fuzzed(count: int, *values: st.SearchStrategy) -> Callable[[Callable[..., None]], Any]:
-    """Make a test of a check of one case: so many for each effort, the same in every run."""
+def fuzzed(
+    count: int, *values: st.SearchStrategy, kernels: bool = False
+) -> Callable[[Callable[..., None]], Any]:
+    """Make a test of a check of one case: so many for each effort, the same in every run.
+
+    Args:
+        count: cases for an effort of one.
+        values: strategies of the arguments of the check.
+        kernels: whether the few cases carry the marker ``kernels``.
+    """
+    few = pytest.param(2, id="few", marks=[pytest.mark.kernels] * kernels)
 
     def decorate(check: Callable[..., None]) -> Any:
-        @pytest.mark.parametrize("effort", EFFORTS)
+        @pytest.mark.parametrize("effort", [few, MANY])
         def test(effort: int) -> None:
             health = list(HealthCheck)
             limits = {"max_examples": count * effort, "suppress_health_check": health}

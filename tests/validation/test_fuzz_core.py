@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import soup
+import strategies
 from conftest import started
 from fuzzing import (
     DOORS,
@@ -23,10 +23,10 @@ from fuzzing import (
     start_and_play,
     teams,
 )
+from geometry import along
 from hypothesis import example
 from hypothesis import strategies as st
-from soup import absurd, any_table, nearly
-from tuples import along
+from strategies import absurd, any_table, nearly
 
 import rendezvous_env as rv
 from rendezvous_env import Scenario, Simulator, TimeStepWarning, vector
@@ -36,7 +36,7 @@ from rendezvous_env.scenario.start_options import OPTIONS
 FILE = Path(tempfile.mkdtemp()) / "any.toml"
 
 
-@fuzzed(60, soup.scenario_fields())
+@fuzzed(60, strategies.scenario_fields())
 def test_scenarios(fields):
     plain = isinstance(fields.get("reward"), dict)
     scenario = attempt(lambda: Scenario.from_plain(fields) if plain else Scenario(**fields))
@@ -52,7 +52,7 @@ def test_scenarios(fields):
     start_and_play(Simulator(scenario))
 
 
-@fuzzed(40, soup.toml_texts([field.name for field in dataclasses.fields(Scenario)]))
+@fuzzed(40, strategies.toml_texts([field.name for field in dataclasses.fields(Scenario)]))
 def test_toml(text):
     FILE.write_bytes(text)
     scenario = attempt(lambda: Scenario.from_toml(FILE))
@@ -106,7 +106,7 @@ def options_of(draw: st.DrawFn, team: str, num_envs: int) -> Any:
         "headings": any_table(n, d - 1) | any_table(n) | any_table(num_envs, n, d - 1),
         "frames": any_table(n, d, d) | st.sampled_from([np.tile(turn, (n, 1, 1)), np.eye(d)]),
         "weights": any_table(n, n) | st.sampled_from([ones, 0 * ones, 0.9 * ones, 1e300 * ones]),
-        "obstacles": soup.obstacles(d),
+        "obstacles": strategies.obstacles(d),
         "position": absurd,
         "else": absurd,
     }
@@ -122,7 +122,7 @@ def options_of(draw: st.DrawFn, team: str, num_envs: int) -> Any:
     return options
 
 
-@fuzzed(60, names, teams, st.data())
+@fuzzed(60, names, teams, st.data(), kernels=True)
 def test_options_of_a_reset(name, team, data):
     it = door(name, team)
     it.env.reset(seed=1)
@@ -153,7 +153,7 @@ def actions_of(draw: st.DrawFn, it: Door) -> Any:
     return draw(any_table(*single, it.n, it.size))
 
 
-@fuzzed(60, names, teams, st.data())
+@fuzzed(60, names, teams, st.data(), kernels=True)
 def test_actions(name, team, data):
     it = door(name, team)
     it.env.reset(seed=data.draw(st.integers(0, 3)))
@@ -186,7 +186,7 @@ def spoilt(draw: st.DrawFn, state: Any) -> tuple[str, Any]:
     else:
         changed[name] = value.copy()
         place = draw(st.integers(0, value.size - 1))
-        wrong = draw(soup.edges) if value.dtype.kind == "f" else draw(_whole(value.dtype))
+        wrong = draw(strategies.edges) if value.dtype.kind == "f" else draw(_whole(value.dtype))
         with np.errstate(all="ignore"):
             changed[name].flat[place] = wrong
     return name, changed
@@ -199,7 +199,9 @@ def _whole(dtype: np.dtype) -> st.SearchStrategy:
     return st.sampled_from([0, 1, 2, 5, 10**9, low, high]) | st.integers(low, high)
 
 
-@fuzzed(40, st.sampled_from([name for name in NAMES if name != "aec"]), teams, st.data())
+@fuzzed(
+    40, st.sampled_from([name for name in NAMES if name != "aec"]), teams, st.data(), kernels=True
+)
 def test_states(name, team, data):
     it = door(name, team)
     it.env.reset(seed=data.draw(st.integers(0, 3)))
@@ -219,14 +221,14 @@ def test_states(name, team, data):
 margins = st.floats(0.01, 0.99)
 WRAPPER = {
     "min_alignment": nearly(margins, 0, 1),
-    "max_turn_rate": nearly(soup.lengths, 0),
+    "max_turn_rate": nearly(strategies.lengths, 0),
     "frame": nearly(st.sampled_from(["net_bearing", "local"]), "body"),
     "decision_period": nearly(st.sampled_from([1, 3]), 0, 2.0),
     "certified": nearly(st.booleans(), 1),
-    "budget": nearly(soup.lengths, -1e-9),
+    "budget": nearly(strategies.lengths, -1e-9),
     "observe_level": nearly(st.booleans(), 1),
-    "min_gain": nearly(st.none() | soup.lengths, 0.0, np.nan),
-    "max_gain": nearly(st.none() | soup.lengths, -1.0),
+    "min_gain": nearly(st.none() | strategies.lengths, 0.0, np.nan),
+    "max_gain": nearly(st.none() | strategies.lengths, -1.0),
     "share": nearly(st.floats(0.01, 1.0), 0.0, 1.1),
     "bearing_error": nearly(st.floats(0.0, 1.5), -0.1, 2.0),
 }
@@ -260,8 +262,8 @@ def test_arguments_of_wrappers(team, alone, name, data):
 
 CONSTANTS = {
     "min_alignment": nearly(margins),
-    "dead_zone": nearly(soup.lengths),
-    "max_turn": nearly(soup.lengths, np.inf),
+    "dead_zone": nearly(strategies.lengths),
+    "max_turn": nearly(strategies.lengths, np.inf),
 }
 
 

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 from conftest import actions_shape, five, refusing, started
-from soup import DEEP, HUGE, refusal
+from strategies import DEEP, HUGE, refusal
 
 import rendezvous_env as rv
 from baselines.learned.features import Features

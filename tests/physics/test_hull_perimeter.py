@@ -29,6 +29,7 @@ def integral(points):
     return 2 * np.pi * WEIGHTS @ np.max(directions @ points.T, axis=-1).mean(axis=-1)
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 8, 20])
 @pytest.mark.parametrize("extent", [1, 2, 3])
@@ -71,6 +72,7 @@ def test_nearly_flat_hulls_are_nearly_those_of_the_flat_ones(d, count, seed, thi
     assert abs(size(points + nudges) - size(points)) <= most + 1e-8 * (1 + size(points))
 
 
+@pytest.mark.kernels
 @given(st.integers(2, 3), st.integers(2, 9), st.integers(0, 10**6))
 def test_it_grows_with_the_hull_and_knows_no_frame(d, count, seed):
     random = np.random.default_rng(seed)

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 from conftest import UNEQUAL, started
-from tuples import triple, world
+from geometry import triple, world
 
 import baselines
 from rendezvous_env import Capsule, Disc, Polygon, Scenario, Simulator, Sphere
 from rendezvous_env.obstacles.obstacle_set import distance_to
 from rendezvous_env.trajectory import run
+
+pytestmark = pytest.mark.slow
 
 FLAT = (
     Disc((0.0, 0.0), 1.0),

@@ -4,11 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from geometry import body_frame, mean_body_axis, triple
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from tuples import body_frame, mean_body_axis, triple
 
 from rendezvous_env.safety.turning import Gate, gated_rates, mean_axis, yaw_rate_law
+
+pytestmark = pytest.mark.kernels
 
 GATE = Gate(True, 0.1, 0.05, 0.5, 2.0, 0.0)
 IN_SPACE = GATE._replace(planar=False, yaw_limit=20.0, pitch_limit=2.0)

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 from conftest import UNEQUAL, assert_same_state, five, law_of, refusing, started
-from test_borders import AMONG, TEAMS
+from test_input_shapes import AMONG, TEAMS
 
 import rendezvous_env as rv
 from baselines.learned.policy_settings import PolicySettings
@@ -67,7 +67,7 @@ WRONG_ENTRIES = [
 WRONG = [
     *[("team", *entry) for entry in WRONG_ENTRIES],
     ("arcs", "weights", (0, 1, 1), 1.0, "weights[0, 1, 1] is 1.0; it must be 0: no robot is its"),
-    ("inertia", "memory", (0, 1), (0.0, 3.1), "at most 3 m/s"),
+    pytest.param("inertia", "memory", (0, 1), (0.0, 3.1), "at most 3 m/s", marks=pytest.mark.slow),
     ("late", "past", (0, 1, 2), np.nan, "past[0, 1, 2, 0, 0] is nan; it must be finite"),
     ("late", "past", (0, 1, 2), 1e20, "it must be at most 1e+13"),
     ("ring", "first", (0, 0), 60, "first[0, 0] is 60; it must be from 0 to 59"),

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from geometry import body_frame
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tuples import body_frame
 
 import baselines
 import rendezvous_env as rv

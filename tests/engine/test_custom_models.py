@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from conftest import started
 from scipy.integrate import solve_ivp
-from test_inertia import FAR
+from test_double_integrator import FAR
 from test_kernel_cache import python
 
 import rendezvous_env as rv
@@ -201,6 +201,7 @@ def test_a_leap_that_no_check_of_the_model_found_is_told_in_the_step(own):
             teams.step(actions)
 
 
+@pytest.mark.slow
 def test_robots_that_a_current_carries_faster_than_v_max_take_their_own_state(registry):
     still = robot_models.ROBOT_MODELS["double_integrator"]
 
@@ -222,6 +223,7 @@ def test_robots_that_a_current_carries_faster_than_v_max_take_their_own_state(re
         env.set_state(state)
 
 
+@pytest.mark.slow
 def test_a_sluggish_unicycle_moves_as_its_equations_say(own):
     own("own_sluggish", SLUGGISH)
     disc = rv.Disc((13.0, 0.0), 10.0)
@@ -269,6 +271,7 @@ def ran(folder: Path) -> tuple[float, int]:
     return float(way), int(anew)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not compiled(), reason="nothing is kept")
 def test_an_edited_model_moves_as_edited(tmp_path):
     """Compiled code is kept on disk: it must follow the file that the model is in, and those that

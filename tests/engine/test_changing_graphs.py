@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 import pytest
 from conftest import UNEQUAL, started
+from parameters import marked
 
 import baselines
 import rendezvous_env as rv
@@ -128,6 +129,7 @@ class Reference:
         return {pair for pair in renamed if len(pair) == 2}
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("kind", KINDS)
 def test_law_1_moves_as_a_reference_written_from_the_definitions(kind, seed):
@@ -178,9 +180,7 @@ ALIKE = {
 """Undirected graphs, the same said in another way, and what of a scenario goes with them."""
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "space")) for n in ALIKE]
-)
+@pytest.mark.parametrize("name", marked(ALIKE, slow=["space", "a sensor, those present first"]))
 def test_an_undirected_graph_moves_alike_however_it_is_said(name):
     *both, fields = ALIKE[name]
     teams = [scenario(graph=graph, **STEP | fields) for graph in both]

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT, UNEQUAL, five, run_python
+from parameters import marked
 from test_sensing_engine import SHAPES, WORST
 
 from rendezvous_env import (
@@ -57,6 +58,10 @@ SLOW = {
 }
 """Covered by the others together, but for how they are compiled."""
 SCENARIOS = FAST | SLOW
+KERNELS = (
+    "two rows", "packing", "flying among solids", "errors", "drawn graphs", "errors in space",
+)  # fmt: skip
+"""Together they call every kernel of a step."""
 MEETS_NOTHING = (
     "nothing in the way", "two rows", "drawn graphs", "errors in the open", "errors in two rows",
     "packing",
@@ -118,7 +123,7 @@ def test_little_work_is_not_shared(shared):
 
 @pytest.mark.parametrize(
     "name",
-    [*FAST, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)],
+    marked(SCENARIOS, slow=SLOW, kernels=KERNELS),
 )
 def test_a_team_among_many_moves_as_it_does_alone(name, shared, monkeypatch):
     """40 teams are one whole block and one that is filled up, each of them for a thread."""

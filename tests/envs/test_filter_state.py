@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from conftest import MODELS
 from guarantees import GUARANTEES, WHICH_AND_KIND, draw, make, same
+from test_custom_filter import HalfSpeed
 from test_gymnasium_env import SCENARIOS, small
-from test_own_filter import HalfSpeed
 from test_training_env import FORMS, SCENARIO
 
 import rendezvous_env as rv

@@ -4,9 +4,9 @@ from functools import partial
 
 import numpy as np
 import pytest
+from geometry import mean_body_axis
 from guarantees import constant, draw, make, same
 from scipy.stats import special_ortho_group
-from tuples import mean_body_axis
 
 import rendezvous_env as rv
 from rendezvous_env import vector

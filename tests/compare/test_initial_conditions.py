@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from parameters import marked
 
 from rendezvous_env import Capsule, Disc, ObstacleField, Scenario, Simulator, graphs
 from rendezvous_env.engine.preparation import begins_alike
@@ -35,7 +36,7 @@ def starts(scenario, seeds):
     return [tuple(part[b].tobytes() for part in parts) for b in range(seeds)]
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", marked(CASES, slow=["at rest"]))
 def test_one_start_is_one_however_often_it_is_drawn(case):
     found = len(set(starts(CASES[case], 16)))
     assert begins_alike(CASES[case]) == (found == 1), found

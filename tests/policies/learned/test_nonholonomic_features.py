@@ -85,6 +85,7 @@ def test_f_in_the_plane_is_f_whatever_lies_outside_it():
         np.testing.assert_allclose(*lengths, atol=1e-5)
 
 
+@pytest.mark.kernels
 def test_a_plane_is_kept_while_something_in_it_is_before_f():
     """Then the one with least to turn is taken."""
     scenario, rows = robots_that_see([[1.0, 0.0, 0.0]])
@@ -105,6 +106,7 @@ def test_a_plane_is_kept_while_something_in_it_is_before_f():
     assert abs(found[0][1]) > 0.9 and abs(found[3][2]) > 0.9
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("scenario", [POINTS, UAV], ids=["points", "nonholonomic"])
 @pytest.mark.parametrize("share", [1.0, 0.25])
 def test_a_plane_does_not_turn_with_the_body(scenario, share):
@@ -172,6 +174,7 @@ def test_v_and_the_tanks_together_never_rise(scenario, budget, every, least_apar
     assert apart.sum() >= least_apart and rises >= least_rises
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize(
     ("scenario", "kind", "most", "shares"),
     [
@@ -233,6 +236,7 @@ def test_the_weights_of_unicycles_serve_them_and_space(name, starts, least):
     assert (found.success & ~found.contacts.any(axis=(0, 2))).sum() >= least
 
 
+@pytest.mark.kernels
 def test_a_robot_that_ticks_sooner_turns_its_memory_by_what_it_turned():
     """Ten ticks of τ/4: the body has turned by ω τ/4 in each."""
     robot, turned = baselines.RobotPolicy(CARS, "learned-tank"), 0.0

@@ -1,0 +1,22 @@
+"""Parameters of tests that carry markers, by their names."""
+
+from collections.abc import Collection, Iterable
+
+import pytest
+
+
+def marked(
+    names: Iterable[str], *, slow: Collection[str] = (), kernels: Collection[str] = ()
+) -> list[object]:
+    """Names as parameters; those listed get the marker ``slow`` or ``kernels``."""
+    names, marks = list(names), {"slow": slow, "kernels": kernels}
+    assert {*slow, *kernels} <= {*names}, "a marked parameter is not among the parameters"
+    return [
+        pytest.param(name, marks=[getattr(pytest.mark, m) for m in marks if name in marks[m]])
+        for name in names
+    ]
+
+
+def slow(*values: object) -> object:
+    """One set of parameters with the marker ``slow``."""
+    return pytest.param(*values, marks=pytest.mark.slow)

@@ -1,0 +1,74 @@
+"""Files around the code: the list of promises, continuous integration, containers."""
+
+import json
+import re
+
+import yaml
+from conftest import ROOT, run_python
+
+CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+DOCKERFILE = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+JOBS = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8"))["jobs"]
+OUTSIDE = {"data", "adapters", "research"}
+"""Folders of tests without a promise of their own: data, other libraries, scripts."""
+
+
+def promised_tests() -> list[str]:
+    """The tests in the table of promises, by file and name."""
+    return re.findall(r"^\|[^|]+\| `(tests/[\w/.:]+)` \|$", CONTRIBUTING, flags=re.MULTILINE)
+
+
+def commands(job: str) -> list[str]:
+    """The shell commands of a job of the workflow."""
+    return [line for step in JOBS[job]["steps"] for line in step.get("run", "").splitlines()]
+
+
+def test_promises_name_fast_tests():
+    named = promised_tests()
+    assert len(named) > 40
+    found = run_python(ROOT, "-m", "pytest", "--collect-only", "-q", *named).stdout.splitlines()
+    for name in named:
+        assert any(re.match(rf"{re.escape(name)}($|::|\[)", line) for line in found), name
+
+
+def test_every_folder_of_tests_has_a_promise():
+    folders = {path.name for path in (ROOT / "tests").iterdir() if any(path.glob("test_*.py"))}
+    assert "engine" in folders
+    assert folders - OUTSIDE <= {name.split("/")[1] for name in promised_tests()}
+
+
+def test_workflow_covers_systems_and_pythons():
+    matrix = JOBS["test"]["strategy"]["matrix"]
+    assert {name.partition("-")[0] for name in matrix["os"]} == {"ubuntu", "macos"}
+    assert matrix["python"] == ["3.11", "3.12", "3.13", "3.14"]
+    assert any(line.startswith("make test ") for line in commands("test"))
+    assert ".ci/run" in commands("full")
+    assert any("pip wheel" in line for line in commands("wheel"))
+
+
+def test_workflow_jobs_are_described():
+    described = re.findall(r"^\* `(\w+)`", CONTRIBUTING, flags=re.MULTILINE)
+    assert set(described) == set(JOBS)
+
+
+def test_ci_script_calls_the_test_commands_of_the_readme():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    shown = set(re.findall(r"^make (test[\w-]*)", readme, flags=re.MULTILINE))
+    assert shown == {"test", "test-all"}
+    called = re.findall(r"^make (.*)", (ROOT / ".ci/run").read_text(), flags=re.MULTILINE)
+    assert shown <= {word for line in called for word in line.split()}
+
+
+def test_containers_use_stages_of_the_dockerfile():
+    stages = set(re.findall(r"^FROM .* AS (\w+)", DOCKERFILE, flags=re.MULTILINE))
+    settings = json.loads((ROOT / ".devcontainer/devcontainer.json").read_text(encoding="utf-8"))
+    assert settings["build"]["target"] in stages
+    assert set(JOBS["container"]["strategy"]["matrix"]["target"]) <= stages
+
+
+def test_image_holds_every_file_that_it_copies():
+    kept = (ROOT / ".dockerignore").read_text(encoding="utf-8").splitlines()
+    copied = re.findall(r"^COPY (.+) \S+$", DOCKERFILE, flags=re.MULTILINE)
+    names = {name for line in copied for name in line.split()}
+    assert names == {line.removeprefix("!") for line in kept if line.startswith("!")}
+    assert all((ROOT / name).exists() for name in names)
