@@ -145,4 +145,6 @@ def fixed_obstacles(scenario: Scenario) -> ObstacleSet | None:
     slots = scenario.observation_layout.obstacle_slots
     if isinstance(scenario.obstacles, Field) or slots == 0:
         return None
-    return obstacle_set.world_of(obstacle_set.pack(scenario.obstacles, slots)[None])
+    return obstacle_set.world_of(
+        obstacle_set.pack(scenario.obstacles, slots)[None], dim=scenario.dim
+    )

@@ -130,6 +130,6 @@ class State:
         for name, values in {**{name: state[name] for name in KEPT}, "active": active}.items():
             self.teams.statistics[block, STATISTICS.index(name), lane] = values
         if self.obstacles is not None:
-            world = obstacle_set.world_of(state["obstacles"])
+            world = obstacle_set.world_of(state["obstacles"], dim=self.scenario.dim)
             for array, numbers in zip(self.obstacles, world, strict=True):
                 array[...] = numbers

@@ -277,7 +277,10 @@ def _of_kind(kind: type) -> Any:
     if kind is type(None):
         return None
     return lambda obstacles, team: kind(
-        obstacles.kinds[team], obstacles.corners[team], obstacles.shapes[team]
+        obstacles.kinds[team],
+        obstacles.corners[team],
+        obstacles.shapes[team],
+        obstacles.skins[team],
     )
 
 

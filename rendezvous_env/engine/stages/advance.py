@@ -29,7 +29,7 @@ from ..memory import (
 )
 
 _ROUNDING = 1.0 + 1e-9
-_CLEARANCE = 1e-9  # m; nearer than this to what it could reach, a robot is moved exactly
+_CLEARANCE = 3e-6  # m, more than a skin; nearer to what it could reach, a robot is moved exactly
 
 
 @inner_kernel(inline="text")
