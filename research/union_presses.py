@@ -88,7 +88,9 @@ def room(random: np.random.Generator) -> Union:
         _box(-2, 2, -2, -1), _box(-2, 2, 1, 2), _box(-2, -1, -1 - o / size, 1 + o / size),
         _box(1, 2, -1 - o / size, 1 + o / size),
     ]  # fmt: skip
-    return _in_the_plane(random, [size * box for box in boxes], [], size * _box(-1.5, 1.5, -1.5, 1.5))
+    return _in_the_plane(
+        random, [size * box for box in boxes], [], size * _box(-1.5, 1.5, -1.5, 1.5)
+    )
 
 
 def tiles(random: np.random.Generator) -> Union:
@@ -147,7 +149,10 @@ def capsules(random: np.random.Generator) -> Union:
     side = float(np.linalg.norm(after[0] - spine[0]))
     radius = random.uniform(0.05, 0.2) * side
     back = (radius - 0.5 * overlap(random)) / math.cos(math.pi / len(spine)) / side
-    ends = [((1 - back) * a + back * b, back * a + (1 - back) * b) for a, b in zip(spine, after)]
+    ends = [
+        ((1 - back) * a + back * b, back * a + (1 - back) * b)
+        for a, b in zip(spine, after, strict=True)
+    ]
     loop = np.array(ends).reshape(-1, 2)
     return _in_the_plane(random, [], [(pair, radius) for pair in ends], loop)
 

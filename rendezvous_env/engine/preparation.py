@@ -71,6 +71,7 @@ def constants(scenario: Scenario, robot: Robot, max_steps: int) -> tuple[Any, ..
             all_earn=scenario.on_merge == "follow",
             body_radius=float(scenario.body_radius or 0.5 * scenario.merge_radius),
             packs=scenario.meeting == "pack",
+            merges_through=scenario.merges_through,
         )
     )
 

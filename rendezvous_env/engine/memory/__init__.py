@@ -151,6 +151,7 @@ class Constants(NamedTuple):
     all_earn: bool  # Whether merged-away robots earn the team reward, too
     body_radius: float  # Of the discs in which robots stand in one another's sight, and way, m
     packs: bool  # Whether bodies stop where they would touch, instead of merging
+    merges_through: bool  # Whether robots merge where an obstacle hides them from each other
 
 
 class Setup(NamedTuple):

@@ -98,7 +98,7 @@ def _advance_exactly(place, setup, state, contact, scratch):
             lanes.displacement[i, k, lane] = team.displacements[i, k]
     merges = 0
     if not setup.constants.packs:
-        merges = _merge_team(place, setup.constants.merge_radius, state, team)
+        merges = _merge_team(place, setup.constants, state, team)
     elif _pack_team(setup.constants, team):
         tally.proximity[lane] = PACKED
     for i in range(team.lengths.shape[0]):
@@ -149,7 +149,7 @@ def _move_among(point, way, curve, memory, world, mode, normals):
 
 
 @inner_kernel(inline="text")
-def _merge_team(place, radius, state, team):
+def _merge_team(place, constants, state, team):
     """Move the team at hand and merge whom that brings together; number of merges."""
     count = load_links(place.block, place.lane, state.links, team)
     team.report[:] = 0.0
@@ -161,8 +161,9 @@ def _merge_team(place, radius, state, team):
         arcs_of(state.links, place.block),
         state.teams.merged_into[place.team],
         obstacles_of(state.obstacles, place.team),
-        radius,
+        constants.merge_radius,
         (team.moments, team.here, team.resting, team.report),
+        constants.merges_through,
     )
     if merges > 0:
         store_links(place.block, place.lane, count, state.links, team)
