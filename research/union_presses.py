@@ -22,12 +22,14 @@ import rendezvous_env as rv
 from rendezvous_env.obstacles.obstacle_set import Obstacle
 
 Array = NDArray[np.float64]
-TEAMS, ROBOTS, STEPS, TIME_STEP = 64, 8, 25, 0.05
+ROBOTS, STEPS, TIME_STEP = 8, 25, 0.05
 SLOTS = 64
 MODELS = {
     2: ("single_integrator", "unicycle", "double_integrator"),
     3: ("single_integrator", "nonholonomic_3d", "double_integrator"),
 }
+TEAMS = {"single_integrator": 256, "unicycle": 128, "nonholonomic_3d": 64, "double_integrator": 16}
+"""Environments for each model; curves take longer."""
 SLOWEST, FASTEST = 1e-3, 1e6
 _ON_THE_SPOT = 1e-12  # m
 
@@ -228,7 +230,7 @@ UNIONS = {2: (room, tiles, fan, discs, capsules, diamonds), 3: (spheres, logs)}
 
 def pressed(union: Union, dim: int, model: str, mode: str, random: np.random.Generator) -> Count:
     """Let teams press against a union for some steps."""
-    places = _starts(union, dim, random)
+    places = _starts(union, (TEAMS[model], ROBOTS), dim, random)
     simulator = rv.Simulator(
         rv.Scenario(
             n_robots=ROBOTS,
@@ -247,7 +249,7 @@ def pressed(union: Union, dim: int, model: str, mode: str, random: np.random.Gen
             max_turn_rate=20.0,
             time_limit=1e6,
         ),
-        TEAMS,
+        TEAMS[model],
         num_threads=1,
     )
     simulator.reset(int(random.integers(2**31)), {"positions": places})
@@ -274,11 +276,11 @@ def pressed(union: Union, dim: int, model: str, mode: str, random: np.random.Gen
     return count
 
 
-def _starts(union: Union, dim: int, random: np.random.Generator) -> Array:
-    """Half of the robots near the centre, half of them outside, (TEAMS, ROBOTS, dim), m."""
-    rays = random.normal(size=(TEAMS, ROBOTS, dim))
+def _starts(union: Union, shape: tuple[int, int], dim: int, random: np.random.Generator) -> Array:
+    """Half of the robots near the centre, half of them outside, (*shape, dim), m."""
+    rays = random.normal(size=(*shape, dim))
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    reach = np.full((TEAMS, ROBOTS, 1), 0.05 * union.size)
+    reach = np.full((*shape, 1), 0.05 * union.size)
     reach[:, ROBOTS // 2 :] = 4.0 * union.size + 1.0
     return union.centre + reach * random.uniform(0.5, 1.0, reach.shape) * rays
 
@@ -287,7 +289,7 @@ def _actions(
     model: str, simulator: Any, random: np.random.Generator
 ) -> Iterator[tuple[Array, Array]]:
     """Actions, and the lengths of the displacements that they ask for, m; 0 where not known."""
-    shape = TEAMS, ROBOTS
+    shape = TEAMS[model], ROBOTS
     wide = simulator.scenario.action_size
     speed = rays = np.zeros(())
     for step in range(STEPS):
@@ -328,6 +330,7 @@ def main() -> None:
                     found[key] = Count(*map(sum, zip(so_far, count, strict=True)))
                     total = Count(*map(sum, zip(total, count, strict=True)))
         rounds += 1
+        print(f"round {rounds}: {total}", flush=True)
     for key, count in sorted(found.items()):
         print(f"{' '.join(key):45s} {count.presses:9,d} {count.crossings:6d} {count.unreported:6d}")
     print(f"{total.presses:,} presses, {total.crossings} crossings, "

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ..checks import shown
 from ..compilation import by_type, inner_kernel, kernel
-from ..physics.ellipsoids import ball, cut, half_width
+from ..physics.ellipsoids import along, ball, cut
 from ..physics.vectors import X_AXIS, add, combine, norm, store, subtract
 from . import shape
 from .capsule import CAPSULES, Capsule
@@ -229,17 +229,17 @@ def _only_just_meet(world, group, dim):
     also where it cannot be found.
     """
     point, radius = _among(world, group)
-    matrix = ball(radius)
+    axes = ball(radius)
     least, best = -np.inf, np.inf
     for _ in range(_MAX_CUTS):
         highest, normal = _highest(world, group, point)
-        width = half_width(matrix, normal)
+        width = norm(along(axes, normal))
         least, best = max(least, highest - width), min(best, highest)
         if best <= -_OVERLAP or least >= _GAP:
             return False
         if (least > -_OVERLAP and best < _GAP) or not width > 0.0:
             return True
-        point, matrix = cut(point, matrix, normal, (highest - best) / width, dim)
+        point, axes = cut(point, axes, normal, (highest - best) / width, dim)
     return True
 
 

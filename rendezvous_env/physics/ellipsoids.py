@@ -1,61 +1,48 @@
 """Least values of convex functions: a minimum is shut in by ellipsoids, each smaller than the last.
 
-    E = {x : (x − c)ᵀ P⁻¹ (x − c) ≤ 1},   P = [p₀ p₁ p₂; p₁ p₃ p₄; p₂ p₄ p₅]
+    E = {c + B u : ‖u‖ ≤ 1}
 
 A subgradient g of f at c leaves out the half with gᵀ(x − c) > 0, and no value in E is below
-f(c) − √(gᵀPg) (Shor 1977).
+f(c) − ‖Bᵀg‖ (Shor 1977). B is three columns, triples in m: BBᵀ itself would lose a side that is 10⁸
+times shorter than another to rounding.
 """
 
 import math
 
 from ..compilation import inner_kernel
-from .vectors import combine, dot
+from .vectors import combine, dot, norm, scaled
 
 
 @inner_kernel
 def ball(radius):
-    """P of a ball of a radius, m: r² I, six numbers in m²."""
-    square = radius * radius
-    return square, 0.0, 0.0, square, 0.0, square
+    """B of a ball of a radius, m: r I."""
+    return (radius, 0.0, 0.0), (0.0, radius, 0.0), (0.0, 0.0, radius)
 
 
 @inner_kernel
-def times(matrix, g):
-    """The product P g of a symmetric matrix and a triple."""
-    return (
-        matrix[0] * g[0] + matrix[1] * g[1] + matrix[2] * g[2],
-        matrix[1] * g[0] + matrix[3] * g[1] + matrix[4] * g[2],
-        matrix[2] * g[0] + matrix[4] * g[1] + matrix[5] * g[2],
-    )
+def along(axes, g):
+    """The product Bᵀg with a unit triple, m; its length is half the width of E along g."""
+    return dot(axes[0], g), dot(axes[1], g), dot(axes[2], g)
 
 
 @inner_kernel
-def half_width(matrix, g):
-    """Half the width of an ellipsoid along a unit triple, √(gᵀPg), m; 0 where rounding ends it."""
-    return math.sqrt(max(dot(g, times(matrix, g)), 0.0))
+def cut(centre, axes, g, share, dim):
+    """The least ellipsoid about what a cut leaves of another, c and B, in 2 or 3 dimensions.
 
+    With α = ``share``, 0 ≤ α < 1, of the half width ‖Bᵀg‖ along g, u = Bᵀg/‖Bᵀg‖, n = ``dim``:
 
-@inner_kernel
-def cut(centre, matrix, g, share, dim):
-    """The least ellipsoid about what a cut leaves of another, c and P, in 2 or 3 dimensions.
-
-    With α = ``share``, 0 ≤ α < 1, of the half width √(gᵀPg) along g, b = P g/√(gᵀPg), n = ``dim``:
-
-        c ← c − (1 + nα)/(n + 1) b
-        P ← n²(1 − α²)/(n² − 1) (P − 2(1 + nα)/((n + 1)(1 + α)) b bᵀ)
+        c ← c − (1 + nα)/(n + 1) B u
+        B ← n √((1 − α²)/(n² − 1)) B (I − (1 − √(1 − 2(1 + nα)/((n + 1)(1 + α)))) u uᵀ)
     """
-    b = times(matrix, g)
-    inverse = 1.0 / half_width(matrix, g)
-    x, y, z = b[0] * inverse, b[1] * inverse, b[2] * inverse
+    u = along(axes, g)
+    u = scaled(u, 1.0 / norm(u))
+    b = combine(1.0, combine(u[0], axes[0], u[1], axes[1]), u[2], axes[2])
     ahead = (1.0 + dim * share) / (dim + 1.0)
-    grown = dim * dim * (1.0 - share * share) / (dim * dim - 1.0)
-    less = 2.0 * ahead / (1.0 + share)
+    left = math.sqrt(max(1.0 - 2.0 * ahead / (1.0 + share), 0.0)) - 1.0
+    grown = dim * math.sqrt((1.0 - share) * (1.0 + share) / (dim * dim - 1.0))
     smaller = (
-        grown * (matrix[0] - less * x * x),
-        grown * (matrix[1] - less * x * y),
-        grown * (matrix[2] - less * x * z),
-        grown * (matrix[3] - less * y * y),
-        grown * (matrix[4] - less * y * z),
-        grown * (matrix[5] - less * z * z),
+        combine(grown, axes[0], grown * left * u[0], b),
+        combine(grown, axes[1], grown * left * u[1], b),
+        combine(grown, axes[2], grown * left * u[2], b),
     )
-    return combine(1.0, centre, -ahead, (x, y, z)), smaller
+    return combine(1.0, centre, -ahead, b), smaller
