@@ -259,6 +259,7 @@ def pressed(union: Union, dim: int, model: str, mode: str, random: np.random.Gen
         before = simulator.positions
         alone = simulator.active
         outcome = simulator.step(actions)
+        merged = (alone != outcome.active).any(axis=1)
         contact, alone = outcome.contact, alone & outcome.active
         after = simulator.positions
         now = union.is_inside(after.reshape(-1, dim)).reshape(inside.shape)
@@ -266,7 +267,7 @@ def pressed(union: Union, dim: int, model: str, mode: str, random: np.random.Gen
         held = moved < np.maximum(0.49 * longest, _ON_THE_SPOT * (longest > 0.0))
         # far away, where a float64 cannot tell such a step from none, nothing is in the way
         held &= longest > 1e-9 * (1.0 + np.abs(before).max(axis=-1))
-        held &= alone
+        held &= alone & ~merged[:, None]  # who merges rests
         count = Count(
             count.presses + int((contact | held).sum()),
             count.crossings + int((now != inside).sum()),

@@ -1,7 +1,8 @@
 """How obstacles stop a robot: swept motion along straight lines and arcs.
 
-A contact is a path more than 1 µm deep into an obstacle, or one of which obstacles leave less than
-half; leaving, sliding and shallower grazing are free. Where obstacles only just meet, so that 1 µm
+A contact is a path more than 1 µm deep into an obstacle, or one that obstacles hold up: of which an
+obstacle leaves nothing, or several that meet less than half. Leaving, sliding and shallower grazing
+are free. Where obstacles only just meet, so that 1 µm
 would lead between them, they have a skin (``obstacle_set``): motion is checked against their union.
 No robot passes through it at any speed, and none ends a step inside an obstacle. At a contact a
 robot loses the part of its motion that would enter:
@@ -61,7 +62,7 @@ def move_straight(point, way, world, mode, normals):
     if in_skin:
         _, fraction = _first_contact(start, way, world, CONTACT_DEPTH)
     executed = subtract(_follow(start, way, world, mode, normals), point)
-    return fraction <= 1.0 or _is_held(executed, way), executed
+    return fraction <= 1.0 or _is_held(point, executed, way, world), executed
 
 
 @kernel
@@ -88,7 +89,7 @@ def move_curved(point, way, model, action, frame, memory, world, mode, normals):
     if contact and mode == SLIDE:
         end = _follow(end, subtract(free_end, end), world, mode, normals)
     executed = subtract(end, point)
-    return contact or _is_held(executed, way), executed
+    return contact or _is_held(point, executed, way, world), executed
 
 
 @kernel
@@ -106,9 +107,18 @@ def _out_of_skins(point, world):
 
 
 @kernel
-def _is_held(executed, way):
-    """Whether obstacles leave less than half of a displacement."""
-    return 4.0 * dot(executed, executed) < dot(way, way)
+def _is_held(point, executed, way, world):
+    """Whether obstacles leave a displacement less than a thousandth, or less than half where those
+    touched meet others.
+    """
+    share = norm(executed) / norm(way) if dot(way, way) > 0.0 else 1.0
+    end, touched = add(point, 1.0, executed), 0
+    if 1e-3 <= share < 0.5:
+        for m in range(world.kinds.shape[0]):
+            if within(world, m, end, CONTACT_DEPTH):
+                if distance_to(world, m, end) < world.skins[m] + CONTACT_DEPTH:
+                    touched += 2 if world.skins[m] > 0.0 else 1
+    return share < 1e-3 or touched > 1
 
 
 @kernel

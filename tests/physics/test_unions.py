@@ -208,7 +208,10 @@ class TestMotion:
         wall = world([tile(0, 0)])
         moved, contact = move_one_straight((0.5, 0.0), (0.0, 3e-7), wall, SLIDE)
         assert contact and np.abs(moved).max() < 1e-12
-        assert not move_one_straight((0.5, 0.0), (1e-3, 3e-7), wall, SLIDE)[1]
+        for way in ((1e-3, 3e-7), (1e-7, 3e-7)):
+            assert not move_one_straight((0.5, 0.0), way, wall, SLIDE)[1]
+        corner = world([tile(0, 0), tile(0.9, -0.9)])
+        assert move_one_straight((0.9, 0.0), (1e-7, 3e-7), corner, SLIDE)[1]
 
     @pytest.mark.parametrize("rate", [0.0, 2.0, -0.5])
     @pytest.mark.parametrize("speed", SPEEDS)
