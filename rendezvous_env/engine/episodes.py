@@ -199,7 +199,8 @@ class Episodes:
         state.give(which, **self._links_of(which, given.weights))
         world, obstacles = self._obstacles, given.obstacles
         if obstacles is not None:
-            world = world_of(_for_each(obstacles, which)) if obstacles.size else None
+            tables = _for_each(obstacles, which)
+            world = world_of(tables, dim=scenario.dim) if obstacles.size else None
         if world is not None:
             state.give(which, **world._asdict())
         return rules._replace(

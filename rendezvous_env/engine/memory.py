@@ -90,7 +90,9 @@ class Robot(NamedTuple):
 
 
 def _of_one(kind: type) -> Any:
-    return lambda obstacles, b: kind(obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b])
+    return lambda obstacles, b: kind(
+        obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b], obstacles.skins[b]
+    )
 
 
 @by_type("obstacles", _of_one)

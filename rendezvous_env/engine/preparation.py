@@ -34,6 +34,7 @@ class Constants(NamedTuple):
     all_earn: bool  # Whether merged-away robots earn the team reward, too
     body_radius: float  # Of the discs in which robots stand in one another's sight, and way, m
     packs: bool  # Whether bodies stop where they would touch, instead of merging
+    merges_through: bool  # Whether robots merge where an obstacle is between them
 
 
 class Sensor(NamedTuple):
@@ -83,6 +84,7 @@ def constants(scenario: Scenario, robot: Robot, max_steps: int) -> Constants:
         all_earn=scenario.on_merge == "follow",
         body_radius=float(scenario.body_radius or 0.5 * scenario.merge_radius),
         packs=scenario.meeting == "pack",
+        merges_through=scenario.merges_through,
     )
 
 
@@ -176,4 +178,5 @@ def fixed_obstacles(scenario: Scenario) -> ObstacleSet | None:
     slots = scenario.observation_layout.obstacle_slots
     if isinstance(scenario.obstacles, Field) or slots == 0:
         return None
-    return obstacle_set.world_of(obstacle_set.pack(scenario.obstacles, slots)[None])
+    table = obstacle_set.pack(scenario.obstacles, slots)
+    return obstacle_set.world_of(table[None], dim=scenario.dim)

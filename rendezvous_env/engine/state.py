@@ -167,7 +167,7 @@ class State:
         block, _, lane = self._places(self._all)[1]
         for name, values in {**{name: state[name] for name in KEPT}, "active": active}.items():
             self._fields[block, EPISODE_FIELDS.index(name), lane] = values
-        world = obstacle_set.world_of(state["obstacles"])
+        world = obstacle_set.world_of(state["obstacles"], dim=self.scenario.dim)
         for array, numbers in zip(self.obstacles, world, strict=True):
             array[...] = numbers
         self.lay_out_discs(self._all)

@@ -5,19 +5,25 @@ e, ``weight[e]`` its a_ij in m/s. A superfluous link gets the weight 0; nothing 
 
 Where links can be one-way, a pair merges if either sees the other: a link then weighs the mean of
 a_ij and a_ji, which makes V of the links that of the arcs, and ``arcs`` holds the two.
+
+Merges go through obstacles, unless they are told not to: then a pair that obstacles hide from one
+another stays two robots, nearer than r, until nothing is between them. The theorems about V (A, C,
+D and the bounds on V) need links of r or more, and do not hold for such pairs.
 """
 
 import numpy as np
 
 from ..compilation import inner_kernel, kernel
-from ..obstacles.obstacle_set import clear_of_obstacles
+from ..obstacles.obstacle_set import clear_of_obstacles, is_hidden_by_obstacles
 from ..physics.crossings import first_crossing
 from ..physics.potential import distance_squared, lyapunov_of_links
 from ..physics.vectors import load, subtract
 
 
 @kernel
-def merge_swept(positions, displacements, lengths, links, arcs, merged_into, world, radius, work):
+def merge_swept(
+    positions, displacements, lengths, links, arcs, merged_into, world, radius, work, through=True
+):
     """Move one team by its displacements and merge robots that come together (theory 5).
 
     Pairs merge at the first moment when their distance falls to r, earliest first and then by
@@ -37,6 +43,7 @@ def merge_swept(positions, displacements, lengths, links, arcs, merged_into, wor
         work: working memory (moments (E,), here (n, d), resting (n,) bool), and a report, (4,):
             V just before the first merge (left alone without one), V just after the last, the
             largest rise of V at a merge, and its largest excess over theory 5, all m²/s.
+        through: whether robots merge where an obstacle hides them from each other.
 
     Returns:
         Number of merges.
@@ -58,6 +65,9 @@ def merge_swept(positions, displacements, lengths, links, arcs, merged_into, wor
             share = 0.0 if resting[k] else moment
             for axis in range(d):
                 here[k, axis] = positions[k, axis] + share * displacements[k, axis]
+        if not _may_merge(i, j, here, world, through):
+            moments[e] = np.inf
+            continue
         _merge(e, here, links, arcs, merged_into, world, radius, merges == 0, report)
         merges += 1
         for robot in (i, j):
@@ -71,7 +81,7 @@ def merge_swept(positions, displacements, lengths, links, arcs, merged_into, wor
             positions[k, axis] += displacements[k, axis]
     # a place at a midpoint, or a robot at rest, may be nearer than r to others without a crossing
     while True:
-        e = _nearest_within(positions, links, radius)
+        e = _nearest_within(positions, links, radius, world, through)
         if e < 0:
             return merges
         _merge(e, positions, links, arcs, merged_into, world, radius, merges == 0, report)
@@ -113,8 +123,18 @@ def _earliest(moments, first, second, resting):
 
 
 @inner_kernel
-def _nearest_within(positions, links, radius):
-    """The shortest link that is shorter than r; −1 if none is."""
+def _may_merge(i, j, positions, world, through):
+    """Whether merges go through obstacles, or none hides two robots from each other."""
+    if world is not None:
+        if not through:
+            here = load(positions[i])
+            return not is_hidden_by_obstacles(world, here, subtract(load(positions[j]), here))
+    return True
+
+
+@inner_kernel
+def _nearest_within(positions, links, radius, world, through):
+    """The shortest link that is shorter than r and may merge; −1 if none is."""
     first, second, weight = links
     nearest, best = radius * radius, -1
     for e in range(len(first)):
@@ -123,7 +143,8 @@ def _nearest_within(positions, links, radius):
             if square < nearest or (
                 square == nearest and best >= 0 and _comes_before(first, second, e, best)
             ):
-                nearest, best = square, e
+                if _may_merge(first[e], second[e], positions, world, through):
+                    nearest, best = square, e
     return best
 
 

@@ -95,11 +95,11 @@ def _surface(row, corners, point):
 
 
 @kernel
-def _entry(row, corners, point, way, depth):
+def _entry(row, corners, point, way, depth, skin=0.0):
     """Least s at which p + s w is within R + max(0, −depth) of the segment, if it comes within
-    R − depth of it somewhere.
+    R − depth of it somewhere; R is the radius with the skin.
     """
-    half, radius = _axis(row), row[THICKNESS]
+    half, radius = _axis(row), row[THICKNESS] + skin
     offset = subtract(point, centre_of_row(row))
     if capsule_crossing(offset, way, half, radius - depth) > 1.0:
         return np.inf

@@ -1,8 +1,11 @@
 """How obstacles stop a robot: swept motion along straight lines and arcs.
 
-A contact is a path more than 1 µm deep into an obstacle; leaving, sliding and shallower grazing are
-free. No robot passes through an obstacle at any speed, and none ends a step inside one. At a
-contact a robot loses the part of its motion that would enter:
+A contact is a path more than 1 µm deep into an obstacle, or one that obstacles hold up: of which an
+obstacle leaves nothing, or several that meet less than half. Leaving, sliding and shallower grazing
+are free. Where obstacles only just meet, so that 1 µm
+would lead between them, they have a skin (``obstacle_set``): motion is checked against their union.
+No robot passes through it at any speed, and none ends a step inside an obstacle. At a contact a
+robot loses the part of its motion that would enter:
 
     ṗ = Π_T(p) v,    T(p) = {w : wᵀn ≥ 0 for the normal n of every obstacle touched at p}
 
@@ -16,18 +19,25 @@ import numpy as np
 from ..compilation import kernel
 from ..physics.vectors import ORIGIN, add, cross, dot, load, norm, store, subtract, triple
 from ..robots.motion import chord_error_bound, closes, displacement_at
-from .obstacle_set import clear_of_obstacles, distance_to, entry, normals, surface, within
+from .obstacle_set import (
+    clear_of_obstacles,
+    distance_to,
+    entry,
+    normals,
+    push_out,
+    within,
+)
+from .shape import CONTACT_DEPTH
 
 SLIDE, STOP, IGNORE = range(3)
 """What a contact does: slide along the surface, rest at it, or nothing."""
-CONTACT_DEPTH = 1e-6  # m; how deep a path goes before it is a contact
 _TOUCHING = -1e-13  # m; how far from a surface rounding may leave a resting robot
+_TOUCHED_SKIN = 1e-8  # m; a skin nearer than this is touched
 _CHORD_TOLERANCE = 1e-7  # m; how far a chord may be from its arc when a contact is decided
 _MAX_LEGS = 16
 # pieces that a curve is followed by, so many that all obstacles with their corners, each looked at
 # for every piece, keep within the work
 _MOST_CHORDS, _LEAST_CHORDS, _MOST_WORK = 20_000, 500, 400_000
-_MAX_PUSHES = 8
 _NEARLY_PARALLEL = 1e-24  # square sine of the angle between two planes that meet in no line
 
 
@@ -46,7 +56,13 @@ def move_straight(point, way, world, mode, normals):
     end = add(point, 1.0, way)
     if not near or (fraction > 1.0 and clear_of_obstacles(end, world, _TOUCHING)):
         return False, way
-    return fraction <= 1.0, subtract(_follow(point, way, world, mode, normals), point)
+    has_room, in_skin, start = _out_of_skins(point, world)
+    if not has_room:
+        return dot(way, way) > 0.0, ORIGIN
+    if in_skin:
+        _, fraction = _first_contact(start, way, world, CONTACT_DEPTH)
+    executed = subtract(_follow(start, way, world, mode, normals), point)
+    return fraction <= 1.0 or _is_held(point, executed, way, world), executed
 
 
 @kernel
@@ -60,16 +76,49 @@ def move_curved(point, way, model, action, frame, memory, world, mode, normals):
     if mode == IGNORE or not near:
         return False, way
     curve = (model, action, frame, memory)
-    contact_time = _first_contact_on_curve(point, curve, world)
+    has_room, in_skin, start = _out_of_skins(point, world)
+    if not has_room:
+        return dot(way, way) > 0.0, ORIGIN
+    contact_time = _first_contact_on_curve(start, curve, world)
     contact = contact_time <= model.duration
-    free_end = add(point, 1.0, way)
+    free_end = add(start, 1.0, way)
     if not contact and clear_of_obstacles(free_end, world, _TOUCHING):
-        return False, way
+        return False, subtract(free_end, point) if in_skin else way
     time = min(contact_time, model.duration)
-    end = _settle(point, curve, time, model.speed_limit, world)
+    end = _settle(start, curve, time, model.speed_limit, world)
     if contact and mode == SLIDE:
         end = _follow(end, subtract(free_end, end), world, mode, normals)
-    return contact, subtract(end, point)
+    executed = subtract(end, point)
+    return contact or _is_held(point, executed, way, world), executed
+
+
+@kernel
+def _out_of_skins(point, world):
+    """Whether there is room beside a start, whether it is in a skin, as one that was given may be,
+    and the start moved out of it.
+    """
+    for m in range(world.kinds.shape[0]):
+        skin = world.skins[m]
+        if skin > 0.0 and within(world, m, point, 0.0):
+            if distance_to(world, m, point) < skin + _TOUCHING:
+                has_room, start = push_out(point, world, _TOUCHING)
+                return has_room, True, start
+    return True, False, point
+
+
+@kernel
+def _is_held(point, executed, way, world):
+    """Whether obstacles leave a displacement less than a thousandth, or less than half where those
+    touched meet others.
+    """
+    share = norm(executed) / norm(way) if dot(way, way) > 0.0 else 1.0
+    end, touched = add(point, 1.0, executed), 0
+    if 1e-3 <= share < 0.5:
+        for m in range(world.kinds.shape[0]):
+            if within(world, m, end, CONTACT_DEPTH):
+                if distance_to(world, m, end) < world.skins[m] + CONTACT_DEPTH:
+                    touched += 2 if world.skins[m] > 0.0 else 1
+    return share < 1e-3 or touched > 1
 
 
 @kernel
@@ -110,12 +159,12 @@ def _settle(start, path, share, pace, world):
     """
     retreat = CONTACT_DEPTH / max(CONTACT_DEPTH, pace)
     while share > 0.0 and retreat > 0.0:  # a path of infinite length leaves no retreat
-        is_out, point = _push_out(place_on(path, start, share), world)
+        is_out, point = push_out(place_on(path, start, share), world, _TOUCHING)
         if is_out:
             return point
         share -= retreat
         retreat *= 2.0
-    _, point = _push_out(start, world)
+    _, point = push_out(start, world, _TOUCHING)
     return point
 
 
@@ -128,19 +177,6 @@ def place_on(path, start, share):
         return add(start, share, path)
     model, action, frame, memory = path
     return add(start, 1.0, triple(displacement_at(model, action, frame, memory, share)))
-
-
-@kernel
-def _push_out(point, world):
-    """A point that is barely inside obstacles, moved onto their surface; and whether it is out."""
-    for _ in range(_MAX_PUSHES):
-        if clear_of_obstacles(point, world, _TOUCHING):
-            return True, point
-        for m in range(world.kinds.shape[0]):
-            distance, normal = surface(world, m, point)
-            if distance < 0.0:
-                point = add(point, -distance, normal)
-    return clear_of_obstacles(point, world, _TOUCHING), point
 
 
 @kernel
@@ -185,7 +221,8 @@ def free_part(velocity, point, world, touched):
     """
     count = 0
     for m in range(world.kinds.shape[0]):
-        if distance_to(world, m, point) < CONTACT_DEPTH:
+        reach = world.skins[m] + _TOUCHED_SKIN if world.skins[m] > 0.0 else CONTACT_DEPTH
+        if distance_to(world, m, point) < reach:
             normal, other = normals(world, m, point)
             store(normal, touched[count])
             store(other, touched[count + 1])

@@ -60,12 +60,14 @@ def _surface(row, corners, point):
 
 
 @kernel
-def _entry(row, corners, point, way, depth):
-    """Least s with ‖p + s w − c‖ ≤ R + max(0, −depth), if ‖p + s w − c‖ ≤ R − depth somewhere."""
-    offset = subtract(point, centre_of_row(row))
-    if first_crossing(offset, way, row[BOUND] - depth) > 1.0:
+def _entry(row, corners, point, way, depth, skin=0.0):
+    """Least s with ‖p + s w − c‖ ≤ R + max(0, −depth), if ‖p + s w − c‖ ≤ R − depth somewhere; R
+    is the radius with the skin.
+    """
+    offset, radius = subtract(point, centre_of_row(row)), row[BOUND] + skin
+    if first_crossing(offset, way, radius - depth) > 1.0:
         return np.inf
-    return first_crossing(offset, way, row[BOUND] + max(0.0, -depth))
+    return first_crossing(offset, way, radius + max(0.0, -depth))
 
 
 @kernel

@@ -11,7 +11,7 @@ from ..limits import MOST_OBSTACLES
 from ..physics.random_streams import uniform
 from ..physics.vectors import load
 from .disc import BALL
-from .obstacle_set import clear, distance_to
+from .obstacle_set import clear, close_seams, distance_to
 from .reachability import none_walled_in
 from .shape import ABSENT, BOUND, MIDDLE, Drawn, Length, Range
 from .walls import WallField, WallRules, draw_walls
@@ -119,6 +119,7 @@ def draw_field(key, rules, starts, n_starts, world):
         if not placed:
             world.kinds[m] = ABSENT
             return False
+    close_seams(world, d)
     return True
 
 

@@ -2,6 +2,18 @@
 
 Kernels take kinds, numbers of corners, and rows that begin with the bounding ball. What they ask
 of obstacle m is chosen by its kind; code compiled for a set of balls contains no other shapes.
+
+Robots move among the *union* of the obstacles. A path may go 1 µm deep into a shape before it is a
+contact, so shapes that overlap by less, or not at all, would leave a passage between them. Shapes
+that only just meet, and gaps of less than 1.8 µm, are therefore closed by a *skin*: robots keep
+2 µm away from such shapes, and a path is a contact 1 µm before them. What matters is
+
+    ρ = min_x max_m d_m(x),   −1.1 µm < ρ < 0.9 µm
+
+of two shapes, or three in space, d_m the signed distances. If ρ is larger, there is a passage; if
+it is less, the shapes have a point in common that is deep in each of them. So without a contact no
+path passes where the union is closed: what paths keep out of overlaps as the shapes do (nerve
+theorem), and leaves the space as connected as the union does (Alexander duality).
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -11,18 +23,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import shown
-from ..compilation import by_type, kernel
-from ..physics.vectors import X_AXIS, store
+from ..compilation import by_type, inner_kernel, kernel
+from ..physics.ellipsoids import along, ball, cut
+from ..physics.vectors import X_AXIS, add, combine, norm, store, subtract
 from . import shape
 from .capsule import CAPSULES, Capsule
 from .disc import BALLS, Disc, Sphere
 from .polygon import POLYGONS, Polygon
-from .shape import ABSENT, AHEAD, BOUND, KIND, MIDDLE, azimuth_axes, centre_direction, centre_of_row
+from .shape import (
+    ABSENT,
+    AHEAD,
+    BOUND,
+    CONTACT_DEPTH,
+    KIND,
+    MIDDLE,
+    SKIN,
+    azimuth_axes,
+    centre_direction,
+    centre_of_row,
+)
 
 Obstacle = Disc | Sphere | Polygon | Capsule
 KINDS = (BALLS, POLYGONS, CAPSULES)
 """Every kind of shape."""
 _KINDS = {kind.kind: kind for kind in KINDS}
+_GAP, _OVERLAP = 0.9 * CONTACT_DEPTH, 1.1 * CONTACT_DEPTH  # m; between these shapes only just meet
+_MAX_CUTS = 1000
+_MAX_PUSHES = 8
 
 
 class RoundObstacles(NamedTuple):
@@ -31,6 +58,7 @@ class RoundObstacles(NamedTuple):
     kinds: NDArray[np.int64]  # (M,), ABSENT or BALL
     corners: NDArray[np.int64]  # (M,), zeros
     shapes: NDArray[np.float64]  # (M, width)
+    skins: NDArray[np.float64]  # (M,), m, 0 or SKIN; they follow from the shapes
 
 
 class AnyObstacles(NamedTuple):
@@ -39,6 +67,7 @@ class AnyObstacles(NamedTuple):
     kinds: NDArray[np.int64]  # (M,), ABSENT or one of the ``KINDS``
     corners: NDArray[np.int64]  # (M,), vertices of a polygon; 0 for other kinds
     shapes: NDArray[np.float64]  # (M, width)
+    skins: NDArray[np.float64]  # (M,), m, 0 or SKIN; they follow from the shapes
 
 
 ObstacleSet = RoundObstacles | AnyObstacles
@@ -75,13 +104,13 @@ def _surface(world, m, point):
 
 
 @_asked("entry")
-def entry(world, m, point, way, depth):
-    """Fraction of a straight way at which it meets obstacle m, see ``ShapeKind.entry``."""
+def _entry(world, m, point, way, depth, skin):
+    """See ``ShapeKind.entry``."""
 
 
 @_asked("normals")
-def normals(world, m, point):
-    """Two unit normals of an obstacle touched by a point, which differ on vertices only."""
+def _normals(world, m, point):
+    """Of an obstacle without a skin."""
 
 
 @_asked("edges")
@@ -109,13 +138,136 @@ def distance_to(world, m, point):
     return distance
 
 
+@kernel(inline="code")
+def entry(world, m, point, way, depth):
+    """Fraction of a straight way at which it meets obstacle m, or its skin, see
+    ``ShapeKind.entry``.
+    """
+    return _entry(world, m, point, way, depth, world.skins[m])
+
+
+@kernel
+def normals(world, m, point):
+    """Two unit normals of an obstacle touched by a point, which differ on vertices only."""
+    if world.skins[m] > 0.0:
+        _, normal = surface(world, m, point)
+        return normal, normal
+    return _normals(world, m, point)
+
+
+@kernel
+def is_hidden_by_obstacles(world, point, way):
+    """Whether the straight way from a point, triples, m, goes into an obstacle beyond a contact."""
+    for m in range(world.kinds.shape[0]):
+        if world.kinds[m] != ABSENT and entry(world, m, point, way, CONTACT_DEPTH) <= 1.0:
+            return True
+    return False
+
+
 @kernel
 def clear_of_obstacles(point, world, margin):
-    """Whether a point (a triple, m) has distances ≥ ``margin`` (m, signed) to a whole set."""
+    """Whether a point (a triple, m) has distances ≥ ``margin`` (m, signed) to a whole set, skins
+    included.
+    """
     for m in range(world.kinds.shape[0]):
-        if within(world, m, point, max(margin, 0.0)) and distance_to(world, m, point) < margin:
-            return False
+        if within(world, m, point, max(margin, 0.0)):
+            if distance_to(world, m, point) < margin + world.skins[m]:
+                return False
     return True
+
+
+@kernel
+def push_out(point, world, margin):
+    """A point that is barely inside obstacles or their skins, moved onto their surface; and whether
+    it is as clear of them as ``margin``, m, asks.
+    """
+    for _ in range(_MAX_PUSHES):
+        if clear_of_obstacles(point, world, margin):
+            return True, point
+        for m in range(world.kinds.shape[0]):
+            distance, normal = surface(world, m, point)
+            if distance < world.skins[m]:
+                point = add(point, world.skins[m] - distance, normal)
+    return clear_of_obstacles(point, world, margin), point
+
+
+@kernel
+def close_seams(world, dim):
+    """Give skins to the shapes that only just meet others, in a space of 2 or 3 dimensions."""
+    world.skins[:] = 0.0
+    for m in range(world.kinds.shape[0]):
+        for k in range(m):
+            if not _near(world, k, m):
+                continue
+            _close(world, (k, k, m), dim)
+            for j in range(k if dim == 3 else 0):
+                if _near(world, j, k) and _near(world, j, m):
+                    _close(world, (j, k, m), dim)
+
+
+@inner_kernel
+def _near(world, k, m):
+    """Whether bounding balls leave at most a gap that is closed."""
+    if world.kinds[k] == ABSENT:
+        return False
+    return within(world, m, centre_of_row(world.shapes[k]), world.shapes[k, BOUND] + 2.0 * _GAP)
+
+
+@inner_kernel
+def _close(world, group, dim):
+    open_yet = False
+    for m in group:
+        open_yet = open_yet or world.skins[m] == 0.0
+    if open_yet and _only_just_meet(world, group, dim):
+        for m in group:
+            world.skins[m] = SKIN
+
+
+@inner_kernel
+def _only_just_meet(world, group, dim):
+    """Whether −1.1 µm < ρ < 0.9 µm, ρ the least of the largest signed distance to a few shapes;
+    also where it cannot be found.
+    """
+    point, radius = _among(world, group)
+    axes = ball(radius)
+    least, best = -np.inf, np.inf
+    for _ in range(_MAX_CUTS):
+        highest, normal = _highest(world, group, point)
+        width = norm(along(axes, normal))
+        least, best = max(least, highest - width), min(best, highest)
+        if best <= -_OVERLAP or least >= _GAP:
+            return False
+        if (least > -_OVERLAP and best < _GAP) or not width > 0.0:
+            return True
+        point, axes = cut(point, axes, normal, (highest - best) / width, dim)
+    return True
+
+
+@inner_kernel
+def _highest(world, group, point):
+    """The largest signed distance to a few shapes, m, and its gradient."""
+    highest, normal = surface(world, group[0], point)
+    for m in group[1:]:
+        distance, other = surface(world, m, point)
+        if distance > highest:
+            highest, normal = distance, other
+    return highest, normal
+
+
+@inner_kernel
+def _among(world, group):
+    """A point among a few shapes, for two balls the best, and how far from it the best may be."""
+    point, share = centre_of_row(world.shapes[group[0]]), 1.0
+    for m in group[1:]:
+        offset = subtract(centre_of_row(world.shapes[m]), point)
+        distance = norm(offset)
+        spare = distance + world.shapes[group[0], BOUND] - world.shapes[m, BOUND]
+        share = min(max(0.5 * spare / distance, 0.0), 1.0) if distance > 0.0 else 0.0
+        point = combine(1.0, point, share, offset)
+    highest, _ = _highest(world, group, point)
+    m = group[0]
+    radius = norm(subtract(point, centre_of_row(world.shapes[m]))) + world.shapes[m, BOUND]
+    return point, radius + max(highest, 0.0)
 
 
 @kernel
@@ -124,14 +276,17 @@ def clear(world):
     world.kinds[:] = ABSENT
     world.corners[:] = 0
     world.shapes[:] = 0.0
+    world.skins[:] = 0.0
 
 
 @kernel
 def within(world, m, point, reach):
-    """Whether the bounding ball (c, R) of obstacle m is near: ‖p − c‖ ≤ R + reach, m."""
+    """Whether the bounding ball (c, R) of obstacle m, and its skin, is near: ‖p − c‖ ≤ R + reach,
+    m.
+    """
     if world.kinds[m] == ABSENT:
         return False
-    square, bound = 0.0, world.shapes[m, BOUND] + reach
+    square, bound = 0.0, world.shapes[m, BOUND] + world.skins[m] + reach
     for k in range(3):
         difference = point[k] - world.shapes[m, MIDDLE + k]
         square += difference * difference
@@ -208,12 +363,42 @@ def faults(
     yield thin, f"of radius {shape.LEAST_THICKNESS:g} m or more"
 
 
-def world_of(table: NDArray[np.float64], only_balls: bool = False) -> ObstacleSet:
-    """Tables (..., M, width) as a set; kinds and corners whole numbers, everything contiguous."""
+def world_of(
+    table: NDArray[np.float64], only_balls: bool = False, dim: int | None = None
+) -> ObstacleSet:
+    """Tables (..., M, width) as a set; kinds and corners whole numbers, everything contiguous.
+
+    Args:
+        table: see ``pack``.
+        only_balls: whether it is for code that knows no other shapes.
+        dim: of the space, 2 or 3; None is 3 unless some shape is flat, which is always right.
+    """
     kinds = np.ascontiguousarray(table[..., KIND].astype(np.int64))
     corners = np.ascontiguousarray(table[..., shape.CORNERS].astype(np.int64))
     shapes = np.ascontiguousarray(table[..., AHEAD:])
-    return (RoundObstacles if only_balls else AnyObstacles)(kinds, corners, shapes)
+    skins = _skins_of(kinds, corners, shapes, dim)
+    return (RoundObstacles if only_balls else AnyObstacles)(kinds, corners, shapes, skins)
+
+
+def _skins_of(kinds: Any, corners: Any, shapes: Any, dim: int | None) -> NDArray[np.float64]:
+    """``close_seams`` for every table, of equal neighbours once."""
+    skins = np.zeros(kinds.shape)
+    here = RoundObstacles if (kinds <= BALLS.kind).all() else AnyObstacles
+    if dim is None:
+        flat = [kind.kind for kind in KINDS if kind.cone is None]
+        dim = 2 if np.isin(kinds, flat).any() else 3
+    before = None
+    for which in np.ndindex(kinds.shape[:-1]):
+        present = kinds[which] != ABSENT
+        if np.count_nonzero(present) < 2:
+            continue
+        table = kinds[which], corners[which], shapes[which]
+        if before is None or not all(map(np.array_equal, table, before[0])):
+            world = here(*table, np.zeros(len(present)))
+            close_seams(world, dim)
+            before = table, world.skins
+        skins[which] = before[1]
+    return skins
 
 
 def table_of(world: Any) -> NDArray[np.float64]:
@@ -223,14 +408,23 @@ def table_of(world: Any) -> NDArray[np.float64]:
 
 
 def check_outside(field: str, positions: NDArray[np.float64], value: Sequence[Obstacle]) -> None:
-    """Refuse positions, (n, d), m, inside obstacles, naming the first robot and its obstacle."""
-    world = world_of(pack(value, len(value)))
+    """Refuse positions, (n, d), m, inside obstacles, naming the first robot and its obstacle, or
+    where two leave no room between them.
+    """
+    world = world_of(pack(value, len(value)), dim=positions.shape[1])
     for i, position in enumerate(positions):
         point = (*position.tolist(), 0.0)[:3]
+        if not world.skins.any() and clear_of_obstacles(point, world, 0.0):
+            continue
         for m, obstacle in enumerate(value):
             if (distance := distance_to(world, m, point)) < 0:
                 depth = f"{-distance:.6g} m inside {shown(obstacle)}; it must be outside"
                 raise ValueError(f"{field}: robot_{i} at {position.tolist()} is {depth}")
+        if not push_out(point, world, -CONTACT_DEPTH)[0]:
+            raise ValueError(
+                f"{field}: robot_{i} at {position.tolist()} is between obstacles that leave no "
+                "room; it must be outside"
+            )
 
 
 def outlines(table: NDArray[np.float64], dim: int) -> list[shape.Outline]:

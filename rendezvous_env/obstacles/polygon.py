@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import is_sequence, refuse, shown
-from ..compilation import kernel
+from ..compilation import inner_kernel, kernel
 from ..limits import MOST_VERTICES
+from ..physics.crossings import capsule_crossing
+from ..physics.vectors import combine
 from . import shape
 from .shape import BOUND, LEAST_THICKNESS, MIDDLE, NEARLY_ZERO, OWN, centre_direction, centre_of_row
 
@@ -140,11 +142,16 @@ def _normals(row, corners, point):
 
 
 @kernel
-def _entry(row, corners, point, way, depth):
+def _entry(row, corners, point, way, depth, skin=0.0):
     """Largest s with n_kᵀ(p + s w − v_k) = max(0, −depth) at the edges that it comes in by, if the
-    way, clipped by all edges moved inwards by ``depth``, leaves something.
+    way, clipped by all edges moved inwards by ``depth``, leaves something. A skin is round about
+    the vertices.
     """
     fatter = max(0.0, -depth)
+    if skin > 0.0:
+        if _nears(row, corners, point, way, skin - depth) > 1.0:
+            return np.inf
+        return _nears(row, corners, point, way, skin + fatter)
     surface, entered, left = 0.0, 0.0, 1.0
     for k in range(corners):
         x, y, ex, ey, _ = _edge(row, corners, k)
@@ -158,6 +165,23 @@ def _entry(row, corners, point, way, depth):
         elif height > -depth:
             return np.inf
     return surface if entered < left else np.inf
+
+
+@inner_kernel
+def _nears(row, corners, point, way, reach):
+    """Least s at which a way comes within reach, m, of a polygon: of an edge, unless it begins
+    inside.
+    """
+    distance, _ = _surface(row, corners, point)
+    if distance <= reach:
+        return 0.0
+    first = np.inf
+    for k in range(corners):
+        x, y, ex, ey, length = _edge(row, corners, k)
+        half = (0.5 * length * ex, 0.5 * length * ey, 0.0)
+        offset = combine(1.0, (point[0] - x, point[1] - y, 0.0), -1.0, half)
+        first = min(first, capsule_crossing(offset, way, half, reach))
+    return first
 
 
 @kernel

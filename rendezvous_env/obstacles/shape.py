@@ -26,6 +26,8 @@ KIND, CORNERS, RADIUS, CENTRE, DETAILS = 0, 1, 2, 3, 6
 AHEAD = 2  # columns of a table before those of the rows that kernels take: kind and corners
 BOUND, MIDDLE, OWN = RADIUS - AHEAD, CENTRE - AHEAD, DETAILS - AHEAD
 """Columns of such a row: radius and centre of the bounding ball, and what its shape needs."""
+CONTACT_DEPTH = 1e-6  # m; how deep a path goes before it is a contact
+SKIN = 2 * CONTACT_DEPTH  # m; the distance robots keep to shapes that only just meet
 LEAST_THICKNESS = 1e-5  # m; ten times as deep as a contact, which cannot pass through
 NEARLY_ZERO = 1e-9  # m, or m/s: a shorter vector has no direction worth the name
 _AZIMUTHS = 0.25 * math.pi * np.arange(8)
@@ -90,8 +92,9 @@ class ShapeKind(NamedTuple):
     """(row, corners, point) → signed distance ± min_q ‖p − q‖ over the surface, m, negative inside,
     and the outward unit normal at the nearest q."""
     entry: Callable[..., Any]
-    """(row, corners, point p, way w, depth) → least s in [0, 1] at which p + s w meets the surface,
-    if the way goes deeper in than ``depth``, m; else inf. Negative depths make it fatter."""
+    """(row, corners, point p, way w, depth, skin) → least s in [0, 1] at which p + s w meets the
+    surface, if the way goes deeper in than ``depth``, m; else inf. Negative depths make it fatter,
+    and so does a skin, m, by which the surface is moved outwards."""
     normals: Callable[..., Any]
     """(row, corners, point) → both normals at a point that touches it, the same but on vertices."""
     outlines: Callable[[NDArray[np.float64], int, int], list[Outline]]

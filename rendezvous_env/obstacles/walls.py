@@ -3,7 +3,8 @@
 No layout closes anything in. Its pieces lie apart from one another, and each can be contracted to a
 point: the U of a trap, both walls of a corridor, the cross in the middle of rooms and the outer
 part of each of their walls. Such pieces, however many, leave the plane around them connected. So
-robots outside the walls can always reach one another.
+robots outside the walls can always reach one another. Boxes overlap by half their thickness or lie
+apart, and need no skins.
 """
 
 from __future__ import annotations

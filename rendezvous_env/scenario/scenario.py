@@ -112,7 +112,13 @@ class Scenario:
     obstacle_slots: int | None = None
     """M, obstacles that an observation has room for; None is as many as there can be."""
     obstacle_contact: Literal["slide", "stop", "ignore"] = "slide"
-    """At an obstacle: slide along it, stop at it, or ignore it."""
+    """At an obstacle: slide along it, stop at it, or ignore it. Obstacles that touch or overlap act
+    as their union; gaps of less than 1.8 µm are closed."""
+    merge_through_obstacles: bool = True
+    """Whether robots merge through an obstacle thinner than ``merge_radius``. With False they merge
+    only where no obstacle is between them; until then they may be nearer than r, where V can rise,
+    so that the bounds on V (theorems A, C and D) no longer hold. Without obstacles, or where robots
+    ignore them, it has no effect. Theorems promise no rendezvous among obstacles either way."""
     neighbour_slots: int | None = None
     """K, neighbour rows of an observation; None is the most neighbours that a robot can have in any
     episode, merges included. With fewer, a robot that comes to have more is an error."""
@@ -212,6 +218,12 @@ class Scenario:
         return self.merge_radius / (2 * degree) if degree > 0 else math.inf
 
     @property
+    def merges_through(self) -> bool:
+        """Whether any two neighbours that come within r merge."""
+        nothing = not self.obstacles and not self.obstacle_slots  # nor given to any reset
+        return self.merge_through_obstacles or nothing or self.obstacle_contact == "ignore"
+
+    @property
     def max_steps(self) -> int:
         """Steps until the time limit."""
         return max(1, math.ceil(self.time_limit / self.tau - 1e-9))
@@ -285,6 +297,7 @@ class Scenario:
         plain["reward"] = self.reward.to_plain()
         plain["sensing"] = None if self.sensing.exact else self.sensing.to_plain()
         plain["costs"] = list(self.costs) or None
+        plain["merge_through_obstacles"] = False if not self.merge_through_obstacles else None
         for key in ("start_positions", "start_headings"):
             plain[key] = plain[key] and [list(row) for row in plain[key]]
         return {key: value for key, value in plain.items() if value is not None}
@@ -329,6 +342,9 @@ class Scenario:
         graph = self.sensing_graph
         if graph.directed or not graph.fixed or graph.most_links(n) < n * (n - 1) // 2:
             raise ValueError("graph must be complete with a body_radius: others would not stop")
+        if not self.merges_through:
+            wanted = "True with a body_radius: bodies on both sides of a wall would overlap"
+            checks.refuse("merge_through_obstacles", False, wanted)
         free = self.dim == 2 and not self.obstacles
         if packs and not (free and self.robot_model == "single_integrator"):
             raise ValueError(

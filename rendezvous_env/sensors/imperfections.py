@@ -12,9 +12,7 @@ import math
 from typing import NamedTuple
 
 from ..compilation import inner_kernel, kernel
-from ..obstacles.contact import CONTACT_DEPTH
-from ..obstacles.obstacle_set import entry
-from ..obstacles.shape import ABSENT
+from ..obstacles.obstacle_set import is_hidden_by_obstacles
 from ..physics.vectors import (
     ORIGIN,
     X_AXIS,
@@ -145,15 +143,6 @@ def is_in_view(direction, half_field):
     x, y, z = triple(direction)
     # to find the angle takes as long as a step of a robot with an exact sensor
     return half_field >= math.pi or math.atan2(math.sqrt(y * y + z * z), x) <= half_field
-
-
-@kernel
-def is_hidden_by_obstacles(world, point, way):
-    """Whether the straight way from a point, triples, m, goes into an obstacle beyond a contact."""
-    for m in range(world.kinds.shape[0]):
-        if world.kinds[m] != ABSENT and entry(world, m, point, way, CONTACT_DEPTH) <= 1.0:
-            return True
-    return False
 
 
 @kernel

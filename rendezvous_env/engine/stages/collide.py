@@ -29,7 +29,7 @@ from ..memory import (
 )
 
 _ROUNDING = 1.0 + 1e-9
-_NEAREST = 1e-9  # m; nearer than this to what it could reach, a robot is moved exactly
+_NEAREST = 3e-6  # m, more than a skin; nearer to what it could reach, a robot is moved exactly
 
 
 @kernel
@@ -137,6 +137,7 @@ def merge_robots(
     first,
     last,
     radius,
+    merges_through,
     robots,
     merged_into,
     environments,
@@ -151,7 +152,7 @@ def merge_robots(
 ):
     """Carry the displacements out, and merge robots that come within the merge radius, m.
 
-    Who existed before is left in ``took_part``, (B, n): merged-away robots earn in this step.
+    With ``merges_through`` they do so where an obstacle is between them, too. Who existed before is left in ``took_part``, (B, n): merged-away robots earn in this step.
     Working memory: vectors (3, n, d), numbers (4 + n, max(n, E)), listed (2, max(n, E)), and
     resting (n,).
     """
@@ -181,6 +182,7 @@ def merge_robots(
                 obstacles_of(obstacles, b),
                 radius,
                 (moments, here, resting, report),
+                merges_through,
             )
             for i in range(n):
                 move[i, d * lanes + lane] = lengths[i]

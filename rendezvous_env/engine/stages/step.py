@@ -166,7 +166,7 @@ class StepStages:
                 yield pack_robots, lanes, *blocks, sizes, *now, *memory
             else:
                 given = *now, state.links, state.obstacles, self._took_part, *memory
-                yield merge_robots, lanes, *blocks, rules.merge_radius, *given
+                yield merge_robots, lanes, *blocks, rules.merge_radius, rules.merges_through, *given
         yield advance_free, width, robot.axes, first, last, state.robots, environments, work.moves
         if robot.memories:
             given = first, last, rules.contact_mode, *now

@@ -137,6 +137,16 @@ def nothing_in_the_way(scenario: Scenario, asked: Asked) -> str:
     return held_back + _even_so(scenario, asked, rest.get(asked.by, ""))
 
 
+def merges_everywhere(scenario: Scenario, asked: Asked) -> str:
+    """Neighbours that come within r merge, whatever is between them: links are r long or more."""
+    if scenario.merges_through:
+        return ""
+    return (
+        "none: with merge_through_obstacles=False robots on both sides of an obstacle may be "
+        "nearer than r, where V can rise"
+    )
+
+
 def departs_in(scenario: Scenario, *names: str) -> bool:
     """Whether the sensor is exact but for these fields."""
     exact = vars(Sensing())
@@ -335,6 +345,8 @@ def _even_so(scenario: Scenario, asked: Asked, words: str) -> str:
     """Words about V under headings or a tank, unless rounding makes V rise, or pays for it."""
     if asked.by not in ("heading", "tank"):
         return words
+    if merges_everywhere(scenario, asked):
+        return ""
     pays = rounding_pays_little(scenario, asked) if asked.by == "tank" else ""
     return "" if pays or outlasts_rounding(scenario, asked) else words
 
@@ -347,7 +359,7 @@ TEAM = (undirected, connected, velocity_inputs, *IN_STEPS)
 """Robots that are linked for good, whatever they see."""
 LASTING_LINKS = (undirected, connected, known_bodies, bounded_errors, all_neighbours_seen)
 """The theorems about V."""
-KEPT = (*LASTING_LINKS, outlasts_rounding)
+KEPT = (*LASTING_LINKS, merges_everywhere, outlasts_rounding)
 """Those of them by which V, or V + ΣA, keeps to a bound: rounding neither raises nor pays."""
 UNHINDERED = (*LASTING_LINKS, nothing_in_the_way, velocity_inputs, *IN_STEPS)
 """Those of them that promise a time."""

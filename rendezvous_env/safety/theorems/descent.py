@@ -2,7 +2,8 @@
 
 **Assumptions.** Fixed, undirected, connected graph; robots whose action is their velocity; exact
 bearings of all neighbours, inputs held over τ ≤ r/(2D̄) or velocities scaled by r/(2 D_i τ);
-nothing in the way. A: law (1), ε = 1. B: law (4), |h_iᵀf_i| ≥ ε‖f_i‖. C: certified headings.
+nothing in the way; neighbours merge at r, whatever is between them. A: law (1), ε = 1. B: law (4),
+|h_iᵀf_i| ≥ ε‖f_i‖. C: certified headings.
 
 **Promise.** V never rises between merges, never exceeds V0⁺ = V(0) + (n−1) r W, and
 
@@ -79,7 +80,7 @@ def time_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 
 # The paper's laws for robots that turn, held, can raise V a little; certified ones cannot.
 _HELD = given.certified_or_scaled, given.exact_bearings
-_LAW_V = *given.LASTING_LINKS, given.velocity_inputs, *_HELD
+_LAW_V = *given.LASTING_LINKS, given.merges_everywhere, given.velocity_inputs, *_HELD
 _A = Theorem("A", ("law",), (*given.UNHINDERED, *_HELD), time_bounds)
 _C = Theorem("C", ("heading",), (*given.UNHINDERED, given.exact_bearings), time_bounds)
 THEOREMS = (
