@@ -1,6 +1,7 @@
 """The robots of one team by name, as PettingZoo has them."""
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -12,7 +13,7 @@ from ..checks import check_action, floats, refuse, shown
 from ..render.renderer import RENDER_MODES
 from ..simulator import Simulator
 from .spaces import of_one_robot
-from .vector_env import OneTeam
+from .vector_env import OneTeam, of_first_team
 
 Observations = dict[str, NDArray[np.float32]]
 Infos = dict[str, dict[str, Any]]
@@ -79,10 +80,12 @@ class TeamByName(OneTeam, SpacesByName[_Space], ParallelEnv[str, NDArray[np.floa
         kept = {
             key: values[0]
             for key, values in infos.items()
-            if key[0] != "_" and key not in self._left_out
+            if key[0] != "_" and key not in (*self._left_out, "summary")
         }
+        summary = of_first_team({key: infos[key] for key in ("summary",) if key in infos})
         return {
             name: {key: (value[i] if value.ndim else value).item() for key, value in kept.items()}
+            | deepcopy(summary)
             for i, name in enumerate(self.possible_agents)
         }
 

@@ -9,6 +9,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import choice, floats
+from ..engine.memory import RENDEZVOUS
 from ..render.renderer import RENDER_MODES
 from ..scenario.scenario import Scenario
 from ..scenario.scenarios import ScenarioLike, resolve, with_versions
@@ -57,9 +58,13 @@ class RendezvousEnv(OneTeam, gymnasium.Env[Any, Any]):
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Info]:
         """Advance by one step τ; errors as ``RendezvousVectorEnv.step``."""
-        table = floats("action", action, np.float32)[None]
+        table, simulator = floats("action", action, np.float32)[None], self.simulator
+        over = not simulator.all_running and bool(simulator.ended[0])
         observations, rewards, ends, cuts, infos = self.teams.step(table)
         ended = bool(ends[0]), bool(cuts[0])
+        if over:  # one team that stands still stays ended
+            met = simulator.status[0] == RENDEZVOUS
+            ended = bool(met), not met
         return observations[0], float(rewards[0]), *ended, of_first_team(infos)
 
 

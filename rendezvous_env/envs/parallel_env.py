@@ -97,9 +97,10 @@ class RendezvousParallelEnv(TeamByName[Box]):
     | path_length | way of all robots of the team together so far, m |
     | lyapunov | V, m²/s |
     | cost, cost_NAME | with ``Scenario.costs``: what the step cost this robot |
+    | summary | success to lyapunov once more, so far; after the last step of the episode |
 
-    After the last step also ``summary``: success to lyapunov once more. ``state()`` is the
-    privileged global state for centralised critics; ``simulator`` holds it in SI units.
+    ``state()`` is the privileged global state for centralised critics; ``simulator`` holds it in SI
+    units.
 
     ## Pictures
 
@@ -172,8 +173,7 @@ class RendezvousParallelEnv(TeamByName[Box]):
             cuts[name] = over and not ended
             infos[name] = info = statistics.copy()  # then one by one: half as long as at once
             info["merged_into"], info["contact"], info["clearance"] = survivor, touched, distance
-            if over:
-                info["summary"] = statistics.copy()
+            info["summary"] = statistics.copy()
         for key, values in simulator.costs.items():
             for name, info in infos.items():
                 info[key] = values[0].item(self._indices[name])

@@ -54,7 +54,8 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
     | truncations | (B,) bool | the time limit |
 
     Infos are those of ``RendezvousParallelEnv`` as arrays, (B,) of teams, (B, n) of robots, each
-    with its mask ``_key`` (B,); ``summary`` is a dict of arrays. Two more:
+    with its mask ``_key`` (B,); ``summary`` is a dict of arrays, whose mask ``_summary`` is True for
+    teams that ended in this step. With SAME_STEP it is part of ``final_info``. Two more:
 
     | key | shape | |
     |---|---|---|
@@ -65,8 +66,11 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
 
     * NEXT_STEP: is reset in the next step, which ignores its action and earns nothing;
     * SAME_STEP: is reset at once; ``final_obs`` and ``final_info`` keep how it ended;
-    * DISABLED: stands still, earns nothing and stays ended until ``reset(options={"reset_mask":
-      (B,) bool})``.
+    * DISABLED: stands still and earns nothing until ``reset(options={"reset_mask": (B,) bool})``.
+
+    Every end is reported once, in the step that brings it: in later steps of a team that stands
+    still ``terminations`` and ``truncations`` are False, so that recorders of episodes count it
+    once. ``simulator.ended`` and ``infos["success"]`` say how such a team stands.
 
     ``reset(seed=s)`` gives team i the seed s + i, a list gives each its own; without a seed every
     team goes on to the next episode of its own. Options as in ``RendezvousParallelEnv``, one for
@@ -99,6 +103,10 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         """Whether teams that have ended are reset here, not by a wrapper (``begin_anew``)."""
         self.outcome: StepOutput | None = None
         """Of the last step, None before the first one."""
+        self.records_passage = False
+        """Whether ``passage`` is kept, for guarantees with wrappers beneath them."""
+        self.passage: tuple[NDArray[np.float32] | None, NDArray[np.float32]] | None = None
+        """Copies of the actions (None at a reset) and observations that passed here last."""
         self.flatten, n = flag("flatten", flatten), self.scenario.n_robots
         self.single_observation_space = team_box(observation_box(self.scenario, flatten), n)
         self.single_action_space = team_box(action_box(self.scenario), n)
@@ -131,7 +139,11 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
             "clearance": simulator.clearance,
         }
         which = np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask
-        return as_told(observations, self.flatten), masked(infos, which)
+        if self.records_passage:
+            self.passage = None, observations.copy()
+        infos = masked(infos, which)
+        tell_ends(observations, np.zeros_like(which), infos, self.autoreset_mode)
+        return as_told(observations, self.flatten), infos
 
     def step(self, actions: NDArray[np.float32]) -> Transition:
         """Advance every team by one step τ with actions (B, n, a); see the class. A ValueError for
@@ -142,20 +154,21 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         if mode is AutoresetMode.NEXT_STEP and not simulator.all_running:
             actions = simulator.check_actions(actions)  # before any team is reset
             simulator.restart(simulator.ended)
-        told_before = None if self.begins_anew or simulator.all_running else simulator.ended
+        told_before = None if simulator.all_running else simulator.ended
         self.advance(actions)
         observations, rewards, terminations, truncations, infos = self.tell()
-        if told_before is not None:  # wrappers beneath a guarantee hear of an end once
+        if told_before is not None:
             terminations, truncations = terminations & ~told_before, truncations & ~told_before
-        if not simulator.all_running:
-            ended = terminations | truncations
-            if tell_ends(observations, ended, infos, mode):
-                self.begin_anew(ended, infos)
+        ended = terminations | truncations
+        if tell_ends(observations, ended, infos, mode):
+            self.begin_anew(ended, infos)
         return observations, rewards, terminations, truncations, infos
 
     def advance(self, actions: NDArray[np.float32]) -> StepOutput:
         """A step in which no team is reset, and whose infos are left to ``tell``."""
         outcome = self.outcome = self.simulator.step(actions)
+        if self.records_passage:
+            self.passage = np.array(actions, np.float32), outcome.observations.copy()
         self.renderer.see(outcome.contact)
         return outcome
 
@@ -294,9 +307,11 @@ class OneTeam:
 def tell_ends(
     seen: NDArray[np.float32], ended: NDArray[np.bool_], infos: Info, mode: AutoresetMode
 ) -> bool:
-    """Add to infos how these teams ended: ``summary``, and if they are reset at once their last
-    observations and infos, ``final_obs`` and ``final_info``; whether they are.
+    """Add to infos how these teams ended: ``summary``, in every step, or if they are reset at once
+    their last observations and infos, ``final_obs`` and ``final_info``; whether they are.
     """
+    if mode is AutoresetMode.SAME_STEP and not ended.any():
+        return False
     summary = masked({key: infos[key].copy() for key in STANDING}, ended)
     if mode is not AutoresetMode.SAME_STEP:
         infos |= masked({"summary": summary}, ended)
