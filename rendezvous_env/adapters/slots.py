@@ -31,6 +31,9 @@ from ..simulator import Simulator
 from ..state_view import STANDING
 
 
+_ROUNDING = 1e-6  # of a ratio of rewards, in float32
+
+
 class SlotStep(NamedTuple):
     """A step of B·n slots."""
 
@@ -247,10 +250,11 @@ class RewardShaping:
     |---|---|
     | Gymnasium's ``NormalizeReward`` | their rewards, divided by the same number |
     | ``VectorRewardWrapper``, such as ``TransformReward`` | ``rewards`` of it, of their rewards |
-    | any other | their rewards, plus what it adds to that of their team |
+    | any other | their rewards, plus what it adds to that of their team; times its factor, where |
+    | | it multiplies different rewards by the same number |
 
-    So a wrapper that scales in its own ``step`` derives from ``VectorRewardWrapper``, or changes
-    ``infos["robot_rewards"]`` as well, which has the last word. With ``on_merge="remove"`` robots
+    A wrapper that changes ``infos["robot_rewards"]`` itself has the last word; so does best what
+    multiplies each team's reward by another number. With ``on_merge="remove"`` robots
     that are gone earn nothing. A recorder is put under each wrapper that is not of this package, so
     that its changes are seen; one that changes observations must change ``infos["final_obs"]``.
     """
@@ -340,7 +344,7 @@ class _Changes:
     """What one wrapper has changed in the last step."""
 
     def __init__(self, layer: Any, recorder: _Recorder) -> None:
-        self._layer, self._recorder = layer, recorder
+        self._layer, self._recorder, self._factor = layer, recorder, _Factor()
         self._applies = (
             isinstance(layer, VectorRewardWrapper) and type(layer).step is VectorRewardWrapper.step
         )
@@ -363,7 +367,10 @@ class _Changes:
             twin, columns = _twin(layer), given.T
             changed = np.stack([np.asarray(twin.rewards(each.copy())) for each in columns], axis=1)
         else:
-            changed = given + (np.asarray(rewards, np.float64) - below.rewards)[:, np.newaxis]
+            rewards = np.asarray(rewards, np.float64)
+            factor = self._factor.between(below.rewards, rewards)
+            added = (rewards - below.rewards)[:, np.newaxis]
+            changed = given + added if factor is None else given * factor
         follows = self._recorder.unwrapped.simulator.scenario.on_merge == "follow"  # type: ignore[attr-defined]
         acted = below.acted if acted is None or follows else acted
         return np.where(acted, changed, given)
@@ -382,6 +389,31 @@ class _Changes:
                 "infos['final_obs'], the last ones of episodes, by which time-outs are valued; it "
                 "must change both alike"
             )
+
+
+class _Factor:
+    """Tells a wrapper that multiplies rewards from one that adds to them: the first gives the same
+    ratio for different rewards, of a batch or of two steps.
+    """
+
+    def __init__(self) -> None:
+        self._multiplies, self._reward, self._ratio = False, 0.0, 0.0
+
+    def between(self, before: NDArray[np.float64], after: NDArray[np.float64]) -> float | None:
+        """The number by which rewards (B,) of a step were multiplied; None if they were not."""
+        counts = before != 0.0
+        if not counts.any():
+            return None
+        ratios, rewards = after[counts] / before[counts], before[counts]
+        if after[~counts].any() or np.ptp(ratios) > _ROUNDING * np.abs(ratios).max():
+            self._multiplies = False
+            return None
+        ratio, reward = float(ratios[0]), float(rewards[0])
+        again = abs(ratio - self._ratio) <= _ROUNDING * abs(ratio)
+        if np.ptp(rewards) > 0.0 or (self._reward not in (0.0, reward) and again):
+            self._multiplies = True
+        self._reward, self._ratio = reward, ratio
+        return ratio if self._multiplies else None
 
 
 def _final_of(infos: Mapping[str, Any]) -> list[Any]:

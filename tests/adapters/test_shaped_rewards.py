@@ -218,3 +218,38 @@ def test_last_observations_are_changed_like_the_others_or_refused(make, outside)
     with pytest.raises(TypeError, match="under Observed, which changes .*final_obs"):
         ends(Observed(make(), last=False))
     np.testing.assert_array_equal(ends(Observed(make(), last=True)), 20.0 * ends(make()))
+
+
+class Multiplied(VectorWrapper):
+    """Scales in a step of its own."""
+
+    def step(self, actions):
+        seen, rewards, *others = self.env.step(actions)
+        return seen, -7.0 * rewards, *others
+
+
+class Drawn(VectorWrapper):
+    """Robots earn numbers drawn at random, and their team the mean."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        self._random = np.random.default_rng(0)
+
+    def step(self, actions):
+        seen, rewards, *ends, infos = self.env.step(actions)
+        infos["robot_rewards"] = self._random.normal(size=infos["robot_rewards"].shape)
+        return seen, infos["robot_rewards"].mean(axis=1), *ends, infos
+
+
+@pytest.mark.parametrize("teams", [1, TEAMS])
+def test_wrapper_that_multiplies_in_its_own_step_multiplies_the_rewards_of_robots(teams):
+    def paid(wrap):
+        made = Drawn(training_env("clutter-4", teams, guarantee=None, time_limit=1.0))
+        robots = RobotVecEnv(wrap(made))
+        robots.seed(0), robots.reset()
+        still = np.zeros((robots.num_envs, *robots.action_space.shape))
+        return np.array([robots.step(still)[1] for _ in range(60)])
+
+    usual = paid(RecordEpisodeStatistics)
+    first = 1 if teams == 1 else 0  # of one team the first step does not tell
+    np.testing.assert_allclose(paid(Multiplied)[first:], -7.0 * usual[first:], rtol=1e-5)
