@@ -353,5 +353,5 @@ def test_every_slot_is_told_what_a_step_cost():
                 total[slot // 4], ended = 0.0, ended + 1
         robots.set_state(robots.get_state())
     assert ended == 6 and make_robots("duo", 1).get_state().keys() == {
-        "teams", "active", "returns", "lengths",
+        "teams", "active", "returns", "lengths", "told",
     }  # fmt: skip
