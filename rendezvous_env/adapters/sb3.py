@@ -19,7 +19,7 @@ from ..checks import check_shape, floats, mapping, whole
 from ..engine.state_checks import check_entries, check_keys, refuse_first
 from ..envs.guarantee import layers_of
 from ..envs.gymnasium_env import make_vec
-from ..limits import LARGEST_SEED
+from ..scenario.start_options import check_seed
 from .slots import RobotSlots, SlotStep, team_options
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ class RobotVecEnv(VecEnv):
         """Seed team b with ``seed`` + b at the next reset; None draws one. Returns each slot's."""
         if seed is None:
             seed = int(np.random.randint(2**31))
-        first = whole("seed", seed, 0, LARGEST_SEED - self.slots.num_teams + 1)
+        first = check_seed(seed)
         self._seeds = [first + slot // self.n_robots for slot in range(self.num_envs)]
         return self._seeds
 

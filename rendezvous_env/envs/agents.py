@@ -67,6 +67,24 @@ class TeamByName(OneTeam, SpacesByName[_Space], ParallelEnv[str, NDArray[np.floa
         self.agents = self.possible_agents.copy()
         return dict(zip(self.agents, observations[0], strict=True)), self._by_name(infos)
 
+    @property
+    def np_random(self) -> np.random.Generator:
+        """Random numbers for wrappers, as Gymnasium has them: seeded with the team's seed, and not
+        used by the team.
+        """
+        if self._np_random is None:
+            self._np_random = np.random.default_rng()
+        return self._np_random
+
+    @np_random.setter
+    def np_random(self, value: np.random.Generator) -> None:
+        self._np_random, self._np_random_seed = value, -1
+
+    @property
+    def np_random_seed(self) -> int | None:
+        """The seed in use, of the team and of ``np_random``; None before the first reset."""
+        return self._np_random_seed
+
     def set_state(self, state: Mapping[str, Any]) -> None:
         """As ``OneTeam.set_state``; in ``agents`` are the robots that take actions then."""
         super().set_state(state)

@@ -51,9 +51,7 @@ class RendezvousEnv(OneTeam, gymnasium.Env[Any, Any]):
         """Begin a new episode; without a seed the next one of the last seed. A ValueError for a
         bad option or seed, and nothing has changed.
         """
-        seeds = seeds_of_teams(seed, 1)
-        observations, infos = self._reset(seeds, options)
-        super().reset(seed=None if seeds is None else seeds[0])
+        observations, infos = self._reset(seeds_of_teams(seed, 1), options)
         return observations[0], of_first_team(infos)
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Info]:

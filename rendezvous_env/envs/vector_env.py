@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Space
+from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
@@ -128,6 +129,8 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         if mask is not None:
             mask = bools("reset_mask", mask, (self.num_envs,), "teams")
         observations = simulator.reset(seed, start, mask=mask)
+        if seed is not None:
+            self._np_random, self._np_random_seed = np_random(int(simulator.seeds[0]))
         self.renderer.reset()
         active = simulator.active
         infos = simulator.episode_statistics() | no_costs(self.scenario.costs, active.shape)
@@ -223,6 +226,11 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         """
         return team_state(self.simulator)
 
+    @property
+    def np_random_seed(self) -> Any:
+        """The seeds in use, one for each team, as Gymnasium's ``SyncVectorEnv`` has them."""
+        return tuple(self.simulator.seeds.tolist()) if self.simulator.begun else None
+
     def __getstate__(self) -> dict[str, Any]:
         """All but the output of the last step, for pickles."""
         return vars(self) | {"outcome": None}
@@ -256,6 +264,8 @@ class OneTeam:
     renderer: Renderer
     render_mode: str | None
     metadata: dict[str, Any]
+    _np_random: np.random.Generator | None = None
+    _np_random_seed: int | None = None
 
     def _hold(self, teams: Any) -> None:
         mode = teams.metadata.get("autoreset_mode")
@@ -274,7 +284,15 @@ class OneTeam:
         """Begin an episode of the team; a mask of teams is none of its options."""
         start = as_options(options)
         start.pop("reset_mask", None)
-        return self.teams.reset(seed=seed, options=start)
+        begun = self.teams.reset(seed=seed, options=start)
+        self._note_seed(anew=seed is not None)
+        return begun
+
+    def _note_seed(self, *, anew: bool) -> None:
+        """Seed ``np_random`` with the seed in use, where that is another one or given ``anew``."""
+        seed = int(self.simulator.seeds[0])
+        if anew or seed != self._np_random_seed:
+            self._np_random, self._np_random_seed = np_random(seed)
 
     def state(self) -> NDArray[np.float32]:
         """The privileged global state, one float32 vector: positions (n·d, m), frames (n·d·d),
@@ -292,6 +310,8 @@ class OneTeam:
         has changed then.
         """
         self.teams.set_state(state)
+        if self.simulator.begun:
+            self._note_seed(anew=False)
 
     def render(self) -> NDArray[np.uint8] | None:
         """A picture, (600, 600, 3) uint8, in "rgb_array" mode; in "human" mode it is shown. Errors

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import graphs
-from ..checks import check_shape, exact, floats, mapping, nearest_word, refuse, shown, whole
+from ..checks import check_shape, exact, floats, is_whole, mapping, nearest_word, refuse, shown
 from ..graphs.weights import check_weights
 from ..limits import LARGEST, LARGEST_SEED
 from ..obstacles import parsing as obstacles
@@ -215,15 +215,30 @@ def check_apart(field: str, positions: NDArray[np.float64], least: float) -> Non
 def seeds_of_teams(seed: Any, num_envs: int) -> list[int | None] | None:
     """A seed for each of B teams, None where it keeps its own; None if all do.
 
-    One number s gives team i the seed s + i; a sequence or array gives each team its own.
+    One number s gives team i the seed s + i; a sequence or array gives each team its own. Each is
+    ``folded``.
     """
     if seed is None:
         return None
     if isinstance(seed, np.ndarray):
         seed = seed.tolist()
     if not isinstance(seed, Sequence) or isinstance(seed, str | bytes):
-        first = whole("seed", seed, 0, LARGEST_SEED - num_envs + 1)  # the others follow on it
-        return [first + team for team in range(num_envs)]
+        first = check_seed(seed)  # the others follow on it
+        return [folded(first + team) for team in range(num_envs)]
     if len(seed) != num_envs:
         raise ValueError(f"seed has {len(seed)} entries; it must be one number, or {num_envs}")
-    return [None if entry is None else whole("seed", entry, 0, LARGEST_SEED) for entry in seed]
+    return [None if entry is None else folded(check_seed(entry)) for entry in seed]
+
+
+def check_seed(seed: Any) -> int:
+    """A seed, as Gymnasium takes them: any whole number that is not negative."""
+    if not is_whole(seed) or seed < 0:
+        refuse("seed", seed, "a whole number, 0 or more")
+    return int(seed)
+
+
+def folded(seed: int) -> int:
+    """The seed in use, below 2⁶³: larger ones as NumPy's ``SeedSequence`` folds them."""
+    if seed <= LARGEST_SEED:
+        return seed
+    return int(np.random.SeedSequence(seed).generate_state(1, np.uint64)[0] >> np.uint64(1))
