@@ -25,7 +25,8 @@ def parallel_env(
     """The parallel environment: all robots act at once.
 
     Args:
-        scenario: a Scenario, the name of one (``scenarios.names()``) or the path of a TOML file.
+        scenario: a Scenario, the name of one (``scenarios.names()``), the path of a TOML file, or
+            plain data (``Scenario.to_plain``).
         render_mode: "human" for a window, "rgb_array" for pictures, None for neither.
         max_cycles: time limit in steps, instead of the scenario's.
         flatten: whether observations are vectors (rows·d,), row by row, for libraries that take no

@@ -15,7 +15,7 @@ from ..scenario.scenario import Scenario
 from ..scenario.scenarios import ScenarioLike, resolve, with_versions
 from ..scenario.start_options import seeds_of_teams
 from ..simulator import Simulator
-from .overrides import arguments_of, check_overrides, sorted_overrides
+from .overrides import PlainSpec, arguments_of, check_overrides, sorted_overrides
 from .vector_env import ONE_TEAM, Info, OneTeam, RendezvousVectorEnv, of_first_team
 from .vector_wrappers import HeadingVectorWrapper
 
@@ -25,7 +25,7 @@ __all__ = [
 ]  # fmt: skip
 
 
-class RendezvousEnv(OneTeam, gymnasium.Env[Any, Any]):
+class RendezvousEnv(OneTeam, PlainSpec, gymnasium.Env[Any, Any]):
     """One team of n robots as one agent.
 
     Observations (n, rows, d), actions (n, a), the team's reward and infos are those of

@@ -20,6 +20,7 @@ from ..scenario.scenario import Scenario
 from ..scenario.start_options import as_options
 from ..simulator import Simulator
 from ..state_view import STANDING
+from .overrides import PlainSpec
 from .spaces import (
     action_box,
     as_told,
@@ -40,7 +41,7 @@ ONE_TEAM: dict[str, Any] = {"num_envs": 1, "autoreset_mode": _DISABLED}
 """Arguments of a vector environment that ``OneTeam`` holds."""
 
 
-class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+class RendezvousVectorEnv(PlainSpec, VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
     """B teams of n robots that see only directions and must all meet.
 
     What a robot does, sees and earns is specified in ``RendezvousParallelEnv``; here it stands in
