@@ -16,7 +16,14 @@ from ..scenario.scenarios import ScenarioLike, resolve, with_versions
 from ..scenario.start_options import seeds_of_teams
 from ..simulator import Simulator
 from .overrides import PlainSpec, arguments_of, check_overrides, sorted_overrides
-from .vector_env import ONE_TEAM, Info, OneTeam, RendezvousVectorEnv, of_first_team
+from .vector_env import (
+    ONE_TEAM,
+    Info,
+    OneTeam,
+    RendezvousVectorEnv,
+    check_one_team,
+    of_first_team,
+)
 from .vector_wrappers import HeadingVectorWrapper
 
 __all__ = [
@@ -114,11 +121,13 @@ def make_heading_vec(
 
 def make_env(scenario: ScenarioLike = "fig3", **arguments: Any) -> RendezvousEnv:
     """One team as one agent; arguments and errors as ``make_vec``."""
+    check_one_team(arguments, "gymnasium.make_vec or rendezvous_env.make_vec")
     return RendezvousEnv(make_vec(scenario, **ONE_TEAM | arguments))
 
 
 def make_heading_env(scenario: ScenarioLike = "fig3", **arguments: Any) -> RendezvousEnv:
     """One team as one agent that chooses all heading vectors, as ``make_heading_vec``."""
+    check_one_team(arguments, "gymnasium.make_vec or rendezvous_env.vector.HeadingVectorWrapper")
     return RendezvousEnv(make_heading_vec(scenario, **ONE_TEAM | arguments))
 
 

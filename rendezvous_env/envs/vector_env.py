@@ -10,7 +10,7 @@ from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
-from ..checks import bools, flag
+from ..checks import bools, flag, is_whole, shown
 from ..engine.batch_runner import Driven, Pilot, Show
 from ..engine.memory import RENDEZVOUS, TIME_OUT
 from ..outcome import StepOutput
@@ -56,8 +56,7 @@ class RendezvousVectorEnv(PlainSpec, VectorEnv[NDArray[np.float32], NDArray[np.f
     | truncations | (B,) bool | the time limit |
 
     Infos are those of ``RendezvousParallelEnv`` as arrays, (B,) of teams, (B, n) of robots, each
-    with its mask ``_key`` (B,); ``summary`` is a dict of arrays, whose mask ``_summary`` is True for
-    teams that ended in this step. With SAME_STEP it is part of ``final_info``. Two more:
+    with its mask ``_key`` (B,); ``summary`` is a dict of arrays. Two more:
 
     | key | shape | |
     |---|---|---|
@@ -101,6 +100,7 @@ class RendezvousVectorEnv(PlainSpec, VectorEnv[NDArray[np.float32], NDArray[np.f
         self.scenario, self.num_envs = simulator.scenario, simulator.num_envs
         self.renderer, self.render_mode = Renderer(simulator, render_mode), render_mode
         self.metadata = render_metadata(simulator) | {"autoreset_mode": autoreset_mode}
+        self._everybody = np.ones(self.num_envs, dtype=np.bool_)
         self.begins_anew = True
         """Whether teams that have ended are reset here, not by a wrapper (``begin_anew``)."""
         self.outcome: StepOutput | None = None
@@ -133,20 +133,20 @@ class RendezvousVectorEnv(PlainSpec, VectorEnv[NDArray[np.float32], NDArray[np.f
         if seed is not None:
             self._np_random, self._np_random_seed = np_random(int(simulator.seeds[0]))
         self.renderer.reset()
-        active = simulator.active
+        active = simulator.active.copy()
         infos = simulator.episode_statistics() | no_costs(self.scenario.costs, active.shape)
         infos |= {
             "robot_rewards": np.zeros(active.shape),
             "active": active,
-            "merged_into": simulator.merged_into,
+            "merged_into": simulator.merged_into.copy(),
             "contact": np.zeros(active.shape, dtype=np.bool_),
-            "clearance": simulator.clearance,
+            "clearance": simulator.clearance.copy(),
         }
         which = np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask
         if self.records_passage:
             self.passage = None, observations.copy()
         infos = masked(infos, which)
-        tell_ends(observations, np.zeros_like(which), infos, self.autoreset_mode)
+        add_summary(infos, which)
         return as_told(observations, self.flatten), infos
 
     def step(self, actions: NDArray[np.float32]) -> Transition:
@@ -166,6 +166,7 @@ class RendezvousVectorEnv(PlainSpec, VectorEnv[NDArray[np.float32], NDArray[np.f
         ended = terminations | truncations
         if tell_ends(observations, ended, infos, mode):
             self.begin_anew(ended, infos)
+        add_summary(infos, self._everybody)
         return observations, rewards, terminations, truncations, infos
 
     def advance(self, actions: NDArray[np.float32]) -> StepOutput:
@@ -198,7 +199,7 @@ class RendezvousVectorEnv(PlainSpec, VectorEnv[NDArray[np.float32], NDArray[np.f
         infos = simulator.episode_statistics(outcome) | {
             "robot_rewards": outcome.robot_rewards,
             "active": outcome.active,
-            "merged_into": simulator.merged_into,
+            "merged_into": simulator.merged_into.copy(),
             "contact": outcome.contact,
             "clearance": outcome.clearance,
             **simulator.costs,
@@ -217,7 +218,7 @@ class RendezvousVectorEnv(PlainSpec, VectorEnv[NDArray[np.float32], NDArray[np.f
         assert outcome is not None  # there has been a step
         self.simulator.restart(which, outcome)
         infos |= self.simulator.episode_statistics(outcome)
-        infos["merged_into"] = self.simulator.merged_into
+        infos["merged_into"] = self.simulator.merged_into.copy()
         infos["contact"][which] = False
         return as_told(outcome.observations, self.flatten)
 
@@ -253,6 +254,16 @@ class RendezvousVectorEnv(PlainSpec, VectorEnv[NDArray[np.float32], NDArray[np.f
     def close_extras(self, **kwargs: Any) -> None:
         """Close the window, if there is one."""
         self.renderer.close()
+
+
+def check_one_team(arguments: Mapping[str, Any], vector_form: str) -> None:
+    """Refuse more teams than one with a ValueError that names the vector form."""
+    teams = arguments.get("num_envs", 1)
+    if not (is_whole(teams) and teams == 1):
+        raise ValueError(
+            f"num_envs is {shown(teams)}; it must be one team, and {_DISABLED}: for more take "
+            f"{vector_form}"
+        )
 
 
 class OneTeam:
@@ -328,15 +339,12 @@ class OneTeam:
 def tell_ends(
     seen: NDArray[np.float32], ended: NDArray[np.bool_], infos: Info, mode: AutoresetMode
 ) -> bool:
-    """Add to infos how these teams ended: ``summary``, in every step, or if they are reset at once
-    their last observations and infos, ``final_obs`` and ``final_info``; whether they are.
+    """Add to infos how these teams ended, if they are reset at once: their last observations and
+    infos, ``final_obs`` and ``final_info``; whether they are.
     """
-    if mode is AutoresetMode.SAME_STEP and not ended.any():
+    if mode is not AutoresetMode.SAME_STEP or not ended.any():
         return False
     summary = masked({key: infos[key].copy() for key in STANDING}, ended)
-    if mode is not AutoresetMode.SAME_STEP:
-        infos |= masked({"summary": summary}, ended)
-        return False
     final_obs = np.full(len(ended), None, dtype=object)
     for team in np.flatnonzero(ended).tolist():
         final_obs[team] = seen[team].copy()
@@ -355,8 +363,16 @@ def at_the_end(infos: Info, over: NDArray[np.bool_], key: str) -> NDArray[Any]:
     return np.where(rows, infos["final_info"][key], infos[key])
 
 
+def add_summary(infos: Info, which: NDArray[np.bool_]) -> None:
+    """Add ``summary`` of these teams (B,): a copy of the numbers of STANDING, with masks."""
+    masks = np.full((len(STANDING) + 1, len(which)), which)
+    summary: Info = {key: infos[key].copy() for key in STANDING}
+    summary.update(zip(_names_of_masks(STANDING), masks, strict=False))
+    infos["summary"], infos["_summary"] = summary, masks[-1]
+
+
 def leave_out_summary(infos: Info) -> None:
-    """Drop it: it is there at the end only, and its numbers stand among the others."""
+    """Drop it: its numbers stand among the others."""
     infos.pop("summary", None)
     infos.pop("_summary", None)
 

@@ -26,7 +26,7 @@ from .vector_env import (
     Info,
     RendezvousVectorEnv,
     Transition,
-    leave_out_summary,
+    add_summary,
     masked,
     tell_ends,
 )
@@ -127,6 +127,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         if tell_ends(seen, ended, infos, mode):
             self._begin_anew(ended, infos)
             seen[ended] = self._see(ended)[ended]
+        add_summary(infos, np.ones_like(ended))
         return seen, rewards, terminations, truncations, infos
 
     @property
@@ -153,7 +154,6 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         if not alone:
             terminations, truncations = ends | (terminations, truncations)
             infos |= {key: told for key, told in between.items() if key.lstrip("_") not in own}
-            leave_out_summary(infos)
         return shown, rewards, terminations, truncations, infos
 
     def _viewing(self) -> tuple[NDArray[np.float32] | None, Show | None]:
@@ -201,7 +201,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
             if number:
                 kept.put_back()
             if self.filter.keeps_ledger:
-                self.filter.book(touched, simulator.merged_into, resting)
+                self.filter.book(touched, simulator.merged_into.copy(), resting)
             rewards += earned
             robot_rewards += robots_earned
             contact |= touched
@@ -213,8 +213,8 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         """A base step through the wrappers beneath, in which environments that stand ``still``,
         (B,), leave no trace in what these keep.
         """
-        given, acting = actions.copy(), self._base.simulator.active
-        acting &= (self._base.simulator.status == RUNNING)[:, None]
+        simulator, given = self._base.simulator, actions.copy()
+        acting = simulator.active & (simulator.status == RUNNING)[:, None]
         kept = None if still is None else RowsOfWrappers(self.env, self.num_envs)
         told = self._step_beneath(actions)
         if self._checks_passage:

@@ -1,5 +1,6 @@
 """How a start can be given: seeds, and what ``reset(options=…)`` accepts, any part of a start."""
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -29,16 +30,23 @@ class StartOptions(NamedTuple):
 def parse_options(scenario: Any, num_envs: int, options: Mapping[str, Any] | None) -> StartOptions:
     """Check the options of a reset of B teams, see ``Simulator.reset``.
 
-    An unknown key is ignored, as Gymnasium has it, unless it is nearly one of ours.
+    An unknown key is ignored, as Gymnasium has it, unless it is nearly one of ours, or a field of
+    the scenario, which no reset changes.
 
     Raises:
         ValueError: naming the option, its value and what would be right.
     """
     options = as_options(options)
+    fields = {field.name for field in dataclasses.fields(scenario)} if options else set()
     for key in options:
         near = nearest_word(key, OPTIONS, cutoff=0.8)
         if key not in OPTIONS and near:
             raise ValueError(f"options: {shown(key)} is not an option; did you mean {near!r}?")
+        if key not in OPTIONS and (key == "max_cycles" or key in fields):
+            raise ValueError(
+                f"options: {shown(key)} is of the scenario, which a reset does not change; make "
+                f"another environment with {key}=…; options are {', '.join(OPTIONS)}"
+            )
     values = ((options.get(key), read) for key, read in _READERS.items())
     given = StartOptions(
         *(None if value is None else read(scenario, num_envs, value) for value, read in values)
