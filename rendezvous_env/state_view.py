@@ -70,7 +70,9 @@ class StateView:
         models that keep none.
         """
         model, kept = self.scenario.model, self._state.of_teams("memory")
-        return read_only(kept[..., model.n_angles if model.keeps_velocity else kept.shape[-1] :].copy())
+        return read_only(
+            kept[..., model.n_angles if model.keeps_velocity else kept.shape[-1] :].copy()
+        )
 
     @property
     def frames(self) -> NDArray[np.float64]:

@@ -1,7 +1,6 @@
 """The robots of one team by name, as PettingZoo has them."""
 
 from collections.abc import Mapping, Sequence
-from copy import deepcopy
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -12,14 +11,35 @@ from pettingzoo.utils.env import ParallelEnv
 from ..checks import check_action, floats, refuse, shown
 from ..render.renderer import RENDER_MODES
 from ..simulator import Simulator
+from ..state_view import STANDING
 from .spaces import of_one_robot
-from .vector_env import OneTeam, of_first_team
+from .vector_env import OneTeam
 
 Observations = dict[str, NDArray[np.float32]]
 Infos = dict[str, dict[str, Any]]
 StepReturn = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]
 """Observations, rewards, terminations, truncations and infos, by name."""
 _Space = TypeVar("_Space")
+
+
+class RobotInfo(dict[str, Any]):
+    """Infos of one robot, under the same keys in every step.
+
+    ``info["summary"]`` is none of the keys, so that libraries that make arrays of infos find the
+    same in every step. It reads the numbers of STANDING once more, and ``"summary" in info`` is
+    True after the last step of an episode, both as in earlier versions.
+    """
+
+    ended = False
+    """Whether the step was the last one of the episode."""
+
+    def __missing__(self, key: str) -> dict[str, Any]:
+        if key != "summary":
+            raise KeyError(key)
+        return {name: self[name] for name in STANDING}
+
+    def __contains__(self, key: object) -> bool:
+        return super().__contains__(key) or (self.ended and key == "summary")
 
 
 class SpacesByName(Generic[_Space]):
@@ -100,10 +120,10 @@ class TeamByName(OneTeam, SpacesByName[_Space], ParallelEnv[str, NDArray[np.floa
             for key, values in infos.items()
             if key[0] != "_" and key not in (*self._left_out, "summary")
         }
-        summary = of_first_team({key: infos[key] for key in ("summary",) if key in infos})
         return {
-            name: {key: (value[i] if value.ndim else value).item() for key, value in kept.items()}
-            | deepcopy(summary)
+            name: RobotInfo(
+                {key: (value[i] if value.ndim else value).item() for key, value in kept.items()}
+            )
             for i, name in enumerate(self.possible_agents)
         }
 

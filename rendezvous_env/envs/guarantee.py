@@ -242,7 +242,17 @@ class HoldsFilter:
                 f"a wrapper beneath {type(self).__name__} has stepped or reset the teams itself, "
                 "or kept a step from them; put it around the guarantee, and reset()"
             )
+        self._check_infos(told[-1])
         return told
+
+    def _check_infos(self, infos: Any) -> None:
+        """Refuse a wrapper beneath that gives infos another form."""
+        if not isinstance(infos, Mapping):
+            between = [type(one).__name__ for one in layers_of(self.env) if one is not self._base]
+            raise RuntimeError(
+                f"a wrapper beneath {type(self).__name__} ({', '.join(between)}) gives infos as a "
+                f"{type(infos).__name__}; they must be a dict: put it around the guarantee"
+            )
 
     @property
     def _parts(self) -> dict[str, Any]:

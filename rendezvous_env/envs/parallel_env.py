@@ -3,18 +3,21 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from pettingzoo.utils.env import ParallelEnv
 
 from ..engine.memory import RENDEZVOUS, RUNNING
 from ..scenario.scenario import Scenario
 from ..simulator import Simulator
-from .agents import StepReturn, TeamByName, table_of
+from .agents import RobotInfo, StepReturn, TeamByName, table_of
 from .spaces import as_told
 from .vector_env import RendezvousVectorEnv
 
 
-class RendezvousParallelEnv(TeamByName[Box]):
+class RendezvousParallelEnv(TeamByName[Box], ParallelEnv[str, NDArray[np.float32], Any]):
     """Robots that see only directions must all meet.
 
     ``n`` robots move in the plane or in 3-D. Each one sees in which direction its neighbours and
@@ -97,8 +100,8 @@ class RendezvousParallelEnv(TeamByName[Box]):
     | path_length | way of all robots of the team together so far, m |
     | lyapunov | V, m²/s |
     | cost, cost_NAME | with ``Scenario.costs``: what the step cost this robot |
-    | summary | success to lyapunov once more, so far; after the last step of the episode |
 
+    ``info["summary"]``, which is none of the keys, reads success to lyapunov once more.
     ``state()`` is the privileged global state for centralised critics; ``simulator`` holds it in SI
     units.
 
@@ -171,9 +174,9 @@ class RendezvousParallelEnv(TeamByName[Box]):
             observations[name], rewards[name] = rows, reward
             ends[name] = ended = met or (removed and not on_its_own)
             cuts[name] = over and not ended
-            infos[name] = info = statistics.copy()  # then one by one: half as long as at once
+            infos[name] = info = RobotInfo(statistics)  # then one by one: half as long as at once
             info["merged_into"], info["contact"], info["clearance"] = survivor, touched, distance
-            info["summary"] = statistics.copy()
+            info.ended = over
         for key, values in simulator.costs.items():
             for name, info in infos.items():
                 info[key] = values[0].item(self._indices[name])

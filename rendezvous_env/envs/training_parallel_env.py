@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete
+from numpy.typing import NDArray
+from pettingzoo.utils.env import ParallelEnv
 
 from ..checks import check_action, whole
 from ..scenario.scenarios import ScenarioLike
@@ -42,7 +44,9 @@ def training_env(
     return TrainingParallelEnv(teams)
 
 
-class TrainingParallelEnv(TeamByName[Box | Discrete]):
+class TrainingParallelEnv(
+    TeamByName[Box | Discrete], ParallelEnv[str, NDArray[np.float32], Any]
+):  # named, since some libraries look at direct bases alone
     """The robots of one training team, by name; ``training_env`` says what they see and do.
 
     All stay from the first step of an episode to its last: one that has merged away observes zeros,

@@ -41,7 +41,9 @@ ONE_TEAM: dict[str, Any] = {"num_envs": 1, "autoreset_mode": _DISABLED}
 """Arguments of a vector environment that ``OneTeam`` holds."""
 
 
-class RendezvousVectorEnv(PlainSpec, VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+class RendezvousVectorEnv(
+    PlainSpec, VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]
+):
     """B teams of n robots that see only directions and must all meet.
 
     What a robot does, sees and earns is specified in ``RendezvousParallelEnv``; here it stands in

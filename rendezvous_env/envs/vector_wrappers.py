@@ -93,6 +93,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         given = as_options(options)
         mask = given.get("reset_mask")  # before Gymnasium's recorder of statistics takes it out
         observations, infos = self.env.reset(seed=seed, options=given)
+        self._check_infos(infos)
         self._observed = observations.reshape(self._observed.shape)
         if self._checks_passage:
             self._check_passage(None, self._observed, ...)

@@ -74,7 +74,10 @@ def test_frame_stack_at_a_merge_is_the_survivors(held):
     robots = RobotVecEnv(HeadingVectorWrapper(teams, decision_period=held))
     env = RobotFrameStack(robots, 3)
     env.seed(SEED)
-    frames = [[np.zeros_like(row)] * 2 + [row] for row in env.reset()[..., -robots.simulator.scenario.dim :]]
+    frames = [
+        [np.zeros_like(row)] * 2 + [row]
+        for row in env.reset()[..., -robots.simulator.scenario.dim :]
+    ]
     counts = defaultdict(int)
     for stacked, _, dones, infos in steps_of(env, 200 // held):
         d = robots.simulator.scenario.dim
@@ -83,7 +86,10 @@ def test_frame_stack_at_a_merge_is_the_survivors(held):
         for slot in range(env.num_envs):
             if not dones[slot]:
                 frames[slot] = [*frames[slot][1:], newest[slot]]
-            elif slot not in robots.bootstrapped or robots.survivors[list(robots.bootstrapped).index(slot)] == slot:
+            elif (
+                slot not in robots.bootstrapped
+                or robots.survivors[list(robots.bootstrapped).index(slot)] == slot
+            ):
                 ends[slot] = [*frames[slot][1:], infos[slot]["terminal_observation"][..., -d:]]
         for slot, survivor in zip(robots.bootstrapped, robots.survivors, strict=True):
             own = frames[survivor] if survivor not in ends else ends[survivor]

@@ -133,7 +133,10 @@ RAW = [-0.001, -0.001, -0.001, -1.001]
 SCALING = {
     "normalised": (NormalizeReward, None),
     "own": (OwnScale, lambda r: 3.0 * r),
-    "function": (lambda teams: TransformReward(teams, lambda r: 2.0 * r - 1.0), lambda r: 2 * r - 1),
+    "function": (
+        lambda teams: TransformReward(teams, lambda r: 2.0 * r - 1.0),
+        lambda r: 2 * r - 1,
+    ),
     "clipped": (lambda teams: ClipReward(teams, -0.5, 0.5), lambda r: np.clip(r, -0.5, 0.5)),
     "one by one": (
         lambda teams: VectorizeTransformReward(teams, TransformSingle, func=lambda r: 5.0 * r),

@@ -40,7 +40,9 @@ def played(env, scenario, seed=5):
     bounds = scenario.action_bounds
     shape = env.unwrapped.single_action_space.shape if hasattr(env, "num_envs") else None
     shape = env.action_space.shape if shape is None else (env.num_envs, *shape)
-    return [env.step(random.uniform(-bounds, bounds, shape).astype(np.float32))[0] for _ in range(9)]
+    return [
+        env.step(random.uniform(-bounds, bounds, shape).astype(np.float32))[0] for _ in range(9)
+    ]
 
 
 @pytest.mark.parametrize("which", SCENARIOS)
@@ -104,6 +106,8 @@ def test_every_entry_takes_plain_data_of_a_scenario():
         rv.parallel_env({"n_robot": 3})
 
 
+@pytest.mark.filterwarnings("ignore:`eval_env` is set to None")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Minari's folder
 def test_minari_recovers_the_environment(tmp_path, monkeypatch):
     minari = pytest.importorskip("minari")
     pytest.importorskip("jax")  # which its collector asks for
@@ -120,6 +124,7 @@ def test_minari_recovers_the_environment(tmp_path, monkeypatch):
         "rendezvous/mine-v0", algorithm_name="still", author="me", author_email="me@example.org",
         code_permalink="https://example.org", description="none moves",
     )  # fmt: skip
+    env.close()
     assert data.total_episodes == 3 and data.total_steps == 3 * scenario.max_steps
     episode = data[0]
     infos = episode.infos
@@ -127,6 +132,7 @@ def test_minari_recovers_the_environment(tmp_path, monkeypatch):
     np.testing.assert_array_equal(infos["summary"]["time"], infos["time"])
     other = data.recover_environment()
     assert other.unwrapped.scenario == scenario
-    for k, episode in enumerate(data.iterate_episodes()):
-        seen, _ = other.reset(seed=int(data.storage.get_episode_metadata([k])[0]["seed"]))
+    about = list(data.storage.get_episode_metadata(range(3)))
+    for kept, episode in zip(about, data.iterate_episodes(), strict=True):
+        seen, _ = other.reset(seed=int(kept["seed"]))
         np.testing.assert_array_equal(seen, episode.observations[0])

@@ -225,6 +225,7 @@ def test_reward_terms_of_ones_own_are_merged_with_the_preset(make, guarantee, ca
 def test_return_under_a_preset_does_not_change_with_a_term_of_weight_zero():
     rv.reward_term("of no weight", lambda step: np.ones(len(step.time)))
     try:
+
         def earned(**more):
             env = rv.vector.training_env("clutter-8", 8, time_limit=3.0, **more)
             env.reset(seed=0)

@@ -368,10 +368,13 @@ def test_infos_have_the_same_keys_from_reset_on(wrapped):
     while env.agents:
         assert all(info.keys() == keys for info in infos.values())
         summary = infos["robot_0"]["summary"]
+        assert "summary" not in infos["robot_0"]
         assert summary.items() <= infos["robot_0"].items() and len(summary) == 5
         shape = env.action_space("robot_0").shape
         *_, infos = env.step({name: np.ones(shape, np.float32) for name in env.agents})
-    assert all(info.keys() == keys for info in infos.values())
+    assert all(info.keys() == keys and "summary" in info for info in infos.values())
+    with pytest.raises(KeyError, match="other"):
+        infos["robot_0"]["other"]
 
 
 @MODES
