@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import bools
-from rendezvous_env.scenario.start_options import check_seed
 from rendezvous_env.scenario.observation_layout import ObservedRows
 from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.scenario.start_options import check_seed
 
 from ..laws.paper_laws import Array, Law
 from ..policy import Float32, Mask, TeamPolicy, register

@@ -83,7 +83,7 @@ class RobotFrameStack(VecFrameStack):
         pairs = zip(robots.bootstrapped.tolist(), robots.survivors.tolist(), strict=True)
         for slot, survivor in pairs if robots.tell_bootstraps else ():
             if slot != survivor:
-                own: Any = observations[survivor]  # type: ignore[index]
+                own: Any = observations[survivor]
                 last = infos[survivor]["terminal_observation"] if dones[survivor] else own
                 infos[slot]["terminal_observation"] = last.copy()
         return observations, rewards, dones, infos
@@ -111,7 +111,8 @@ class RobotNormalize(VecNormalize):
 
     def step_wait(self) -> Any:
         """As the slots, with normalised observations and rewards."""
-        observations, rewards, dones, infos = self.venv.step_wait()
+        stepped: Any = self.venv.step_wait()
+        observations, rewards, dones, infos = stepped
         self.old_obs, self.old_reward = observations, rewards
         seen = self._normalised(observations)
         if self.training:

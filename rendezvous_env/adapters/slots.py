@@ -23,13 +23,12 @@ from ..engine.state_checks import (
 from ..envs.guarantee import layers_of
 from ..envs.spaces import of_all_teams, of_one_robot
 from ..envs.training import TrainingTeams
-from ..envs.vector_env import Info, RendezvousVectorEnv, Transition, at_the_end
+from ..envs.vector_env import RendezvousVectorEnv, Transition, at_the_end
 from ..envs.vector_wrappers import GuaranteeWrapper
 from ..obstacles.parsing import parse
 from ..scenario.start_options import OPTIONS, as_options
 from ..simulator import Simulator
 from ..state_view import STANDING
-
 
 _ROUNDING = 1e-6  # of a ratio of rewards, in float32
 

@@ -13,6 +13,8 @@ from gymnasium.envs.registration import EnvSpec
 from .. import graphs
 from ..checks import known_fields
 from ..obstacles import parsing as obstacles
+from ..obstacles.fields import Field
+from ..obstacles.obstacle_set import Obstacle
 from ..scenario.scenario import Scenario
 
 _FIELDS = sorted(field.name for field in fields(Scenario))
@@ -48,9 +50,9 @@ def as_plain(value: Any) -> Any:
     """
     if callable(getattr(value, "to_plain", None)):
         return value.to_plain()
-    if isinstance(value, obstacles.Obstacle):
+    if isinstance(value, Obstacle):
         return obstacles.to_plain((value,))[0]  # type: ignore[index]
-    if isinstance(value, obstacles.Field):
+    if isinstance(value, Field):
         return obstacles.to_plain(value)
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()

@@ -178,8 +178,8 @@ class RendezvousParallelEnv(TeamByName[Box], ParallelEnv[str, NDArray[np.float32
             info["merged_into"], info["contact"], info["clearance"] = survivor, touched, distance
             info.ended = over
         for key, values in simulator.costs.items():
-            for name, info in infos.items():
-                info[key] = values[0].item(self._indices[name])
+            for name, told in infos.items():
+                told[key] = values[0].item(self._indices[name])
         self.agents = [] if over else [name for name in alive if not ends[name]]
         return returned
 

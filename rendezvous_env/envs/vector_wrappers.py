@@ -194,7 +194,9 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
                 seen, earned, *ended, cost = self._step_between(self._act(), still)
                 between = joined(between, cost)
                 ends |= ended
-                robots_earned, touched = cost["robot_rewards"], base.outcome.contact
+                robots_earned = cost["robot_rewards"]
+                assert base.outcome is not None  # there has been a step
+                touched = base.outcome.contact
                 if resting is not None:  # what wrappers add to nothing
                     earned = np.where(resting, 0.0, earned)
                     robots_earned = np.where(resting[:, None], 0.0, robots_earned)
@@ -220,7 +222,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         told = self._step_beneath(actions)
         if self._checks_passage:
             self._check_passage(given, told[0].reshape(self._observed.shape), acting)
-        if kept is not None:
+        if kept is not None and still is not None:
             kept.put_back(still)
         return told
 

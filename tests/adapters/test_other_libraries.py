@@ -13,13 +13,9 @@
 | Minari | one agent | ``DataCollector``, in ``test_specs`` |
 """
 
-import functools
-
-import gymnasium
 import numpy as np
 import pytest
 from gymnasium import wrappers
-from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector as vector_wrappers
 from pettingzoo.utils import wrappers as pettingzoo_wrappers
@@ -28,7 +24,7 @@ from stable_baselines3.common.vec_env import VecCheckNan, VecNormalize
 
 import rendezvous_env as rv
 from rendezvous_env import vector
-from rendezvous_env.adapters.sb3 import RobotVecEnv, make_robots
+from rendezvous_env.adapters.sb3 import make_robots
 from rendezvous_env.envs.gymnasium_env import make_env, make_heading_env
 
 SHORT = {"time_limit": 2.0}

@@ -109,7 +109,7 @@ def test_normalised_observations_count_robots_that_exist():
     env.reset()
     seen, returns, gone = [env.get_original_obs()], [], 0
     running = np.zeros(env.num_envs)
-    for observations, _, dones, infos in steps_of(env):
+    for observations, _, dones, _ in steps_of(env):
         active = robots.slots.active.reshape(-1)
         seen.append(env.get_original_obs()[active])
         running = running * env.gamma + env.get_original_reward()

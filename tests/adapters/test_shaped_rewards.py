@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from gymnasium.wrappers import TransformReward as TransformSingle
 from gymnasium.vector import VectorRewardWrapper, VectorWrapper
+from gymnasium.wrappers import TransformReward as TransformSingle
 from gymnasium.wrappers.vector import (
     ClipReward,
     NormalizeReward,
@@ -156,7 +156,7 @@ def test_robots_are_scaled_where_a_wrapper_scales(how, under):
         plain = PaysAsTold(rv.make_vec("clutter-4", TEAMS, "SameStep", on_merge="follow"), RAW)
         robots = RobotVecEnv(HeadingVectorWrapper(wrapped := wrap(plain), decision_period=2))
     robots.reset()
-    for step in range(6):
+    for _ in range(6):
         rewards = robots.step(np.ones((robots.num_envs, *robots.action_space.shape)))[1]
     if expected is None:
         factor = 1.0 / np.sqrt(wrapped.return_rms.var + wrapped.epsilon)
@@ -218,7 +218,7 @@ def test_last_observations_are_changed_like_the_others_or_refused(make, outside)
                 return np.array([info["terminal_observation"] for info in found])
         raise AssertionError("none was cut off")
 
-    with pytest.raises(TypeError, match="under Observed, which changes .*final_obs"):
+    with pytest.raises(TypeError, match=r"under Observed, which changes .*final_obs"):
         ends(Observed(make(), last=False))
     np.testing.assert_array_equal(ends(Observed(make(), last=True)), 20.0 * ends(make()))
 
@@ -239,7 +239,7 @@ class Drawn(VectorWrapper):
         self._random = np.random.default_rng(0)
 
     def step(self, actions):
-        seen, rewards, *ends, infos = self.env.step(actions)
+        seen, _, *ends, infos = self.env.step(actions)
         infos["robot_rewards"] = self._random.normal(size=infos["robot_rewards"].shape)
         return seen, infos["robot_rewards"].mean(axis=1), *ends, infos
 

@@ -94,7 +94,8 @@ def test_every_entry_takes_plain_data_of_a_scenario():
     scenario = SCENARIOS["matrix"]
     plain = scenario.to_plain()
     for made in (
-        rv.parallel_env(plain), rv.make_vec(plain, 2), rv.training_env(plain, learning_preset=False),
+        rv.parallel_env(plain), rv.make_vec(plain, 2),
+        rv.training_env(plain, learning_preset=False),
         rv.vector.training_env(plain, 2, learning_preset=False), rv.Simulator(plain),
         rv.rendezvous_v0.env(plain).unwrapped,
     ):  # fmt: skip

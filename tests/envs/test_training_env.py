@@ -204,7 +204,8 @@ def test_reward_terms_of_ones_own_are_merged_with_the_preset(make, guarantee, ca
         monkeypatch.setattr("rendezvous_env.envs.training._logged", set())
         in_scenario = {"scenario": SCENARIO.replace(reward=rv.RewardWeights(custom=custom))}
         for how in (
-            {"reward": rv.RewardWeights(custom=custom)}, {"reward": {"custom": custom}}, in_scenario,
+            {"reward": rv.RewardWeights(custom=custom)}, {"reward": {"custom": custom}},
+            in_scenario,
         ):  # fmt: skip
             env = make(**{"scenario": SCENARIO, "guarantee": guarantee} | how)
             assert env.scenario.reward == expected

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from guarantees import GUARANTEES
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorWrapper
 from gymnasium.wrappers.vector import NormalizeReward, RecordEpisodeStatistics, TransformReward
-from guarantees import GUARANTEES
 from pettingzoo.utils.conversions import aec_to_parallel, parallel_to_aec
 from pettingzoo.utils.wrappers import BaseParallelWrapper, BaseWrapper
 
