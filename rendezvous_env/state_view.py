@@ -97,6 +97,10 @@ class StateView:
         """(B, n), index of the robot that each one is now part of; its own while it is active."""
         return read_only(self._state.teams.merged_into.copy())
 
+    def copy_of_merged(self) -> NDArray[np.int64]:
+        """``merged_into`` as an array that may be written to."""
+        return self._state.teams.merged_into.copy()
+
     @property
     def active(self) -> NDArray[np.bool_]:
         """(B, n), whether the robot still exists on its own."""

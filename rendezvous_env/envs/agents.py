@@ -30,16 +30,21 @@ class RobotInfo(dict[str, Any]):
     True after the last step of an episode, both as in earlier versions.
     """
 
-    ended = False
-    """Whether the step was the last one of the episode."""
+    __slots__ = ()
 
     def __missing__(self, key: str) -> dict[str, Any]:
         if key != "summary":
             raise KeyError(key)
         return {name: self[name] for name in STANDING}
 
+
+class LastRobotInfo(RobotInfo):
+    """Infos of one robot after the last step of an episode."""
+
+    __slots__ = ()
+
     def __contains__(self, key: object) -> bool:
-        return super().__contains__(key) or (self.ended and key == "summary")
+        return key == "summary" or super().__contains__(key)
 
 
 class SpacesByName(Generic[_Space]):

@@ -12,7 +12,7 @@ from pettingzoo.utils.env import ParallelEnv
 from ..engine.memory import RENDEZVOUS, RUNNING
 from ..scenario.scenario import Scenario
 from ..simulator import Simulator
-from .agents import RobotInfo, StepReturn, TeamByName, table_of
+from .agents import LastRobotInfo, RobotInfo, StepReturn, TeamByName, table_of
 from .spaces import as_told
 from .vector_env import RendezvousVectorEnv
 
@@ -161,7 +161,7 @@ class RendezvousParallelEnv(TeamByName[Box], ParallelEnv[str, NDArray[np.float32
         (earned,), (active,) = outcome.robot_rewards.tolist(), outcome.active.tolist()
         (into,), (contact,) = simulator.merged_into.tolist(), outcome.contact.tolist()
         (clearance,) = outcome.clearance.tolist()
-        removed = self.scenario.on_merge == "remove"
+        removed, kind = self.scenario.on_merge == "remove", LastRobotInfo if over else RobotInfo
         returned: StepReturn = {}, {}, {}, {}, {}
         observations, rewards, ends, cuts, infos = returned
         gone = () if len(alive) == len(active) else {*self.possible_agents}.difference(alive)
@@ -174,9 +174,8 @@ class RendezvousParallelEnv(TeamByName[Box], ParallelEnv[str, NDArray[np.float32
             observations[name], rewards[name] = rows, reward
             ends[name] = ended = met or (removed and not on_its_own)
             cuts[name] = over and not ended
-            infos[name] = info = RobotInfo(statistics)  # then one by one: half as long as at once
+            infos[name] = info = kind(statistics)  # then one by one: half as long as at once
             info["merged_into"], info["contact"], info["clearance"] = survivor, touched, distance
-            info.ended = over
         for key, values in simulator.costs.items():
             for name, told in infos.items():
                 told[key] = values[0].item(self._indices[name])

@@ -128,7 +128,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         if tell_ends(seen, ended, infos, mode):
             self._begin_anew(ended, infos)
             seen[ended] = self._see(ended)[ended]
-        add_summary(infos, np.ones_like(ended))
+        add_summary(infos)
         return seen, rewards, terminations, truncations, infos
 
     @property
@@ -204,7 +204,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
             if number:
                 kept.put_back()
             if self.filter.keeps_ledger:
-                self.filter.book(touched, simulator.merged_into.copy(), resting)
+                self.filter.book(touched, simulator.copy_of_merged(), resting)
             rewards += earned
             robot_rewards += robots_earned
             contact |= touched

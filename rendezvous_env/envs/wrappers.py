@@ -112,7 +112,7 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
                 self._check_passage(table[None], self._observed, acting)
             if self.filter.keeps_ledger:
                 touched = self._base.teams.outcome.contact  # a wrapper between may tell another
-                self.filter.book(touched, simulator.merged_into.copy())
+                self.filter.book(touched, simulator.copy_of_merged())
             self._add_told(told)
             for name, info in told.items():
                 rewards[name] += earned[name]

@@ -333,8 +333,8 @@ def test_environments_name_pettingzoo_among_their_direct_bases(make):
 
 @pytest.mark.filterwarnings("ignore")
 def test_torchrl_wraps_training_environments_to_the_end_and_others_to_the_first_merge():
-    pytest.importorskip("torchrl")
-    from torchrl.envs.libs.pettingzoo import PettingZooWrapper
+    wrapping = pytest.importorskip("torchrl.envs.libs.pettingzoo")
+    PettingZooWrapper = wrapping.PettingZooWrapper  # noqa: N806 - a class
 
     env = PettingZooWrapper(rv.training_env("fig3"), return_state=True)
     env.rollout(400)

@@ -391,3 +391,18 @@ def test_vector_infos_have_the_same_keys_from_reset_on(mode, wrapped):
             np.testing.assert_array_equal(values, infos[key])
         ended += (met | late).sum()
     assert ended >= 3
+
+
+def test_films_of_training_forms_play_in_real_time():
+    from rendezvous_env.envs.gymnasium_env import make_heading_env
+
+    for env in (
+        rv.training_env("duo"),
+        vector.training_env("duo", 2),
+        rv.training_env("duo", guarantee="links", decision_period=3),
+        make_heading_env("duo", decision_period=7),
+    ):
+        period = env.teams.env if hasattr(env, "agents") else getattr(env, "teams", env)
+        period = getattr(period, "decision_period", None) or env.env.decision_period
+        expected = 1.0 / (period * env.unwrapped.simulator.scenario.tau)
+        assert env.metadata["render_fps"] == pytest.approx(expected, rel=1e-12)
