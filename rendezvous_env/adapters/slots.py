@@ -262,7 +262,7 @@ class RewardShaping:
         self._top: _Changes | None = None
         above: Any = None
         for layer in [*layers_of(teams)]:
-            if not isinstance(layer, _OURS):
+            if not isinstance(layer, _OURS) and hasattr(layer, "env"):
                 if type(layer.env) is not _Recorder:
                     layer.env = _Recorder(layer.env)
                 changes = _Changes(layer, layer.env)
