@@ -10,6 +10,7 @@ from pettingzoo.utils.env import AECEnv
 from .envs.agents import OneAfterAnother
 from .envs.overrides import check_overrides
 from .envs.parallel_env import RendezvousParallelEnv
+from .envs.vector_env import check_one_team
 from .scenario.scenarios import ScenarioLike, resolve, with_versions
 
 __all__ = ["RendezvousParallelEnv", "env", "parallel_env", "raw_env"]
@@ -25,7 +26,8 @@ def parallel_env(
     """The parallel environment: all robots act at once.
 
     Args:
-        scenario: a Scenario, the name of one (``scenarios.names()``) or the path of a TOML file.
+        scenario: a Scenario, the name of one (``scenarios.names()``), the path of a TOML file, or
+            plain data (``Scenario.to_plain``).
         render_mode: "human" for a window, "rgb_array" for pictures, None for neither.
         max_cycles: time limit in steps, instead of the scenario's.
         flatten: whether observations are vectors (rows·d,), row by row, for libraries that take no
@@ -36,6 +38,7 @@ def parallel_env(
         TypeError: for an unknown argument or field, with the nearest known one.
         ValueError: for an unknown scenario or render mode, or an impossible value.
     """
+    check_one_team(overrides, "rendezvous_env.make_vec")
     check_overrides(parallel_env, overrides)
     return RendezvousParallelEnv(resolve(scenario, **overrides), render_mode, max_cycles, flatten)
 

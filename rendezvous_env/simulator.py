@@ -26,7 +26,7 @@ from .robots.robot_models import is_custom
 from .scenario.scenarios import ScenarioLike, resolve
 from .scenario.start_options import StartOptions, parse_options, seeds_of_teams
 from .sensors.custom_sensors import Seen, apply_custom
-from .state_view import StateView
+from .state_view import StateView, read_only
 
 
 class Simulator(StateView):
@@ -314,7 +314,7 @@ class Simulator(StateView):
     @property
     def clearance(self) -> NDArray[np.float64]:
         """(B, n), distance of each robot to the nearest obstacle now, m; inf without obstacles."""
-        return self._runner.observe().clearance
+        return read_only(self._runner.observe().clearance)
 
     @property
     def begun(self) -> bool:

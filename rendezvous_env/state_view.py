@@ -15,12 +15,24 @@ STANDING = ("success", "time", "contacts", "path_length", "lyapunov")
 """What ``StateView.episode_statistics`` tells."""
 
 
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """An array of its own that refuses to be written to: nothing would follow from it."""
+    array.flags.writeable = False
+    return array
+
+
 def _statistic(name: str, doc: str, kind: Any = np.float64) -> Any:
-    return property(lambda view: view._state.statistic(name).astype(kind, copy=False), doc=doc)
+    def read(view: Any) -> NDArray[Any]:
+        return read_only(view._state.statistic(name).astype(kind, copy=False))
+
+    return property(read, doc=doc)
 
 
 class StateView:
-    """The global state of B teams and the statistics of their episodes, as copies."""
+    """The global state of B teams and the statistics of their episodes, as copies.
+
+    They refuse to be written to: ``reset(options=…)`` and ``set_state`` change the state.
+    """
 
     scenario: Scenario
     _state: State
@@ -45,12 +57,12 @@ class StateView:
     def positions(self) -> NDArray[np.float64]:
         """p_i, (B, n, d), m; a merged-away robot is where the robot is that it became part of."""
         places, into = self._state.of_teams("positions"), self._state.merged_into
-        return np.take_along_axis(places, into[..., None], axis=1)
+        return read_only(np.take_along_axis(places, into[..., None], axis=1))
 
     @property
     def headings(self) -> NDArray[np.float64]:
         """Yaw, or yaw and pitch, (B, n, 1 or 2), rad; (B, n, 0) for robots without a heading."""
-        return self._state.of_teams("memory")[..., : self.scenario.model.n_angles].copy()
+        return read_only(self._state.of_teams("memory")[..., : self.scenario.model.n_angles].copy())
 
     @property
     def velocities(self) -> NDArray[np.float64]:
@@ -58,51 +70,57 @@ class StateView:
         models that keep none.
         """
         model, kept = self.scenario.model, self._state.of_teams("memory")
-        return kept[..., model.n_angles if model.keeps_velocity else kept.shape[-1] :].copy()
+        return read_only(
+            kept[..., model.n_angles if model.keeps_velocity else kept.shape[-1] :].copy()
+        )
 
     @property
     def frames(self) -> NDArray[np.float64]:
         """R_i, local → global, (B, n, d, d)."""
         d, frames = self.scenario.dim, self._state.of_teams("frames")
-        return frames.reshape(*frames.shape[:2], d, d).copy()
+        return read_only(frames.reshape(*frames.shape[:2], d, d).copy())
 
     @property
     def weights(self) -> NDArray[np.float64]:
         """What robot i gives to its neighbour j, a_ij, (B, n, n), m/s, at the moment and as merging
         has left it.
         """
-        return self._state.weights()
+        return read_only(self._state.weights())
 
     @property
     def obstacles(self) -> NDArray[np.float64]:
         """Obstacles as tables, (B, M, width), see ``obstacles.obstacle_set``."""
-        return self._state.obstacle_table()
+        return read_only(self._state.obstacle_table().copy())
 
     @property
     def merged_into(self) -> NDArray[np.int64]:
         """(B, n), index of the robot that each one is now part of; its own while it is active."""
+        return read_only(self._state.merged_into.copy())
+
+    def copy_of_merged(self) -> NDArray[np.int64]:
+        """``merged_into`` as an array that may be written to."""
         return self._state.merged_into.copy()
 
     @property
     def active(self) -> NDArray[np.bool_]:
         """(B, n), whether the robot still exists on its own."""
-        return self._state.merged_into == np.arange(self.scenario.n_robots)
+        return read_only(self._state.merged_into == np.arange(self.scenario.n_robots))
 
     @property
     def ended(self) -> NDArray[np.bool_]:
         """(B,), whether the episode is over."""
         status = self._state.statistic("status")
-        return (status == RENDEZVOUS) | (status == TIME_OUT)
+        return read_only((status == RENDEZVOUS) | (status == TIME_OUT))
 
     @property
     def time(self) -> NDArray[np.float64]:
         """(B,), s since the start of the episode."""
-        return self._state.statistic("steps") * self.scenario.tau
+        return read_only(self._state.statistic("steps") * self.scenario.tau)
 
     @property
     def seeds(self) -> NDArray[np.uint64]:
         """(B,), seed of each team."""
-        return self._state.seed.copy()
+        return read_only(self._state.seed.copy())
 
     def lyapunov(self) -> NDArray[np.float64]:
         """V = Σ_i Σ_j a_ij ‖p_i − p_j‖, (B,), m²/s, of the graph of the moment."""
@@ -114,8 +132,8 @@ class StateView:
         nothing has changed since.
         """
         if outcome is None:
-            status, contacts = self.status, self.contacts
-            so_far = self.time, self.path_length, self.lyapunov()
+            status, contacts = self.status, self.contacts.copy()
+            so_far = self.time.copy(), self.path_length.copy(), self.lyapunov()
         else:
             status, contacts = outcome.status, outcome.contacts
             scores = outcome.scores  # by index, which is quicker than to unpack an array

@@ -216,7 +216,7 @@ def rollout(
         times=np.arange(len(arrays["positions"]), dtype=np.float64) * simulator.scenario.tau,
         success=simulator.status == RENDEZVOUS,
         rendezvous_time=finished_at,
-        obstacles=simulator.obstacles,
+        obstacles=simulator.obstacles.copy(),
         recorded={name: arrays.pop(name) for name in asked},
         **arrays,
     )

@@ -40,14 +40,18 @@ _ANGLES = ("yaw", "pitch", "roll", "angle_3")  # as many as a robot model may ke
 def xarray_dataset(trajectory: Any) -> xarray.Dataset:
     """An xarray Dataset with the arrays under their own names, shaped as ``DIMENSIONS`` says.
 
-    Coordinates ``time`` (T + 1,), s, and ``step_end`` (T,), s, when each step ended; the attribute
-    ``scenario`` holds the scenario as JSON. Arrays without an entry, as headings of robots that
-    have none, are left out: NetCDF 3 cannot hold them. An ImportError says how to get xarray.
+    Coordinates ``time`` (T + 1,), s, ``step`` (T,), from 0, and ``step_end`` (T,), s, when each
+    step ended. By the indices of ``time`` and ``step``, ``xarray.concat([one, other], "run",
+    join="outer")`` joins rollouts of different lengths; what the shorter one lacks is NaN. The
+    attribute ``scenario`` holds the scenario as JSON. Arrays without an entry, as headings of
+    robots that have none, are left out: NetCDF 3 cannot hold them. An ImportError says how to get
+    xarray.
     """
     library = load("xarray", "to_xarray()", _EXTRA)
     scenario, times, arrays = trajectory.scenario, trajectory.times, _arrays(trajectory)
     coordinates: dict[str, Any] = {
         "time": ("time", times, {"units": "s"}),
+        "step": np.arange(len(times) - 1),
         "step_end": ("step", times[1:], {"units": "s"}),
         "axis": list(_AXES[: scenario.dim]),
         "angle": list(_ANGLES[: arrays["headings"].shape[-1]]),

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import bools, whole
-from rendezvous_env.limits import LARGEST_SEED
+from rendezvous_env.checks import bools
 from rendezvous_env.scenario.observation_layout import ObservedRows
 from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.scenario.start_options import check_seed
 
 from ..laws.paper_laws import Array, Law
 from ..policy import Float32, Mask, TeamPolicy, register
@@ -25,7 +25,7 @@ class RandomPolicy(TeamPolicy):
 
     def __post_init__(self) -> None:
         """Start the stream."""
-        self.seed = whole("seed", self.seed, 0, LARGEST_SEED)
+        self.seed = check_seed(self.seed)
         self.reset()
 
     def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:

@@ -62,7 +62,7 @@ class RobotPufferEnv(pufferlib.PufferEnv):
     def __init__(
         self, teams: VectorEnv[Any, Any, Any], buf: Any = None, seed: int | None = None
     ) -> None:
-        self.slots = RobotSlots(teams)
+        self.slots = RobotSlots(teams, values_ends=False)
         follows = self.slots.simulator.scenario.on_merge
         if follows != "follow":
             raise ValueError(

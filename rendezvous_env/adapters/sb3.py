@@ -16,9 +16,10 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from ..checks import check_shape, floats, mapping, whole
+from ..engine.state_checks import check_entries, check_keys, refuse_first
 from ..envs.guarantee import layers_of
 from ..envs.gymnasium_env import make_vec
-from ..limits import LARGEST_SEED
+from ..scenario.start_options import check_seed
 from .slots import RobotSlots, SlotStep, team_options
 
 if TYPE_CHECKING:
@@ -38,8 +39,9 @@ class RobotVecEnv(VecEnv):
 
     Where a slot is cut off by a time-out or a merge its info has ``TimeLimit.truncated`` True, and
     ``terminal_observation`` is what its future is valued by. The slot of a merged-away robot
-    observes zeros until its team is reset; ``acted`` leaves these slots out, and so does
-    ``RobotRolloutBuffer``.
+    observes zeros until its team is reset; ``acted`` leaves these slots out, so does
+    ``info["acted"]``, in every step, and so does ``RobotRolloutBuffer``. Wrappers and buffers of
+    stable-baselines3 that count every slot have another form in ``adapters.sb3_wrappers``.
 
     With ``Scenario.costs`` the info of every slot has ``cost`` and ``cost_NAME``, and ``costs`` has
     them as arrays (slots,); those of an episode, summed over its robots, stand in ``episode``.
@@ -123,7 +125,7 @@ class RobotVecEnv(VecEnv):
 
     def _infos(self, step: SlotStep) -> list[dict[str, Any]]:
         n = self.n_robots
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        infos: list[dict[str, Any]] = [{"acted": acted} for acted in step.acted.tolist()]
         for key, costs in step.costs.items():
             for info, cost in zip(infos, costs.tolist(), strict=True):
                 info[key] = cost
@@ -149,7 +151,7 @@ class RobotVecEnv(VecEnv):
         """Seed team b with ``seed`` + b at the next reset; None draws one. Returns each slot's."""
         if seed is None:
             seed = int(np.random.randint(2**31))
-        first = whole("seed", seed, 0, LARGEST_SEED - self.slots.num_teams + 1)
+        first = check_seed(seed)
         self._seeds = [first + slot // self.n_robots for slot in range(self.num_envs)]
         return self._seeds
 
@@ -171,11 +173,17 @@ class RobotVecEnv(VecEnv):
 
     def get_state(self) -> dict[str, Any]:
         """The running episodes, as copies: nested arrays."""
-        return self.slots.get_state()
+        return self.slots.get_state() | {"told": self._told.copy()}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """As ``Simulator.set_state``."""
-        self.slots.set_state(state)
+        check_keys(state, ())
+        slots = dict(state)
+        told = {"told": slots.pop("told", np.zeros_like(self._told))}  # older ones have none
+        checked = check_entries({"told": self._told}, told)["told"]
+        refuse_first("told", checked < 0, checked, "0 or more")
+        self.slots.set_state(slots)
+        self._told[...] = checked
         self._forget_step()
 
     def close(self) -> None:

@@ -1,12 +1,15 @@
 """Robots as single slots, for libraries that know no teams."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
-from copy import deepcopy
-from itertools import pairwise
+from copy import copy, deepcopy
 from typing import Any, NamedTuple
 
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium import Env, Space
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorRewardWrapper, VectorWrapper
+from gymnasium.wrappers.vector import NormalizeReward
 from numpy.typing import NDArray
 
 from ..checks import check_shape, floats
@@ -20,12 +23,14 @@ from ..engine.state_checks import (
 from ..envs.guarantee import layers_of
 from ..envs.spaces import of_all_teams, of_one_robot
 from ..envs.training import TrainingTeams
-from ..envs.vector_env import Info, RendezvousVectorEnv, Transition, at_the_end
+from ..envs.vector_env import RendezvousVectorEnv, Transition, at_the_end
 from ..envs.vector_wrappers import GuaranteeWrapper
 from ..obstacles.parsing import parse
 from ..scenario.start_options import OPTIONS, as_options
 from ..simulator import Simulator
 from ..state_view import STANDING
+
+_ROUNDING = 1e-6  # of a ratio of rewards, in float32
 
 
 class SlotStep(NamedTuple):
@@ -58,7 +63,10 @@ class RobotSlots:
 
     Args:
         teams: a vector environment of teams with SAME_STEP autoreset, wrapped or not; a ValueError
-            for another mode, a TypeError for what is none.
+            for another mode, a TypeError for what is none. A wrapper of your own that changes
+            observations changes ``infos["final_obs"]`` alike; the step in which an episode ends
+            refuses others with a TypeError.
+        values_ends: whether ``last`` is used; False accepts such wrappers.
     """
 
     active: NDArray[np.bool_]
@@ -66,14 +74,14 @@ class RobotSlots:
     observation_space = of_all_teams("single_observation_space")  # of all slots, for RLlib
     action_space = of_all_teams("single_action_space")
 
-    def __init__(self, teams: VectorEnv[Any, Any, Any]) -> None:
+    def __init__(self, teams: VectorEnv[Any, Any, Any], *, values_ends: bool = True) -> None:
         if not (isinstance(teams, VectorEnv) and hasattr(teams.unwrapped, "simulator")):
             kind, made = type(teams).__name__, "rendezvous_env.vector.training_env makes them"
             raise TypeError(f"teams is of type {kind}; it must be teams as {made}")
         mode = teams.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode is {mode}; robots need AutoresetMode.SAME_STEP")
-        self._shaping = RewardShaping(teams)
+        self._shaping, self._values_ends = RewardShaping(teams), values_ends
         self.teams: Any = teams  # wrapped or not: the state is not of Gymnasium's interface
         base: Any = teams.unwrapped
         self.simulator: Simulator = base.simulator
@@ -121,6 +129,8 @@ class RobotSlots:
         observations, rewards, met, late, infos = self.teams.step(given.reshape(self._acting))
         over, last = met | late, observations
         if over.any():
+            if self._values_ends:
+                self._shaping.check_final(observations, infos)
             last = observations.copy()
             last[over] = np.stack(infos["final_obs"][over].tolist())
         active, into = (at_the_end(infos, over, key) for key in ("active", "merged_into"))
@@ -235,40 +245,62 @@ def team_options(options: Sequence[Mapping[str, Any]], dim: int) -> dict[str, An
 class RewardShaping:
     """Rewards of single robots where wrappers of a user's own have changed those of their teams.
 
-    What a wrapper adds to the reward of a team is added to that of each of its robots. A wrapper
-    that changes ``infos["robot_rewards"]`` itself has the last word. A recorder is put under the
-    innermost wrapper that is not of this package.
+    | wrapper | robots earn |
+    |---|---|
+    | Gymnasium's ``NormalizeReward`` | their rewards, divided by the same number |
+    | ``VectorRewardWrapper``, such as ``TransformReward`` | ``rewards`` of it, of their rewards |
+    | any other | their rewards, plus what it adds to that of their team; times its factor, where |
+    | | it multiplies different rewards by the same number |
+
+    A wrapper that changes ``infos["robot_rewards"]`` itself has the last word; so does best what
+    multiplies each team's reward by another number. With ``on_merge="remove"`` robots
+    that are gone earn nothing. A recorder is put under each wrapper that is not of this package, so
+    that its changes are seen; one that changes observations must change ``infos["final_obs"]``.
     """
 
     def __init__(self, teams: VectorEnv[Any, Any, Any]) -> None:
-        self._recorder: _Recorder | None = None
-        self._follow = teams.unwrapped.simulator.scenario.on_merge == "follow"  # type: ignore[attr-defined]
-        for layer, beneath in pairwise(layers_of(teams)):
-            if not isinstance(layer, _OURS) and isinstance(beneath, _OURS):
-                if not isinstance(beneath, _Recorder):
-                    layer.env = beneath = _Recorder(beneath)
-                self._recorder = beneath
+        self._top: _Changes | None = None
+        above: Any = None
+        for layer in [*layers_of(teams)]:
+            if not isinstance(layer, _OURS) and hasattr(layer, "env"):
+                if type(layer.env) is not _Recorder:
+                    layer.env = _Recorder(layer.env)
+                changes = _Changes(layer, layer.env)
+                if above is None:
+                    self._top = changes
+                elif not isinstance(above, _Shaper):
+                    above.env = _Shaper(layer, changes)
+                above = layer.env
+            else:
+                above = layer
 
     def robot_rewards(
         self, rewards: NDArray[np.float64], infos: Mapping[str, Any], acted: NDArray[np.bool_]
     ) -> NDArray[np.float64]:
         """Of the last step, (B, n), from what the outermost wrapper gave and who (B, n) acted."""
         given: NDArray[np.float64] = infos["robot_rewards"]
-        if self._recorder is None:
-            return given
-        base, robots = self._recorder.taken()
-        if not np.array_equal(given, robots):
-            return given
-        added = (np.asarray(rewards, np.float64) - base)[:, np.newaxis]
-        return given + (added if self._follow else np.where(acted, added, 0.0))
+        return given if self._top is None else self._top.rewards(rewards, given, acted)
+
+    def check_final(self, observations: NDArray[np.float32], infos: Mapping[str, Any]) -> None:
+        """Refuse an outermost wrapper that changes observations, but not the last ones of teams."""
+        if self._top is not None:
+            self._top.check_final(observations, infos)
+
+
+class _Given(NamedTuple):
+    """What a step of the teams gave to the wrapper above."""
+
+    rewards: NDArray[np.float64]  # (B,)
+    robot_rewards: NDArray[np.float64]  # (B, n)
+    acted: NDArray[np.bool_]  # (B, n)
+    observations: NDArray[np.float32] | None  # (B, n, ...), if teams ended in it
+    final: list[NDArray[np.float32]]  # (n, ...) each, of those that did
 
 
 class _Recorder(VectorWrapper):
-    """Sums rewards of teams (B,) and robots (B, n), as they were below, until they are taken."""
+    """Keeps what the last step gave to the wrapper above."""
 
-    def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
-        super().__init__(env)
-        self._sums: tuple[Any, Any] = (0.0, 0.0)
+    given: _Given
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or name == "env":
@@ -277,20 +309,124 @@ class _Recorder(VectorWrapper):
 
     def step(self, actions: Any) -> Transition:
         """As the teams."""
+        simulator = self.env.unwrapped.simulator  # type: ignore[attr-defined]
+        acted = simulator.active | (simulator.scenario.on_merge == "follow")
         seen, rewards, ends, cuts, infos = self.env.step(actions)
-        teams, robots = self._sums
-        self._sums = teams + rewards, robots + infos["robot_rewards"]
+        final = _final_of(infos)
+        self.given = _Given(
+            np.array(rewards, np.float64),
+            infos["robot_rewards"].copy(),
+            acted,
+            seen.copy() if final else None,
+            [each.copy() for each in final],
+        )
         return seen, rewards, ends, cuts, infos
 
-    def reset(self, **arguments: Any) -> tuple[Any, Info]:
-        """As the teams."""
-        self.taken()
-        return self.env.reset(**arguments)
 
-    def taken(self) -> tuple[Any, Any]:
-        """The sums since this was last called."""
-        sums, self._sums = self._sums, (0.0, 0.0)
-        return sums
+class _Shaper(_Recorder):
+    """Hands on the rewards of robots as the wrapper beneath has changed them."""
+
+    def __init__(self, env: VectorEnv[Any, Any, Any], changes: _Changes) -> None:
+        super().__init__(env)
+        self._changes = changes
+
+    def step(self, actions: Any) -> Transition:
+        """As the teams, with ``robot_rewards`` in agreement."""
+        seen, rewards, ends, cuts, infos = self.env.step(actions)
+        self._changes.check_final(seen, infos)
+        given = infos["robot_rewards"]
+        infos["robot_rewards"] = self._changes.rewards(rewards, given)
+        return seen, rewards, ends, cuts, infos
+
+
+class _Changes:
+    """What one wrapper has changed in the last step."""
+
+    def __init__(self, layer: Any, recorder: _Recorder) -> None:
+        self._layer, self._recorder, self._factor = layer, recorder, _Factor()
+        self._applies = (
+            isinstance(layer, VectorRewardWrapper) and type(layer).step is VectorRewardWrapper.step
+        )
+
+    def rewards(
+        self,
+        rewards: NDArray[np.float64],
+        given: NDArray[np.float64],
+        acted: NDArray[np.bool_] | None = None,
+    ) -> NDArray[np.float64]:
+        """Those of robots, (B, n), from what the wrapper gave and who (B, n) acted, None is as the
+        recorder saw.
+        """
+        layer, below = self._layer, self._recorder.given
+        if not np.array_equal(given, below.robot_rewards):
+            return given
+        if isinstance(layer, NormalizeReward):
+            changed = given / np.sqrt(layer.return_rms.var + layer.epsilon)
+        elif self._applies:
+            twin, columns = _twin(layer), given.T
+            changed = np.stack([np.asarray(twin.rewards(each.copy())) for each in columns], axis=1)
+        else:
+            rewards = np.asarray(rewards, np.float64)
+            factor = self._factor.between(below.rewards, rewards)
+            added = (rewards - below.rewards)[:, np.newaxis]
+            changed = given + added if factor is None else given * factor
+        follows = self._recorder.unwrapped.simulator.scenario.on_merge == "follow"  # type: ignore[attr-defined]
+        acted = below.acted if acted is None or follows else acted
+        return np.where(acted, changed, given)
+
+    def check_final(self, observations: NDArray[np.float32], infos: Mapping[str, Any]) -> None:
+        """Refuse a wrapper that changes observations, but not the last ones of teams that ended."""
+        below = self._recorder.given
+        if below.observations is None or np.array_equal(below.observations, observations):
+            return
+        pairs = zip(below.final, _final_of(infos), strict=True)
+        if all(np.array_equal(before, now) for before, now in pairs if before.any()) and any(
+            before.any() for before in below.final
+        ):
+            raise TypeError(
+                f"teams are under {type(self._layer).__name__}, which changes observations but not "
+                "infos['final_obs'], the last ones of episodes, by which time-outs are valued; it "
+                "must change both alike"
+            )
+
+
+class _Factor:
+    """Tells a wrapper that multiplies rewards from one that adds to them: the first gives the same
+    ratio for different rewards, of a batch or of two steps.
+    """
+
+    def __init__(self) -> None:
+        self._multiplies, self._reward, self._ratio = False, 0.0, 0.0
+
+    def between(self, before: NDArray[np.float64], after: NDArray[np.float64]) -> float | None:
+        """The number by which rewards (B,) of a step were multiplied; None if they were not."""
+        counts = before != 0.0
+        if not counts.any():
+            return None
+        ratios, rewards = after[counts] / before[counts], before[counts]
+        if after[~counts].any() or np.ptp(ratios) > _ROUNDING * np.abs(ratios).max():
+            self._multiplies = False
+            return None
+        ratio, reward = float(ratios[0]), float(rewards[0])
+        again = abs(ratio - self._ratio) <= _ROUNDING * abs(ratio)
+        if np.ptp(rewards) > 0.0 or (self._reward not in (0.0, reward) and again):
+            self._multiplies = True
+        self._reward, self._ratio = reward, ratio
+        return ratio if self._multiplies else None
+
+
+def _final_of(infos: Mapping[str, Any]) -> list[Any]:
+    """The last observations of the teams that ended in a step, (n, ...) each."""
+    return [each for each in infos.get("final_obs", ()) if each is not None]
+
+
+def _twin(layer: Any) -> Any:
+    """A wrapper like this one, with memory of its own: what it computes leaves no trace."""
+    twin = copy(layer)
+    for name, value in vars(layer).items():
+        if not (callable(value) or isinstance(value, Env | VectorEnv | Space)):
+            setattr(twin, name, deepcopy(value))
+    return twin
 
 
 _OURS = (RendezvousVectorEnv, GuaranteeWrapper, TrainingTeams, _Recorder)

@@ -11,6 +11,7 @@ from pettingzoo.utils.env import ParallelEnv
 from ..checks import check_action, floats, refuse, shown
 from ..render.renderer import RENDER_MODES
 from ..simulator import Simulator
+from ..state_view import STANDING
 from .spaces import of_one_robot
 from .vector_env import OneTeam
 
@@ -19,6 +20,31 @@ Infos = dict[str, dict[str, Any]]
 StepReturn = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]
 """Observations, rewards, terminations, truncations and infos, by name."""
 _Space = TypeVar("_Space")
+
+
+class RobotInfo(dict[str, Any]):
+    """Infos of one robot, under the same keys in every step.
+
+    ``info["summary"]`` is none of the keys, so that libraries that make arrays of infos find the
+    same in every step. It reads the numbers of STANDING once more, and ``"summary" in info`` is
+    True after the last step of an episode, both as in earlier versions.
+    """
+
+    __slots__ = ()
+
+    def __missing__(self, key: str) -> dict[str, Any]:
+        if key != "summary":
+            raise KeyError(key)
+        return {name: self[name] for name in STANDING}
+
+
+class LastRobotInfo(RobotInfo):
+    """Infos of one robot after the last step of an episode."""
+
+    __slots__ = ()
+
+    def __contains__(self, key: object) -> bool:
+        return key == "summary" or super().__contains__(key)
 
 
 class SpacesByName(Generic[_Space]):
@@ -66,6 +92,24 @@ class TeamByName(OneTeam, SpacesByName[_Space], ParallelEnv[str, NDArray[np.floa
         self.agents = self.possible_agents.copy()
         return dict(zip(self.agents, observations[0], strict=True)), self._by_name(infos)
 
+    @property
+    def np_random(self) -> np.random.Generator:
+        """Random numbers for wrappers, as Gymnasium has them: seeded with the team's seed, and not
+        used by the team.
+        """
+        if self._np_random is None:
+            self._np_random = np.random.default_rng()
+        return self._np_random
+
+    @np_random.setter
+    def np_random(self, value: np.random.Generator) -> None:
+        self._np_random, self._np_random_seed = value, -1
+
+    @property
+    def np_random_seed(self) -> int | None:
+        """The seed in use, of the team and of ``np_random``; None before the first reset."""
+        return self._np_random_seed
+
     def set_state(self, state: Mapping[str, Any]) -> None:
         """As ``OneTeam.set_state``; in ``agents`` are the robots that take actions then."""
         super().set_state(state)
@@ -79,10 +123,12 @@ class TeamByName(OneTeam, SpacesByName[_Space], ParallelEnv[str, NDArray[np.floa
         kept = {
             key: values[0]
             for key, values in infos.items()
-            if key[0] != "_" and key not in self._left_out
+            if key[0] != "_" and key not in (*self._left_out, "summary")
         }
         return {
-            name: {key: (value[i] if value.ndim else value).item() for key, value in kept.items()}
+            name: RobotInfo(
+                {key: (value[i] if value.ndim else value).item() for key, value in kept.items()}
+            )
             for i, name in enumerate(self.possible_agents)
         }
 

@@ -43,10 +43,13 @@ def check_period(decision_period: int) -> int:
 
 
 def layers_of(env: Any) -> Iterator[Any]:
-    """An environment of either API and what it wraps, the outermost first."""
+    """An environment of either API and what it wraps, the outermost first; conversions of
+    PettingZoo between its two forms included.
+    """
     while env is not None:
         yield env
-        env = getattr(env, "env", None)
+        beneath = getattr(env, "env", None)
+        env = getattr(env, "aec_env", None) if beneath is None else beneath
 
 
 def settings_of(kind: type[SafetyFilter]) -> list[str]:
@@ -109,6 +112,12 @@ class HoldsFilter:
         shape = base.simulator.num_envs, scenario.n_robots, *scenario.observation_layout.shape
         self._observed = np.zeros(shape, dtype=np.float32)
         self._seen = -1
+        self._checks_passage = env is not base and not any(
+            getattr(type(layer), "part_of_world", False) for layer in layers_of(env)
+        )
+        """Whether wrappers beneath may change nothing that passes through them."""
+        if self._checks_passage:
+            self._teams_of(base).records_passage = True
         super().__init__(env)  # type: ignore[call-arg]  # the wrapper of the API
         robot = observation_box(scenario, base.flatten, made)
         self._make_spaces(robot, choice_box(made))
@@ -132,7 +141,46 @@ class HoldsFilter:
                     f"env is under {type(layer).__name__}, which changes what robots see or do, "
                     f"and {wrapper} cannot stand on it; put it upon {wrapper}"
                 )
+        for layer in reversed([*layers_of(env)]):
+            if layer is not base and self._spaces_of(layer, base) != self._spaces_of(base, base):
+                raise TypeError(
+                    f"env is under {type(layer).__name__}, which changes the spaces of "
+                    f"observations or actions, and {wrapper} cannot stand on it; put it upon "
+                    f"{wrapper}"
+                )
         return base
+
+    @staticmethod
+    def _spaces_of(layer: Any, base: Any) -> Any:
+        """Spaces of what robots observe and do, as a layer over ``base`` declares them."""
+        raise NotImplementedError
+
+    @staticmethod
+    def _teams_of(base: Any) -> Any:
+        """The vector environment through which everything passes."""
+        raise NotImplementedError
+
+    def _check_passage(
+        self, actions: NDArray[np.float32] | None, observations: NDArray[np.float32], who: Any
+    ) -> None:
+        """Refuse wrappers beneath that have changed the actions (B, n, a) of the robots ``who``, an
+        index, or the observations (B, n, rows, d) that passed through them.
+        """
+        taken, seen = self._teams_of(self._base).passage
+        what = []
+        if actions is not None and not np.array_equal(taken[who], actions[who]):
+            what.append("actions")
+        if not np.array_equal(seen, observations):
+            what.append("observations")
+        if what:
+            between = [type(one).__name__ for one in layers_of(self.env) if one is not self._base]
+            wrapper = type(self).__name__
+            raise RuntimeError(
+                f"a wrapper beneath {wrapper} ({', '.join(between)}) has changed "
+                f"{' and '.join(what)}, so that nothing {wrapper} promises holds; put it around "
+                "the guarantee, and reset(). A wrapper that stands for sensors or actuators says "
+                "so with the class attribute part_of_world = True"
+            )
 
     def _make_spaces(self, observations: Box, choices: Box) -> None:
         """Make the spaces of the API from those of one robot."""
@@ -194,7 +242,17 @@ class HoldsFilter:
                 f"a wrapper beneath {type(self).__name__} has stepped or reset the teams itself, "
                 "or kept a step from them; put it around the guarantee, and reset()"
             )
+        self._check_infos(told[-1])
         return told
+
+    def _check_infos(self, infos: Any) -> None:
+        """Refuse a wrapper beneath that gives infos another form."""
+        if not isinstance(infos, Mapping):
+            between = [type(one).__name__ for one in layers_of(self.env) if one is not self._base]
+            raise RuntimeError(
+                f"a wrapper beneath {type(self).__name__} ({', '.join(between)}) gives infos as a "
+                f"{type(infos).__name__}; they must be a dict: put it around the guarantee"
+            )
 
     @property
     def _parts(self) -> dict[str, Any]:

@@ -9,13 +9,21 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import choice, floats
+from ..engine.memory import RENDEZVOUS
 from ..render.renderer import RENDER_MODES
 from ..scenario.scenario import Scenario
 from ..scenario.scenarios import ScenarioLike, resolve, with_versions
 from ..scenario.start_options import seeds_of_teams
 from ..simulator import Simulator
-from .overrides import arguments_of, check_overrides, sorted_overrides
-from .vector_env import ONE_TEAM, Info, OneTeam, RendezvousVectorEnv, of_first_team
+from .overrides import PlainSpec, arguments_of, check_overrides, sorted_overrides
+from .vector_env import (
+    ONE_TEAM,
+    Info,
+    OneTeam,
+    RendezvousVectorEnv,
+    check_one_team,
+    of_first_team,
+)
 from .vector_wrappers import HeadingVectorWrapper
 
 __all__ = [
@@ -24,7 +32,7 @@ __all__ = [
 ]  # fmt: skip
 
 
-class RendezvousEnv(OneTeam, gymnasium.Env[Any, Any]):
+class RendezvousEnv(OneTeam, PlainSpec, gymnasium.Env[Any, Any]):
     """One team of n robots as one agent.
 
     Observations (n, rows, d), actions (n, a), the team's reward and infos are those of
@@ -50,16 +58,18 @@ class RendezvousEnv(OneTeam, gymnasium.Env[Any, Any]):
         """Begin a new episode; without a seed the next one of the last seed. A ValueError for a
         bad option or seed, and nothing has changed.
         """
-        seeds = seeds_of_teams(seed, 1)
-        observations, infos = self._reset(seeds, options)
-        super().reset(seed=None if seeds is None else seeds[0])
+        observations, infos = self._reset(seeds_of_teams(seed, 1), options)
         return observations[0], of_first_team(infos)
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Info]:
         """Advance by one step τ; errors as ``RendezvousVectorEnv.step``."""
-        table = floats("action", action, np.float32)[None]
+        table, simulator = floats("action", action, np.float32)[None], self.simulator
+        over = not simulator.all_running and bool(simulator.ended[0])
         observations, rewards, ends, cuts, infos = self.teams.step(table)
         ended = bool(ends[0]), bool(cuts[0])
+        if over:  # one team that stands still stays ended
+            met = simulator.status[0] == RENDEZVOUS
+            ended = bool(met), not met
         return observations[0], float(rewards[0]), *ended, of_first_team(infos)
 
 
@@ -111,11 +121,13 @@ def make_heading_vec(
 
 def make_env(scenario: ScenarioLike = "fig3", **arguments: Any) -> RendezvousEnv:
     """One team as one agent; arguments and errors as ``make_vec``."""
+    check_one_team(arguments, "gymnasium.make_vec or rendezvous_env.make_vec")
     return RendezvousEnv(make_vec(scenario, **ONE_TEAM | arguments))
 
 
 def make_heading_env(scenario: ScenarioLike = "fig3", **arguments: Any) -> RendezvousEnv:
     """One team as one agent that chooses all heading vectors, as ``make_heading_vec``."""
+    check_one_team(arguments, "gymnasium.make_vec or rendezvous_env.vector.HeadingVectorWrapper")
     return RendezvousEnv(make_heading_vec(scenario, **ONE_TEAM | arguments))
 
 

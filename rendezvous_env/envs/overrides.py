@@ -1,11 +1,20 @@
 """Keyword arguments of factories: of the scenario, of a guarantee's wrapper, and unknown ones."""
 
 import inspect
+import os
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
+from enum import Enum
 from typing import Any
 
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+
+from .. import graphs
 from ..checks import known_fields
+from ..obstacles import parsing as obstacles
+from ..obstacles.fields import Field
+from ..obstacles.obstacle_set import Obstacle
 from ..scenario.scenario import Scenario
 
 _FIELDS = sorted(field.name for field in fields(Scenario))
@@ -32,6 +41,50 @@ def sorted_overrides(
     check_overrides(factory, given, of_wrapper)
     arguments = {key: value for key, value in given.items() if key in of_wrapper}
     return arguments, {key: given[key] for key in given if key not in of_wrapper}
+
+
+def as_plain(value: Any) -> Any:
+    """An argument of a factory as plain data, which the factory takes too; what is none as it is.
+
+    Scenarios and their parts, arrays, paths and enumerations become what JSON holds.
+    """
+    if callable(getattr(value, "to_plain", None)):
+        return value.to_plain()
+    if isinstance(value, Obstacle):
+        return obstacles.to_plain((value,))[0]  # type: ignore[index]
+    if isinstance(value, Field):
+        return obstacles.to_plain(value)
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, Mapping):
+        return {key: as_plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_plain(each) for each in value]
+    return value
+
+
+class PlainSpec:
+    """An environment whose ``spec`` keeps arguments as plain data, so that it survives JSON."""
+
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How Gymnasium made it; None if it did not."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            plain = as_plain(spec.kwargs)
+            if not isinstance(plain.get("graph", ""), str | list | dict):
+                plain["graph"] = graphs.parse(plain["graph"]).to_plain()
+            spec = replace(spec, kwargs=plain)
+        self._spec = spec
 
 
 def arguments_of(function: Callable[..., Any]) -> list[str]:

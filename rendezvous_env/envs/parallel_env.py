@@ -3,18 +3,21 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from pettingzoo.utils.env import ParallelEnv
 
 from ..engine.memory import RENDEZVOUS, RUNNING
 from ..scenario.scenario import Scenario
 from ..simulator import Simulator
-from .agents import StepReturn, TeamByName, table_of
+from .agents import LastRobotInfo, RobotInfo, StepReturn, TeamByName, table_of
 from .spaces import as_told
 from .vector_env import RendezvousVectorEnv
 
 
-class RendezvousParallelEnv(TeamByName[Box]):
+class RendezvousParallelEnv(TeamByName[Box], ParallelEnv[str, NDArray[np.float32], Any]):
     """Robots that see only directions must all meet.
 
     ``n`` robots move in the plane or in 3-D. Each one sees in which direction its neighbours and
@@ -98,8 +101,9 @@ class RendezvousParallelEnv(TeamByName[Box]):
     | lyapunov | V, m²/s |
     | cost, cost_NAME | with ``Scenario.costs``: what the step cost this robot |
 
-    After the last step also ``summary``: success to lyapunov once more. ``state()`` is the
-    privileged global state for centralised critics; ``simulator`` holds it in SI units.
+    ``info["summary"]``, which is none of the keys, reads success to lyapunov once more.
+    ``state()`` is the privileged global state for centralised critics; ``simulator`` holds it in SI
+    units.
 
     ## Pictures
 
@@ -157,7 +161,7 @@ class RendezvousParallelEnv(TeamByName[Box]):
         (earned,), (active,) = outcome.robot_rewards.tolist(), outcome.active.tolist()
         (into,), (contact,) = simulator.merged_into.tolist(), outcome.contact.tolist()
         (clearance,) = outcome.clearance.tolist()
-        removed = self.scenario.on_merge == "remove"
+        removed, kind = self.scenario.on_merge == "remove", LastRobotInfo if over else RobotInfo
         returned: StepReturn = {}, {}, {}, {}, {}
         observations, rewards, ends, cuts, infos = returned
         gone = () if len(alive) == len(active) else {*self.possible_agents}.difference(alive)
@@ -170,13 +174,11 @@ class RendezvousParallelEnv(TeamByName[Box]):
             observations[name], rewards[name] = rows, reward
             ends[name] = ended = met or (removed and not on_its_own)
             cuts[name] = over and not ended
-            infos[name] = info = statistics.copy()  # then one by one: half as long as at once
+            infos[name] = info = kind(statistics)  # then one by one: half as long as at once
             info["merged_into"], info["contact"], info["clearance"] = survivor, touched, distance
-            if over:
-                info["summary"] = statistics.copy()
         for key, values in simulator.costs.items():
-            for name, info in infos.items():
-                info[key] = values[0].item(self._indices[name])
+            for name, told in infos.items():
+                told[key] = values[0].item(self._indices[name])
         self.agents = [] if over else [name for name in alive if not ends[name]]
         return returned
 

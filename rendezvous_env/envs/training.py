@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import logging
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -42,6 +43,7 @@ WRAPPERS: dict[str, Any] = {
 """By guarantee: theorems C, D, G and R."""
 _LOGGER = logging.getLogger("rendezvous_env")
 _said: set[tuple[Scenario, str, bool]] = set()
+_logged: set[tuple[RewardWeights, float]] = set()
 _presets: list[Callable[[], Any]] = []
 
 
@@ -100,8 +102,11 @@ def training_env(
     | flatten | whether tables are (B, n, rows·d); what ``Features`` shows is flat |
     | discrete | whether robots choose among the angles of the shipped policy |
     | touch_penalty | of a robot's first touch in an episode; None is 1 with the preset, else 0 |
-    | further ones | those of ``make_vec`` and of the guarantee's wrapper, fields of the scenario; |
-    | | a ``reward``, here or in the scenario, overrides the preset's |
+    | reward | weights that differ from the preset's: a dict of some of them, or with only |
+    | | ``custom`` terms, here or in the scenario, is merged with the preset's; a |
+    | | ``RewardWeights`` with built-in weights of its own takes the place of the preset's. |
+    | | The logger says at level INFO which reward is in force |
+    | further ones | those of ``make_vec`` and of the guarantee's wrapper, fields of the scenario |
 
     Raises:
         TypeError: for an unknown argument or field, with the nearest known one.
@@ -118,8 +123,8 @@ def training_env(
     if flag("learning_preset", learning_preset) and _presets:
         preset = _presets[0]()
         reward, price = preset.earnings(guarantee)
-        if "reward" not in changes and chosen.reward == RewardWeights():
-            chosen = chosen.replace(reward=reward)
+        reward = _merged(reward, changes.get("reward"), chosen.reward)
+        chosen = chosen if reward == chosen.reward else chosen.replace(reward=reward)
         shown = preset.shows(chosen, guarantee)
         if guarantee is not None and not shown:
             arguments = preset.held_arguments(chosen, guarantee) | arguments
@@ -145,7 +150,22 @@ def training_env(
             teams = GuaranteeWrapper(teams, guarantee, **arguments)
     if touch_penalty is not None:
         price = number("touch_penalty", touch_penalty)
+    if (chosen.reward, price) not in _logged:
+        _logged.add((chosen.reward, price))
+        _LOGGER.info("training_env: in force are %s and touch_penalty %g", chosen.reward, price)
     return TrainingTeams(teams, price)
+
+
+def _merged(preset: RewardWeights, given: Any, reward: RewardWeights) -> RewardWeights:
+    """The reward in force, from the preset's, the argument as it was given, and the scenario's,
+    which the argument has become part of.
+    """
+    if isinstance(given, Mapping):
+        return replace(preset, **{name: getattr(reward, name) for name in given})
+    told = given is not None and not reward.custom  # even if these are the defaults
+    if told or reward.built_in != RewardWeights().built_in:
+        return reward
+    return replace(preset, custom=reward.custom)
 
 
 def _say_what_is_not_covered(
@@ -212,6 +232,7 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         observations, infos = self.env.reset(seed=seed, options=options)
         mask = as_options(options).get("reset_mask")
         self._touched[slice(None) if mask is None else np.asarray(mask)] = False
+        leave_out_summary(infos)
         return observations, infos
 
     def step(self, actions: ArrayLike) -> Transition:

@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete
+from numpy.typing import NDArray
+from pettingzoo.utils.env import ParallelEnv
 
 from ..checks import check_action, whole
 from ..scenario.scenarios import ScenarioLike
 from .agents import StepReturn, TeamByName, check_robots
 from .training import training_env as vector_training_env
-from .vector_env import ONE_TEAM
+from .vector_env import ONE_TEAM, check_one_team
 
 
 def training_env(
@@ -27,8 +29,9 @@ def training_env(
 ) -> TrainingParallelEnv:
     """One team for a generic learner, as PettingZoo has it: that of
     ``rendezvous_env.vector.training_env`` with B = 1, by name. Its docstring has all arguments,
-    errors, and what robots see, do and earn.
+    errors, and what robots see, do and earn. A ValueError for more than one team (``num_envs``).
     """
+    check_one_team(overrides, "rendezvous_env.vector.training_env")
     teams = vector_training_env(
         scenario,
         guarantee=guarantee,
@@ -41,7 +44,9 @@ def training_env(
     return TrainingParallelEnv(teams)
 
 
-class TrainingParallelEnv(TeamByName[Box | Discrete]):
+class TrainingParallelEnv(
+    TeamByName[Box | Discrete], ParallelEnv[str, NDArray[np.float32], Any]
+):  # named, since some libraries look at direct bases alone
     """The robots of one training team, by name; ``training_env`` says what they see and do.
 
     All stay from the first step of an episode to its last: one that has merged away observes zeros,

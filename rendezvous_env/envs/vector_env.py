@@ -2,14 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Space
+from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
-from ..checks import bools, flag
+from ..checks import bools, flag, is_whole, shown
 from ..engine.batch_runner import BatchController, ObservationCallback, RolloutResult
 from ..engine.memory import RENDEZVOUS, TIME_OUT
 from ..outcome import StepOutput
@@ -19,6 +21,7 @@ from ..scenario.scenario import Scenario
 from ..scenario.start_options import as_options
 from ..simulator import Simulator
 from ..state_view import STANDING
+from .overrides import PlainSpec
 from .spaces import (
     action_box,
     as_told,
@@ -35,11 +38,15 @@ Transition = tuple[
 ]
 """Observations, rewards, terminations, truncations and infos of B teams."""
 _DISABLED = AutoresetMode.DISABLED
+_IN_SUMMARY = (*STANDING, *(f"_{key}" for key in STANDING))
+_of_summary = itemgetter(*_IN_SUMMARY)
 ONE_TEAM: dict[str, Any] = {"num_envs": 1, "autoreset_mode": _DISABLED}
 """Arguments of a vector environment that ``OneTeam`` holds."""
 
 
-class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+class RendezvousVectorEnv(
+    PlainSpec, VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]
+):
     """B teams of n robots that see only directions and must all meet.
 
     What a robot does, sees and earns is specified in ``RendezvousParallelEnv``; here it stands in
@@ -65,8 +72,11 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
 
     * NEXT_STEP: is reset in the next step, which ignores its action and earns nothing;
     * SAME_STEP: is reset at once; ``final_obs`` and ``final_info`` keep how it ended;
-    * DISABLED: stands still, earns nothing and stays ended until ``reset(options={"reset_mask":
-      (B,) bool})``.
+    * DISABLED: stands still and earns nothing until ``reset(options={"reset_mask": (B,) bool})``.
+
+    Every end is reported once, in the step that brings it: in later steps of a team that stands
+    still ``terminations`` and ``truncations`` are False, so that recorders of episodes count it
+    once. ``simulator.ended`` and ``infos["success"]`` say how such a team stands.
 
     ``reset(seed=s)`` gives team i the seed s + i, a list gives each its own; without a seed every
     team goes on to the next episode of its own. Options as in ``RendezvousParallelEnv``, one for
@@ -99,6 +109,10 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         """Whether teams that have ended are reset here, not by a wrapper (``begin_anew``)."""
         self.outcome: StepOutput | None = None
         """Of the last step, None before the first one."""
+        self.records_passage = False
+        """Whether ``passage`` is kept, for guarantees with wrappers beneath them."""
+        self.passage: tuple[NDArray[np.float32] | None, NDArray[np.float32]] | None = None
+        """Copies of the actions (None at a reset) and observations that passed here last."""
         self.flatten, n = flag("flatten", flatten), self.scenario.n_robots
         self.single_observation_space = team_box(observation_box(self.scenario, flatten), n)
         self.single_action_space = team_box(action_box(self.scenario), n)
@@ -120,18 +134,24 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         if mask is not None:
             mask = bools("reset_mask", mask, (self.num_envs,), "teams")
         observations = simulator.reset(seed, start, mask=mask)
+        if seed is not None:
+            self._np_random, self._np_random_seed = np_random(int(simulator.seeds[0]))
         self.renderer.reset()
-        active = simulator.active
+        active = simulator.active.copy()
         infos = simulator.episode_statistics() | no_costs(self.scenario.costs, active.shape)
         infos |= {
             "robot_rewards": np.zeros(active.shape),
             "active": active,
-            "merged_into": simulator.merged_into,
+            "merged_into": simulator.merged_into.copy(),
             "contact": np.zeros(active.shape, dtype=np.bool_),
-            "clearance": simulator.clearance,
+            "clearance": simulator.clearance.copy(),
         }
         which = np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask
-        return as_told(observations, self.flatten), masked(infos, which)
+        if self.records_passage:
+            self.passage = None, observations.copy()
+        infos = masked(infos, which)
+        add_summary(infos)
+        return as_told(observations, self.flatten), infos
 
     def step(self, actions: NDArray[np.float32]) -> Transition:
         """Advance every team by one step τ with actions (B, n, a); see the class. A ValueError for
@@ -142,20 +162,23 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         if mode is AutoresetMode.NEXT_STEP and not simulator.all_running:
             actions = simulator.check_actions(actions)  # before any team is reset
             simulator.restart(simulator.ended)
-        told_before = None if self.begins_anew or simulator.all_running else simulator.ended
+        told_before = None if simulator.all_running else simulator.ended
         self.advance(actions)
         observations, rewards, terminations, truncations, infos = self.tell()
-        if told_before is not None:  # wrappers beneath a guarantee hear of an end once
+        if told_before is not None:
             terminations, truncations = terminations & ~told_before, truncations & ~told_before
         if not simulator.all_running:
             ended = terminations | truncations
             if tell_ends(observations, ended, infos, mode):
                 self.begin_anew(ended, infos)
+        add_summary(infos)
         return observations, rewards, terminations, truncations, infos
 
     def advance(self, actions: NDArray[np.float32]) -> StepOutput:
         """A step in which no team is reset, and whose infos are left to ``tell``."""
         outcome = self.outcome = self.simulator.step(actions)
+        if self.records_passage:
+            self.passage = np.array(actions, np.float32), outcome.observations.copy()
         self.renderer.see(outcome.contact)
         return outcome
 
@@ -185,7 +208,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         infos = simulator.episode_statistics(outcome) | {
             "robot_rewards": outcome.robot_rewards,
             "active": outcome.active,
-            "merged_into": simulator.merged_into,
+            "merged_into": simulator.copy_of_merged(),
             "contact": outcome.contact,
             "clearance": outcome.clearance,
             **simulator.costs,
@@ -204,7 +227,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         assert outcome is not None  # there has been a step
         self.simulator.restart(which, outcome)
         infos |= self.simulator.episode_statistics(outcome)
-        infos["merged_into"] = self.simulator.merged_into
+        infos["merged_into"] = self.simulator.copy_of_merged()
         infos["contact"][which] = False
         return as_told(outcome.observations, self.flatten)
 
@@ -213,6 +236,11 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         is in ``single_state_space``.
         """
         return team_state(self.simulator)
+
+    @property
+    def np_random_seed(self) -> Any:
+        """The seeds in use, one for each team, as Gymnasium's ``SyncVectorEnv`` has them."""
+        return tuple(self.simulator.seeds.tolist()) if self.simulator.begun else None
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the output of the last step, for pickles."""
@@ -237,6 +265,16 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         self.renderer.close()
 
 
+def check_one_team(arguments: Mapping[str, Any], vector_form: str) -> None:
+    """Refuse more teams than one with a ValueError that names the vector form."""
+    teams = arguments.get("num_envs", 1)
+    if not (is_whole(teams) and teams == 1):
+        raise ValueError(
+            f"num_envs is {shown(teams)}; it must be one team, and {_DISABLED}: for more take "
+            f"{vector_form}"
+        )
+
+
 class OneTeam:
     """A vector environment with B = 1, wrapped or not, as an environment of one team."""
 
@@ -247,6 +285,8 @@ class OneTeam:
     renderer: Renderer
     render_mode: str | None
     metadata: dict[str, Any]
+    _np_random: np.random.Generator | None = None
+    _np_random_seed: int | None = None
 
     def _hold(self, teams: Any) -> None:
         mode = teams.metadata.get("autoreset_mode")
@@ -265,7 +305,15 @@ class OneTeam:
         """Begin an episode of the team; a mask of teams is none of its options."""
         start = as_options(options)
         start.pop("reset_mask", None)
-        return self.teams.reset(seed=seed, options=start)
+        begun = self.teams.reset(seed=seed, options=start)
+        self._note_seed(anew=seed is not None)
+        return begun
+
+    def _note_seed(self, *, anew: bool) -> None:
+        """Seed ``np_random`` with the seed in use, where that is another one or given ``anew``."""
+        seed = int(self.simulator.seeds[0])
+        if anew or seed != self._np_random_seed:
+            self._np_random, self._np_random_seed = np_random(seed)
 
     def state(self) -> NDArray[np.float32]:
         """The privileged global state, one float32 vector: positions (n·d, m), frames (n·d·d),
@@ -283,6 +331,8 @@ class OneTeam:
         has changed then.
         """
         self.teams.set_state(state)
+        if self.simulator.begun:
+            self._note_seed(anew=False)
 
     def render(self) -> NDArray[np.uint8] | None:
         """A picture, (600, 600, 3) uint8, in "rgb_array" mode; in "human" mode it is shown. Errors
@@ -298,13 +348,12 @@ class OneTeam:
 def tell_ends(
     seen: NDArray[np.float32], ended: NDArray[np.bool_], infos: Info, mode: AutoresetMode
 ) -> bool:
-    """Add to infos how these teams ended: ``summary``, and if they are reset at once their last
-    observations and infos, ``final_obs`` and ``final_info``; whether they are.
+    """Add to infos how these teams ended, if they are reset at once: their last observations and
+    infos, ``final_obs`` and ``final_info``; whether they are.
     """
-    summary = masked({key: infos[key].copy() for key in STANDING}, ended)
-    if mode is not AutoresetMode.SAME_STEP:
-        infos |= masked({"summary": summary}, ended)
+    if mode is not AutoresetMode.SAME_STEP or not ended.any():
         return False
+    summary = masked({key: infos[key].copy() for key in STANDING}, ended)
     final_obs = np.full(len(ended), None, dtype=object)
     for team in np.flatnonzero(ended).tolist():
         final_obs[team] = seen[team].copy()
@@ -323,8 +372,16 @@ def at_the_end(infos: Info, over: NDArray[np.bool_], key: str) -> NDArray[Any]:
     return np.where(rows, infos["final_info"][key], infos[key])
 
 
+def add_summary(infos: Info) -> None:
+    """Add ``summary``: the arrays of STANDING once more, and their masks; not copied, which would
+    take a tenth of the step of one team.
+    """
+    summary = dict(zip(_IN_SUMMARY, _of_summary(infos), strict=False))
+    infos["summary"], infos["_summary"] = summary, infos["_success"]
+
+
 def leave_out_summary(infos: Info) -> None:
-    """Drop it: it is there at the end only, and its numbers stand among the others."""
+    """Drop it: its numbers stand among the others."""
     infos.pop("summary", None)
     infos.pop("_summary", None)
 

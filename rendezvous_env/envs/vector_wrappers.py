@@ -13,13 +13,20 @@ from ..engine.batch_runner import BatchController, DiagnosticsSnapshot, Observat
 from ..engine.memory import RUNNING
 from ..rewards.costs import no_costs
 from ..scenario.start_options import as_options
-from .guarantee import GainSettings, HeadingSettings, HoldsFilter, LinkSettings, TankSettings
+from .guarantee import (
+    GainSettings,
+    HeadingSettings,
+    HoldsFilter,
+    LinkSettings,
+    TankSettings,
+    layers_of,
+)
 from .spaces import as_told, of_all_teams, team_box
 from .vector_env import (
     Info,
     RendezvousVectorEnv,
     Transition,
-    leave_out_summary,
+    add_summary,
     masked,
     tell_ends,
 )
@@ -31,8 +38,13 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
 
     A team that ends within a decision period stands still for the rest of it; a reset clears its
     memory. ``env`` is a RendezvousVectorEnv in any autoreset mode, as ``make_vec`` makes one, or
-    one in wrappers of Gymnasium's that change neither observations nor actions nor the form of
-    infos, step once a step and do not reset.
+    one in wrappers that change neither observations nor actions nor the form of infos, step once a
+    step and do not reset; that is checked, as in ``rendezvous_env.GuaranteeWrapper``.
+
+    Wrappers beneath, such as recorders of episodes, see each base step. Their infos of a decision
+    are joined by the masks ``_key``: those of each environment are the last that its mask reported.
+    Steps in which an environment stands still count for nothing: arrays (B, …) that a wrapper keeps
+    as attributes are put back for it, and its rewards are not summed.
     """
 
     _base: RendezvousVectorEnv
@@ -45,10 +57,18 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
     observation_space: Space[Any] = of_all_teams("single_observation_space")
     action_space: Space[Any] = of_all_teams("single_action_space")
 
+    @staticmethod
+    def _spaces_of(layer: Any, base: RendezvousVectorEnv) -> Any:
+        return layer.single_observation_space, layer.single_action_space
+
+    @staticmethod
+    def _teams_of(base: RendezvousVectorEnv) -> RendezvousVectorEnv:
+        return base
+
     def _make_spaces(self, observations: Box, choices: Box) -> None:
         metadata, n = self._base.metadata, self._base.scenario.n_robots
         rate = metadata["render_fps"] / self.decision_period  # a picture for each decision
-        self.metadata = metadata | {"render_fps": max(1, round(rate))}
+        self.metadata = metadata | {"render_fps": rate}
         self.single_observation_space = team_box(observations, n)
         self.single_action_space = team_box(choices, n)
 
@@ -73,7 +93,10 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         given = as_options(options)
         mask = given.get("reset_mask")  # before Gymnasium's recorder of statistics takes it out
         observations, infos = self.env.reset(seed=seed, options=given)
+        self._check_infos(infos)
         self._observed = observations.reshape(self._observed.shape)
+        if self._checks_passage:
+            self._check_passage(None, self._observed, ...)
         which = None if mask is None else np.asarray(mask)
         if which is None or which.all() or knows_others:
             self._note_seen()
@@ -87,9 +110,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         """
         self._check_seen()
         base, mode = self._base, self._base.autoreset_mode
-        resting = None
-        if mode is AutoresetMode.NEXT_STEP and not base.simulator.all_running:
-            resting = base.simulator.ended
+        resting = None if base.simulator.all_running else base.simulator.ended
         self._take(actions)
         base.begins_anew = False
         try:
@@ -98,14 +119,16 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
             base.begins_anew = True
         self._note_seen()
         if resting is not None:
-            self._begin_anew(resting, infos)
             terminations, truncations = terminations & ~resting, truncations & ~resting
+        if resting is not None and mode is AutoresetMode.NEXT_STEP:
+            self._begin_anew(resting, infos)
             shown = None
         ended = terminations | truncations
         seen = self._see(None) if shown is None else as_told(shown, base.flatten)
-        if ended.any() and tell_ends(seen, ended, infos, mode):
+        if tell_ends(seen, ended, infos, mode):
             self._begin_anew(ended, infos)
             seen[ended] = self._see(ended)[ended]
+        add_summary(infos)
         return seen, rewards, terminations, truncations, infos
 
     @property
@@ -132,7 +155,6 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         if not alone:
             terminations, truncations = ends | (terminations, truncations)
             infos |= {key: told for key, told in between.items() if key.lstrip("_") not in own}
-            leave_out_summary(infos)
         return shown, rewards, terminations, truncations, infos
 
     def _viewing(self) -> tuple[NDArray[np.float32] | None, ObservationCallback | None]:
@@ -155,6 +177,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         ends = np.zeros((2, self.num_envs), np.bool_)
         costs = no_costs(base.scenario.costs, shape[:2])
         follows = base.scenario.on_merge == "follow"
+        anew = base.autoreset_mode is AutoresetMode.NEXT_STEP
         for number in range(self.decision_period):
             resting = None if simulator.all_running else simulator.status != RUNNING
             if number:
@@ -168,21 +191,42 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
                 robots_earned, touched = outcome.robot_rewards, outcome.contact
                 cost: Info = simulator.costs
             else:
-                seen, earned, *ended, cost = self._step_beneath(self._act())
-                between |= cost
+                # the first step of a decision is the one in which NEXT_STEP resets
+                still = None if resting is None or (anew and not number) else resting
+                seen, earned, *ended, cost = self._step_between(self._act(), still)
+                between = joined(between, cost)
                 ends |= ended
-                robots_earned, touched = cost["robot_rewards"], cost["contact"]
+                robots_earned = cost["robot_rewards"]
+                assert base.outcome is not None  # there has been a step
+                touched = base.outcome.contact
+                if resting is not None:  # what wrappers add to nothing
+                    earned = np.where(resting, 0.0, earned)
+                    robots_earned = np.where(resting[:, None], 0.0, robots_earned)
             self._observed = seen.reshape(shape)
             if number:
                 kept.restore()
             if self.filter.uses_feedback:
-                self.filter.update(touched, simulator.merged_into, resting)
+                self.filter.update(touched, simulator.copy_of_merged(), resting)
             rewards += earned
             robot_rewards += robots_earned
             contact |= touched
             for key, total in costs.items():
                 total += cost[key]
         return rewards, robot_rewards, contact, costs, between, ends
+
+    def _step_between(self, actions: NDArray[np.float32], still: NDArray[np.bool_] | None) -> Any:
+        """A base step through the wrappers beneath, in which environments that stand ``still``,
+        (B,), leave no trace in what these keep.
+        """
+        simulator, given = self._base.simulator, actions.copy()
+        acting = simulator.active & (simulator.status == RUNNING)[:, None]
+        kept = None if still is None else RowsOfWrappers(self.env, self.num_envs)
+        told = self._step_beneath(actions)
+        if self._checks_passage:
+            self._check_passage(given, told[0].reshape(self._observed.shape), acting)
+        if kept is not None and still is not None:
+            kept.put_back(still)
+        return told
 
     def _begin_anew(self, which: NDArray[np.bool_], infos: Info) -> None:
         """Reset these teams, and bring observations and infos up to date."""
@@ -215,6 +259,55 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
     def _forget(self, which: NDArray[np.bool_] | None) -> None:
         """Clear the memory of these teams, None is all."""
         self.filter.forget(which)
+
+
+class RowsOfWrappers:
+    """Copies of the arrays (B, …) that wrappers over a RendezvousVectorEnv keep as attributes."""
+
+    def __init__(self, env: Any, num_envs: int) -> None:
+        self._kept = [
+            (layer, name, values.copy())
+            for layer in layers_of(env)
+            if not isinstance(layer, RendezvousVectorEnv)
+            for name, values in vars(layer).items()
+            if isinstance(values, np.ndarray) and values.shape[:1] == (num_envs,)
+        ]
+
+    def put_back(self, which: NDArray[np.bool_]) -> None:
+        """Put the rows of these environments, (B,), back, in arrays of the wrapper's own."""
+        for layer, name, before in self._kept:
+            now = getattr(layer, name)
+            if isinstance(now, np.ndarray) and now.shape == before.shape:
+                now = now.copy()  # infos may share it
+                now[which] = before[which]
+                setattr(layer, name, now)
+
+
+def joined(before: Info, told: Info) -> Info:
+    """Infos of two steps as one: of each environment those of the later step in which it has any,
+    by the masks ``_key``, (B,); without a mask those of the later step.
+    """
+    found = before | told
+    for key in before.keys() & told.keys():
+        mask, earlier = told.get(f"_{key}"), before.get(f"_{key}")
+        if mask is not None and earlier is not None and not mask.all():
+            found[key] = _where(mask, told[key], before[key])
+            found[f"_{key}"] = mask | earlier
+    return found
+
+
+def _where(mask: NDArray[np.bool_], values: Any, others: Any) -> Any:
+    """Rows of arrays (B, …), nested in dicts or not, where the mask is True, else those of others;
+    what is no such array as it is.
+    """
+    if isinstance(values, dict) and isinstance(others, dict):
+        both = values.keys() & others.keys()
+        return others | values | {key: _where(mask, values[key], others[key]) for key in both}
+    if not (isinstance(values, np.ndarray) and values.shape[:1] == mask.shape):
+        return values
+    if np.shape(others) != values.shape:
+        return values
+    return np.where(mask.reshape(-1, *[1] * (values.ndim - 1)), values, others)
 
 
 class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):

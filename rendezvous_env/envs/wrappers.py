@@ -15,6 +15,7 @@ from .agents import Infos, Observations, SpacesByName, StepReturn, check_robots
 from .guarantee import GainSettings, HeadingSettings, HoldsFilter, LinkSettings, TankSettings
 from .parallel_env import RendezvousParallelEnv
 from .spaces import as_told
+from .vector_env import RendezvousVectorEnv
 
 
 class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
@@ -24,9 +25,10 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
     numbers of the last base step; ``contact`` and costs are those of the whole decision.
 
     Args:
-        env: a rendezvous parallel environment, which other wrappers may have changed; promises hold
-            if these change neither observations nor actions (the vector form refuses Gymnasium's
-            observation and action wrappers), step once a step and do not reset.
+        env: a rendezvous parallel environment, in other wrappers or not. These must change neither
+            observations nor actions nor their spaces, step once a step and not reset: each step is
+            compared with the environment's, and a wrapper that changes them is refused. One that
+            stands for sensors or actuators, whose class has ``part_of_world = True``, is not.
         safety_filter: a filter of one team of this scenario, its class, or its name
             (``register_filter``): "heading", "tank", "gains", "links" or a user's own.
         decision_period: base steps for which a choice is held; the filter computes an action in
@@ -35,8 +37,8 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
             and choose: "net_bearing" (x along f_i, single integrators only) or "local".
 
     Raises:
-        TypeError: for another kind of environment, one already under a guarantee, or an unknown
-            setting.
+        TypeError: for another kind of environment, one already under a guarantee or a wrapper that
+            changes its spaces, or an unknown setting.
         ValueError: naming the argument, its value and what would be right.
     """
 
@@ -47,8 +49,20 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
         "take rendezvous_env.vector.{})"
     )
 
+    @staticmethod
+    def _spaces_of(layer: Any, base: RendezvousParallelEnv) -> Any:
+        return [
+            (layer.observation_space(name), layer.action_space(name))
+            for name in base.possible_agents
+        ]
+
+    @staticmethod
+    def _teams_of(base: RendezvousParallelEnv) -> RendezvousVectorEnv:
+        return base.teams
+
     def _make_spaces(self, observations: Box, choices: Box) -> None:
-        names = self._base.possible_agents
+        metadata, names = self._base.metadata, self._base.possible_agents
+        self.metadata = metadata | {"render_fps": metadata["render_fps"] / self.decision_period}
         self.observation_spaces = {name: deepcopy(observations) for name in names}
         self.action_spaces = {name: deepcopy(choices) for name in names}
 
@@ -68,6 +82,8 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
         observations, infos = self.env.reset(seed=seed, options=options)
         self.filter.forget()
         self._remember(observations)
+        if self._checks_passage:
+            self._check_passage(None, self._observed, ...)
         self._note_seen()
         self._add_told(infos)
         return self._view(observations), infos
@@ -88,12 +104,15 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
         returned: StepReturn = {}, dict.fromkeys(self.agents, 0.0), {}, {}, {}
         observations, rewards, terminations, truncations, infos = returned
         for _ in range(self.decision_period):
-            table = self.filter.apply(self._observed)[0]
-            chosen = {name: table[self._base.index(name)] for name in self.agents}
+            table, acting = self.filter.apply(self._observed)[0], simulator.active
+            chosen = {name: table[self._base.index(name)].copy() for name in self.agents}
             seen, earned, ended, cut, told = self._step_beneath(chosen)
+            self._remember(seen)
+            if self._checks_passage:
+                self._check_passage(table[None], self._observed, acting)
             if self.filter.uses_feedback:
-                touched = {name: info["contact"] for name, info in told.items()}
-                self.filter.update(self._table(touched, (), np.bool_), simulator.merged_into)
+                touched = self._base.teams.outcome.contact  # a wrapper between may tell another
+                self.filter.update(touched, simulator.copy_of_merged())
             self._add_told(told)
             for name, info in told.items():
                 rewards[name] += earned[name]
@@ -105,7 +124,6 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
             terminations |= ended
             truncations |= cut
             observations |= seen
-            self._remember(seen)
             if not self.agents:
                 break
         self._note_seen()

@@ -27,8 +27,7 @@ MOST_TEAMS = 16
 
 def render_metadata(simulator: Simulator) -> dict[str, Any]:
     """Render modes and frames a second, one for each step, so that a video runs in real time."""
-    fps = max(1, round(1 / simulator.scenario.tau))
-    return {"render_modes": RENDER_MODES.copy(), "render_fps": fps}
+    return {"render_modes": RENDER_MODES.copy(), "render_fps": 1.0 / simulator.scenario.tau}
 
 
 class Renderer:

@@ -4,6 +4,7 @@ import json
 import math
 import os
 import re
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,8 @@ from typing import Any
 from ..checks import meant, refuse, shown
 from .scenario import Scenario
 
-ScenarioLike = Scenario | str | os.PathLike[str]
-"""A Scenario, the name of one, or the path of a TOML file."""
+ScenarioLike = Scenario | str | os.PathLike[str] | Mapping[str, Any]
+"""A Scenario, the name of one, the path of a TOML file, or plain data (``Scenario.to_plain``)."""
 Fields = dict[str, Any]
 """Fields of a scenario that are not the default, as plain data: checked when one is asked for."""
 
@@ -271,14 +272,18 @@ def get(name: str) -> Scenario:
 
 
 def resolve(scenario: ScenarioLike, **overrides: Any) -> Scenario:
-    """A scenario from a Scenario, a name or the path of a TOML file, with some fields changed.
+    """A scenario from a Scenario, a name, the path of a TOML file or plain data, with some fields
+    changed.
 
     Raises:
         ValueError: for anything else, or an unknown name or field, or an impossible value.
         FileNotFoundError: if there is no such file.
     """
+    if isinstance(scenario, Mapping):
+        scenario = Scenario.from_plain(scenario)
     if not isinstance(scenario, Scenario | str | os.PathLike):
-        refuse("scenario", scenario, "a Scenario, the name of one, or the path of a TOML file")
+        wanted = "a Scenario, its plain data, the name of one, or the path of a TOML file"
+        refuse("scenario", scenario, wanted)
     if not isinstance(scenario, Scenario):
         is_file = str(scenario).endswith(".toml")
         scenario = Scenario.from_toml(scenario) if is_file else get(str(scenario))

@@ -1,5 +1,6 @@
 """How a start can be given: seeds, and what ``reset(options=…)`` accepts, any part of a start."""
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -7,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import graphs
-from ..checks import check_shape, exact, floats, mapping, nearest_word, refuse, shown, whole
+from ..checks import check_shape, exact, floats, is_whole, mapping, nearest_word, refuse, shown
 from ..graphs.weights import check_weights
 from ..limits import LARGEST, LARGEST_SEED
 from ..obstacles import parsing as obstacles
@@ -29,16 +30,23 @@ class StartOptions(NamedTuple):
 def parse_options(scenario: Any, num_envs: int, options: Mapping[str, Any] | None) -> StartOptions:
     """Check the options of a reset of B teams, see ``Simulator.reset``.
 
-    An unknown key is ignored, as Gymnasium has it, unless it is nearly one of ours.
+    An unknown key is ignored, as Gymnasium has it, unless it is nearly one of ours, or a field of
+    the scenario, which no reset changes.
 
     Raises:
         ValueError: naming the option, its value and what would be right.
     """
     options = as_options(options)
+    fields = {field.name for field in dataclasses.fields(scenario)} if options else set()
     for key in options:
         near = nearest_word(key, OPTIONS, cutoff=0.8)
         if key not in OPTIONS and near:
             raise ValueError(f"options: {shown(key)} is not an option; did you mean {near!r}?")
+        if key not in OPTIONS and (key == "max_cycles" or key in fields):
+            raise ValueError(
+                f"options: {shown(key)} is of the scenario, which a reset does not change; make "
+                f"another environment with {key}=…; options are {', '.join(OPTIONS)}"
+            )
     values = ((options.get(key), read) for key, read in _READERS.items())
     given = StartOptions(
         *(None if value is None else read(scenario, num_envs, value) for value, read in values)
@@ -215,15 +223,30 @@ def check_apart(field: str, positions: NDArray[np.float64], least: float) -> Non
 def seeds_of_teams(seed: Any, num_envs: int) -> list[int | None] | None:
     """A seed for each of B teams, None where it keeps its own; None if all do.
 
-    One number s gives team i the seed s + i; a sequence or array gives each team its own.
+    One number s gives team i the seed s + i; a sequence or array gives each team its own. Each is
+    ``folded``.
     """
     if seed is None:
         return None
     if isinstance(seed, np.ndarray):
         seed = seed.tolist()
     if not isinstance(seed, Sequence) or isinstance(seed, str | bytes):
-        first = whole("seed", seed, 0, LARGEST_SEED - num_envs + 1)  # the others follow on it
-        return [first + team for team in range(num_envs)]
+        first = check_seed(seed)  # the others follow on it
+        return [folded(first + team) for team in range(num_envs)]
     if len(seed) != num_envs:
         raise ValueError(f"seed has {len(seed)} entries; it must be one number, or {num_envs}")
-    return [None if entry is None else whole("seed", entry, 0, LARGEST_SEED) for entry in seed]
+    return [None if entry is None else folded(check_seed(entry)) for entry in seed]
+
+
+def check_seed(seed: Any) -> int:
+    """A seed, as Gymnasium takes them: any whole number that is not negative."""
+    if not is_whole(seed) or seed < 0:
+        refuse("seed", seed, "a whole number, 0 or more")
+    return int(seed)
+
+
+def folded(seed: int) -> int:
+    """The seed in use, below 2⁶³: larger ones as NumPy's ``SeedSequence`` folds them."""
+    if seed <= LARGEST_SEED:
+        return seed
+    return int(np.random.SeedSequence(seed).generate_state(1, np.uint64)[0] >> np.uint64(1))

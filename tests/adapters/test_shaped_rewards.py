@@ -2,8 +2,15 @@
 
 import numpy as np
 import pytest
-from gymnasium.vector import VectorWrapper
-from gymnasium.wrappers.vector import RecordEpisodeStatistics, TransformReward
+from gymnasium.vector import VectorRewardWrapper, VectorWrapper
+from gymnasium.wrappers import TransformReward as TransformSingle
+from gymnasium.wrappers.vector import (
+    ClipReward,
+    NormalizeReward,
+    RecordEpisodeStatistics,
+    TransformReward,
+    VectorizeTransformReward,
+)
 
 import rendezvous_env as rv
 from rendezvous_env.adapters.sb3 import RobotVecEnv
@@ -97,3 +104,155 @@ def test_a_wrapper_between_does_not_hide_the_state():
     robots.set_state(state)
     for found, again in zip(once, robots.step(ahead)[:2], strict=True):
         np.testing.assert_array_equal(found, again)
+
+
+class OwnScale(VectorRewardWrapper):
+    """A wrapper of a user's own that scales, and counts how often it is asked."""
+
+    count = 0
+
+    def rewards(self, rewards):
+        self.count += 1
+        return 3.0 * rewards
+
+
+class PaysAsTold(VectorWrapper):
+    """The teams' reward is the mean of what robots are told here, whatever happened."""
+
+    def __init__(self, env, told):
+        super().__init__(env)
+        self._told = np.array(told)
+
+    def step(self, actions):
+        seen, rewards, *ends, infos = self.env.step(actions)
+        infos["robot_rewards"] = np.tile(self._told, (len(rewards), 1))
+        return seen, np.full(len(rewards), self._told.mean()), *ends, infos
+
+
+RAW = [-0.001, -0.001, -0.001, -1.001]
+SCALING = {
+    "normalised": (NormalizeReward, None),
+    "own": (OwnScale, lambda r: 3.0 * r),
+    "function": (
+        lambda teams: TransformReward(teams, lambda r: 2.0 * r - 1.0),
+        lambda r: 2 * r - 1,
+    ),
+    "clipped": (lambda teams: ClipReward(teams, -0.5, 0.5), lambda r: np.clip(r, -0.5, 0.5)),
+    "one by one": (
+        lambda teams: VectorizeTransformReward(teams, TransformSingle, func=lambda r: 5.0 * r),
+        lambda r: 5.0 * r,
+    ),
+}
+
+
+@pytest.mark.parametrize("how", SCALING)
+@pytest.mark.parametrize("under", [False, True])
+def test_robots_are_scaled_where_a_wrapper_scales(how, under):
+    """Directly under the adapter, and under a guarantee that sums over two base steps."""
+    wrap, expected = SCALING[how]
+    base = PaysAsTold(training_env("clutter-4", TEAMS, guarantee=None, learning_preset=False), RAW)
+    robots = RobotVecEnv(RecordEpisodeStatistics(wrapped := wrap(base)))
+    if under:
+        plain = PaysAsTold(rv.make_vec("clutter-4", TEAMS, "SameStep", on_merge="follow"), RAW)
+        robots = RobotVecEnv(HeadingVectorWrapper(wrapped := wrap(plain), decision_period=2))
+    robots.reset()
+    for _ in range(6):
+        rewards = robots.step(np.ones((robots.num_envs, *robots.action_space.shape)))[1]
+    if expected is None:
+        factor = 1.0 / np.sqrt(wrapped.return_rms.var + wrapped.epsilon)
+        assert wrapped.return_rms.count == pytest.approx((12 if under else 6) * TEAMS, rel=1e-3)
+        right = np.array(RAW) * factor
+    else:
+        right = expected(np.array(RAW))
+    found = rewards.reshape(TEAMS, 4) / (2.0 if under else 1.0)
+    tolerance = 0.05 if under and expected is None else 1e-6  # the factor changes from step to step
+    np.testing.assert_allclose(found, np.tile(right, (TEAMS, 1)), rtol=tolerance)
+    assert how != "own" or wrapped.count == (12 if under else 6)
+
+
+def test_chain_of_scaling_and_adding_wrappers_is_followed_in_order():
+    class Bonus(VectorWrapper):
+        def step(self, actions):
+            seen, rewards, *others = self.env.step(actions)
+            return seen, rewards + 0.25, *others
+
+    teams = PaysAsTold(training_env("clutter-4", TEAMS, guarantee=None), RAW)
+    robots = RobotVecEnv(OwnScale(Bonus(OwnScale(teams))))
+    robots.reset()
+    rewards = robots.step(np.ones((robots.num_envs, *robots.action_space.shape)))[1]
+    np.testing.assert_allclose(rewards[:4], 3.0 * (3.0 * np.array(RAW) + 0.25), rtol=1e-6)
+
+
+class Observed(VectorWrapper):
+    """Scales observations, and those at the ends of episodes or not."""
+
+    def __init__(self, env, last):
+        super().__init__(env)
+        self._last = last
+
+    def reset(self, **asked):
+        seen, infos = self.env.reset(**asked)
+        return 20.0 * seen, infos
+
+    def step(self, actions):
+        seen, *others, infos = self.env.step(actions)
+        if self._last and "final_obs" in infos:
+            final = infos["final_obs"]
+            for team in np.flatnonzero(infos["_final_obs"]):
+                final[team] = 20.0 * final[team]
+        return 20.0 * seen, *others, infos
+
+
+@pytest.mark.parametrize("make", FORMS)
+@pytest.mark.parametrize("outside", [False, True])
+def test_last_observations_are_changed_like_the_others_or_refused(make, outside):
+    """At the ends of episodes by time-out: robots apart still see one another."""
+
+    def ends(teams):
+        robots = RobotVecEnv(RecordEpisodeStatistics(teams) if outside else teams)
+        robots.seed(0), robots.reset()
+        still = np.zeros((robots.num_envs, *robots.action_space.shape))
+        for _ in range(60):
+            infos = robots.step(still)[3]
+            if found := [i for i in infos if i.get("TimeLimit.truncated")]:
+                return np.array([info["terminal_observation"] for info in found])
+        raise AssertionError("none was cut off")
+
+    with pytest.raises(TypeError, match=r"under Observed, which changes .*final_obs"):
+        ends(Observed(make(), last=False))
+    np.testing.assert_array_equal(ends(Observed(make(), last=True)), 20.0 * ends(make()))
+
+
+class Multiplied(VectorWrapper):
+    """Scales in a step of its own."""
+
+    def step(self, actions):
+        seen, rewards, *others = self.env.step(actions)
+        return seen, -7.0 * rewards, *others
+
+
+class Drawn(VectorWrapper):
+    """Robots earn numbers drawn at random, and their team the mean."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        self._random = np.random.default_rng(0)
+
+    def step(self, actions):
+        seen, _, *ends, infos = self.env.step(actions)
+        infos["robot_rewards"] = self._random.normal(size=infos["robot_rewards"].shape)
+        return seen, infos["robot_rewards"].mean(axis=1), *ends, infos
+
+
+@pytest.mark.parametrize("teams", [1, TEAMS])
+def test_wrapper_that_multiplies_in_its_own_step_multiplies_the_rewards_of_robots(teams):
+    def paid(wrap):
+        made = Drawn(training_env("clutter-4", teams, guarantee=None, time_limit=1.0))
+        robots = RobotVecEnv(wrap(made))
+        robots.seed(0), robots.reset()
+        still = np.zeros((robots.num_envs, *robots.action_space.shape))
+        return np.array([robots.step(still)[1] for _ in range(60)])
+
+    usual = paid(RecordEpisodeStatistics)
+    first = 1 if teams == 1 else 0  # of one team the first step does not tell
+    np.testing.assert_allclose(paid(Multiplied)[first:], -7.0 * usual[first:], rtol=1e-5)

@@ -187,7 +187,11 @@ def test_what_the_simulator_hands_out_is_not_its_memory(kind):
         "status", "steps", "time", "seeds", "initial_lyapunov", "path_length",
         "contacts", "min_clearance",
     )]  # fmt: skip
-    for array in [*handed, *outcome[:-1], sim.lyapunov(), sim.observe(), *sim.get_state().values()]:
+    for array in handed:
+        if array.size:
+            with pytest.raises(ValueError, match="read-only"):
+                array[...] = 1
+    for array in [*outcome[:-1], sim.lyapunov(), sim.observe(), *sim.get_state().values()]:
         array[...] = 1
     assert sim.all_running and not sim.ended.any() and (sim.status == RUNNING).all()
     assert_same_state(sim, before)

@@ -1,5 +1,7 @@
 """Teams to train in: what generic learners see, do, earn and are told."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from guarantees import draw
@@ -9,6 +11,7 @@ import baselines
 import rendezvous_env as rv
 from baselines.learned.policy_settings import ALL_ROUND, ANGLES
 from baselines.learned.shipped import preset
+from rendezvous_env.rewards.custom_terms import TERMS
 from train.learn.settings import Config
 
 HEAVY = rv.Scenario(robot_model="double_integrator")
@@ -186,3 +189,51 @@ def test_the_layout_takes_apart_all_but_the_level():
     expected = without.layout.split(without.reset(seed=0)[0])
     for found, wanted in zip(teams.layout.split(shown[..., :-1, :])[:2], expected, strict=False):
         np.testing.assert_array_equal(found, wanted)
+
+
+@pytest.mark.parametrize("make", [rv.training_env, rv.vector.training_env])
+@pytest.mark.parametrize("guarantee", ["heading", "tank", "gains", None])
+def test_reward_terms_of_ones_own_are_merged_with_the_preset(make, guarantee, caplog, monkeypatch):
+    rv.reward_term("merged with a preset", lambda step: np.zeros(len(step.time)))
+    try:
+        custom = {"merged with a preset": -0.001}
+        preset = make("clutter-8", guarantee=guarantee).scenario.reward
+        assert preset.progress == 0.5 and preset.collision_penalty == 0.0  # not the defaults
+        expected = dataclasses.replace(preset, custom=custom)
+        caplog.set_level("INFO", "rendezvous_env")
+        monkeypatch.setattr("rendezvous_env.envs.training._logged", set())
+        in_scenario = {"scenario": SCENARIO.replace(reward=rv.RewardWeights(custom=custom))}
+        for how in (
+            {"reward": rv.RewardWeights(custom=custom)}, {"reward": {"custom": custom}},
+            in_scenario,
+        ):  # fmt: skip
+            env = make(**{"scenario": SCENARIO, "guarantee": guarantee} | how)
+            assert env.scenario.reward == expected
+            assert getattr(env, "teams", env).unwrapped.scenario.reward == expected
+        assert f"in force are {expected} and touch_penalty 1" in caplog.text
+        one = make(SCENARIO, guarantee=guarantee, reward={"time_penalty": 0.3}).scenario.reward
+        assert one == dataclasses.replace(preset, time_penalty=0.3)
+        same = {"progress": 1.0}  # what is told is in force, though it is the default
+        assert make(SCENARIO, guarantee=guarantee, reward=same).scenario.reward.progress == 1.0
+        whole = rv.RewardWeights(collision_penalty=0.2, custom=custom)
+        assert make(SCENARIO, guarantee=guarantee, reward=whole).scenario.reward == whole
+        bare = make(SCENARIO, learning_preset=False, reward=rv.RewardWeights(custom=custom))
+        assert bare.scenario.reward == rv.RewardWeights(custom=custom)
+    finally:
+        TERMS.pop("merged with a preset")
+
+
+def test_return_under_a_preset_does_not_change_with_a_term_of_weight_zero():
+    rv.reward_term("of no weight", lambda step: np.ones(len(step.time)))
+    try:
+
+        def earned(**more):
+            env = rv.vector.training_env("clutter-8", 8, time_limit=3.0, **more)
+            env.reset(seed=0)
+            ahead = np.ones(env.action_space.shape, np.float32)
+            return np.array([env.step(ahead)[1] for _ in range(5)])
+
+        custom = {"of no weight": 0.0}
+        np.testing.assert_array_equal(earned(reward=rv.RewardWeights(custom=custom)), earned())
+    finally:
+        TERMS.pop("of no weight")

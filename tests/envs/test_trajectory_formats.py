@@ -155,3 +155,29 @@ def test_a_missing_library_is_named_with_its_extra(fig4, monkeypatch, library, m
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(ImportError, match=rf"{method}\(\) needs {library}: pip .*\[analysis\]"):
         getattr(fig4, method)(*arguments)
+
+
+@pytest.mark.parametrize("dimension", ["run", "env"])
+def test_datasets_of_rollouts_of_different_lengths_are_joined(dimension):
+    import xarray
+
+    scenario = rv.scenarios.get("clutter-4")
+    law = baselines.make("bearing-only", scenario)
+    runs = [rv.rollout(scenario, law, seed, num_envs=2, record="all") for seed in (0, 5)]
+    short, long = sorted(runs, key=lambda run: len(run.times))
+    assert len(short.times) < len(long.times)
+    both = [short.to_xarray(), long.to_xarray()]
+    joined = xarray.concat(both, dimension, join="outer", coords="different", compat="equals")
+    assert joined.sizes["step"] == len(long.times) - 1 == joined.sizes["time"] - 1
+    last = len(short.times) - 1
+    parts = [{"run": 0}, {"run": 1}] if dimension == "run" else [slice(0, 2), slice(2, 4)]
+    for run, part in zip((short, long), parts, strict=True):
+        own = joined.isel(part) if dimension == "run" else joined.isel(env=part)
+        assert own.rewards.dims == ("step", "env")
+        steps = len(run.times) - 1
+        np.testing.assert_array_equal(own.rewards[:steps], run.rewards)
+        np.testing.assert_array_equal(own.actions[:steps], run.actions)
+        np.testing.assert_array_equal(own.positions[: steps + 1], run.positions)
+        assert np.isnan(own.rewards[steps:]).all()
+    np.testing.assert_array_equal(joined.step, np.arange(len(long.times) - 1))
+    assert joined.isel({dimension: 0}).rewards[last:].isnull().all()

@@ -95,7 +95,7 @@ def test_arrays_of_actions_of_any_wrong_kind_are_refused(name):
     assert "finite, in float32" in message
 
 
-WRONG_SEEDS = [5.0, True, "5", b"5", -1, 2**63, HUGE, UNWRITABLE, [], [1, 2, 3], {}, [0.5], [True],
+WRONG_SEEDS = [5.0, True, "5", b"5", -1, -HUGE, [], [1, 2, 3], {}, [0.5], [True],
                np.array(5.0), np.array([[1]]), np.nan, {1}, [[1]], DEEP, 1j, ["a"]]  # fmt: skip
 
 
@@ -126,10 +126,54 @@ def test_every_reset_refuses_what_is_no_seed_and_takes_whole_numbers_of_any_type
     door.reset(seed=2**63 - 1)
 
 
-def test_seeds_of_a_batch_are_one_of_which_the_last_exists_or_one_each():
+LARGE_SEEDS = [2**63, 2**63 + 1, 2**64 - 1, 2**64, 2**130, HUGE, UNWRITABLE]
+
+
+@pytest.mark.parametrize("seed", LARGE_SEEDS, ids=range(7))
+def test_every_reset_folds_large_seeds_as_seed_sequence_does(door, seed):
+    """Bitwise the episode of the folded seed, which is in use."""
+    used = int(np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]) >> 1
+    door.reset(seed=used)
+    wanted = state_of(door)
+    door.reset(seed=seed)
+    np.testing.assert_equal(state_of(door), wanted)
+    if (told := getattr(getattr(door, "unwrapped", None), "np_random_seed", None)) is not None:
+        assert told in (used, (used,))
+
+
+def test_seeds_in_use_are_those_of_np_random():
+    """Of seeds that were given, drawn, or put back, in every form that has random numbers."""
+    from rendezvous_env.envs.gymnasium_env import make_env
+
+    for env in (rv.parallel_env("duo"), make_env("duo"), rv.training_env("duo")):
+        for seed in (7, 2**64 + 1, None, 7):
+            env.reset(seed=seed)
+            assert env.np_random_seed == int(env.simulator.seeds[0])
+            fresh = np.random.Generator(np.random.PCG64(env.np_random_seed))
+            if seed is not None:
+                assert env.np_random.random() == fresh.random()
+        state = env.get_state()
+        env.reset(seed=8)
+        env.set_state(state)
+        assert env.np_random_seed == 7
+    fresh = make_env("duo")
+    fresh.reset()
+    assert fresh.np_random_seed == int(fresh.simulator.seeds[0])
+    teams = rv.make_vec("duo", 3)
+    teams.reset(seed=2**63 - 2)
+    assert teams.np_random_seed == tuple(teams.simulator.seeds.tolist())
+    assert teams.np_random_seed[:2] == (2**63 - 2, 2**63 - 1)
+    assert teams.np_random.random() == np.random.Generator(np.random.PCG64(2**63 - 2)).random()
+
+
+def test_seeds_of_a_batch_follow_one_another_or_are_one_each():
     simulator = started(PAIR, 3, seed=2**63 - 3)
     assert simulator.seeds.tolist() == [2**63 - 3, 2**63 - 2, 2**63 - 1]
-    assert f"at most {2**63 - 3}" in refusal(simulator.reset, 2**63 - 1)
+    simulator.reset(2**63 - 1)
+    large = simulator.seeds.tolist()
+    assert large[0] == 2**63 - 1 and len(set(large)) == 3 and max(large) < 2**63
+    simulator.reset([2**63 - 1, 2**63, 2**63 + 1])
+    assert simulator.seeds.tolist() == large
     for wrong, said in (([1, 2], "seed has 2 entries; it must be one number, or 3"),
                         ([1, 2, "x"], "seed is 'x'; it must be a whole number")):  # fmt: skip
         assert said in refusal(simulator.reset, wrong)

@@ -146,6 +146,8 @@ class Misled(gymnasium.vector.VectorWrapper):
     others.
     """
 
+    part_of_world = True
+
     def __init__(self, env: Any, scenario: rv.Scenario, error: float, seed: int) -> None:
         super().__init__(env)
         n, self._rows = scenario.n_robots, scenario.observation_layout.neighbours

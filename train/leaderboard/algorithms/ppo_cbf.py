@@ -44,6 +44,8 @@ def _keep_out(wanted: Any, towards: Any, rooms: Any, kept: Any) -> None:
 class Barrier(VectorWrapper):
     """Velocities pass the filter on their way to the robots."""
 
+    part_of_world = True  # nothing is promised of V
+
     def __init__(self, env: Any) -> None:
         super().__init__(env)
         self.scenario, self.simulator = env.unwrapped.scenario, env.unwrapped.simulator
