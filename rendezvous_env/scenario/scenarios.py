@@ -280,6 +280,6 @@ def resolve(scenario: ScenarioLike, **overrides: Any) -> Scenario:
     if not isinstance(scenario, Scenario | str | os.PathLike):
         refuse("scenario", scenario, "a Scenario, the name of one, or the path of a TOML file")
     if not isinstance(scenario, Scenario):
-        is_file = str(scenario).endswith(".toml")
+        is_file = str(scenario).lower().endswith(".toml")
         scenario = Scenario.from_toml(scenario) if is_file else get(str(scenario))
     return scenario.replace(**overrides) if overrides else scenario
