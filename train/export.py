@@ -72,7 +72,7 @@ def run(config: Config) -> int:
     if config.standalone is not None:
         flag, path, ending = "--standalone", config.standalone, ".py"
         is_written = standalone.is_written
-    if path.suffix != ending:
+    if path.suffix.lower() != ending:
         raise UserError(f"{flag} {path}: unknown ending; it must be {ending}")
     with user_error(f"{flag} {path}: cannot be read: ", OSError):
         others = path.is_file() and not is_written(path)
@@ -147,7 +147,7 @@ def _network_of(name: str, scenario: Scenario) -> standalone.Network | None:
     path = policies.learned_path(name, scenario)
     if path is None:
         return None
-    if path.suffix == SUFFIX:
+    if path.suffix.lower() == SUFFIX:
         raise UserError(f"--policy {name}: is exported already")
     about, tables = checkpoints.read(checkpoints.find(path), ["network"])
     return tables["network"], PolicySettings.from_plain(about["policy"])

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 from rendezvous_env.baselines import policy as registry
-from rendezvous_env.baselines.learned import learned_policy, shipped
-from rendezvous_env.baselines.policy import builder_of, file_of
+from rendezvous_env.baselines.learned import shipped
+from rendezvous_env.baselines.policy import AT_PATH, builder_of, file_of
 from rendezvous_env.baselines.steering import can_steer
 
 from rendezvous_env import baselines
@@ -35,7 +35,6 @@ from rendezvous_env.trajectory import Policy, begin
 
 from .checks import UserError, unknown, user_error
 
-_AT_PATH = "learned:"
 _BEST = ("learned-tank", "tank-joined", "learned", "tangent-joined-tuned", "tangent-joined")
 """Policies for obstacles; the sooner, the more collision-free (README, Results)."""
 _ON_REQUEST = ("blind", "privileged")
@@ -50,7 +49,7 @@ def kind_of(name: str) -> str:
     """The kind of a policy, one of ``baselines.policy.KINDS``."""
     if is_user_policy(name):
         return "own"
-    return "learned" if name.startswith(_AT_PATH) else registry.kind_of(name)
+    return registry.kind_of(name)
 
 
 def about(name: str) -> str:
@@ -64,8 +63,6 @@ def make(name: str, scenario: Scenario) -> Policy:
         if (policy := _make_own(name, scenario)) is None:
             raise ValueError(f"policy {name!r} does not fit scenario {scenario.name!r}")
         return policy
-    if name.startswith(_AT_PATH):
-        return learned_policy.load(Path(name.removeprefix(_AT_PATH)), scenario)
     return baselines.make(name, scenario)
 
 
@@ -82,7 +79,7 @@ def learned_path(name: str, scenario: Scenario | None = None) -> Path | None:
     """Folder of a learned policy for the robots of a scenario, or for single integrators."""
     if name in shipped.NAMES:
         return shipped.folder(name, scenario)
-    return Path(name.removeprefix(_AT_PATH)) if name.startswith(_AT_PATH) else None
+    return Path(name.removeprefix(AT_PATH)) if name.startswith(AT_PATH) else None
 
 
 def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
@@ -98,7 +95,7 @@ def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
         name
         for name in wanted
         if name in known
-        or (name.startswith(_AT_PATH) and can_steer(scenario))
+        or (name.startswith(AT_PATH) and can_steer(scenario))
         or (is_user_policy(name) and _fits_own(name, scenario))
     ]
 
@@ -133,7 +130,7 @@ def check_names(wanted: Sequence[str]) -> None:
             with user_error(f"policy {name!r}: ", ValueError):
                 make(name, Scenario(n_robots=2))
         elif name not in known:
-            raise unknown("policy", name, (*known, f"{_AT_PATH}PATH", "MODULE:FUNCTION"))
+            raise unknown("policy", name, (*known, f"{AT_PATH}PATH", "MODULE:FUNCTION"))
 
 
 def promised_margin(name: str, policy: Policy) -> float | None:
@@ -199,7 +196,7 @@ def digest_of(function: Callable[..., Any], path: Path | None = None) -> str | N
 
 def is_user_policy(name: str) -> bool:
     """Whether a name is meant as ``module:function``."""
-    return ":" in name and not name.startswith(_AT_PATH)
+    return ":" in name and not name.startswith(AT_PATH)
 
 
 def find_function(name: str) -> Callable[[Scenario], Policy | None]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .checkpoints import CheckpointError, refusing
+from .checkpoints import CheckpointError, PathLike, as_path, refusing
 from .numpy_actor import Array, Network
 from .policy_settings import PolicySettings
 
@@ -35,7 +35,8 @@ class OnnxNetwork(Network):
     holds no digest or does not belong to this version.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: PathLike) -> None:
+        path = as_path(path)
         with refusing(path):
             content = path.read_bytes()
         digest = _DIGEST.search(content)  # before anything is read of what the file says

@@ -2,7 +2,9 @@
 
 import ast
 import json
+import py_compile
 import sys
+import zipfile
 from itertools import product
 from pathlib import Path
 
@@ -173,6 +175,50 @@ def test_a_changed_file_drives_no_robot(exported, tmp_path, seed):
     assert content[place : place + 1] != b"B"
     with pytest.raises(ValueError, match=r"robot\.py: its content was changed: the digest"):
         standalone.load(path)
+
+
+AS = {
+    "zip": "import sys; sys.path.insert(0, 'robots.zip')",
+    "bytecode": "import sys; sys.path.insert(0, 'compiled')",
+    "bytecode in a zip": "import sys; sys.path.insert(0, 'compiled.zip')",
+    "run": "import runpy; sys = runpy.run_path('robot.py')",
+}
+
+
+@pytest.mark.parametrize("form", AS)
+def test_the_file_drives_a_robot_wherever_python_finds_it(exported, tmp_path, form):
+    path = tmp_path / "robot.py"
+    path.write_bytes(exported("bearing-only").read_bytes())
+    (tmp_path / "compiled").mkdir()
+    py_compile.compile(str(path), cfile=str(tmp_path / "compiled/robot.pyc"), doraise=True)
+    with zipfile.ZipFile(tmp_path / "robots.zip", "w") as archive:
+        archive.write(path, "robot.py")
+    with zipfile.ZipFile(tmp_path / "compiled.zip", "w") as archive:
+        archive.write(tmp_path / "compiled/robot.pyc", "robot.pyc")
+    if form != "run":
+        path.unlink()
+        ask = "import robot; made = robot.RobotPolicy()"
+    else:
+        ask = "made = sys['RobotPolicy']()"
+    acts = "act = made.act([[1.0, 0.0]]); assert act.dtype == 'float64' and act[0] > 0; print(act)"
+    done = run_python(tmp_path, "-I", "-c", f"{AS[form]}; {ask}; {acts}")
+    assert "[" in done.stdout
+
+
+def test_a_changed_file_in_a_zip_is_refused(exported, tmp_path):
+    text = exported("bearing-only").read_text(encoding="utf-8")
+    with zipfile.ZipFile(tmp_path / "robots.zip", "w") as archive:
+        archive.writestr("robot.py", text.replace("n_robots=1,", "n_robots=1 ,", 1))
+    ask = """
+import sys
+sys.path.insert(0, "robots.zip")
+try:
+    import robot
+except ValueError as error:
+    print(error)
+"""
+    done = run_python(tmp_path, "-I", "-c", ask)
+    assert "robot.py: its content was changed: the digest" in done.stdout
 
 
 @pytest.mark.parametrize(

@@ -83,6 +83,29 @@ def test_it_does_what_a_robot_of_a_batch_does(name, scenario):
         assert passed > 100 or not scenario.obstacles or (name == "learned-tank" and passed > 3)
 
 
+@pytest.mark.parametrize(
+    ("policy", "scenario"),
+    [
+        *(
+            ("bearing-only", "clutter-12"),
+            ("learned-tank", "clutter-12"),
+            ("unicycle", "unicycle-6"),
+        ),
+        ("learned-tank", "uav-clutter-16"),
+        (lambda seen, now: np.zeros((1, 12, 2), np.float32), "clutter-12"),
+    ],
+)
+def test_actions_are_float64_that_messages_of_robots_can_hold(policy, scenario):
+    if callable(policy):
+        policy.reset = lambda: None
+    robot = RobotPolicy(scenario, policy)
+    layout = robot.scenario.observation_layout
+    told = {"gravity": [0.0, 0.0, -1.0]} if layout.senses_gravity else {}
+    action = robot.act([np.eye(layout.dim)[0]], **told)
+    assert action.dtype == np.float64
+    assert all(isinstance(value, float) for value in action)  # what a message field must be
+
+
 @pytest.mark.parametrize("name", ["learned", "tangent-joined-tuned", "learned-tank"])
 def test_a_team_out_of_step_keeps_its_margin_and_meets(name):
     """Every robot ticks when it likes, 10 to 50 ms after its last tick, and holds its velocity."""

@@ -50,6 +50,11 @@ def levels_follow_v(scenario):
     """Tanks shrink with V where a merge is told; nobody tells a robot alone."""
     return False
 ''',
+    Name("rendezvous_env.scenario.scenarios", "resolve"): '''
+def resolve(scenario, **overrides):
+    """The team of this file."""
+    return scenario
+''',
     Name("rendezvous_env.checks", "check_fields"): '''
 def check_fields(made):
     """Values were checked when this file was written."""
@@ -97,8 +102,9 @@ _HEAD = '''"""The policy {policy} for a robot of the scenario {scenario}: bearin
     velocity = robot.act(bearings, obstacles, dt=0.03)     # as rendezvous_env's RobotPolicy.act
 {drive}
 It needs NumPy and nothing else. `{made_by}` of rendezvous-env {version} wrote
-it, of the functions of that package, word for word; whoever wants to change them does so there. It
-refuses to be imported once a byte of it has changed: its last line sees to that.
+it, of the functions of that package, word for word; change them there. It refuses to be imported
+once a byte of its text has changed. It may lie in a folder, in a zip archive or, unchecked, as
+bytecode (.pyc).
 """
 
 from __future__ import annotations
@@ -157,16 +163,37 @@ def learned_policy():
 '''
 _LAST = '''
 
-def check_unchanged(path, digest):
-    """True; but a file of which anything above its last line is not as it was written is refused.
+def text_of_this_file(names):
+    """The text of this file, bytes, from wherever Python has loaded it: a folder or a zip archive;
+    None of bytecode (.pyc) and of what was compiled into a program, which have none.
+    """
+    path, loader = names.get("__file__"), names.get("__loader__")
+    if path is None or path.endswith((".pyc", ".so", ".pyd")):
+        return None
+    try:
+        if hasattr(loader, "get_data"):
+            return loader.get_data(path)
+        with open(path, "rb") as file:
+            return file.read()
+    except OSError:
+        return None
+
+
+def check_unchanged(names, digest):
+    """True; but a file of which anything above its last line is not as it was written is refused,
+    wherever there is a text of it.
 
     Raises:
         ValueError: naming the file.
     """
-    with open(path, "rb") as file:
-        lines = file.read().replace(b"\\r\\n", b"\\n").splitlines(keepends=True)
+    text = text_of_this_file(names)
+    if text is None:
+        return True
+    lines = text.replace(b"\\r\\n", b"\\n").splitlines(keepends=True)
     if hashlib.sha256(b"".join(lines[:-1])).hexdigest() != digest:
-        raise ValueError(f"{path}: its content was changed: the digest in it does not fit")
+        raise ValueError(
+            f"{names['__file__']}: its content was changed: the digest in it does not fit"
+        )
     return True
 
 
@@ -213,7 +240,7 @@ def text_of(policy: str, scenario: Scenario, network: Network | None) -> str:
     )
     content = head + Bundle(roots, stand_ins).text() + extra + team + _LAST
     digest = hashlib.sha256(content.encode()).hexdigest()
-    return f'{content}IS_UNCHANGED = check_unchanged(__file__, "{digest}")\n'
+    return f'{content}IS_UNCHANGED = check_unchanged(globals(), "{digest}")\n'
 
 
 def _learned(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> str:
