@@ -82,6 +82,7 @@ class TestAgreement:
         assert act_along(file, scenario, policy, 2, steps) < 1e-5
         in_space = scenario.dim == 3
         assert hasattr(file, "DifferentialDrive") == ("drive" in file.__doc__) == (not in_space)
+        assert hasattr(file, "BodyReadings") == (not in_space)
         steady = "SteadyFrames:\n" in exported(policy, name).read_text(encoding="utf-8")
         assert steady == (in_space and policy.startswith("learned"))
 

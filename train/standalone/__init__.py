@@ -86,6 +86,7 @@ _NETWORK = (
     Name("rendezvous_env.baselines.learned.policy_settings", "PolicySettings"),
 )
 _WHEELS = (
+    Name("rendezvous_env.baselines.robot_readings", "BodyReadings"),
     Name("rendezvous_env.robots.differential_drive", "DifferentialDrive"),
     Name("rendezvous_env.robots.differential_drive", "keep_apart"),
 )
