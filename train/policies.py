@@ -7,6 +7,7 @@ Policies: those of the registry; ``learned:PATH`` of a run, a checkpoint or an e
 import hashlib
 import importlib
 import inspect
+import math
 import os
 import re
 import sys
@@ -27,6 +28,7 @@ from rendezvous_env.checks import meant, shown
 from rendezvous_env.graphs.random_graphs import FAMILIES, CustomFamily
 from rendezvous_env.rewards.custom_terms import COSTS, TERMS
 from rendezvous_env.robots.robot_models import is_custom
+from rendezvous_env.safety.theorems.certificate import certificate
 from rendezvous_env.scenario import scenarios
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.sensors.custom_sensors import IMPERFECTIONS
@@ -41,6 +43,7 @@ _ON_REQUEST = ("blind", "privileged")
 """Kinds of policies that are compared where they are named."""
 _WHERE_SENSORS_ERR = ("learned-tank-noise",)
 """Policies without an advantage where sensors are exact."""
+_LINK_KEEPING = "link-keeping"
 _found: dict[str, tuple[Any, str | None]] = {}
 """Functions of users as this process has imported them, with the digests of their files."""
 
@@ -82,15 +85,16 @@ def learned_path(name: str, scenario: Scenario | None = None) -> Path | None:
     return Path(name.removeprefix(AT_PATH)) if name.startswith(AT_PATH) else None
 
 
-def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
+def fitting(scenario: Scenario, wanted: Sequence[str], *, brief: bool = False) -> list[str]:
     """Those of the wanted policies that fit a scenario. If none is wanted, all that fit but those
-    on request; those that see nothing or everything only where nothing else fits.
+    on request; those that see nothing or everything only where nothing else fits. ``brief`` leaves
+    out what has little chance there, see ``_is_hopeless``.
     """
     known = baselines.names(scenario)
     if not wanted:
-        left_out = _WHERE_SENSORS_ERR if scenario.sensing.exact else ()
-        usual = [n for n in known if not registry.on_request(n) and n not in left_out]
-        return [name for name in usual if kind_of(name) not in _ON_REQUEST] or usual
+        usual = [n for n in known if not registry.on_request(n)]
+        found = [name for name in usual if kind_of(name) not in _ON_REQUEST] or usual
+        return [name for name in found if not (brief and _is_hopeless(name, scenario))]
     return [
         name
         for name in wanted
@@ -98,6 +102,15 @@ def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
         or (name.startswith(AT_PATH) and can_steer(scenario))
         or (is_user_policy(name) and _fits_own(name, scenario))
     ]
+
+
+def _is_hopeless(name: str, scenario: Scenario) -> bool:
+    """Whether a policy is of the laws from the literature, which see no obstacles, among obstacles,
+    or made for sensors that err where they are exact.
+    """
+    blind_to_obstacles = kind_of(name) == "field" or name == _LINK_KEEPING
+    exact = scenario.sensing.exact and name in _WHERE_SENSORS_ERR
+    return exact or (blind_to_obstacles and bool(scenario.obstacles))
 
 
 def source_digest(name: str) -> str | None:
@@ -139,6 +152,23 @@ def promised_margin(name: str, policy: Policy) -> float | None:
     """
     margin = 1.0 if name == "bearing-only" else getattr(policy, "min_alignment", None)
     return None if margin is None else float(margin)
+
+
+def promised_time(name: str, policy: Policy, scenario: Scenario) -> float:
+    """Time by which a policy has met from any start, s, by the scenario's certificate; infinite
+    where there is none, as of tanks, which learn of no merge here.
+    """
+    asked: dict[str, Any] = {"by": "law"}
+    if name == _LINK_KEEPING:
+        asked = {"by": "links", "share": 1.0}
+    elif name != "bearing-only":
+        if (margin := promised_margin(name, policy)) is None:
+            return math.inf
+        asked = {"by": "heading", "min_alignment": margin}
+    found = certificate(scenario, **asked)
+    # no policy but law (1) meets with errors that it is not told of
+    told = asked["by"] == "law" or found.bearing_error == 0.0
+    return found.time_bound if told else math.inf
 
 
 def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:

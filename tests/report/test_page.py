@@ -271,3 +271,10 @@ def test_rises_of_v_are_told_in_the_unit_of_their_world(browser, tmp_path):
         cells = page.locator("#results-table td[data-column=max_rise_between_merges]")
         none, some = cells.all_text_contents()
         assert none == "none" and browsing.number(some) == pytest.approx(float(rises[1]), rel=0.1)
+
+
+def test_a_clearance_of_a_contact_is_0(opened):
+    """Less than a thousandth of the merge radius is rounding, whatever its sign."""
+    cells = ["-4.4408920985006262e-16", "0.0000094", "0.0032", "0.1261", ""]
+    shown = [opened.evaluate(f"clearance('{cell}', {{scenario: 'fig4'}})") for cell in cells]
+    assert shown == ["0.00", "0.00", "0.0032", "0.13", "–"]

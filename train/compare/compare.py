@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .. import results
-from ..console import Console
+from ..console import Console, counted
 from ..resume import Part
 from ..tasks import Workers, each
 from . import out_folder, statistics, sweep, tables, upper_bound
@@ -77,12 +77,12 @@ def run(config: Config) -> int:
         part.discard()
     episodes = sum(len(done.episodes.success) for done in found.played)
     split = ", ".join(f"{name} {seconds:.1f}" for name, seconds in clock.items())
-    said = f"{episodes} episode{'s' * (episodes != 1)} in {clock.total:.1f} s: {split}; files in "
+    said = f"{counted(episodes, 'episode')} in {clock.total:.1f} s: {split}; files in "
     console.print(f"{said}{config.out}", soft_wrap=True)
     if found.excess:
         print(
-            f"error: in {found.excess} episodes a merge raised V above its bound (theory 5); "
-            "see merge_excess in episodes.csv",
+            f"error: in {counted(found.excess, 'episode')} a merge raised V above its bound "
+            "(theory 5); see merge_excess in episodes.csv",
             file=sys.stderr,
         )
     return int(found.excess > 0)

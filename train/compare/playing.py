@@ -62,9 +62,16 @@ def play_job(
     """
     make = partial(policies.make, job.policy, job.scenario)
     try:
-        margin = policies.promised_margin(job.policy, make())
+        first = make()
         done, recordings = play(
-            job.scenario, make, margin=margin, episodes=episodes, seed=seed, keep=keep, steps=steps
+            job.scenario,
+            make,
+            margin=policies.promised_margin(job.policy, first),
+            promised=policies.promised_time(job.policy, first, job.scenario),
+            episodes=episodes,
+            seed=seed,
+            keep=keep,
+            steps=steps,
         )
     except Exception as error:
         error.add_note(f"policy {job.policy!r} on scenario {job.scenario.name!r}")

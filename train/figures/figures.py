@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from rendezvous_env.render.palette import OBSTACLE, ROBOTS, code
 from rendezvous_env.scenario.scenario import Scenario
 
+from ..console import counted
 from ..results import grouped
 from .style import COLUMN, PAGE, SMALL, new_figure, styled
 
@@ -202,7 +203,7 @@ def sweep_figure(
     axes.set_ylabel("met without a contact / % of starts")
     axes.grid()
     count = _number(group[0], "obstacles")
-    clutter = f"{count} obstacles" if count else "the same obstacles"
+    clutter = counted(count, "obstacle") if count else "the same obstacles"
     fixed = f"{group[0].n_robots} robots" if quantity == "obstacles" else clutter
     axes.set_title(f"Collision-free: {fixed}, 95 % intervals")
     figure.legend(loc="outside lower center", ncols=LEGEND_COLUMNS)
@@ -266,7 +267,7 @@ def level_figure(sweep: Any, rows: Sequence[dict[str, Any]]) -> Figure:
     below.set_xticks(range(len(sweep.labels)), sweep.labels)
     for axes in (above, below):
         axes.grid()
-    above.set_title(f"{sweep.base.name}, {rows[0]['episodes']} starts, 95 % intervals")
+    above.set_title(f"{sweep.base.name}, {counted(rows[0]['episodes'], 'start')}, 95 % intervals")
     handles, names = above.get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=LEGEND_COLUMNS)
     return figure
