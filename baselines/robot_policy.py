@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import positive, shown
+from rendezvous_env.checks import positive, refuse
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
@@ -79,7 +79,8 @@ class OneRobot:
         """Forget everything: the next tick is the first."""
         self._time = -1.0
         self._sight.forget()
-        self.policy.reset()
+        if hasattr(self.policy, "reset"):
+            self.policy.reset()
 
 
 class RobotPolicy(OneRobot):
@@ -108,10 +109,8 @@ class RobotPolicy(OneRobot):
         if isinstance(policy, str):
             name, policy = policy, registry.make(policy, scenario, **options)
             check_kind(name)
-        elif not callable(policy) or not hasattr(policy, "reset"):
-            raise ValueError(
-                f"policy is {shown(policy)}; it must be a name, a Path, or a policy with reset()"
-            )
+        elif not callable(policy):
+            refuse("policy", policy, "a name, a Path, or a function of observations and time")
         super().__init__(scenario, policy, common_gain(scenario))
 
 

@@ -1,7 +1,8 @@
 """``rendezvous export``: a policy for robots, as one Python file or its network as an ONNX file."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -53,7 +54,7 @@ class Config(Flags):
 
     policy: str = "learned"
     """The name of a shipped policy, or learned:PATH of a run or a checkpoint; with --standalone
-    also of a law or a rule."""
+    also of a law or a rule, or module:function of your own that needs NumPy alone."""
     out: Path = Path("out/policy.onnx")
     """The ONNX file to write. An older one that this command wrote is replaced, any other file is
     left as it is."""
@@ -112,26 +113,40 @@ def _write_onnx(config: Config, path: Path) -> str:
 
 def _write_python(config: Config, path: Path) -> str:
     """The same for one Python file."""
-    if policies.is_user_policy(config.policy):
-        raise UserError(
-            f"--policy {config.policy}: is a function of your own; it must be a law, a rule or a "
-            "learned policy of this project"
-        )
     policies.check_names([config.policy])
     scenario = policies.resolve_scenario(config.scenario)
-    network = _network_of(config.policy, scenario)
+    network, build = _network_of(config.policy, scenario), None
+    if policies.is_user_policy(config.policy):
+        build = policies.find_function(config.policy)
     prepare_file(path, "--standalone")
     with atomic(path) as temporary:
         with user_error(f"--policy {config.policy}: ", ValueError):
-            text = standalone.text_of(config.policy, scenario, network)
+            robot = RobotPolicy(scenario, policies.make(config.policy, scenario))
+            text = standalone.text_of(config.policy, scenario, network, build)
         temporary.write_text(text, encoding="utf-8")
-        robot = RobotPolicy(scenario, policies.make(config.policy, scenario))
-        apart = standalone.compare(temporary, robot, config.checks)
-        _check_close(apart, standalone.CLOSE, "m/s")
+        with _on_board(build is not None):
+            apart = standalone.compare(temporary, robot, config.checks)
+            _check_close(apart, standalone.CLOSE, "m/s")
     return (
         f" for {scenario.name}, {len(text) / 1e3:.0f} kB, needs NumPy; on {config.checks} drawn "
         f"ticks it differs by {apart:.1e} m/s"
     )
+
+
+@contextmanager
+def _on_board(is_own: bool) -> Iterator[None]:
+    """Say of what a user's file does which numbers of its scenario it has."""
+    try:
+        yield
+    except Exception as error:
+        if not is_own:
+            raise
+        kind = "" if isinstance(error, UserError) else f"{type(error).__name__}: "
+        known = ", ".join(standalone.NUMBERS)
+        raise UserError(
+            f"{kind}{error}. In one file a scenario has n_robots = 1, observation_layout, "
+            f"action_bounds, model, {known}"
+        ) from error
 
 
 def _check_close(apart: float, most: float, unit: str) -> None:

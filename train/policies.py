@@ -35,7 +35,7 @@ from rendezvous_env.sensors.custom_sensors import IMPERFECTIONS
 from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, begin
 
-from .checks import UserError, unknown, user_error
+from .checks import GivenScenario, UserError, unknown, user_error
 
 _BEST = ("learned-tank", "tank-joined", "learned", "tangent-joined-tuned", "tangent-joined")
 """Policies for obstacles; the sooner, the more collision-free (README, Results)."""
@@ -49,10 +49,30 @@ _found: dict[str, tuple[Any, str | None]] = {}
 
 
 def kind_of(name: str) -> str:
-    """The kind of a policy, one of ``baselines.policy.KINDS``."""
-    if is_user_policy(name):
+    """The kind of a policy, one of ``baselines.policy.KINDS``; "own" of a name that is not
+    registered in this process.
+    """
+    try:
+        return registry.kind_of(name)
+    except KeyError:
         return "own"
-    return registry.kind_of(name)
+
+
+def labels_of(wanted: Sequence[str]) -> dict[str, str]:
+    """Labels of policies given as NAME or LABEL=NAME, by their names; empty without a label."""
+    labels: dict[str, str] = {}
+    for given in wanted:
+        label, equals, name = given.partition("=")
+        if not equals or ":" in label or given in baselines.names():
+            label, name = "", given
+        elif not label.isprintable() or not label.strip() or label in baselines.names():
+            raise UserError(f"--policies {given}: {label!r} is no label; give another word")
+        if name in labels:
+            raise UserError(f"policy {name!r} is named twice; name each once")
+        if label and label in labels.values():
+            raise UserError(f"--policies {given}: two policies have the label {label!r}")
+        labels[name] = label
+    return labels
 
 
 def about(name: str) -> str:
@@ -187,7 +207,7 @@ def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
                 given[field] = tomllib.loads(f"value = {value}")["value"]
             except tomllib.TOMLDecodeError:
                 given[field] = value  # a word
-        scenario = scenarios.resolve(name)
+        scenario = name.scenario if isinstance(name, GivenScenario) else scenarios.resolve(name)
         said = [re.sub(r"[^\w.+-]+", "-", change.replace("_", "-")) for change in changes]
         own_name = {"name": "-".join([scenario.name, *said])}
         return scenario.replace(**(own_name | given)) if changes else scenario

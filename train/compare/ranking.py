@@ -1,7 +1,7 @@
 """The best policy of each scenario, and those that are tied with it."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,13 +48,16 @@ class Ranking:
 def rank(played: Sequence[Played]) -> list[Ranking]:
     """The rankings of all scenarios, in their order."""
     drawn = {done.job.scenario.name: done.job.scenario for done in played}
-    return [_rank_one(drawn[name], episodes) for name, episodes in by_scenario(played).items()]
+    kinds = {done.job.name: policies.kind_of(done.job.policy) for done in played}
+    return [_rank_one(drawn[name], own, kinds) for name, own in by_scenario(played).items()]
 
 
-def _rank_one(scenario: Scenario, episodes: dict[str, Episodes]) -> Ranking:
-    """The ranking of the policies on one scenario."""
+def _rank_one(
+    scenario: Scenario, episodes: dict[str, Episodes], kinds: Mapping[str, str]
+) -> Ranking:
+    """The ranking of the policies on one scenario; ``kinds`` by name."""
     share = {name: float(own.clean.mean()) for name, own in episodes.items()}
-    references = tuple(name for name in episodes if policies.kind_of(name) == "privileged")
+    references = tuple(name for name in episodes if kinds[name] == "privileged")
     competing = {name: own for name, own in episodes.items() if name not in references}
     starts = len(next(iter(episodes.values())).clean)
     best, undecided = None, ""

@@ -12,7 +12,6 @@ from rich.text import Text
 
 from rendezvous_env.scenario.scenario import Scenario
 
-from .. import policies
 from ..console import Console, counted
 from ..results import grouped
 from .ranking import NONE_MET, ONE_START, Ranking
@@ -147,7 +146,8 @@ def _matrix(rankings: Sequence[Ranking], heading: int) -> Table:
         table.add_column(Text(name), justify="right", vertical="bottom", min_width=5)
     shown = dict.fromkeys(name for ranking in rankings for name in ranking.share)
     table.add_row("starts", *(Text(str(ranking.starts)) for ranking in rankings), style="dim")
-    for name in sorted(shown, key=lambda name: policies.kind_of(name) == "privileged"):
+    references = {name for ranking in rankings for name in ranking.references}
+    for name in sorted(shown, key=lambda name: name in references):
         table.add_row(name, *(_cell(ranking, name) for ranking in rankings))
     return table
 

@@ -123,7 +123,9 @@ def rankings(found: Comparison) -> list[Ranking]:
                 for field in fields(Episodes)
             }
             columns["success"] = columns["success"] == 1.0
-            played.append(Played(Job(found.scenarios[name], policy), Episodes(**columns), {}))
+            made = found.run.get("labels", {}).get(policy, policy)
+            job = Job(found.scenarios[name], made, policy if made != policy else "")
+            played.append(Played(job, Episodes(**columns), {}))
     return rank(played)
 
 
