@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rendezvous_env.baselines import trained_policy
 from rendezvous_env.baselines.learned import checkpoints
 from rendezvous_env.baselines.learned.features import (
     NEIGHBOUR_COLUMNS,
@@ -26,10 +27,11 @@ from rendezvous_env.baselines.learned.onnx_network import (
 )
 from rendezvous_env.baselines.learned.policy_settings import PolicySettings
 from rendezvous_env.baselines.robot_policy import RobotPolicy
+from rendezvous_env.baselines.trained_policy import TrainedPolicy
 
 from rendezvous_env.scenario.scenario import Scenario
 
-from . import policies, standalone
+from . import policies, standalone, trained_onnx
 from .checks import Bounds, Flags, UserError, check_installed, user_error
 from .console import Console
 from .results import atomic, prepare_file
@@ -54,7 +56,8 @@ class Config(Flags):
 
     policy: str = "learned"
     """The name of a shipped policy, or learned:PATH of a run or a checkpoint; with --standalone
-    also of a law or a rule, or module:function of your own that needs NumPy alone."""
+    also of a law or a rule, or module:function of your own that needs NumPy alone; without, of one
+    that gives a TrainedPolicy of a model of stable-baselines3 or torch."""
     out: Path = Path("out/policy.onnx")
     """The ONNX file to write. An older one that this command wrote is replaced, any other file is
     left as it is."""
@@ -86,19 +89,18 @@ def run(config: Config) -> int:
 
 def _is_written(path: Path) -> bool:
     """Whether a file is an ONNX file of this command, of any version."""
-    return SETTINGS_KEY.encode() in path.read_bytes()
+    content = path.read_bytes()
+    return SETTINGS_KEY.encode() in content or trained_policy.ARGUMENTS_KEY.encode() in content
 
 
 def _write_onnx(config: Config, path: Path) -> str:
     """Write and check an ONNX file; returns its size and error in words."""
     check_installed("export", "export", "onnx", "onnxruntime")
     policies.check_names([config.policy])
-    network = _network_of(config.policy, policies.resolve_scenario(config.scenario))
+    scenario = policies.resolve_scenario(config.scenario)
+    network = _network_of(config.policy, scenario)
     if network is None:
-        raise UserError(
-            f"--policy {config.policy}: is scripted and has no network; --standalone robot.py "
-            "writes it as it is"
-        )
+        return _write_model(config, path, scenario)
     prepare_file(path, "--out")
     with atomic(path) as temporary:
         temporary.write_bytes(model_of(*network).SerializeToString())
@@ -111,6 +113,27 @@ def _write_onnx(config: Config, path: Path) -> str:
     )
 
 
+def _write_model(config: Config, path: Path, scenario: Scenario) -> str:
+    """The same for a model of a user's policy."""
+    with user_error(f"--policy {config.policy}: ", ValueError):
+        policy = policies.make(config.policy, scenario)
+    if not isinstance(policy, TrainedPolicy):
+        raise UserError(
+            f"--policy {config.policy}: is scripted and has no network; --standalone robot.py "
+            "writes it as it is"
+        )
+    check_installed("export of a model", "train", "torch")
+    prepare_file(path, "--out")
+    with atomic(path) as temporary:
+        temporary.write_bytes(trained_onnx.content_of(policy))
+        written = trained_policy.load(temporary, scenario)
+        assert isinstance(written, TrainedPolicy)
+        apart = trained_onnx.compare(policy, written, config.checks)
+        _check_close(apart, _CLOSE, "of an action")
+        size = temporary.stat().st_size
+    return f", {size / 1e3:.0f} kB; on {config.checks} drawn inputs it differs by {apart:.1e}"
+
+
 def _write_python(config: Config, path: Path) -> str:
     """The same for one Python file."""
     policies.check_names([config.policy])
@@ -121,8 +144,8 @@ def _write_python(config: Config, path: Path) -> str:
     prepare_file(path, "--standalone")
     with atomic(path) as temporary:
         with user_error(f"--policy {config.policy}: ", ValueError):
-            robot = RobotPolicy(scenario, policies.make(config.policy, scenario))
             text = standalone.text_of(config.policy, scenario, network, build)
+            robot = RobotPolicy(scenario, policies.make(config.policy, scenario))
         temporary.write_text(text, encoding="utf-8")
         with _on_board(build is not None):
             apart = standalone.compare(temporary, robot, config.checks)

@@ -258,7 +258,11 @@ def _own_root(build: Callable[..., Any]) -> Name:
     """The name of a user's function, whose module counts as ours from now on."""
     root = Name(build.__module__, getattr(build, "__name__", ""))
     add_module(root.module)
-    if root.word not in module_of(root.module).definitions:
+    try:
+        found = module_of(root.module).definitions
+    except (OSError, TypeError) as error:
+        raise ValueError(f"{root.module} is not written in a Python file") from error
+    if root.word not in found:
         raise ValueError(f"{root.module} does not define {root.word or build!r} by def or class")
     return root
 
