@@ -19,6 +19,18 @@ _KINDS = ("law", "rule", "learned")
 """Kinds whose policies ask neither which robot is which nor how often they were called."""
 
 
+_BELOW = 1.0 - 1e-15  # of a limit, so that rounding exceeds none
+
+
+def _within_limits(action: NDArray[np.float64], scenario: Scenario) -> NDArray[np.float64]:
+    """An action, (a,), that no limit is exceeded by: rounded to float32 it may have been."""
+    most = _BELOW * scenario.action_bounds
+    if scenario.model.nonholonomic:
+        return np.clip(action, -most, most)
+    speed = float(np.linalg.norm(action))
+    return action * (most[0] / speed) if speed > most[0] else action
+
+
 class OneRobot:
     """One robot, the first of its policy's team, called with what it has measured since its last
     tick; ``gain`` is a_ij of each neighbour where none are given, m/s.
@@ -73,7 +85,7 @@ class OneRobot:
             actions = self.policy.after(elapsed, self._team, self._time)
         else:
             actions = self.policy(self._team, self._time)
-        return np.asarray(actions[0, 0], dtype=np.float64)
+        return _within_limits(np.asarray(actions[0, 0], dtype=np.float64), self.scenario)
 
     def reset(self) -> None:
         """Forget everything: the next tick is the first."""

@@ -313,7 +313,7 @@ def test_excess_at_a_merge_is_an_error(tmp_path, monkeypatch, capsys, merge_radi
 
     monkeypatch.setattr(playing, "play", broken)
     assert compare.run(config) == status
-    said = "in 1 episodes a merge raised V above its bound"
+    said = "in 1 episode a merge raised V above its bound"
     assert (said in capsys.readouterr().err) == (status == 1)
 
 
