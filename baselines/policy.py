@@ -2,6 +2,7 @@
 
 import inspect
 import math
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -151,6 +152,10 @@ class _Entry(NamedTuple):
 
 
 _registry: dict[str, _Entry] = {}
+AT_PATH = "learned:"
+"""What stands before the path of a learned policy, in a name."""
+_readers: dict[str, Callable[[str, Scenario], Policy]] = {}
+"""What reads a policy whose name has a prefix, such as AT_PATH, from what follows it."""
 _builders = Registry("policy", "baselines.policy.register")
 _Builder = TypeVar("_Builder", bound=Callable[..., Policy])
 
@@ -193,12 +198,17 @@ def names(scenario: ScenarioLike | None = None) -> list[str]:
     return sorted(fitting, key=lambda name: kinds.index(_registry[name].kind))
 
 
+def register_reader(prefix: str, read: Callable[[str, Scenario], Policy]) -> None:
+    """Let ``make`` take names that begin with a prefix; ``read`` gets what follows it."""
+    _readers[prefix] = read
+
+
 # The next four raise a KeyError for a name that is not registered.
 
 
 def kind_of(name: str) -> str:
     """The kind of a policy, one of KINDS."""
-    return _registry[name].kind
+    return "learned" if name.startswith(AT_PATH) else _registry[name].kind
 
 
 def on_request(name: str) -> bool:
@@ -216,14 +226,21 @@ def about(name: str) -> str:
     return (inspect.getdoc(_registry[name].build) or "").partition("\n")[0].rstrip(".")
 
 
-def make(name: str, scenario: ScenarioLike, **options: Any) -> Policy:
+def make(name: str | os.PathLike[str], scenario: ScenarioLike, **options: Any) -> Policy:
     """A new policy for a scenario: a Scenario, the name of one or a TOML file.
 
-    ``name`` is one of ``names(scenario)``, ``options`` are that policy's, e.g. ``clearance`` of
-    "tangent-joined". A ValueError for an unknown name or option, or a policy that does not fit the
-    scenario, lists the right ones.
+    ``name`` is one of ``names(scenario)``, or "learned:PATH" of a training run, a checkpoint or an
+    exported network, which a Path stands for, too. ``options`` are that policy's, e.g.
+    ``clearance`` of "tangent-joined". A ValueError for an unknown name or option, or a policy that
+    does not fit the scenario, lists the right ones.
     """
     scenario = resolve(scenario)
+    if isinstance(name, os.PathLike):
+        name = f"{AT_PATH}{os.fspath(name)}"
+    for prefix, read in _readers.items():
+        if isinstance(name, str) and name.startswith(prefix):
+            known_fields(options, (), f"policy {shown(name)}", "option")
+            return read(name.removeprefix(prefix), scenario)
     fitting = names(scenario)
     if not isinstance(name, str) or name not in fitting:
         known = "is unknown"
@@ -231,6 +248,11 @@ def make(name: str, scenario: ScenarioLike, **options: Any) -> Policy:
             slots = scenario.observation_layout.obstacle_slots
             robots = f"{scenario.robot_model} robots in {scenario.dim}-D"
             known = f"does not fit {robots} with {slots} obstacle slots"
+        elif isinstance(name, str) and os.path.exists(name):
+            known += f"; a path is written {AT_PATH}{name}"
+        elif isinstance(name, str) and ":" in name:
+            module, _, function = name.partition(":")
+            known += f" (commands read MODULE:FUNCTION; in Python call {module}.{function} itself)"
         right = f"those that fit are {', '.join(fitting)}{meant(name, fitting, '; ')}"
         raise ValueError(f"policy {shown(name)} {known}; {right}")
     build = _registry[name].build

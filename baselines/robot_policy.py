@@ -4,19 +4,31 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import positive, shown
+from rendezvous_env.checks import positive, refuse
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
 from . import policy as registry
-from .policy import Float32, Policy, RealTimePolicy
+from .policy import Policy, RealTimePolicy
 from .robot_sight import RobotSight
 from .steering import check_steerable
 
 _KINDS = ("law", "rule", "learned")
 """Kinds whose policies ask neither which robot is which nor how often they were called."""
+
+
+_BELOW = 1.0 - 1e-15  # of a limit, so that rounding exceeds none
+
+
+def _within_limits(action: NDArray[np.float64], scenario: Scenario) -> NDArray[np.float64]:
+    """An action, (a,), that no limit is exceeded by: rounded to float32 it may have been."""
+    most = _BELOW * scenario.action_bounds
+    if scenario.model.nonholonomic:
+        return np.clip(action, -most, most)
+    speed = float(np.linalg.norm(action))
+    return action * (most[0] / speed) if speed > most[0] else action
 
 
 class OneRobot:
@@ -45,9 +57,10 @@ class OneRobot:
         *,
         weights: ArrayLike | None = None,
         gravity: ArrayLike | None = None,
-    ) -> Float32:
+    ) -> NDArray[np.float64]:
         """What to do until the next tick: the velocity, (d,), m/s; of a unicycle (v, ω), of a
-        nonholonomic robot of space (v, ω_α, ω_β), m/s and rad/s. Zeros if no neighbour is seen.
+        nonholonomic robot of space (v, ω_α, ω_β), m/s and rad/s; float64, as messages of robots
+        have it. Zeros if no neighbour is seen.
 
         Args:
             bearings: unit vectors to the neighbours that are seen now, (k, d), in any order, in the
@@ -69,14 +82,17 @@ class OneRobot:
         self._team[0, 0] = self._sight.rows(bearings, obstacles, weights, gravity)
         self._time = self._time + elapsed if self._time >= 0.0 else 0.0
         if isinstance(self.policy, RealTimePolicy):
-            return self.policy.after(elapsed, self._team, self._time)[0, 0]
-        return self.policy(self._team, self._time)[0, 0]
+            actions = self.policy.after(elapsed, self._team, self._time)
+        else:
+            actions = self.policy(self._team, self._time)
+        return _within_limits(np.asarray(actions[0, 0], dtype=np.float64), self.scenario)
 
     def reset(self) -> None:
         """Forget everything: the next tick is the first."""
         self._time = -1.0
         self._sight.forget()
-        self.policy.reset()
+        if hasattr(self.policy, "reset"):
+            self.policy.reset()
 
 
 class RobotPolicy(OneRobot):
@@ -90,7 +106,8 @@ class RobotPolicy(OneRobot):
     Args:
         scenario: whose robot this is, any but a double integrator; a Scenario, a name or a file.
         policy: a name of ``baselines.names(scenario)`` of the kinds law, rule or learned; the path
-            of a run, of a checkpoint or of an exported network; or a policy.
+            of a run, of a checkpoint or of an exported network, as a Path or as "learned:PATH"; or
+            a policy.
         options: of a policy that is named. Errors are as of ``act``.
     """
 
@@ -100,16 +117,12 @@ class RobotPolicy(OneRobot):
         scenario = resolve(scenario)
         check_steerable(scenario, "a RobotPolicy steers")
         if isinstance(policy, Path):
-            from .learned.learned_policy import load
-
-            policy = load(policy, scenario)
-        elif isinstance(policy, str):
+            policy = f"{registry.AT_PATH}{policy}"
+        if isinstance(policy, str):
             name, policy = policy, registry.make(policy, scenario, **options)
             check_kind(name)
-        elif not callable(policy) or not hasattr(policy, "reset"):
-            raise ValueError(
-                f"policy is {shown(policy)}; it must be a name, a Path, or a policy with reset()"
-            )
+        elif not callable(policy):
+            refuse("policy", policy, "a name, a Path, or a function of observations and time")
         super().__init__(scenario, policy, common_gain(scenario))
 
 

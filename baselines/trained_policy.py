@@ -1,8 +1,12 @@
 """A model that was trained in a training environment, as a policy that can be compared."""
 
+import json
+import os
 from collections.abc import Callable, Collection
 from contextlib import suppress
+from functools import partial
 from inspect import signature
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,9 +20,11 @@ from rendezvous_env.scenario.scenarios import ScenarioLike
 from rendezvous_env.vector import training_env
 
 from .filtered_policies import DecidingPolicy, FilteredPolicy
-from .learned.learned_policy import GuidedPolicy
+from .learned import checkpoints, learned_policy
+from .learned.learned_policy import GuidedPolicy, LearnedPolicy
+from .learned.onnx_network import SUFFIX, checked_session
 from .learned.training_environment import FeatureVectorEnv
-from .policy import Float32, Mask, TeamPolicy, within_limits
+from .policy import AT_PATH, Float32, Mask, TeamPolicy, register_reader, within_limits
 
 Predict = Callable[[Float32], NDArray[Any]]
 """What robots of B teams see, (B, n, ...), to what they choose, (B, n, ...)."""
@@ -40,7 +46,8 @@ class TrainedPolicy(TeamPolicy):
             with the fields of it that stand among ``arguments``.
         predict: observations of robots, (N, size) float32, to their actions, (N, a), or (N,) where
             they are discrete. A pair is taken for actions and a state that is not used, and an
-            argument ``deterministic`` is True, as stable-baselines3 has it.
+            argument ``deterministic`` is True, as stable-baselines3 has it. A model with such a
+            ``predict``, or a torch module of observations, is taken, too.
         by_team: whether ``predict`` takes (B, n, size) and gives (B, n, a); robots that have merged
             away observe zeros.
         arguments: of ``vector.training_env`` in training: ``guarantee="heading"``,
@@ -56,10 +63,16 @@ class TrainedPolicy(TeamPolicy):
         by_team: bool = False,
         **arguments: Any,
     ) -> None:
+        self.model = predict
+        """The model, or a function of it."""
         predict = getattr(predict, "predict", predict)
         if not callable(predict):
             refuse("predict", predict, "a function of observations, or a model with predict()")
-        self._predict, self._by_team = predict, flag("by_team", by_team)
+        if hasattr(predict, "parameters") and hasattr(predict, "forward"):
+            predict = partial(_run_module, predict)
+        self._predict, self.by_team = predict, flag("by_team", by_team)
+        self.arguments = arguments
+        """Of ``vector.training_env`` in training."""
         # stable-baselines3 draws unless it is told not to
         takes: Collection[str] = ()
         with suppress(TypeError, ValueError):  # what is compiled need not say
@@ -90,13 +103,23 @@ class TrainedPolicy(TeamPolicy):
     def _ask(self, seen: Float32) -> NDArray[Any]:
         """What the model chooses, (B, n, ...), for what robots of B teams see."""
         seen = seen.reshape(-1, *self._sees.shape)
-        rows = seen if self._by_team else seen.reshape(-1, *seen.shape[2:])
-        found = self._predict(rows, **self._told)
-        choices = np.asarray(found[0] if isinstance(found, tuple) else found)
+        rows = seen if self.by_team else seen.reshape(-1, *seen.shape[2:])
+        choices = self.choices(rows)
         robot = self._chooses.shape[1:]
-        wanted = (*rows.shape[: 1 + self._by_team], *robot)
+        wanted = (*rows.shape[: 1 + self.by_team], *robot)
         check_shape(f"what predict gave for observations {rows.shape}", choices, wanted)
         return choices.reshape(*seen.shape[:2], *robot)
+
+    @property
+    def observation_shape(self) -> tuple[int, ...]:
+        """Of what the model reads at once, without the axis of all robots, or of all teams."""
+        shape: tuple[int, ...] = self._sees.shape
+        return shape if self.by_team else shape[1:]
+
+    def choices(self, seen: Float32) -> NDArray[Any]:
+        """What the model gives for observations (N, …)."""
+        found = self._predict(seen, **self._told)
+        return np.asarray(found[0] if isinstance(found, tuple) else found)
 
     def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
         """As ``Policy``; a ValueError for predictions of another shape, or naming a robot."""
@@ -110,6 +133,54 @@ class TrainedPolicy(TeamPolicy):
         """As ``Policy.reset``."""
         if self._policy is not None:
             self._policy.reset(mask)
+
+
+def _run_module(module: Any, seen: Float32) -> NDArray[Any]:
+    """What a torch module gives for observations, without gradients."""
+    like = next(iter(module.parameters()))
+    found: NDArray[Any] = module(like.new_tensor(seen)).detach().cpu().numpy()
+    return found
+
+
+ARGUMENTS_KEY = "rendezvous_trained"
+"""Of the metadata of an ONNX file: what its policy was trained in, as JSON."""
+OBSERVATION = "observation"
+"""The input of such a file."""
+
+
+def load(path: str | os.PathLike[str], scenario: ScenarioLike) -> LearnedPolicy | TrainedPolicy:
+    """The policy at a path, see ``learned_policy.load``, or of an ONNX file that ``rendezvous
+    export`` made of a model of stable-baselines3 or torch. Errors are as there.
+    """
+    path = checkpoints.as_path(path)
+    if path.suffix.lower() == SUFFIX and path.is_file():
+        with checkpoints.refusing(path):
+            content = path.read_bytes()
+        if ARGUMENTS_KEY.encode() in content:
+            return _load_model(path, content, scenario)
+    return learned_policy.load(path, scenario)
+
+
+def _load_model(path: Path, content: bytes, scenario: ScenarioLike) -> TrainedPolicy:
+    """The policy of a model in an ONNX file, run by onnxruntime."""
+    session = checked_session(path, content)
+    with checkpoints.refusing(path, "is no policy of this version"):
+        about = json.loads(session.get_modelmeta().custom_metadata_map[ARGUMENTS_KEY])
+        shape, arguments = tuple(about["shape"]), about["arguments"]
+
+    def predict(seen: Float32) -> NDArray[Any]:
+        if seen.shape[1:] != shape:
+            raise ValueError(
+                f"{path}: reads observations of shape {shape}; robots of this scenario observe "
+                f"{seen.shape[1:]}"
+            )
+        found: NDArray[Any] = session.run(None, {OBSERVATION: seen})[0]
+        return found
+
+    return TrainedPolicy(scenario, predict, by_team=about["by_team"], **arguments)
+
+
+register_reader(AT_PATH, load)  # in place of the reader of learned policies alone
 
 
 class _PresetPolicy(GuidedPolicy):

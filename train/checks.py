@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, NamedTuple, get_args, get_type_hints
+from typing import Any, NamedTuple, Self, get_args, get_origin, get_type_hints
 
 _LONGEST_NAME = 255  # bytes of one part of a path, on every common file system
 
@@ -58,11 +58,26 @@ class Bounds(NamedTuple):
         raise UserError(f"{name} is {value}; it must be {right}")
 
 
+class GivenScenario(str):
+    """The name of a Scenario that was given to a command in Python, which it carries."""
+
+    scenario: Any
+
+    def __new__(cls, scenario: Any) -> Self:
+        """The name of a scenario."""
+        made = super().__new__(cls, scenario.name)
+        made.scenario = scenario
+        return made
+
+    def __getnewargs__(self) -> tuple[Any]:
+        return (self.scenario,)
+
+
 @dataclass(frozen=True)
 class Flags:
     """The flags of a command, a field each. Once made they are what they can be, or a UserError:
     of their types and within their ``Bounds``, numbers finite, text the name of a file. In Python
-    lists and text may stand for tuples and paths.
+    lists and text may stand for tuples and paths, and a Scenario for its name.
     """
 
     def __post_init__(self) -> None:
@@ -71,8 +86,12 @@ class Flags:
 
         kinds, marked = get_type_hints(type(self)), get_type_hints(type(self), include_extras=True)
         for name, value in list(vars(self).items()):
-            if isinstance(value, list):
-                object.__setattr__(self, name, tuple(value))
+            several = get_origin(kinds[name]) is tuple
+            if isinstance(value, list | tuple) or (several and _is_one(value)):
+                listed = (value,) if _is_one(value) else value
+                object.__setattr__(self, name, tuple(map(_named, listed)))
+            elif _named(value) is not value:
+                object.__setattr__(self, name, _named(value))
             elif isinstance(value, str) and Path in (kinds[name], *get_args(kinds[name])):
                 object.__setattr__(self, name, Path(value))
         with user_error("", ValueError):
@@ -85,6 +104,18 @@ class Flags:
                 for mark in getattr(hint, "__metadata__", ()):
                     if isinstance(mark, Bounds) and one is not None:
                         mark.check(name, one)
+
+
+def _is_one(value: Any) -> bool:
+    """Whether it is one name where several may stand: a text or a Scenario."""
+    return isinstance(value, str) or _named(value) is not value
+
+
+def _named(value: Any) -> Any:
+    """A Scenario as its name, which carries it; anything else as it is."""
+    from rendezvous_env.scenario.scenario import Scenario  # not for --help
+
+    return GivenScenario(value) if isinstance(value, Scenario) else value
 
 
 def check_unused(flags: Flags, reasons: Mapping[str, str]) -> None:

@@ -7,6 +7,11 @@ from typing import Any
 import rich.console
 
 
+def counted(count: int, noun: str) -> str:
+    """A count with its noun, in the plural unless it is 1."""
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
 class Console(rich.console.Console):
     """A console that shows text as it is: brackets and colons in a path or a name are no markup.
     Once nobody reads any more, as after ``| head``, the command goes on in silence.

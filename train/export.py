@@ -1,13 +1,15 @@
 """``rendezvous export``: a policy for robots, as one Python file or its network as an ONNX file."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rendezvous_env.baselines import trained_policy
 from rendezvous_env.baselines.learned import checkpoints
 from rendezvous_env.baselines.learned.features import (
     NEIGHBOUR_COLUMNS,
@@ -25,10 +27,11 @@ from rendezvous_env.baselines.learned.onnx_network import (
 )
 from rendezvous_env.baselines.learned.policy_settings import PolicySettings
 from rendezvous_env.baselines.robot_policy import RobotPolicy
+from rendezvous_env.baselines.trained_policy import TrainedPolicy
 
 from rendezvous_env.scenario.scenario import Scenario
 
-from . import policies, standalone
+from . import policies, standalone, trained_onnx
 from .checks import Bounds, Flags, UserError, check_installed, user_error
 from .console import Console
 from .results import atomic, prepare_file
@@ -53,7 +56,8 @@ class Config(Flags):
 
     policy: str = "learned"
     """The name of a shipped policy, or learned:PATH of a run or a checkpoint; with --standalone
-    also of a law or a rule."""
+    also of a law or a rule, or module:function of your own that needs NumPy alone; without, of one
+    that gives a TrainedPolicy of a model of stable-baselines3 or torch."""
     out: Path = Path("out/policy.onnx")
     """The ONNX file to write. An older one that this command wrote is replaced, any other file is
     left as it is."""
@@ -72,7 +76,7 @@ def run(config: Config) -> int:
     if config.standalone is not None:
         flag, path, ending = "--standalone", config.standalone, ".py"
         is_written = standalone.is_written
-    if path.suffix != ending:
+    if path.suffix.lower() != ending:
         raise UserError(f"{flag} {path}: unknown ending; it must be {ending}")
     with user_error(f"{flag} {path}: cannot be read: ", OSError):
         others = path.is_file() and not is_written(path)
@@ -85,19 +89,18 @@ def run(config: Config) -> int:
 
 def _is_written(path: Path) -> bool:
     """Whether a file is an ONNX file of this command, of any version."""
-    return SETTINGS_KEY.encode() in path.read_bytes()
+    content = path.read_bytes()
+    return SETTINGS_KEY.encode() in content or trained_policy.ARGUMENTS_KEY.encode() in content
 
 
 def _write_onnx(config: Config, path: Path) -> str:
     """Write and check an ONNX file; returns its size and error in words."""
     check_installed("export", "export", "onnx", "onnxruntime")
     policies.check_names([config.policy])
-    network = _network_of(config.policy, policies.resolve_scenario(config.scenario))
+    scenario = policies.resolve_scenario(config.scenario)
+    network = _network_of(config.policy, scenario)
     if network is None:
-        raise UserError(
-            f"--policy {config.policy}: is scripted and has no network; --standalone robot.py "
-            "writes it as it is"
-        )
+        return _write_model(config, path, scenario)
     prepare_file(path, "--out")
     with atomic(path) as temporary:
         temporary.write_bytes(model_of(*network).SerializeToString())
@@ -110,28 +113,63 @@ def _write_onnx(config: Config, path: Path) -> str:
     )
 
 
+def _write_model(config: Config, path: Path, scenario: Scenario) -> str:
+    """The same for a model of a user's policy."""
+    with user_error(f"--policy {config.policy}: ", ValueError):
+        policy = policies.make(config.policy, scenario)
+    if not isinstance(policy, TrainedPolicy):
+        raise UserError(
+            f"--policy {config.policy}: is scripted and has no network; --standalone robot.py "
+            "writes it as it is"
+        )
+    check_installed("export of a model", "train", "torch")
+    prepare_file(path, "--out")
+    with atomic(path) as temporary:
+        temporary.write_bytes(trained_onnx.content_of(policy))
+        written = trained_policy.load(temporary, scenario)
+        assert isinstance(written, TrainedPolicy)
+        apart = trained_onnx.compare(policy, written, config.checks)
+        _check_close(apart, _CLOSE, "of an action")
+        size = temporary.stat().st_size
+    return f", {size / 1e3:.0f} kB; on {config.checks} drawn inputs it differs by {apart:.1e}"
+
+
 def _write_python(config: Config, path: Path) -> str:
     """The same for one Python file."""
-    if policies.is_user_policy(config.policy):
-        raise UserError(
-            f"--policy {config.policy}: is a function of your own; it must be a law, a rule or a "
-            "learned policy of this project"
-        )
     policies.check_names([config.policy])
     scenario = policies.resolve_scenario(config.scenario)
-    network = _network_of(config.policy, scenario)
+    network, build = _network_of(config.policy, scenario), None
+    if policies.is_user_policy(config.policy):
+        build = policies.find_function(config.policy)
     prepare_file(path, "--standalone")
     with atomic(path) as temporary:
         with user_error(f"--policy {config.policy}: ", ValueError):
-            text = standalone.text_of(config.policy, scenario, network)
+            text = standalone.text_of(config.policy, scenario, network, build)
+            robot = RobotPolicy(scenario, policies.make(config.policy, scenario))
         temporary.write_text(text, encoding="utf-8")
-        robot = RobotPolicy(scenario, policies.make(config.policy, scenario))
-        apart = standalone.compare(temporary, robot, config.checks)
-        _check_close(apart, standalone.CLOSE, "m/s")
+        with _on_board(build is not None):
+            apart = standalone.compare(temporary, robot, config.checks)
+            _check_close(apart, standalone.CLOSE, "m/s")
     return (
         f" for {scenario.name}, {len(text) / 1e3:.0f} kB, needs NumPy; on {config.checks} drawn "
         f"ticks it differs by {apart:.1e} m/s"
     )
+
+
+@contextmanager
+def _on_board(is_own: bool) -> Iterator[None]:
+    """Say of what a user's file does which numbers of its scenario it has."""
+    try:
+        yield
+    except Exception as error:
+        if not is_own:
+            raise
+        kind = "" if isinstance(error, UserError) else f"{type(error).__name__}: "
+        known = ", ".join(standalone.NUMBERS)
+        raise UserError(
+            f"{kind}{error}. In one file a scenario has n_robots = 1, observation_layout, "
+            f"action_bounds, model, {known}"
+        ) from error
 
 
 def _check_close(apart: float, most: float, unit: str) -> None:
@@ -147,7 +185,7 @@ def _network_of(name: str, scenario: Scenario) -> standalone.Network | None:
     path = policies.learned_path(name, scenario)
     if path is None:
         return None
-    if path.suffix == SUFFIX:
+    if path.suffix.lower() == SUFFIX:
         raise UserError(f"--policy {name}: is exported already")
     about, tables = checkpoints.read(checkpoints.find(path), ["network"])
     return tables["network"], PolicySettings.from_plain(about["policy"])

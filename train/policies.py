@@ -7,6 +7,7 @@ Policies: those of the registry; ``learned:PATH`` of a run, a checkpoint or an e
 import hashlib
 import importlib
 import inspect
+import math
 import os
 import re
 import sys
@@ -18,8 +19,8 @@ from typing import Any
 
 import numpy as np
 from rendezvous_env.baselines import policy as registry
-from rendezvous_env.baselines.learned import learned_policy, shipped
-from rendezvous_env.baselines.policy import builder_of, file_of
+from rendezvous_env.baselines.learned import shipped
+from rendezvous_env.baselines.policy import AT_PATH, builder_of, file_of
 from rendezvous_env.baselines.steering import can_steer
 
 from rendezvous_env import baselines
@@ -27,30 +28,51 @@ from rendezvous_env.checks import meant, shown
 from rendezvous_env.graphs.random_graphs import FAMILIES, CustomFamily
 from rendezvous_env.rewards.custom_terms import COSTS, TERMS
 from rendezvous_env.robots.robot_models import is_custom
+from rendezvous_env.safety.theorems.certificate import certificate
 from rendezvous_env.scenario import scenarios
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.sensors.custom_sensors import IMPERFECTIONS
 from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, begin
 
-from .checks import UserError, unknown, user_error
+from .checks import GivenScenario, UserError, unknown, user_error
 
-_AT_PATH = "learned:"
 _BEST = ("learned-tank", "tank-joined", "learned", "tangent-joined-tuned", "tangent-joined")
 """Policies for obstacles; the sooner, the more collision-free (README, Results)."""
 _ON_REQUEST = ("blind", "privileged")
 """Kinds of policies that are compared where they are named."""
 _WHERE_SENSORS_ERR = ("learned-tank-noise",)
 """Policies without an advantage where sensors are exact."""
+_LINK_KEEPING = "link-keeping"
 _found: dict[str, tuple[Any, str | None]] = {}
 """Functions of users as this process has imported them, with the digests of their files."""
 
 
 def kind_of(name: str) -> str:
-    """The kind of a policy, one of ``baselines.policy.KINDS``."""
-    if is_user_policy(name):
+    """The kind of a policy, one of ``baselines.policy.KINDS``; "own" of a name that is not
+    registered in this process.
+    """
+    try:
+        return registry.kind_of(name)
+    except KeyError:
         return "own"
-    return "learned" if name.startswith(_AT_PATH) else registry.kind_of(name)
+
+
+def labels_of(wanted: Sequence[str]) -> dict[str, str]:
+    """Labels of policies given as NAME or LABEL=NAME, by their names; empty without a label."""
+    labels: dict[str, str] = {}
+    for given in wanted:
+        label, equals, name = given.partition("=")
+        if not equals or ":" in label or given in baselines.names():
+            label, name = "", given
+        elif not label.isprintable() or not label.strip() or label in baselines.names():
+            raise UserError(f"--policies {given}: {label!r} is no label; give another word")
+        if name in labels:
+            raise UserError(f"policy {name!r} is named twice; name each once")
+        if label and label in labels.values():
+            raise UserError(f"--policies {given}: two policies have the label {label!r}")
+        labels[name] = label
+    return labels
 
 
 def about(name: str) -> str:
@@ -64,8 +86,6 @@ def make(name: str, scenario: Scenario) -> Policy:
         if (policy := _make_own(name, scenario)) is None:
             raise ValueError(f"policy {name!r} does not fit scenario {scenario.name!r}")
         return policy
-    if name.startswith(_AT_PATH):
-        return learned_policy.load(Path(name.removeprefix(_AT_PATH)), scenario)
     return baselines.make(name, scenario)
 
 
@@ -82,25 +102,35 @@ def learned_path(name: str, scenario: Scenario | None = None) -> Path | None:
     """Folder of a learned policy for the robots of a scenario, or for single integrators."""
     if name in shipped.NAMES:
         return shipped.folder(name, scenario)
-    return Path(name.removeprefix(_AT_PATH)) if name.startswith(_AT_PATH) else None
+    return Path(name.removeprefix(AT_PATH)) if name.startswith(AT_PATH) else None
 
 
-def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
+def fitting(scenario: Scenario, wanted: Sequence[str], *, brief: bool = False) -> list[str]:
     """Those of the wanted policies that fit a scenario. If none is wanted, all that fit but those
-    on request; those that see nothing or everything only where nothing else fits.
+    on request; those that see nothing or everything only where nothing else fits. ``brief`` leaves
+    out what has little chance there, see ``_is_hopeless``.
     """
     known = baselines.names(scenario)
     if not wanted:
-        left_out = _WHERE_SENSORS_ERR if scenario.sensing.exact else ()
-        usual = [n for n in known if not registry.on_request(n) and n not in left_out]
-        return [name for name in usual if kind_of(name) not in _ON_REQUEST] or usual
+        usual = [n for n in known if not registry.on_request(n)]
+        found = [name for name in usual if kind_of(name) not in _ON_REQUEST] or usual
+        return [name for name in found if not (brief and _is_hopeless(name, scenario))]
     return [
         name
         for name in wanted
         if name in known
-        or (name.startswith(_AT_PATH) and can_steer(scenario))
+        or (name.startswith(AT_PATH) and can_steer(scenario))
         or (is_user_policy(name) and _fits_own(name, scenario))
     ]
+
+
+def _is_hopeless(name: str, scenario: Scenario) -> bool:
+    """Whether a policy is of the laws from the literature, which see no obstacles, among obstacles,
+    or made for sensors that err where they are exact.
+    """
+    blind_to_obstacles = kind_of(name) == "field" or name == _LINK_KEEPING
+    exact = scenario.sensing.exact and name in _WHERE_SENSORS_ERR
+    return exact or (blind_to_obstacles and bool(scenario.obstacles))
 
 
 def source_digest(name: str) -> str | None:
@@ -133,7 +163,7 @@ def check_names(wanted: Sequence[str]) -> None:
             with user_error(f"policy {name!r}: ", ValueError):
                 make(name, Scenario(n_robots=2))
         elif name not in known:
-            raise unknown("policy", name, (*known, f"{_AT_PATH}PATH", "MODULE:FUNCTION"))
+            raise unknown("policy", name, (*known, f"{AT_PATH}PATH", "MODULE:FUNCTION"))
 
 
 def promised_margin(name: str, policy: Policy) -> float | None:
@@ -142,6 +172,23 @@ def promised_margin(name: str, policy: Policy) -> float | None:
     """
     margin = 1.0 if name == "bearing-only" else getattr(policy, "min_alignment", None)
     return None if margin is None else float(margin)
+
+
+def promised_time(name: str, policy: Policy, scenario: Scenario) -> float:
+    """Time by which a policy has met from any start, s, by the scenario's certificate; infinite
+    where there is none, as of tanks, which learn of no merge here.
+    """
+    asked: dict[str, Any] = {"by": "law"}
+    if name == _LINK_KEEPING:
+        asked = {"by": "links", "share": 1.0}
+    elif name != "bearing-only":
+        if (margin := promised_margin(name, policy)) is None:
+            return math.inf
+        asked = {"by": "heading", "min_alignment": margin}
+    found = certificate(scenario, **asked)
+    # no policy but law (1) meets with errors that it is not told of
+    told = asked["by"] == "law" or found.bearing_error == 0.0
+    return found.time_bound if told else math.inf
 
 
 def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
@@ -160,7 +207,7 @@ def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
                 given[field] = tomllib.loads(f"value = {value}")["value"]
             except tomllib.TOMLDecodeError:
                 given[field] = value  # a word
-        scenario = scenarios.resolve(name)
+        scenario = name.scenario if isinstance(name, GivenScenario) else scenarios.resolve(name)
         said = [re.sub(r"[^\w.+-]+", "-", change.replace("_", "-")) for change in changes]
         own_name = {"name": "-".join([scenario.name, *said])}
         return scenario.replace(**(own_name | given)) if changes else scenario
@@ -199,7 +246,7 @@ def digest_of(function: Callable[..., Any], path: Path | None = None) -> str | N
 
 def is_user_policy(name: str) -> bool:
     """Whether a name is meant as ``module:function``."""
-    return ":" in name and not name.startswith(_AT_PATH)
+    return ":" in name and not name.startswith(AT_PATH)
 
 
 def find_function(name: str) -> Callable[[Scenario], Policy | None]:

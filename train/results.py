@@ -155,7 +155,7 @@ def plain(value: Any) -> Any:
 
 def read_csv(path: Path) -> list[dict[str, str]]:
     """Rows of a file that ``write_csv`` wrote, every cell as text."""
-    with path.open(newline="", encoding="utf-8") as file:
+    with path.open(newline="", encoding="utf-8-sig") as file:
         return list(csv.DictReader(file))
 
 

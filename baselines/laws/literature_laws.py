@@ -126,7 +126,7 @@ def chosen_rows(rows: Rows, target: Order) -> Array:
     return np.take_along_axis(rows, chosen, axis=-2)[..., 0, :].astype(np.float64)
 
 
-@register("unit-mean", fits=is_single_integrator, kind="field", on_request=True)
+@register("unit-mean", fits=is_single_integrator, kind="field")
 class _UnitMean(Law):
     """Along the net bearing at the speed limit."""
 
@@ -134,7 +134,7 @@ class _UnitMean(Law):
         return unit_mean_law(f, speed=self.scenario.speed_limit)
 
 
-@register("smallest-sector", fits=in_the_plane, kind="field", on_request=True)
+@register("smallest-sector", fits=in_the_plane, kind="field")
 class _SmallestSector(Law):
     """Between the two neighbours that bound the smallest sector with all of them in it."""
 
@@ -142,7 +142,7 @@ class _SmallestSector(Law):
         return smallest_sector_law(seen.neighbours)
 
 
-@register("quantised", fits=in_the_plane, kind="field", on_request=True)
+@register("quantised", fits=in_the_plane, kind="field")
 @dataclass(frozen=True)
 class _Quantised(Law):
     """Law (1) of bearings that are known by sector only."""
@@ -163,7 +163,7 @@ def _tells_robots_apart(scenario: Scenario) -> bool:
     return is_single_integrator(scenario) and slots in (1, scenario.n_robots - 1)
 
 
-@register("cyclic-pursuit", fits=_tells_robots_apart, kind="field", on_request=True)
+@register("cyclic-pursuit", fits=_tells_robots_apart, kind="field")
 class _CyclicPursuit(Law):
     """Straight at the next robot by row, at the speed limit."""
 
@@ -171,7 +171,7 @@ class _CyclicPursuit(Law):
         return cyclic_pursuit_law(seen.neighbours, speed=self.scenario.speed_limit)
 
 
-@register("nearest-pursuit", fits=_tells_robots_apart, kind="field", on_request=True)
+@register("nearest-pursuit", fits=_tells_robots_apart, kind="field")
 class _NearestPursuit(Law):
     """Straight at the robot nearest by index, at the speed limit."""
 

@@ -142,7 +142,7 @@ class _BearingOnly(Law):
         return self.slowed(bearing_only_law(f), seen)
 
 
-@register("link-keeping", fits=is_single_integrator, kind="law", on_request=True)
+@register("link-keeping", fits=is_single_integrator, kind="law")
 class _LinkKeeping(Law):
     """Law (R b): into the middle of all that is seen, so that no link in sight grows longer."""
 

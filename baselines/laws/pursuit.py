@@ -73,7 +73,7 @@ class Pursuer(RememberingPolicy):
         """(B, n, a) for bearings (B, n, d) of targets."""
 
 
-@register("pursuit", fits=turns, kind="field", on_request=True)
+@register("pursuit", fits=turns, kind="field")
 class Pursuit(Pursuer):
     """Turns towards one robot, and drives only while it points at it (E2).
 
@@ -94,7 +94,7 @@ class Pursuit(Pursuer):
         return np.concatenate([speed[..., np.newaxis], turns / tau], axis=-1)
 
 
-@register("windshield", fits=is_unicycle, kind="field", on_request=True)
+@register("windshield", fits=is_unicycle, kind="field")
 @dataclass
 class Windshield(Pursuer):
     """Drives on, and turns by all it can while its target is beside the windshield.

@@ -13,8 +13,11 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from rendezvous_env.checks import refuse
+
 from .plain_data import check_types, digest_of_rest, entry, read_json
 
+PathLike = str | os.PathLike[str]
 FORMAT_VERSION = 1
 DESCRIPTION = "checkpoint.json"
 FOLDER, POINTER = "checkpoints", "latest.json"
@@ -41,8 +44,16 @@ def refusing(
         raise CheckpointError(f"{path}: {fault}: {reason}") from error
 
 
-def find(path: Path) -> Path:
+def as_path(path: Any) -> Path:
+    """A path, or the text of one; a ValueError for anything else."""
+    if not isinstance(path, str | os.PathLike):
+        refuse("path", path, "the path of a run, a checkpoint or an exported network")
+    return Path(path)
+
+
+def find(path: PathLike) -> Path:
     """The checkpoint that a path means: the folder itself, or the newest one of a run."""
+    path = as_path(path)
     found = [path] if DESCRIPTION in _names(path) else candidates(path)
     if not found:
         there = "no checkpoint in it" if path.is_dir() else "no such folder"
@@ -52,9 +63,9 @@ def find(path: Path) -> Path:
     return found[0]
 
 
-def candidates(run: Path) -> list[Path]:
+def candidates(run: PathLike) -> list[Path]:
     """All checkpoints of a run, the one that its pointer names first, then the newest."""
-    folder = run / FOLDER
+    folder = as_path(run) / FOLDER
     found = sorted((name for name in _names(folder) if name.startswith("step-")), reverse=True)
     try:
         named = read_json(folder / POINTER)["checkpoint"]
@@ -69,9 +80,9 @@ def _names(folder: Path) -> list[str]:
         return os.listdir(folder) if folder.is_dir() else []
 
 
-def describe(place: Path) -> dict[str, Any]:
+def describe(place: PathLike) -> dict[str, Any]:
     """The description of a checkpoint, which is checked against its own digest."""
-    path = place / DESCRIPTION
+    path = as_path(place) / DESCRIPTION
     with refusing(path):
         about = read_json(path)
     version = about.get("format_version") if isinstance(about, dict) else None
@@ -88,8 +99,9 @@ def describe(place: Path) -> dict[str, Any]:
     return about
 
 
-def read(place: Path, names: Iterable[str]) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+def read(place: PathLike, names: Iterable[str]) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
     """The description of a checkpoint and the arrays of some of its files."""
+    place = as_path(place)
     about = describe(place)
     return about, {name: _read_file(place / f"{name}.safetensors", about) for name in names}
 

@@ -1,17 +1,18 @@
 """A trained network as a policy: observations in, actions out, like the scripted ones."""
 
+import os
 from abc import abstractmethod
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
 from ..filtered_policies import DecidingPolicy
-from ..policy import Float32, Mask, within_limits
+from ..policy import AT_PATH, Float32, Mask, register_reader, within_limits
 from ..steering import check_steerable
 from . import checkpoints
 from .guide import GuidedTeams
@@ -72,10 +73,11 @@ class LearnedPolicy(GuidedPolicy):
 
     def __init__(
         self,
-        scenario: Scenario,
+        scenario: ScenarioLike,
         weights: Mapping[str, NDArray[Any]] | Network,
         settings: PolicySettings,
     ) -> None:
+        scenario = resolve(scenario)
         check_steerable(scenario)
         super().__init__(scenario, settings)
         turns = scenario.model.nonholonomic  # its body may stand across f when it starts
@@ -111,13 +113,14 @@ class LearnedPolicy(GuidedPolicy):
         self._guided.choose(choices)
 
 
-def load(path: Path, scenario: Scenario) -> LearnedPolicy:
+def load(path: str | os.PathLike[str], scenario: ScenarioLike) -> LearnedPolicy:
     """The policy of a checkpoint, of the newest one of a run, of a shipped folder, or of an ONNX
     file that ``rendezvous export`` wrote. A CheckpointError names the file that cannot be read or
     does not belong to this version, a ValueError robots that it cannot steer.
     """
+    path, scenario = checkpoints.as_path(path), resolve(scenario)
     check_steerable(scenario)
-    if path.suffix == SUFFIX:
+    if path.suffix.lower() == SUFFIX:
         network = OnnxNetwork(path)
         network.layout = network.settings.layout_of(scenario)
         return LearnedPolicy(scenario, network, network.settings)
@@ -126,3 +129,6 @@ def load(path: Path, scenario: Scenario) -> LearnedPolicy:
     with checkpoints.refusing(place, "is no policy of this version"):
         settings = PolicySettings.from_plain(about.get("policy"))
         return LearnedPolicy(scenario, tables["network"], settings)
+
+
+register_reader(AT_PATH, load)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .checkpoints import CheckpointError, refusing
+from .checkpoints import CheckpointError, PathLike, as_path, refusing
 from .numpy_actor import Array, Network
 from .policy_settings import PolicySettings
 
@@ -29,25 +29,31 @@ def digest_of(content: bytes) -> str:
     return hashlib.sha256(blank).hexdigest()
 
 
+def checked_session(path: Path, content: bytes) -> Any:
+    """A session of a file whose digest fits; a CheckpointError for any other file."""
+    digest = _DIGEST.search(content)  # before anything is read of what the file says
+    if digest is None:
+        raise CheckpointError(
+            f"{path}: holds no digest: it was changed, or `rendezvous export` of this version "
+            "did not write it"
+        )
+    if digest[1].decode() != digest_of(content):
+        raise CheckpointError(f"{path}: its content was changed: the digest in it does not fit")
+    return _session(path, content)
+
+
 class OnnxNetwork(Network):
     """A network that onnxruntime runs, from a file that ``rendezvous export`` wrote, for any
     ``layout`` with its columns. A CheckpointError names a file that cannot be read, was changed,
     holds no digest or does not belong to this version.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: PathLike) -> None:
+        path = as_path(path)
         with refusing(path):
             content = path.read_bytes()
-        digest = _DIGEST.search(content)  # before anything is read of what the file says
-        if digest is None:
-            raise CheckpointError(
-                f"{path}: holds no digest: it was changed, or `rendezvous export` of this version "
-                "did not write it"
-            )
-        if digest[1].decode() != digest_of(content):
-            raise CheckpointError(f"{path}: its content was changed: the digest in it does not fit")
+        self._session = checked_session(path, content)
         self._file = path, content
-        self._session = _session(path, content)
         found = self._session.get_modelmeta().custom_metadata_map.get(SETTINGS_KEY)
         if found is None:
             raise CheckpointError(

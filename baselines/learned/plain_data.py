@@ -10,7 +10,7 @@ from typing import Any, get_args
 def read_json(path: Path) -> Any:
     """Plain data from a file; an OSError, or a ValueError that says why it is no JSON."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(path.read_text(encoding="utf-8-sig"))
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
 

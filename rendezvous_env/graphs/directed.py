@@ -7,6 +7,7 @@ import numpy as np
 
 from .fixed import Weight, as_range
 from .graph import Graph, LinkArrays, from_matrix_of
+from .reading import is_networkx, is_sparse
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,9 @@ def directed(arcs: Any, n_robots: int | None = None) -> Graph:
 
     Args:
         arcs: an (n, n) matrix of weights, row i what robot i gives to those it sees, m/s, 0 = no
-            edge; or a list of (i, j) or (i, j, weight), weight 1 m/s if not given. An array or a
-            square list of lists is a matrix, tuples are edges.
+            edge; or a list of (i, j) or (i, j, weight), weight 1 m/s if not given. An array, a
+            sparse matrix or a square list of lists is a matrix, tuples are edges. Or a networkx
+            graph, each edge of an undirected one in both directions.
         n_robots: for a list of edges; without it the largest index is the last robot's.
 
     Raises:
@@ -43,7 +45,7 @@ def directed(arcs: Any, n_robots: int | None = None) -> Graph:
     is_table = isinstance(arcs, list) and all(
         isinstance(row, list | np.ndarray) and len(row) == len(arcs) for row in arcs
     )
-    if is_table or isinstance(arcs, np.ndarray):
+    if is_table or isinstance(arcs, np.ndarray) or is_sparse(arcs) or is_networkx(arcs):
         return from_matrix_of("directed", arcs, n_robots)
     return Graph("directed", edges=arcs, n_nodes=n_robots)
 

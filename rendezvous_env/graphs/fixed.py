@@ -3,13 +3,13 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..checks import number_range
-from .graph import Graph, GraphNumbers, LinkArrays, from_matrix_of
+from .graph import Graph, GraphNumbers, LinkArrays, from_matrix_of, from_networkx
+from .reading import is_networkx
 
 Weight = float | tuple[float, float]
 """Of every edge, m/s, or a range to draw from."""
@@ -81,14 +81,21 @@ def star(weight: Weight = 1.0) -> Graph:
 def from_edges(edges: Iterable[Sequence[float]], n_robots: int | None = None) -> Graph:
     """A graph from (i, j) or (i, j, weight) with robot indices from 0; weight 1 m/s if not given.
 
+    An undirected networkx graph, or a view of its edges, is taken too; "weight" is a_ij, m/s.
+
     Raises:
         ValueError: for a loop, a repeated edge, an index out of range or a bad weight.
     """
+    if is_networkx(edges) and n_robots is None:
+        return from_networkx("edges", edges)
     return Graph("edges", edges=edges, n_nodes=n_robots)
 
 
-def from_matrix(weights: ArrayLike) -> Graph:
+def from_matrix(weights: Any) -> Graph:
     """A graph from its symmetric (n, n) matrix of weights a_ij, m/s; 0 = no edge.
+
+    The matrix is an array or a sparse matrix of SciPy; a_ij and a_ji may differ by rounding, and
+    count as their mean then.
 
     Raises:
         ValueError: naming the entry that is not finite, negative, on the diagonal or not symmetric.

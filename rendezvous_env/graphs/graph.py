@@ -5,7 +5,7 @@ Every kind is a subclass in a file of its own, which says what is particular to 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Annotated, Any, ClassVar, NamedTuple, Self
@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from .. import checks
 from ..checks import shown
 from ..limits import MOST_ROBOTS
+from . import reading
 from . import weights as matrices
-from .weights import Edges, check_weights, checked_edges
+from .weights import Edges, checked_edges, weighted_links
 
 GraphLike = Any
-"""A Graph, the name of a kind, a matrix of weights, or plain data."""
+"""A Graph, the name of a kind, a matrix of weights, an edge list, a networkx graph, plain data."""
 LinkArrays = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
 """Edges: robots (E,), (E,), weights (E,), m/s; of directed ones who sees, and who is seen."""
 _LARGE_TEAM = 48  # robots from which a step is made for what they see rather than for all merges
@@ -241,13 +242,20 @@ def class_of(kind: Any) -> type[Graph]:
     return KINDS[checks.choice("graph", kind, KINDS)]
 
 
-def parse(value: Any) -> Graph:
-    """A Graph from a Graph, a name, a matrix, or the plain data of ``Graph.to_plain``."""
+def parse(value: Any, n: int | None = None) -> Graph:
+    """A Graph of n robots, if that is known, from a Graph, a name, the plain data of
+    ``Graph.to_plain``, a matrix of weights, an edge list, or a networkx graph.
+
+    A table of n rows is a matrix where it can be one; others with rows of two or three entries are
+    edges. A networkx graph that is directed gives a directed graph.
+    """
     if isinstance(value, Graph):
         return value
-    if not isinstance(value, str | Mapping):
-        return from_matrix_of("edges", value)
+    if not isinstance(value, str) and not reading.is_plain(value):
+        return _of_links(value, n)
     plain = {"kind": value} if isinstance(value, str) else value
+    if not all(isinstance(key, str) for key in plain):
+        checks.refuse("graph", value, f"{reading.GIVEN}; {reading.REMEDY}")
     kind = plain.get("kind", "edges" if "edges" in plain else "complete")
     checks.known_fields(plain, class_of(kind).keys, "graph", "key")
     try:
@@ -259,10 +267,53 @@ def parse(value: Any) -> Graph:
         raise ValueError(f"graph: {shown(value)} needs {made}") from error
 
 
+def _of_links(value: Any, n: int | None) -> Graph:
+    """A graph from a networkx graph, an edge list or a matrix, whichever it can be."""
+    if reading.is_networkx(value):
+        return from_networkx("directed" if value.is_directed() else "edges", value)
+    if (rows := reading.edge_rows(value)) is None:
+        return _of_matrix(value)
+    kind = "directed" if reading.is_directed_view(value) else "edges"
+    as_edges = partial(Graph, kind, edges=rows, n_nodes=n)
+    if any(len(row) != len(rows) for row in rows):
+        return as_edges()
+    readings = [partial(from_matrix_of, kind, rows), as_edges]
+    if n not in (None, len(rows)):
+        readings.reverse()
+    try:
+        return readings[0]()
+    except ValueError:
+        try:
+            return readings[1]()
+        except ValueError:
+            pass
+        raise
+
+
+def _of_matrix(value: Any) -> Graph:
+    """A graph from what is no edge list; what is no square matrix either has a remedy."""
+    try:
+        return from_matrix_of("edges", value)
+    except ValueError as error:
+        if reading.is_square(value):
+            raise
+        raise ValueError(f"{error}; {reading.REMEDY}") from error
+
+
+def from_networkx(kind: str, graph: Any) -> Graph:
+    """A graph with listed edges from one of networkx, whose attribute "weight" is a_ij, m/s."""
+    directed, edges = class_of(kind).directed, reading.networkx_edges(graph)
+    if graph.is_directed() and not directed:
+        checks.refuse("graph", graph, "undirected; graphs.directed takes directed graphs")
+    if directed and not graph.is_directed():
+        edges += [(j, i, weight) for i, j, weight in edges]
+    return Graph(kind, edges=edges, n_nodes=len(graph))
+
+
 def from_matrix_of(kind: str, weights: Any, n: int | None = None) -> Graph:
     """A graph with listed edges from its (n, n) matrix of weights a_ij, m/s; 0 = no edge."""
-    matrix, directed = checks.floats("graph", weights), class_of(kind).directed
-    check_weights(matrix, n, directed=directed)
-    first, second = np.nonzero(matrix if directed else np.triu(matrix))
-    edges = Edges(first, second, matrix[first, second])
-    return Graph(kind, edges=edges, n_nodes=len(matrix))
+    if reading.is_networkx(weights):
+        return from_networkx(kind, weights)
+    matrix = reading.as_matrix("graph", weights)
+    edges = Edges(*weighted_links(matrix, n, directed=class_of(kind).directed))
+    return Graph(kind, edges=edges, n_nodes=matrix.shape[0])

@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 from ..checks import check_shape, is_whole, real, refuse, shown
 from ..limits import LARGEST, SMALLEST
+from .reading import as_matrix, is_networkx, networkx_edges, rows_of, weight_of
+
+_ROUNDING = 1e-6  # share by which a_ij and a_ji may differ: matrices come in float32, too
 
 
 class Edges:
@@ -44,11 +47,15 @@ class Edges:
 
 
 def read_edges(edges: Any) -> tuple[tuple[int, int, float], ...]:
-    """Edges as they are given: (i, j), of weight 1 m/s, or (i, j, weight)."""
+    """Edges as they are given: (i, j), of weight 1 m/s, or (i, j, weight), the weight a number or
+    the attributes that networkx has.
+    """
+    if is_networkx(edges):
+        return tuple(map(_as_edge, networkx_edges(edges)))
     scalar = isinstance(edges, np.ndarray) and edges.ndim == 0  # says that it can be iterated
     if isinstance(edges, str | bytes) or not isinstance(edges, Iterable) or scalar:
         refuse("graph: edges", edges, "a sequence of (i, j) or (i, j, weight)")
-    return tuple(map(_as_edge, edges))
+    return tuple(map(_as_edge, rows_of(edges)))
 
 
 def _as_edge(edge: Any) -> tuple[int, int, float]:
@@ -56,7 +63,8 @@ def _as_edge(edge: Any) -> tuple[int, int, float]:
     row = edge.tolist() if isinstance(edge, np.ndarray) else edge
     if not isinstance(row, Sequence) or isinstance(row, str | bytes) or len(row) not in (2, 3):
         refuse("graph: an edge", edge, "(i, j) or (i, j, weight) with indices of robots")
-    i, j, weight = (*row, 1.0)[:3]
+    i, j, weight = (*row, None)[:3]
+    weight = weight_of(weight)
     if not all(is_whole(k) or real(k).is_integer() for k in (i, j)):
         refuse("graph: an edge", edge, "(i, j) or (i, j, weight) with whole indices of robots")
     if not SMALLEST <= real(weight) <= LARGEST:
@@ -96,34 +104,49 @@ def _refuse_edge(i: int, j: int, n: int) -> None:
     raise ValueError(f"graph: edge ({i}, {j}) must join two different robots of 0..{n - 1}, once")
 
 
-def check_weights(
-    weights: NDArray[np.float64],
-    n: int | None = None,
-    field: str = "graph",
-    *,
-    directed: bool = False,
-) -> None:
-    """Refuse weights that are not (n, n), non-negative, finite, zero on the diagonal and, unless
-    ``directed``, symmetric; the first wrong entry is named.
+def weighted_links(
+    weights: Any, n: int | None = None, field: str = "graph", *, directed: bool = False
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """The links of an (n, n) matrix of weights, an array or a sparse one: robots (E,), (E,), and
+    a_ij (E,), m/s; of undirected ones i < j, and the mean of a_ij and a_ji where rounding makes
+    them differ.
+
+    Raises:
+        ValueError: naming the first entry that is not finite, negative, out of the limits, on the
+            diagonal or, unless ``directed``, not symmetric; or for another shape.
     """
-    size = n if n is not None else max((2, *weights.shape[:1]))
-    check_shape(f"{field}: weights", weights, (size, size), axes="(n, n)")
-    out_of_limits = (weights != 0) & ((weights < SMALLEST) | (weights > LARGEST))
+    matrix = as_matrix(field, weights)
+    size = n if n is not None else max((2, *matrix.shape[:1]))
+    check_shape(f"{field}: weights", matrix, (size, size), axes="(n, n)")
+    first, second = matrix.nonzero()
+    found, mirrored = (np.ravel(matrix[at]) for at in ((first, second), (second, first)))
+    uneven = np.zeros(len(found), bool)
+    if not directed:
+        with np.errstate(invalid="ignore"):  # of infinite ones
+            uneven = np.abs(found - mirrored) > _ROUNDING * np.maximum(found, mirrored)
     reasons = (
-        (~np.isfinite(weights), "must be finite"),
-        (weights < 0, "must not be negative"),
-        (out_of_limits, f"must be 0, or from {SMALLEST:g} to {LARGEST:g} m/s"),
-        (np.diag(np.diag(weights) != 0), "must be 0: no robot is its own neighbour"),
+        (~np.isfinite(found), "must be finite"),
+        (found < 0, "must not be negative"),
         (
-            (weights != weights.T) & (not directed),
+            (found < SMALLEST) | (found > LARGEST),
+            f"must be 0, or from {SMALLEST:g} to {LARGEST:g} m/s",
+        ),
+        (first == second, "must be 0: no robot is its own neighbour"),
+        (
+            uneven,
             "must equal its mirror image: the graph is undirected (a_ij = a_ji); graphs.directed "
             "takes others",
         ),
     )
     for wrong, reason in reasons:
-        if np.any(wrong):
-            i, j = (int(k) for k in np.argwhere(wrong)[0])
-            raise ValueError(f"{field}: weight a[{i}, {j}] = {weights[i, j]} {reason}")
+        if wrong.any():
+            i, j = int(first[wrong][0]), int(second[wrong][0])
+            raise ValueError(f"{field}: weight a[{i}, {j}] = {matrix[i, j]} {reason}")
+    if directed:
+        return first.astype(np.int64), second.astype(np.int64), found
+    upper = first < second
+    mean = 0.5 * (found[upper] + mirrored[upper])
+    return first[upper].astype(np.int64), second[upper].astype(np.int64), mean
 
 
 # Weights are an (n, n) matrix, an array or a sparse one of SciPy's; the work follows the edges.

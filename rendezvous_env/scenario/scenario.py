@@ -75,8 +75,8 @@ class Scenario:
     """single_integrator or double_integrator (2-D or 3-D), unicycle (2-D), nonholonomic_3d (3-D),
     or one that has been registered."""
     graph: GraphLike = dataclasses.field(default_factory=graphs.complete)
-    """Who sees whom: a Graph, the name of one, or a symmetric (n, n) matrix of weights a_ij in
-    m/s."""
+    """Who sees whom: a Graph, the name of one, a symmetric (n, n) matrix of weights a_ij in m/s,
+    dense or sparse, a list of edges (i, j) or (i, j, a_ij), or a networkx graph."""
     require_connected: bool = True
     """Refuse a graph that is not connected: its robots can never all meet (theorem 1). A directed
     one must have a robot that is reached from all, a switching one taken together; with a proximity
@@ -307,7 +307,7 @@ class Scenario:
         scenario_files.write(path, self.to_plain())
 
     def _check_graph(self) -> None:
-        graph = graphs.parse(self.graph)
+        graph = graphs.parse(self.graph, self.n_robots)
         object.__setattr__(self, "graph", graph)
         why = graph.why_not_joined(self.n_robots)
         if why is not None and self.require_connected:

@@ -18,9 +18,11 @@ def read(path: _PathLike) -> dict[str, Any]:
     with _possible(path) as file:
         content = file.read_bytes()
     try:
-        return tomllib.loads(content.decode("utf-8"))
+        return tomllib.loads(content.decode("utf-8-sig"))  # editors of Windows begin with a mark
     except (RecursionError, ValueError) as error:
         reason = f"not a TOML file: {shown(str(error))[1:-1]}"
+        if isinstance(error, UnicodeDecodeError):
+            reason += "; save it as UTF-8"
         if isinstance(error, RecursionError):
             reason = "its tables and lists are nested too deep"
         raise ValueError(f"{shown(str(path))[1:-1]}: {reason}") from error

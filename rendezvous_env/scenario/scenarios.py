@@ -285,6 +285,6 @@ def resolve(scenario: ScenarioLike, **overrides: Any) -> Scenario:
         wanted = "a Scenario, its plain data, the name of one, or the path of a TOML file"
         refuse("scenario", scenario, wanted)
     if not isinstance(scenario, Scenario):
-        is_file = str(scenario).endswith(".toml")
+        is_file = str(scenario).lower().endswith(".toml")
         scenario = Scenario.from_toml(scenario) if is_file else get(str(scenario))
     return scenario.replace(**overrides) if overrides else scenario

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from .. import graphs
 from ..checks import check_shape, exact, floats, is_whole, mapping, nearest_word, refuse, shown
-from ..graphs.weights import check_weights
+from ..graphs.reading import as_dense
+from ..graphs.weights import weighted_links
 from ..limits import LARGEST, LARGEST_SEED
 from ..obstacles import parsing as obstacles
 from ..obstacles.obstacle_set import check_outside, pack
@@ -114,16 +115,25 @@ def _frames(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
 
 def _weights(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
     n, graph = scenario.n_robots, scenario.sensing_graph
-    given = floats("weights", value)
+    given = as_dense("weights", value)
     weights = given[None] if given.ndim == 2 else given
     if weights.shape not in ((1, n, n), (num_envs, n, n)):
         raise ValueError(f"weights have shape {given.shape}; they must be {(n, n)}")
     if graph.changes:
         moment = f"those of a {graph.kind} graph are of the moment"
         raise ValueError(f"weights: none can be given where the graph changes: {moment}")
-    for matrix in weights:
-        check_weights(matrix, n, "weights", directed=graph.directed)
-        _check_within(scenario, matrix)
+    return np.array([_checked_weights(scenario, matrix) for matrix in weights])
+
+
+def _checked_weights(scenario: Any, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """One environment's weights (n, n), m/s, symmetric to the last bit where they must be."""
+    directed = scenario.sensing_graph.directed
+    first, second, found = weighted_links(matrix, len(matrix), "weights", directed=directed)
+    weights = np.zeros(matrix.shape)
+    weights[first, second] = found
+    if not directed:
+        weights[second, first] = found
+    _check_within(scenario, weights)
     return weights
 
 

@@ -8,8 +8,11 @@ import numpy as np
 import onnx
 import onnxruntime
 import pytest
+import torch
 from inference_network import make_network, stirred
+from stable_baselines3 import PPO, SAC
 
+import baselines
 import rendezvous_env as rv
 from baselines import RobotPolicy
 from baselines.learned import checkpoints, shipped
@@ -17,7 +20,9 @@ from baselines.learned.learned_policy import load
 from baselines.learned.numpy_actor import NumpyActor
 from baselines.learned.onnx_network import DIGEST_KEY, SETTINGS_KEY, OnnxNetwork, digest_of
 from baselines.learned.policy_settings import PolicySettings
-from train import cli, export, policies, standalone
+from rendezvous_env.adapters.sb3 import RobotVecEnv
+from rendezvous_env.vector import training_env
+from train import cli, export, policies, standalone, trained_onnx
 from train.compare import playing
 from train.compare.settings import Config, Job
 from train.learn.recurrent import RecurrentNetwork
@@ -210,3 +215,90 @@ class TestErrors:
         monkeypatch.setitem(sys.modules, "onnxruntime", None)
         with pytest.raises(checkpoints.CheckpointError, match=r"needs onnxruntime: pip .*\[export"):
             load(exported / "learned.onnx", CLUTTER)
+
+
+SIZE, BARE = 8, {"learning_preset": False, "guarantee": None}
+
+
+def network_policy(scenario, **arguments):
+    """A torch module as a policy, of what robots observe without any preset."""
+    size = training_env(scenario, 1, **arguments).single_observation_space.shape[1]
+    torch.manual_seed(0)
+    layers = torch.nn.Linear(size, SIZE), torch.nn.Tanh(), torch.nn.Linear(SIZE, 2)
+    return baselines.TrainedPolicy(scenario, torch.nn.Sequential(*layers), **arguments)
+
+
+def bare_network(scenario):
+    return network_policy(scenario, **BARE)
+
+
+def under_headings(scenario):
+    return network_policy(scenario, learning_preset=False)
+
+
+def plain_function(scenario):
+    return baselines.TrainedPolicy(scenario, lambda seen: seen[:, :2], **BARE)
+
+
+class TestModels:
+    """A model of one's own as a file that runs anywhere."""
+
+    @pytest.fixture
+    def write(self, tmp_path):
+        def written(function):
+            path = tmp_path / f"{function}.onnx"
+            words = ["--policy", f"{__name__}:{function}", "--scenario", CLUTTER.name]
+            assert cli.main(["export", *words, "--out", str(path), "--checks", "600"]) == 0
+            return path
+
+        return written
+
+    @pytest.mark.parametrize("made", [bare_network, under_headings])
+    def test_a_torch_module_acts_from_its_file_as_in_python(self, write, made):
+        path = write(made.__name__)
+        own, file = made(CLUTTER), baselines.make(path, CLUTTER)
+        simulator = rv.Simulator(CLUTTER, 3)
+        seen = simulator.reset(0)
+        for _ in range(5):
+            one, other = own(seen, simulator.time), file(seen, simulator.time)
+            np.testing.assert_allclose(one, other, atol=1e-5)
+            seen = simulator.step(one).observations
+        assert np.abs(one).max() > 0.01
+        robot = RobotPolicy(CLUTTER, path)
+        assert np.isfinite(robot.act([[1.0, 0.0]])).all()
+
+    def test_the_runtime_alone_runs_it(self, write):
+        session = onnxruntime.InferenceSession(write("bare_network"))
+        (given,), (found,) = session.get_inputs(), session.get_outputs()
+        assert (given.name, found.name) == ("observation", "action")
+        seen = np.ones((5, given.shape[1]), np.float32)
+        wanted = bare_network(CLUTTER).choices(seen)
+        np.testing.assert_allclose(session.run(None, {"observation": seen})[0], wanted, atol=1e-6)
+
+    @pytest.mark.parametrize(("algorithm", "discrete"), [(PPO, False), (PPO, True), (SAC, False)])
+    def test_a_model_of_stable_baselines3_is_exported(self, algorithm, discrete, tmp_path):
+        robots = RobotVecEnv(training_env("clutter-8", 2, discrete=discrete))
+        policy_of = algorithm("MlpPolicy", robots, seed=0, device="cpu")
+        made = baselines.TrainedPolicy("clutter-8", policy_of.predict, discrete=discrete)
+        path = tmp_path / "model.onnx"
+        path.write_bytes(trained_onnx.content_of(made))
+        written = baselines.make(path, "clutter-8")
+        assert trained_onnx.compare(made, written, 300) < 1e-4
+        assert written.arguments == {"discrete": discrete}
+
+    def test_a_file_is_refused_once_it_has_changed_or_where_it_does_not_fit(self, write):
+        path = write("bare_network")
+        with pytest.raises(ValueError, match=r"reads observations of shape .* observe"):
+            small = rv.Scenario(n_robots=3)
+            rv.rollout(small, baselines.make(path, small))
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2] ^= 1
+        path.write_bytes(content)
+        with pytest.raises(checkpoints.CheckpointError, match="its content was changed"):
+            baselines.make(path, CLUTTER)
+
+    def test_what_is_no_model_is_refused_with_a_remedy(self, one_line, tmp_path):
+        words = ["export", "--out", tmp_path / "x.onnx", "--policy"]
+        said = one_line(*words, f"{__name__}:plain_function")
+        assert "the model is a function; an ONNX file is made of a model of stable-bas" in said
+        assert "--standalone robot.py writes" in one_line(*words, "bearing-only")

@@ -2,7 +2,10 @@
 
 import ast
 import json
+import py_compile
+import re
 import sys
+import zipfile
 from itertools import product
 from pathlib import Path
 
@@ -15,7 +18,7 @@ import baselines
 import rendezvous_env as rv
 from baselines import RobotPolicy
 from rendezvous_env.trajectory import run
-from train import cli, standalone
+from train import cli, policies, standalone
 from train.standalone.bundle import Bundle, Name
 
 POLICIES = ["learned", "learned-tank", "tangent-joined-tuned", "tangent-joined", "bearing-only"]
@@ -81,6 +84,7 @@ class TestAgreement:
         assert act_along(file, scenario, policy, 2, steps) < 1e-5
         in_space = scenario.dim == 3
         assert hasattr(file, "DifferentialDrive") == ("drive" in file.__doc__) == (not in_space)
+        assert hasattr(file, "BodyReadings") == (not in_space)
         steady = "SteadyFrames:\n" in exported(policy, name).read_text(encoding="utf-8")
         assert steady == (in_space and policy.startswith("learned"))
 
@@ -176,6 +180,50 @@ def test_a_changed_file_drives_no_robot(exported, tmp_path, seed):
         standalone.load(path)
 
 
+AS = {
+    "zip": "import sys; sys.path.insert(0, 'robots.zip')",
+    "bytecode": "import sys; sys.path.insert(0, 'compiled')",
+    "bytecode in a zip": "import sys; sys.path.insert(0, 'compiled.zip')",
+    "run": "import runpy; sys = runpy.run_path('robot.py')",
+}
+
+
+@pytest.mark.parametrize("form", AS)
+def test_the_file_drives_a_robot_wherever_python_finds_it(exported, tmp_path, form):
+    path = tmp_path / "robot.py"
+    path.write_bytes(exported("bearing-only").read_bytes())
+    (tmp_path / "compiled").mkdir()
+    py_compile.compile(str(path), cfile=str(tmp_path / "compiled/robot.pyc"), doraise=True)
+    with zipfile.ZipFile(tmp_path / "robots.zip", "w") as archive:
+        archive.write(path, "robot.py")
+    with zipfile.ZipFile(tmp_path / "compiled.zip", "w") as archive:
+        archive.write(tmp_path / "compiled/robot.pyc", "robot.pyc")
+    if form != "run":
+        path.unlink()
+        ask = "import robot; made = robot.RobotPolicy()"
+    else:
+        ask = "made = sys['RobotPolicy']()"
+    acts = "act = made.act([[1.0, 0.0]]); assert act.dtype == 'float64' and act[0] > 0; print(act)"
+    done = run_python(tmp_path, "-I", "-c", f"{AS[form]}; {ask}; {acts}")
+    assert "[" in done.stdout
+
+
+def test_a_changed_file_in_a_zip_is_refused(exported, tmp_path):
+    text = exported("bearing-only").read_text(encoding="utf-8")
+    with zipfile.ZipFile(tmp_path / "robots.zip", "w") as archive:
+        archive.writestr("robot.py", text.replace("n_robots=1,", "n_robots=1 ,", 1))
+    ask = """
+import sys
+sys.path.insert(0, "robots.zip")
+try:
+    import robot
+except ValueError as error:
+    print(error)
+"""
+    done = run_python(tmp_path, "-I", "-c", ask)
+    assert "robot.py: its content was changed: the digest" in done.stdout
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -185,7 +233,10 @@ def test_a_changed_file_drives_no_robot(exported, tmp_path, seed):
         (["--standalone", "x.py", "--policy", "learnt"], "did you mean 'learned'?"),
         (["--standalone", "x.py", "--scenario", "cluter-8"], "did you mean 'clutter-8'?"),
         (["--standalone", "x.py", "--scenario", "double.toml"], "a RobotPolicy steers single"),
-        (["--standalone", "x.py", "--policy", "os:getcwd"], "os:getcwd: is a function of your own"),
+        (
+            ["--standalone", "x.py", "--policy", "os:getcwd"],
+            "posix is not written in a Python file",
+        ),
         (["--standalone", "folder.py"], "--standalone folder.py: is a folder; name a file"),
         (["--standalone", "own.py"], "--standalone own.py: is there already, and not of this"),
         (["--standalone", "own.py/x.py"], "--standalone own.py/x.py: cannot write there: "),
@@ -307,3 +358,103 @@ def test_teams_of_the_robotarium(exported, policy, n, wide):
     errors, closest, diameter = simulate(file, n, 1, seconds=20.0)
     assert errors == [0, 0, 0] and closest > 0.15
     assert diameter < wide or policy == "learned-tank"  # which takes its time
+
+
+HELPER = """
+import numpy as np
+
+
+def unit(f):
+    return f / np.maximum(np.linalg.norm(f, axis=-1, keepdims=True), 1e-9)
+"""
+OWN = """
+import numpy as np
+from baselines import HeadingPolicy
+from own_helper import unit
+
+SHARE = 0.9
+
+
+def net_bearing(seen, scenario):
+    return seen[..., : scenario.observation_layout.neighbour_slots, :].sum(axis=-2)
+
+
+def law(scenario):
+    def act(seen, time):
+        return (0.5 * net_bearing(seen, scenario)).astype(np.float32)
+
+    return act
+
+
+class Smooth:
+    def __init__(self, scenario):
+        self.scenario = scenario
+        self.reset()
+
+    def reset(self, mask=None):
+        self.last = 0.0
+
+    def __call__(self, seen, time):
+        speed = SHARE * self.scenario.speed_limit
+        self.last = 0.5 * self.last + 0.5 * speed * unit(net_bearing(seen, self.scenario))
+        return self.last.astype(np.float32)
+
+
+def certified(scenario):
+    return HeadingPolicy(scenario, lambda seen: net_bearing(seen, scenario))
+
+
+def by_size(scenario):
+    return lambda seen, time: (net_bearing(seen, scenario) / scenario.n_robots).astype(np.float32)
+
+
+def by_room(scenario):
+    return lambda seen, time: net_bearing(seen, scenario) / scenario.spawn_size
+
+
+def with_scipy(scenario):
+    return lambda seen, time: expm(net_bearing(seen, scenario))
+
+
+from scipy.linalg import expm  # noqa: E402
+"""
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """A file of a user's own, with a helper beside it, in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for name, text in (("own_helper", HELPER), ("own_laws", OWN)):
+        (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
+    yield
+    for name in ("own_helper", "own_laws"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize("function", ["law", "Smooth", "certified"])
+def test_a_law_of_a_users_own_file_stands_in_one_file(own, function, tmp_path):
+    words = ["--policy", f"own_laws:{function}", "--standalone", "robot.py", "--checks", "200"]
+    assert cli.main(["export", *words, "--scenario", "clutter-12"]) == 0
+    made = policies.make(f"own_laws:{function}", CLUTTER)
+    robot, file = RobotPolicy(CLUTTER, made), standalone.load(tmp_path / "robot.py").RobotPolicy()
+    for *seen, told in standalone.drawn_ticks(CLUTTER, 50):
+        np.testing.assert_allclose(file.act(*seen, **told), robot.act(*seen, **told), atol=1e-6)
+    script = "import robot; print(robot.RobotPolicy().act([[1.0, 0.0]]))"
+    for name in ("own_helper", "own_laws"):
+        (tmp_path / f"{name}.py").unlink()
+    assert "[" in run_python(tmp_path, "-c", script).stdout
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        ("by_size", "the file differs from the policy by .* In one file a scenario has n_robots ="),
+        ("by_room", "no attribute 'spawn_size'. In one file a scenario has n_robots = 1"),
+        ("with_scipy", "it imports scipy; one file needs NumPy and nothing else"),
+    ],
+)
+def test_a_law_that_needs_more_is_refused(own, function, message, one_line, tmp_path):
+    said = one_line("export", "--policy", f"own_laws:{function}", "--standalone", "robot.py")
+    assert re.search(message, said), said
+    assert not (tmp_path / "robot.py").exists()

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 import baselines
+from baselines.policy import kind_of
 from rendezvous_env import Scenario, rollout
+from rendezvous_env.safety.theorems.certificate import certificate
 from rendezvous_env.safety.theorems.descent import time_bound
 from rendezvous_env.scenario import scenarios
 from train import policies, recording, results
-from train.compare import compare, playing, statistics
+from train.compare import compare, playing, settings, statistics
 from train.compare import evaluation as episodes
 from train.compare.evaluation import Episodes, play
 from train.report.input import read
@@ -312,7 +314,7 @@ def test_excess_at_a_merge_is_an_error(tmp_path, monkeypatch, capsys, merge_radi
 
     monkeypatch.setattr(playing, "play", broken)
     assert compare.run(config) == status
-    said = "in 1 episodes a merge raised V above its bound"
+    said = "in 1 episode a merge raised V above its bound"
     assert (said in capsys.readouterr().err) == (status == 1)
 
 
@@ -328,3 +330,51 @@ def test_the_first_failure_of_a_policy_is_recorded_too(tmp_path):
     row, last = rows[failed[0]], kept[failed[0]]
     assert last["times"][-1] == float(row["time"])
     assert last["contacts"][-1].sum() == int(row["contacts"])
+
+
+@pytest.mark.parametrize(
+    ("scenario", "policy", "promised"),
+    [
+        ("pursuit-6", "bearing-only", True),
+        ("switching-8", "bearing-only", True),
+        ("range-12", "link-keeping", True),
+        ("ring-12", "link-keeping", True),
+        ("pursuit-6", "learned", False),
+        ("noisy-8", "bearing-only", False),
+        ("noisy-8", "learned", False),
+    ],
+)
+def test_a_time_is_compared_with_the_bound_of_the_certificate(scenario, policy, promised):
+    team = scenarios.get(scenario)
+    by = {"by": "links", "share": 1.0} if policy == "link-keeping" else {"by": "law"}
+    bound = certificate(team, **by).time_bound if promised else math.nan
+    done = playing.play_job(settings.Job(team, policy), episodes=3, seed=0)
+    np.testing.assert_array_equal(done.episodes.time_bound, np.full(3, bound))
+    share = playing.summary(done)["time_over_bound"]
+    assert share == done.episodes.time.max() / bound < 1.0 if promised else np.isnan(share)
+
+
+def test_an_undirected_graph_has_the_bound_of_each_start():
+    team = scenarios.get("duo")
+    done = playing.play_job(settings.Job(team, "bearing-only"), episodes=3, seed=0).episodes
+    np.testing.assert_array_equal(done.time_bound, time_bound(team, done.initial_lyapunov))
+    assert len(set(done.time_bound)) == 3
+
+
+def test_named_scenarios_are_compared_under_every_policy_that_fits():
+    def policies_of(**flags):
+        return {job.policy for job in settings.plan(settings.Config(**flags))}
+
+    assert {"pursuit", "windshield", "unicycle"} <= policies_of(scenarios=("fov-8",))
+    named = policies_of(scenarios=("clutter-8",))
+    fitting = {n for n in baselines.names("clutter-8") if kind_of(n) not in ("blind", "privileged")}
+    assert named == fitting
+    usual = [job for job in settings.plan(settings.Config()) if job.scenario.name == "clutter-8"]
+    assert {job.policy for job in usual} < named and len(usual) == 11
+
+
+def test_a_run_of_all_scenarios_plays_little_more_than_before():
+    jobs = settings.plan(settings.Config())
+    among_obstacles = [job for job in jobs if job.scenario.obstacles]
+    assert len(among_obstacles) == 13 * 11 + 2 * 11
+    assert len(jobs) < 1.35 * 190  # what is added has no obstacles, and is over soon

@@ -2,7 +2,9 @@
 
 import importlib
 import linecache
+import pickle
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,7 +14,9 @@ from baselines.policy import kind_of
 from train import cli, policies, resume, tasks
 from train.checks import UserError
 from train.compare import compare, playing
-from train.figures import render
+from train.figures import figures, render
+from train.report import build
+from train.report.input import read
 from train.results import read_csv
 
 MINE = '''
@@ -248,3 +252,69 @@ def test_whatever_is_registered_is_part_of_a_plan(in_file, tmp_path, registry):
     first, same, other = (list(planned(OWN.replace("1.0", rate))) for rate in ("1.0", "1.0", "2.0"))
     assert first == same
     assert all(one != another for one, another in zip(first, other, strict=True))
+
+
+class TestLabels:
+    """What a policy is called in tables, figures and the report."""
+
+    def test_a_label_stands_for_the_name(self, tmp_path):
+        wanted = ("my law=bearing-only", "zero")
+        config = compare.Config("duo", wanted, episodes=2, out=tmp_path / "out", against="my law")
+        assert compare.run(config) == 0
+        rows = read_csv(tmp_path / "out/results.csv")
+        assert [row["policy"] for row in rows] == ["my law", "zero"]
+        found = read(tmp_path / "out")
+        assert found.run["labels"] == {"my law": "bearing-only"}
+        (ranking,) = build.rankings(found)
+        assert ranking.best == "my law"
+
+    def test_a_labelled_reference_does_not_compete(self, tmp_path):
+        wanted = ("oracle=privileged-planner", "tangent", "learned")
+        config = compare.Config(
+            ("clutter-4",), wanted, episodes=2, out=tmp_path / "out", figures=False
+        )
+        assert compare.run(config) == 0
+        (ranking,) = build.rankings(read(tmp_path / "out"))
+        assert ranking.references == ("oracle",)
+
+    @pytest.mark.parametrize(
+        ("wanted", "message"),
+        [
+            (("a=zero", "a=random"), "two policies have the label 'a'"),
+            (("a=zero", "b=zero"), "policy 'zero' is named twice"),
+            (("learned=zero",), "'learned' is no label"),
+            ((" =zero",), "' ' is no label"),
+            (("a=zeero",), "policy 'zeero' is unknown; did you mean 'zero'"),
+        ],
+    )
+    def test_a_label_that_cannot_be_is_refused(self, wanted, message):
+        with pytest.raises(UserError, match=message):
+            compare.plan(compare.Config(("duo",), wanted))
+
+    def test_a_path_may_hold_an_equals_sign(self):
+        assert policies.labels_of(["learned:runs/a=b"]) == {"learned:runs/a=b": ""}
+        assert policies.labels_of(["c=learned:runs/a=b"]) == {"learned:runs/a=b": "c"}
+
+
+def test_own_policies_have_distinct_colours_and_markers():
+    rows = [{"policy": name} for name in ("zero", "learned", *"abcdefgh", "bearing-only")]
+    own = figures.own_names(rows)
+    assert own == list("abcdefgh")
+    styles = {(figures.policy_colour(n, own), figures.policy_marker(n, own)) for n in own}
+    assert len(styles) == 8
+    assert len({figures.policy_colour(name, own) for name in own[:7]}) == 7
+    known = {
+        figures.policy_colour(n) for n in ("bearing-only", "learned", "tangent-joined", "zero")
+    }
+    assert not known & {figures.policy_colour(name, own) for name in own}
+
+
+def test_config_takes_scenario_objects(tmp_path):
+    team = rv.Scenario(name="my team", n_robots=3, time_limit=5.0)
+    config = compare.Config([team, "duo"], "bearing-only", episodes=2, out=tmp_path / "out")
+    again = pickle.loads(pickle.dumps(replace(config, seed=1)))
+    assert [job.scenario for job in compare.plan(again)] == [team, rv.scenarios.get("duo")]
+    assert compare.run(replace(config, figures=False)) == 0
+    assert read(tmp_path / "out").scenarios["my team"] == team
+    (job,) = compare.plan(compare.Config(team, "bearing-only", set="n_robots=4"))
+    assert job.scenario == team.replace(n_robots=4, name="my team-n-robots-4")

@@ -59,6 +59,37 @@ class TestRanking:
         [found] = ranking.rank([played("fig4", name, hit) for name, hit in names.items()])
         assert found.top == ("tangent", "tangent-joined")
 
+    def test_one_start_of_a_drawn_scenario_decides_nothing(self):
+        one, none = np.ones(1, bool), np.zeros(1, bool)
+        pair = [played("clutter-8", "tangent", one), played("clutter-8", "bearing-only", none)]
+        (found,) = ranking.rank(pair)
+        assert found.best is None and not found.is_contest and found.tied == ()
+        assert ranking.answer([found]) == (
+            "Nothing to win: one start of a drawn scenario decides nothing; play more of them with "
+            "--episodes."
+        )
+        text = shown([found], 80)
+        assert "*" not in text and "clutter-8: one start decides nothing" in text
+        (only,) = ranking.rank(pair[:1])
+        assert only.undecided == "" and "decides" not in shown([only], 80)
+
+    def test_nobody_is_best_with_0_per_cent(self):
+        pair = [played("clutter-8", name, 0.0) for name in ("tangent", "bearing-only")]
+        (found,) = ranking.rank(pair)
+        assert found.best is None and found.tied == () and not found.is_contest
+        assert ranking.leaders([found]) == []
+        said = ranking.answer([found])
+        assert said == "Nothing to win: no policy met without a collision on any start."
+        text = shown([found], 80)
+        assert "*" not in text and "=" not in text and "clutter-8: no policy met" in text
+
+    def test_a_scenario_without_a_best_does_not_count(self):
+        lost = [played("clutter-4", name, 0.0) for name in ("tangent", "bearing-only")]
+        won = [played("clutter-8", "tangent", 0.9), played("clutter-8", "bearing-only", 0.1)]
+        found = ranking.rank([*lost, *won])
+        said = "tangent leads in collision-free success: best, or tied with the best, in the one "
+        assert ranking.answer(found) == said + "scenario with a choice."
+
     @pytest.mark.parametrize(("starts", "tied"), [(2, True), (3, True), (4, False)])
     def test_a_few_starts_on_which_all_agree_may_do_so_by_chance(self, starts, tied):
         """Of 4 of 4 Wilson's lower end is 4/(4 + 1.96²) = 0.51: more than half."""
@@ -134,6 +165,23 @@ class TestMatrix:
         assert "100" in text and "*" not in text and "=" not in text
         text = shown(ranking.rank([played("fig3", "tangent", np.full(1, np.nan))]), 80)
         assert "– in fig3: robots pass through" in text and "nan" not in text
+
+    @pytest.mark.parametrize(
+        ("clearance", "text"),
+        [
+            (-4.4e-16, "0.00"),
+            (9.4e-6, "0.00"),
+            (3.2e-3, "0.0032"),
+            (0.126, "0.13"),
+            (-0.02, "-0.02"),
+        ],
+    )
+    def test_a_clearance_of_a_contact_is_0(self, clearance, text):
+        one = played("clutter-8", "tangent", 1.0)
+        row = statistics.summarise(one.job.scenario, "tangent", one.episodes)
+        row |= {"min_clearance": clearance, "min_alignment": 0.5}
+        cells = shown(tables.results_table([row], {"clutter-8": one.job.scenario})).splitlines()
+        assert next(line for line in cells if "tangent" in line).split()[-2] == text
 
     def test_a_digit_more_where_there_are_starts_to_mean_it(self):
         assert tables.percent(0.9965, 1000) == "99.7" and tables.percent(0.9965, 200) == "100"

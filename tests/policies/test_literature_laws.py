@@ -173,10 +173,19 @@ def test_few_rows_do_not_tell_robots_apart():
     assert found.success.all()
 
 
-def test_a_comparison_takes_them_only_on_request():
-    usual = policies.fitting(TEAM, ())
-    assert "bearing-only" in usual and not set(LAWS) & set(usual)
+def test_a_comparison_takes_them_wherever_they_fit():
+    assert {"bearing-only", "link-keeping", *LAWS} <= set(policies.fitting(TEAM, ()))
     assert policies.fitting(TEAM, list(LAWS)) == list(LAWS)
+    assert {"pursuit", "windshield"} <= set(policies.fitting(rv.scenarios.get("fov-8"), ()))
+
+
+def test_a_brief_comparison_leaves_them_out_among_obstacles():
+    field = rv.scenarios.get("clutter-8")
+    brief = policies.fitting(field, (), brief=True)
+    left_out = set(policies.fitting(field, ())) - set(brief)
+    assert left_out == {"link-keeping", "learned-tank-noise", *LAWS}
+    free = set(policies.fitting(TEAM, (), brief=True))
+    assert {*LAWS, "link-keeping"} <= free and "learned-tank-noise" not in free
 
 
 CARS = Scenario(

@@ -62,7 +62,9 @@ IN_SPACE = (
     ("name", "scenario"), [*IN_THE_PLANE, *(slow(*pair) for pair in (*UNICYCLES, *IN_SPACE))]
 )
 def test_it_does_what_a_robot_of_a_batch_does(name, scenario):
-    """In space bit for bit, in whole episodes; in the plane but for sums in another order."""
+    """In space but for rounding to float32, in whole episodes; in the plane but for sums in another
+    order, too.
+    """
     if isinstance(scenario, str):
         scenario = rv.scenarios.get(scenario)
     simulator, random = rv.Simulator(scenario), np.random.default_rng(0)
@@ -78,7 +80,10 @@ def test_it_does_what_a_robot_of_a_batch_does(name, scenario):
                 continue
             seen = measured(rows, layout, random)
             action = robot.act(**seen, dt=scenario.tau)
-            np.testing.assert_allclose(action, step.actions[0, i], rtol=0, atol=2e-6 * (not space))
+            wanted, sums = step.actions[0, i], 2e-6 * (not space)
+            np.testing.assert_allclose(action, wanted, rtol=1.2e-7 * space, atol=sums)
+            speed = action[0] if scenario.model.nonholonomic else np.linalg.norm(action)
+            assert speed <= scenario.speed_limit  # in float64
             assert robot.time == pytest.approx(count * scenario.tau)
             moved += np.linalg.norm(action) > 0.1
             passed += len(seen["obstacles"]) > 1
@@ -86,6 +91,29 @@ def test_it_does_what_a_robot_of_a_batch_does(name, scenario):
     if space:
         assert simulator.status[0] == RENDEZVOUS
         assert passed > 100 or not scenario.obstacles or (name == "learned-tank" and passed > 3)
+
+
+@pytest.mark.parametrize(
+    ("policy", "scenario"),
+    [
+        *(
+            ("bearing-only", "clutter-12"),
+            ("learned-tank", "clutter-12"),
+            ("unicycle", "unicycle-6"),
+        ),
+        ("learned-tank", "uav-clutter-16"),
+        (lambda seen, now: np.zeros((1, 12, 2), np.float32), "clutter-12"),
+    ],
+)
+def test_actions_are_float64_that_messages_of_robots_can_hold(policy, scenario):
+    if callable(policy):
+        policy.reset = lambda: None
+    robot = RobotPolicy(scenario, policy)
+    layout = robot.scenario.observation_layout
+    told = {"gravity": [0.0, 0.0, -1.0]} if layout.senses_gravity else {}
+    action = robot.act([np.eye(layout.dim)[0]], **told)
+    assert action.dtype == np.float64
+    assert all(isinstance(value, float) for value in action)  # what a message field must be
 
 
 @pytest.mark.parametrize("name", ["learned", "tangent-joined-tuned", "learned-tank"])

@@ -6,7 +6,7 @@ import browsing
 import numpy as np
 import pytest
 from browsing import column, picture, pixels, scrub, visited, wait_for, wait_until
-from conftest import needs_browser
+from conftest import ROOT, needs_browser
 from matplotlib.image import imread
 
 import rendezvous_env as rv
@@ -271,3 +271,14 @@ def test_rises_of_v_are_told_in_the_unit_of_their_world(browser, tmp_path):
         cells = page.locator("#results-table td[data-column=max_rise_between_merges]")
         none, some = cells.all_text_contents()
         assert none == "none" and browsing.number(some) == pytest.approx(float(rises[1]), rel=0.1)
+
+
+def test_a_clearance_of_a_contact_is_0(opened):
+    """Less than a thousandth of the merge radius is rounding, whatever its sign."""
+    source = (ROOT / "train/report/page/tables.js").read_text(encoding="utf-8")
+    data = "const DATA = {scenarios: {fig4: {contact: 2e-4}}};"
+    cells = ["-4.4408920985006262e-16", "0.0000094", "0.0032", "0.1261", ""]
+    ask = f"(cell) => {{ {data} {source} return clearance(cell, {{scenario: 'fig4'}}); }}"
+    assert [opened.evaluate(ask, cell) for cell in cells] == ["0.00", "0.00", "0.0032", "0.13", "–"]
+    contact = opened.evaluate("JSON.parse(document.getElementById('data').textContent).scenarios")
+    assert contact["fig4"]["contact"] == pytest.approx(2e-4)

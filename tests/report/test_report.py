@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from rendezvous_env import Disc
 from rendezvous_env.obstacles.obstacle_set import pack
 from train import cli, results
 from train import encoding as report_encoding
+from train.console import counted
 from train.report import build as report
 from train.report.input import read
 
@@ -293,3 +295,29 @@ class TestFiles:
             os.truncate(path, 2**40)  # takes no room on the disk
         what = "is not of run" if kind == "large" else "is no file"
         assert ("holds no run.json" if name == "run.json" else f"{name}: {what}") in refused(folder)
+
+
+@pytest.mark.parametrize(
+    ("starts", "scenarios", "policies", "said"),
+    [
+        ({"duo": 1}, ["duo"], ["zero"], "1 scenario, 1 policy, 1 start each (seed 3)"),
+        (
+            {"duo": 2, "fig4": 1},
+            ["duo", "fig4"],
+            ["zero", "random"],
+            "2 scenarios, 2 policies, 2 starts each (seeds 3–4); one of fig4, whose start is given",
+        ),
+    ],
+)
+def test_counts_are_said_in_the_singular_and_the_plural(starts, scenarios, policies, said):
+    played = {name: policies for name in scenarios}
+    run = {"policies": played, "seed": 3, "episodes": max(starts.values()), "starts": starts}
+    found = SimpleNamespace(run=run, scenarios=scenarios)
+    assert report._counts(found) == said
+
+
+@pytest.mark.parametrize(
+    ("count", "said"), [(0, "0 starts"), (1, "1 start"), (2, "2 starts"), (1000, "1000 starts")]
+)
+def test_counted_has_a_plural_unless_there_is_one(count, said):
+    assert counted(count, "start") == said

@@ -12,7 +12,7 @@ from rendezvous_env.scenario.scenarios import names
 from ..checks import Flags
 from ..compare.playing import TOGETHER, make_ready
 from ..compare.settings import Job
-from ..console import Console
+from ..console import Console, counted
 from ..policies import resolve_scenario
 
 
@@ -31,4 +31,5 @@ def run(config: Config) -> None:
         for name in baselines.names(scenario):
             for teams in (1, TOGETHER):  # from five on other code computes them side by side
                 make_ready(Job(scenario, name), teams)
-    print(f"{len(scenarios)} scenarios are ready")
+    verb = "is" if len(scenarios) == 1 else "are"
+    print(f"{counted(len(scenarios), 'scenario')} {verb} ready")

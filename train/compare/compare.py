@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .. import results
-from ..console import Console
+from ..console import Console, counted
 from ..resume import Part
 from ..tasks import Workers, each
 from . import out_folder, statistics, sweep, tables, upper_bound
@@ -77,12 +77,12 @@ def run(config: Config) -> int:
         part.discard()
     episodes = sum(len(done.episodes.success) for done in found.played)
     split = ", ".join(f"{name} {seconds:.1f}" for name, seconds in clock.items())
-    said = f"{episodes} episode{'s' * (episodes != 1)} in {clock.total:.1f} s: {split}; files in "
+    said = f"{counted(episodes, 'episode')} in {clock.total:.1f} s: {split}; files in "
     console.print(f"{said}{config.out}", soft_wrap=True)
     if found.excess:
         print(
-            f"error: in {found.excess} episodes a merge raised V above its bound (theory 5); "
-            "see merge_excess in episodes.csv",
+            f"error: in {counted(found.excess, 'episode')} a merge raised V above its bound "
+            "(theory 5); see merge_excess in episodes.csv",
             file=sys.stderr,
         )
     return int(found.excess > 0)
@@ -157,7 +157,7 @@ def _show(found: Found, config: Config, console: Console) -> None:
 def write(part: Part, found: Found, config: Config) -> list[str]:
     """Write all tables and trajectories.npz; their names."""
     episodes = (
-        {"scenario": done.job.scenario.name, "policy": done.job.policy} | row
+        {"scenario": done.job.scenario.name, "policy": done.job.name} | row
         for done in found.played
         for row in done.episodes.rows()
     )
@@ -173,7 +173,7 @@ def write(part: Part, found: Found, config: Config) -> list[str]:
         results.write_csv(part.whole / name, lists[name])
     results.write_csv(part.whole / "paired.csv", found.pairs, results.PAIRED_COLUMNS)
     arrays = {
-        f"{done.job.scenario.name}/{done.job.policy}/{start}/{name}": array
+        f"{done.job.scenario.name}/{done.job.name}/{start}/{name}": array
         for done in found.played
         for start, recording in done.recordings.items()
         for name, array in recording.items()
@@ -193,6 +193,7 @@ def description(config: Config, found: Found, timing: dict[str, float]) -> dict[
         "scenarios": {scenario.name: scenario.to_plain() for scenario in starts},
         "versioned": {scenario.name: results.versioned(scenario) for scenario in starts},
         "policies": {name: list(own) for name, own in by_scenario(found.played).items()},
+        "labels": {one.job.label: one.job.policy for one in found.played if one.job.label},
         "merges_above_bound": found.excess,
         "timing": timing,
     }
@@ -261,10 +262,11 @@ def _pictures(found: Found, config: Config) -> Iterator[Picture]:
             yield name, partial(figures.sweep_figure, found.rows, group, quantity)
     for scenario in scenarios:
         first = {
-            done.job.policy: done.recordings[0]
+            done.job.name: done.recordings[0]
             for done in found.played
             if done.job.scenario == scenario and 0 in done.recordings
         }
         if first and scenario.dim == 2 and scenario.obstacles:
-            draw = partial(path_figures.trajectories_figure, scenario, first)
+            own = figures.own_names(found.rows)
+            draw = partial(path_figures.trajectories_figure, scenario, first, own)
             yield f"trajectories-{scenario.name}", draw

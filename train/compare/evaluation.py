@@ -90,6 +90,7 @@ def play(
     seed: int,
     keep: int = 0,
     steps: int | None = None,
+    promised: float = np.inf,
 ) -> tuple[Episodes, list[Recording]]:
     """Run one policy from the starts ``seed``, ``seed`` + 1, … of a scenario, the same for every
     policy. A scenario whose episodes are all the same is played once.
@@ -102,6 +103,8 @@ def play(
         seed: of the first start.
         keep: how many of the first starts to record.
         steps: most steps of an episode; None plays to the end.
+        promised: time by which the policy has met from any start, s; it counts where ``margin``
+            promises none.
 
     Raises:
         UserError: if the scenario has no room for a start.
@@ -121,7 +124,7 @@ def play(
             aligned, after = meter.see(step), state_of(simulator)
             for recorder in recorders:
                 recorder.see(step, aligned, after)
-        parts.append(meter.episodes(margin))
+        parts.append(meter.episodes(margin, promised))
         recordings += [recorder.finish() for recorder in recorders]
     return Episodes.joined(parts), recordings
 
@@ -166,7 +169,7 @@ class _Meter:
         np.fmin(self._alignment, least, out=self._alignment, where=step.running)
         return aligned
 
-    def episodes(self, margin: float | None) -> Episodes:
+    def episodes(self, margin: float | None, promised: float) -> Episodes:
         """The measures, once every team has finished."""
         simulator, scenario = self._simulator, self._simulator.scenario
         success = simulator.status == RENDEZVOUS
@@ -174,6 +177,7 @@ class _Meter:
         bounds = np.full(start.shape, np.nan)
         if margin is not None:
             bounds = time_bound(scenario, start, min_alignment=margin)
+        bounds = np.where(np.isfinite(bounds), bounds, promised)
         return Episodes(
             success=success,
             clean=np.where(counts_contacts(scenario), success & (contacts == 0), np.nan),

@@ -50,7 +50,7 @@ def by_scenario(played: Sequence[Played]) -> dict[str, dict[str, Episodes]]:
     """Episodes by names of scenario and policy."""
     found: dict[str, dict[str, Episodes]] = {}
     for done in played:
-        found.setdefault(done.job.scenario.name, {})[done.job.policy] = done.episodes
+        found.setdefault(done.job.scenario.name, {})[done.job.name] = done.episodes
     return found
 
 
@@ -62,9 +62,16 @@ def play_job(
     """
     make = partial(policies.make, job.policy, job.scenario)
     try:
-        margin = policies.promised_margin(job.policy, make())
+        first = make()
         done, recordings = play(
-            job.scenario, make, margin=margin, episodes=episodes, seed=seed, keep=keep, steps=steps
+            job.scenario,
+            make,
+            margin=policies.promised_margin(job.policy, first),
+            promised=policies.promised_time(job.policy, first, job.scenario),
+            episodes=episodes,
+            seed=seed,
+            keep=keep,
+            steps=steps,
         )
     except Exception as error:
         error.add_note(f"policy {job.policy!r} on scenario {job.scenario.name!r}")
@@ -74,7 +81,7 @@ def play_job(
 
 def summary(played: Played) -> dict[str, Any]:
     """The row of results.csv that belongs to a job."""
-    return statistics.summarise(played.job.scenario, played.job.policy, played.episodes)
+    return statistics.summarise(played.job.scenario, played.job.name, played.episodes)
 
 
 def plan_of(jobs: Sequence[Job], config: Config) -> dict[str, Any]:
@@ -86,11 +93,11 @@ def plan_of(jobs: Sequence[Job], config: Config) -> dict[str, Any]:
         "scenarios": [scenario.to_plain() for scenario in scenarios],
         "registered functions": [policies.registered(scenario) for scenario in scenarios],
         "policies": [
-            [job.policy for job in jobs if job.scenario == scenario] for scenario in scenarios
+            [job.name for job in jobs if job.scenario == scenario] for scenario in scenarios
         ],
         "weights": {
-            name: _weights(name, [job.scenario for job in jobs if job.policy == name])
-            for name in sorted({job.policy for job in jobs})
+            policy: _weights(policy, [job.scenario for job in jobs if job.policy == policy])
+            for policy in sorted({job.policy for job in jobs})
         },
     }
 
@@ -132,7 +139,7 @@ def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
     return [
         Task(
             name=f"job-{number:04d}-{first:06d}",
-            label=f"{job.scenario.name} · {job.policy}",
+            label=f"{job.scenario.name} · {job.name}",
             scenario=job.scenario,
             count=(count := min(BLOCK, starts - first)),
             work=partial(

@@ -1,17 +1,22 @@
 """The best policy of each scenario, and those that are tied with it."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from rendezvous_env.scenario.scenario import Scenario
+
 from .. import policies
+from .evaluation import Episodes, starts_of
 from .playing import Played, by_scenario
 from .statistics import best_policy, clean_difference
 
 _MOST_NAMED = 4
 """Of policies that are tied."""
+ONE_START, NONE_MET = "one start decides nothing", "no policy met without a collision"
+"""Why a scenario has no best policy."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +31,8 @@ class Ranking:
     """The paired interval of their difference from the best contains 0."""
     references: tuple[str, ...]
     """Those that know the map: they are shown and do not compete."""
+    undecided: str = ""
+    """Why there is no best, where policies compete: ONE_START or NONE_MET."""
 
     @property
     def is_contest(self) -> bool:
@@ -40,34 +47,52 @@ class Ranking:
 
 def rank(played: Sequence[Played]) -> list[Ranking]:
     """The rankings of all scenarios, in their order."""
+    drawn = {done.job.scenario.name: done.job.scenario for done in played}
+    kinds = {done.job.name: policies.kind_of(done.job.policy) for done in played}
+    return [_rank_one(drawn[name], own, kinds) for name, own in by_scenario(played).items()]
+
+
+def _rank_one(
+    scenario: Scenario, episodes: dict[str, Episodes], kinds: Mapping[str, str]
+) -> Ranking:
+    """The ranking of the policies on one scenario; ``kinds`` by name."""
+    share = {name: float(own.clean.mean()) for name, own in episodes.items()}
+    references = tuple(name for name in episodes if kinds[name] == "privileged")
+    competing = {name: own for name, own in episodes.items() if name not in references}
+    starts = len(next(iter(episodes.values())).clean)
+    best, undecided = None, ""
+    if competing and not np.isnan(list(share.values())).any():
+        best = best_policy(competing)
+        if starts < starts_of(scenario, 2):
+            best, undecided = None, ONE_START
+        elif share[best] == 0.0:
+            best, undecided = None, NONE_MET
+    tied = () if best is None else _tied(best, competing)
+    undecided = undecided if len(competing) > 1 else ""
+    return Ranking(scenario.name, starts, share, best, tied, references, undecided)
+
+
+def _tied(best: str, competing: dict[str, Episodes]) -> tuple[str, ...]:
+    """Those whose paired interval of the difference from the best contains 0."""
     found = []
-    for scenario, episodes in by_scenario(played).items():
-        share = {name: float(own.clean.mean()) for name, own in episodes.items()}
-        references = tuple(name for name in episodes if policies.kind_of(name) == "privileged")
-        competing = {name: own for name, own in episodes.items() if name not in references}
-        applies = not np.isnan(list(share.values())).any()
-        best, tied = best_policy(competing) if competing and applies else None, []
-        for name, own in competing.items():
-            if best is not None and name != best:
-                difference, (low, high) = clean_difference(own, competing[best])
-                if difference == 0 or low <= 0 <= high:  # a single start speaks for itself
-                    tied.append(name)
-        starts = len(next(iter(episodes.values())).clean)
-        found.append(Ranking(scenario, starts, share, best, tuple(tied), references))
-    return found
+    for name in (name for name in competing if name != best):
+        difference, (low, high) = clean_difference(competing[name], competing[best])
+        if difference == 0 or low <= 0 <= high:  # the only start of a scenario has no interval
+            found.append(name)
+    return tuple(found)
 
 
 def answer(rankings: Sequence[Ranking]) -> str:
     """The leading policies, in one sentence."""
     contests = [ranking for ranking in rankings if ranking.is_contest]
     if not contests:
-        return "Nothing to win: no scenario has two policies that can meet without a collision."
+        return f"Nothing to win: {_why_undecided(rankings)}."
     tops, alone = _counts(contests)
     order = leaders(rankings)
     leader = order[0]
     level = [name for name in order if (tops[name], alone[name]) == (tops[leader], alone[leader])]
     count, total = tops[leader], len(contests)
-    all_of = "the one scenario with a choice" if total == 1 else f"{count} of {total} scenarios"
+    all_of = f"{count} of {total} scenarios" if total > 1 else "the one scenario with a choice"
     where = f"best, or tied with the best, in {all_of}"
     if len(level) > 1:
         many = len(level) > _MOST_NAMED
@@ -76,6 +101,15 @@ def answer(rankings: Sequence[Ranking]) -> str:
     by_itself = f", alone in {alone[leader]}" if alone[leader] and len(contests) > 1 else ""
     then = f"; then {order[1]}, in {tops[order[1]]}" if len(order) > 1 else ""
     return f"{leader} leads in collision-free success: {where}{by_itself}{then}."
+
+
+def _why_undecided(rankings: Sequence[Ranking]) -> str:
+    reasons = {ranking.undecided for ranking in rankings}
+    if reasons == {ONE_START}:
+        return "one start of a drawn scenario decides nothing; play more of them with --episodes"
+    if reasons == {NONE_MET}:
+        return "no policy met without a collision on any start"
+    return "no scenario has two policies that can meet without a collision"
 
 
 def leaders(rankings: Sequence[Ranking]) -> list[str]:

@@ -51,12 +51,15 @@ class Config(Workers):
     """Compare policies on the same starts and under one speed limit."""
 
     scenarios: Annotated[tuple[str, ...], arg(aliases=("--scenario",))] = DEFAULT_SCENARIOS
-    """Names of scenarios, or paths of TOML files."""
+    """Names of scenarios, or paths of TOML files; in Python also Scenario objects."""
     policies: Annotated[tuple[str, ...], arg(aliases=("--policy",))] = ()
     """Names of policies, learned:PATH of a run, or module:function of your own: a function of a
-    scenario that gives a policy, or None where it does not fit. Without this flag every policy that
+    scenario that gives a policy, or None where it does not fit. LABEL=NAME has tables, figures and
+    the report call it LABEL. Without this flag every policy that
     fits is compared, but for those that see nothing and for references, which see everything. Where
-    a policy does not fit it is left out."""
+    no scenarios are named either, policies without a chance are left out to save time: laws of the
+    literature among obstacles, which they do not see, and policies made for sensors that err where
+    sensors are exact."""
     episodes: Annotated[int | None, Bounds(1)] = None
     """How many starts of each scenario are played: 100 by default, and fewer for more than
     eight robots among obstacles, 800 over their number. A scenario whose start is given is played
@@ -117,10 +120,17 @@ def _fewer(usual: int, scenario: Scenario) -> int:
 
 @dataclass(frozen=True)
 class Job:
-    """One policy, by its name, on one scenario."""
+    """One policy, by the name that makes it, on one scenario."""
 
     scenario: Scenario
     policy: str
+    label: str = ""
+    """What tables, figures and the report call it, if not by its name."""
+
+    @property
+    def name(self) -> str:
+        """The label, or the policy's name."""
+        return self.label or self.policy
 
 
 def plan(config: Config) -> list[Job]:
@@ -128,19 +138,21 @@ def plan(config: Config) -> list[Job]:
     episodes = config.episodes or _STARTS
     if config.seed + episodes > 2**63:
         raise UserError(f"--seed is {config.seed}; with {episodes} starts it is too large")
-    policies.check_names(config.policies)
+    labels = policies.labels_of(config.policies)
+    policies.check_names(list(labels))
     scenarios = _resolve(config)
     if swept := levels.sweeps(scenarios, config.sensing):
         scenarios = list(dict.fromkeys(one for sweep in swept for one in sweep.scenarios))
         _check_names(scenarios)
     jobs: list[Job] = []
     for scenario in scenarios:
-        fitting = policies.fitting(scenario, config.policies)
+        brief = config.scenarios == DEFAULT_SCENARIOS
+        fitting = policies.fitting(scenario, list(labels), brief=brief)
         if not fitting:
             known = ", ".join(baselines.names(scenario))
             raise UserError(f"no policy of those named fits {scenario.name}; these do: {known}")
-        jobs += [Job(scenario, name) for name in fitting]
-    played = list(dict.fromkeys(job.policy for job in jobs))
+        jobs += [Job(scenario, name, labels.get(name, "")) for name in fitting]
+    played = list(dict.fromkeys(job.name for job in jobs))
     if config.against is not None and config.against not in played:
         near = meant(config.against, played, after=" ")
         raise UserError(

@@ -94,6 +94,11 @@ def rounding_of_v(scenario: Scenario) -> float:
     return 1e-9 * unit_of_tanks(scenario)
 
 
+def rounding_of_clearance(scenario: Scenario) -> float:
+    """The largest clearance, a number, m, that counts as that of a contact: r/1000."""
+    return 1e-3 * scenario.merge_radius
+
+
 def summarise(scenario: Scenario, policy: str, episodes: Episodes) -> dict[str, Any]:
     """One row of results.csv, see ``results.RESULTS``; NaN where it does not apply."""
     limit = scenario.max_steps * scenario.tau

@@ -12,11 +12,10 @@ from rich.text import Text
 
 from rendezvous_env.scenario.scenario import Scenario
 
-from .. import policies
-from ..console import Console
+from ..console import Console, counted
 from ..results import grouped
-from .ranking import Ranking
-from .statistics import rounding_of_v
+from .ranking import NONE_MET, ONE_START, Ranking
+from .statistics import rounding_of_clearance, rounding_of_v
 from .sweep import Sweep, rows_of
 
 WIDTH = 118
@@ -55,7 +54,7 @@ def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Tab
                 number(row["time_over_bound"], ".2g"),
                 _metres(row["path_length"], 1),
                 "none" if (rise := row["max_rise_between_merges"]) <= rounding else f"{rise:.2g}",
-                _metres(row["min_clearance"], 2),
+                _clearance(row["min_clearance"], scenario),
                 number(row["min_alignment"], ".2f"),
             )
     table.caption = (
@@ -83,6 +82,11 @@ def number(value: float, style: str) -> str:
 def _metres(value: float, digits: int) -> str:
     """A length, to so many digits after the point, or to two that count where these are zeros."""
     return number(value, ".2g" if 0.0 < abs(value) < 10.0**-digits else f".{digits}f")
+
+
+def _clearance(value: float, scenario: Scenario) -> str:
+    """A clearance, m; that of a contact is 0 but for rounding."""
+    return _metres(0.0 if abs(value) < rounding_of_clearance(scenario) else value, 2)
 
 
 def paired_table(rows: Sequence[Row]) -> Table:
@@ -142,7 +146,8 @@ def _matrix(rankings: Sequence[Ranking], heading: int) -> Table:
         table.add_column(Text(name), justify="right", vertical="bottom", min_width=5)
     shown = dict.fromkeys(name for ranking in rankings for name in ranking.share)
     table.add_row("starts", *(Text(str(ranking.starts)) for ranking in rankings), style="dim")
-    for name in sorted(shown, key=lambda name: policies.kind_of(name) == "privileged"):
+    references = {name for ranking in rankings for name in ranking.references}
+    for name in sorted(shown, key=lambda name: name in references):
         table.add_row(name, *(_cell(ranking, name) for ranking in rankings))
     return table
 
@@ -174,6 +179,9 @@ def _notes(rankings: Sequence[Ranking]) -> Iterator[str]:
             f"{', '.join(references)}: reference, knows the map and all positions; what it passes "
             "cleanly is possible"
         )
+    for reason in (ONE_START, NONE_MET):
+        if found := [one.scenario for one in rankings if one.undecided == reason]:
+            yield f"{', '.join(found)}: {reason}"
     through = [one.scenario for one in rankings if np.isnan(list(one.share.values())).any()]
     if through:
         yield f"– in {', '.join(through)}: robots pass through obstacles, nothing is clean or not"
@@ -183,7 +191,7 @@ def show_sweeps(sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]], console
     """A table for each sweep: collision-free success and median time of each policy."""
     for sweep in sweeps:
         own, limit = rows_of(sweep, rows), sweep.base.max_steps * sweep.base.tau
-        title = f"{sweep.base.name}: {sweep.field}, {own[0]['episodes']} starts"
+        title = f"{sweep.base.name}: {sweep.field}, {counted(own[0]['episodes'], 'start')}"
         console.print(f"{title}; collision-free %, median s", style="bold")
         table = _empty("policy", *sweep.labels)
         for policy, found in grouped(own, "policy").items():

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from rendezvous_env.render.palette import OBSTACLE, ROBOTS, code
 from rendezvous_env.scenario.scenario import Scenario
 
+from ..console import counted
 from ..results import grouped
 from .style import COLUMN, PAGE, SMALL, new_figure, styled
 
@@ -38,6 +39,16 @@ _POLICY_COLOURS = {
     "tangent-joined": GREEN,
     "tank-joined": GREEN,
     "learned": VERMILLION,
+    "link-keeping": "#44AA99",
+    "pursuit": "#999933",
+    "windshield": "#8C510A",
+    "unit-mean": "#7570B3",
+    "smallest-sector": "#999933",
+    "quantised": "#8C510A",
+    "cyclic-pursuit": "#E7298A",
+    "nearest-pursuit": "#666666",
+    "random": GREY,
+    "zero": GREY,
 }
 """The paper's laws (1), (7) and (12) never meet in one scenario and share a colour."""
 LINE = 0.155
@@ -49,15 +60,43 @@ _VARIANTS = {"-certified": "s", "-tuned": "^", "-tank": "D", "-tank-noise": "P"}
 """Variants of a policy have its colour and another marker."""
 
 
-def policy_colour(name: str) -> str:
-    """The colour of a policy in every figure; black for learned ones that are not shipped."""
+_OWN_COLOURS = (BLACK, "#A6761D", "#7B3FE4", "#C51B7D", "#00788A", "#6B6B00", "#FF5FA2")
+"""Of policies that have no colour of their own, in the order in which a comparison has them."""
+_OWN_MARKERS = ("o", "v", "<", ">", "p", "h", "*")
+"""Of the same; each colour comes back with another one."""
+Names = Sequence[str]
+
+
+def own_names(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Names of the policies of rows of results.csv that have no colour of their own, in order."""
+    names = dict.fromkeys(str(row["policy"]) for row in rows)
+    return [name for name in names if _plain(name) not in _POLICY_COLOURS and not _is_shipped(name)]
+
+
+def _plain(name: str) -> str:
+    """A name without the ending of a variant."""
     for ending in _VARIANTS:
         name = name.removesuffix(ending)
-    return BLACK if name.startswith("learned:") else _POLICY_COLOURS.get(name, GREY)
+    return name
 
 
-def policy_marker(name: str) -> str:
-    """The marker of a policy, which tells its variants apart."""
+def _is_shipped(name: str) -> bool:
+    return name.startswith("privileged-")
+
+
+def policy_colour(name: str, own: Names = ()) -> str:
+    """The colour of a policy in every figure; those of ``own`` take theirs in order."""
+    if name in own:
+        return _OWN_COLOURS[list(own).index(name) % len(_OWN_COLOURS)]
+    colour = _POLICY_COLOURS.get(_plain(name))
+    return colour or (BLACK if ":" in name else GREY)
+
+
+def policy_marker(name: str, own: Names = ()) -> str:
+    """The marker of a policy, which tells its variants apart; of ``own`` those of one colour."""
+    if name in own:
+        rounds, place = divmod(list(own).index(name), len(_OWN_COLOURS))
+        return _OWN_MARKERS[(place + rounds) % len(_OWN_MARKERS)]
     if name.startswith("tank-"):
         return _VARIANTS["-tank"]
     return next((mark for end, mark in _VARIANTS.items() if name.endswith(end)), "o")
@@ -66,10 +105,12 @@ def policy_marker(name: str) -> str:
 @styled
 def success_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Success, with and without collisions, of every policy in results.csv, a panel a scenario."""
+    own = own_names(rows)
 
     def draw(axes: Axes, panel: Sequence[Mapping[str, Any]]) -> None:
-        _intervals(axes, panel, ("success", "success"), 100.0, shift=-0.17, markerfacecolor="white")
-        _intervals(axes, panel, ("clean_success", "clean"), 100.0, shift=0.17)
+        hollow: Any = {"shift": -0.17, "markerfacecolor": "white"}
+        _intervals(axes, panel, ("success", "success"), 100.0, own, **hollow)
+        _intervals(axes, panel, ("clean_success", "clean"), 100.0, own, shift=0.17)
         axes.set_xlim(-4, 104)
         axes.set_xticks(range(0, 101, 25))
 
@@ -89,10 +130,11 @@ def success_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
 @styled
 def time_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Median rendezvous times of the policies that meet, a panel a scenario."""
+    own = own_names(rows)
 
     def draw(axes: Axes, panel: Sequence[Mapping[str, Any]]) -> None:
         met = [row for row in panel if row["success"] > 0.5]
-        _intervals(axes, met, ("median_time", "time"))
+        _intervals(axes, met, ("median_time", "time"), 1.0, own)
         for row in panel:
             if row not in met:
                 style: Any = {"va": "center", "fontsize": SMALL - 1, "color": "0.4"}
@@ -136,6 +178,7 @@ def _intervals(
     rows: Sequence[Mapping[str, Any]],
     names: tuple[str, str],
     factor: float = 1.0,
+    own: Names = (),
     shift: float = 0.0,
     **style: Any,
 ) -> None:
@@ -146,7 +189,8 @@ def _intervals(
     for row in rows:
         centre, low, high = factor * columns_of([row], *names)
         if not np.isnan(centre):
-            style |= {"fmt": policy_marker(row["policy"]), "color": policy_colour(row["policy"])}
+            name = row["policy"]
+            style |= {"fmt": policy_marker(name, own), "color": policy_colour(name, own)}
             around = np.fmax(0.0, [centre - low, high - centre])
             axes.errorbar(centre, [row["place"] + shift], xerr=around, **style)
 
@@ -185,14 +229,15 @@ def sweep_figure(
     """Collision-free success of every policy, of rows of results.csv, against the number of
     obstacles or of robots, in a group of ``sweeps``.
     """
-    numbers = {scenario.name: _number(scenario, quantity) or 0 for scenario in group}
+    numbers, own_of_all = {one.name: _number(one, quantity) or 0 for one in group}, own_names(rows)
     found = grouped((row for row in rows if row["scenario"] in numbers), "policy")
     figure = new_figure(COLUMN, 2.75 + LINE * math.ceil(len(found) / LEGEND_COLUMNS))
     axes = figure.add_subplot()
     for policy, own in found.items():
         own.sort(key=lambda row: numbers[row["scenario"]])
         x = [numbers[row["scenario"]] for row in own]
-        policy_line(axes, policy, x, 100.0 * columns_of(own, "clean_success", "clean"))
+        shares = 100.0 * columns_of(own, "clean_success", "clean")
+        policy_line(axes, policy, x, shares, own_of_all)
     places = sorted(numbers.values())
     if min(np.diff(places)) < _CROWDED * (places[-1] - places[0]):
         axes.set_xscale("log")
@@ -202,7 +247,7 @@ def sweep_figure(
     axes.set_ylabel("met without a contact / % of starts")
     axes.grid()
     count = _number(group[0], "obstacles")
-    clutter = f"{count} obstacles" if count else "the same obstacles"
+    clutter = counted(count, "obstacle") if count else "the same obstacles"
     fixed = f"{group[0].n_robots} robots" if quantity == "obstacles" else clutter
     axes.set_title(f"Collision-free: {fixed}, 95 % intervals")
     figure.legend(loc="outside lower center", ncols=LEGEND_COLUMNS)
@@ -210,19 +255,24 @@ def sweep_figure(
 
 
 def policy_line(
-    axes: Axes, policy: str, x: Sequence[float] | NDArray[Any], numbers: NDArray[Any]
+    axes: Axes,
+    policy: str,
+    x: Sequence[float] | NDArray[Any],
+    numbers: NDArray[Any],
+    own: Names = (),
 ) -> None:
     """One policy with its intervals: ``numbers`` are values and the ends of theirs, (3, N). Solid
     for a policy, broken for a variant, dotted under a tank.
     """
-    (centre, low, high), marker = numbers, policy_marker(policy)
+    (centre, low, high), marker = numbers, policy_marker(policy, own)
+    broken = {"o": "-", _VARIANTS["-tank"]: ":"}.get(marker, "--")
     axes.errorbar(
         x,
         centre,
         yerr=np.fmax(0.0, [centre - low, high - centre]),
         fmt=marker,
-        linestyle={"o": "-", _VARIANTS["-tank"]: ":"}.get(marker, "--"),
-        color=policy_colour(policy),
+        linestyle="-" if policy in own else broken,
+        color=policy_colour(policy, own),
         elinewidth=0.6,
         label=policy,
     )
@@ -247,7 +297,7 @@ def level_figure(sweep: Any, rows: Sequence[dict[str, Any]]) -> Figure:
     Levels stand at equal distances, since the exact sensor need not be a number. Where more than
     half of the starts time out there is no median time, and no mark.
     """
-    found = grouped(rows, "policy")
+    found, own_of_all = grouped(rows, "policy"), own_names(rows)
     figure = new_figure(COLUMN, 4.2 + LINE * math.ceil(len(found) / LEGEND_COLUMNS))
     above, below = figure.subplots(2, 1, sharex=True)
     limit = sweep.base.max_steps * sweep.base.tau
@@ -255,10 +305,10 @@ def level_figure(sweep: Any, rows: Sequence[dict[str, Any]]) -> Figure:
     names = ("clean_success", "clean") if counts else ("success", "success")
     for policy, own in found.items():
         x = np.arange(len(own))
-        policy_line(above, policy, x, 100.0 * columns_of(own, *names))
+        policy_line(above, policy, x, 100.0 * columns_of(own, *names), own_of_all)
         times = columns_of(own, "median_time", "time")
         met = times[0] < limit
-        policy_line(below, policy, x[met], times[:, met])
+        policy_line(below, policy, x[met], times[:, met], own_of_all)
     above.set(ylim=(-2, 102), ylabel=f"met {'without contact ' if counts else ''}/ % of starts")
     unit = f" / {_UNITS[sweep.field]}" if sweep.field in _UNITS else ""
     below.set(ylabel="median time / s", xlabel=f"{sweep.field.replace('_', ' ')}{unit}")
@@ -266,7 +316,7 @@ def level_figure(sweep: Any, rows: Sequence[dict[str, Any]]) -> Figure:
     below.set_xticks(range(len(sweep.labels)), sweep.labels)
     for axes in (above, below):
         axes.grid()
-    above.set_title(f"{sweep.base.name}, {rows[0]['episodes']} starts, 95 % intervals")
+    above.set_title(f"{sweep.base.name}, {counted(rows[0]['episodes'], 'start')}, 95 % intervals")
     handles, names = above.get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=LEGEND_COLUMNS)
     return figure

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,8 +37,12 @@ _LATE = 0.7
 
 
 @styled
-def trajectories_figure(scenario: Scenario, recordings: Mapping[str, Recording]) -> Figure:
-    """What every policy does on the same start of a scenario in the plane, a panel each."""
+def trajectories_figure(
+    scenario: Scenario, recordings: Mapping[str, Recording], own: Sequence[str] = ()
+) -> Figure:
+    """What every policy does on the same start of a scenario in the plane, a panel each; ``own``
+    as in ``figures.policy_colour``.
+    """
     columns = min(4, len(recordings))
     rows = math.ceil(len(recordings) / columns)
     width = COLUMN if columns < 3 else PAGE
@@ -50,7 +54,8 @@ def trajectories_figure(scenario: Scenario, recordings: Mapping[str, Recording])
         end = f"met after {recording['times'][-1]:.1f} s" if met else "time out"
         contacts = int(recording["contacts"][-1].sum())
         touched = f"\n{in_contact(contacts)}" if contacts else ""
-        axes.set_title(f"{name}\n{end}{touched}", fontsize=SMALL, color=policy_colour(name))
+        colour = policy_colour(name, own)
+        axes.set_title(f"{name}\n{end}{touched}", fontsize=SMALL, color=colour)
         axes.tick_params(length=2)
     wide, high = (np.ptp(limits) for limits in (axes.get_xlim(), axes.get_ylim()))
     axes.locator_params(axis="x", nbins=4 if wide > _NARROW * high else 2)

@@ -21,7 +21,7 @@ from rendezvous_env.trajectory import Trajectory, rollout
 
 from .. import policies, results
 from ..checks import Bounds, Flags, check_installed, check_unused
-from ..console import Console
+from ..console import Console, counted
 from ..recording import Recording
 from . import bounds, path_figures, style
 from .figures import BLUE, VERMILLION
@@ -225,7 +225,7 @@ def tank_tradeoff_figure(rows: Sequence[dict[str, Any]]) -> Figure:
         right.plot(margins, [row["bound"] for row in line], **style_of)
     starts = rows[0]["episodes"]
     left.set(ylim=(0, 103), ylabel="met without a contact / %")
-    left.set(title=f"What is reached: {TANK_SCENARIO}, {starts} starts")
+    left.set(title=f"What is reached: {TANK_SCENARIO}, {counted(starts, 'start')}")
     right.set(yscale="log", ylabel="time bound / s")
     right.yaxis.set_major_formatter("{x:,.0f}")
     right.set(title="Theorem D under its wrapper, nothing in the way")

@@ -17,7 +17,7 @@ from .. import results
 from ..checks import Bounds, UserError
 from ..compare import out_folder, statistics
 from ..compare.playing import Task, play_all
-from ..console import Console
+from ..console import Console, counted
 from ..learn.settings import MOST_SEED
 from ..policies import resolve_scenario
 from ..resume import Part, program
@@ -149,7 +149,7 @@ def run(config: Config) -> int:
         runs |= {place: done[task.name] for place, task in tasks.items()}
         write(out, [runs[place] for place in sorted(runs)], console)
         part.discard()
-    console.print(f"{len(runs)} cells; files in {config.out}", soft_wrap=True)
+    console.print(f"{counted(len(runs), 'cell')}; files in {config.out}", soft_wrap=True)
     return 0
 
 

@@ -10,7 +10,7 @@ from .. import policies, results
 from ..checks import UserError, check_unused, written
 from ..compare.playing import TOGETHER, make_ready
 from ..compare.settings import Job
-from ..console import Console
+from ..console import Console, counted
 from ..tasks import Workers, each
 from . import ppo
 from .settings import CONFIG, check, read_config, same_run
@@ -41,7 +41,7 @@ def run(config: Config) -> int:
     runs = runs_of(settings, config.seeds)
     results.prepare_folder(settings.out)
     console = Console(soft_wrap=True)
-    console.print(f"{len(runs)} runs; {_log_of(runs[0])} and so on tell of them")
+    console.print(f"{counted(len(runs), 'run')}; {_log_of(runs[0])} and so on tell of them")
     try:
         with closing(each(_train, runs, config, _stays_here, long=True)) as found:
             for number, status in found:

@@ -12,6 +12,7 @@ from rendezvous_env.scenario import scenarios
 
 from .. import results
 from ..checks import UserError, user_error
+from ..console import counted
 from ..leaderboard import cards, tables
 from ..leaderboard.replays import path_of, read_replay
 from ..learn.settings import EVALUATION_SEEDS
@@ -104,11 +105,11 @@ def _about(found: list[cards.Card], replays: int) -> str:
         f"{found[0]['starts']} held-out starts a run",
         "Seeds": ", ".join(map(str, sorted({card["seed"] for card in found}))),
         "Versions": ", ".join(versions),
-        "Replays": f"of {replays} of {len(found)} runs: the first held-out start, the same for "
-        "all, and the first that ended otherwise, clean or not. Each was recorded while the run "
-        "was played a second time, with the same numbers on all starts; a replay that is not of "
-        "the results on its card is refused. Frames are thinned out to keep the folder small, "
-        "positions rounded to 16 bits",
+        "Replays": f"of {replays} of {counted(len(found), 'run')}: the first held-out start, the "
+        "same for all, and the first that ended otherwise, clean or not. Each was recorded while "
+        "the run was played a second time, with the same numbers on all starts; a replay that is "
+        "not of the results on its card is refused. Frames are thinned out to keep the folder "
+        "small, positions rounded to 16 bits",
         "Again": "rendezvous leaderboard --repeat CARD does a run again and compares it",
     }
     return terms(lines)

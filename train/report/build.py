@@ -15,7 +15,7 @@ from ..compare.evaluation import Episodes
 from ..compare.playing import Played
 from ..compare.ranking import Ranking, answer, leaders, rank
 from ..compare.settings import Job
-from ..console import Console
+from ..console import Console, counted
 from ..encoding import Encoded, encode_all, rounding
 from ..recording import MAX_FRAMES
 from ..results import write_text
@@ -123,7 +123,9 @@ def rankings(found: Comparison) -> list[Ranking]:
                 for field in fields(Episodes)
             }
             columns["success"] = columns["success"] == 1.0
-            played.append(Played(Job(found.scenarios[name], policy), Episodes(**columns), {}))
+            made = found.run.get("labels", {}).get(policy, policy)
+            job = Job(found.scenarios[name], made, policy if made != policy else "")
+            played.append(Played(job, Episodes(**columns), {}))
     return rank(played)
 
 
@@ -131,11 +133,13 @@ def _counts(found: Comparison) -> str:
     """How many scenarios, policies and starts."""
     policies = {name for played in found.run["policies"].values() for name in played}
     first, count, starts = found.run["seed"], found.run["episodes"], found.run["starts"].items()
-    said = f"{count} starts each (seeds {first}–{first + count - 1})"
+    seeds = f"seeds {first}–{first + count - 1}" if count > 1 else f"seed {first}"
+    said = f"{counted(count, 'start')} each ({seeds})"
     if single := [name for name, own in starts if own == 1 < count]:
         said += f"; one of {', '.join(single)}, whose start is given"
     said += "".join(f"; {own} of {name}" for name, own in starts if 1 < own < count)
-    return f"{len(found.scenarios)} scenarios, {len(policies)} policies, {said}"
+    many = "policy" if len(policies) == 1 else "policies"
+    return f"{counted(len(found.scenarios), 'scenario')}, {len(policies)} {many}, {said}"
 
 
 def _about(found: Comparison, encoded: Sequence[Encoded]) -> str:
@@ -161,9 +165,10 @@ def _precision(found: Comparison, encoded: Sequence[Encoded]) -> str:
         return 0.5 * max(rounding(recording[name]) for recording in found.recordings.values())
 
     thin = sum(one.stride > 1 for one in encoded)
+    verb = "is" if thin == 1 else "are"
     kept = (
-        f"{thin} of {len(encoded)} recordings are thinned out to keep the page small (said below "
-        "them); the others have every recorded frame"
+        f"{thin} of {counted(len(encoded), 'recording')} {verb} thinned out to keep the page "
+        "small (said below them); the others have every recorded frame"
         if thin
         else "every recorded frame"
     )

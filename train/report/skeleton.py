@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..compare.statistics import rounding_of_v
+from ..compare.statistics import rounding_of_clearance, rounding_of_v
 from ..figures.figures import ROBOT_COLOURS
 
 _PAGE = files(__package__) / "page"
@@ -137,6 +137,7 @@ def _scenario(scenario: Scenario) -> dict[str, Any]:
     return {
         "limit": scenario.max_steps * scenario.tau,
         "rounding": rounding_of_v(scenario),
+        "contact": rounding_of_clearance(scenario),
         "nonholonomic": scenario.model.nonholonomic,
         "exact": scenario.sensing.exact,
         "own_row": "gravity" if scenario.model.nonholonomic else "own velocity",

@@ -4,8 +4,9 @@ import base64
 import hashlib
 import pprint
 import runpy
+import sys
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,7 +21,7 @@ from rendezvous_env.baselines.steering import check_steerable
 from rendezvous_env import __version__
 from rendezvous_env.scenario.scenario import Scenario
 
-from .bundle import Bundle, Name
+from .bundle import Bundle, Name, add_module, module_of
 
 Network = tuple[Mapping[str, NDArray[Any]], PolicySettings]
 """Weights and settings of a learned policy."""
@@ -49,6 +50,11 @@ def over_teams(calls_of, num_envs, n_robots, num_threads):
 def levels_follow_v(scenario):
     """Tanks shrink with V where a merge is told; nobody tells a robot alone."""
     return False
+''',
+    Name("rendezvous_env.scenario.scenarios", "resolve"): '''
+def resolve(scenario, **overrides):
+    """The team of this file."""
+    return scenario
 ''',
     Name("rendezvous_env.checks", "check_fields"): '''
 def check_fields(made):
@@ -81,10 +87,11 @@ _NETWORK = (
     Name("rendezvous_env.baselines.learned.policy_settings", "PolicySettings"),
 )
 _WHEELS = (
+    Name("rendezvous_env.baselines.robot_readings", "BodyReadings"),
     Name("rendezvous_env.robots.differential_drive", "DifferentialDrive"),
     Name("rendezvous_env.robots.differential_drive", "keep_apart"),
 )
-_NUMBERS = (
+NUMBERS = (
     "name", "dim", "robot_model", "merge_radius", "tau", "certified_step", "dead_zone",
     "max_degree", "speed_limit", "max_turn_rate", "scales_velocity", "action_size",
 )  # fmt: skip
@@ -97,8 +104,9 @@ _HEAD = '''"""The policy {policy} for a robot of the scenario {scenario}: bearin
     velocity = robot.act(bearings, obstacles, dt=0.03)     # as rendezvous_env's RobotPolicy.act
 {drive}
 It needs NumPy and nothing else. `{made_by}` of rendezvous-env {version} wrote
-it, of the functions of that package, word for word; whoever wants to change them does so there. It
-refuses to be imported once a byte of it has changed: its last line sees to that.
+it, of the functions of that package, word for word; change them there. It refuses to be imported
+once a byte of its text has changed. It may lie in a folder, in a zip archive or, unchecked, as
+bytecode (.pyc).
 """
 
 from __future__ import annotations
@@ -157,25 +165,52 @@ def learned_policy():
 '''
 _LAST = '''
 
-def check_unchanged(path, digest):
-    """True; but a file of which anything above its last line is not as it was written is refused.
+def text_of_this_file(names):
+    """The text of this file, bytes, from wherever Python has loaded it: a folder or a zip archive;
+    None of bytecode (.pyc) and of what was compiled into a program, which have none.
+    """
+    path, loader = names.get("__file__"), names.get("__loader__")
+    if path is None or path.endswith((".pyc", ".so", ".pyd")):
+        return None
+    try:
+        if hasattr(loader, "get_data"):
+            return loader.get_data(path)
+        with open(path, "rb") as file:
+            return file.read()
+    except OSError:
+        return None
+
+
+def check_unchanged(names, digest):
+    """True; but a file of which anything above its last line is not as it was written is refused,
+    wherever there is a text of it.
 
     Raises:
         ValueError: naming the file.
     """
-    with open(path, "rb") as file:
-        lines = file.read().replace(b"\\r\\n", b"\\n").splitlines(keepends=True)
+    text = text_of_this_file(names)
+    if text is None:
+        return True
+    lines = text.replace(b"\\r\\n", b"\\n").splitlines(keepends=True)
     if hashlib.sha256(b"".join(lines[:-1])).hexdigest() != digest:
-        raise ValueError(f"{path}: its content was changed: the digest in it does not fit")
+        raise ValueError(
+            f"{names['__file__']}: its content was changed: the digest in it does not fit"
+        )
     return True
 
 
 '''
 
 
-def text_of(policy: str, scenario: Scenario, network: Network | None) -> str:
+def text_of(
+    policy: str,
+    scenario: Scenario,
+    network: Network | None,
+    build: Callable[..., Any] | None = None,
+) -> str:
     """The file of a policy, by name, for a robot of a scenario; without a network it is a law or a
-    rule. A ValueError for robots or a policy that ``RobotPolicy`` does not take either.
+    rule, or what a user's function ``build`` makes of a scenario. A ValueError for robots or a
+    policy that ``RobotPolicy`` does not take either, or what cannot stand in one file.
     """
     check_steerable(scenario, "a RobotPolicy steers")
     stand_ins, roots, extra = _STAND_INS | _OF_OTHER_DIMENSIONS[scenario.dim], list(_ROOTS), ""
@@ -183,7 +218,10 @@ def text_of(policy: str, scenario: Scenario, network: Network | None) -> str:
         roots += _WHEELS
     if not scenario.model.nonholonomic:
         stand_ins |= _WITHOUT_BODIES
-    if network is None:
+    if build is not None:
+        roots.append(_own_root(build))
+        make = f"{build.__name__}(TEAM)"
+    elif network is None:
         registry.make(policy, scenario)
         check_kind(policy)
         build = registry.builder_of(policy)
@@ -207,13 +245,49 @@ def text_of(policy: str, scenario: Scenario, network: Network | None) -> str:
         layout=", ".join(f"{key}={v}" for key, v in vars(scenario.observation_layout).items()),
         bounds=scenario.action_bounds.tolist(),
         model=_written({name: getattr(scenario.model, name) for name in about}),
-        numbers=_written({name: getattr(scenario, name) for name in _NUMBERS}),
+        numbers=_written({name: getattr(scenario, name) for name in NUMBERS}),
         make=make,
         gain=common_gain(scenario),
     )
-    content = head + Bundle(roots, stand_ins).text() + extra + team + _LAST
+    content = head + _bundle(roots, stand_ins).text() + extra + team + _LAST
     digest = hashlib.sha256(content.encode()).hexdigest()
-    return f'{content}IS_UNCHANGED = check_unchanged(__file__, "{digest}")\n'
+    return f'{content}IS_UNCHANGED = check_unchanged(globals(), "{digest}")\n'
+
+
+def _own_root(build: Callable[..., Any]) -> Name:
+    """The name of a user's function, whose module counts as ours from now on."""
+    root = Name(build.__module__, getattr(build, "__name__", ""))
+    add_module(root.module)
+    try:
+        found = module_of(root.module).definitions
+    except (OSError, TypeError) as error:
+        raise ValueError(f"{root.module} is not written in a Python file") from error
+    if root.word not in found:
+        raise ValueError(f"{root.module} does not define {root.word or build!r} by def or class")
+    return root
+
+
+def _bundle(roots: Sequence[Name], stand_ins: Mapping[Name, str]) -> Bundle:
+    """A bundle that needs NumPy alone; modules that lie beside those of users are taken over."""
+    bundle = Bundle(roots, stand_ins)
+    while bundle.foreign:
+        beside = [name for name in bundle.foreign if _lies_beside(name, roots)]
+        if not beside:
+            raise ValueError(
+                f"it imports {', '.join(bundle.foreign)}; one file needs NumPy and nothing else. "
+                "A trained network is exported with --out FILE.onnx"
+            )
+        for name in beside:
+            add_module(name)
+        bundle = Bundle(roots, stand_ins)
+    return bundle
+
+
+def _lies_beside(module: str, roots: Sequence[Name]) -> bool:
+    """Whether a module is a file in a folder of a user's."""
+    place, own = sys.modules.get(module), sys.modules[roots[-1].module]
+    files = [getattr(one, "__file__", None) for one in (place, own)]
+    return None not in files and Path(files[0] or "").parent == Path(files[1] or "").parent
 
 
 def _learned(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> str:

@@ -9,6 +9,7 @@ import builtins
 import inspect
 import re
 import symtable
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -17,6 +18,8 @@ from importlib import import_module, util
 from typing import NamedTuple
 
 PROJECT = ("rendezvous_env", "baselines", "train")
+_own: set[str] = set()
+"""Modules of users whose definitions are taken over, too."""
 _DROPPED = ("kernel", "inner_kernel", "register")
 """Decorators that mean nothing in one file."""
 _FUTURE = "from __future__ import annotations\n"
@@ -31,8 +34,8 @@ class Name(NamedTuple):
 
     @property
     def is_ours(self) -> bool:
-        """Whether it is of this project."""
-        return self.module.partition(".")[0] in PROJECT
+        """Whether it is of this project, or of a module that was added."""
+        return self.module.partition(".")[0] in PROJECT or self.module in _own
 
 
 @dataclass
@@ -72,6 +75,12 @@ def _rows(node: ast.AST) -> range:
     """Line numbers of a node with its decorators."""
     first, last = getattr(node, "lineno", 0), getattr(node, "end_lineno", 0)
     return range(min([first, *(d.lineno for d in _decorators(node))]), last + 1)
+
+
+def add_module(name: str) -> None:
+    """Take over definitions of a user's module, as it stands in its file now."""
+    _own.add(name)
+    module_of.cache_clear()
 
 
 @cache
@@ -176,6 +185,12 @@ class Bundle:
                 self._needs.setdefault(found.module, {})
                 if found.module != name.module:
                     self._needs[name.module][found.module] = None
+
+    @property
+    def foreign(self) -> list[str]:
+        """Modules that are imported and come neither with Python nor with NumPy."""
+        tops = {name.module.partition(".")[0] for name in self._imports.values()}
+        return sorted(tops - sys.stdlib_module_names - {"numpy"})
 
     def text(self) -> str:
         """Imports, and all definitions in an order in which they can be run."""

@@ -16,7 +16,7 @@ from rich.table import Table
 from tyro.conf import arg
 
 from ..checks import Bounds, check_unused, unknown
-from ..console import Console
+from ..console import Console, counted
 from ..results import write_csv
 from ..resume import Part, program
 from ..tasks import Workers, each
@@ -109,8 +109,13 @@ def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | Non
     for tally in tallies.values():
         total.join(tally)
     if config.any:
-        console.print(table_of(f"Certificates of {total.trials} random scenarios, tried", rows))
-        found, steps = _write_found(config, total), f", {total.steps} steps of {TEAMS} teams"
+        console.print(
+            table_of(f"Certificates of {counted(total.trials, 'random scenario')}, tried", rows)
+        )
+        found, steps = (
+            _write_found(config, total),
+            f", {counted(total.steps, 'step')} of {TEAMS} teams",
+        )
     else:
         shown = [
             {"claim": claim.name, "what is checked": claim.statement, **{k: row[k] for k in _SHOWN}}
@@ -125,7 +130,7 @@ def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | Non
     for one in found:
         console.print(one, soft_wrap=True)
     console.print(
-        f"{total.violations} violations{steps} in {total.seconds:.0f} s of work; {path}",
+        f"{counted(total.violations, 'violation')}{steps} in {total.seconds:.0f} s of work; {path}",
         soft_wrap=True,
     )
     return int(total.violations > 0)

@@ -1,10 +1,10 @@
-"""One robot's process: the node of docs/robot.md as it stands there, with a watch at its ticks.
+"""One robot's process: examples/14_ros_node.py, with a watch at its ticks.
 
 python one_robot.py WRITTEN --ros-args -r __ns:=/robot0
 """
 
 import json
-import re
+import runpy
 import sys
 import time
 from pathlib import Path
@@ -16,11 +16,7 @@ ROOT = Path(__file__).parents[3]
 
 def node_of():
     """The names of the node's program."""
-    text = (ROOT / "docs/robot.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"```python\n(# rendezvous_node\.py\n.*?)```", text, flags=re.DOTALL)
-    names = {"__name__": "rendezvous_node"}
-    exec(compile(code, "rendezvous_node.py", "exec"), names)
-    return names
+    return runpy.run_path(str(ROOT / "examples/14_ros_node.py"), run_name="rendezvous_node")
 
 
 def main(written):

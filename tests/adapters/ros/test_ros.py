@@ -1,4 +1,4 @@
-"""The ROS 2 node of docs/robot.md, run: four of them and a world, each a process of its own."""
+"""The node of examples/14_ros_node.py, run: four of them and a world, each its own process."""
 
 import ctypes
 import signal
@@ -56,11 +56,54 @@ def test_who_has_not_heard_a_topic_rests(node, topic):
     look(made, [0.5])
     made.tick()
     assert made.robot.time == 0.0  # its first tick; what was compiled with is forgotten
-    made.heard_at[topic] -= 1.0
+    made.readings.heard_at[topic] -= 1.0
     made.tick()
     speeds = [(one.linear.x**2 + one.linear.y**2) ** 0.5 for one in sent]
     assert speeds == [0.0, pytest.approx(0.5, abs=1e-3), 0.0]
     assert sent[1].linear.y / sent[1].linear.x == pytest.approx(0.5463, abs=1e-3)  # tan 0.5
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("topic", "data"),
+    [
+        ("bearings", [NAN]),
+        ("bearings", [0.1, 0.2, 0.3, 0.4]),  # a ghost: there are three others
+        ("edges", [0.3]),
+        ("edges", [0.3, float("inf")]),
+        ("edges", [0.1 * k for k in range(26)]),
+    ],
+)
+def test_the_node_drops_and_counts_a_malformed_message(node, topic, data):
+    from std_msgs.msg import Float64MultiArray
+
+    made, sent = node
+    made.readings.max_age = 60.0  # the first warning takes long
+    look(made, [0.5])
+    getattr(made, f"on_{topic}")(Float64MultiArray(data=data))
+    made.tick()
+    assert made.readings.dropped[topic] == 1
+    assert sent[0].linear.y / sent[0].linear.x == pytest.approx(0.5463, abs=1e-3)  # as before it
+
+
+def test_the_node_rests_without_an_orientation(node):
+    from sensor_msgs.msg import Imu
+    from std_msgs.msg import Float64MultiArray
+
+    made, sent = node
+    nothing = Imu()
+    nothing.orientation_covariance[0] = -1.0
+    turned = Imu()
+    turned.orientation.z, turned.orientation.w = NAN, 1.0
+    for imu in (nothing, turned):
+        made.on_imu(imu)
+        made.on_bearings(Float64MultiArray(data=[0.5]))
+        made.on_edges(Float64MultiArray(data=[]))
+        made.tick()
+    assert [(one.linear.x, one.linear.y) for one in sent] == 2 * [(0.0, 0.0)]
+    assert made.readings.dropped == {"imu": 2, "bearings": 2, "edges": 2}
 
 
 ON_WHEELS = ["--ros-args", "-p", "differential_drive:=true"]
@@ -79,7 +122,7 @@ def test_wheels_turn_towards_what_is_seen_and_stop_when_nothing_is(node):
         made.tick()
         wheels.append(made.drive.wheels)
     assert max(wheels[0]) == pytest.approx(most) and max(wheels[1]) > 2 * most
-    made.heard_at["edges"] -= 1.0
+    made.readings.heard_at["edges"] -= 1.0
     for _ in range(20):
         made.tick()
         wheels.append(made.drive.wheels)

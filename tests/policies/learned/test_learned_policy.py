@@ -2,6 +2,7 @@
 
 import pickle
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ from gymnasium.vector import AutoresetMode
 from inference_network import make_network, stirred
 
 import baselines
-from baselines.learned import checkpoints, learned_policy
-from baselines.learned.learned_policy import LearnedPolicy
+from baselines import policy as registry
+from baselines.learned import checkpoints, learned_policy, shipped
+from baselines.learned.learned_policy import LearnedPolicy, load
 from baselines.learned.policy_settings import PolicySettings
 from baselines.learned.training_environment import FeatureVectorEnv
 from rendezvous_env import Scenario, Simulator, make_vec
@@ -180,3 +182,53 @@ def test_a_command_takes_it_by_path(tmp_path):
     assert policies.fitting(HEAVY, [name, "random"]) == ["random"]
     made = policies.make(name, CLUTTER)
     assert policies.promised_margin(name, made) == 0.1
+
+
+LEARNED = shipped.folder("learned")
+
+
+class TestNames:
+    """A learned policy is found by any name of its folder, and its robots by any of a scenario."""
+
+    @pytest.mark.parametrize("made", [str, Path])
+    @pytest.mark.parametrize("scenario", ["clutter-8", scenarios.get("clutter-8")])
+    def test_load_takes_text_and_names(self, made, scenario):
+        found = load(made(LEARNED), scenario)
+        assert found.scenario == scenarios.get("clutter-8")
+
+    @pytest.mark.parametrize("name", [f"learned:{shipped.folder('learned')}", LEARNED])
+    def test_make_and_robot_policy_take_the_name_that_commands_take(self, name):
+        assert isinstance(baselines.make(name, "clutter-8"), LearnedPolicy)
+        robot = baselines.RobotPolicy("clutter-8", name)
+        same = baselines.RobotPolicy("clutter-8", "learned")
+        seen = [[1.0, 0.0], [0.0, 1.0]]
+        np.testing.assert_array_equal(robot.act(seen), same.act(seen))
+        assert registry.kind_of(f"learned:{name}") == "learned"
+
+    @pytest.mark.parametrize(
+        ("name", "options", "message"),
+        [
+            ("learned:/nowhere", {}, "/nowhere: no such folder; give the folder of a run"),
+            (str(LEARNED), {}, "is unknown; a path is written learned:/"),
+            ("mine:make", {}, r"is unknown \(commands read MODULE:FUNCTION; .* call mine\.make"),
+            (LEARNED, {"clearance": 1.0}, "has no option 'clearance'"),
+        ],
+    )
+    def test_a_name_that_cannot_be_is_refused_with_a_remedy(self, name, options, message):
+        with pytest.raises(ValueError, match=message):
+            baselines.make(name, "clutter-8", **options)
+
+    def test_what_is_no_path_is_refused(self):
+        with pytest.raises(ValueError, match="path is 5; it must be the path of a run"):
+            load(5, "clutter-8")
+
+    def test_files_of_a_policy_are_read_by_their_text(self):
+        place = str(LEARNED)
+        assert checkpoints.find(place) == Path(place)
+        assert checkpoints.read(place, ["network"])[0] == checkpoints.describe(place)
+
+    def test_a_learned_policy_takes_the_name_of_a_scenario(self):
+        about, tables = checkpoints.read(LEARNED, ["network"])
+        settings = PolicySettings.from_plain(about["policy"])
+        made = LearnedPolicy("clutter-8", tables["network"], settings)
+        assert made.scenario.name == "clutter-8"

@@ -104,7 +104,7 @@ class Pane {
       `${row.success === "1" ? "met" : "not met"} after ${fixed(row.time, 2)} s · ` +
       inContact(row.contacts) +
       (row.path_length ? ` · path ${metres(row.path_length, 1)} m` : "") +
-      (row.clearance ? ` · clearance ≥ ${metres(row.clearance, 2)} m` : "") +
+      (row.clearance ? ` · clearance ≥ ${clearance(row.clearance, this.rec)} m` : "") +
       (row.min_alignment ? ` · alignment ≥ ${fixed(row.min_alignment, 2)}` : "") +
       (this.rec.stride > 1 ? ` · one in ${this.rec.stride} recorded frames is shown` : "");
   }

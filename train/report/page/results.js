@@ -24,7 +24,7 @@ const RESULT_COLUMNS = [
   { title: "time/bound", value: "time_over_bound", show: short, best: -1 },
   { title: "path m", value: "path_length", show: (cell) => metres(cell, 1), best: -1 },
   { title: "contacts", value: "contacts", show: (cell) => fixed(cell, 1), best: -1 },
-  { title: "clearance m", value: "min_clearance", show: (cell) => metres(cell, 2), best: 1 },
+  { title: "clearance m", value: "min_clearance", show: clearance, best: 1 },
   { title: "V rise m²/s", value: "max_rise_between_merges", best: -1, show: (cell, row) =>
     (Number(cell) <= DATA.scenarios[row.scenario].rounding ? "none" : short(cell)) },
   { title: "alignment", value: "min_alignment", show: (cell) => fixed(cell, 2), best: 1 },

@@ -15,6 +15,12 @@ function metres(cell, digits) {
   return isSmall ? short(cell) : fixed(cell, digits);
 }
 
+/** A clearance, m; that of a contact is 0 but for rounding. */
+function clearance(cell, { scenario }) {
+  const isContact = cell !== "" && Math.abs(Number(cell)) < DATA.scenarios[scenario].contact;
+  return isContact ? fixed("0", 2) : metres(cell, 2);
+}
+
 /** A number beside an axis. */
 function tick(value) {
   return MINUS(String(Number(value.toPrecision(6))));
