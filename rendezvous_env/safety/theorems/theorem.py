@@ -49,6 +49,7 @@ class Asked(NamedTuple):
     max_gain: float | None = None
     share: float = 0.5  # λ, without unit
     error: float = 0.0  # η, rad: the larger of the argument and the error of the sensor
+    observes_merges: bool = True  # whether tanks are told of merges, as wrappers are
 
 
 LAW = Asked()
