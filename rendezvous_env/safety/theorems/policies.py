@@ -59,8 +59,8 @@ def unmet(scenario: Scenario, guarantee: Mapping[str, Any]) -> str:
     own, told = bounded_error(scenario.sensing, scenario.dim), guarantee.get("bearing_error", 0.0)
     if guarantee.get("by") in _TOLD and told < own:
         return (
-            f"none: the sensor's bearings may err by {own:.4g} rad, and the policy's filter expects "
-            f"{told:.4g} rad at most; make it with bearing_error={own:.6g}"
+            f"none: the sensor's bearings may err by {own:.4g} rad, and the policy's filter "
+            f"expects {told:.4g} rad at most; make it with bearing_error={own:.6g}"
         )
     needed = min(scenario.turn_limit, MAX_TURN_RATE)
     if scenario.model.nonholonomic and guarantee.get("max_turn_rate", math.inf) < needed:
