@@ -23,7 +23,7 @@ Choose = Callable[[Float32], ArrayLike]
 """Observations (..., n, rows, d) → choices (..., n, k), in [−1, 1]."""
 
 
-_CERTIFIED = {
+_CERTIFIED: dict[str, dict[str, Any]] = {
     "heading": {"min_alignment": 0.1, "max_turn_rate": MAX_TURN_RATE, "bearing_error": 0.0},
     "tank": {"budget": 0.0, "min_alignment": TANK_MARGIN, "bearing_error": 0.0},
     "gains": {"min_gain": None, "max_gain": None},

@@ -308,7 +308,7 @@ def test_the_signatures_of_the_design():
     assert names(rv.rollout) == ["scenario", "policy", "seed", "num_envs", "options", "record"]
     assert names(rv.certificate) == [
         "scenario", "min_alignment", "by", "budget", "min_gain", "max_gain", "share",
-        "bearing_error",
+        "bearing_error", "policy",
     ]  # fmt: skip
     for home in (rv, import_module("rendezvous_env.vector")):
         assert names(home.GainWrapper)[:3] == ["env", "min_gain", "max_gain"]

@@ -63,7 +63,7 @@ def draw(policy: str, scenario: rv.Scenario, seed: int, number: int) -> Trial:
     given one itself as the first draw, and where no other fits.
     """
     random = np.random.default_rng([seed, _STREAM, number])
-    chosen, starts = scenario, ()
+    chosen, starts = scenario, tuple[rv.Scenario, ...]()
     for _ in range(_TRIES if number else 0):
         with suppress(ValueError):
             chosen = _varied(random, scenario)

@@ -172,7 +172,7 @@ def _finish(
 ) -> tuple[dict[str, Tally], list[dict[str, Any]]]:
     """Do the tasks, or what is left of them, and write the rows of their tallies."""
     asked = ("trials", "seed", "min_alignment", "only_batch", "any", "kinds", "policy", "search")
-    plan = program() | {name: getattr(config, name) for name in asked} | dict(plan)  # all that counts
+    plan = program() | {name: getattr(config, name) for name in asked} | dict(plan)
     part = Part(path.with_suffix(".part"), plan, "verification")
     tallies = {task.group: Tally() for task in tasks}
     with (

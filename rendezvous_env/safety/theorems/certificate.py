@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -146,7 +146,7 @@ def certificate(
     max_gain: float | None = None,
     share: float = LAW.share,
     bearing_error: float = 0.0,
-    policy: Callable[..., Any] | None = None,
+    policy: Any = None,
 ) -> Certificate:
     """What is guaranteed for a scenario under law (1), or whatever a policy does under a wrapper,
     or of a given policy.
