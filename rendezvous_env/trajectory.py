@@ -17,6 +17,7 @@ from .outcome import StepOutput
 from .scenario.scenario import Scenario
 from .scenario.scenarios import resolve
 from .simulator import Simulator
+from .trajectory_views import TrajectoryViews
 
 Policy = Callable[[NDArray[np.float32], NDArray[np.float64]], NDArray[Any]]
 ON_REQUEST = ("observations", "actions")
@@ -34,9 +35,14 @@ class Merge(NamedTuple):
     lyapunov_after: float  # V just after the last, m²/s
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """What B teams did over T steps; a team that has finished stays as it is to the end."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory(TrajectoryViews):
+    """What B environments did over T steps; one that has finished stays as it is to the end.
+
+    found = rollout("ring-12", policy, num_envs=4)
+    print(found, found.summary())    # one line; a table
+    found.plot(), found.to_report("replay.html"), found.save("ring.npz")
+    """
 
     scenario: Scenario
     times: NDArray[np.float64]
@@ -65,6 +71,12 @@ class Trajectory:
     """(B, M, width), tables of ``obstacles.obstacle_set``."""
     recorded: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     """What was kept on request, by name."""
+    start: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    """State after the reset, see ``Simulator.get_state``, from which to repeat the rollout."""
+    policy: str = ""
+    """Name of the policy: of its function or class."""
+    played_by: Any = None
+    """The policy itself; None in a copy that was pickled or loaded."""
 
     @property
     def observations(self) -> NDArray[np.float32]:
@@ -194,6 +206,7 @@ def rollout(
         )
 
     observations = simulator.reset(seed, options)
+    start = simulator.get_state()
     keep_state(observations)
     _warn_of_size(simulator, sum(arrays[0].nbytes for arrays in kept.values()), asked)
     finished_at = np.full(simulator.num_envs, np.inf)
@@ -218,6 +231,9 @@ def rollout(
         rendezvous_time=finished_at,
         obstacles=simulator.obstacles,
         recorded={name: arrays.pop(name) for name in asked},
+        start=start,
+        policy=str(getattr(policy, "__name__", None) or type(policy).__name__.lstrip("_")),
+        played_by=policy,
         **arrays,
     )
 

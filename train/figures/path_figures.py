@@ -12,15 +12,18 @@ from numpy.typing import NDArray
 from rendezvous_env.obstacles.obstacle_set import outlines
 from rendezvous_env.render.palette import OBSTACLE_EDGE, code
 from rendezvous_env.render.scene import ended, facing, in_contact, ways
+from rendezvous_env.safety.theorems.theorem import at_most
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..recording import Recording
-from .figures import BLACK, BLUE, ORANGE, ROBOT_COLOURS, VERMILLION, policy_colour
+from .figures import BLACK, BLUE, GREEN, ORANGE, ROBOT_COLOURS, VERMILLION, policy_colour
 from .style import COLUMN, PAGE, SMALL, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from rendezvous_env import Certificate, Trajectory
 
 _MOST_NAMES = 8
 """Robots up to which each has its number beside its start."""
@@ -32,6 +35,11 @@ _LEAST_SHARE = 0.2
 """Of the larger side of a picture of paths that the other one has, so that a row has room, too."""
 _NARROW = 0.6
 """A panel whose sides have a smaller ratio has fewer ticks on the short one."""
+_FAR = 3.0
+"""Times the length of an episode from which a bound on the time needs a logarithmic axis."""
+_DECADES = 300.0
+"""Times that the end of an episode is later than the left end of a logarithmic axis."""
+_JUMPS = ("lyapunov_before_merge", "lyapunov_after_merge")
 _LATE = 0.7
 """Share of an episode after which merges are so close together that they are shown enlarged."""
 
@@ -148,6 +156,78 @@ def team_figure(scenario: Scenario, recording: Mapping[str, NDArray[Any]], polic
     value.set(title="(b) the Lyapunov function")
     figure.suptitle(f"{scenario.n_robots} robots under {policy} ({scenario.name})")
     return figure
+
+
+def trajectory_figure(trajectory: Trajectory, env: int = 0) -> Figure:
+    """Paths and V(t) of one environment of a rollout, as ``team_figure``."""
+    return team_figure(trajectory.scenario, recording_of(trajectory, env), trajectory.policy)
+
+
+def recording_of(trajectory: Trajectory, env: int = 0) -> Recording:
+    """One environment of a rollout, every step a frame, up to its end."""
+    steps = int(trajectory.running[:, env].sum())
+    merged = (trajectory.active[:-1, env] != trajectory.active[1:, env]).any(axis=-1)[:steps]
+    kept = ("positions", "headings", "active", "lyapunov", *trajectory.recorded)
+    jumps = {
+        name: np.append(np.nan, np.where(merged, getattr(trajectory, name)[:steps, env], np.nan))
+        for name in _JUMPS
+    }
+    contacts = trajectory.contacts[:steps, env]
+    return {
+        "times": trajectory.times[: steps + 1],
+        **{name: getattr(trajectory, name)[: steps + 1, env] for name in kept if name != "actions"},
+        **jumps,
+        "contacts": np.cumsum(np.insert(contacts, 0, 0, axis=0), axis=0),
+        "obstacles": trajectory.obstacles[env],
+    }
+
+
+@styled
+def lyapunov_figure(trajectory: Trajectory, certificate: Certificate | None = None) -> Figure:
+    """V(t) of every environment of a rollout; beside it, if given, the bounds of a certificate.
+
+    Lines end where an environment does; a circle marks a rendezvous.
+    """
+    figure = new_figure(COLUMN, 2.6)
+    axes = figure.subplots()
+    count = trajectory.num_envs
+    style: Any = {"color": BLUE, "alpha": max(0.15, count**-0.5), "linewidth": 1.0}
+    for env in range(count):
+        steps = int(trajectory.running[:, env].sum()) + 1
+        axes.plot(trajectory.times[:steps], trajectory.lyapunov[:steps, env], **style)
+    axes.lines[0].set_label("V" if count == 1 else f"V, {count} environments")
+    met = np.flatnonzero(trajectory.success)
+    if met.size:
+        at, mark = trajectory.rendezvous_time[met], {"color": GREEN, "clip_on": False, "zorder": 4}
+        axes.plot(at, np.zeros(met.size), "o", label="rendezvous", **mark)
+    axes.set(xlabel="time (s)", ylabel="V (m²/s)", xlim=(0, None))
+    if certificate is not None:
+        _draw_bounds(axes, certificate, float(trajectory.times[-1]))
+    axes.set_ylim(0, None)
+    axes.grid()
+    axes.set_title(_certified(certificate) if certificate is not None else "the Lyapunov function")
+    figure.legend(loc="outside lower center", ncols=2)
+    figure.suptitle(f"{trajectory.scenario.name} under {trajectory.policy or 'a policy'}")
+    return figure
+
+
+def _draw_bounds(axes: Axes, certificate: Certificate, end: float) -> None:
+    """Bounds on V and on the time, the axis of which becomes logarithmic where that is far off."""
+    style: Any = {"color": VERMILLION, "linewidth": 1.2}
+    if math.isfinite(bound := certificate.lyapunov_bound):
+        label = f"bound on V: {at_most(bound)} m²/s"
+        axes.axhline(bound, linestyle="--", label=label, **style)
+    if math.isfinite(bound := certificate.time_bound):
+        label = f"bound on the time: {at_most(bound)} s"
+        axes.axvline(bound, linestyle=":", label=label, **style)
+        if bound > _FAR * end > 0.0:
+            axes.set_xscale("log")
+            axes.set_xlim(end / _DECADES, 1.3 * bound)
+
+
+def _certified(certificate: Certificate) -> str:
+    """What a certificate guarantees, in a few words."""
+    return "rendezvous is certified" if certificate.guaranteed else "no rendezvous is certified"
 
 
 def _name_robots(axes: Axes, recording: Mapping[str, NDArray[Any]]) -> None:

@@ -204,7 +204,7 @@ def certificate(
 _UNASKED = {"by": None, "bearing_error": 0.0}
 
 
-def of_policy(scenario: Scenario, policy: Any) -> Certificate:
+def of_policy(scenario: Scenario, policy: object) -> Certificate:
     """The certificate of a policy's own guarantee, or one that promises nothing."""
     guarantee = policies.guarantee_of(scenario, policy)
     lacks = "" if guarantee is None else policies.unmet(scenario, guarantee)

@@ -11,6 +11,10 @@ from ...scenario.scenario import Scenario
 from ..settings import MAX_TURN_RATE, bounded_error
 from .theorem import at_most
 
+Guarantee = dict[str, Any]
+"""Arguments of ``certificate``, see ``guarantee_of``."""
+TimeBound = Callable[[str], float | None]
+"""By which robots meet under a filter, s, by its name; None where that is not guaranteed."""
 WRAPPERS = {
     "heading": "HeadingVectorWrapper",
     "tank": "EnergyTankWrapper",
@@ -27,7 +31,7 @@ _TOLD = ("heading", "tank", "links")
 """Filters that have to be given the error of bearings."""
 
 
-def guarantee_of(scenario: Scenario, policy: Any) -> dict[str, Any] | None:
+def guarantee_of(scenario: Scenario, policy: object) -> Guarantee | None:
     """Arguments of ``certificate`` that a policy's ``guarantee`` gives; None if it keeps none.
 
     ``guarantee`` may also hold ``max_turn_rate``, rad/s, of a filter of robots that turn, and
@@ -54,7 +58,7 @@ def _filters_differ(one: Scenario, other: Scenario) -> bool:
     return one.replace(**ignored) != other
 
 
-def unmet(scenario: Scenario, guarantee: Mapping[str, Any]) -> str:
+def unmet(scenario: Scenario, guarantee: Guarantee) -> str:
     """Why a filter's settings do not keep its guarantee in this scenario; empty if they do."""
     own, told = bounded_error(scenario.sensing, scenario.dim), guarantee.get("bearing_error", 0.0)
     if guarantee.get("by") in _TOLD and told < own:
@@ -71,7 +75,7 @@ def unmet(scenario: Scenario, guarantee: Mapping[str, Any]) -> str:
     return ""
 
 
-def no_guarantee(policy: Any, time_bound: Callable[[str], float | None]) -> str:
+def no_guarantee(policy: object, time_bound: TimeBound) -> str:
     """That nothing is known of a policy's actions, and what would guarantee a rendezvous, of which
     ``time_bound(by)`` is the bound, s, or None where there is no guarantee.
     """
@@ -89,7 +93,7 @@ def no_guarantee(policy: Any, time_bound: Callable[[str], float | None]) -> str:
     return f"{words}rendezvous verify --policy MODULE:FUNCTION searches for counterexamples"
 
 
-def name_of(policy: Any) -> str:
+def name_of(policy: object) -> str:
     """What messages call a policy: a function's name, or an object's class."""
     return str(getattr(policy, "__name__", None) or type(policy).__name__.lstrip("_"))
 
