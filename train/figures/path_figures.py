@@ -198,7 +198,8 @@ def lyapunov_figure(trajectory: Trajectory, certificate: Certificate | None = No
     axes.lines[0].set_label("V" if count == 1 else f"V, {count} environments")
     met = np.flatnonzero(trajectory.success)
     if met.size:
-        at, mark = trajectory.rendezvous_time[met], {"color": GREEN, "clip_on": False, "zorder": 4}
+        at = trajectory.rendezvous_time[met]
+        mark: Any = {"color": GREEN, "clip_on": False, "zorder": 4}
         axes.plot(at, np.zeros(met.size), "o", label="rendezvous", **mark)
     axes.set(xlabel="time (s)", ylabel="V (m²/s)", xlim=(0, None))
     if certificate is not None:
