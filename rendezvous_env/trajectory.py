@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from . import trajectory_formats
 from .checks import floats, refuse, shown
 from .engine.memory import RENDEZVOUS, RUNNING
+from .field_docs import lists_fields
 from .outcome import StepOutput
 from .scenario.scenario import Scenario
 from .scenario.scenarios import resolve
@@ -35,6 +36,7 @@ class Merge(NamedTuple):
     lyapunov_after: float  # V just after the last, m²/s
 
 
+@lists_fields
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory(TrajectoryViews):
     """What B environments did over T steps; one that has finished stays as it is to the end.
@@ -45,8 +47,9 @@ class Trajectory(TrajectoryViews):
     """
 
     scenario: Scenario
+    """Scenario of all environments."""
     times: NDArray[np.float64]
-    """(T + 1,), s."""
+    """Times of the states, (T + 1,), s."""
     positions: NDArray[np.float64]
     """(T + 1, B, n, d), m; a merged-away robot is where its survivor is."""
     headings: NDArray[np.float64]
@@ -60,7 +63,7 @@ class Trajectory(TrajectoryViews):
     lyapunov_after_merge: NDArray[np.float64]
     """(T, B), V just after the last merge of a step; V at its end if there was none."""
     rewards: NDArray[np.float64]
-    """(T, B)."""
+    """Rewards of the team in each step, (T, B)."""
     contacts: NDArray[np.bool_]
     """(T, B, n), whether a robot touched an obstacle in the step."""
     success: NDArray[np.bool_]

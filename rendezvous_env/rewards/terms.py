@@ -11,11 +11,13 @@ from typing import Annotated, Any
 
 from ..checks import check_fields, names_unknown_fields
 from ..compilation import kernel
+from ..field_docs import lists_fields
 from .custom_terms import as_custom
 
 CLEARANCE_PENALTY = 4  # place of a weight whose term is only worked out where it is not zero
 
 
+@lists_fields
 @names_unknown_fields("reward")
 @dataclass(frozen=True)
 class RewardWeights:

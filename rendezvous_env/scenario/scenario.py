@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from .. import checks, graphs
 from ..checks import Metres, Seconds, positive, whole
+from ..field_docs import lists_fields
 from ..graphs import Graph, GraphLike
 from ..limits import LONGEST_NAME, MOST_OBSTACLES, MOST_ROBOTS, MOST_STEPS
 from ..obstacles import parsing as obstacles
@@ -50,6 +51,7 @@ def _check_dim(field: str, value: Any) -> int:
     return int(value)
 
 
+@lists_fields
 @checks.names_unknown_fields("scenario")
 @dataclass(frozen=True, kw_only=True)
 class Scenario:

@@ -11,6 +11,7 @@ from functools import partial
 from typing import Any
 
 from ...checks import choice, real, refuse
+from ...field_docs import lists_fields
 from ...scenario.scenario import Scenario
 from ...scenario.scenarios import resolve
 from ..gains import gain_range
@@ -40,51 +41,53 @@ def _renamed(old: str, new: str) -> Any:
     return property(read, doc=f"Deprecated: ``{new}``.")
 
 
+@lists_fields
 @dataclass(frozen=True)
 class Certificate:
     """What is guaranteed for a scenario, and why or why not; a bound is infinite where none is."""
 
     min_alignment: float
-    """ε: the least alignment |hᵀf|/‖f‖ that the guarantee builds on; 1 for law (1)."""
+    """ε, without unit: least alignment |hᵀf|/‖f‖ that the guarantee assumes; 1 for law (1)."""
     dead_zone: float
-    """δ = a*/(2n), m/s."""
+    """δ = a*/(2n), m/s: below it a certified heading need not follow the net bearing f."""
     certified_step: float
-    """r/(2D̄), s."""
+    """r/(2D̄), s: longest step for which V is proven not to rise between merges."""
     bottleneck_weight: float
-    """a*, m/s."""
+    """a*, m/s: bottleneck weight of the graph (theory 3)."""
     time_bound: float
-    """s by which all robots have met in the environment as it steps, from the start that the
+    """Bound on the time to rendezvous in the environment as it steps, s, from the start that the
     scenario gives or any that its episodes draw."""
     guaranteed: bool
     """Whether rendezvous is guaranteed."""
     theorem: str
-    """Which theorem covers the scenario, or why none does."""
+    """Theorem that covers the scenario, or why none does."""
     by: str = "law"
-    """What keeps the guarantee, one of CHOICES; "policy" where nothing is known to."""
+    """What keeps the guarantee: "law", "heading", "tank", "gains" or "links"; "policy" where nothing
+    does."""
     continuous_time_bound: float = math.inf
     """``time_bound`` for velocities that follow the bearings in continuous time."""
     continuous_time_only: bool = False
     """Whether the guarantee is proven in continuous time only, so that ``time_bound`` is inf."""
     lyapunov_bound: float = math.inf
-    """What V never exceeds, m²/s, with obstacles in motion without a contact."""
+    """Bound on V at any time, m²/s; among obstacles, in motion without a contact."""
     hull_bound: float = math.inf
-    """What L never exceeds, m."""
+    """Bound on the perimeter L of the convex hull at any time, m."""
     link_growth_bound: float = math.inf
-    """By how much a link is never longer than at the start, m, if it is in sight then, and would
-    be if it were so much longer."""
+    """Bound on how much longer a link ever is than at the start, m; for links that would be within
+    the sensing range if they were longer by this."""
     bearing_error: float = 0.0
-    """η, rad: by how much bearings may be wrong here. The wrapper must be given it too."""
+    """η, rad: largest bearing error that the guarantee allows for. Give it to the wrapper too."""
     tolerated_bearing_error: float = 0.0
-    """η, rad, inputs held, below which a theorem still promises a rendezvous, but for what rounding
-    may take: 2⁻²² rad, more in short steps."""
+    """Bearing error below which a theorem still guarantees a rendezvous, inputs held, rad; rounding
+    takes 2⁻²² rad of it, more in short steps."""
     expected_time_bound: float = math.inf
-    """What the mean time to rendezvous never exceeds under noise that each step draws anew, s."""
+    """Bound on the mean time to rendezvous under noise that is drawn anew in every step, s."""
     scenario: str = "custom"
-    """Its name."""
+    """Name of the scenario."""
     time_limit: float = math.inf
-    """Of its episodes, s."""
+    """Time limit of its episodes, s."""
     touches_obstacles: bool = False
-    """Whether robots may touch some: ``lyapunov_bound`` is for motion without a contact then."""
+    """Whether robots may touch obstacles; ``lyapunov_bound`` then holds up to the first contact."""
     policy: str = ""
     """Name of the policy that was asked about; empty if none was given."""
 
