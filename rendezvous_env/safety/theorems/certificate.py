@@ -62,7 +62,7 @@ class Certificate:
     theorem: str
     """Theorem that covers the scenario, or why none does."""
     by: str = "law"
-    """What keeps the guarantee: "law", "heading", "tank", "gains" or "links"; "policy" where nothing
+    """What keeps the guarantee: "law", "heading", "tank", "gains", "links"; "policy" where nothing
     does."""
     continuous_time_bound: float = math.inf
     """``time_bound`` for velocities that follow the bearings in continuous time."""
