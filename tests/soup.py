@@ -169,7 +169,7 @@ def scenario_fields(draw: st.DrawFn) -> dict[Any, Any]:
         "obstacle_range": nearly(lengths),
         "obstacle_slots": nearly(st.sampled_from([None, 3]), True, 10**9, -1),
         "obstacle_contact": nearly(st.sampled_from(["slide", "stop", "ignore"]), "bounce"),
-        "neighbour_slots": nearly(st.sampled_from([None, n - 1]), True, 10**9, 0, n),
+        "neighbour_slots": nearly(st.sampled_from([None, n - 1]), True, 10**9, 0),
         "spawn_size": nearly(lengths),
         "start_positions": positions,
         "start_headings": any_table(n, dim - 1),

@@ -41,8 +41,10 @@ ROOMS = (
     {"engine.memory"},
     {"engine.stages"},
     {"engine"},
-    {"simulator", "state_view", "trajectory", "trajectory_formats", "trajectory_views",
-        "first_starts"},
+    {
+        *("simulator", "state_view", "trajectory", "trajectory_formats", "trajectory_views"),
+        *("observation_fit", "first_starts"),
+    },
     {"safety"},
     {"safety.theorems"},
     {"render"},

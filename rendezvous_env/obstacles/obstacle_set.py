@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..checks import shown
 from ..compilation import by_type, kernel
-from ..physics.vectors import X_AXIS, store
+from ..physics.vectors import X_AXIS, load, store
 from . import shape
 from .capsule import CAPSULES, Capsule
 from .disc import BALLS, Disc, Sphere
@@ -107,6 +107,17 @@ def distance_to(world, m, point):
     """Signed distance to obstacle m, m, as ``surface`` has it."""
     distance, _ = surface(world, m, point)
     return distance
+
+
+@kernel
+def distances_to(world, points, out):
+    """Signed distances, m, of points (n, d), m, to each obstacle into ``out`` (n, M), as
+    ``distance_to``.
+    """
+    for i in range(out.shape[0]):
+        point = load(points[i])
+        for m in range(out.shape[1]):
+            out[i, m] = distance_to(world, m, point)
 
 
 @kernel

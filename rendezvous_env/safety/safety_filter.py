@@ -94,6 +94,17 @@ def check_inputs(scenario: Scenario, theorem: str, *, bodies: bool = False) -> N
     )
 
 
+def check_sees_all_neighbours(scenario: Scenario) -> None:
+    """Refuse a scenario whose robots may not see all neighbours: f is not the sum of the rows."""
+    if scenario.drops_neighbours:
+        most = scenario.sensing_graph.most_neighbours(scenario.n_robots)
+        raise ValueError(
+            f"scenario has neighbour_slots {scenario.neighbour_slots} with neighbour_overflow "
+            f"'nearest'; no filter can keep a guarantee where neighbours are left out: give it "
+            f"neighbour_slots={most} or more"
+        )
+
+
 class SafetyFilter(Remembering):
     """What the policies of B teams chose, held, and what the robots do because of it.
 
@@ -125,6 +136,7 @@ class SafetyFilter(Remembering):
         num_threads: int | None,
     ) -> None:
         choice("frame", frame, FRAMES)
+        check_sees_all_neighbours(scenario)
         if num_threads is not None:
             num_threads = whole("num_threads", num_threads, 1, MOST_TEAMS)
         n, d, layout = scenario.n_robots, scenario.dim, scenario.observation_layout

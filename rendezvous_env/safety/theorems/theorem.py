@@ -120,5 +120,10 @@ class Theorem:
                 "none: theorems end with one robot left, and with meeting='pack' none merges; "
                 "bodies do not overlap, whatever the policy"
             )
+        if scenario.drops_neighbours:
+            return 0, (
+                "none: with neighbour_overflow='nearest' a robot may have more neighbours than "
+                f"the {scenario.neighbour_slots} rows that it sees, and those do not add up to f"
+            )
         failing = ((met, holds(scenario, asked)) for met, holds in enumerate(self.assumptions))
         return next((found for found in failing if found[1]), (len(self.assumptions), ""))
