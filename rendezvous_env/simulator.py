@@ -71,6 +71,10 @@ class Simulator(StateView):
         self._custom = bool(scenario.reward.custom or scenario.sensing.custom or scenario.costs)
         self.costs = no_costs(scenario.costs, self._acted[:2])
         """Of the last step, (B, n) each, by key of infos; without keys if the scenario has none."""
+        custom = [name for name, _ in scenario.reward.custom]
+        self._earned = {name: np.zeros(self.num_envs) for name in custom}
+        self.earned_before = {name: np.zeros(self.num_envs) for name in custom}
+        """What each custom reward term added in the last episode that a reset ended, (B,)."""
         self._own_model = is_custom(scenario.model)
         self._ready = self._observed = False
 
@@ -157,6 +161,8 @@ class Simulator(StateView):
         self._all_running = False  # not known, should an interrupt leave from here
         self._episodes.begin(which, seeds, given, resting)
         self.changes += 2  # so that none is taken for a step
+        for name, earned in self._earned.items():
+            self.earned_before[name][which], earned[which] = earned[which], 0.0
         self._all_running = not (resting and len(which)) and not self.status.any()
         self._ready = self._observed and not (self._state.number < 0).any()
 
@@ -270,7 +276,9 @@ class Simulator(StateView):
         ).read_only()
         if self.scenario.costs:
             self.costs = costs_of(self.scenario.costs, step, running)
-        add_custom_terms(step, running, output.rewards, output.robot_rewards)
+        added = add_custom_terms(step, running, output.rewards, output.robot_rewards)
+        for name, earned in added.items():
+            self._earned[name] += earned
         self._sense_custom(output, np.arange(self.num_envs))
         return output
 

@@ -27,6 +27,11 @@ from ..scenario.start_options import OPTIONS, as_options
 from ..simulator import Simulator
 from ..state_view import STANDING
 
+_COUNTED = {"cost": "costs"}
+"""What states of slots call the sum of a key of infos."""
+_TOLD = {"returns": "return", "lengths": "length", "costs": "cost"}
+"""What infos of an episode call it."""
+
 
 class SlotStep(NamedTuple):
     """A step of B·n slots."""
@@ -87,8 +92,8 @@ class RobotSlots:
             "returns": np.zeros(self.num_teams),
             "lengths": np.zeros(self.num_teams, dtype=np.int64),
         }
-        if self.simulator.costs:
-            self._counts["costs"] = np.zeros(self.num_teams)
+        for key in self.simulator.costs:
+            self._counts[_COUNTED.get(key, key)] = np.zeros(self.num_teams)
 
     def reset(
         self,
@@ -137,8 +142,8 @@ class RobotSlots:
         self.active = infos["active"].copy()
         self._counts["returns"] += rewards
         self._counts["lengths"] += 1
-        if costs:
-            self._counts["costs"] += infos["cost"].sum(axis=1)
+        for key in costs:
+            self._counts[_COUNTED.get(key, key)] += infos[key].sum(axis=1)
         return SlotStep(
             observations=self.by_slot(observations),
             rewards=robot_rewards.astype(np.float32).reshape(-1),
@@ -158,7 +163,7 @@ class RobotSlots:
         """How the episodes of these teams went; their counts start again."""
         finished: dict[int, Any] = {}
         for team in np.flatnonzero(over).tolist():
-            counts = {name.removesuffix("s"): c[team].item() for name, c in self._counts.items()}
+            counts = {_TOLD.get(name, name): c[team].item() for name, c in self._counts.items()}
             summary = {key: infos["final_info"][key][team].item() for key in STANDING}
             finished[team] = counts | summary
         for count in self._counts.values():

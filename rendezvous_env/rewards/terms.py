@@ -57,6 +57,31 @@ class RewardWeights:
         return {key: value for key, value in plain.items() if value != {}}
 
 
+def earned_in_episode(
+    weights: RewardWeights,
+    progress: float,
+    share: float,
+    contacts: float,
+    met: bool,
+) -> dict[str, float]:
+    """What each built-in term but the penalty of clearance adds up to in an episode, by name.
+
+    Args:
+        weights: w.
+        progress: (V_0 − V_T)/V_0, without unit.
+        share: of the time limit that passed, without unit.
+        contacts: one for each robot and step, without unit.
+        met: whether all robots met.
+    """
+    terms = {
+        "progress": weights.progress * progress,
+        "time_penalty": -weights.time_penalty * share,
+        "collision_penalty": -weights.collision_penalty * contacts,
+        "rendezvous_bonus": weights.rendezvous_bonus * met,
+    }
+    return {name: float(value) for name, value in terms.items() if getattr(weights, name) != 0.0}
+
+
 @kernel(inline="code")
 def team_reward(progress, time_share, contacts, closeness, met, weights):
     """Team reward of one step, a number without unit like all that it is made of.
