@@ -71,7 +71,7 @@ class Simulator(StateView):
         self._custom = bool(scenario.reward.custom or scenario.sensing.custom or scenario.costs)
         self.costs = no_costs(scenario.costs, self._acted[:2])
         """Of the last step, (B, n) each, by key of infos; without keys if the scenario has none."""
-        custom = [name for name, _ in scenario.reward.custom]
+        custom = list(dict(scenario.reward.custom))
         self._earned = {name: np.zeros(self.num_envs) for name in custom}
         self.earned_before = {name: np.zeros(self.num_envs) for name in custom}
         """What each custom reward term added in the last episode that a reset ended, (B,)."""

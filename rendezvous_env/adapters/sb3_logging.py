@@ -1,6 +1,7 @@
 """What stable-baselines3 logs of episodes, by the names that ``rendezvous train`` writes."""
 
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -95,7 +96,7 @@ class WandbLog(BaseCallback):
 
     def _on_training_start(self) -> None:
         try:
-            import wandb
+            wandb = import_module("wandb")
         except ImportError as error:
             raise ImportError("WandbLog needs wandb: pip install wandb", name="wandb") from error
         self.run = wandb.init(**self.arguments)
