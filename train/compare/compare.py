@@ -265,6 +265,6 @@ def _pictures(found: Found, config: Config) -> Iterator[Picture]:
             for done in found.played
             if done.job.scenario == scenario and 0 in done.recordings
         }
-        if first and scenario.dim == 2 and scenario.obstacles:
+        if first and scenario.dim == 2:
             draw = partial(path_figures.trajectories_figure, scenario, first)
             yield f"trajectories-{scenario.name}", draw

@@ -40,6 +40,8 @@ _FAR = 3.0
 _DECADES = 300.0
 """Times that the end of an episode is later than the left end of a logarithmic axis."""
 _JUMPS = ("lyapunov_before_merge", "lyapunov_after_merge")
+_MOST_COLUMNS = 5
+"""Panels of a row."""
 _LATE = 0.7
 """Share of an episode after which merges are so close together that they are shown enlarged."""
 
@@ -47,30 +49,41 @@ _LATE = 0.7
 @styled
 def trajectories_figure(scenario: Scenario, recordings: Mapping[str, Recording]) -> Figure:
     """What every policy does on the same start of a scenario in the plane, a panel each."""
-    columns = min(4, len(recordings))
+    columns = columns_of(len(recordings))
     rows = math.ceil(len(recordings) / columns)
     width = COLUMN if columns < 3 else PAGE
     figure = new_figure(width, 0.5 + rows * (0.87 * width / columns + 0.3))
-    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for axes, (name, recording) in zip(panels.flat, recordings.items(), strict=False):
+    grid = figure.add_gridspec(rows, 2 * columns)
+    panels: list[Axes] = []
+    for number, (name, recording) in enumerate(recordings.items()):
+        row, column = divmod(number, columns)
+        lacking = max(0, (row + 1) * columns - len(recordings))  # of the last row, in the middle
+        left = 2 * column + lacking
+        first = panels[0] if panels else None
+        axes = figure.add_subplot(grid[row, left : left + 2], sharex=first, sharey=first)
+        panels.append(axes)
         draw_paths(axes, recording, scenario)
         met = recording["active"][-1].sum() == 1
         end = f"met after {recording['times'][-1]:.1f} s" if met else "time out"
         contacts = int(recording["contacts"][-1].sum())
         touched = f"\n{in_contact(contacts)}" if contacts else ""
         axes.set_title(f"{name}\n{end}{touched}", fontsize=SMALL, color=policy_colour(name))
-        axes.tick_params(length=2)
+        axes.tick_params(length=2, labelleft=column == 0)
+        axes.tick_params(labelbottom=number + columns >= len(recordings))
     wide, high = (np.ptp(limits) for limits in (axes.get_xlim(), axes.get_ylim()))
     axes.locator_params(axis="x", nbins=4 if wide > _NARROW * high else 2)
     axes.locator_params(axis="y", nbins=4 if high > _NARROW * wide else 2)
-    for axes in panels.flat[len(recordings) :]:
-        axes.set_axis_off()
-    for axes in panels.flat[: len(recordings)][-columns:]:
-        axes.tick_params(labelbottom=True)
-    figure.supxlabel("x / m", fontsize=8)
-    figure.supylabel("y / m", fontsize=8)
-    figure.suptitle(f"{scenario.name}, first start: the ways of the robots under each policy")
+    figure.supxlabel("x (m)", fontsize=8)
+    figure.supylabel("y (m)", fontsize=8)
+    figure.suptitle(f"{scenario.name}: paths from the first start (dots) to merges (crosses)")
     return figure
+
+
+def columns_of(count: int) -> int:
+    """Panels in a row of so many: four, or three or five where that leaves fewer places free."""
+    if count <= _MOST_COLUMNS:
+        return count
+    return min((4, 3, 5), key=lambda columns: -count % columns)
 
 
 def draw_paths(axes: Any, recording: Mapping[str, NDArray[Any]], scenario: Scenario) -> None:
@@ -145,9 +158,9 @@ def team_figure(scenario: Scenario, recording: Mapping[str, NDArray[Any]], polic
         paths.locator_params(nbins=5)  # before the scales are made equal, which it undoes
     draw_paths(paths, recording, scenario)
     arrows = ", arrows: headings" if scenario.model.n_angles else ""
-    paths.set(xlabel="x / m", ylabel="y / m", title=f"(a) dots: starts, crosses: merges{arrows}")
+    paths.set(xlabel="x (m)", ylabel="y (m)", title=f"(a) dots: starts, crosses: merges{arrows}")
     if space:
-        paths.set(zlabel="z / m")
+        paths.set(zlabel="z (m)")
         paths.tick_params(pad=0)
         paths.set_box_aspect(None, zoom=0.85)  # its labels lie outside of the room it asks for
     elif scenario.n_robots <= _MOST_NAMES:
@@ -255,10 +268,11 @@ def draw_lyapunov(axes: Axes, recording: Mapping[str, NDArray[Any]]) -> None:
     times, before = recording["times"], recording["lyapunov_before_merge"]
     merges = np.flatnonzero(~np.isnan(before))
     _plot_lyapunov(axes, recording, merges)
-    axes.set(xlabel="time / s", ylabel="V / (m²/s)", ylim=(0, None), xlim=(0, times[-1] * 1.03))
+    axes.set(xlabel="time (s)", ylabel="V (m²/s)", ylim=(0, None), xlim=(0, times[-1] * 1.03))
+    late = bool(merges.size) and times[merges[0]] > _LATE * times[-1]
     if merges.size:
-        axes.legend(loc="lower left")
-    if merges.size and times[merges[0]] > _LATE * times[-1]:
+        axes.legend(loc="lower left" if late else "upper right")
+    if late:
         inset = axes.inset_axes((0.62, 0.56, 0.37, 0.32))
         _plot_lyapunov(inset, recording, merges)
         span = times[-1] - times[merges[0]] + 0.06 * times[-1]
