@@ -51,21 +51,21 @@ def sights(rows: Floats, positions: Floats, linked: Bools, in_order: bool) -> Bo
         in_order: whether row k of robot i is of robot k, or k + 1 from i on; else a row is taken
             for the linked robot whose direction is the nearest.
     """
-    n, present = len(positions), rows.any(axis=-1)
+    n, present = len(positions), np.asarray(rows.any(axis=-1))
     seen = np.zeros((n, n), dtype=np.bool_)
     if in_order:
         i, k = np.nonzero(present[:, : n - 1])
         seen[i, k + (k >= i)] = True
         return seen & linked
-    for i in np.flatnonzero(present.any(axis=1)).tolist():
-        others = np.flatnonzero(linked[i])
-        offsets = positions[others] - positions[i]
+    for robot in np.flatnonzero(present.any(axis=1)).tolist():
+        others = np.flatnonzero(linked[robot])
+        offsets = positions[others] - positions[robot]
         lengths = np.linalg.norm(offsets, axis=-1, keepdims=True)
         along = offsets / np.where(lengths > 0.0, lengths, 1.0)
-        alike = rows[i][present[i]] @ along.T
+        alike = rows[robot][present[robot]] @ along.T
         for _ in range(min(alike.shape)):
             row, other = np.unravel_index(np.argmax(alike), alike.shape)
-            seen[i, others[other]] = True
+            seen[robot, others[other]] = True
             alike[row], alike[:, other] = -np.inf, -np.inf
     return seen
 
