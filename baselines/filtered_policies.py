@@ -1,7 +1,7 @@
 """Functions of observations as policies that keep a guarantee, as the wrappers do."""
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -12,6 +12,7 @@ from rendezvous_env.checks import check_shape, refuse
 from rendezvous_env.envs.guarantee import check_period
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.safety.safety_filter import SafetyFilter
+from rendezvous_env.safety.settings import MAX_TURN_RATE, TANK_MARGIN
 from rendezvous_env.safety.tank import EnergyTank
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
@@ -20,6 +21,25 @@ from .policy import Float32, Mask, RememberingPolicy, within_limits
 
 Choose = Callable[[Float32], ArrayLike]
 """Observations (..., n, rows, d) → choices (..., n, k), in [−1, 1]."""
+
+
+_CERTIFIED: dict[str, dict[str, Any]] = {
+    "heading": {"min_alignment": 0.1, "max_turn_rate": MAX_TURN_RATE, "bearing_error": 0.0},
+    "tank": {"budget": 0.0, "min_alignment": TANK_MARGIN, "bearing_error": 0.0},
+    "gains": {"min_gain": None, "max_gain": None},
+    "links": {"share": 0.5, "bearing_error": 0.0},
+}
+"""Settings of filters that certificates depend on, with their defaults."""
+
+
+def guarantee_with(by: Any, settings: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Arguments of ``certificate`` for the filter of a policy, by its name, with these settings;
+    None for a filter that no theorem covers. A policy's tank is told of no merge.
+    """
+    if by not in _CERTIFIED or not settings.get("certified", True):
+        return None
+    usual = _CERTIFIED[by] | ({"observes_merges": False} if by == "tank" else {})
+    return {"by": by} | {name: settings.get(name, value) for name, value in usual.items()}
 
 
 class DecidingPolicy(RememberingPolicy):
@@ -154,6 +174,12 @@ class HeadingPolicy(FilteredPolicy):
         promised = None if bare or self._filter.turns_body else settings.get("min_alignment", 0.1)
         self.min_alignment: float | None = promised
         """ε of theorem C, kept but where ‖f‖ < 2δ, where it fades; None if there is none."""
+        self._guarantee = guarantee_with("heading", settings)
+
+    @property
+    def guarantee(self) -> dict[str, Any] | None:
+        """As ``TeamPolicy``: its settings; None with ``certified=False``."""
+        return self._guarantee
 
     def after(self, elapsed: float, observations: NDArray[Any], time: ArrayLike) -> Float32:
         """As ``RealTimePolicy.after``."""
@@ -182,6 +208,12 @@ class TankPolicy(FilteredPolicy):
     ) -> None:
         make_filter = partial(EnergyTank, resolve(scenario), **settings)
         super().__init__(scenario, choose, make_filter, decision_period)
+        self._guarantee = guarantee_with("tank", settings)
+
+    @property
+    def guarantee(self) -> dict[str, Any] | None:
+        """As ``TeamPolicy``: its settings, of a tank that is told of no merge."""
+        return self._guarantee
 
     @property
     def levels(self) -> NDArray[np.float64]:

@@ -51,6 +51,11 @@ class TeamPolicy(ABC):
 
     scenario: Scenario
 
+    @property
+    def guarantee(self) -> dict[str, Any] | None:
+        """Arguments of ``certificate`` that hold for the policy; None if it keeps no guarantee."""
+        return None
+
     @abstractmethod
     def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
         """Actions (..., n, a); see ``Policy``."""

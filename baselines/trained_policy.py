@@ -19,7 +19,7 @@ from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike
 from rendezvous_env.vector import training_env
 
-from .filtered_policies import DecidingPolicy, FilteredPolicy
+from .filtered_policies import DecidingPolicy, FilteredPolicy, guarantee_with
 from .learned import checkpoints, learned_policy
 from .learned.learned_policy import GuidedPolicy, LearnedPolicy
 from .learned.onnx_network import SUFFIX, checked_session
@@ -84,12 +84,20 @@ class TrainedPolicy(TeamPolicy):
         self._sees: Any = env.single_observation_space
         self._chooses: Any = env.single_action_space
         inner: Any = env.env
+        self._guarantee: dict[str, Any] | None = None
         self._policy: DecidingPolicy | None = None  # without a guarantee choices are actions
         if isinstance(inner, FeatureVectorEnv):
-            self._policy = _PresetPolicy(chosen, self._ask, inner)
+            self._policy = preset = _PresetPolicy(chosen, self._ask, inner)
+            self._guarantee = preset.guarantee
         elif isinstance(inner, GuaranteeWrapper):
             period = inner.decision_period
             self._policy = FilteredPolicy(chosen, self._choose, self._make_filter, period)
+            self._guarantee = guarantee_with(arguments.get("guarantee", "heading"), arguments)
+
+    @property
+    def guarantee(self) -> dict[str, Any] | None:
+        """As ``TeamPolicy``: what the filter of training keeps, whatever the model chooses."""
+        return self._guarantee
 
     def _make_filter(self, teams: int) -> SafetyFilter:
         env: Any = training_env(self.scenario, teams, **self._arguments).env

@@ -19,6 +19,7 @@ from .engine.memory_layout import MemoryLayout, check_memory
 from .engine.state import State
 from .engine.state_checks import check_actions, check_entries, check_output, check_teams
 from .limits import MOST_STEPS, MOST_TEAMS
+from .observation_fit import ObservationFit
 from .outcome import ELAPSED, LYAPUNOV, StepOutput
 from .rewards.costs import costs_of, no_costs
 from .rewards.custom_terms import RewardStep, add_custom_terms
@@ -62,15 +63,23 @@ class Simulator(StateView):
     def _make(self) -> None:
         """Make what follows from the arguments."""
         scenario = self.scenario
+        self._sensed = sensed = scenario.with_all_rows
+        """The scenario as the engine has it: with a row for every neighbour and obstacle."""
+        self._fit = None if sensed is scenario else ObservationFit(scenario)
         self._acted = (self.num_envs, scenario.n_robots, scenario.action_size)
-        self._state = State(MemoryLayout(scenario, self.num_envs))
+        self._state = State(MemoryLayout(sensed, self.num_envs))
         self._runner = runner = BatchRunner(self._state, self.num_threads, self.max_steps)
         self._episodes = Episodes(self._state, runner.robot, runner.scratch)
-        self._given_out = tuple((a.shape, a.dtype) for a in runner.new_output())
+        given = self._acted[:2] + scenario.observation_layout.shape, np.dtype(np.float32)
+        self._given_out = (given, *((a.shape, a.dtype) for a in runner.new_output()[1:]))
         self._all_running = True
         self._custom = bool(scenario.reward.custom or scenario.sensing.custom or scenario.costs)
         self.costs = no_costs(scenario.costs, self._acted[:2])
         """Of the last step, (B, n) each, by key of infos; without keys if the scenario has none."""
+        custom = list(dict(scenario.reward.custom))
+        self._earned = {name: np.zeros(self.num_envs) for name in custom}
+        self.earned_before = {name: np.zeros(self.num_envs) for name in custom}
+        """What each custom reward term added in the last episode that a reset ended, (B,)."""
         self._own_model = is_custom(scenario.model)
         self._ready = self._observed = False
 
@@ -101,7 +110,7 @@ class Simulator(StateView):
             RuntimeError: if no room was found for a start or an obstacle; nothing has changed then.
                 Or if the graph drawn gives a robot more neighbours than the observation has rows.
         """
-        given = parse_options(self.scenario, self.num_envs, options)
+        given = parse_options(self._sensed, self.num_envs, options)
         self._begin(self._which(mask), seeds_of_teams(seed, self.num_envs), given)
         return self.observe()
 
@@ -126,10 +135,26 @@ class Simulator(StateView):
         if outcome is not None:
             outcome.contact[which], outcome.active[which] = False, True
             outcome.status[which], outcome.contacts[which] = RUNNING, 0
-            self._sense_custom(outcome, self._runner.observe_again(which, outcome))
+            self._observe_again(which, outcome)
             outcome.scores[ELAPSED:, which] = 0.0
             outcome.scores[LYAPUNOV, which] = self.lyapunov()[which]
             self._refuse_crowds(outcome)
+
+    def _observe_again(self, which: NDArray[np.int64], outcome: StepOutput) -> None:
+        """Write anew into an outcome what some teams see."""
+        if self._fit is None:
+            self._sense_custom(outcome, self._runner.observe_again(which, outcome))
+            return
+        found = outcome._replace(observations=self._runner.new_output().observations)
+        teams = self._runner.observe_again(which, found)
+        self._sense_custom(found, teams)
+        outcome.observations[teams] = self._fitted(found.observations, teams)
+
+    def _fitted(self, observations: NDArray[np.float32], which: Any) -> NDArray[np.float32]:
+        """What some teams see, in the scenario's own rows."""
+        assert self._fit is not None
+        places, obstacles = self.positions[which], self.obstacles[which]
+        return self._fit(observations[which], places, obstacles)
 
     def _begin(
         self,
@@ -141,6 +166,8 @@ class Simulator(StateView):
         self._all_running = False  # not known, should an interrupt leave from here
         self._episodes.begin(which, seeds, given, resting)
         self.changes += 2  # so that none is taken for a step
+        for name, earned in self._earned.items():
+            self.earned_before[name][which], earned[which] = earned[which], 0.0
         self._all_running = not (resting and len(which)) and not self.status.any()
         self._ready = self._observed and not (self._state.number < 0).any()
 
@@ -167,6 +194,8 @@ class Simulator(StateView):
         self._all_running = not np.count_nonzero(output.status)  # RUNNING is 0
         if before is not None:
             self._refuse_leaps(*before)
+        if self._fit is not None:
+            output = output._replace(observations=self._fitted(output.observations, slice(None)))
         self._refuse_crowds(output)
         return output
 
@@ -178,11 +207,12 @@ class Simulator(StateView):
 
     @property
     def supports_step_n(self) -> bool:
-        """Whether nothing of a user's own is called in every step, and no robot can come to have
-        more neighbours than rows.
+        """Whether nothing of a user is called in every step, observations are those of the engine,
+        and no robot can come to have more neighbours than rows.
         """
         slots = self.scenario.observation_layout.neighbour_slots
-        return not (self._custom or self._own_model or slots < self.scenario.n_robots - 1)
+        crowds = slots < self.scenario.n_robots - 1
+        return not (self._custom or self._own_model or crowds or self._fit is not None)
 
     can_drive = supports_step_n  # its name in version 0.2
 
@@ -261,7 +291,9 @@ class Simulator(StateView):
         ).read_only()
         if self.scenario.costs:
             self.costs = costs_of(self.scenario.costs, step, running)
-        add_custom_terms(step, running, output.rewards, output.robot_rewards)
+        added = add_custom_terms(step, running, output.rewards, output.robot_rewards)
+        for name, earned in added.items():
+            self._earned[name] += earned
         self._sense_custom(output, np.arange(self.num_envs))
         return output
 
@@ -270,7 +302,7 @@ class Simulator(StateView):
         if self.scenario.sensing.custom:
             rows, steps = output.observations[which], self.steps[which]
             seeds, numbers = self._state.seed[which], self._state.number[which]
-            apply_custom(Seen(self.scenario, rows, steps, seeds, numbers, self.positions[which]))
+            apply_custom(Seen(self._sensed, rows, steps, seeds, numbers, self.positions[which]))
             output.observations[which] = rows
 
     def check_actions(self, actions: ArrayLike) -> NDArray[np.float32]:
@@ -284,7 +316,7 @@ class Simulator(StateView):
 
     def _refuse_crowds(self, output: StepOutput) -> None:
         """Name a robot that has come to have more neighbours than the observation has rows."""
-        slots = self.scenario.observation_layout.neighbour_slots
+        slots = self._sensed.observation_layout.neighbour_slots
         if slots == self.scenario.n_robots - 1 or not (output.crowded >= 0).any():
             return
         team = int(np.argmax(output.crowded >= 0))
@@ -304,6 +336,8 @@ class Simulator(StateView):
         self._ready = not (self._state.number < 0).any()
         self._sense_custom(output, np.arange(self.num_envs))
         self._refuse_crowds(output)
+        if self._fit is not None:
+            return self._fitted(output.observations, slice(None))
         return output.observations
 
     def _which(self, mask: NDArray[np.bool_] | None) -> NDArray[np.int64]:
@@ -351,7 +385,7 @@ class Simulator(StateView):
                 the engine cannot go on from, its value and what would be right.
         """
         entries = check_entries(self.get_state(), state, exactly=True)
-        check_teams(self.scenario, entries)
+        check_teams(self._sensed, entries)
         return entries
 
     def _put_state(self, state: dict[str, NDArray[Any]]) -> None:

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from . import trajectory_formats
 from .checks import floats, refuse, shown
 from .engine.memory import RENDEZVOUS, RUNNING
+from .field_docs import lists_fields
 from .outcome import StepOutput
 from .scenario.scenario import Scenario
 from .scenario.scenarios import resolve
 from .simulator import Simulator
+from .trajectory_views import TrajectoryViews
 
 Policy = Callable[[NDArray[np.float32], NDArray[np.float64]], NDArray[Any]]
 ON_REQUEST = ("observations", "actions")
@@ -34,13 +36,20 @@ class Merge(NamedTuple):
     lyapunov_after: float  # V just after the last, m²/s
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """What B teams did over T steps; a team that has finished stays as it is to the end."""
+@lists_fields
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory(TrajectoryViews):
+    """What B environments did over T steps; one that has finished stays as it is to the end.
+
+    found = rollout("ring-12", policy, num_envs=4)
+    print(found, found.summary())    # one line; a table
+    found.plot(), found.to_report("replay.html"), found.save("ring.npz")
+    """
 
     scenario: Scenario
+    """Scenario of all environments."""
     times: NDArray[np.float64]
-    """(T + 1,), s."""
+    """Times of the states, (T + 1,), s."""
     positions: NDArray[np.float64]
     """(T + 1, B, n, d), m; a merged-away robot is where its survivor is."""
     headings: NDArray[np.float64]
@@ -54,7 +63,7 @@ class Trajectory:
     lyapunov_after_merge: NDArray[np.float64]
     """(T, B), V just after the last merge of a step; V at its end if there was none."""
     rewards: NDArray[np.float64]
-    """(T, B)."""
+    """Rewards of the team in each step, (T, B)."""
     contacts: NDArray[np.bool_]
     """(T, B, n), whether a robot touched an obstacle in the step."""
     success: NDArray[np.bool_]
@@ -65,6 +74,12 @@ class Trajectory:
     """(B, M, width), tables of ``obstacles.obstacle_set``."""
     recorded: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     """What was kept on request, by name."""
+    start: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    """State after the reset, see ``Simulator.get_state``, from which to repeat the rollout."""
+    policy: str = ""
+    """Name of the policy: of its function or class."""
+    played_by: Any = None
+    """The policy itself; None in a copy that was pickled or loaded."""
 
     @property
     def observations(self) -> NDArray[np.float32]:
@@ -194,6 +209,7 @@ def rollout(
         )
 
     observations = simulator.reset(seed, options)
+    start = simulator.get_state()
     keep_state(observations)
     _warn_of_size(simulator, sum(arrays[0].nbytes for arrays in kept.values()), asked)
     finished_at = np.full(simulator.num_envs, np.inf)
@@ -218,6 +234,9 @@ def rollout(
         rendezvous_time=finished_at,
         obstacles=simulator.obstacles.copy(),
         recorded={name: arrays.pop(name) for name in asked},
+        start=start,
+        policy=str(getattr(policy, "__name__", None) or type(policy).__name__.lstrip("_")),
+        played_by=policy,
         **arrays,
     )
 

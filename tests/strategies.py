@@ -170,7 +170,7 @@ def scenario_fields(draw: st.DrawFn) -> dict[Any, Any]:
         "obstacle_slots": nearly(st.sampled_from([None, 3]), True, 10**9, -1),
         "obstacle_contact": nearly(st.sampled_from(["slide", "stop", "ignore"]), "bounce"),
         "merge_through_obstacles": nearly(st.booleans(), "no"),
-        "neighbour_slots": nearly(st.sampled_from([None, n - 1]), True, 10**9, 0, n),
+        "neighbour_slots": nearly(st.sampled_from([None, n - 1]), True, 10**9, 0),
         "spawn_size": nearly(lengths),
         "start_positions": positions,
         "start_headings": any_table(n, dim - 1),

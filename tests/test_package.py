@@ -30,7 +30,7 @@ MODULES = sorted(
     for path in (ROOT / package).rglob("*.py")
 )
 ROOMS = (
-    {"compilation", "kernel_cache", "checks", "limits"},
+    {"compilation", "kernel_cache", "checks", "field_docs", "limits"},
     {"physics"},
     {"robots", "rewards"},
     {"obstacles"},
@@ -41,7 +41,10 @@ ROOMS = (
     {"engine.memory"},
     {"engine.stages"},
     {"engine"},
-    {"simulator", "state_view", "trajectory", "trajectory_formats", "first_starts"},
+    {
+        *("simulator", "state_view", "trajectory", "trajectory_formats", "trajectory_views"),
+        *("observation_fit", "first_starts"),
+    },
     {"safety"},
     {"safety.theorems"},
     {"render"},
@@ -309,7 +312,7 @@ def test_the_signatures_of_the_design():
     assert names(rv.rollout) == ["scenario", "policy", "seed", "num_envs", "options", "record"]
     assert names(rv.certificate) == [
         "scenario", "min_alignment", "by", "budget", "min_gain", "max_gain", "share",
-        "bearing_error",
+        "bearing_error", "policy",
     ]  # fmt: skip
     for home in (rv, import_module("rendezvous_env.vector")):
         assert names(home.GainWrapper)[:3] == ["env", "min_gain", "max_gain"]

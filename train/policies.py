@@ -98,6 +98,16 @@ def tried(name: str, scenario: Scenario) -> Policy:
         raise UserError(str(error)) from error
 
 
+def called(name: str, policy: Policy, observations: Any, now: Any) -> Any:
+    """Actions of a policy at a moment that has ``time``; a UserError names a user's policy that
+    fails.
+    """
+    if not is_user_policy(name):
+        return policy(observations, now.time)
+    with _code_of(name, f" for {observations.shape[-3]} robots"):
+        return policy(observations.copy(), now.time)  # its own, to write to
+
+
 def learned_path(name: str, scenario: Scenario | None = None) -> Path | None:
     """Folder of a learned policy for the robots of a scenario, or for single integrators."""
     if name in shipped.NAMES:

@@ -138,6 +138,11 @@ class LawPolicy(Law):
 class _BearingOnly(Law):
     """Law (1): along the net bearing, as fast as it is long."""
 
+    @property
+    def guarantee(self) -> dict[str, Any]:
+        """As ``TeamPolicy``."""
+        return {"by": "law"}
+
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         return self.slowed(bearing_only_law(f), seen)
 
@@ -145,6 +150,11 @@ class _BearingOnly(Law):
 @register("link-keeping", fits=is_single_integrator, kind="law")
 class _LinkKeeping(Law):
     """Law (R b): into the middle of all that is seen, so that no link in sight grows longer."""
+
+    @property
+    def guarantee(self) -> dict[str, Any]:
+        """As ``TeamPolicy``."""
+        return {"by": "links", "share": 1.0}
 
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         step = {"merge_radius": self.scenario.merge_radius, "duration": self.scenario.tau}
@@ -170,6 +180,11 @@ is_unicycle = of_model("unicycle")
 class _Unicycle(Law):
     """Laws (7) and (8) of unicycles: the speed along f, turning towards it."""
 
+    @property
+    def guarantee(self) -> dict[str, Any]:
+        """As ``TeamPolicy``."""
+        return {"by": "law"}
+
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         actions, angle = unicycle_law(f), np.arctan2(f[..., 1], f[..., 0])
         actions[..., 1] = _no_farther(actions[..., 1], angle, self.scenario.tau)
@@ -187,6 +202,11 @@ class _UnicycleCosine(Law):
 @register("nonholonomic-3d", fits=of_model("nonholonomic_3d"), kind="law")
 class _Nonholonomic3D(Law):
     """Laws (12) and (17) of nonholonomic robots in 3-D."""
+
+    @property
+    def guarantee(self) -> dict[str, Any]:
+        """As ``TeamPolicy``."""
+        return {"by": "law"}
 
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         assert seen.gravity is not None  # these robots always sense it

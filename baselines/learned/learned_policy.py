@@ -32,6 +32,15 @@ class GuidedPolicy(DecidingPolicy):
         super().__init__(scenario, settings.decision_period(scenario))
         self.settings = settings
 
+    @property
+    def guarantee(self) -> dict[str, Any]:
+        """As ``TeamPolicy``: certified headings or a tank, whatever is chosen."""
+        settings, margin = self.settings, {"min_alignment": self.settings.min_alignment}
+        if settings.guarantee == "heading":
+            return {"by": "heading", "max_turn_rate": settings.max_turn_rate} | margin
+        budget = settings.budget_of(self.scenario)
+        return {"by": "tank", "budget": budget, "observes_merges": False} | margin
+
     @abstractmethod
     def _choose(self, shown: Float32, due: Mask) -> None:
         """Choose for the teams that are due, (B,), by what they are shown, (B, n, size)."""

@@ -161,6 +161,13 @@ class CertifiedHeadingPolicy(RememberingPolicy):
         positive("max_turn_rate", self.max_turn_rate, "rad/s")
         self._steering = Steering(self.scenario)
 
+    @property
+    def guarantee(self) -> dict[str, Any] | None:
+        """As ``TeamPolicy``: certified headings, of robots that do not turn."""
+        if self.scenario.model.nonholonomic:
+            return None
+        return {"by": "heading", "min_alignment": self.min_alignment}
+
     def _start(self, teams: int) -> None:
         team = teams, self.scenario.n_robots
         self._previous: Array = np.zeros((*team, self.scenario.dim))

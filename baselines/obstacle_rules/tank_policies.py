@@ -278,6 +278,12 @@ class TankJoinedPolicy(RememberingPolicy):
             aligned=ALIGNED if scenario.dim == 2 else ALIGNED_IN_SPACE,
         )
 
+    @property
+    def guarantee(self) -> dict[str, Any]:
+        """As ``TeamPolicy``: a tank that is told of no merge."""
+        own = {"budget": self.budget, "min_alignment": self._margin}
+        return {"by": "tank", "observes_merges": False} | own
+
     def _start(self, teams: int) -> None:
         self._tank = EnergyTank(
             self.scenario, teams, budget=self.budget, min_alignment=self._margin, frame="local"

@@ -19,6 +19,7 @@ from ..checks import check_shape, floats, mapping, whole
 from ..engine.state_checks import check_entries, check_keys, refuse_first
 from ..envs.guarantee import layers_of
 from ..envs.gymnasium_env import make_vec
+from ..rewards.terms import earned_in_episode
 from ..scenario.start_options import check_seed
 from .slots import RobotSlots, SlotStep, team_options
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from ..scenario.scenarios import ScenarioLike
 
 Indices = int | Iterable[int] | None
+_LEAST_REST = 1e-6
+"""Of a return, that is no rounding."""
 
 
 def make_robots(scenario: ScenarioLike, num_teams: int, **arguments: Any) -> RobotVecEnv:
@@ -47,7 +50,9 @@ class RobotVecEnv(VecEnv):
     them as arrays (slots,); those of an episode, summed over its robots, stand in ``episode``.
 
     When a team's episode ends, the info of one of its slots carries ``is_success`` and ``episode``:
-    "r" (sum of team rewards), "l" (steps), "t" (s since the start of this object) and the summary.
+    "r" (sum of team rewards), "l" (steps), "t" (s since the start of this object), the summary,
+    ``cost_NAME`` of each cost and ``reward_NAME`` of each reward term, with ``reward_other`` for
+    the rest, as what a robot's first contact costs. ``EpisodeLog`` logs their means.
     The slots of a team take turns, from the last one on, and count as monitored:
     ``evaluate_policy``, which waits for an episode of every slot it has a share for, counts each
     episode of a team once.
@@ -77,6 +82,7 @@ class RobotVecEnv(VecEnv):
         self.simulator = slots.simulator
         self._started = time.time()
         self._told = np.zeros(slots.num_teams, dtype=np.int64)
+        self._initial = np.zeros(slots.num_teams)  # V of the episodes, m²/s
         self._forget_step()
         super().__init__(
             slots.active.size, slots.single_observation_space, slots.single_action_space
@@ -102,6 +108,7 @@ class RobotVecEnv(VecEnv):
     def _forget_step(self) -> None:
         self.acted = self.slots.active.reshape(-1).copy()
         self.ended, self.costs = np.zeros(self.acted.size, dtype=np.bool_), {}
+        self._initial = self.simulator.initial_lyapunov
         self.bootstrapped = self.survivors = np.empty(0, dtype=np.int64)
         seen = self.slots.single_observation_space.shape or ()
         self.bootstrap_observations = np.empty((0, *seen), dtype=np.float32)
@@ -132,20 +139,35 @@ class RobotVecEnv(VecEnv):
         for team, episode in step.finished.items():
             passed = round(time.time() - self._started, 6)
             monitored = {"r": episode.pop("return"), "l": episode.pop("length"), "t": passed}
+            terms = self._reward_terms(team, episode, monitored["r"])
             infos[team * n + n - 1 - self._told[team] % n] |= {
-                "episode": monitored | episode,
+                "episode": monitored | episode | terms,
                 "is_success": episode["success"],
             }
             self._told[team] += 1
             for robot in range(n) if self.tell_bootstraps else ():
                 infos[team * n + robot]["terminal_observation"] = step.last[team, robot].copy()
                 infos[team * n + robot]["TimeLimit.truncated"] = False
+        if step.finished:
+            self._initial = self.simulator.initial_lyapunov
         if self.tell_bootstraps:
             seen = step.bootstrap_observations
             for slot, observation in zip(step.bootstrapped.tolist(), seen, strict=True):
                 infos[slot]["terminal_observation"] = observation.copy()
                 infos[slot]["TimeLimit.truncated"] = True
         return infos
+
+    def _reward_terms(self, team: int, episode: dict[str, Any], earned: float) -> dict[str, float]:
+        """What each reward term added up to in a team's episode that has ended."""
+        simulator, start = self.simulator, float(self._initial[team])
+        weights, limit = simulator.scenario.reward, simulator.max_steps * simulator.scenario.tau
+        progress = (start - episode["lyapunov"]) / start if start > 0.0 else 0.0
+        share = episode["time"] / limit
+        terms = earned_in_episode(weights, progress, share, episode["contacts"], episode["success"])
+        terms |= {name: float(one[team]) for name, one in simulator.earned_before.items()}
+        if abs(rest := earned - sum(terms.values())) > _LEAST_REST:
+            terms["other"] = rest
+        return {f"reward_{name}": value for name, value in terms.items()}
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seed team b with ``seed`` + b at the next reset; None draws one. Returns each slot's."""

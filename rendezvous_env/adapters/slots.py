@@ -31,6 +31,10 @@ from ..simulator import Simulator
 from ..state_view import STANDING
 
 _ROUNDING = 1e-6  # of a ratio of rewards, in float32
+_COUNTED = {"cost": "costs"}
+"""What states of slots call the sum of a key of infos."""
+_TOLD = {"returns": "return", "lengths": "length", "costs": "cost"}
+"""What infos of an episode call it."""
 
 
 class SlotStep(NamedTuple):
@@ -95,8 +99,8 @@ class RobotSlots:
             "returns": np.zeros(self.num_teams),
             "lengths": np.zeros(self.num_teams, dtype=np.int64),
         }
-        if self.simulator.costs:
-            self._counts["costs"] = np.zeros(self.num_teams)
+        for key in self.simulator.costs:
+            self._counts[_COUNTED.get(key, key)] = np.zeros(self.num_teams)
 
     def reset(
         self,
@@ -147,8 +151,8 @@ class RobotSlots:
         self.active = infos["active"].copy()
         self._counts["returns"] += rewards
         self._counts["lengths"] += 1
-        if costs:
-            self._counts["costs"] += infos["cost"].sum(axis=1)
+        for key in costs:
+            self._counts[_COUNTED.get(key, key)] += infos[key].sum(axis=1)
         return SlotStep(
             observations=self.by_slot(observations),
             rewards=robot_rewards.astype(np.float32).reshape(-1),
@@ -168,7 +172,7 @@ class RobotSlots:
         """How the episodes of these teams went; their counts start again."""
         finished: dict[int, Any] = {}
         for team in np.flatnonzero(over).tolist():
-            counts = {name.removesuffix("s"): c[team].item() for name, c in self._counts.items()}
+            counts = {_TOLD.get(name, name): c[team].item() for name, c in self._counts.items()}
             summary = {key: infos["final_info"][key][team].item() for key in STANDING}
             finished[team] = counts | summary
         for count in self._counts.values():

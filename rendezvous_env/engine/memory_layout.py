@@ -32,6 +32,7 @@ class MemoryLayout:
         most = scenario.sensing_graph.most_links(n)
         self.one_way = not scenario.sensing_graph.undirected
         few = n >= _SPARSE_FROM and most <= _SPARSE_SHARE * n * (n - 1) / 2
+        few = few and scenario.neighbour_overflow == "error"  # else each row is to be of one robot
         self.sparse = few and not self.one_way
         alone = self.sparse or self.one_way
         self.width = ScalarBlock() if alone or batch < _FEWEST_SIDE_BY_SIDE else LaneBlock()
@@ -121,6 +122,7 @@ _BOUNDS = 4  # Arrays in a space: its bounds, and whether each is finite
 
 def needed_bytes(scenario: Scenario, num_envs: int) -> int:
     """Bytes of the state of B teams and its copy in a reset, of observations and their spaces."""
+    scenario = scenario.with_all_rows
     place, layout = MemoryLayout(scenario, num_envs), scenario.observation_layout
     n, delay = scenario.n_robots, scenario.sensing.delay
     links = n * n if place.one_way else place.n_links * (3 if place.sparse else 1)

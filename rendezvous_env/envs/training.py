@@ -171,7 +171,7 @@ def _merged(preset: RewardWeights, given: Any, reward: RewardWeights) -> RewardW
 def _say_what_is_not_covered(
     scenario: Scenario, guarantee: str, arguments: Mapping[str, Any]
 ) -> None:
-    """Log, once for a scenario, why nothing is guaranteed here."""
+    """Log, once for a scenario, which part of a guarantee it does not have, and why."""
     if guarantee not in WRAPPERS:
         return
     settings = inspect.signature(FILTERS[guarantee]).parameters
@@ -185,11 +185,13 @@ def _say_what_is_not_covered(
     if "min_alignment" in settings:
         asked.setdefault("min_alignment", settings["min_alignment"].default)
     found = certificate(scenario, by=guarantee, **asked)
-    why = [] if found.guaranteed else [found.theorem]
-    why += [f"no bearing_error tells the wrapper that bearings err by up to {own} rad"] * untold
-    if why:
-        words = "training_env(guarantee=%r): nothing is guaranteed here; %s"
-        _LOGGER.warning(words, guarantee, "; ".join(why))
+    lacks = [] if found.guaranteed else [found.theorem.removeprefix("none: ")]
+    lacks += [f"pass bearing_error={own}, the most that bearings err by here, in rad"] * untold
+    if lacks:
+        words = (
+            "training_env(guarantee=%r): training works, but no rendezvous is certified in %r: %s"
+        )
+        _LOGGER.warning(words, guarantee, scenario.name, "; ".join(lacks))
 
 
 class TrainingTeams(gymnasium.vector.VectorWrapper):

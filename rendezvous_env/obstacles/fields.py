@@ -7,6 +7,7 @@ from typing import Annotated, Any, NamedTuple
 
 from ..checks import exact, is_sequence, is_whole, refuse
 from ..compilation import by_type, inner_kernel, kernel
+from ..field_docs import lists_fields
 from ..limits import MOST_OBSTACLES
 from ..physics.random_streams import uniform
 from ..physics.vectors import load
@@ -28,17 +29,23 @@ def _check_count(field: str, value: Any) -> int | tuple[int, int]:
     return int(value) if is_whole(value) else (int(pair[0]), int(pair[1]))
 
 
+@lists_fields
 @dataclass(frozen=True)
 class ObstacleField(Drawn):
-    """Discs (in the plane) or spheres (in 3-D), drawn anew for every episode."""
+    """Discs (in the plane) or spheres (in 3-D), drawn anew for every episode.
+
+        Scenario(obstacles=ObstacleField(4))
+
+    Defaults suit the default ``spawn_size`` of 10 m: obstacles lie where robots start and pass.
+    """
 
     count: Annotated[int | tuple[int, int], _check_count]
     """How many; a pair is an inclusive range to draw from."""
-    radius: Range
+    radius: Range = (0.5, 1.0)
     """Range that each radius is drawn from, m."""
-    region: Length
+    region: Length = 10.0
     """Edge length of the square or cube about the origin in which the centres lie, m."""
-    keep_out: Length
+    keep_out: Length = 0.5
     """No robot starts nearer than this to a surface, m."""
     overlap: bool = True
     """Whether obstacles may overlap."""

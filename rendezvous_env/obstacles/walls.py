@@ -15,6 +15,7 @@ from typing import Literal, NamedTuple
 
 from ..checks import exact, refuse
 from ..compilation import inner_kernel, kernel
+from ..field_docs import lists_fields
 from ..physics.random_streams import uniform
 from ..physics.vectors import load
 from .obstacle_set import clear, clear_of_obstacles
@@ -32,6 +33,7 @@ _TRIES = 1000
 _NUMBERS = 15  # of the stream that each try uses: 3 for the pose, at most 3 for each of four walls
 
 
+@lists_fields
 @dataclass(frozen=True)
 class WallField(Drawn):
     """Walls of a layout, at a place and at an angle that are drawn anew for every episode.

@@ -45,6 +45,15 @@ def write(
     return letters.get_width()
 
 
+def width_of(text: str, size: float) -> int:
+    """Width of a line of text, pixels."""
+    try:
+        return _font(round(size)).size(text)[0]
+    except pygame.error:  # as in ``write``
+        _font.cache_clear()
+        return _font(round(size)).size(text)[0]
+
+
 def cross(surface: pygame.Surface, place: Place, unit: float) -> None:
     """Where robots became one."""
     (x, y), arm, width = place, 4 * unit, max(1, round(1.5 * unit))
@@ -55,6 +64,36 @@ def cross(surface: pygame.Surface, place: Place, unit: float) -> None:
 def ring(surface: pygame.Surface, place: Place, unit: float, radius: float = 0.0) -> None:
     """Where a robot touched an obstacle; with a radius, about a robot that does."""
     pygame.draw.circle(surface, BLACK, place, radius or 4 * unit, max(1, round(1.5 * unit)))
+
+
+def sector(
+    layer: pygame.Surface,
+    shade: Rgb,
+    place: Floats,
+    radius: float,
+    middle: float,
+    view: float,
+    width: int,
+) -> None:
+    """A field of view on a transparent layer, rad about the angle of its middle; from 2π on a
+    circle.
+    """
+    if view >= 2.0 * np.pi:
+        pygame.draw.circle(layer, (*shade, 110), place.tolist(), radius, width)
+        return
+    angles = middle + view * np.linspace(-0.5, 0.5, max(3, round(8 * view)))
+    arc = place + radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    outline = [place.tolist(), *arc.tolist()]
+    pygame.draw.polygon(layer, (*shade, 30), outline)
+    pygame.draw.polygon(layer, (*shade, 110), outline, width)
+
+
+def arrow(surface: pygame.Surface, shade: Rgb, place: Place, unit: float) -> None:
+    """A bearing, in the legend."""
+    (x, y), half = place, 8 * unit
+    pygame.draw.line(surface, shade, (x - half, y), (x + half, y), max(1, round(unit)))
+    tip, along = np.array([x + half, y]), np.array([1.0, 0.0])
+    wedge(surface, shade, tip, along, 5 * unit, 2.5 * unit)
 
 
 def wedge(

@@ -11,13 +11,13 @@ from ..simulator import Simulator
 from . import ink
 from .camera import Area, cell, columns_of, nice_step
 from .history import History
-from .palette import ROBOTS
+from .palette import OBSTACLE_EDGE, ROBOTS, mixed
 from .picture import TeamPicture
 from .scene import Floats, in_contact
 
 _FINE = 2  # a picture is drawn so many times as large, then made smaller: smooth edges
 _DESIGN = 600  # pixels of the shorter side for which lines and letters were chosen
-_HEADER, _STRIP, _CAPTION = 30, 118, 20  # heights, pixels
+_HEADER, _LEGEND, _STRIP, _CAPTION = 30, 20, 118, 20  # heights, pixels
 _LEFT, _RIGHT, _TOP, _BOTTOM = 64, 16, 16, 34  # margins within the strip, pixels
 
 
@@ -35,8 +35,10 @@ class Page:
         self._surface = pygame.Surface(size, depth=32)
         self._pictures: dict[int, TeamPicture] = {}  # by team
 
-    def draw(self, histories: list[History]) -> pygame.Surface:
-        """The present moment of the first teams; the next call draws over the surface."""
+    def draw(self, histories: list[History], policy: str = "") -> pygame.Surface:
+        """The present moment of the first teams; the next call draws over the surface. With the
+        name of a policy it stands in the header.
+        """
         count = len(histories)
         self._fine.fill(ink.WHITE)
         weights = self._simulator.weights
@@ -47,12 +49,13 @@ class Page:
             picture = self._pictures.get(team)
             if picture is None or picture.history is not history:  # a view for every episode
                 picture = self._pictures[team] = self._new_picture(team, count, history)
-            picture.draw(self._fine, weights[team], bearings[team])
+            picture.draw(self._fine, weights[team], bearings[team], frames[team], count == 1)
             if count > 1:
                 self._draw_caption(team, history)
         if count == 1:
             self._draw_strip(histories[0])
-            self._draw_header(histories[0])
+            self._draw_header(histories[0], policy)
+            self._draw_legend(histories[0])
         pygame.transform.smoothscale(self._fine, self._surface.get_size(), self._surface)
         return self._surface
 
@@ -66,17 +69,15 @@ class Page:
         left, top, width, height = cell(team, count, *self._fine.get_size())
         unit = self._unit * (max(0.5, 1.4 / columns_of(count)) if count > 1 else 1.0)
         below = round(_STRIP * self._unit) if count == 1 else 0
-        above = round((_HEADER if count == 1 else _CAPTION) * self._unit)
+        above = round((_HEADER + _LEGEND if count == 1 else _CAPTION) * self._unit)
         area = Area(left, top + above, width, height - above - below)
         return TeamPicture(self._simulator.scenario, history, area, unit)
 
-    def _draw_header(self, history: History) -> None:
-        """Scenario, time, number of robots left; what the marks mean; contacts."""
+    def _draw_header(self, history: History, policy: str) -> None:
+        """Scenario, policy, time, number of robots left; what marks mean; contacts."""
         moment, unit, page = history.moments[-1], self._unit, self._fine
         n, left = len(moment.merged_into), int(moment.active.sum())
-        name, middle, size = self._simulator.scenario.name, 16 * unit, 21 * unit
-        text = f"{name}    t = {moment.time:.2f} s    {left} of {n} robots"
-        ink.write(page, text, (12 * unit, middle), size, anchor="midleft")
+        middle, size = 16 * unit, 21 * unit
         x = page.get_width() - 12 * unit
         marks = [("merge", ink.cross)]
         if np.isfinite(self._simulator.min_clearance[0]):
@@ -88,6 +89,53 @@ class Page:
             x -= ink.write(page, word, (x, middle), size, anchor="midright") + 10 * unit
             mark(page, (x, middle), unit)
             x -= 20 * unit
+        name = self._simulator.scenario.name + (f" under {policy}" if policy else "")
+        text = f"{name}    t = {moment.time:.2f} s    {left} of {n} robots"
+        size *= min(1.0, (x - 12 * unit) / ink.width_of(text, size))
+        ink.write(page, text, (12 * unit, middle), size, anchor="midleft")
+
+    def _draw_legend(self, history: History) -> None:
+        """What wedges, arrows and lines mean, and the area in which robots see each other."""
+        unit, page, scenario = self._unit, self._fine, self._simulator.scenario
+        middle, shade = (_HEADER + 0.4 * _LEGEND) * unit, ROBOTS[0]
+        sensing, thin = scenario.sensing, max(1, round(unit))
+
+        def robot(x: float) -> None:
+            tip = np.array([x + 8 * unit, middle])
+            ink.wedge(
+                page, mixed(shade, ink.BLACK, 0.5), tip, np.array([1.0, 0.0]), 8 * unit, 4 * unit
+            )
+            pygame.draw.circle(page, shade, (x, middle), 4 * unit)
+
+        def line(x: float) -> None:
+            ends = (x - 8 * unit, middle), (x + 8 * unit, middle)
+            pygame.draw.line(page, ink.EDGE, *ends, 2 * thin)
+
+        def sight(x: float) -> None:
+            layer = pygame.Surface(page.get_size(), pygame.SRCALPHA)
+            place, radius = np.array([x, middle]), 6 * unit
+            if narrow:
+                place, radius = place - np.array([5 * unit, 0.0]), 13 * unit
+            view = 0.3 * np.pi if narrow else 2 * np.pi
+            ink.sector(layer, shade, place, radius, 0.0, view, thin)
+            page.blit(layer, (0, 0))
+
+        turns, narrow = scenario.model.n_angles > 0, sensing.field_of_view < 2 * np.pi
+        marks = [
+            ("heading" if turns else "last motion", robot),
+            ("bearing to a robot", lambda x: ink.arrow(page, shade, (x, middle), unit)),
+            ("see each other", line),
+        ]
+        if len(history.obstacles):
+            edge = "to an obstacle's edge"
+            marks.insert(2, (edge, lambda x: ink.arrow(page, OBSTACLE_EDGE, (x, middle), unit)))
+        if scenario.dim == 2 and (sensing.range is not None or narrow):
+            marks.append(("field of view" if narrow else "range", sight))
+        x, size = 12 * unit, 16 * unit
+        for word, mark in marks:
+            mark(x + 8 * unit)
+            x += 21 * unit
+            x += ink.write(page, word, (x, middle), size, anchor="midleft") + 14 * unit
 
     def _draw_caption(self, team: int, history: History) -> None:
         """Number and time of a team above its picture, and a frame about both."""

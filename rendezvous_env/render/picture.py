@@ -11,7 +11,7 @@ from . import ink
 from .camera import Area, fit, nice_step
 from .history import History, Moment
 from .palette import OBSTACLE, OBSTACLE_EDGE, mixed, robot_colour
-from .scene import Bools, Floats, ended, facing
+from .scene import Bools, Floats, ended, facing, sights
 
 _MARGIN = 18  # pixels
 _ROBOT = 6.5  # radius of a robot, pixels; one that others have joined is larger
@@ -19,6 +19,10 @@ _NOSE, _ARROW = 8.0, 17.0  # how far a nose and the bearings stand out of a robo
 _TINT = 0.3  # share of white in a path
 _VEIL = 225  # opacity of spheres, of 255: what stands behind one shows through
 _LIGHTER = (0.12, 0.24, 0.36)  # shares of white in a sphere, towards its top
+_MOST_NUMBERS = 30  # robots up to which each has its number beside it
+_MOST_VIEWS = 12  # robots up to which ranges and fields of view are drawn
+_VIEW = 0.12  # of the picture's shorter side: how far a field of view without a range is drawn
+_IN_ORDER = 47  # robots up to which each has a row of its own, with rows for all
 _MOST_HEADS = 60  # arrows up to which each has a head
 
 
@@ -46,9 +50,13 @@ class TeamPicture:
             self._spheres = pygame.Surface(size, pygame.SRCALPHA)
             self._draw_obstacles(self._spheres)
 
-    def draw(self, page: pygame.Surface, weights: Floats, bearings: Floats) -> None:
-        """Draw the last moment of the history, with weights (n, n), who senses whom, m/s, and
-        bearings (n, rows, d), what the robots see, in the global frame.
+    def draw(
+        self, page: pygame.Surface, weights: Floats, bearings: Floats, frames: Floats, numbers: bool
+    ) -> None:
+        """Draw the last moment of the history, with or without the robots' numbers.
+
+        Weights are (n, n), m/s; bearings (n, rows, d), what the robots see, in the global frame;
+        frames (n, d, d) those of the robots.
         """
         self._extend_paths()
         moment = self.history.moments[-1]
@@ -56,9 +64,8 @@ class TeamPicture:
         canvas.blit(self._ground, (0, 0))
         pixels = self.camera.project(moment.positions)
         hidden = self.camera.hidden(moment.positions, self.history.obstacles)
-        linked = (weights > 0) | (weights.T > 0)
-        for i, j in np.argwhere(np.triu(linked & moment.active & moment.active[:, None])).tolist():
-            pygame.draw.line(canvas, ink.EDGE, pixels[i].tolist(), pixels[j].tolist(), self._thin)
+        self._draw_views(canvas, moment, pixels, frames)
+        self._draw_links(canvas, moment, pixels, weights, bearings)
         if self._scenario.dim == 3:
             self._draw_stems(canvas, moment, pixels)
         self._draw_robots(canvas, moment, pixels, bearings, moment.active & hidden)
@@ -66,6 +73,52 @@ class TeamPicture:
             canvas.blit(self._spheres, (0, 0))
             canvas.blit(self._front, (0, 0))
         self._draw_robots(canvas, moment, pixels, bearings, moment.active & ~hidden)
+        if numbers and len(pixels) <= _MOST_NUMBERS:
+            self._draw_numbers(canvas, moment, pixels)
+
+    def _draw_views(
+        self, canvas: pygame.Surface, moment: Moment, pixels: Floats, frames: Floats
+    ) -> None:
+        """Range and field of view of each robot of the plane, if they are limited."""
+        reach, view = self._scenario.sensing.range, self._scenario.sensing.field_of_view
+        limited = reach is not None or view < 2.0 * math.pi
+        if self._scenario.dim == 3 or not limited or moment.active.sum() > _MOST_VIEWS:
+            return
+        radius = _VIEW * min(self.area[2:]) if reach is None else reach * self.camera.scale
+        layer = pygame.Surface(canvas.get_size(), pygame.SRCALPHA)
+        for i in np.flatnonzero(moment.active).tolist():
+            ahead = self.camera.directions(moment.positions[i], frames[i, :, 0])
+            middle = math.atan2(ahead[1], ahead[0])
+            ink.sector(layer, robot_colour(i), pixels[i], radius, middle, view, self._thin)
+        canvas.blit(layer, (0, 0))
+
+    def _draw_links(
+        self,
+        canvas: pygame.Surface,
+        moment: Moment,
+        pixels: Floats,
+        weights: Floats,
+        bearings: Floats,
+    ) -> None:
+        """A line between robots that see each other, half of it where one sees the other."""
+        n, layout = len(pixels), self._scenario.observation_layout
+        linked = (weights > 0) & moment.active & moment.active[:, None]
+        in_order = layout.neighbour_slots >= n - 1 and n <= _IN_ORDER
+        seen = sights(bearings[:, layout.neighbours], moment.positions, linked, in_order)
+        for i, j in np.argwhere(seen).tolist():
+            end = pixels[j] if seen[j, i] else (pixels[i] + pixels[j]) / 2
+            if i < j or not seen[j, i]:
+                pygame.draw.line(canvas, ink.EDGE, pixels[i].tolist(), end.tolist(), self._thin)
+
+    def _draw_numbers(self, canvas: pygame.Surface, moment: Moment, pixels: Floats) -> None:
+        """The number of each robot beside it."""
+        sizes = np.bincount(moment.merged_into, minlength=len(pixels)).tolist()
+        for i in np.flatnonzero(moment.active).tolist():
+            away = 0.8 * self._radius(sizes[i]) + self._unit
+            place, shade = pixels[i] - away, mixed(robot_colour(i), ink.BLACK, 0.4)
+            ink.write(
+                canvas, str(i), tuple(place), 15 * self._unit, anchor="bottomright", colour=shade
+            )
 
     def _draw_grid(self) -> None:
         """Lines a round number of metres apart, and that number."""

@@ -33,10 +33,13 @@ def render_metadata(simulator: Simulator) -> dict[str, Any]:
 class Renderer:
     """Pictures of the teams of a simulator: paths, headings, what they sense, obstacles, V(t).
 
-    Obstacles are orange; a robot has the same colour everywhere. Its wedge points along its body,
-    or its last motion if it has none; short arrows are the bearings it sees, thin lines join robots
-    that sense each other. A number counts the robots that have become one, a cross is where they
-    did; a ring is where one touched an obstacle. The view is fitted to the start and the obstacles.
+    Obstacles are orange; a robot has the same colour everywhere, and its number beside it. Its
+    wedge points along its body, or its last motion if it has none; short arrows are the bearings it
+    sees.
+    A thin line joins robots that see each other, half a line starts at one that sees another. A
+    limited range or field of view is drawn about each robot of the plane. A white number counts the
+    robots that have become one, a cross is where they did; a ring is where one touched an obstacle.
+    The view is fitted to the start and the obstacles. A legend explains wedges, arrows and lines.
     Space is seen in perspective, with plumb lines to the ground. Of more than one team the first
     ``MOST_TEAMS`` stand side by side.
 
@@ -63,6 +66,8 @@ class Renderer:
         self.render_mode, self.size = render_mode, size
         self._simulator, self._horizon = simulator, horizon
         self._teams = min(simulator.num_envs, MOST_TEAMS)
+        self.policy = ""
+        """Name of the policy, which the header of a picture shows."""
         self._histories: list[History] = []
         self._page: Page | None = None
         self.window: Window | None = None  # while one is open
@@ -176,7 +181,7 @@ class Renderer:
             from .page import Page
 
             self._page = Page(self._simulator, self.size, self._horizon)
-        return self._page.draw(self._histories)
+        return self._page.draw(self._histories, self.policy)
 
     def _show(self) -> None:
         """Draw into the window; once its user has closed it there is none any more."""

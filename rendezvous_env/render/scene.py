@@ -41,6 +41,35 @@ def ended(flags: Bools) -> NDArray[np.int64]:
     return np.argwhere(flags[:-1] & ~flags[1:]) + np.array([1, 0])
 
 
+def sights(rows: Floats, positions: Floats, linked: Bools, in_order: bool) -> Bools:
+    """Whether robot i sees robot j, (n, n).
+
+    Args:
+        rows: neighbour rows, (n, K, d), in the global frame; zero where nobody is seen.
+        positions: (n, d), m.
+        linked: whether i has a link to j, (n, n).
+        in_order: whether row k of robot i is of robot k, or k + 1 from i on; else a row is taken
+            for the linked robot whose direction is the nearest.
+    """
+    n, present = len(positions), np.asarray(rows.any(axis=-1))
+    seen = np.zeros((n, n), dtype=np.bool_)
+    if in_order:
+        i, k = np.nonzero(present[:, : n - 1])
+        seen[i, k + (k >= i)] = True
+        return seen & linked
+    for robot in np.flatnonzero(present.any(axis=1)).tolist():
+        others = np.flatnonzero(linked[robot])
+        offsets = positions[others] - positions[robot]
+        lengths = np.linalg.norm(offsets, axis=-1, keepdims=True)
+        along = offsets / np.where(lengths > 0.0, lengths, 1.0)
+        alike = rows[robot][present[robot]] @ along.T
+        for _ in range(min(alike.shape)):
+            row, other = np.unravel_index(np.argmax(alike), alike.shape)
+            seen[robot, others[other]] = True
+            alike[row], alike[:, other] = -np.inf, -np.inf
+    return seen
+
+
 def in_contact(count: int) -> str:
     """Contacts in words: they are counted once for each robot and step."""
     return f"{count} robot-step{'' if count == 1 else 's'} in contact"

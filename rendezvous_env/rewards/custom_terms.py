@@ -91,10 +91,11 @@ def add_custom_terms(
     running: NDArray[np.bool_],
     rewards: NDArray[np.float64],
     robot_rewards: NDArray[np.float64],
-) -> None:
+) -> dict[str, NDArray[np.float64]]:
     """Add the custom terms of a step to the rewards of teams, (B,), and of robots, (B, n); teams
-    that are not ``running``, (B,), earn nothing.
+    that are not ``running``, (B,), earn nothing. What each term, by name, added for teams, (B,).
     """
+    added = {}
     took_part = step.took_part
     earning = running[:, None] & (took_part | (step.scenario.on_merge == "follow"))
     for name, weight in step.scenario.reward.custom:
@@ -102,7 +103,9 @@ def add_custom_terms(
         each = weight * of_step(f"reward term {name!r}", earned, earning)
         robot_rewards += each
         team = np.where(took_part, each, 0.0).sum(axis=1) / took_part.sum(axis=1)
-        rewards += np.where(running, weight * earned if earned.ndim == 1 else team, 0.0)
+        added[name] = np.where(running, weight * earned if earned.ndim == 1 else team, 0.0)
+        rewards += added[name]
+    return added
 
 
 def of_step(what: str, given: Any, counts: NDArray[np.bool_]) -> NDArray[np.float64]:

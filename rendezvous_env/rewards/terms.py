@@ -11,11 +11,13 @@ from typing import Annotated, Any
 
 from ..checks import check_fields, names_unknown_fields
 from ..compilation import kernel
+from ..field_docs import lists_fields
 from .custom_terms import as_custom
 
 CLEARANCE_PENALTY = 4  # place of a weight whose term is only worked out where it is not zero
 
 
+@lists_fields
 @names_unknown_fields("reward")
 @dataclass(frozen=True)
 class RewardWeights:
@@ -53,6 +55,31 @@ class RewardWeights:
         """The weights as plain data for TOML."""
         plain = asdict(self) | {"custom": dict(self.custom)}
         return {key: value for key, value in plain.items() if value != {}}
+
+
+def earned_in_episode(
+    weights: RewardWeights,
+    progress: float,
+    share: float,
+    contacts: float,
+    met: bool,
+) -> dict[str, float]:
+    """What each built-in term but the penalty of clearance adds up to in an episode, by name.
+
+    Args:
+        weights: w.
+        progress: (V_0 − V_T)/V_0, without unit.
+        share: of the time limit that passed, without unit.
+        contacts: one for each robot and step, without unit.
+        met: whether all robots met.
+    """
+    terms = {
+        "progress": weights.progress * progress,
+        "time_penalty": -weights.time_penalty * share,
+        "collision_penalty": -weights.collision_penalty * contacts,
+        "rendezvous_bonus": weights.rendezvous_bonus * met,
+    }
+    return {name: float(value) for name, value in terms.items() if getattr(weights, name) != 0.0}
 
 
 @kernel(inline="code")

@@ -113,6 +113,17 @@ _RENAMED = {
 """Deprecated names of attributes of filters → their new names."""
 
 
+def check_sees_all_neighbours(scenario: Scenario) -> None:
+    """Refuse a scenario whose robots may not see all neighbours: f is not the sum of the rows."""
+    if scenario.drops_neighbours:
+        most = scenario.sensing_graph.most_neighbours(scenario.n_robots)
+        raise ValueError(
+            f"scenario has neighbour_slots {scenario.neighbour_slots} with neighbour_overflow "
+            f"'nearest'; no filter can keep a guarantee where neighbours are left out: give it "
+            f"neighbour_slots={most} or more"
+        )
+
+
 class SafetyFilter(Remembering):
     """Turns the choices of the policies of B environments into actions that keep a promise.
 
@@ -153,6 +164,7 @@ class SafetyFilter(Remembering):
         num_threads: int | None,
     ) -> None:
         choice("frame", frame, FRAMES)
+        check_sees_all_neighbours(scenario)
         if num_threads is not None:
             num_threads = whole("num_threads", num_threads, 1, MOST_TEAMS)
         n, d, layout = scenario.n_robots, scenario.dim, scenario.observation_layout

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import floats
+from ..field_docs import lists_fields
 
 SILHOUETTE_POINTS = {2: 2, 3: 8}
 """Points seen of one obstacle: both edges in the plane, eight boundary rays of its cone in
@@ -27,6 +28,7 @@ class ObservedRows(NamedTuple):
     """The robot's own velocity, (..., d), m/s; None where the robots do not sense it."""
 
 
+@lists_fields
 @dataclass(frozen=True)
 class ObservationLayout:
     """The rows of an observation ``(..., rows, d)``: neighbours, obstacles, then gravity or the

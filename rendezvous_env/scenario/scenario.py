@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from .. import checks, graphs
 from ..checks import Metres, Seconds, positive, whole
+from ..field_docs import lists_fields
 from ..graphs import Graph, GraphLike
 from ..limits import LONGEST_NAME, MOST_OBSTACLES, MOST_ROBOTS, MOST_STEPS
 from ..obstacles import parsing as obstacles
@@ -50,6 +51,7 @@ def _check_dim(field: str, value: Any) -> int:
     return int(value)
 
 
+@lists_fields
 @checks.names_unknown_fields("scenario")
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
@@ -110,7 +112,11 @@ class Scenario:
     obstacle_range: Metres = 2.0
     """An obstacle is seen while its nearest point is within this distance, m."""
     obstacle_slots: int | None = None
-    """M, obstacles that an observation has room for; None is as many as there can be."""
+    """M, obstacles that an observation has room for; None is as many as there can be. Rows beyond
+    those are zero."""
+    obstacle_overflow: Literal["error", "nearest"] = "error"
+    """Whether fewer ``obstacle_slots`` than obstacles are an error, or show the nearest of those in
+    range."""
     obstacle_contact: Literal["slide", "stop", "ignore"] = "slide"
     """At an obstacle: slide along it, stop at it, or ignore it. Obstacles that touch or overlap act
     as their union; gaps of less than 1.8 µm are closed."""
@@ -121,7 +127,11 @@ class Scenario:
     ignore them, it has no effect. Theorems promise no rendezvous among obstacles either way."""
     neighbour_slots: int | None = None
     """K, neighbour rows of an observation; None is the most neighbours that a robot can have in any
-    episode, merges included. With fewer, a robot that comes to have more is an error."""
+    episode, merges included. Rows beyond n − 1 are zero. With fewer, a robot that comes to have
+    more neighbours is an error, unless ``neighbour_overflow`` is "nearest"."""
+    neighbour_overflow: Literal["error", "nearest"] = "error"
+    """Whether more neighbours than ``neighbour_slots`` are an error, or the nearest are shown. Rows
+    that are left out no longer add up to f_i: no theorem holds then."""
     spawn_size: Metres = 10.0
     """Starts are drawn from a square or cube of this edge length about the origin, m."""
     start_positions: Table | None = None
@@ -265,6 +275,26 @@ class Scenario:
             senses_velocity=self.model.senses == "velocity",
         )
 
+    @property
+    def drops_neighbours(self) -> bool:
+        """Whether a robot may have more neighbours than rows, and only the nearest are shown."""
+        slots, most = self.neighbour_slots, self.sensing_graph.most_neighbours(self.n_robots)
+        return self.neighbour_overflow == "nearest" and slots is not None and slots < most
+
+    @cached_property
+    def with_all_rows(self) -> Scenario:
+        """The scenario itself, or with a row for each other robot and each obstacle where its own
+        layout has more rows than robots, or drops some.
+        """
+        changes: dict[str, Any] = {}
+        if self.drops_neighbours or (self.neighbour_slots or 0) > self.n_robots - 1:
+            changes["neighbour_slots"] = self.n_robots - 1
+        if (slots := self.obstacle_slots) is not None and slots < obstacles.max_count(
+            self.obstacles
+        ):
+            changes["obstacle_slots"] = None
+        return self.replace(allow_long_step=True, **changes) if changes else self
+
     def replace(self, **changes: Any) -> Scenario:
         """A copy with some fields changed; starts of another shape have to be given anew."""
         return dataclasses.replace(self, **changes)
@@ -298,6 +328,8 @@ class Scenario:
         plain["sensing"] = None if self.sensing.exact else self.sensing.to_plain()
         plain["costs"] = list(self.costs) or None
         plain["merge_through_obstacles"] = False if not self.merge_through_obstacles else None
+        for key in ("neighbour_overflow", "obstacle_overflow"):  # younger than files of scenarios
+            plain[key] = None if plain[key] == "error" else plain[key]
         for key in ("start_positions", "start_headings"):
             plain[key] = plain[key] and [list(row) for row in plain[key]]
         return {key: value for key, value in plain.items() if value is not None}
@@ -312,8 +344,7 @@ class Scenario:
         why = graph.why_not_joined(self.n_robots)
         if why is not None and self.require_connected:
             raise ValueError(f"graph is not connected: {why}, or pass require_connected=False")
-        wanted = "a whole number from 1 to n_robots - 1 ="
-        self._check_slots("neighbour_slots", 1, self.n_robots - 1, wanted)
+        self._check_slots("neighbour_slots", 1, MOST_ROBOTS, "a whole number from 1 to")
 
     def _check_slots(self, field: str, least: int, most: int, wanted: str) -> None:
         slots = getattr(self, field)
@@ -326,8 +357,12 @@ class Scenario:
         count = obstacles.max_count(parsed)
         if count > MOST_OBSTACLES:
             raise ValueError(f"obstacles: {count} were given; at most {MOST_OBSTACLES} may be")
-        wanted = f"at least the number of obstacles, {count}, and at most"
-        self._check_slots("obstacle_slots", count, MOST_OBSTACLES, wanted)
+        wanted = (
+            f"at least the number of obstacles, {count}, unless obstacle_overflow is 'nearest', "
+            "and at most"
+        )
+        least = 0 if self.obstacle_overflow == "nearest" else count
+        self._check_slots("obstacle_slots", least, MOST_OBSTACLES, wanted)
 
     def _check_bodies(self) -> None:
         """Bodies do not overlap: they dock at r, where every pair does, or stop (guarantees 13)."""

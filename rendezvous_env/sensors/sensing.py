@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 from .. import checks
 from ..checks import Metres
+from ..field_docs import lists_fields
 from ..limits import MOST_DELAY, MOST_SECTORS
 from .custom_sensors import as_custom
 
@@ -24,6 +25,7 @@ def _check_view(field: str, value: Any) -> float:
 _Deviation = Annotated[float, partial(checks.number, least=0.0, most=_FULL_CIRCLE, unit="rad")]
 
 
+@lists_fields
 @checks.names_unknown_fields("sensing")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Sensing:
@@ -32,6 +34,10 @@ class Sensing:
     Links, merges and V follow the graph, not what a sensor misses. A missing row is zero, any other
     keeps its length. What is drawn belongs to seed, episode, step and ordered pair, so that an
     episode is the same in any batch.
+
+    There is no constant error of a robot's compass: it turns what the robot measures and the
+    velocity that it commands alike, and cancels for laws without memory of directions. With such a
+    compass robots move as with random ``Scenario.local_frames``.
 
     Raises:
         ValueError: naming the field, its value and what would be right.
@@ -47,7 +53,8 @@ class Sensing:
     """Standard deviation of the angle by which each bearing is turned, drawn anew for every ordered
     pair and step, rad; in 3-D about a random axis perpendicular to the bearing."""
     bias: _Deviation = 0.0
-    """The same, drawn once for every ordered pair and episode."""
+    """Standard deviation of a constant error of each bearing, drawn once for every ordered pair and
+    episode, rad. Pairs differ, so unlike the error of a compass it does not cancel."""
     error: Annotated[float, partial(checks.number, least=0.0, most=math.pi, unit="rad")] = 0.0
     """The bearings of neighbours are turned by exactly this much in the direction that raises L
     most, rad: the adversary of theorem N (guarantees, section 11)."""

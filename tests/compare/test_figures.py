@@ -266,7 +266,7 @@ class TestEpisodes:
         extents = np.diff([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])[:, 0]
         box = axes.get_box_aspect()
         assert extents / extents[0] == pytest.approx(box / box[0])
-        assert axes.get_zlabel() == "z / m" and len(axes.collections) == 12
+        assert axes.get_zlabel() == "z (m)" and len(axes.collections) == 12
 
 
 def test_compare_writes_pdf_when_asked_and_draws_sweeps(tmp_path):
@@ -276,3 +276,24 @@ def test_compare_writes_pdf_when_asked_and_draws_sweeps(tmp_path):
     for name in ("success", "times", "against-obstacles"):
         assert imread(tmp_path / f"{name}.png").std() > 0.05
         assert (tmp_path / f"{name}.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize("count", range(1, 16))
+def test_panels_of_paths_fill_their_rows(count):
+    columns = path_figures.columns_of(count)
+    assert columns <= 5 and -count % columns <= min(2, columns - 1)
+    if count > 5:
+        assert columns >= 3
+
+
+def test_the_last_row_of_paths_stands_in_the_middle():
+    scenario = rv.scenarios.get("duo")
+    recording = recorded("duo", "bearing-only")
+    names = [f"policy-{k}" for k in range(7)]
+    figure = path_figures.trajectories_figure(scenario, dict.fromkeys(names, recording))
+    figure.canvas.draw()
+    assert len(figure.axes) == 7
+    places = [axes.get_position() for axes in figure.axes]
+    middle = [(place.x0 + place.x1) / 2 for place in places]
+    assert np.mean(middle[4:]) == pytest.approx(np.mean(middle[:4]), abs=0.02)
+    assert len({axes.get_xlim() for axes in figure.axes}) == 1

@@ -209,9 +209,9 @@ def test_a_training_environment_says_once_what_is_not_guaranteed(caplog):
     """Also of errors that its wrapper is not told of."""
     erring = rv.Scenario(n_robots=2, sensing=rv.Sensing(error=0.01))
     for scenario, given, words in (
-        ("noisy-8", {}, ["nothing is guaranteed here"]),
+        ("noisy-8", {}, ["no rendezvous is certified in"]),
         ("ring-12", {}, []),
-        (erring, {}, ["no bearing_error tells the wrapper that bearings err by up to 0.01 rad"]),
+        (erring, {}, ["in 'custom': pass bearing_error=0.01, the most"]),
         (erring, {"bearing_error": 0.01}, []),
     ):
         caplog.clear()

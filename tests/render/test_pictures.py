@@ -10,7 +10,7 @@ import rendezvous_env as rv
 from rendezvous_env.obstacles.obstacle_set import outlines, pack
 from rendezvous_env.render.camera import Area, fit, nice_step
 from rendezvous_env.render.palette import OBSTACLE, ROBOTS, robot_colour
-from rendezvous_env.render.scene import ended, in_contact, outermost, ways
+from rendezvous_env.render.scene import ended, in_contact, outermost, sights, ways
 from train.figures import path_figures, reproduce
 
 STRIP = 600 - 118
@@ -211,3 +211,91 @@ def test_a_way_ends_where_its_robot_merges():
 
 def test_contacts_are_told_in_robot_steps():
     assert in_contact(1) == "1 robot-step in contact" and in_contact(0).startswith("0 robot-steps")
+
+
+def grey_between(frame, one, other):
+    """Which of 40 places on the way from one pixel to another have the grey of links."""
+    shares = np.linspace(0.15, 0.85, 40)[:, None]
+    return [near(frame, place, (205, 205, 205), 1) > 0 for place in one + shares * (other - one)]
+
+
+def test_only_robots_that_see_each_other_are_joined():
+    options = {"positions": [[-3.1, 0.4], [0.0, 4.1], [3.1, 0.0]]}
+    sighted = rv.Scenario(n_robots=3, sensing=rv.Sensing(range=5.5))
+    env, frame = drawn(sighted, options=options)
+    places = env.renderer.pixels(env.simulator.positions[0])
+    assert np.mean(grey_between(frame, places[0], places[1])) > 0.9
+    assert np.mean(grey_between(frame, places[0], places[2])) < 0.2
+
+
+def test_half_a_line_starts_at_who_sees_another():
+    options = {"positions": [[-3.1, 0.4], [0.0, 4.1], [3.1, 0.0]]}
+    env, frame = drawn(rv.Scenario(n_robots=3, graph=rv.graphs.directed_cycle()), options=options)
+    weights = env.simulator.weights[0]
+    places = env.renderer.pixels(env.simulator.positions[0])
+    for i, j in np.argwhere(weights > 0).tolist():
+        found = grey_between(frame, places[i], places[j])
+        assert np.mean(found[:18]) > 0.8 and np.mean(found[22:]) < 0.4
+
+
+def test_sights_follow_rows_in_order_and_nearest_directions():
+    random = np.random.default_rng(0)
+    positions = random.normal(size=(5, 2))
+    linked = random.random((5, 5)) < 0.7
+    np.fill_diagonal(linked, False)
+    offsets = positions[None] - positions[:, None]
+    own, packed = np.zeros((5, 4, 2)), np.zeros((5, 4, 2))
+    for i in range(5):
+        others = [j for j in range(5) if linked[i, j]]
+        for k, j in enumerate(others):
+            own[i, j - (j > i)] = packed[i, k] = offsets[i, j] / np.linalg.norm(offsets[i, j])
+    assert np.array_equal(sights(own, positions, linked, True), linked)
+    assert np.array_equal(sights(packed, positions, linked, False), linked)
+    packed[0] = 0.0
+    assert not sights(packed, positions, linked, False)[0].any()
+
+
+def test_fields_of_view_and_ranges_are_drawn():
+    options = {"positions": [[0.0, 0.0], [4.0, 0.0]], "headings": [np.pi / 2, 0.0]}
+    scenario = rv.Scenario(n_robots=2, robot_model="unicycle")
+    (_, plain), (env, seen) = (
+        drawn(scenario.replace(sensing=rv.Sensing(**fields)), options=options)
+        for fields in ({}, {"range": 2.0, "field_of_view": np.pi / 2})
+    )
+    ahead, behind = env.renderer.pixels(np.array([[0.3, 1.3], [0.3, -1.3]]))
+    tinted = np.array(at(seen, ahead))
+    assert at(plain, ahead) == at(seen, behind) == [255, 255, 255]
+    assert tinted[2] > tinted[0] + 10  # a little blue
+    circle, whole = drawn(scenario.replace(sensing=rv.Sensing(range=2.0)), options=options)
+    edge, inside = circle.renderer.pixels(np.array([[1.0, 1.0], [0.9, 0.9]]) * 2**0.5)
+    assert near(whole, edge, (255, 255, 255), 1) < 9
+    assert near(whole, inside, (255, 255, 255), 1) == 9
+
+
+def test_numbers_stand_beside_robots():
+    options = {"positions": [[0.0, 0.0], [4.0, 0.0], [2.0, 3.0]]}
+    env, frame = drawn(rv.Scenario(n_robots=3), options=options)
+    for i, place in enumerate(env.renderer.pixels(env.simulator.positions[0])):
+        dark = tuple(round(0.6 * part) for part in ROBOTS[i])
+        assert near(frame, place - np.array([9, 12]), dark, 5) > 4
+
+
+def test_the_header_names_the_policy_and_the_legend_explains_marks():
+    env, bare = drawn("fig4")
+    env.renderer.policy = "tangent-joined"
+    named = env.render()
+    changed = np.argwhere((bare != named).any(axis=-1))
+    assert len(changed) > 100 and changed[:, 0].max() < 30  # in the header alone
+    legend = named[30:50]
+    assert (legend == ROBOTS[0]).all(axis=-1).sum() > 20
+    assert near(legend, (300, 10), (0x8A, 0x5F, 0x00), 300) > 10  # to an obstacle's edge
+    _, free = drawn("duo")
+    assert near(free[30:50], (300, 10), (0x8A, 0x5F, 0x00), 300) == 0
+
+
+def test_a_long_name_leaves_room_for_the_marks():
+    env, _ = drawn("fig4")
+    env.renderer.policy = "learned:" + 20 * "a-long-path/"
+    frame = env.render()
+    short, _ = drawn("fig4")
+    assert np.array_equal(frame[:30, 480:], short.render()[:30, 480:])

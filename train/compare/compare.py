@@ -266,7 +266,7 @@ def _pictures(found: Found, config: Config) -> Iterator[Picture]:
             for done in found.played
             if done.job.scenario == scenario and 0 in done.recordings
         }
-        if first and scenario.dim == 2 and scenario.obstacles:
+        if first and scenario.dim == 2:
             own = figures.own_names(found.rows)
             draw = partial(path_figures.trajectories_figure, scenario, first, own)
             yield f"trajectories-{scenario.name}", draw

@@ -12,15 +12,18 @@ from numpy.typing import NDArray
 from rendezvous_env.obstacles.obstacle_set import outlines
 from rendezvous_env.render.palette import OBSTACLE_EDGE, code
 from rendezvous_env.render.scene import ended, facing, in_contact, ways
+from rendezvous_env.safety.theorems.theorem import at_most
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..recording import Recording
-from .figures import BLACK, BLUE, ORANGE, ROBOT_COLOURS, VERMILLION, policy_colour
+from .figures import BLACK, BLUE, GREEN, ORANGE, ROBOT_COLOURS, VERMILLION, policy_colour
 from .style import COLUMN, PAGE, SMALL, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from rendezvous_env import Certificate, Trajectory
 
 _MOST_NAMES = 8
 """Robots up to which each has its number beside its start."""
@@ -32,6 +35,13 @@ _LEAST_SHARE = 0.2
 """Of the larger side of a picture of paths that the other one has, so that a row has room, too."""
 _NARROW = 0.6
 """A panel whose sides have a smaller ratio has fewer ticks on the short one."""
+_FAR = 3.0
+"""Times the length of an episode from which a bound on the time needs a logarithmic axis."""
+_DECADES = 300.0
+"""Times that the end of an episode is later than the left end of a logarithmic axis."""
+_JUMPS = ("lyapunov_before_merge", "lyapunov_after_merge")
+_MOST_COLUMNS = 5
+"""Panels of a row."""
 _LATE = 0.7
 """Share of an episode after which merges are so close together that they are shown enlarged."""
 
@@ -43,12 +53,19 @@ def trajectories_figure(
     """What every policy does on the same start of a scenario in the plane, a panel each; ``own``
     as in ``figures.policy_colour``.
     """
-    columns = min(4, len(recordings))
+    columns = columns_of(len(recordings))
     rows = math.ceil(len(recordings) / columns)
     width = COLUMN if columns < 3 else PAGE
     figure = new_figure(width, 0.5 + rows * (0.87 * width / columns + 0.3))
-    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for axes, (name, recording) in zip(panels.flat, recordings.items(), strict=False):
+    grid = figure.add_gridspec(rows, 2 * columns)
+    panels: list[Axes] = []
+    for number, (name, recording) in enumerate(recordings.items()):
+        row, column = divmod(number, columns)
+        lacking = max(0, (row + 1) * columns - len(recordings))  # of the last row, in the middle
+        left = 2 * column + lacking
+        first = panels[0] if panels else None
+        axes = figure.add_subplot(grid[row, left : left + 2], sharex=first, sharey=first)
+        panels.append(axes)
         draw_paths(axes, recording, scenario)
         met = recording["active"][-1].sum() == 1
         end = f"met after {recording['times'][-1]:.1f} s" if met else "time out"
@@ -56,18 +73,22 @@ def trajectories_figure(
         touched = f"\n{in_contact(contacts)}" if contacts else ""
         colour = policy_colour(name, own)
         axes.set_title(f"{name}\n{end}{touched}", fontsize=SMALL, color=colour)
-        axes.tick_params(length=2)
+        axes.tick_params(length=2, labelleft=column == 0)
+        axes.tick_params(labelbottom=number + columns >= len(recordings))
     wide, high = (np.ptp(limits) for limits in (axes.get_xlim(), axes.get_ylim()))
     axes.locator_params(axis="x", nbins=4 if wide > _NARROW * high else 2)
     axes.locator_params(axis="y", nbins=4 if high > _NARROW * wide else 2)
-    for axes in panels.flat[len(recordings) :]:
-        axes.set_axis_off()
-    for axes in panels.flat[: len(recordings)][-columns:]:
-        axes.tick_params(labelbottom=True)
-    figure.supxlabel("x / m", fontsize=8)
-    figure.supylabel("y / m", fontsize=8)
-    figure.suptitle(f"{scenario.name}, first start: the ways of the robots under each policy")
+    figure.supxlabel("x (m)", fontsize=8)
+    figure.supylabel("y (m)", fontsize=8)
+    figure.suptitle(f"{scenario.name}: paths from the first start (dots) to merges (crosses)")
     return figure
+
+
+def columns_of(count: int) -> int:
+    """Panels in a row of so many: four, or three or five where that leaves fewer places free."""
+    if count <= _MOST_COLUMNS:
+        return count
+    return min((4, 3, 5), key=lambda columns: -count % columns)
 
 
 def draw_paths(axes: Any, recording: Mapping[str, NDArray[Any]], scenario: Scenario) -> None:
@@ -142,9 +163,9 @@ def team_figure(scenario: Scenario, recording: Mapping[str, NDArray[Any]], polic
         paths.locator_params(nbins=5)  # before the scales are made equal, which it undoes
     draw_paths(paths, recording, scenario)
     arrows = ", arrows: headings" if scenario.model.n_angles else ""
-    paths.set(xlabel="x / m", ylabel="y / m", title=f"(a) dots: starts, crosses: merges{arrows}")
+    paths.set(xlabel="x (m)", ylabel="y (m)", title=f"(a) dots: starts, crosses: merges{arrows}")
     if space:
-        paths.set(zlabel="z / m")
+        paths.set(zlabel="z (m)")
         paths.tick_params(pad=0)
         paths.set_box_aspect(None, zoom=0.85)  # its labels lie outside of the room it asks for
     elif scenario.n_robots <= _MOST_NAMES:
@@ -153,6 +174,79 @@ def team_figure(scenario: Scenario, recording: Mapping[str, NDArray[Any]], polic
     value.set(title="(b) the Lyapunov function")
     figure.suptitle(f"{scenario.n_robots} robots under {policy} ({scenario.name})")
     return figure
+
+
+def trajectory_figure(trajectory: Trajectory, env: int = 0) -> Figure:
+    """Paths and V(t) of one environment of a rollout, as ``team_figure``."""
+    return team_figure(trajectory.scenario, recording_of(trajectory, env), trajectory.policy)
+
+
+def recording_of(trajectory: Trajectory, env: int = 0) -> Recording:
+    """One environment of a rollout, every step a frame, up to its end."""
+    steps = int(trajectory.running[:, env].sum())
+    merged = (trajectory.active[:-1, env] != trajectory.active[1:, env]).any(axis=-1)[:steps]
+    kept = ("positions", "headings", "active", "lyapunov", *trajectory.recorded)
+    jumps = {
+        name: np.append(np.nan, np.where(merged, getattr(trajectory, name)[:steps, env], np.nan))
+        for name in _JUMPS
+    }
+    contacts = trajectory.contacts[:steps, env]
+    return {
+        "times": trajectory.times[: steps + 1],
+        **{name: getattr(trajectory, name)[: steps + 1, env] for name in kept if name != "actions"},
+        **jumps,
+        "contacts": np.cumsum(np.insert(contacts, 0, 0, axis=0), axis=0),
+        "obstacles": trajectory.obstacles[env],
+    }
+
+
+@styled
+def lyapunov_figure(trajectory: Trajectory, certificate: Certificate | None = None) -> Figure:
+    """V(t) of every environment of a rollout; beside it, if given, the bounds of a certificate.
+
+    Lines end where an environment does; a circle marks a rendezvous.
+    """
+    figure = new_figure(COLUMN, 2.6)
+    axes = figure.subplots()
+    count = trajectory.num_envs
+    style: Any = {"color": BLUE, "alpha": max(0.15, count**-0.5), "linewidth": 1.0}
+    for env in range(count):
+        steps = int(trajectory.running[:, env].sum()) + 1
+        axes.plot(trajectory.times[:steps], trajectory.lyapunov[:steps, env], **style)
+    axes.lines[0].set_label("V" if count == 1 else f"V, {count} environments")
+    met = np.flatnonzero(trajectory.success)
+    if met.size:
+        at = trajectory.rendezvous_time[met]
+        mark: Any = {"color": GREEN, "clip_on": False, "zorder": 4}
+        axes.plot(at, np.zeros(met.size), "o", label="rendezvous", **mark)
+    axes.set(xlabel="time (s)", ylabel="V (m²/s)", xlim=(0, None))
+    if certificate is not None:
+        _draw_bounds(axes, certificate, float(trajectory.times[-1]))
+    axes.set_ylim(0, None)
+    axes.grid()
+    axes.set_title(_certified(certificate) if certificate is not None else "the Lyapunov function")
+    figure.legend(loc="outside lower center", ncols=2)
+    figure.suptitle(f"{trajectory.scenario.name} under {trajectory.policy or 'a policy'}")
+    return figure
+
+
+def _draw_bounds(axes: Axes, certificate: Certificate, end: float) -> None:
+    """Bounds on V and on the time, the axis of which becomes logarithmic where that is far off."""
+    style: Any = {"color": VERMILLION, "linewidth": 1.2}
+    if math.isfinite(bound := certificate.lyapunov_bound):
+        label = f"bound on V: {at_most(bound)} m²/s"
+        axes.axhline(bound, linestyle="--", label=label, **style)
+    if math.isfinite(bound := certificate.time_bound):
+        label = f"bound on the time: {at_most(bound)} s"
+        axes.axvline(bound, linestyle=":", label=label, **style)
+        if bound > _FAR * end > 0.0:
+            axes.set_xscale("log")
+            axes.set_xlim(end / _DECADES, 1.3 * bound)
+
+
+def _certified(certificate: Certificate) -> str:
+    """What a certificate guarantees, in a few words."""
+    return "rendezvous is certified" if certificate.guaranteed else "no rendezvous is certified"
 
 
 def _name_robots(axes: Axes, recording: Mapping[str, NDArray[Any]]) -> None:
@@ -179,10 +273,11 @@ def draw_lyapunov(axes: Axes, recording: Mapping[str, NDArray[Any]]) -> None:
     times, before = recording["times"], recording["lyapunov_before_merge"]
     merges = np.flatnonzero(~np.isnan(before))
     _plot_lyapunov(axes, recording, merges)
-    axes.set(xlabel="time / s", ylabel="V / (m²/s)", ylim=(0, None), xlim=(0, times[-1] * 1.03))
+    axes.set(xlabel="time (s)", ylabel="V (m²/s)", ylim=(0, None), xlim=(0, times[-1] * 1.03))
+    late = bool(merges.size) and times[merges[0]] > _LATE * times[-1]
     if merges.size:
-        axes.legend(loc="lower left")
-    if merges.size and times[merges[0]] > _LATE * times[-1]:
+        axes.legend(loc="lower left" if late else "upper right")
+    if late:
         inset = axes.inset_axes((0.62, 0.56, 0.37, 0.32))
         _plot_lyapunov(inset, recording, merges)
         span = times[-1] - times[merges[0]] + 0.06 * times[-1]

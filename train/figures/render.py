@@ -110,6 +110,7 @@ def _write_video(config: Config, name: str, trajectory: Trajectory, console: Con
     simulator = Simulator(trajectory.scenario)
     states = steps_of(simulator, policy, simulator.reset(config.seed))
     renderer = Renderer(simulator, "rgb_array", (edge, edge), horizon=length)
+    renderer.policy = name
     pictures = _pictures(renderer, simulator, states, speed / fps, round(_LAST_PICTURE * fps))
     total = math.ceil(length * fps / speed) + round(_LAST_PICTURE * fps)
     with Progress(console=console, transient=True) as progress, atomic(config.out) as temporary:

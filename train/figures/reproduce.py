@@ -114,20 +114,8 @@ def _paper(config: Config) -> int:
 
 
 def one_team(trajectory: Trajectory) -> Recording:
-    """The first team of a rollout, every step a frame."""
-    merged = (trajectory.active[:-1, 0] != trajectory.active[1:, 0]).any(axis=-1)
-    kept = ("positions", "headings", "active", "lyapunov", *trajectory.recorded)
-    jumps = {
-        name: np.append(np.nan, np.where(merged, getattr(trajectory, name)[:, 0], np.nan))
-        for name in _JUMPS
-    }
-    return {
-        "times": trajectory.times,
-        **{name: getattr(trajectory, name)[:, 0] for name in kept if name != "actions"},
-        **jumps,
-        "contacts": np.cumsum(np.insert(trajectory.contacts[:, 0], 0, 0, axis=0), axis=0),
-        "obstacles": trajectory.obstacles[0],
-    }
+    """The first environment of a rollout, every step a frame."""
+    return path_figures.recording_of(trajectory)
 
 
 def _table_of(recording: Recording) -> list[dict[str, Any]]:

@@ -189,22 +189,3 @@ class WatchedRobots(RobotVecEnv):
         which, observations = self.teams.renew(update)
         self.slots.begin(which)
         return np.repeat(which, self.n_robots), self.slots.by_slot(observations)
-
-
-def episode_numbers(episodes: list[dict[str, Any]]) -> dict[str, Any]:
-    """Columns about the episodes that ended in an update; NaN without any."""
-    if not episodes:
-        names = ("success", "clean_success", "median_time", "return")
-        return {"episodes": 0, **dict.fromkeys(names, np.nan)}
-    success, contacts, times, earned = (
-        np.array([episode[key] for episode in episodes])
-        for key in ("success", "contacts", "time", "r")
-    )
-    median = np.median(np.where(success, times, np.inf))
-    return {
-        "episodes": len(episodes),
-        "success": success.mean(),
-        "clean_success": (success & (contacts == 0)).mean(),
-        "median_time": median if np.isfinite(median) else np.nan,
-        "return": earned.mean(),
-    }

@@ -18,6 +18,7 @@ from rendezvous_env.baselines.learned.learned_policy import LearnedPolicy
 from rich.progress import Progress
 from stable_baselines3.common.logger import Logger
 
+from rendezvous_env.adapters.sb3_logging import episode_numbers
 from rendezvous_env.engine.threads import available_cores
 
 from .. import interrupts, results
@@ -33,7 +34,7 @@ from .checkpoint import STATE_FILES, flatten, tensors, unflatten
 from .log import EVALUATION, METRICS, OnUpdate, Result, Table, read_evaluations
 from .recurrent import learner_of
 from .settings import CONFIG, EVALUATION_SEEDS, Config, read_config
-from .teams import WatchedRobots, episode_numbers, make_teams
+from .teams import WatchedRobots, make_teams
 
 _DOES_NOT_FIT = (
     KeyError, TypeError, ValueError, RuntimeError, IndexError, AttributeError, OverflowError,

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from heapq import nlargest
 from operator import itemgetter
 from pathlib import Path
@@ -27,9 +27,11 @@ from rendezvous_env import baselines, vector
 from rendezvous_env.safety.settings import MAX_TURN_RATE
 from rendezvous_env.safety.theorems.certificate import answer, question
 from rendezvous_env.safety.theorems.theorem import PROMISED
+from rendezvous_env.trajectory import begin as begin_policy
 
+from .. import policies
 from .adversaries import Adversary, Misled
-from .monitors import NUMBERS, REPEATED, Moment, Watch
+from .monitors import NUMBERS, REPEATED, SEARCHED, Moment, Watch
 from .random_scenarios import Trial, other_starts
 
 Array = NDArray[np.float64]
@@ -38,11 +40,13 @@ Policy = Callable[[Any, Moment], Any]
 TEAMS = 24
 """Teams of one trial, side by side: each start has as many, with adversaries of their own."""
 MOST_STEPS = 400  # steps for which a time bound is waited for
+PATIENT_STEPS = 1000
+"""Steps of a trial of a policy, besides those that a deadlock has to last."""
 FEW_STEPS = 8, 80
 """Least and most steps of trials whose time bound is out of reach, most of them short."""
 _PARENTS = 3  # starts from which those of the next generation are made
 _LAWS = {"unicycle": "unicycle", "nonholonomic_3d": "nonholonomic-3d"}
-_HOW = ("by", "arguments", "frame", "period", "seed")
+_HOW = ("by", "arguments", "frame", "period", "seed", "policy", "numbers")
 """What of a trial is written besides its scenario."""
 
 
@@ -133,6 +137,27 @@ def ask(scenario: rv.Scenario, by: str, arguments: Mapping[str, float]) -> Promi
     return Promised(limits, theorems, asked.error, found.theorem)
 
 
+def searched(scenario: rv.Scenario, numbers: tuple[str, ...]) -> Promised:
+    """What a policy is held against, though nothing promises it: V that never rises, a hull that
+    never grows, and progress within the ``patience_of`` the scenario.
+    """
+    limits = {name: 0.0 for name in numbers}
+    if "deadlock" in limits:
+        limits["deadlock"] = patience_of(scenario)
+    words = "no certificate covers this policy"
+    return Promised(limits, {"policy": numbers}, 0.0, words)
+
+
+def patience_of(scenario: rv.Scenario) -> float:
+    """How long robots may make no progress, s: 200 steps, in which law (1) moves far, the time n r
+    / a* in which its slowest robot crosses half a merge radius, and two turns of the body.
+    """
+    n, least = scenario.n_robots, scenario.bottleneck_weight
+    slow = n * scenario.merge_radius / least if least > 0.0 else 0.0
+    turning = 4.0 * math.pi / scenario.turn_limit if scenario.model.nonholonomic else 0.0
+    return max(200.0 * scenario.tau, slow, turning)
+
+
 def start_of(teams: int, starts: int) -> NDArray[np.int64]:
     """Which start each team has, (B,): they are divided evenly."""
     return np.arange(teams) * starts // teams
@@ -144,7 +169,7 @@ def begin(trial: Trial, bearing_error: float, count: int) -> tuple[Any, Any, Pol
     env = _teams_of(scenario, count)
     error = arguments.pop("bearing_error", 0.0)
     arguments |= {"frame": trial.frame, "decision_period": trial.period}
-    if trial.by != "gains":
+    if trial.by not in ("gains", "policy"):
         arguments["bearing_error"] = bearing_error
     # what the sensor itself does not do
     seen = Misled(env, scenario, error, trial.seed) if error > scenario.sensing.error else env
@@ -154,6 +179,10 @@ def begin(trial: Trial, bearing_error: float, count: int) -> tuple[Any, Any, Pol
         places = np.array([one.start_positions for one in trial.starts])
         options = {"positions": places[start_of(count, len(places))]}
     start = wrapped.reset(seed=trial.seed, options=options)[0]
+    if trial.by == "policy":
+        own = policies.make(trial.policy, scenario)
+        begin_policy(own, wrapped.unwrapped.simulator)
+        return wrapped, start, partial(policies.called, trial.policy, own)
     if trial.by == "law":
         law = baselines.make(_LAWS.get(scenario.robot_model, "bearing-only"), scenario)
         return wrapped, start, lambda seen, now: law(seen, now.time)
@@ -179,7 +208,7 @@ def _teams_of(scenario: rv.Scenario, count: int) -> Any:
 
 def guarded(env: Any, by: str, arguments: Mapping[str, Any]) -> Any:
     """A vector environment under what keeps a guarantee; law (1) needs nothing."""
-    return env if by == "law" else vector.GuaranteeWrapper(env, by, **arguments)
+    return env if by in ("law", "policy") else vector.GuaranteeWrapper(env, by, **arguments)
 
 
 def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> Played:
@@ -188,7 +217,10 @@ def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> P
     is too late. ``choices``, (steps, n, k), are of one team, instead of adversaries.
     """
     among = trial.starts or (trial.scenario,)
-    promised = [ask(one, trial.by, trial.arguments) for one in among]
+    if trial.by == "policy":
+        promised = [searched(one, trial.numbers) for one in among]
+    else:
+        promised = [ask(one, trial.by, trial.arguments) for one in among]
     if not any(one.limits for one in promised):
         return Played()
     if any("expected_time" in one.limits for one in promised) and teams == TEAMS:
@@ -200,7 +232,7 @@ def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> P
     simulator, which = wrapped.unwrapped.simulator, start_of(teams, len(among))
     limits = {
         name: np.array([one.limits.get(name, math.inf) for one in promised])[which]
-        for name in NUMBERS
+        for name in dict.fromkeys((*NUMBERS, *SEARCHED))
         if any(name in one.limits for one in promised)
     }
     last = _last_steps(trial, limits) if choices is None else np.full(teams, len(choices))
@@ -231,6 +263,10 @@ def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> P
 
 def _last_steps(trial: Trial, limits: Mapping[str, Array]) -> Array:
     """The step of each team's bound, (B,), 0 if too late; a few, drawn, where it is for all."""
+    if trial.by == "policy":
+        patience = max(patience_of(one) for one in trial.starts or (trial.scenario,))
+        steps = PATIENT_STEPS + math.ceil(patience / trial.scenario.tau)
+        return np.full_like(next(iter(limits.values())), steps)
     few = np.exp(np.random.default_rng([trial.seed, 4]).uniform(*np.log(FEW_STEPS))).round()
     last = np.full_like(next(iter(limits.values())), math.inf)
     for name in {"time", "expected_time"} & set(limits):
@@ -262,7 +298,7 @@ def climb(trial: Trial) -> tuple[Trial, Played]:
             played = play(trial)
     if played.violation is None:
         return drawn, first
-    if trial.starts:
+    if trial.starts or trial.by == "policy":
         start = played.began[played.violation.team]
         trial = replace(trial, scenario=trial.scenario.replace(start_positions=start), starts=())
     return trial, played
@@ -294,6 +330,7 @@ def _simpler(trial: Trial) -> Iterator[Trial]:
         *[{"sensing": replace(scenario.sensing, **{n: getattr(exact, n)})} for n in flaws],
         *[{"obstacles": given[:k] + given[k + 1 :]} for k in range(len(given))],
         *_fewer_robots(scenario),
+        *_rounder(scenario),
     ]
     for change in changes:
         if any(getattr(scenario, name) != value for name, value in change.items()):
@@ -316,6 +353,26 @@ def _fewer_robots(scenario: rv.Scenario) -> Iterator[dict[str, Any]]:
                 made = rv.graphs.directed if graph.kind == "directed" else rv.graphs.from_matrix
                 change["graph"] = made(graph.base_weights(n)[np.ix_(left, left)])
             yield {"n_robots": n - 1, **change}
+
+
+def _rounder(scenario: rv.Scenario) -> Iterator[dict[str, Any]]:
+    """Links of one weight, and places with few digits."""
+    graph, n = scenario.sensing_graph, scenario.n_robots
+    if graph.kind != "complete":
+        yield {"graph": rv.graphs.complete()}
+    if graph.kind == "edges":
+        weights = graph.base_weights(n)
+        yield {"graph": rv.graphs.from_matrix(1.0 * (weights > 0.0))}
+        yield {
+            "graph": rv.graphs.from_matrix(np.array([[_one_digit(a) for a in r] for r in weights]))
+        }
+    for digits in (0, 1, 2) if scenario.start_positions else ():
+        places = np.array(scenario.start_positions)
+        yield {"start_positions": tuple(map(tuple, (places.round(digits) + 0.0).tolist()))}
+
+
+def _one_digit(value: float) -> float:
+    return float(f"{value:.1g}")
 
 
 def write(folder: Path, name: str, trial: Trial, played: Played) -> Path:
@@ -344,6 +401,8 @@ def write(folder: Path, name: str, trial: Trial, played: Played) -> Path:
 def repeat(path: Path) -> Played:
     """Play a violation again from the files of ``write``."""
     how = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
-    trial = Trial(rv.Scenario.from_toml(path), **{name: how[name] for name in _HOW})
+    given = {name: how[name] for name in _HOW if name in how}
+    given["numbers"] = tuple(given.get("numbers", ()))
+    trial = Trial(rv.Scenario.from_toml(path), **given)
     choices = None if how["choices"] is None else np.array(how["choices"])
     return play(trial, teams=how["teams"], choices=choices)

@@ -26,6 +26,15 @@ link grows longer, and where choices are held for one step no robot leaves its b
 (docs/proofs.md, R). Claims have four more: Σ‖f_i‖ ≥ 2 max a ("lemma"); V falls as under law (1), by
 τ Σ‖f_i‖ min(‖f_i‖, v_max) ("law_descent"); it rises at a merge by no more than theory 5 allows
 ("merge_rise"); no fewer robots are left than the graph has components ("pieces")."""
+SEARCHED = {
+    "rise": "V rises in a step without merge or contact (m²/s)",
+    "growth": "the convex hull grows in such a step, linked robots r or more apart (m)",
+    "deadlock": "neither a merge nor a fall of V for a long time (s)",
+}
+"""What the search for counterexamples of a policy looks for, by the numbers that are found."""
+_PROGRESS = (
+    1e-4  # of a* r, m²/s: a fall of V that ends a deadlock, 1 % of the slowest under ε = 0.1
+)
 REPEATED = 48  # teams for each start of a trial whose mean time is promised
 _FLOAT32 = 2.0**-20
 _CONFIDENCE = 5.0  # standard errors by which a mean may lie above its bound
@@ -135,11 +144,13 @@ class Watch:
         growth = limits.get("link_growth", np.full(1, np.inf))[:, None, None]
         self.lasting = now.linked & (now.distances + growth <= self.sight)
         self.start = now.distances
+        self.lowest, self.fell = now.lyapunov, np.zeros(count)
         self.closeness = {name: np.full(count, -np.inf) for name in limits}
         """How near each team came to break each number, (B,)."""
         self.units = dict.fromkeys(limits, np.maximum(now.lyapunov, 1e-300))
         self.units |= {"lemma": np.ones(count), "pieces": np.ones(count)}
-        self.units |= {name: limits[name] for name in PROMISED if name in limits}
+        timed = (*PROMISED, "deadlock")
+        self.units |= {name: limits[name] for name in timed if name in limits}
 
     @property
     def time_over_bound(self) -> float:
@@ -206,6 +217,10 @@ class Watch:
         if "ledger" in self.limits:
             paid = np.where(calm, risen + levels - before, -np.inf)
             found["ledger"] = paid, step * self.spent + 1e-12 * before
+        if "rise" in self.limits:
+            found["rise"] = np.where(calm, risen, first), step
+        if "deadlock" in self.limits:
+            found["deadlock"] = self._time_without_progress(alone), 0.0
         if "hull" in self.limits:
             found["hull"] = self._size(), 8.0 * self.growth_error
         if "link_growth" in self.limits:
@@ -216,10 +231,10 @@ class Watch:
             work = (last.net_bearings * moved).sum(axis=(1, 2))
             fall = risen + np.maximum(work, 0.0) * self.once
             found["descent"] = np.where(calm, fall, first), step
-        if "nested" in self.limits:
+        for name in {"nested", "growth"} & self.limits.keys():
             apart = -_most(-last.distances, seen) >= self.scenario.merge_radius
             grown = (now.tops - last.tops).max(axis=1)
-            found["nested"] = np.where(calm & apart, grown, -np.inf), self.length_error
+            found[name] = np.where(calm & apart, grown, -np.inf), self.length_error
         if "links" in self.limits:
             lengthened = _most(now.distances - last.distances, seen)
             if self.once:
@@ -236,6 +251,15 @@ class Watch:
             found["lemma"] = 1.0 - share, 1e-9
             found["law_descent"] = np.where(calm, risen + self.held * own, first), step
         return found
+
+    def _time_without_progress(self, alone: Mask) -> Array:
+        """Since the last merge or new least V, lower by a share of a* r, (B,), s; −∞ once met."""
+        now, scenario = self.now, self.scenario
+        least = _PROGRESS * scenario.bottleneck_weight * scenario.merge_radius
+        progress = ~alone | (now.lyapunov < self.lowest - least)
+        self.lowest = np.where(progress, now.lyapunov, self.lowest)
+        self.fell = np.where(progress, now.time, self.fell)
+        return np.where(np.isinf(self.met), now.time - self.fell, -np.inf)
 
     def _size(self) -> Array:
         """L, (B,), m, in the plane that of a polygon around the hull; where that may be too large

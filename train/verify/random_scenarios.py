@@ -63,6 +63,8 @@ class Trial:
     seed: int = 0  # team b has this seed + b; adversaries are drawn from it
     generations: int = 0  # how often starts are improved, see ``climb``
     starts: Starts = ()  # in place of its own; they divide the teams among them
+    policy: str = ""  # who plays where ``by`` is "policy", by name
+    numbers: tuple[str, ...] = ()  # of monitors.SEARCHED, that are looked for then
 
 
 class Kind(NamedTuple):
@@ -128,7 +130,7 @@ def other_starts(random: Random, scenario: rv.Scenario, places: Array, anew: flo
     m, in turn, or with a chance of any kind.
     """
     n, dim, r = scenario.n_robots, scenario.dim, scenario.merge_radius
-    reach, found = _reach(scenario.sensing.range, n, r), list[rv.Scenario]()
+    reach, found = reach_of(scenario.sensing.range, n, r), list[rv.Scenario]()
     for k in range(4 * STARTS):
         start = places_of.starts(random, n, dim, r, reach) if random.random() < anew else None
         if start is None:
@@ -140,7 +142,7 @@ def other_starts(random: Random, scenario: rv.Scenario, places: Array, anew: flo
     return tuple(found)
 
 
-def _reach(sight: float | None, n: int, r: float) -> float:
+def reach_of(sight: float | None, n: int, r: float) -> float:
     """How long links may be at the start, m, so that n − 1 merges leave them in sight."""
     return math.inf if sight is None else sight - (n - 1) * r / 2.0
 
@@ -199,12 +201,12 @@ def _scenario(random: Random, kind: Kind) -> rv.Scenario:
     r = pick(random, 0.2, 0.2, log_uniform(random, 0.05, 1.0))
     graph = pick(random, *GRAPHS[kind.graphs])
     sight = r * log_uniform(random, 0.6 * n + 2.0, 20.0 + n) if graph == "proximity" else None
-    reach = _reach(sight, n, r)
+    reach = reach_of(sight, n, r)
     fields: dict[str, Any] = {
         "n_robots": n,
         "dim": dim,
         "robot_model": kind.robot_model,
-        "graph": _graph(random, graph, n, r),
+        "graph": random_graph(random, graph, n, r),
         "merge_radius": r,
         "allow_long_step": True,
         "obstacle_contact": pick(random, "slide", "stop", *["ignore"] * 4),
@@ -298,7 +300,8 @@ def _fixed(random: Random, n: int, directed: bool, density: float | None = None)
     return rv.graphs.from_matrix(np.triu(weights) + np.triu(weights).T)
 
 
-def _graph(random: Random, kind: str, n: int, r: float) -> Any:
+def random_graph(random: Random, kind: str, n: int, r: float) -> Any:
+    """A graph of one of GRAPHS for n robots, with random weights."""
     graphs = rv.graphs
     if kind in ("matrix", "directed"):
         return _fixed(random, n, kind == "directed")

@@ -4,23 +4,25 @@ import itertools
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 from rich.box import SIMPLE_HEAD
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from tyro.conf import arg
 
+from .. import policies
 from ..checks import Bounds, check_unused, unknown
 from ..console import Console, counted
 from ..results import write_csv
 from ..resume import Part, program
 from ..tasks import Workers, each
 from . import claims as cases
+from . import policy_search
 from .claims import BATCH, CLAIMS, Claim
 from .falsification import TEAMS, Tally, climb, shrink, write
 from .monitors import NUMBERS
@@ -30,17 +32,28 @@ _BAR = TextColumn("{task.description:16}"), BarColumn(), MofNCompleteColumn(), T
 _MOST_TASKS = 256  # of a claim
 _SHOWN = "trials", "worst_margin", "worst_time_over_bound", "violations"
 """Columns of verify.csv that are printed."""
+_DRAWS = 10  # of a task that searches counterexamples of a policy
 _MOST_WRITTEN = 20  # violations of a search that are made small and written
 
-FLAG_GROUPS = {"Workers": ("jobs", "on", "address")}
+EXAMPLES = (
+    "--claims theorem-2 --trials 100000",
+    "--any --trials 3000",
+    "--policy my_policies:make --scenario ring-12",
+)
+FLAG_GROUPS = {
+    "Policies of your own": ("policy", "search", "scenario", "set"),
+    "Workers": ("jobs", "on", "address"),
+}
 
 
 @dataclass(frozen=True)
 class Config(Workers):
-    """Check every claim of the theory on random teams; exit status 1 if one is violated."""
+    """Check every claim of the theory on random teams, or search for counterexamples of a policy;
+    exit status 1 if one is violated or found.
+    """
 
     trials: Annotated[int, Bounds(1, 10**8)] = 1000
-    """Teams for each claim, or with --any scenarios."""
+    """Teams for each claim, or with --any or --policy scenarios."""
     seed: Annotated[int, Bounds(0)] = 0
     """Other seeds draw other teams."""
     out: Path = Path("out/verify")
@@ -59,16 +72,44 @@ class Config(Workers):
     kinds: Annotated[int | None, Bounds(1)] = None
     """Most kinds of scenarios for --any: to compile for one takes as long as to play a thousand.
     Without it one for every 300 scenarios."""
+    policy: str | None = None
+    """Search for counterexamples of this policy instead of claims: its name, learned:PATH, or
+    MODULE:FUNCTION. Initial conditions, graphs and weights are varied until V rises, the convex
+    hull grows, or robots make no progress. The simplest of each is written to OUT as a TOML file,
+    with the choices that repeat it."""
+    search: tuple[Literal["rise", "growth", "deadlock"], ...] = ("rise", "growth", "deadlock")
+    """What to look for with --policy: rises of V and growth of the convex hull in steps without a
+    merge or contact, and no progress for a long time. Certified headings and tanks keep V from
+    rising, and not the hull from growing."""
+    scenario: Annotated[str, arg(aliases=("--scenarios",))] = "fig3"
+    """Which robots, sensors and obstacles --policy has: the name of a scenario, or the path of a
+    TOML file."""
+    set: tuple[str, ...] = ()
+    """With --policy, other values for fields of the scenario, as in n_robots=9 time_limit=60."""
     fresh: Annotated[bool, arg(name="overwrite", aliases=("--fresh",))] = False
     """Throws away what another command has left unfinished in OUT/verify.part."""
+
+
+class Task(NamedTuple):
+    """Some batches of a claim, or some random scenarios: they depend on nothing else."""
+
+    name: str  # of its cell
+    group: str  # the claim, or "scenarios"
+    looks: tuple[Callable[[], Tally], ...]
 
 
 def check_config(config: Config) -> None:
     """Refuse what cannot be run in a UserError: the flag, its value and what would be right."""
     unused = {"kinds": "add --any"}
+    if config.policy is None:
+        unused |= dict.fromkeys(("scenario", "search", "set"), "add --policy")
+    if config.any or config.policy is not None:
+        which = "--any" if config.any else "--policy"
+        why = f"{which} tries no claims: leave it out"
+        unused |= dict.fromkeys(("claims", "only_batch", "min_alignment"), why)
     if config.any:
-        why = "--any tries no claims: leave it out"
-        unused = dict.fromkeys(("claims", "only_batch", "min_alignment"), why)
+        del unused["kinds"]
+        unused |= {"policy": "--any asks for certificates, which no policy changes: leave it out"}
     check_unused(config, unused)
     known = [claim.name for claim in CLAIMS]
     for name in config.claims:
@@ -82,29 +123,19 @@ def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | Non
     """
     check_config(config)
     console = console or Console(width=None if sys.stdout.isatty() else 120)
+    if config.policy is not None:
+        return _run_search(config, config.policy, console)
     chosen = [claim for claim in claims if not config.claims or claim.name in config.claims]
     path = config.out / ("any.csv" if config.any else "verify.csv")
-    asked = ("trials", "seed", "min_alignment", "only_batch", "any", "kinds")
-    plan = program() | {name: getattr(config, name) for name in asked}  # all that numbers depend on
-    plan["claims"] = [claim.name for claim in chosen]
-    part = Part(path.with_suffix(".part"), plan, "verification")
     tasks = _tasks_of_any(config) if config.any else _tasks_of_claims(config, chosen)
-    tallies = {task.group: Tally() for task in tasks}
-    with (
-        part.at_work(config.out, console, fresh=config.fresh),
-        Progress(*_BAR, console=console, transient=True) as progress,
-    ):
-        count = config.trials if config.only_batch is None else min(config.trials, BATCH)
-        bars = {group: progress.add_task(group, total=count) for group in tallies}
-        for task, found, _ in part.finish(tasks, lambda left: each(look, left, config)):
-            tallies[task.group].join(found)
-            progress.advance(bars[task.group], found.trials)
+
+    def rows_of(tallies: Mapping[str, Tally]) -> list[dict[str, Any]]:
         if config.any:
-            rows = theorem_rows(tallies["scenarios"])
-        else:
-            rows = [claim_row(claim, config, tallies[claim.name]) for claim in chosen]
-        write_csv(path, rows, None if rows else ["theorem"])
-        part.discard()
+            return theorem_rows(tallies["scenarios"])
+        return [claim_row(claim, config, tallies[claim.name]) for claim in chosen]
+
+    plan = {"claims": [claim.name for claim in chosen]}
+    tallies, rows = _finish(config, path, plan, tasks, rows_of, console)
     total, steps = Tally(), ""
     for tally in tallies.values():
         total.join(tally)
@@ -136,12 +167,69 @@ def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | Non
     return int(total.violations > 0)
 
 
-class Task(NamedTuple):
-    """Some batches of a claim, or some random scenarios: they depend on nothing else."""
+def _finish(
+    config: Config,
+    path: Path,
+    plan: Mapping[str, Any],
+    tasks: Sequence[Task],
+    rows_of: Callable[[Mapping[str, Tally]], list[dict[str, Any]]],
+    console: Console,
+) -> tuple[dict[str, Tally], list[dict[str, Any]]]:
+    """Do the tasks, or what is left of them, and write the rows of their tallies."""
+    asked = ("trials", "seed", "min_alignment", "only_batch", "any", "kinds", "policy", "search")
+    plan = program() | {name: getattr(config, name) for name in asked} | dict(plan)
+    part = Part(path.with_suffix(".part"), plan, "verification")
+    tallies = {task.group: Tally() for task in tasks}
+    with (
+        part.at_work(config.out, console, fresh=config.fresh),
+        Progress(*_BAR, console=console, transient=True) as progress,
+    ):
+        count = config.trials if config.only_batch is None else min(config.trials, BATCH)
+        bars = {group: progress.add_task(group, total=count) for group in tallies}
+        for task, found, _ in part.finish(tasks, lambda left: each(look, left, config)):
+            tallies[task.group].join(found)
+            progress.advance(bars[task.group], found.trials)
+        rows = rows_of(tallies)
+        write_csv(path, rows, None if rows else ["theorem"])
+        part.discard()
+    return tallies, rows
 
-    name: str  # of its cell
-    group: str  # the claim, or "scenarios"
-    looks: tuple[Callable[[], Tally], ...]
+
+def _run_search(config: Config, policy: str, console: Console) -> int:
+    """Search for counterexamples of a policy; print what was found, and write the simplest."""
+    policies.check_names([policy])
+    scenario = policies.resolve_scenario(config.scenario, config.set)
+    policies.tried(policy, scenario)
+    count = math.ceil(config.trials / STARTS)
+    parts = [range(k, min(k + _DRAWS, count)) for k in range(0, count, _DRAWS)]
+    tasks = []
+    for part in parts:
+        given = policy, scenario, config.seed
+        looks = (partial(policy_search.search, *given, k, config.search) for k in part)
+        tasks.append(Task(f"policy-{part[0]:07d}", "scenarios", tuple(looks)))
+
+    def rows_of(tallies: Mapping[str, Tally]) -> list[dict[str, Any]]:
+        return policy_search.rows_of(tallies["scenarios"], config.search)
+
+    source = {"scenario": scenario.to_plain(), "source": policies.source_digest(policy)}
+    path = config.out / "policy.csv"
+    tallies, rows = _finish(config, path, source, tasks, rows_of, console)
+    tally = tallies["scenarios"]
+    console.print(table_of(f"{tally.trials} random scenarios searched under {policy}", rows))
+    for number, trial, played in policy_search.first_of_each(tally):
+        small, played = shrink(trial, played)
+        file = write(config.out, f"policy-{config.seed}-{number}", small, played)
+        console.print(
+            f"{policy_search.words_of(played.violation)}, {small.scenario.n_robots} robots: "
+            f"{file}; to see it: rendezvous render --scenario {file} --policy {policy}",
+            soft_wrap=True,
+        )
+    console.print(
+        f"{tally.violations} counterexamples, {tally.steps} steps of {TEAMS} environments in "
+        f"{tally.seconds:.0f} s of work; {path}",
+        soft_wrap=True,
+    )
+    return int(tally.violations > 0)
 
 
 def look(task: Task) -> Tally:

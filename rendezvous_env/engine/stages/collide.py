@@ -152,7 +152,8 @@ def merge_robots(
 ):
     """Carry the displacements out, and merge robots that come within the merge radius, m.
 
-    With ``merges_through`` they do so where an obstacle is between them, too. Who existed before is left in ``took_part``, (B, n): merged-away robots earn in this step.
+    With ``merges_through`` they merge through obstacles, too. ``took_part``, (B, n), receives which
+    robots were active before the step: those that merge in it still receive its reward.
     Working memory: vectors (3, n, d), numbers (4 + n, max(n, E)), listed (2, max(n, E)), and
     resting (n,).
     """

@@ -288,7 +288,8 @@ def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> s
     unseen = nearest_hides(scenario) or (asked.by == "links" and scenario.sensing.range is not None)
     speed = known.lightest_link(scenario) if unseen else scenario.bottleneck_weight
     if asked.by == "tank":
-        most, each = known.tank_bounds(scenario, min(asked.budget, LARGEST))
+        budget = min(asked.budget, LARGEST)
+        most, each = known.tank_bounds(scenario, budget, asked.observes_merges)
         apart += (most if each is None else each) / (2.0 * speed)
     if asked.by == "gains":
         speed = gain_range(scenario, asked.min_gain, asked.max_gain)[0]

@@ -6,15 +6,17 @@ import math
 import os
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from ...checks import choice, real, refuse
+from ...field_docs import lists_fields
 from ...scenario.scenario import Scenario
 from ...scenario.scenarios import resolve
 from ..gains import gain_range
 from ..settings import TANK_MARGIN, bounded_error, check_bearing_error, check_share
-from . import delay, descent, gains, links, noise, tank, turning
+from . import delay, descent, gains, links, noise, policies, tank, turning
 from .theorem import CHOICES, LAW, PROMISED, Asked, Bounds, Theorem, at_least, at_most
 
 THEOREMS: tuple[Theorem, ...] = tuple(
@@ -39,51 +41,55 @@ def _renamed(old: str, new: str) -> Any:
     return property(read, doc=f"Deprecated: ``{new}``.")
 
 
+@lists_fields
 @dataclass(frozen=True)
 class Certificate:
     """What is guaranteed for a scenario, and why or why not; a bound is infinite where none is."""
 
     min_alignment: float
-    """ε: the least alignment |hᵀf|/‖f‖ that the guarantee builds on; 1 for law (1)."""
+    """ε, without unit: least alignment |hᵀf|/‖f‖ that the guarantee assumes; 1 for law (1)."""
     dead_zone: float
-    """δ = a*/(2n), m/s."""
+    """δ = a*/(2n), m/s: below it a certified heading need not follow the net bearing f."""
     certified_step: float
-    """r/(2D̄), s."""
+    """r/(2D̄), s: longest step for which V is proven not to rise between merges."""
     bottleneck_weight: float
-    """a*, m/s."""
+    """a*, m/s: bottleneck weight of the graph (theory 3)."""
     time_bound: float
-    """s by which all robots have met in the environment as it steps, from the start that the
+    """Bound on the time to rendezvous in the environment as it steps, s, from the start that the
     scenario gives or any that its episodes draw."""
     guaranteed: bool
     """Whether rendezvous is guaranteed."""
     theorem: str
-    """Which theorem covers the scenario, or why none does."""
+    """Theorem that covers the scenario, or why none does."""
     by: str = "law"
-    """What keeps the guarantee, one of CHOICES."""
+    """What keeps the guarantee: "law", "heading", "tank", "gains", "links"; "policy" where nothing
+    does."""
     continuous_time_bound: float = math.inf
     """``time_bound`` for velocities that follow the bearings in continuous time."""
     continuous_time_only: bool = False
     """Whether the guarantee is proven in continuous time only, so that ``time_bound`` is inf."""
     lyapunov_bound: float = math.inf
-    """What V never exceeds, m²/s, with obstacles in motion without a contact."""
+    """Bound on V at any time, m²/s; among obstacles, in motion without a contact."""
     hull_bound: float = math.inf
-    """What L never exceeds, m."""
+    """Bound on the perimeter L of the convex hull at any time, m."""
     link_growth_bound: float = math.inf
-    """By how much a link is never longer than at the start, m, if it is in sight then, and would
-    be if it were so much longer."""
+    """Bound on how much longer a link ever is than at the start, m; for links that would be within
+    the sensing range if they were longer by this."""
     bearing_error: float = 0.0
-    """η, rad: by how much bearings may be wrong here. The wrapper must be given it too."""
+    """η, rad: largest bearing error that the guarantee allows for. Give it to the wrapper too."""
     tolerated_bearing_error: float = 0.0
-    """η, rad, inputs held, below which a theorem still promises a rendezvous, but for what rounding
-    may take: 2⁻²² rad, more in short steps."""
+    """Bearing error below which a theorem still guarantees a rendezvous, inputs held, rad; rounding
+    takes 2⁻²² rad of it, more in short steps."""
     expected_time_bound: float = math.inf
-    """What the mean time to rendezvous never exceeds under noise that each step draws anew, s."""
+    """Bound on the mean time to rendezvous under noise that is drawn anew in every step, s."""
     scenario: str = "custom"
-    """Its name."""
+    """Name of the scenario."""
     time_limit: float = math.inf
-    """Of its episodes, s."""
+    """Time limit of its episodes, s."""
     touches_obstacles: bool = False
-    """Whether robots may touch some: ``lyapunov_bound`` is for motion without a contact then."""
+    """Whether robots may touch obstacles; ``lyapunov_bound`` then holds up to the first contact."""
+    policy: str = ""
+    """Name of the policy that was asked about; empty if none was given."""
 
     @property
     def promises(self) -> dict[str, float]:
@@ -114,7 +120,7 @@ class Certificate:
             told = " if the wrapper is told so" * hears
             error = at_least(self.tolerated_bearing_error, 3)
             kept.append(f"bearings may err by up to {error} rad{told}, less what rounding takes")
-        first = f"{self.scenario} under {CHOICES[self.by]}: {self.theorem}"
+        first = f"{self.scenario} under {self.policy or CHOICES[self.by]}: {self.theorem}"
         numbers = "; ".join(kept) or "No other number is promised."
         return f"{first}\n{numbers}\n{self._by_when()}"
 
@@ -143,8 +149,14 @@ def certificate(
     max_gain: float | None = None,
     share: float = LAW.share,
     bearing_error: float = 0.0,
+    policy: Any = None,
 ) -> Certificate:
-    """What is guaranteed for a scenario under law (1), or whatever a policy does under a wrapper.
+    """What is guaranteed for a scenario under law (1), or whatever a policy does under a wrapper,
+    or of a given policy.
+
+        certificate("ring-12")                                      # law (1)
+        certificate("ring-12", 0.1)                                 # any policy under a wrapper
+        certificate("ring-12", policy=HeadingPolicy("ring-12", f))  # with that policy's settings
 
     For the scenario's own graph and obstacles, and the start that it gives or those that episodes
     draw: in its spawn area, linked robots 2r or more apart, connected on a proximity graph where
@@ -167,17 +179,56 @@ def certificate(
         share: λ in [10⁻⁶, 1], how much of a velocity is the link-keeping law's.
         bearing_error: by how much bearings may be wrong, rad; η is the larger of it and of the
             bounded errors of the scenario's sensor.
+        policy: a policy or any function of observations and time, in place of all other arguments:
+            its attribute ``guarantee``, a mapping of such arguments, says what its filter keeps. Of
+            a function without one nothing is guaranteed; ``theorem`` then names the wrappers that
+            guarantee a rendezvous whatever it chooses, and the command that searches for
+            counterexamples.
 
     Returns:
         A Certificate, each of whose fields says its unit.
 
     Raises:
-        ValueError: naming the argument that is out of its range, or does not go with ``by``.
+        TypeError: for a policy that cannot be called.
+        ValueError: naming the argument that is out of its range, or does not go with ``by`` or
+            ``policy``.
     """
     scenario = resolve(scenario)
     given: dict[str, Any] = {"min_alignment": min_alignment, "budget": budget, "share": share}
     given |= {"min_gain": min_gain, "max_gain": max_gain}
-    return answer(scenario, question(scenario, by, given, bearing_error))[0]
+    if policy is None:
+        return answer(scenario, question(scenario, by, given, bearing_error))[0]
+    for name, value in (given | {"by": by, "bearing_error": bearing_error}).items():
+        if value != (usual := getattr(LAW, name) if name in given else _UNASKED[name]):
+            refuse(name, value, f"{usual} with a policy, which has settings of its own")
+    return of_policy(scenario, policy)
+
+
+_UNASKED = {"by": None, "bearing_error": 0.0}
+
+
+def of_policy(scenario: Scenario, policy: object) -> Certificate:
+    """The certificate of a policy's own guarantee, or one that promises nothing."""
+    guarantee = policies.guarantee_of(scenario, policy)
+    lacks = "" if guarantee is None else policies.unmet(scenario, guarantee)
+    if guarantee is not None and not lacks:
+        given = {name: value for name, value in guarantee.items() if name in Asked._fields}
+        by, error = given.pop("by", None), guarantee.get("bearing_error", 0.0)
+        found, _ = answer(scenario, question(scenario, by, given, error))
+        return replace(found, policy=policies.name_of(policy))
+    nothing = Asked(by="policy", error=bounded_error(scenario.sensing, scenario.dim))
+    words = lacks or policies.no_guarantee(policy, partial(_time_bound, scenario))
+    return _certificate(scenario, nothing, words, [], policies.name_of(policy))
+
+
+def _time_bound(scenario: Scenario, by: str) -> float | None:
+    """By which a rendezvous is guaranteed under a filter of usual settings, s, or None."""
+    margin = {"min_alignment": 0.1 if by == "heading" else LAW.min_alignment}
+    try:
+        found, _ = answer(scenario, question(scenario, by, margin, 0.0))
+    except ValueError:  # such a filter has no settings here
+        return None
+    return found.time_bound if found.guaranteed else None
 
 
 def question(scenario: Scenario, by: Any, given: Mapping[str, Any], bearing_error: Any) -> Asked:
@@ -227,19 +278,25 @@ def answer(scenario: Scenario, asked: Asked) -> tuple[Certificate, list[tuple[Th
             lacks *= not bounds.meets
         if lacks and theorem.rendezvous and came > nearest:
             nearest, words = came, lacks
-    found = [bounds for _, bounds in applies]
+    return _certificate(scenario, asked, words, [bounds for _, bounds in applies]), applies
+
+
+def _certificate(
+    scenario: Scenario, asked: Asked, lacks: str, found: list[Bounds], policy: str = ""
+) -> Certificate:
+    """The best of the bounds that apply, or in words what is lacking."""
     promised = [bounds.words for bounds in found if bounds.meets]
     least = {
         name: min((getattr(bounds, name) for bounds in found), default=math.inf)
         for name in (*PROMISED, "continuous_time")
     }
-    certificate = Certificate(
+    return Certificate(
         min_alignment=asked.min_alignment,
         dead_zone=scenario.dead_zone,
         certified_step=scenario.certified_step,
         bottleneck_weight=scenario.bottleneck_weight,
         guaranteed=bool(promised),
-        theorem=promised[0] if promised else words,
+        theorem=promised[0] if promised else lacks,
         by=asked.by,
         continuous_time_only=bool(promised) and math.isinf(least["time"]),
         bearing_error=asked.error,
@@ -247,6 +304,6 @@ def answer(scenario: Scenario, asked: Asked) -> tuple[Certificate, list[tuple[Th
         scenario=scenario.name,
         time_limit=scenario.time_limit,
         touches_obstacles=bool(scenario.obstacles) and scenario.obstacle_contact != "ignore",
+        policy=policy,
         **{f"{name}_bound": bound for name, bound in least.items()},
     )
-    return certificate, applies

@@ -154,14 +154,16 @@ def lyapunov_bound(
     return most + 4.0 * total * (scenario.merge_radius / 2.0 if reach is None else reach)
 
 
-def tank_bounds(scenario: Scenario, budget: float) -> tuple[float, float | None]:
+def tank_bounds(
+    scenario: Scenario, budget: float, observes_merges: bool = True
+) -> tuple[float, float | None]:
     """A pair: the most that V with all tanks can be, V0⁺ + (n−1) r W + ΣB_i, m²/s; and where levels
-    follow V, what it is m − 1 times of at most while m are left, (V(0) + ΣB_i)/(n−1) + (n−1) r a;
-    else None (theorem D).
+    follow V, as those of tanks that observe merges do on complete graphs of one weight, what it is
+    m − 1 times of at most while m are left, (V(0) + ΣB_i)/(n−1) + (n−1) r a; else None (theorem D).
     """
     n, reach, each = scenario.n_robots, scenario.speed_limit * scenario.tau, None
     most = float(lyapunov_bound(scenario, reach=reach)) + merge_rise_allowance(scenario)
-    if levels_follow_v(scenario) and merges_at_midpoints(scenario):
+    if observes_merges and levels_follow_v(scenario) and merges_at_midpoints(scenario):
         each = (largest_lyapunov(scenario) + n * budget) / (n - 1)
         each += (n - 1) * scenario.merge_radius * scenario.bottleneck_weight
     return most + n * budget, each

@@ -29,12 +29,12 @@ from .theorem import Asked, Bounds, Theorem
 
 def lyapunov_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """V alone: with walls, and for robots that turn."""
-    return Bounds(lyapunov=known.tank_bounds(scenario, asked.budget)[0])
+    return Bounds(lyapunov=known.tank_bounds(scenario, asked.budget, asked.observes_merges)[0])
 
 
 def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """The time."""
-    most, each = known.tank_bounds(scenario, asked.budget)
+    most, each = known.tank_bounds(scenario, asked.budget, asked.observes_merges)
     words = "theorem D: whatever is wanted, all robots meet in finite time while a tank keeps count"
     words += f" and charges errors of {asked.error:.4g} rad" * (asked.error > 0)
     who, even_so = "a tank of this margin", "; V stays bounded even so"

@@ -49,6 +49,7 @@ class Asked(NamedTuple):
     max_gain: float | None = None
     share: float = 0.5  # λ, without unit
     error: float = 0.0  # η, rad: the larger of the argument and the error of the sensor
+    observes_merges: bool = True  # whether tanks are told of merges, as wrappers are
 
 
 LAW = Asked()
@@ -118,6 +119,11 @@ class Theorem:
             return 0, (
                 "none: theorems end with one robot left, and with meeting='pack' none merges; "
                 "bodies do not overlap, whatever the policy"
+            )
+        if scenario.drops_neighbours:
+            return 0, (
+                "none: with neighbour_overflow='nearest' a robot may have more neighbours than "
+                f"the {scenario.neighbour_slots} rows that it sees, and those do not add up to f"
             )
         failing = ((met, holds(scenario, asked)) for met, holds in enumerate(self.assumptions))
         return next((found for found in failing if found[1]), (len(self.assumptions), ""))

@@ -19,7 +19,9 @@ function show({ scenario, start, policies, robot = 0, time, side = state.side })
   find("scenario").value = scenario;
   const own = kept((one) => one.scenario === scenario);
   const starts = unique(own.map((one) => one.start));
-  fill(find("start"), starts, starts.map((k) => `${k} (seed ${BigInt(DATA.run.seed) + BigInt(k)})`));
+  const { seed } = DATA.run; // none of a single rollout
+  const named = (k) => (seed === undefined ? k : `${k} (seed ${BigInt(seed) + BigInt(k)})`);
+  fill(find("start"), starts, starts.map(named));
   find("start").value = start;
   // of a start that is kept because a policy failed there are no others
   const names = unique(own.filter((one) => one.start === Number(start)).map(({ policy }) => policy));

@@ -1,0 +1,133 @@
+"""What stable-baselines3 logs of episodes, by the names that ``rendezvous train`` writes."""
+
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import KVWriter
+
+_MEANS = ("contacts", "path_length")
+_PARTS = ("cost", "reward_")
+"""Beginnings of keys of an episode that are logged as means."""
+
+
+def episode_numbers(episodes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What is logged of the episodes that ended; NaN without any.
+
+    Args:
+        episodes: ``info["episode"]`` of each, see ``RobotVecEnv``.
+
+    Returns:
+        ``episodes``, their number; ``success`` and ``clean_success`` (without a contact), shares;
+        ``median_time``, s, NaN where fewer than half met; ``return``; and means of ``contacts``,
+        ``path_length`` in m, each ``cost_NAME`` and each ``reward_NAME``.
+    """
+    if not episodes:
+        names = ("success", "clean_success", "median_time", "return")
+        return {"episodes": 0, **dict.fromkeys(names, np.nan)}
+    success, contacts, times, earned = (
+        np.array([episode[key] for episode in episodes])
+        for key in ("success", "contacts", "time", "r")
+    )
+    median = np.median(np.where(success, times, np.inf))
+    keys = dict.fromkeys(key for episode in episodes for key in episode)
+    means = [key for key in keys if key in _MEANS or key.startswith(_PARTS)]
+    return {
+        "episodes": len(episodes),
+        "success": success.mean(),
+        "clean_success": (success & (contacts == 0)).mean(),
+        "median_time": median if np.isfinite(median) else np.nan,
+        "return": earned.mean(),
+        **{key: float(np.mean([one.get(key, 0.0) for one in episodes])) for key in means},
+    }
+
+
+class EpisodeLog(BaseCallback):
+    """Logs how episodes went: collision-free success, time, contacts, costs and reward terms.
+
+        model = PPO("MlpPolicy", robots, tensorboard_log="out/tensorboard")
+        model.learn(200_000, callback=EpisodeLog())
+
+    Each rollout logs the means of the episodes that ended in it, as ``train/clean_success`` and so
+    on, see ``episode_numbers``, to whatever the model's logger writes: TensorBoard, CSV, the
+    terminal, and Weights & Biases with ``WandbLog``. The environment is a ``RobotVecEnv`` without
+    a ``VecMonitor``, which would keep returns and lengths only.
+
+    Args:
+        prefix: of the names; "train" is what ``rendezvous train`` writes.
+    """
+
+    def __init__(self, prefix: str = "train") -> None:
+        super().__init__()
+        self.prefix = prefix
+        self._ended: list[dict[str, Any]] = []
+
+    def _on_step(self) -> bool:
+        infos = self.locals["infos"]
+        self._ended += [one["episode"] for one in infos if "success" in one.get("episode", ())]
+        return True
+
+    def _on_rollout_end(self) -> None:
+        if self._ended:
+            for name, value in episode_numbers(self._ended).items():
+                self.logger.record(f"{self.prefix}/{name}", value)
+            self._ended.clear()
+
+
+class WandbLog(BaseCallback):
+    """Sends all that a model logs to Weights & Biases, with its number of steps.
+
+        model.learn(200_000, callback=[EpisodeLog(), WandbLog(project="rendezvous")])
+
+    Args:
+        arguments: of ``wandb.init``.
+
+    Raises:
+        ImportError: where wandb is not installed, when learning begins.
+    """
+
+    def __init__(self, **arguments: Any) -> None:
+        super().__init__()
+        self.arguments = arguments
+        self.run: Any = None
+        """Of wandb, while a model learns."""
+
+    def _on_training_start(self) -> None:
+        try:
+            wandb = import_module("wandb")
+        except ImportError as error:
+            raise ImportError("WandbLog needs wandb: pip install wandb", name="wandb") from error
+        self.run = wandb.init(**self.arguments)
+        self._writer = _WandbWriter(self.run)
+        self.logger.output_formats.append(self._writer)
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_training_end(self) -> None:
+        self.logger.output_formats.remove(self._writer)
+        self.run.finish()
+
+
+class _WandbWriter(KVWriter):
+    """A writer of stable-baselines3's logger: numbers go to a run of wandb."""
+
+    def __init__(self, run: Any) -> None:
+        self._run = run
+
+    def write(
+        self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
+    ) -> None:
+        """Send the numbers of a dump."""
+        numbers = (int, float, np.integer, np.floating)
+        kept = {
+            key: float(value)
+            for key, value in key_values.items()
+            if isinstance(value, numbers) and "wandb" not in (key_excluded.get(key) or ())
+        }
+        self._run.log(kept, step=step)
+
+    def close(self) -> None:
+        """Nothing is open: the callback ends the run."""

@@ -1,0 +1,82 @@
+"""Observations of a fixed size: rows are added, or the nearest neighbours and obstacles chosen.
+
+The engine writes a row for every neighbour and obstacle. Robots measure bearings only; which rows
+stay where there is no room for all is decided by distances, which the simulator knows.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .obstacles.obstacle_set import distances_to, world_of
+from .scenario.observation_layout import ObservationLayout
+from .scenario.scenario import Scenario
+
+Float32 = NDArray[np.float32]
+Array = NDArray[np.float64]
+
+
+class ObservationFit:
+    """Turns observations of ``Scenario.with_all_rows`` into those of a scenario's own layout."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.full: ObservationLayout = scenario.with_all_rows.observation_layout
+        self.own = scenario.observation_layout
+        n = scenario.n_robots
+        others = np.arange(n - 1) + (np.arange(n - 1) >= np.arange(n)[:, None])
+        self._others: NDArray[np.int64] = others
+        """Robot that each neighbour row belongs to, (n, n − 1)."""
+
+    def __call__(self, observations: Float32, positions: Array, obstacles: Array) -> Float32:
+        """Rows of the own layout, (B, n, rows, d), of observations with all rows.
+
+        Args:
+            observations: (B, n, rows, d).
+            positions: of the robots, (B, n, d), m.
+            obstacles: tables of the obstacles, (B, M, width), see ``obstacles.obstacle_set``.
+        """
+        own, full = self.own, self.full
+        fitted = np.zeros((*observations.shape[:2], *own.shape), np.float32)
+        seen = observations[..., full.neighbours, :]
+        kept = fitted[..., own.neighbours, :]
+        if seen.shape[2] <= kept.shape[2]:
+            kept[:, :, : seen.shape[2]] = seen
+        else:
+            kept[...] = _nearest(seen, self._distances(positions), kept.shape[2])
+        self._fit_obstacles(observations, positions, obstacles, fitted)
+        fitted[..., own.obstacles.stop :, :] = observations[..., full.obstacles.stop :, :]
+        return fitted
+
+    def _fit_obstacles(
+        self, observations: Float32, positions: Array, obstacles: Array, fitted: Float32
+    ) -> None:
+        own, full = self.own, self.full
+        seen, kept = observations[..., full.obstacles, :], fitted[..., own.obstacles, :]
+        if seen.shape[2] <= kept.shape[2]:
+            kept[:, :, : seen.shape[2]] = seen
+        elif own.obstacle_slots:
+            sets = (*seen.shape[:2], full.obstacle_slots, -1)
+            distances = np.full(sets[:3], np.inf)
+            world = world_of(obstacles)
+            for env in range(len(seen)):
+                mine = type(world)(*(part[env] for part in world))
+                distances_to(mine, positions[env], distances[env])
+            chosen = _nearest(seen.reshape(sets), distances, own.obstacle_slots)
+            kept[...] = chosen.reshape(kept.shape)
+
+    def _distances(self, positions: Array) -> Array:
+        """Of every robot to the robots of its rows, (B, n, n − 1), m."""
+        offsets = positions[:, self._others] - positions[:, :, None]
+        return np.asarray(np.linalg.norm(offsets, axis=-1))
+
+
+def _nearest(rows: Float32, distances: Array, count: int) -> NDArray[Any]:
+    """The ``count`` nearest of the rows (B, n, N, …) that are not zero, in their order."""
+    there = rows.any(axis=-1)
+    distances = np.where(there, distances, np.inf)
+    order = np.argsort(distances, axis=-1, kind="stable")[..., :count]
+    # those that are there first, in the order of their rows
+    absent = np.isinf(np.take_along_axis(distances, order, axis=-1))
+    order = np.sort(order + absent * rows.shape[2], axis=-1) % rows.shape[2]
+    return np.take_along_axis(rows, order[..., None], axis=2)

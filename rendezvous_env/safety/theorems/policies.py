@@ -1,0 +1,107 @@
+"""Certificates of policies: what their own filters keep, or that nothing is known of a function."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from ...checks import refuse, shown
+from ...scenario.scenario import Scenario
+from ..settings import MAX_TURN_RATE, bounded_error
+from .theorem import at_most
+
+Guarantee = dict[str, Any]
+"""Arguments of ``certificate``, see ``guarantee_of``."""
+TimeBound = Callable[[str], float | None]
+"""By which robots meet under a filter, s, by its name; None where that is not guaranteed."""
+WRAPPERS = {
+    "heading": "HeadingVectorWrapper",
+    "tank": "EnergyTankWrapper",
+    "gains": "GainWrapper",
+    "links": "LinkKeepingWrapper",
+}
+"""Wrappers that keep a guarantee whatever a policy chooses, by the name that ``certificate`` has
+for them."""
+_POLICIES = {"heading": "baselines.HeadingPolicy", "tank": "baselines.TankPolicy"}
+"""Policies that keep the same guarantee around a function of observations."""
+_NOT_OF_FILTERS = ("name", "on_merge", "reward", "costs", "time_limit")
+"""Fields of a scenario that change nothing of what a filter does."""
+_TOLD = ("heading", "tank", "links")
+"""Filters that have to be given the error of bearings."""
+
+
+def guarantee_of(scenario: Scenario, policy: object) -> Guarantee | None:
+    """Arguments of ``certificate`` that a policy's ``guarantee`` gives; None if it keeps none.
+
+    ``guarantee`` may also hold ``max_turn_rate``, rad/s, of a filter of robots that turn, and
+    ``observes_merges``, whether a tank is told of merges.
+
+    Raises:
+        TypeError: for a policy that cannot be called.
+        ValueError: for a policy that was made for another scenario.
+    """
+    if isinstance(policy, str) or not callable(policy):
+        wanted = "a function of observations and time; baselines.make(name, scenario) makes one"
+        raise TypeError(f"policy is {shown(policy)}; it must be {wanted}")
+    own = getattr(policy, "scenario", None)
+    if isinstance(own, Scenario) and _filters_differ(own, scenario):
+        wanted = f"made for this scenario, {scenario.name!r}: filters follow from a scenario's own"
+        refuse("policy", name_of(policy), f"{wanted} step and gains; it was made for {own.name!r}")
+    found = getattr(policy, "guarantee", None)
+    return dict(found) if isinstance(found, Mapping) else None
+
+
+def _filters_differ(one: Scenario, other: Scenario) -> bool:
+    """Whether filters of two scenarios may: what they depend on is not the same."""
+    ignored = {name: getattr(other, name) for name in _NOT_OF_FILTERS}
+    return one.replace(**ignored) != other
+
+
+def unmet(scenario: Scenario, guarantee: Guarantee) -> str:
+    """Why a filter's settings do not keep its guarantee in this scenario; empty if they do."""
+    own, told = bounded_error(scenario.sensing, scenario.dim), guarantee.get("bearing_error", 0.0)
+    if guarantee.get("by") in _TOLD and told < own:
+        return (
+            f"none: the sensor's bearings may err by {own:.4g} rad, and the policy's filter "
+            f"expects {told:.4g} rad at most; make it with bearing_error={own:.6g}"
+        )
+    needed = min(scenario.turn_limit, MAX_TURN_RATE)
+    if scenario.model.nonholonomic and guarantee.get("max_turn_rate", math.inf) < needed:
+        return (
+            f"none: the policy's filter turns robots by {guarantee['max_turn_rate']:.4g} rad/s at "
+            f"most; make it with max_turn_rate={needed:.6g} or more"
+        )
+    return ""
+
+
+def no_guarantee(policy: object, time_bound: TimeBound) -> str:
+    """That nothing is known of a policy's actions, and what would guarantee a rendezvous, of which
+    ``time_bound(by)`` is the bound, s, or None where there is no guarantee.
+    """
+    found = {by: time_bound(by) for by in WRAPPERS}
+    kept = {by: bound for by, bound in found.items() if bound is not None}
+    words = f"none: {name_of(policy)} may choose any action, and no theorem covers it. "
+    if kept:
+        listed = [f"rendezvous_env.{WRAPPERS[by]} ({_within(bound)})" for by, bound in kept.items()]
+        words += f"Guaranteed whatever it chooses under {_joined(listed)}"
+        if around := [_POLICIES[by] for by in kept if by in _POLICIES]:
+            words += f", or as a policy inside {_joined(around)}"
+        words += ". "
+    else:
+        words += "No wrapper guarantees a rendezvous in this scenario either. "
+    return f"{words}rendezvous verify --policy MODULE:FUNCTION searches for counterexamples"
+
+
+def name_of(policy: object) -> str:
+    """What messages call a policy: a function's name, or an object's class."""
+    return str(getattr(policy, "__name__", None) or type(policy).__name__.lstrip("_"))
+
+
+def _within(bound: float) -> str:
+    return f"within {at_most(bound)} s" if math.isfinite(bound) else "no bound on the time"
+
+
+def _joined(words: list[str]) -> str:
+    *first, last = words
+    return f"{', '.join(first)} or {last}" if first else last

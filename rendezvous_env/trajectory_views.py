@@ -1,0 +1,283 @@
+"""Trajectories for people: one line, a table, figures, a page, files."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import zipfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from html import escape
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .checks import load, refuse, whole
+from .scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+_FIGURES = "rendezvous_env.train.figures.path_figures"
+_PAGES = "rendezvous_env.train.report.rollout_page"
+"""Modules of the package above this one, which draw; imported when something is drawn."""
+_SHOWN = 10
+"""Rows of a table that are printed, if it has two more than so many."""
+_FORMAT = 1
+"""Of files; read back by versions that know it."""
+_KEPT, _START = "recorded/", "start/"
+"""Prefixes in a file of what was recorded on request, and of the state after the reset."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A row for each environment of a rollout; it prints as a table, in notebooks as well."""
+
+    rows: tuple[dict[str, Any], ...]
+    """Columns by name: ``env``; ``outcome``, "met" or "time limit"; ``time`` of rendezvous or of
+    the limit, s; ``merges``; ``contacts``, one for each robot and step; ``collision_free``;
+    ``path_length`` of all robots, m; ``initial_lyapunov`` and ``largest_rise`` of V between
+    merges, m²/s; ``return``, the sum of rewards."""
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        return iter(self.rows)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """The rows as a pandas DataFrame; an ImportError says how to get pandas."""
+        return load("pandas", "to_dataframe()", "analysis").DataFrame(list(self.rows))
+
+    def __str__(self) -> str:
+        head, *rows = self._cells()
+        widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+        lines = [
+            "  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True))
+            for line in (head, *rows)
+        ]
+        lines.insert(1, "  ".join("-" * width for width in widths))
+        return "\n".join([*lines, *self._left_out(), self._in_all()])
+
+    def to_html(self) -> str:
+        """The table as HTML, as notebooks show it."""
+        head, *rows = ([f"<td>{escape(cell)}</td>" for cell in line] for line in self._cells())
+        body = "".join(f"<tr>{''.join(row)}</tr>" for row in rows)
+        first = "".join(head).replace("td>", "th>")
+        below = "".join(f"<p>{escape(line)}</p>" for line in (*self._left_out(), self._in_all()))
+        return f"<table><thead><tr>{first}</tr></thead><tbody>{body}</tbody></table>{below}"
+
+    __repr__ = __str__
+    _repr_html_ = to_html
+
+    @property
+    def _few(self) -> tuple[dict[str, Any], ...]:
+        return self.rows if len(self.rows) <= _SHOWN + 2 else self.rows[:_SHOWN]
+
+    def _left_out(self) -> list[str]:
+        left = len(self.rows) - len(self._few)
+        return [f"… and {left} environments more"] if left else []
+
+    def _cells(self) -> list[list[str]]:
+        units = {
+            "time": "s",
+            "path_length": "m",
+            "initial_lyapunov": "m²/s",
+            "largest_rise": "m²/s",
+        }
+        words = {"initial_lyapunov": "V(0)", "largest_rise": "largest rise of V"}
+        head = [
+            words.get(name, name.replace("_", " ")) + (f" ({units[name]})" if name in units else "")
+            for name in self.rows[0]
+        ]
+        return [head, *([_cell(value) for value in row.values()] for row in self._few)]
+
+    def _in_all(self) -> str:
+        count = len(self.rows)
+        met = [row["time"] for row in self.rows if row["outcome"] == "met"]
+        free = sum(row["collision_free"] and row["outcome"] == "met" for row in self.rows)
+        median = f", median time {float(np.median(met)):.3g} s" if met else ""
+        return f"{len(met)} of {count} met, {free} of {count} met collision-free{median}"
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return "–" if math.isinf(value) else f"{value:.4g}"
+    return str(value)
+
+
+class TrajectoryViews:
+    """What a trajectory shows of itself; see ``trajectory.Trajectory`` for the arrays."""
+
+    scenario: Any
+    times: NDArray[np.float64]
+    positions: NDArray[np.float64]
+    active: NDArray[np.bool_]
+    lyapunov: NDArray[np.float64]
+    rewards: NDArray[np.float64]
+    contacts: NDArray[np.bool_]
+    success: NDArray[np.bool_]
+    rendezvous_time: NDArray[np.float64]
+    recorded: Mapping[str, NDArray[np.float32]]
+    start: Mapping[str, NDArray[Any]]
+    policy: str
+
+    @property
+    def num_envs(self) -> int:
+        """Number of environments B."""
+        return int(self.positions.shape[1])
+
+    @property
+    def collision_free(self) -> NDArray[np.bool_]:
+        """(B,), whether no robot touched an obstacle; with ``success`` the usual measure."""
+        return np.asarray(~self.contacts.any(axis=(0, 2)))
+
+    def __repr__(self) -> str:
+        """What was run, for how long, and how it ended, in one line."""
+        count, met = self.num_envs, int(self.success.sum())
+        ended = "met" if met else "did not meet"
+        if count > 1:
+            ended = f"{met} of {count} met"
+        free = int((self.success & self.collision_free).sum())
+        if self.scenario.obstacles:
+            ended += f", {free} collision-free" if count > 1 else ", collision-free" * free
+        kept = f", recorded: {', '.join(self.recorded)}" if self.recorded else ""
+        under = f" under {self.policy}" if self.policy else ""
+        return (
+            f"<Trajectory of {self.scenario.name!r}{under}: "
+            f"{count} environment{'s' * (count > 1)}, {self.positions.shape[2]} robots, "
+            f"{len(self.times) - 1} steps, "
+            f"{float(self.times[-1]):.4g} s; {ended}{kept}>"
+        )
+
+    def summary(self) -> Summary:
+        """A table: for each environment its outcome, time, merges, contacts, path length, V and
+        return.
+        """
+        moved = np.linalg.norm(np.diff(self.positions, axis=0), axis=-1)
+        moved = np.where(self.active[:-1], moved, 0.0).sum(axis=(0, 2))
+        rises: Any = getattr(self, "largest_rise_between_merges")  # noqa: B009 - of the subclass
+        running: Any = getattr(self, "running")  # noqa: B009
+        columns = {
+            "env": np.arange(self.num_envs),
+            "outcome": np.where(self.success, "met", "time limit"),
+            "time": np.where(self.success, self.rendezvous_time, self.times[-1]),
+            "merges": (self.active[:-1] & ~self.active[1:]).sum(axis=(0, 2)),
+            "contacts": self.contacts.sum(axis=(0, 2)),
+            "collision_free": self.collision_free,
+            "path_length": moved,
+            "initial_lyapunov": self.lyapunov[0],
+            "largest_rise": rises,
+            "return": np.where(running, self.rewards, 0.0).sum(axis=0),
+        }
+        listed = {name: column.tolist() for name, column in columns.items()}
+        rows = zip(*listed.values(), strict=True)
+        return Summary(tuple(dict(zip(listed, row, strict=True)) for row in rows))
+
+    def plot(self, env: int = 0) -> Figure:
+        """Paths and V(t) of one environment, as a matplotlib Figure."""
+        return import_module(_FIGURES).trajectory_figure(self, self._env(env))
+
+    def plot_lyapunov(self, certificate: Any = None) -> Figure:
+        """V(t) of all environments, as a matplotlib Figure; with a ``Certificate`` beside its
+        bounds on V and on the time, which no environment exceeds.
+
+        Raises:
+            ValueError: for the certificate of another scenario.
+        """
+        if certificate is not None and certificate.scenario != self.scenario.name:
+            refuse("certificate", certificate.scenario, f"of scenario {self.scenario.name!r}")
+        return import_module(_FIGURES).lyapunov_figure(self, certificate)
+
+    def to_report(self, path: str | os.PathLike[str] = "replay.html", envs: int = 8) -> Path:
+        """Write an HTML page with an interactive replay of the first environments.
+
+        The page needs no network. The rollout is played once more, with its recorded actions or by
+        its policy.
+
+        Args:
+            path: file to write.
+            envs: most environments that it shows.
+
+        Returns:
+            The path.
+
+        Raises:
+            ValueError: if the rollout does not repeat itself, or its policy is not known, as after
+                ``load``, and no actions were recorded: ``rollout(…, record="actions")``.
+        """
+        return import_module(_PAGES).write(self, Path(path), whole("envs", envs, 1, 10**6))
+
+    def _env(self, env: int) -> int:
+        return whole("env", env, 0, self.num_envs - 1)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write everything but the policy to a compressed NumPy archive (.npz), whole or not at
+        all; the path.
+        """
+        place = Path(path)
+        arrays = {
+            field.name: value
+            for field in fields(self)  # type: ignore[arg-type]  # of the subclass
+            if isinstance(value := getattr(self, field.name), np.ndarray)
+        }
+        arrays |= {f"{_KEPT}{name}": array for name, array in self.recorded.items()}
+        about = {"format": _FORMAT, "scenario": self.scenario.to_plain(), "policy": self.policy}
+        arrays |= {f"{_START}{name}": array for name, array in self.start.items()}
+        arrays["about"] = np.array(json.dumps(about))
+        part = place.with_name(f".{place.name}.{os.getpid()}.part")
+        try:
+            with part.open("wb") as file:
+                np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+            part.replace(place)
+        finally:
+            part.unlink(missing_ok=True)
+        return place
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read what ``save`` wrote.
+
+        Raises:
+            FileNotFoundError: if there is no such file.
+            ValueError: for another file, or a scenario that cannot be here, as one whose reward
+                term is not registered.
+        """
+        about, arrays = _read(path)
+        own: dict[str, Any] = {"recorded": _taken(arrays, _KEPT), "start": _taken(arrays, _START)}
+        own |= {"scenario": Scenario.from_plain(about["scenario"]), "policy": about["policy"]}
+        try:
+            return cls(**own, **arrays)
+        except TypeError as error:
+            raise ValueError(f"{path} is no trajectory of this version: {error}") from error
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"played_by": None}  # which may be a function that cannot be pickled
+
+
+def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """What ``save`` wrote: plain data about the rollout, and its arrays by name; errors as of
+    ``Trajectory.load``.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        about = json.loads(str(arrays.pop("about")[()]))
+        if about["format"] != _FORMAT:
+            raise ValueError(f"format {about['format']}; this version reads {_FORMAT}")
+    except (ValueError, KeyError, TypeError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} is no trajectory: {error}; Trajectory.save writes one") from error
+    return about, arrays
+
+
+def _taken(arrays: dict[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
+    """Arrays whose names have a prefix, taken out of those of a file."""
+    names = [name for name in arrays if name.startswith(prefix)]
+    return {name.removeprefix(prefix): arrays.pop(name) for name in names}
