@@ -136,7 +136,12 @@ def robots() -> Any:
     figure = new_figure(PAGE, 2.0)
     panels = figure.subplots(1, 4)
     titles = ("single_integrator", "double_integrator", "unicycle", "nonholonomic_3d")
-    holds = ("input: velocity", "input: acceleration", "inputs: v, turn rate ω", "inputs: v, yaw and pitch rate")
+    holds = (
+        "input: velocity",
+        "input: acceleration",
+        "inputs: v, turn rate ω",
+        "inputs: v, yaw and pitch rate",
+    )
     for axes, title, held in zip(panels, titles, holds, strict=True):
         axes.set_title(title, fontsize=TEXT)
         axes.text(0, -1.35, held, ha="center", fontsize=TEXT)
@@ -160,7 +165,9 @@ def robots() -> Any:
         axes.plot([-0.425], [0.736], marker=(3, 0, 120), color=GREEN, markersize=7)
     panels[2].text(0.0, 0.98, "ω", color=GREEN, fontsize=TEXT, ha="center")
     panels[3].text(0.0, 0.98, "yaw", color=GREEN, fontsize=TEXT, ha="center")
-    panels[3].add_patch(Arc((0, 0), 0.8, 1.9, theta1=250, theta2=330, color=ROBOT_COLOURS[3], lw=1.6))
+    panels[3].add_patch(
+        Arc((0, 0), 0.8, 1.9, theta1=250, theta2=330, color=ROBOT_COLOURS[3], lw=1.6)
+    )
     panels[3].plot([0.35], [-0.42], marker=(3, 0, -15), color=ROBOT_COLOURS[3], markersize=7)
     panels[3].text(0.5, -0.85, "pitch", color=ROBOT_COLOURS[3], fontsize=TEXT)
     return figure
@@ -177,10 +184,7 @@ def graphs() -> Any:
     star = np.concatenate([[[0.0, 0.0]], circle[:5] * 1.0])
     spread = np.array([[-1, 0.8], [-0.4, 0.2], [0.3, 0.6], [0.9, 0.0], [-0.8, -0.7], [0.5, -0.9]])
     near = [
-        (i, j)
-        for i in range(6)
-        for j in range(i)
-        if np.linalg.norm(spread[i] - spread[j]) < 1.3
+        (i, j) for i in range(6) for j in range(i) if np.linalg.norm(spread[i] - spread[j]) < 1.3
     ]
     shown: list[tuple[str, np.ndarray, list[tuple[int, int]], bool]] = [
         ("complete", circle, [(i, j) for i in range(6) for j in range(i)], False),
@@ -228,7 +232,9 @@ def bound() -> Any:
     scenario = rv.scenarios.get("ring-12")
     turn = np.array([[0.8, 0.6], [-0.6, 0.8]])
     net_bearing = scenario.observation_layout.net_bearing
-    policy = baselines.HeadingPolicy(scenario, lambda seen: net_bearing(seen) @ turn, min_alignment=0.5)
+    policy = baselines.HeadingPolicy(
+        scenario, lambda seen: net_bearing(seen) @ turn, min_alignment=0.5
+    )
     played = rv.rollout(scenario, policy, seed=0)
     given = scenario.replace(start_positions=played.positions[0, 0])
     found = rv.certificate(given, min_alignment=0.5)
@@ -255,7 +261,9 @@ def tightness() -> Any:
     figure = new_figure(COLUMN + 1.2, 2.9)
     axes = figure.subplots()
     for k, name in enumerate(kept_by):
-        points = [[float(x.replace(",", "")) for x in found[2:]] for found in rows if found[0] == name]
+        points = [
+            [float(x.replace(",", "")) for x in found[2:]] for found in rows if found[0] == name
+        ]
         median, longest, _, own = np.array(points).T
         axes.plot(median, own, "os^Dv"[k], color=ROBOT_COLOURS[k], markersize=5, label=name)
         axes.hlines(own, median, longest, color=ROBOT_COLOURS[k], linewidth=1)
@@ -308,7 +316,9 @@ def thumbnail(name: str) -> Any:
         elif len(shape.vertices):
             axes.add_patch(Polygon(shape.vertices, facecolor=ORANGE, edgecolor=EDGE, lw=0.4))
         else:
-            axes.add_patch(Circle(shape.centre, shape.radius, facecolor=ORANGE, edgecolor=EDGE, lw=0.4))
+            axes.add_patch(
+                Circle(shape.centre, shape.radius, facecolor=ORANGE, edgecolor=EDGE, lw=0.4)
+            )
     links = np.argwhere(np.triu((weights > 0) | (weights.T > 0)))
     if len(links) <= MOST_LINKS:
         for pair in links:
@@ -327,7 +337,9 @@ def _ball(axes: Any, centre: np.ndarray, radius: float) -> None:
         [np.outer(np.cos(around), np.sin(up)), np.outer(np.sin(around), np.sin(up)),
          np.outer(np.ones(9), np.cos(up))]
     )  # fmt: skip
-    axes.plot_surface(*(centre[:, None, None] + radius * unit), color=ORANGE, alpha=0.35, linewidth=0)
+    axes.plot_surface(
+        *(centre[:, None, None] + radius * unit), color=ORANGE, alpha=0.35, linewidth=0
+    )
 
 
 if __name__ == "__main__":
