@@ -75,7 +75,7 @@ def data() -> str:
     """Reference of fields, columns and arrays."""
     parts = [
         "# File formats\n",
-        "Generated from the code. `rendezvous_env/limits.py` holds the numeric limits of all fields.\n",
+        "Generated from the code. `rendezvous_env/limits.py` holds the numeric limits of fields.\n",
     ]
     for kind, note in DATA:
         parts += [f"## `{kind.__name__}`\n", f"{note}\n", fields_table(kind)]
