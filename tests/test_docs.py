@@ -185,8 +185,8 @@ def test_all_scenarios_and_policies_are_listed():
     described = (ROOT / "docs/scenarios.md").read_text(encoding="utf-8")
     for name in rv.scenarios.names():
         scenario = rv.scenarios.get(name)
-        row = f"| `{name}` | {scenario.n_robots} | {scenario.dim} | {scenario.robot_model} |"
-        assert row in described
+        robots = f"{scenario.n_robots} × {scenario.robot_model}, {scenario.dim}-D"
+        assert f"| ![{name}](images/scenarios/{name}.png) | `{name}` | {robots} |" in described
     laws = (ROOT / "docs/laws.md").read_text(encoding="utf-8")
     for name in policy.names():
         assert f"`{name}`" in laws, name

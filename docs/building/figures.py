@@ -280,6 +280,43 @@ def tightness() -> Any:
     return figure
 
 
+@styled
+def guarantee_price() -> Any:
+    """Success and time of the PPO learners against rises of V, from docs/leaderboard.md."""
+    from matplotlib.lines import Line2D
+
+    text = (ROOT / "docs" / "leaderboard.md").read_text(encoding="utf-8")
+    number, interval = r"([\d.]+)", r"([\d.]+) \(([\d.]+) to ([\d.]+)\)"
+    row = r"^\| ppo-(\w+) \| [^|]+ \| (\w+) \| [^|]+ "
+    row += rf"\| {interval} \| {interval} \| {number} \| {number} "
+    marks = {"none": "o", "heading": "s", "tank": "D"}
+    figure = new_figure(PAGE, 3.0)
+    panels = figure.subplots(1, 2)
+    for found in re.finditer(row, text, flags=re.MULTILINE):
+        name, guarantee = found[1], found[2]
+        values = [float(value) for value in found.groups()[2:]]
+        colour = {"none": BLACK, "heading": BLUE, "tank": VERMILLION}[guarantee]
+        for axes, (value, low, high) in zip(panels, (values[:3], values[3:6]), strict=True):
+            bars = [[value - low], [high - value]]
+            look = {"fmt": marks[guarantee], "color": colour, "capsize": 2, "markersize": 5}
+            axes.errorbar(values[7] / 10, value, bars, **look)
+            place = {"cbf": (6, -11), "lagrangian": (-60, 6), "tank": (-26, 4)}.get(name, (6, 4))
+            axes.annotate(name, (values[7] / 10, value), place, textcoords="offset points")
+    panels[0].set(ylabel="collision-free success (%)", ylim=(-3, 105))
+    panels[1].set(ylabel="time (s)", ylim=(0, 65))
+    for axes in panels:
+        axes.set(xlabel="steps in which V rose (%)", xlim=(-1, 44))
+        axes.grid(True)
+    shapes = (("none", "no guarantee"), ("heading", "certified headings"), ("tank", "energy tank"))
+    colours = (BLACK, BLUE, VERMILLION)
+    handles = [
+        Line2D([], [], linestyle="", marker=marks[key], color=colour, markersize=5, label=label)
+        for (key, label), colour in zip(shapes, colours, strict=True)
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=3, fontsize=8)
+    return figure
+
+
 FIGURES: dict[str, Callable[[], Any]] = {
     "task": task,
     "filter": filter_loop,
@@ -287,6 +324,7 @@ FIGURES: dict[str, Callable[[], Any]] = {
     "graphs": graphs,
     "bound": bound,
     "tightness": tightness,
+    "guarantee-price": guarantee_price,
 }
 
 
