@@ -17,8 +17,6 @@ PAGES = [
 PACKAGES = ("rendezvous_env", "baselines", "train")
 LONGEST = 25
 """Words of a sentence."""
-LONGEST_OF = {"docs/proofs.md": 75}
-"""Proofs chain inequalities and conditions that belong together."""
 LONGEST_CELL = 22
 """Words of a cell of a table."""
 BANNED = re.compile(
@@ -112,11 +110,10 @@ def each(pages: list[Path]) -> list[object]:
 
 @pytest.mark.parametrize("page", each(PAGES))
 def test_page_sentences_are_short(page):
-    longest = LONGEST_OF.get(page.relative_to(ROOT).as_posix(), LONGEST)
-    long = [one for one in sentences(text_of(page)) if words(one) > longest]
+    long = [one for one in sentences(text_of(page)) if words(one) > LONGEST]
     assert not long, "\n".join(f"{words(one)} words: {one}" for one in long)
     long = [cell for cell in cells(text_of(page)) if words(cell) > LONGEST_CELL]
-    assert not long or page.name == "proofs.md", "\n".join(long)
+    assert not long, "\n".join(long)
 
 
 @pytest.mark.parametrize("page", each(PAGES))
@@ -130,7 +127,7 @@ def test_page_words_are_those_of_the_field(page):
         for term, better in VOCABULARY.items()
         for match in re.finditer(rf"\b({term})\b", text, re.IGNORECASE)
     ]
-    assert not found or page.name == "proofs.md", found
+    assert not found, found
 
 
 def test_docstrings_approach_the_rules():
