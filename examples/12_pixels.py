@@ -8,11 +8,12 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from train.pixels import pixels
 
 EVERY, PAUSE = 3, 1500  # steps per frame of the film; pause at its end, ms
+STRIP = 81  # pixels: height of an image strip with its label
 QUARTERS = (1, 0, 3, 2)  # cameras from left to right
 
 
@@ -79,9 +80,19 @@ class Film:
 
     def write(self, path, step):
         """Write a GIF in real time, for a step length in s."""
-        first, *others = [Image.fromarray(picture).quantize(48) for picture in self.pictures]
+        labelled = [label(Image.fromarray(picture)) for picture in self.pictures]
+        first, *others = [picture.quantize(48) for picture in labelled]
         lasts = [round(1000 * EVERY * step)] * len(others) + [PAUSE]
         first.save(path, save_all=True, append_images=others, duration=lasts, loop=0)
+
+
+def label(picture):
+    """Name the robot of each image strip, and explain the marks."""
+    draw = ImageDraw.Draw(picture)
+    for k in range(picture.height // STRIP):
+        place = picture.width - 4 * 64 + 3, STRIP * (k + 1) - 15
+        draw.text(place, f"robot {k}: bearings black, obstacle edges red", fill=(0, 0, 0))
+    return picture
 
 
 def strip(pictures, found):
@@ -90,7 +101,7 @@ def strip(pictures, found):
     if found is not None:
         out[:8, [column(angle) for angle in found.bearings]] = 0
         out[-8:, [column(angle) for angle in found.edges.ravel()]] = (200, 0, 0)
-    return np.concatenate([out, np.full((17, out.shape[1], 3), 255, np.uint8)])
+    return np.concatenate([out, np.full((STRIP - len(out), out.shape[1], 3), 255, np.uint8)])
 
 
 def column(angle):
