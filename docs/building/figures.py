@@ -129,6 +129,50 @@ def filter_loop() -> Any:
 
 
 @styled
+def api() -> Any:
+    """Map of the public API, from a scenario to interfaces and results."""
+    from matplotlib.patches import FancyBboxPatch
+
+    figure = new_figure(PAGE, 2.4)
+    axes = figure.subplots()
+    blocks = {
+        "Scenario": (0.0, 1.5, BLUE, "name, object or\nTOML file"),
+        "Simulator": (3.0, 1.5, BLUE, "all environments,\nall threads"),
+        "interfaces": (6.0, 2.7, BLUE, "parallel_env, make_vec,\ngymnasium.make"),
+        "training_env": (9.0, 2.7, BLUE, "SB3, TorchRL, RLlib,\nBenchMARL, PufferLib"),
+        "rollout": (6.0, 1.5, GREEN, "Trajectory:\narrays, pandas"),
+        "compare, report": (9.0, 1.5, GREEN, "statistics, replay"),
+        "certificate": (3.0, 0.3, VERMILLION, "assumptions, bounds"),
+        "policies": (6.0, 0.3, VERMILLION, "laws, rules, learned,\nTrainedPolicy"),
+        "RobotPolicy, export": (9.0, 0.3, VERMILLION, "hardware"),
+    }
+    width, height = 2.3, 0.85
+    for name, (x, y, colour, inside) in blocks.items():
+        box = FancyBboxPatch(
+            (x, y), width, height, boxstyle="round,pad=0.04", fc="white", ec=colour, lw=1.4
+        )
+        axes.add_patch(box)
+        where = {"ha": "center", "va": "center"}
+        axes.text(x + width / 2, y + 0.67, name, color=colour, weight="bold", fontsize=8.5, **where)
+        axes.text(x + width / 2, y + 0.27, inside, fontsize=8, **where)
+    ends = [
+        ((2.35, 1.92), (2.95, 1.92)),
+        ((5.35, 2.1), (5.95, 3.0)),
+        ((5.35, 1.92), (5.95, 1.92)),
+        ((8.35, 3.12), (8.95, 3.12)),
+        ((8.35, 1.92), (8.95, 1.92)),
+        ((2.35, 1.7), (2.95, 0.8)),
+        ((7.15, 1.2), (7.15, 1.45)),
+        ((8.35, 0.72), (8.95, 0.72)),
+    ]
+    for start, end in ends:
+        _arrow(axes, start, end, BLACK, 1.0)
+    axes.set(xlim=(-0.1, 11.5), ylim=(0.15, 3.7))
+    _plain(axes)
+    return figure
+
+
+@styled
 def robots() -> Any:
     """The four robot models with their inputs."""
     from matplotlib.patches import Arc, Circle, Polygon
@@ -320,6 +364,7 @@ def guarantee_price() -> Any:
 FIGURES: dict[str, Callable[[], Any]] = {
     "task": task,
     "filter": filter_loop,
+    "api": api,
     "robots": robots,
     "graphs": graphs,
     "bound": bound,
