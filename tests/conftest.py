@@ -150,7 +150,7 @@ OF_THEIR_OWN_KIND = tuple(
         "policies/test_every_policy.py::test_teams_of_a_mask_begin_anew_and_the_others_do_not[damped",
         "policies/test_privileged_planner.py::TestItPasses::test_every_field_is_passed[unicycle-rooms",
         "safety/test_steering.py::test_robots_that_go_any_way",
-        "test_docs.py::test_every_python_block_runs[docs/observation-action.md]",
+        "test_docs.py::test_every_python_block_runs[docs/environment.md]",
         "test_docs.py::test_every_python_block_runs[docs/graphs.md]",
         "test_docs.py::test_every_python_block_runs[docs/robot-models.md]",
         "test_docs.py::test_every_python_block_runs[docs/scenarios.md]",
