@@ -19,7 +19,6 @@ _NOSE, _ARROW = 8.0, 17.0  # how far a nose and the bearings stand out of a robo
 _TINT = 0.3  # share of white in a path
 _VEIL = 225  # opacity of spheres, of 255: what stands behind one shows through
 _LIGHTER = (0.12, 0.24, 0.36)  # shares of white in a sphere, towards its top
-_LEGEND = 500  # least width of a picture with a legend, in its units
 _MOST_HEADS = 60  # arrows up to which each has a head
 
 
@@ -86,10 +85,7 @@ class TeamPicture:
             corners = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
             pygame.draw.polygon(ground, ink.FRAME, self._on_ground(corners).tolist(), self._thin)
         place = 8 * unit, self.area.height - 6 * unit
-        legend = f"grid {step:g} m"
-        if self.area.width > _LEGEND * unit:
-            legend += "    arrows: bearings    thin lines: links"
-        ink.write(ground, legend, place, 17 * unit, anchor="bottomleft")
+        ink.write(ground, f"grid {step:g} m", place, 15 * unit, anchor="bottomleft")
 
     def _on_ground(self, points: Floats) -> Floats:
         """Pixels of points (..., 2) of the plane, or of the floor of the scene."""
