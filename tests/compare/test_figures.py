@@ -266,7 +266,7 @@ class TestEpisodes:
         extents = np.diff([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])[:, 0]
         box = axes.get_box_aspect()
         assert extents / extents[0] == pytest.approx(box / box[0])
-        assert axes.get_zlabel() == "z (m)" and len(axes.collections) == 12
+        assert axes.get_zlabel() == "z / m" and len(axes.collections) == 12
 
 
 def test_compare_writes_pdf_when_asked_and_draws_sweeps(tmp_path):

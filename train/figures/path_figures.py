@@ -15,7 +15,7 @@ from rendezvous_env.render.scene import ended, facing, in_contact, ways
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..recording import Recording
-from .figures import BLACK, BLUE, ORANGE, ROBOT_COLOURS, VERMILLION
+from .figures import BLACK, BLUE, ORANGE, ROBOT_COLOURS, VERMILLION, policy_colour
 from .style import COLUMN, PAGE, SMALL, new_figure, styled
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def trajectories_figure(scenario: Scenario, recordings: Mapping[str, Recording])
         end = f"met after {recording['times'][-1]:.1f} s" if met else "time out"
         contacts = int(recording["contacts"][-1].sum())
         touched = f"\n{in_contact(contacts)}" if contacts else ""
-        axes.set_title(f"{name}\n{end}{touched}", fontsize=SMALL)
+        axes.set_title(f"{name}\n{end}{touched}", fontsize=SMALL, color=policy_colour(name))
         axes.tick_params(length=2)
     wide, high = (np.ptp(limits) for limits in (axes.get_xlim(), axes.get_ylim()))
     axes.locator_params(axis="x", nbins=4 if wide > _NARROW * high else 2)
@@ -59,9 +59,9 @@ def trajectories_figure(scenario: Scenario, recordings: Mapping[str, Recording])
         axes.set_axis_off()
     for axes in panels.flat[: len(recordings)][-columns:]:
         axes.tick_params(labelbottom=True)
-    figure.supxlabel("x (m)", fontsize=8)
-    figure.supylabel("y (m)", fontsize=8)
-    figure.suptitle(f"{scenario.name}: paths of the robots; circles: start, crosses: merges")
+    figure.supxlabel("x / m", fontsize=8)
+    figure.supylabel("y / m", fontsize=8)
+    figure.suptitle(f"{scenario.name}, first start: the ways of the robots under each policy")
     return figure
 
 
@@ -137,9 +137,9 @@ def team_figure(scenario: Scenario, recording: Mapping[str, NDArray[Any]], polic
         paths.locator_params(nbins=5)  # before the scales are made equal, which it undoes
     draw_paths(paths, recording, scenario)
     arrows = ", arrows: headings" if scenario.model.n_angles else ""
-    paths.set(xlabel="x (m)", ylabel="y (m)", title=f"(a) circles: start, crosses: merges{arrows}")
+    paths.set(xlabel="x / m", ylabel="y / m", title=f"(a) dots: starts, crosses: merges{arrows}")
     if space:
-        paths.set(zlabel="z (m)")
+        paths.set(zlabel="z / m")
         paths.tick_params(pad=0)
         paths.set_box_aspect(None, zoom=0.85)  # its labels lie outside of the room it asks for
     elif scenario.n_robots <= _MOST_NAMES:
@@ -174,7 +174,7 @@ def draw_lyapunov(axes: Axes, recording: Mapping[str, NDArray[Any]]) -> None:
     times, before = recording["times"], recording["lyapunov_before_merge"]
     merges = np.flatnonzero(~np.isnan(before))
     _plot_lyapunov(axes, recording, merges)
-    axes.set(xlabel="time (s)", ylabel="V (m²/s)", ylim=(0, None), xlim=(0, times[-1] * 1.03))
+    axes.set(xlabel="time / s", ylabel="V / (m²/s)", ylim=(0, None), xlim=(0, times[-1] * 1.03))
     if merges.size:
         axes.legend(loc="lower left")
     if merges.size and times[merges[0]] > _LATE * times[-1]:
