@@ -1,4 +1,4 @@
-"""The environment step by step: robots that walk along the sum of the bearings they see."""
+"""Step loop with PettingZoo: each robot moves along its net bearing."""
 
 import rendezvous_env as rv
 

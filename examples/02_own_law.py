@@ -1,4 +1,4 @@
-"""A law of one's own, beside law (1) on the same starts."""
+"""A custom law and law (1) on the same initial conditions."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ rows = scenario.observation_layout.neighbours
 
 
 def full_speed(observations, time):
-    """Towards f at full speed: only its direction counts."""
+    """Move along the net bearing at the speed limit."""
     f = observations[..., rows, :].sum(axis=-2)
     length = np.linalg.norm(f, axis=-1, keepdims=True)
     return scenario.speed_limit * f / np.maximum(length, 1e-6)

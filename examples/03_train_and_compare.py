@@ -1,6 +1,6 @@
-"""Train a heading policy, compare it with the rule it began from, and look at the result.
+"""Train a heading policy, compare it with its initial rule, and write a report.
 
-A minute is too short to learn anything: give --steps 3000000 for a policy like the shipped one.
+The default run is too short to learn. Pass --steps 3000000 for a policy like the shipped one.
 """
 
 import argparse

@@ -1,8 +1,8 @@
-"""PPO in one file, without stable-baselines3: heading vectors that keep Theorem 2 while they learn.
+"""PPO in one file: raw headings under the certified-heading filter (Theorem C).
 
-Every robot of every team is a sample of one shared network. A robot that has merged is left out by
-a mask. A merge and a time-out are no true ends: the value of what the survivor, or the robot
-itself, saw last is added to the reward. The starts it is judged by are none that it learns from.
+Every robot of every environment is a sample of one shared network. A mask excludes merged robots.
+Merges and time-outs are bootstrapped, with the value of the survivor's or the robot's own last
+observation. Evaluation uses held-out initial conditions.
 """
 
 import argparse
@@ -20,18 +20,18 @@ parser.add_argument("--scenario", default="clutter-8")
 parser.add_argument("--updates", type=int, default=150)
 parser.add_argument("--teams", type=int, default=128)
 parser.add_argument("--steps", type=int, default=32)
-parser.add_argument("--held-out", type=int, default=500, help="starts to judge by")
+parser.add_argument("--held-out", type=int, default=500, help="initial conditions for evaluation")
 parser.add_argument("--seed", type=int, default=0)
 given = parser.parse_args()
 GAMMA, LAMBDA, CLIP, EPOCHS, MINIBATCHES, ENTROPY = 0.99, 0.95, 0.2, 4, 8, 1e-3
-HELD_OUT = 1_000_000  # seeds from here on are for judging
+HELD_OUT = 1_000_000  # first evaluation seed
 
 torch.manual_seed(given.seed)
 torch.set_num_threads(1)  # the network is small
 
 
 def make(teams: int) -> RobotSlots:
-    """Robots that choose a raw heading every 12 steps; their first touch costs them 1."""
+    """Robots that choose a raw heading every 12 steps; the first contact costs 1."""
     return RobotSlots(
         rv.vector.training_env(
             given.scenario,
@@ -40,7 +40,7 @@ def make(teams: int) -> RobotSlots:
             learning_preset=False,
             decision_period=12,
             touch_penalty=1.0,
-            reward=rv.RewardWeights(collision_penalty=0.0),  # the touch is paid for already
+            reward=rv.RewardWeights(collision_penalty=0.0),  # covered by touch_penalty
         )
     )
 
@@ -50,7 +50,7 @@ size, moves = robots.single_observation_space.shape[0], robots.single_action_spa
 
 
 def network(outputs: int, scale: float) -> nn.Sequential:
-    """What reads the rows of one robot; its last layer begins at this scale."""
+    """Network on the rows of one robot; ``scale`` initialises the last layer."""
     layers = [nn.Linear(size, 128), nn.Linear(128, 128), nn.Linear(128, outputs)]
     for layer, gain in zip(layers, (2**0.5, 2**0.5, scale), strict=True):
         nn.init.orthogonal_(layer.weight, gain)
@@ -72,7 +72,7 @@ def value_of(observations: np.ndarray) -> np.ndarray:
 
 @torch.no_grad()
 def judge() -> str:
-    """How the greedy policy does on held-out initial conditions."""
+    """Success of the greedy policy on held-out initial conditions."""
     env, first = make(given.held_out), {}
     seen = env.reset(HELD_OUT)
     while len(first) < given.held_out:

@@ -1,7 +1,6 @@
-"""What policies are worth when sensors err: collision-free success, sensor by sensor.
+"""Collision-free success of policies under sensor errors.
 
-A policy is a name, learned:PATH, or a shipped one with another clearance of its guide, in rad, as
-learned@0.4: the same weights, used otherwise.
+A policy is a name, learned:PATH, or a shipped policy with another clearance in rad: learned@0.4.
 """
 
 import argparse
@@ -34,7 +33,7 @@ COLUMNS = ("scenario", "sensor", "policy", "episodes", "success", "clean", "low"
 
 
 def make(name, scenario):
-    """The policy of a name; see above."""
+    """Policy for a name; see the module docstring."""
     base, _, clearance = name.partition("@")
     policy = policies.make(base, scenario)
     if not clearance:
@@ -45,7 +44,7 @@ def make(name, scenario):
 
 
 def row(name, label, policy, given):
-    """How a policy does on a scenario with a sensor, as in the file."""
+    """Results of a policy on a scenario with a sensor, as a row of the file."""
     scenario = scenarios.get(name).replace(sensing=SENSORS[label])
     counts = {"episodes": given.episodes, "seed": given.seed}
     played, _ = episodes.play(scenario, lambda: make(policy, scenario), margin=None, **counts)
@@ -59,7 +58,7 @@ def row(name, label, policy, given):
 
 @style.styled
 def draw(rows, path):
-    """Collision-free success over noise, a panel for each scenario, with 95 % intervals."""
+    """Collision-free success against noise, one panel per scenario, 95 % intervals."""
     names = list(dict.fromkeys(row["scenario"] for row in rows))
     figure = style.new_figure(style.COLUMN * len(names), 3.0)
     panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
@@ -87,7 +86,7 @@ parser.add_argument("--sensors", nargs="+", default=list(SENSORS), choices=list(
 parser.add_argument("--episodes", type=int, default=200)
 parser.add_argument("--seed", type=int, default=5000)
 parser.add_argument("--out", type=Path, default=None, help="a CSV file of all rows")
-parser.add_argument("--figure", type=Path, default=None, help="PNG or PDF of clean over noise")
+parser.add_argument("--figure", type=Path, default=None, help="PNG or PDF: success against noise")
 given = parser.parse_args()
 
 found = []

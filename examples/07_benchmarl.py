@@ -1,6 +1,6 @@
-"""Any algorithm of BenchMARL on a scenario, judged on starts that it is never trained on.
+"""Any algorithm of BenchMARL on a scenario, evaluated on held-out initial conditions.
 
-Algorithms that need discrete actions (QMIX, VDN) choose among the angles of the shipped policy.
+Algorithms with discrete actions (QMIX, VDN) choose among the angles of the shipped policy.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""PPO of RLlib with a set network that every robot carries, judged on starts that it never saw."""
+"""PPO of RLlib with a set network, evaluated on held-out initial conditions."""
 
 import argparse
 import logging
@@ -18,12 +18,12 @@ parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--scenario", default="clutter-8")
 parser.add_argument("--teams", type=int, default=64)
 parser.add_argument("--updates", type=int, default=40)
-parser.add_argument("--batch", type=int, default=4096, help="decisions of robots in an update")
-parser.add_argument("--held-out", type=int, default=200, help="starts to judge by")
+parser.add_argument("--batch", type=int, default=4096, help="decisions of robots per update")
+parser.add_argument("--held-out", type=int, default=200, help="initial conditions for evaluation")
 parser.add_argument("--seed", type=int, default=0)
 given = parser.parse_args()
-HELD_OUT = 1_000_000  # seeds from here on are for judging
-CHOICES = {  # a raw heading every 12 steps; the first touch costs a robot 1, further ones nothing
+HELD_OUT = 1_000_000  # first evaluation seed
+CHOICES = {  # a raw heading every 12 steps; the first contact of a robot costs 1
     "guarantee": "heading",
     "learning_preset": False,
     "decision_period": 12,
@@ -34,9 +34,9 @@ torch.set_num_threads(1)  # the network is small
 
 
 def judge(module):
-    """How the policy, sampled as in training, does on held-out initial conditions.
+    """Success of the sampled policy on held-out initial conditions.
 
-    Its mean alone is no fair judge: a robot that an obstacle holds is freed by the next sample.
+    The mean action alone may leave a robot at an obstacle, from which samples free it.
     """
     env, first = RobotSlots(training_env(given.scenario, given.held_out, **CHOICES)), {}
     seen = env.reset(HELD_OUT)

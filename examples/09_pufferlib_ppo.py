@@ -1,6 +1,6 @@
-"""PPO of PufferLib: robots as agents in shared buffers, judged on starts that they never saw.
+"""PPO of PufferLib: robots as agents in shared buffers, evaluated on held-out initial conditions.
 
-The trainer needs PufferLib's compiled part; docs/learners-pufferlib.md tells how to install it.
+The trainer needs PufferLib's compiled part; see docs/learners.md for the installation.
 """
 
 import argparse
@@ -18,23 +18,23 @@ parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--scenario", default="clutter-8")
 parser.add_argument("--teams", type=int, default=128)
 parser.add_argument("--updates", type=int, default=60)
-parser.add_argument("--held-out", type=int, default=200, help="starts to judge by")
+parser.add_argument("--held-out", type=int, default=200, help="initial conditions for evaluation")
 parser.add_argument("--seed", type=int, default=0)
 given = parser.parse_args()
 HORIZON = 32
-HELD_OUT = 1_000_000  # seeds from here on are for judging
+HELD_OUT = 1_000_000  # first evaluation seed
 torch.manual_seed(given.seed)
 torch.set_num_threads(1)  # the network is small
 
 
 def make(teams, seed):
-    """Robots that choose a raw heading every 12 steps; their first touch costs them 1."""
+    """Robots that choose a raw heading every 12 steps; the first contact costs 1."""
     choices = {"guarantee": "heading", "learning_preset": False, "decision_period": 12}
     return robots.make(given.scenario, teams, seed=seed, touch_penalty=1.0, **choices)
 
 
 def judge(policy):
-    """How the greedy policy does on held-out initial conditions."""
+    """Success of the greedy policy on held-out initial conditions."""
     env, first = make(given.held_out, HELD_OUT), {}
     seen, _ = env.reset()
     while len(first) < given.held_out:

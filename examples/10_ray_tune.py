@@ -1,7 +1,7 @@
-"""Search ε, budget and learning rate of a policy under an energy tank with Ray Tune.
+"""Search ε, budget and learning rate of an energy-tank policy with Ray Tune.
 
-Trials run side by side, a core each; one that falls behind is stopped by its evaluations. Give
---address for a cluster, and --storage for a folder that all its machines share.
+Each trial uses one core and is stopped early if its evaluations fall behind. Pass --address for a
+cluster and --storage for a folder that all machines share.
 """
 
 import argparse
@@ -16,17 +16,17 @@ from train.learn import ppo
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--scenario", default="clutter-16")
 parser.add_argument("--trials", type=int, default=32)
-parser.add_argument("--steps", type=int, default=2_000_000, help="decisions in a trial")
+parser.add_argument("--steps", type=int, default=2_000_000, help="decisions per trial")
 parser.add_argument("--teams", type=int, default=256)
-parser.add_argument("--evaluations", type=int, default=8, help="in a trial")
-parser.add_argument("--starts", type=int, default=100, help="of an evaluation")
+parser.add_argument("--evaluations", type=int, default=8, help="per trial")
+parser.add_argument("--starts", type=int, default=100, help="episodes per evaluation")
 parser.add_argument("--storage", type=Path, default=Path("out/search"))
 parser.add_argument("--address", default=None)
 given = parser.parse_args()
 
 SEARCHED = {
-    "min_alignment": tune.uniform(0.02, 0.3),  # ε: what a tank owes
-    "budget": tune.loguniform(0.1, 10.0),  # of a tank at the start, m²/s
+    "min_alignment": tune.uniform(0.02, 0.3),  # ε of the tank
+    "budget": tune.loguniform(0.1, 10.0),  # initial energy, m²/s
     "learning_rate": tune.loguniform(1e-4, 3e-3),
 }
 
@@ -69,7 +69,7 @@ found = tune.Tuner(
     ),
     run_config=tune.RunConfig(name=given.scenario, storage_path=str(given.storage.resolve())),
 ).fit()
-best = found.get_best_result(scope="all")  # the best evaluation of a trial, not its last
+best = found.get_best_result(scope="all")  # best evaluation of a trial, not its last
 chosen = ", ".join(f"{name} {value:.3g}" for name, value in best.config.items())
 print(f"cleanly {best.metrics['clean_success']:.0%} with {chosen}: {best.path}/run")
 ray.shutdown()

@@ -1,4 +1,4 @@
-"""stable-baselines3: train PPO, compare it with the rule on the same starts, write a report."""
+"""stable-baselines3 PPO: train, compare with a rule, write a report."""
 
 import argparse
 from pathlib import Path

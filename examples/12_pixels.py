@@ -1,29 +1,30 @@
-"""Robots that see with cameras: a film, and what the detector gets wrong.
+"""Robots with camera images: a film, and the errors of the detector.
 
-MuJoCo draws four pictures of 64 × 64 pixels for every robot; coloured blobs and dark stretches in
-them are all that its policy gets. pip install 'rendezvous-env[mujoco]'
+MuJoCo renders four images of 64 × 64 pixels per robot. Coloured blobs are robots, dark columns
+are obstacles. Needs the extra mujoco: pip install '.[mujoco]'
 """
 
 import argparse
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from train.pixels import pixels
 
-EVERY, PAUSE = 3, 1500  # steps from picture to picture of the film, and ms at its end
-QUARTERS = (1, 0, 3, 2)  # cameras from left to right, as who turns to the right would see them
+EVERY, PAUSE = 3, 1500  # steps per frame of the film; pause at its end, ms
+STRIP = 81  # pixels: height of an image strip with its label
+QUARTERS = (1, 0, 3, 2)  # cameras from left to right
 
 
 class Looks:
-    """Compares what the detector found with where the others are, look by look."""
+    """Compare detected bearings with true positions."""
 
     def __init__(self):
-        self.errors, self.hidden = [], []  # rad, NaN where nothing was found
+        self.errors, self.hidden = [], []  # rad, NaN for no detection
 
     def __call__(self, simulator, eyes, pictures, seen):
-        """A step of the team."""
+        """Process one step."""
         places, alive = simulator.positions[0], np.flatnonzero(simulator.active[0])
         for robot in alive:
             found = dict(zip(seen[robot].colours, seen[robot].bearings, strict=True))
@@ -35,7 +36,7 @@ class Looks:
                 self.hidden.append(hidden(simulator, robot, other, between))
 
     def summary(self):
-        """Quantiles of the error, degrees, and shares of looks without a bearing."""
+        """Quantiles of the error, degrees, and fractions of missed detections."""
         errors, hidden = np.degrees(self.errors), np.array(self.hidden)
         missed, found = np.isnan(errors), errors[~np.isnan(errors)]
         return {
@@ -51,7 +52,7 @@ class Looks:
 
 
 def hidden(simulator, robot, other, between):
-    """Whether a disc, or the lamp of a robot between, stands on the straight way to another."""
+    """Whether a disc or another lamp blocks the line of sight to a robot."""
     places, discs = simulator.positions[0], simulator.obstacles[0]
     way = places[other] - places[robot]
     length = np.linalg.norm(way)
@@ -63,13 +64,13 @@ def hidden(simulator, robot, other, between):
 
 
 class Film:
-    """The place from above, and what each robot sees: marks are bearings, red ones of edges."""
+    """Film: top view and camera images; black marks are bearings, red ones obstacle edges."""
 
     def __init__(self):
         self.pictures, self.steps = [], 0
 
     def __call__(self, simulator, eyes, pictures, seen):
-        """A step of the team."""
+        """Process one step."""
         if self.steps % EVERY == 0:
             side = np.concatenate([strip(*one) for one in zip(pictures, seen, strict=True)])
             above = eyes.from_above()
@@ -78,23 +79,33 @@ class Film:
         self.steps += 1
 
     def write(self, path, step):
-        """Write a GIF in real time, of steps that last so many s."""
-        first, *others = [Image.fromarray(picture).quantize(48) for picture in self.pictures]
+        """Write a GIF in real time, for a step length in s."""
+        labelled = [label(Image.fromarray(picture)) for picture in self.pictures]
+        first, *others = [picture.quantize(48) for picture in labelled]
         lasts = [round(1000 * EVERY * step)] * len(others) + [PAUSE]
         first.save(path, save_all=True, append_images=others, duration=lasts, loop=0)
 
 
+def label(picture):
+    """Name the robot of each image strip, and explain the marks."""
+    draw = ImageDraw.Draw(picture)
+    for k in range(picture.height // STRIP):
+        place = picture.width - 4 * 64 + 3, STRIP * (k + 1) - 15
+        draw.text(place, f"robot {k}: bearings black, obstacle edges red", fill=(0, 0, 0))
+    return picture
+
+
 def strip(pictures, found):
-    """All pictures of one robot side by side, with marks, and a white line below."""
+    """Camera images of one robot side by side, with marks."""
     out = np.concatenate([pictures[k] for k in QUARTERS], axis=1)
     if found is not None:
         out[:8, [column(angle) for angle in found.bearings]] = 0
         out[-8:, [column(angle) for angle in found.edges.ravel()]] = (200, 0, 0)
-    return np.concatenate([out, np.full((17, out.shape[1], 3), 255, np.uint8)])
+    return np.concatenate([out, np.full((STRIP - len(out), out.shape[1], 3), 255, np.uint8)])
 
 
 def column(angle):
-    """Where a direction stands in a strip."""
+    """Column of a direction in an image strip."""
     k = round(angle / (np.pi / 2))
     across = 32 * (1 - np.tan(angle - k * np.pi / 2))
     return 64 * QUARTERS.index(k % 4) + int(np.clip(across, 0, 63))

@@ -1,7 +1,7 @@
-"""Four differential drives with lidars meet in ir-sim, another simulator, in its own obstacles.
+"""Four differential drives with lidars in ir-sim, among random obstacles.
 
-A robot knows what its lidar returns and how far its body has turned, nothing else. What is as round
-and as small as a robot is one; all else is an obstacle. pip install ir-sim
+A robot uses its lidar and the rotation of its body only. A round object of robot size is a robot,
+everything else an obstacle. Needs ir-sim: pip install ir-sim
 """
 
 import argparse
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-with contextlib.redirect_stdout(io.StringIO()):  # it looks for screens
+with contextlib.redirect_stdout(io.StringIO()):  # suppress messages about displays
     import irsim
 
 import rendezvous_env as rv
@@ -23,7 +23,7 @@ from rendezvous_env.robots.differential_drive import DifferentialDrive, Machine,
 from train.pixels.last_seen import make, unit
 
 RADIUS, LEAD, BEAMS, SIGHT = 0.2, 0.1, 720, 12.0  # m: body, lidar ahead of the axle; of the lidar
-ROOM = RADIUS + LEAD + 0.05  # m: as near as that may the lidar come to an obstacle
+ROOM = RADIUS + LEAD + 0.05  # m: least distance of the lidar from obstacles
 SCENARIO = rv.Scenario(
     name="ir-sim",
     n_robots=4,
@@ -60,7 +60,7 @@ obstacle:
 
 
 def clusters(ranges):
-    """Runs of beams that hit the same thing, as indices; a scan closes."""
+    """Indices of consecutive beams on one object; a scan is periodic."""
     hit = ranges < SIGHT - 1e-6
     jump = np.abs(ranges - np.roll(ranges, 1)) > 0.2 + 0.02 * ranges
     begins = np.flatnonzero(hit & (jump | ~np.roll(hit, 1)))
@@ -72,7 +72,7 @@ def clusters(ranges):
 
 
 def middle_of_robot(points):
-    """Where the middle of a robot is whose side these points (k, 2) are; None if it is no robot."""
+    """Centre of the robot whose surface contains the points (k, 2); None for no robot."""
     if len(points) < 4:
         return None
     # |p|² = 2 c·p + (R² − |c|²)
@@ -107,7 +107,7 @@ def look(scan):
 
 
 def close(robots):
-    """The first two robots that are close enough to be one, or None."""
+    """First pair of robots within the merge radius, or None."""
     for one, other in combinations(robots, 2):
         if np.hypot(*(one.state[:2, 0] - other.state[:2, 0])) < SCENARIO.merge_radius:
             return one, other
@@ -115,7 +115,7 @@ def close(robots):
 
 
 def start_of(seed, folder):
-    """A world of this seed in which nobody starts where there is no room."""
+    """World of a seed in which all robots start in free space."""
     path = Path(folder) / "world.yaml"
     path.write_text(WORLD, encoding="utf-8")
     for again in range(1000):
@@ -128,14 +128,14 @@ def start_of(seed, folder):
 
 
 def play(policy, seed, folder):
-    """Whether all met, whether any touched anything, and after how many seconds."""
+    """Rendezvous, contact, and time in s."""
     env = start_of(seed, folder)
     robots = list(env.robot_list)
     minds = {r.id: RobotPolicy(SCENARIO, make(policy, SCENARIO)) for r in robots}
     drives = {robot.id: DifferentialDrive(MACHINE) for robot in robots}
     touched = False
     while env.time < SCENARIO.time_limit:
-        while (pair := close(robots)) is not None:  # the second follows the first from here on
+        while (pair := close(robots)) is not None:  # the second follows the first
             robots.remove(pair[1])
             env.delete_object(pair[1].id)
         if len(robots) == 1:
@@ -146,7 +146,7 @@ def play(policy, seed, folder):
             bearings, edges, front, rooms = look(robot.get_lidar_scan())
             bearings = bearings[: SCENARIO.n_robots - 1]
             velocity = minds[robot.id].act(unit(bearings + yaw), unit(edges + yaw))
-            # where no direction is free laws push on: in our world along the surface
+            # without a free direction, laws push against the surface
             velocity = keep_apart(velocity.tolist(), unit(front + yaw), rooms)
             actions.append(np.c_[drives[robot.id].command(velocity, yaw, SCENARIO.time_step)])
         env.step(actions)

@@ -46,7 +46,7 @@ def learning_figure(runs: Mapping[str, Path], scenario: str) -> Figure:
         _draw_held_out(
             axes, [row for row in evaluated if row["scenario"] == scenario], colour, name
         )
-    axes.set(xlabel="decisions / million", ylabel="met without a contact / %", ylim=(None, 100.5))
+    axes.set(xlabel="decisions (million)", ylabel="collision-free success (%)", ylim=(None, 100.5))
     axes.grid()
     figure.legend(loc="outside upper center", ncols=2)
     return figure
@@ -90,12 +90,12 @@ def tank_figure(
     total = lyapunov + np.where(active, levels, 0.0).sum(axis=1)
     above.plot(times, total, color=GREY, label="V + ΣA, which does not rise")
     above.plot(times, lyapunov, color=BLUE, label="V")
-    above.set(ylabel="V / (m²/s)", ylim=(0, None))
+    above.set(ylabel="V (m²/s)", ylim=(0, None))
     for robot in range(levels.shape[1]):
         shown = np.where(active[:, robot], levels[:, robot], np.nan)
         colour = ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
         below.plot(times, shown, color=colour, label=f"robot {robot}")
-    below.set(xlabel="time / s", ylabel="level A of a tank / (m²/s)", ylim=(0, None))
+    below.set(xlabel="time (s)", ylabel="stored energy A (m²/s)", ylim=(0, None))
     for axes in (above, below):
         axes.grid()
         axes.legend()

@@ -1,4 +1,4 @@
-"""Speed of the nearest peers beside ours, in turns, as docs/peers.md shows it: ``peers.py``.
+"""Speed of the nearest peers beside ours, in turns, as docs/throughput.md shows it: ``peers.py``.
 
 Needs ``pip install mpe2 vmas jaxmarl``; what is not installed is left out. Random actions, made
 beforehand but for JaxMARL's, which its scan draws; nothing is rendered.

@@ -83,6 +83,14 @@ def test_pages_fetch_nothing_from_elsewhere(site):
         assert not re.search(r"(?:url\(|@import)\s*['\"]?(?:https?:)?//", text), sheet.name
 
 
+def test_old_addresses_forward_to_pages(site):
+    folder, _ = site
+    for old in ("noise", "training", "comparing", "scaling", "peers", "extending", "learners-rllib"):
+        text = (folder / f"{old}.html").read_text(encoding="utf-8")
+        (target,) = re.findall(r'http-equiv="refresh" content="0; url=([^"]+)"', text)
+        assert (folder / target).stat().st_size > 10_000, (old, target)
+
+
 def test_equations_are_drawn_while_it_is_built(site):
     folder, _ = site
     pages = {page: page.read_text(encoding="utf-8") for page in folder.rglob("*.html")}
@@ -146,6 +154,6 @@ def test_the_tutorial_runs_and_shows_what_it_says(tmp_path):
     assert "tangent-joined collision-free 9" in said(new) and "report.html" in said(new)
     for name in ("shy", "bearing-only", "tangent-joined"):
         # on another processor a start may differ
-        share = re.compile(rf"^{name} +clean (\d+)%", re.MULTILINE)
+        share = re.compile(rf"^{name} +collision-free (\d+)% \[", re.MULTILINE)
         (before,), (now,) = (share.findall(said(cells)) for cells in (kept, new))
         assert abs(int(before) - int(now)) <= 5, name

@@ -18,7 +18,7 @@ def type_of(hint: Any) -> str:
 
 
 def default_of(field: dataclasses.Field[Any]) -> str:
-    """What a field is if it is not given; a dash where it must be."""
+    """Default of a field; a dash if it is required."""
     if isinstance(field.default, tuple):
         return " ".join(f"`{entry}`" for entry in field.default) or "none"
     if field.default is not dataclasses.MISSING:
@@ -45,7 +45,7 @@ def fields_table(
         )
         for field in dataclasses.fields(kind)
     )
-    return table((head, "type", "default", "what it is"), rows)
+    return table((head, "type", "default", "meaning"), rows)
 
 
 def flags_table(config: type[Any]) -> str:
@@ -54,8 +54,8 @@ def flags_table(config: type[Any]) -> str:
 
 
 def meanings_table(head: str, meanings: Mapping[str, str]) -> str:
-    """Names and what they mean, as Markdown."""
-    return table((head, "what it is"), ((f"`{name}`", text) for name, text in meanings.items()))
+    """Names and meanings, as Markdown."""
+    return table((head, "meaning"), ((f"`{name}`", text) for name, text in meanings.items()))
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
@@ -66,6 +66,6 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 
 
 def _cell(text: str) -> str:
-    """One line, in which a bar outside of code is no end of the cell."""
+    """One line, with bars outside of code escaped."""
     parts = " ".join(text.split()).replace("``", "`").split("`")
     return "`".join(p if k % 2 else p.replace("|", r"\|") for k, p in enumerate(parts))

@@ -1,8 +1,8 @@
 """Build the site: ``python docs/building/build.py [mkdocs|zensical]``.
 
-Pages that are made from the code, and those of docs/ with links that hold in the site, are written
-to out/docs; a generator makes out/site of them; then equations are drawn in its pages. So any
-generator that reads mkdocs.yml will do, and none of them has to be told of ours.
+Writes generated pages, and the pages of docs/ with links adapted to the site, to out/docs. A
+generator turns them into out/site. Equations and redirects are added afterwards, so any generator
+that reads mkdocs.yml works without plugins of ours.
 """
 
 from __future__ import annotations
@@ -22,12 +22,28 @@ GENERATORS = {
     "mkdocs": ("mkdocs", "build", "--strict", "--quiet"),
     "zensical": ("zensical", "build", "--clean", "--strict", "--config-file", "mkdocs.yml"),
 }
+REDIRECTS = {
+    "noise": "sensing",
+    "training": "train",
+    "comparing": "evaluate",
+    "scaling": "scale-out",
+    "peers": "throughput",
+    "extending": "write-a-law",
+    "learners-rllib": "learners",
+    "learners-pufferlib": "learners",
+}
+"""Old addresses of pages of the site, and the pages that replace them."""
+REDIRECT = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>Page moved</title>
+<link rel="canonical" href="{new}.html"><meta http-equiv="refresh" content="0; url={new}.html">
+</head><body><p>This page is now <a href="{new}.html">{new}</a>.</p></body></html>
+"""
 NOT_PAGES = ("building", "__pycache__", "tutorial.ipynb")
 EQUATION = re.compile(r'<(div|span) class="arithmatex">\\[\[(](.*?)\\[\])]</\1>', re.DOTALL)
 
 
 def write_pages(folder: Path) -> None:
-    """Write everything that a generator reads."""
+    """Write all pages that a generator reads."""
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(pages.ROOT / "docs", folder, ignore=shutil.ignore_patterns(*NOT_PAGES))
     (folder / "README.md").rename(folder / "overview.md")
@@ -50,8 +66,15 @@ def write_pages(folder: Path) -> None:
         page.write_text(text, encoding="utf-8")
 
 
+def write_redirects(site: Path) -> None:
+    """Write a page that forwards to the new page at each old address."""
+    for old, new in REDIRECTS.items():
+        assert (site / f"{new}.html").is_file(), new
+        (site / f"{old}.html").write_text(REDIRECT.format(new=new), encoding="utf-8")
+
+
 def draw_equations(site: Path) -> None:
-    """Make MathML of the equations in the pages of a site."""
+    """Convert the equations in the pages of a site to MathML."""
 
     def drawn(match: re.Match[str]) -> str:
         display = "block" if match[1] == "div" else "inline"
@@ -69,7 +92,9 @@ def main() -> None:
     _, generator = (*sys.argv, "mkdocs")[:2]
     write_pages(Path("out/docs"))
     subprocess.run([sys.executable, "-m", *GENERATORS[generator]], check=True)
-    draw_equations(Path(os.environ.get("SITE_DIR", "out/site")))
+    site = Path(os.environ.get("SITE_DIR", "out/site"))
+    draw_equations(site)
+    write_redirects(site)
 
 
 if __name__ == "__main__":

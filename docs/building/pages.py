@@ -1,4 +1,4 @@
-"""Pages that are made while the site is built, so that they cannot fall behind the code."""
+"""Pages generated from the code when the site is built."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ DATA = (
     (rv.Sphere, "One of `[[obstacles]]`, in 3-D."),
     (rv.Capsule, "One of `[[obstacles]]`, in the plane or in 3-D."),
     (rv.Polygon, "One of `[[obstacles]]`, in the plane."),
-    (rv.ObstacleField, "The table `[obstacles]`: drawn anew for every episode."),
-    (rv.WallField, "The table `[obstacles]`: drawn anew for every episode."),
+    (rv.ObstacleField, "The table `[obstacles]`: sampled for every episode."),
+    (rv.WallField, "The table `[obstacles]`: sampled for every episode."),
 )
-"""Dataclasses that describe an experiment, and how a file has them."""
+"""Dataclasses that describe an experiment, and their place in a file."""
 SHOWN_AS_FILES = ("fig4", "random-10", "trap")
 REFERENCE = {
     "environments": ("Environments and wrappers", ("rendezvous_env/envs",)),
@@ -50,7 +50,7 @@ REFERENCE = {
         ("baselines", "baselines/laws", "baselines/obstacle_rules", "baselines/references"),
     ),
     "learned": ("Learned policies", ("baselines/learned",)),
-    "adapters": ("Adapters to learners", ("rendezvous_env/adapters",)),
+    "adapters": ("Adapters to learning libraries", ("rendezvous_env/adapters",)),
     "equations": ("Equations", ("rendezvous_env/physics",)),
 }
 """Pages of the reference: a title, and the folders of the modules on it."""
@@ -63,20 +63,19 @@ RENAMED = {
     "examples": "examples.md",
     "tutorial.ipynb": "tutorial.md",
 }
-"""What the site calls files and folders that pages of docs/ link to."""
+"""Names in the site of files and folders that pages of docs/ link to."""
 FIRST = (
     "parallel_env", "make_vec", "training_env", "rollout", "Scenario", "scenarios", "certificate",
     "make", "TrainedPolicy",
 )  # fmt: skip
-"""What a reader looks for first; the other names follow by the alphabet."""
+"""Names shown first; the others follow alphabetically."""
 
 
 def data() -> str:
-    """Fields, keys, columns and arrays."""
+    """Reference of fields, columns and arrays."""
     parts = [
-        "# Fields, keys and columns\n",
-        "Made from the code when this site is built. The numbers that a field takes are bounded by "
-        "`rendezvous_env/limits.py`.\n",
+        "# File formats\n",
+        "Generated from the code. `rendezvous_env/limits.py` holds the numeric limits of fields.\n",
     ]
     for kind, note in DATA:
         parts += [f"## `{kind.__name__}`\n", f"{note}\n", fields_table(kind)]
@@ -87,17 +86,17 @@ def data() -> str:
     episodes |= documents(Episodes)
     parts += [
         "## `results.csv`\n",
-        "One row for each scenario and policy. Empty where a column does not apply.\n",
+        "One row per scenario and policy. Cells that do not apply are empty.\n",
         meanings_table("column", results.RESULTS),
         "## `episodes.csv`\n",
-        "One row for each scenario, policy and start.\n",
+        "One row per scenario, policy and initial condition.\n",
         meanings_table("column", episodes),
         "## `paired.csv`\n",
-        "One row for each scenario and policy but the one that the others are compared with.\n",
+        "One row per scenario and policy, except the reference policy.\n",
         meanings_table("column", results.PAIRED),
         "## `trajectories.npz`\n",
-        "Of the first `--keep-trajectories` starts. Each array stands under "
-        "`scenario/policy/start/name`. T counts frames, at most about "
+        "The first `--keep-trajectories` episodes of each policy. Keys are "
+        "`scenario/policy/start/name`. T is the number of frames, at most about "
         f"{recording.MAX_FRAMES}.\n",
         meanings_table("array", recording.ARRAYS),
     ]
@@ -112,12 +111,12 @@ def _toml(name: str) -> str:
 
 
 def commands() -> str:
-    """Every command and its flags."""
+    """Reference of all commands and flags."""
     parts = [
-        "# Commands and flags\n",
-        "`rendezvous COMMAND --help` shows the same on the terminal, `rendezvous --version` which "
-        'version it is. `eval "$(rendezvous --completion bash)"` completes commands and flags '
-        "(`zsh` and `tcsh` too).\n",
+        "# Command line\n",
+        "Generated from the code. `rendezvous COMMAND --help` prints the same. "
+        '`eval "$(rendezvous --completion bash)"` completes commands and flags '
+        "(also for `zsh` and `tcsh`).\n",
     ]
     for name, (module, line) in COMMANDS.items():
         config = import_module(f"train.{module}").Config
@@ -127,15 +126,15 @@ def commands() -> str:
 
 
 def examples() -> str:
-    """The programs of examples/."""
-    parts = ["# Examples\n", "Programs to read, run and change. They lie in `examples/`.\n"]
+    """Page with the programs of examples/."""
+    parts = ["# Examples\n", "Complete programs from the folder `examples/`.\n"]
     for path in sorted((ROOT / "examples").glob("*.py")):
         parts.append(f"## `{path.name}`\n\n```python\n{path.read_text(encoding='utf-8')}```\n")
     return "\n".join(parts)
 
 
 def public() -> str:
-    """The front of the reference: what the packages give out, a line for each name."""
+    """Front page of the reference: one line per public name."""
     parts = ["# Reference\n"]
     for package, alias in ((rv, "rv"), (baselines, "baselines")):
         parts.append(f"## `{package.__name__}`\n\n{inspect.getdoc(package)}\n")
@@ -150,12 +149,12 @@ def public() -> str:
 
 
 def _place(name: str) -> tuple[int, str]:
-    """Where a name stands in the front of the reference."""
+    """Sort key of a name on the front page of the reference."""
     return (FIRST.index(name) if name in FIRST else len(FIRST)), name.lower()
 
 
 def _link(shown: str, found: Any) -> str:
-    """A name, as a link to where it is documented."""
+    """A name, linked to its documentation."""
     name = getattr(found, "__module__", None) or getattr(found, "__name__", "")
     target = f"{name}.{getattr(found, '__qualname__', '')}".rstrip(".")
     folder = target.replace(".", "/")
@@ -167,7 +166,7 @@ def _link(shown: str, found: Any) -> str:
 
 
 def reference() -> Iterator[tuple[str, str]]:
-    """A page for each folder: its name, and Markdown that asks for its modules."""
+    """Name and Markdown of one page per package."""
     for page, (title, folders) in REFERENCE.items():
         modules = []
         for folder in folders:
@@ -181,7 +180,7 @@ def reference() -> Iterator[tuple[str, str]]:
 
 
 def notebook(path: Path) -> tuple[str, dict[str, bytes]]:
-    """A notebook with its outputs as Markdown, and the pictures in it by their names."""
+    """A notebook with outputs as Markdown, and its pictures by name."""
     parts: list[str] = []
     pictures: dict[str, bytes] = {}
     for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
@@ -196,7 +195,7 @@ def notebook(path: Path) -> tuple[str, dict[str, bytes]]:
             if "image/png" in shown:
                 name = f"{path.stem}-{len(pictures)}.png"
                 pictures[name] = base64.b64decode(shown["image/png"])
-                parts.append(f"![What the program drew]({name})")
+                parts.append(f"![Figure of the program]({name})")
             else:
                 said.append(_plain("".join(output.get("text", shown.get("text/plain", "")))))
         if text := "\n".join(filter(None, said)):
@@ -205,17 +204,17 @@ def notebook(path: Path) -> tuple[str, dict[str, bytes]]:
 
 
 def _plain(text: str) -> str:
-    """Output without the colours of a terminal."""
+    """Output without terminal colours."""
     return re.sub(r"\x1b\[[0-9;]*m", "", text).strip("\n")
 
 
 def without_links_to_code(text: str) -> str:
-    """Markdown of a folder of docs/ in which what lies outside of the site is only named."""
+    """Markdown of a subfolder of docs/, with code instead of links that leave the site."""
     return re.sub(r"\[([^\]]+)\]\(\.\./\.\./[^)]*\)", r"`\1`", text)
 
 
 def for_site(text: str) -> str:
-    """Markdown from the top of the repository or of docs/ with links that hold in the site."""
+    """Markdown of the repository root or docs/, with links adapted to the site."""
 
     def moved(match: re.Match[str]) -> str:
         target = match[1].removeprefix("../").removeprefix("docs/").rstrip("/")

@@ -84,7 +84,7 @@ class Page:
             marks.append(("contact", ink.ring))
             area, said = self._pictures[0].area, in_contact(int(self._simulator.contacts[0]))
             corner = area.width - 8 * unit, area.top + area.height - 6 * unit
-            ink.write(page, said, corner, 15 * unit, anchor="bottomright")
+            ink.write(page, said, corner, 17 * unit, anchor="bottomright")
         for word, mark in marks:
             x -= ink.write(page, word, (x, middle), size, anchor="midright") + 10 * unit
             mark(page, (x, middle), unit)
@@ -183,11 +183,11 @@ class Page:
             pygame.draw.line(sheet, ink.FRAME, (x, box.bottom), (x, box.bottom + 4 * unit))
             ink.write(sheet, f"{time:g}", (x, box.bottom + 7 * unit), 17 * unit, anchor="midtop")
         pygame.draw.line(sheet, ink.FRAME, box.bottomleft, box.bottomright, round(unit))
-        for text, down in (("V", -9), ("m²/s", 9)):
+        for text, down in (("V", -9), ("(m²/s)", 9)):
             beside = box.left - 6 * unit, box.centery + down * unit
             ink.write(sheet, text, beside, 17 * unit, anchor="midright")
         corner = box.right, box.bottom + 20 * unit
-        ink.write(sheet, "time / s", corner, 17 * unit, anchor="topright")
+        ink.write(sheet, "time (s)", corner, 17 * unit, anchor="topright")
         curve = [place(moment.time, moment.lyapunov) for moment in moments]
         for one, other in pairwise(curve):
             pygame.draw.line(sheet, ROBOTS[0], one, other, round(2 * unit))

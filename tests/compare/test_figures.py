@@ -92,7 +92,7 @@ class TestSweeps:
         assert joined.get_xdata() == pytest.approx([4, 8], abs=0)
         assert law.get_ydata() == pytest.approx([30.0])
         assert joined.get_color() == figures.policy_colour("tangent-joined")
-        assert axes.get_xlabel() == "number of obstacles" and "% of starts" in axes.get_ylabel()
+        assert axes.get_xlabel() == "number of obstacles" and "success (%)" in axes.get_ylabel()
         [bars] = axes.containers[1].lines[2]
         assert bars.get_segments()[0][:, 1] == pytest.approx([20.0, 35.0])
 

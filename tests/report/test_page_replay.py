@@ -176,7 +176,7 @@ class TestAddress:
             opened.goto(opened.url.split("#")[0] + fragment)
         assert opened.input_value("#scenario") == "uav-6" and opened.input_value("#start") == "1"
         assert chosen(opened) == ["zero", "nonholonomic-3d"] and clock(opened) == 0.5
-        assert "What robot 4 sees" in opened.locator(".sight h3").first.text_content()
+        assert "Observation of robot 4" in opened.locator(".sight h3").first.text_content()
 
     @pytest.mark.parametrize("fragment", ["#scenario=nowhere", "#start=7", "#replay", "#t=x"])
     def test_what_is_not_there_is_passed_over(self, fragment, opened):
@@ -210,7 +210,7 @@ class TestSight:
         opened.locator(".world canvas").first.click(position={"x": x, "y": y})
         button = f"#robots button:nth-child({robot + 1})"
         assert opened.get_attribute(button, "aria-pressed") == "true"
-        assert f"What robot {robot} sees" in opened.locator(".sight h3").first.text_content()
+        assert f"Observation of robot {robot}" in opened.locator(".sight h3").first.text_content()
         assert picture(opened, of=".eye") != before
         own = observations[frame, robot]
         present = own[(own != 0).any(axis=1)]

@@ -26,9 +26,8 @@ ROWS = (
 )
 """What keeps the guarantee, and teams."""
 COLUMNS = {
-    "by": "kept by", "graph": "team", "median": "median, s", "longest": "longest, s",
-    "bound": "bound of any start, s", "own_bound": "of its own start, s",
-    "ratio": "own bound / median",
+    "by": "law or filter", "graph": "graph", "median": "median (s)", "longest": "longest (s)",
+    "bound": "bound (s)", "own_bound": "own bound (s)", "ratio": "own bound / median",
 }  # fmt: skip
 """Of bounds.csv, and what the page calls them. The bounds are that of any start in the spawn area
 and the median of those of the teams' own starts, which stands in the ratios."""

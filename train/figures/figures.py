@@ -114,7 +114,7 @@ def success_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
         axes.set_xlim(-4, 104)
         axes.set_xticks(range(0, 101, 25))
 
-    figure = _panels(rows, draw, "share of starts / %")
+    figure = _panels(rows, draw, "share of initial conditions (%)")
     axes = figure.axes[0]
     handles = [
         axes.plot([], [], "o", color=GREY, fillstyle="none", label="all robots met")[0],
@@ -144,7 +144,7 @@ def time_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
         latest = (np.fmax(row["time_high"], row["median_time"]) for row in met)
         axes.set_xlim(0, 1.15 * max(latest, default=1.0))
 
-    figure = _panels(rows, draw, "median rendezvous time / s")
+    figure = _panels(rows, draw, "median rendezvous time (s)")
     handle = figure.axes[0].plot([], [], "o-", color=GREY, label="median, 95 % interval")[0]
     figure.legend(handles=[handle], loc="outside upper center")
     return figure
@@ -244,7 +244,7 @@ def sweep_figure(
     axes.set_xticks(places, [str(place) for place in places])
     axes.minorticks_off()
     axes.set(xlabel=f"number of {quantity}", ylim=(-3, 103))
-    axes.set_ylabel("met without a contact / % of starts")
+    axes.set_ylabel("collision-free success (%)")
     axes.grid()
     count = _number(group[0], "obstacles")
     clutter = counted(count, "obstacle") if count else "the same obstacles"
@@ -309,14 +309,15 @@ def level_figure(sweep: Any, rows: Sequence[dict[str, Any]]) -> Figure:
         times = columns_of(own, "median_time", "time")
         met = times[0] < limit
         policy_line(below, policy, x[met], times[:, met], own_of_all)
-    above.set(ylim=(-2, 102), ylabel=f"met {'without contact ' if counts else ''}/ % of starts")
-    unit = f" / {_UNITS[sweep.field]}" if sweep.field in _UNITS else ""
-    below.set(ylabel="median time / s", xlabel=f"{sweep.field.replace('_', ' ')}{unit}")
+    above.set(ylim=(-2, 102), ylabel=f"{'collision-free ' if counts else ''}success (%)")
+    unit = f" ({_UNITS[sweep.field]})" if sweep.field in _UNITS else ""
+    below.set(ylabel="median time (s)", xlabel=f"{sweep.field.replace('_', ' ')}{unit}")
     below.set_ylim(bottom=0.0)
     below.set_xticks(range(len(sweep.labels)), sweep.labels)
     for axes in (above, below):
         axes.grid()
-    above.set_title(f"{sweep.base.name}, {counted(rows[0]['episodes'], 'start')}, 95 % intervals")
+    episodes = counted(rows[0]["episodes"], "episode")
+    above.set_title(f"{sweep.base.name}, {episodes}, 95 % intervals")
     handles, names = above.get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=LEGEND_COLUMNS)
     return figure

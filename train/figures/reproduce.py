@@ -212,13 +212,13 @@ def tank_tradeoff_figure(rows: Sequence[dict[str, Any]]) -> Figure:
         left.plot(margins, [100 * row["clean_success"] for row in line], **style_of)
         right.plot(margins, [row["bound"] for row in line], **style_of)
     starts = rows[0]["episodes"]
-    left.set(ylim=(0, 103), ylabel="met without a contact / %")
-    left.set(title=f"What is reached: {TANK_SCENARIO}, {counted(starts, 'start')}")
-    right.set(yscale="log", ylabel="time bound / s")
+    left.set(ylim=(0, 103), ylabel="collision-free success (%)")
+    left.set(title=f"measured: {TANK_SCENARIO}, {counted(starts, 'episode')}")
+    right.set(yscale="log", ylabel="time bound (s)")
     right.yaxis.set_major_formatter("{x:,.0f}")
-    right.set(title="Theorem D under its wrapper, nothing in the way")
+    right.set(title="certified (Theorem D), without obstacles")
     for axes in (left, right):
-        axes.set(xscale="log", xlabel="alignment margin ε")
+        axes.set(xscale="log", xlabel="minimum alignment ε")
         axes.set_xticks(MARGINS, [f"{margin:g}" for margin in MARGINS])
         axes.minorticks_off()
         axes.grid()

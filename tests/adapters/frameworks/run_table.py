@@ -2,7 +2,7 @@
 
     python tests/adapters/frameworks/run_table.py [--only JAX Tianshou] [--venvs FOLDER]
 
-Prints a row of docs/learners.md for each; a frame is a decision of one robot. Of a framework that
+Prints a row of docs/results.md for each; a frame is a decision of one robot. Of a framework that
 does not install or run the row has the last line of its output.
 """
 

@@ -1,4 +1,4 @@
-// One policy of the replay: world, what a robot sees, plots, and how it ended.
+// One policy of the replay: world, observation of a robot, plots and outcome.
 
 class Pane {
   constructor(side) {
@@ -26,7 +26,7 @@ class Pane {
       return made;
     };
     this.worlds = canvases(".world", "World");
-    this.eyes = canvases(".eye", "What the chosen robot sees");
+    this.eyes = canvases(".eye", "Observation of the selected robot");
     for (const canvas of this.worlds)
       canvas.addEventListener("click", (event) => {
         const near = robotNear(canvas, this.rec, this.moment, event.offsetX, event.offsetY);
@@ -94,7 +94,7 @@ class Pane {
     const { scenario, start, policy } = this.rec;
     const time = `${state.time.toFixed(2)} s`;
     savePicture(`${scenario}-${start}-${policy}-${time}.png`,
-      `${scenario}, start ${start}: ${policy}, ${time}; right: what robot ${state.chosen} sees`,
+      `${scenario}, start ${start}: ${policy}, ${time}; right: observation of robot ${state.chosen}`,
       [...this.worlds, ...this.eyes]);
   }
 

@@ -207,7 +207,7 @@ function redraw() {
     button.setAttribute("aria-pressed", robot === state.chosen);
   });
   panes.forEach((pane, k) => {
-    pane.part(".sight h3").textContent = `What robot ${state.chosen} sees`;
+    pane.part(".sight h3").textContent = `Observation of robot ${state.chosen}`;
     pane.plots(panes[1 - k]);
     pane.draw();
   });

@@ -1,4 +1,4 @@
-// What one robot sees: its observation rows as they were recorded, and what is true if its sensor errs.
+// Observation of one robot: recorded rows, and true bearings for imperfect sensors.
 
 /** Rows present at a frame: {kind, index, point, vector}; absent ones, all zero, are left out. */
 function rowsOf(rec, frame, robot) {
@@ -74,7 +74,7 @@ function largestGain(rec) {
   return rec.rim;
 }
 
-/** Draw one projection of what a robot sees, its own x axis to the right. */
+/** Draw one projection of a robot's observation, with its x axis to the right. */
 function drawSight(canvas, rec, frame, robot, axes) {
   const [pen, width, height] = prepare(canvas);
   const [cx, cy] = [0.5 * width, 0.5 * height];

@@ -95,9 +95,9 @@ function drawGrid(pen, view, width, height) {
     if (view.y(value) > top + 18) pen.fillText(tick(value), left - 5, view.y(value) + 4);
   }
   pen.fillStyle = colour("ink");
-  pen.fillText(`${"xyz"[view.axes[0]]} / m`, right, bottom + 14);
+  pen.fillText(`${"xyz"[view.axes[0]]} (m)`, right, bottom + 14);
   pen.textAlign = "left";
-  pen.fillText(`${"xyz"[view.axes[1]]} / m`, 4, top + 8);
+  pen.fillText(`${"xyz"[view.axes[1]]} (m)`, 4, top + 8);
 }
 
 function niceStep(least) {
