@@ -1,5 +1,6 @@
-"""Policies: observations in, actions out, never a position, but for those that say
-``privileged`` in their names.
+"""Policies: functions from observations to actions.
+
+Only oracles, with ``privileged`` in their names, read positions.
 """
 
 from . import laws, learned
@@ -20,5 +21,5 @@ __all__ = [
 
 
 def __dir__() -> list[str]:
-    """Public names; the files behind them are importable all the same."""
+    """Public names; submodules remain importable."""
     return [*__all__, "__all__", "__doc__", "__file__", "__name__", "__path__"]

@@ -1,4 +1,4 @@
-"""Functions of observations as policies that keep a guarantee, as the wrappers do."""
+"""Policies from functions of observations, under the same safety filters as the wrappers."""
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
@@ -20,7 +20,7 @@ from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 from .policy import Float32, Mask, RememberingPolicy, within_limits
 
 Choose = Callable[[Float32], ArrayLike]
-"""Observations (..., n, rows, d) → choices (..., n, k), in [−1, 1]."""
+"""Observations (..., n, rows, d) → actions of the filter (..., n, k), in [−1, 1]."""
 
 
 _CERTIFIED: dict[str, dict[str, Any]] = {
@@ -43,7 +43,7 @@ def guarantee_with(by: Any, settings: Mapping[str, Any]) -> dict[str, Any] | Non
 
 
 class DecidingPolicy(RememberingPolicy):
-    """Decides every ``decision_period`` steps, and acts on the decision in each of them."""
+    """Policy with action repeat: a new decision every ``decision_period`` steps."""
 
     def __init__(self, scenario: Scenario, decision_period: int) -> None:
         self.scenario, self.decision_period = scenario, decision_period
@@ -52,17 +52,17 @@ class DecidingPolicy(RememberingPolicy):
 
     @abstractmethod
     def _decide(self, teams: Float32, due: Mask) -> None:
-        """New decisions for the teams that are due, (B,), of observations (B, n, rows, d)."""
+        """Update the decisions of due environments, (B,), from observations (B, n, rows, d)."""
 
     @abstractmethod
     def _act(self, teams: Float32, elapsed: float) -> Float32:
         """Actions (B, n, a) of a step, ``elapsed`` s after the previous one."""
 
     def _settle(self, share: float) -> None:
-        """Account for the previous step, which lasted this share of τ."""
+        """Account for the previous step, which lasted this fraction of τ."""
 
     def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
-        """As ``Policy``; a ValueError names the robot whose choice is not finite."""
+        """As ``Policy``; a ValueError names a robot whose action is not finite."""
         return self._after(self.scenario.tau, observations)
 
     def _after(self, elapsed: float, observations: NDArray[Any]) -> Float32:
@@ -84,10 +84,10 @@ class DecidingPolicy(RememberingPolicy):
 
 
 class FilteredPolicy(DecidingPolicy):
-    """Choices that are held for some steps, in each of which a filter makes actions of them.
+    """Policy that applies a safety filter to a function with action repeat.
 
-    ``choose`` is called once in each period of base steps, for all teams together, and its method
-    ``reset(mask)``, if it has one, with the policy's; ``make_filter`` takes a number of teams.
+    ``choose`` is called once per ``decision_period`` for the whole batch; its method
+    ``reset(mask)``, if any, is called with the policy's. ``make_filter`` takes the batch size.
     """
 
     _filter: Any
@@ -136,7 +136,7 @@ class FilteredPolicy(DecidingPolicy):
         self._filter.forget(which)
 
     def reset(self, mask: Mask | None = None) -> None:
-        """As ``RememberingPolicy.reset``, of ``choose``, too."""
+        """As ``RememberingPolicy.reset``; also resets ``choose``."""
         if mask is None:
             self._begin(self._leading or ())
         else:
@@ -146,23 +146,23 @@ class FilteredPolicy(DecidingPolicy):
 
 
 class HeadingPolicy(FilteredPolicy):
-    """A function that chooses vectors, kept to theorem C as by ``HeadingVectorWrapper``.
+    """A function that chooses heading vectors, under the filter of ``HeadingVectorWrapper``.
 
         ṗᵢ = hᵢ hᵢᵀ fᵢ,   hᵢ the certified heading of the chosen vector     (Zhao & Zheng, eq. 4)
 
     Args:
-        scenario: whose robots it steers.
-        choose: observations (..., n, rows, d), zero for robots that have merged away, to vectors
-            (..., n, d) of any length in the same frames; for nonholonomic robots to turn rates
-            (..., n, d − 1) in units of the highest (theory 3, the gate). It is called once in each
-            period, for all teams together; if it has a method ``reset(mask)``, with the policy's.
-        decision_period: base steps for which a vector is held.
+        scenario: the experiment.
+        choose: observations (..., n, rows, d), zero for merged robots, → vectors (..., n, d) of any
+            length in the same frames; for nonholonomic robots → turn rates (..., n, d − 1) in units
+            of the maximum (theory 3). Called once per ``decision_period`` for the whole batch. A
+            method ``reset(mask)`` is called with the policy's.
+        decision_period: number of steps for which a vector is held.
         settings: those of ``HeadingVectorWrapper``: ``min_alignment=0.1``, ``max_turn_rate=3.0``,
             ``frame="net_bearing"``, ``certified=True``, ``bearing_error=0.0``.
 
     Raises:
-        TypeError: for another setting.
-        ValueError: naming the argument, its value and what would be right.
+        TypeError: for an unknown setting.
+        ValueError: naming the argument, its value and the remedy.
     """
 
     def __init__(
@@ -173,7 +173,7 @@ class HeadingPolicy(FilteredPolicy):
         bare = not settings.get("certified", True) or settings.get("bearing_error", 0.0) != 0.0
         promised = None if bare or self._filter.turns_body else settings.get("min_alignment", 0.1)
         self.min_alignment: float | None = promised
-        """ε of theorem C, kept but where ‖f‖ < 2δ, where it fades; None if there is none."""
+        """Minimum alignment ε of theorem C, reduced where ‖f‖ < 2δ; None if not certified."""
         self._guarantee = guarantee_with("heading", settings)
 
     @property
@@ -187,18 +187,17 @@ class HeadingPolicy(FilteredPolicy):
 
 
 class TankPolicy(FilteredPolicy):
-    """A function that chooses velocities, executed while a tank lasts (theorem D), as
-    ``EnergyTankWrapper``; arguments and errors otherwise as ``HeadingPolicy``.
+    """A function that chooses velocities, under the filter of ``EnergyTankWrapper`` (theorem D).
 
-    Robots learn of no contact and no merge: each step is booked as commanded, one of τ whatever a
-    robot's clock says (``RobotPolicy``), what an absorbed robot had left is lost, and levels do not
-    follow V, so that on complete graphs of one weight the time of ``certificate(by="tank")`` is the
-    wrapper's alone (docs/guarantees.md).
+    The policy does not observe contacts and merges. Each step is booked as commanded and lasts τ
+    (also in ``RobotPolicy``); the stored energy of an absorbed robot is lost; stored energy does
+    not follow V. On complete graphs of equal weights the time bound of ``certificate(by="tank")``
+    therefore applies to the wrapper only (docs/guarantees.md).
 
     Args:
-        scenario, decision_period: as there; the budget is kept in every base step.
-        choose: to desired velocities (..., n, d) in units of v_max, or to base actions (..., n, a)
-            in units of their bounds for other robot models.
+        scenario, decision_period: as ``HeadingPolicy``; the budget holds in every step.
+        choose: observations → desired velocities (..., n, d) in units of v_max, or actions
+            (..., n, a) in units of their bounds for other robot models.
         settings: those of ``EnergyTankWrapper``: ``budget=0.0``, ``min_alignment=0.05``,
             ``frame="net_bearing"``, ``observe_level=False``, ``bearing_error=0.0``.
     """
@@ -217,5 +216,5 @@ class TankPolicy(FilteredPolicy):
 
     @property
     def levels(self) -> NDArray[np.float64]:
-        """A of the tanks, (..., n), m²/s."""
+        """Stored energies A, (..., n), m²/s."""
         return self._as_given(self._filter.levels)

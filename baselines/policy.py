@@ -1,4 +1,4 @@
-"""What a policy is, and the registry of all that come with the project."""
+"""Policy protocol, base classes and registry."""
 
 import inspect
 import math
@@ -20,33 +20,39 @@ Mask = NDArray[np.bool_]
 
 
 class Policy(Protocol):
-    """Chooses the actions of whole teams from what their robots see."""
+    """Protocol of a policy: actions of all robots from their observations."""
 
     def __call__(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
-        """Actions of all robots, (..., n, a), within ``scenario.action_bounds``, for observations
-        (..., n, rows, d), see ``scenario.observation_layout``, where the rows of a robot that has
-        merged away are zero, and time (...), s since each team's start, or one number for all.
+        """Actions of all robots.
+
+        Args:
+            observations: (..., n, rows, d), see ``scenario.observation_layout``; rows of merged
+                robots are zero.
+            time: since the start of each episode, s, (...) or a number.
+
+        Returns:
+            Actions, (..., n, a), within ``scenario.action_bounds``.
         """
         ...
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Forget the state of the teams where ``mask`` (...) is true, of all if it is None."""
+        """Reset the state of environments where ``mask`` (...) is true; None resets all."""
         ...
 
 
 @runtime_checkable
 class RealTimePolicy(Policy, Protocol):
-    """A policy whose memory runs in seconds, not in calls."""
+    """Policy whose memory depends on elapsed time instead of the number of calls."""
 
     def after(self, elapsed: float, observations: NDArray[Any], time: ArrayLike) -> Float32:
-        """Actions, held for τ at most, ``elapsed`` > 0 s after the previous call, if any."""
+        """Actions, held for at most τ, ``elapsed`` > 0 s after the previous call, if any."""
         ...
 
 
 class TeamPolicy(ABC):
-    """A policy that takes arrays of whole teams, or PettingZoo's dicts of one.
+    """Base class of policies that accept batched arrays or the dicts of PettingZoo.
 
-    actions = policy(observations, time)        # by name: those of the robots that act
+    Usage: ``actions = policy(observations, time)``.
     """
 
     scenario: Scenario
@@ -67,9 +73,13 @@ class TeamPolicy(ABC):
     def __call__(self, observations: NDArray[Any], time: ArrayLike) -> Float32: ...
 
     def __call__(self, observations: Any, time: ArrayLike) -> Any:
-        """As ``Policy``; or observations and actions by name, of the robots of one team that are
-        still there, which observe (rows, d) or (rows·d,) each. A KeyError for a name that no robot
-        has, a ValueError for observations of another shape.
+        """As ``Policy``, or with dicts by agent name for the active robots of one environment.
+
+        Dict values are observations (rows, d) or (rows·d,).
+
+        Raises:
+            KeyError: for an unknown agent name.
+            ValueError: for observations of another shape.
         """
         if not isinstance(observations, Mapping):
             return self.act(observations, time)
@@ -94,20 +104,20 @@ class TeamPolicy(ABC):
 
 
 class RememberingPolicy(TeamPolicy):
-    """A policy whose memory has the leading axes of the observations; others are other teams."""
+    """Base class of policies with memory, one per environment of the observations' leading axes."""
 
     _leading: tuple[int, ...] | None = None  # None before the first call
 
     @abstractmethod
     def _start(self, teams: int) -> None:
-        """Set up the memory of so many new teams."""
+        """Allocate the memory of a number of environments."""
 
     @abstractmethod
     def _forget(self, which: Mask) -> None:
-        """Clear the memory of these teams, (B,)."""
+        """Clear the memory of the given environments, (B,)."""
 
     def _teams_of(self, observations: NDArray[Any]) -> Float32:
-        """Observations, (B, n, rows, d), of the remembered teams, which are new for other axes."""
+        """Observations as (B, n, rows, d); memory starts anew if the leading axes change."""
         n, layout = self.scenario.n_robots, self.scenario.observation_layout
         seen = np.ascontiguousarray(layout.checked(observations), dtype=np.float32)
         if seen.ndim < 3 or seen.shape[-3] != n:
@@ -124,12 +134,12 @@ class RememberingPolicy(TeamPolicy):
         self._start(math.prod(leading))
 
     def _as_given(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Values (B, ...) with the leading axes of the observations."""
+        """Reshape values (B, ...) to the leading axes of the observations."""
         assert self._leading is not None
         return values.reshape(*self._leading, *values.shape[1:])
 
     def reset(self, mask: Mask | None = None) -> None:
-        """As ``Policy.reset``; a ValueError for another mask."""
+        """As ``Policy.reset``; a ValueError for a mask of another shape."""
         if mask is None:
             self._leading = None
         elif self._leading is not None:
@@ -146,7 +156,7 @@ KINDS = {
     "privileged": "oracle baselines, which know the map and all positions",
     "blind": "blind baselines, which see nothing",
 }
-"""What policies there are, in the order in which lists and tables show them."""
+"""Kinds of policies, in the order of lists and tables."""
 
 
 class _Entry(NamedTuple):
@@ -168,17 +178,17 @@ _Builder = TypeVar("_Builder", bound=Callable[..., Policy])
 def register(
     name: str, fits: Callable[[Scenario], bool], *, kind: str = "own", on_request: bool = False
 ) -> Callable[[_Builder], _Builder]:
-    """Enter the decorated builder ``(scenario, **options) -> Policy``, a function or a class.
+    """Register the decorated builder ``(scenario, **options) -> Policy``, a function or class.
 
     Args:
-        name: what ``make`` calls it.
-        fits: whether the policy can steer the robots of a scenario.
+        name: name for ``make``.
+        fits: scenario → whether the policy can control its robots.
         kind: one of KINDS; policies of a kind keep the order of registration.
-        on_request: whether a comparison takes it only if it is named.
+        on_request: whether a comparison includes it only if named.
 
     Raises:
-        ValueError: for another kind, what is no name, that of a policy of another kind, or a
-            function that cannot be called.
+        ValueError: for an unknown kind, an invalid name, a name of another kind, or a builder that
+            is not callable.
     """
     choice("kind", kind, KINDS)
     checked = _builders.add(name, None)
@@ -197,7 +207,7 @@ def register(
 
 
 def names(scenario: ScenarioLike | None = None) -> list[str]:
-    """Names of the policies that fit a scenario, or of all of them, in the order of KINDS."""
+    """Names of the policies that fit a scenario, or of all policies, in the order of KINDS."""
     kinds, resolved = list(KINDS), None if scenario is None else resolve(scenario)
     fitting = [n for n, entry in _registry.items() if resolved is None or entry.fits(resolved)]
     return sorted(fitting, key=lambda name: kinds.index(_registry[name].kind))
@@ -212,22 +222,22 @@ def register_reader(prefix: str, read: Callable[[str, Scenario], Policy]) -> Non
 
 
 def kind_of(name: str) -> str:
-    """The kind of a policy, one of KINDS."""
+    """Kind of a policy, one of KINDS."""
     return "learned" if name.startswith(AT_PATH) else _registry[name].kind
 
 
 def on_request(name: str) -> bool:
-    """Whether a comparison takes a policy only if it is named."""
+    """Whether a comparison includes a policy only if named."""
     return _registry[name].on_request
 
 
 def builder_of(name: str) -> Callable[..., Policy]:
-    """What makes a policy for a scenario."""
+    """Builder of a policy."""
     return _registry[name].build
 
 
 def about(name: str) -> str:
-    """What a policy is, the first line of its builder's docstring; empty without one."""
+    """One-line description of a policy, from its builder's docstring; empty without one."""
     return (inspect.getdoc(_registry[name].build) or "").partition("\n")[0].rstrip(".")
 
 
@@ -267,7 +277,7 @@ def make(name: str | os.PathLike[str], scenario: ScenarioLike, **options: Any) -
 
 
 def file_of(build: Callable[..., Any]) -> Path | None:
-    """The file in which a function is written; None for one that was typed in."""
+    """Source file of a function; None for an interactive definition."""
     try:
         found = inspect.getsourcefile(build)
     except TypeError:  # an object that can be called
@@ -276,7 +286,7 @@ def file_of(build: Callable[..., Any]) -> Path | None:
 
 
 def of_model(*models: str, dim: int | None = None) -> Callable[[Scenario], bool]:
-    """What tells whether a scenario's robots are of one of these models, of so many dimensions."""
+    """Predicate: whether a scenario has one of the given robot models and dimensions."""
     return lambda scenario: scenario.robot_model in models and dim in (None, scenario.dim)
 
 
@@ -289,7 +299,7 @@ is_double_integrator = of_model("double_integrator")
 
 
 def within_limits(actions: NDArray[np.float64], scenario: Scenario) -> Float32:
-    """Actions (..., a), m/s, m/s², or m/s and rad/s, that the scenario's robots can execute.
+    """Limit actions (..., a) to the scenario's bounds; m/s, m/s², or m/s and rad/s.
 
     Velocities and accelerations are scaled to their limit with their direction kept; speeds and
     turn rates of the other models are clipped one by one.

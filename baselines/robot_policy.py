@@ -1,4 +1,4 @@
-"""A policy on board of one robot: what it measured since the last tick in, its velocity out."""
+"""Policy on board one robot: from its measurements since the last tick to a velocity command."""
 
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from .robot_sight import RobotSight
 from .steering import check_steerable
 
 _KINDS = ("law", "rule", "learned")
-"""Kinds whose policies ask neither which robot is which nor how often they were called."""
+"""Kinds whose policies are independent of robot indices and of the number of calls."""
 
 
 _BELOW = 1.0 - 1e-15  # of a limit, so that rounding exceeds none
@@ -32,8 +32,9 @@ def _within_limits(action: NDArray[np.float64], scenario: Scenario) -> NDArray[n
 
 
 class OneRobot:
-    """One robot, the first of its policy's team, called with what it has measured since its last
-    tick; ``gain`` is a_ij of each neighbour where none are given, m/s.
+    """Single-robot interface of a policy.
+
+    ``gain`` is the default edge weight a_ij of every neighbour, m/s.
     """
 
     def __init__(self, scenario: Scenario, policy: Policy, gain: float = 1.0) -> None:
@@ -46,7 +47,7 @@ class OneRobot:
 
     @property
     def time(self) -> float:
-        """Of the last tick since the first one, s."""
+        """Time of the last tick since the first, s."""
         return max(self._time, 0.0)
 
     def act(
@@ -88,7 +89,7 @@ class OneRobot:
         return _within_limits(np.asarray(actions[0, 0], dtype=np.float64), self.scenario)
 
     def reset(self) -> None:
-        """Forget everything: the next tick is the first."""
+        """Reset all memory; the next tick is the first."""
         self._time = -1.0
         self._sight.forget()
         if hasattr(self.policy, "reset"):
@@ -127,13 +128,13 @@ class RobotPolicy(OneRobot):
 
 
 def common_gain(scenario: Scenario) -> float:
-    """What every link weighs, m/s; 1 where they differ."""
+    """Common edge weight, m/s; 1 if weights differ."""
     least, most = scenario.sensing_graph.extreme_weights(scenario.n_robots)
     return float(least) if least == most else 1.0
 
 
 def check_kind(policy: str) -> None:
-    """Refuse, with a ValueError, the name of a policy that one robot alone cannot run."""
+    """Raise a ValueError for the name of a policy that a single robot cannot run."""
     if (kind := registry.kind_of(policy)) not in _KINDS:
         raise ValueError(
             f"policy {policy!r} is one of the {registry.KINDS[kind]}; by name a RobotPolicy takes "

@@ -1,4 +1,4 @@
-"""What one robot measures, as the rows of an observation: gains, slots, edges in their order."""
+"""Conversion of one robot's measurements to observation rows: weights, slots, edge order."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,20 +9,20 @@ from rendezvous_env.scenario.observation_layout import ObservationLayout
 Array = NDArray[np.float64]
 _ROUNDING = 1e-3  # so far from 1 may the length of a unit vector be: directions come rounded, too
 _AWAY = 1.0
-"""By how much both edges of an obstacle together turn between ticks, rad, before it is taken for
-another one."""
+"""Maximum summed rotation of both edges of an obstacle between ticks, rad; above it, the obstacle
+counts as another one."""
 _OPPOSITE = 1e-6  # edges are opposite below this sine of the angle between them
 _FLAT = 1e-4
 """Rays lie in a plane, or all in one direction, below this product of their sum and vector area."""
 
 
 class RobotSight:
-    """Orders what a robot measures, and recognises obstacles from tick to tick.
+    """Assembles observation rows and tracks obstacles between ticks.
 
-    Neighbours need no names: policies add up their rows or pool them. Obstacles keep their slots,
-    because how fast an edge turns is a measurement, too: what is seen now is matched to what was
-    seen at the last tick so that all edges together turn least. Gains sum to no more than D̄, m/s,
-    for which time steps are made; ``gain`` as ``OneRobot``.
+    Neighbours need no identity, since policies sum or pool their rows. Obstacles keep their slots,
+    because the rotation rate of an edge is a measurement: current obstacles are matched to those
+    of the last tick with minimal total rotation. Weights sum to at most D̄, m/s, which the time
+    step assumes; ``gain`` as ``OneRobot``.
     """
 
     def __init__(self, layout: ObservationLayout, max_degree: float, gain: float = 1.0) -> None:
@@ -32,7 +32,7 @@ class RobotSight:
         self.forget()
 
     def forget(self) -> None:
-        """Forget which obstacle stood in which slot."""
+        """Clear the assignment of obstacles to slots."""
         self._unseen[:] = np.inf
 
     def rows(
@@ -42,10 +42,10 @@ class RobotSight:
         weights: ArrayLike | None,
         gravity: ArrayLike | None = None,
     ) -> NDArray[np.float32]:
-        """The observation of the robot, (rows, d); arguments and refusals as ``RobotPolicy.act``.
+        """Observation of the robot, (rows, d); arguments and errors as ``RobotPolicy.act``.
 
-        A silhouette is narrower than π, which tells its counter-clockwise edge, and which way round
-        rays go; of two opposite edges the first is that one, and rays in a plane go right-handed.
+        An angular extent is below π, which determines its counter-clockwise edge and the direction
+        of rays. For opposite edges it is the first one; coplanar rays count as right-handed.
         """
         layout = self._layout
         points = layout.silhouette_points, layout.dim
@@ -76,10 +76,9 @@ class RobotSight:
 
 
 def least_cost_slots(cost: Array) -> NDArray[np.int64]:
-    """A slot for each obstacle, (m,), none twice, at the least sum of finite costs (m, s), m ≤ s.
+    """Slots (m,) that minimise the total of finite costs (m, s), m ≤ s; each slot at most once.
 
-    Shortest augmenting paths (Jonker & Volgenant 1987), for few rows: SciPy's solver of the same
-    problem is not on every robot.
+    Shortest augmenting paths (Jonker & Volgenant 1987), so that robots need no SciPy.
     """
     if not len(cost):
         return np.zeros(0, dtype=np.int64)
@@ -113,7 +112,7 @@ def least_cost_slots(cost: Array) -> NDArray[np.int64]:
 def _unit_vectors(
     name: str, value: ArrayLike, shape: tuple[int, ...], most: int, what: str
 ) -> Array:
-    """Some (k, *shape) unit vectors, k ≤ most."""
+    """Validate unit vectors, (k, *shape) with k ≤ most."""
     vectors = floats(name, value)
     if vectors.size == 0:
         return np.zeros((0, *shape))
@@ -133,7 +132,7 @@ def _unit_vectors(
 
 
 def _direction_of_gravity(gravity: ArrayLike | None, sensed: bool) -> Array:
-    """A row of it, (1, 3), or none, (0, 1), of robots that do not sense it."""
+    """Gravity row, (1, 3), or an empty array for robots that do not sense it."""
     if not sensed:
         if gravity is not None:
             refuse("gravity", gravity, "left out: these robots do not sense it")
@@ -145,7 +144,7 @@ def _direction_of_gravity(gravity: ArrayLike | None, sensed: bool) -> Array:
 
 
 def _gains(weights: ArrayLike, count: int, most: float) -> Array:
-    """Weights (count,), m/s, that come to no more than ``most``."""
+    """Weights (count,), m/s, whose sum is at most ``most``."""
     gains = floats("weights", weights)
     check_shape("weights", gains, (count,), axes="(k,)")
     for index in np.flatnonzero(~((gains > 0.0) & np.isfinite(gains))):
@@ -159,8 +158,9 @@ def _gains(weights: ArrayLike, count: int, most: float) -> Array:
 
 
 def _round_their_middles(rays: Array, net_bearing: Array) -> tuple[Array, Array]:
-    """Rays of cones (m, 8, 3), right-handed and from the side of f on; and by what cones are known,
-    (m, 2, 3): the middle of each, and (cos α, sin α, 0) of half its width α.
+    """Rays of cones (m, 8, 3), right-handed and starting at the side of f, and their signatures.
+
+    A signature, (2, 3), is the axis of a cone and (cos α, sin α, 0) of its half-angle α.
     """
     total = rays.sum(axis=1)
     area = np.cross(rays, np.roll(rays, -1, axis=1)).sum(axis=1)

@@ -1,8 +1,7 @@
-"""From a desired velocity to the inputs of a robot model, and how turning changes a robot's memory.
+"""Inputs of a robot model for a desired velocity, and rotation of remembered directions.
 
-A single integrator goes where a policy wants; a unicycle or a nonholonomic robot of space turns
-there, and drives once it nearly faces it. Its frame turns with it, and it has no compass: what it
-remembers it turns by the rates it commands.
+A single integrator executes the velocity. A nonholonomic robot turns towards it and drives once it
+nearly faces it. It has no compass, so remembered directions are rotated by its commanded rates.
 """
 
 import math
@@ -31,18 +30,18 @@ Rows = NDArray[Any]
 ALIGNED = 0.5  # rad; within this angle of where it is to go a robot that turns drives
 ALIGNED_IN_SPACE = 1.0  # as pitch turns slowly, and driving where the axis is clear is safe
 WITHIN = 1.0 - 1e-6
-"""Share of the speed limit that is used, so that rounding to float32 exceeds no limit, and what is
-sent is what the tank has booked."""
+"""Fraction of the speed limit in use, so that rounding to float32 exceeds no limit and commands
+equal the values booked by an energy tank."""
 
 
 turns = of_model("unicycle", "nonholonomic_3d")
-"""Whether a scenario's robots are unicycles or nonholonomic ones of space, whose frames turn."""
+"""Whether a scenario's robots are unicycles or 3-D nonholonomic robots, whose frames rotate."""
 can_steer = of_model("single_integrator", "unicycle", "nonholonomic_3d")
-"""Whether ``Steering`` knows a scenario's robots."""
+"""Whether ``Steering`` supports a scenario's robot model."""
 
 
 def check_steerable(scenario: Scenario, what_steers: str = "learned policies steer") -> None:
-    """Refuse, with a ValueError, robots that ``Steering`` does not know."""
+    """Raise a ValueError for a robot model that ``Steering`` does not support."""
     if not can_steer(scenario):
         raise ValueError(
             f"scenario {scenario.name!r} has {scenario.robot_model} robots; {what_steers} "
@@ -51,8 +50,9 @@ def check_steerable(scenario: Scenario, what_steers: str = "learned policies ste
 
 
 class Steering:
-    """How robots follow desired velocities, in their own frames at the start of a step; pitch is
-    read from their observations (..., rows, d).
+    """Conversion of desired velocities to actions, in the robots' frames at the start of a step.
+
+    The pitch is read from observations (..., rows, d).
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -63,7 +63,7 @@ class Steering:
         self._gravity = scenario.observation_layout.gravity.start
 
     def pitches(self, observations: Rows) -> Array:
-        """β, (...), rad; 0 in the plane and of points."""
+        """Pitch β, (...), rad; 0 in the plane and for single integrators."""
         out = np.zeros(observations.shape[:-2])
         if self.turns:
             rows = np.ascontiguousarray(observations).reshape(-1, *observations.shape[-2:])
@@ -75,13 +75,13 @@ class Steering:
         return self._over_robots(_steer, wanted, observations, self.scenario.action_size)
 
     def velocities(self, actions: Rows, observations: Rows) -> Array:
-        """Mean velocity (..., d) over a step, v m, m/s, of robots that take actions (..., a)."""
+        """Mean velocity v m over a step, (..., d), m/s, for actions (..., a)."""
         return self._over_robots(_mean_velocities, actions, observations, self.scenario.dim)
 
     def turned(
         self, vectors: Rows, actions: Rows, observations: Rows, elapsed: float | None = None
     ) -> Array:
-        """Vectors (..., d) in the frames after ``elapsed`` s, None is τ, with actions (..., a)."""
+        """Vectors (..., d) in the frames after ``elapsed`` s (default τ) of actions (..., a)."""
         if self.gate is None:
             return np.asarray(vectors, dtype=np.float64)
         gate = self.gate if elapsed is None else self.gate._replace(duration=elapsed)
@@ -102,12 +102,12 @@ class Steering:
 
 @inner_kernel
 def inputs_towards(wanted, pitch, gate, aligned=ALIGNED):
-    """Speed, m/s, and a pair of turn rates, rad/s, of a nonholonomic robot that is to follow w.
+    """Speed, m/s, and turn rates, rad/s, of a nonholonomic robot for a desired velocity w.
 
-        v = max(0, mᵀw) where ∠(h, w) ≤ φ, else 0;   the rates turn h towards w
+        v = max(0, mᵀw) if ∠(h, w) ≤ φ, else 0;   the rates turn h towards w
 
-    m is the mean of the body axis h over the step, so that the displacement τ v m is the best that
-    these rates allow. With w = 0 it rests. Of w, a triple in the body frame, m/s, and β and φ, rad.
+    m is the mean of the body axis h over the step, so τ v m is the best displacement for these
+    rates. The robot rests for w = 0. w is a triple in the body frame, m/s; β and φ are in rad.
     """
     length = norm(wanted)
     if length == 0.0:

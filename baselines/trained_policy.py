@@ -1,4 +1,4 @@
-"""A model that was trained in a training environment, as a policy that can be compared."""
+"""Models trained in a training environment, as policies."""
 
 import json
 import os
@@ -27,7 +27,7 @@ from .learned.training_environment import FeatureVectorEnv
 from .policy import AT_PATH, Float32, Mask, TeamPolicy, register_reader, within_limits
 
 Predict = Callable[[Float32], NDArray[Any]]
-"""What robots of B teams see, (B, n, ...), to what they choose, (B, n, ...)."""
+"""Observations (B, n, ...) → actions (B, n, ...)."""
 
 
 class TrainedPolicy(TeamPolicy):
@@ -105,11 +105,11 @@ class TrainedPolicy(TeamPolicy):
         return found
 
     def _choose(self, seen: Float32) -> NDArray[Any]:
-        """Choices (..., n, k) for what robots see, (..., n, rows, d)."""
+        """Actions of the filter, (..., n, k), for observations (..., n, rows, d)."""
         return self._ask(seen).reshape(*seen.shape[:-2], -1)
 
     def _ask(self, seen: Float32) -> NDArray[Any]:
-        """What the model chooses, (B, n, ...), for what robots of B teams see."""
+        """Actions of the model, (B, n, ...), for observations (B, n, ...)."""
         seen = seen.reshape(-1, *self._sees.shape)
         rows = seen if self.by_team else seen.reshape(-1, *seen.shape[2:])
         choices = self.choices(rows)
@@ -192,7 +192,7 @@ register_reader(AT_PATH, load)  # in place of the reader of learned policies alo
 
 
 class _PresetPolicy(GuidedPolicy):
-    """Sees and does what the shipped policy of a guarantee does."""
+    """Policy with the observations and base controller of the shipped policies."""
 
     def __init__(self, scenario: Scenario, ask: Predict, env: FeatureVectorEnv) -> None:
         super().__init__(scenario, env.settings)

@@ -1,4 +1,4 @@
-"""Everything that learns or compares: commands, evaluation, training, pictures."""
+"""Command line, evaluation, training, reports and figures."""
 
 from importlib import import_module
 from typing import Any
@@ -9,11 +9,11 @@ _SHORT = {
     "ppo": f"{__name__}.learn.ppo",
     "sb3_vec_env": "rendezvous_env.adapters.sb3",
 }
-"""Modules under the names by which programs of version 0.1 know them."""
+"""Module names of version 0.1 and their current locations."""
 
 
 def __getattr__(name: str) -> Any:
-    """Import a module of ``_SHORT`` when it is asked for; some of them load torch."""
+    """Import a module of ``_SHORT`` on first access; some of them load torch."""
     if name in _SHORT:
         return import_module(_SHORT[name])
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

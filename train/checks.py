@@ -1,4 +1,4 @@
-"""Settings that cannot be, refused before any work: by flag, value and what would be right."""
+"""Validation of command settings; errors name the flag, its value and the remedy."""
 
 import importlib.util
 import math
@@ -12,13 +12,14 @@ _LONGEST_NAME = 255  # bytes of one part of a path, on every common file system
 
 
 class UserError(Exception):
-    """The user's mistake: ends a command with one line, which says what would be right."""
+    """Invalid user input: ends a command with a one-line message that names the remedy."""
 
 
 @contextmanager
 def user_error(beginning: str, *kinds: type[Exception]) -> Iterator[None]:
-    """Errors of these kinds in the body are the user's mistake, told after a beginning; an OSError
-    is told without the path, which that names.
+    """Convert errors of the given types in the body to a UserError with a prefix.
+
+    The message of an OSError omits the path, which the prefix names.
     """
     try:
         yield
@@ -27,27 +28,27 @@ def user_error(beginning: str, *kinds: type[Exception]) -> Iterator[None]:
 
 
 def installed(module: str) -> bool:
-    """Whether a library of that name can be imported; a mere folder of that name is none."""
+    """Whether a library can be imported; a plain folder of the same name does not count."""
     found = importlib.util.find_spec(module)
     return found is not None and found.origin is not None
 
 
 def check_installed(what: str, extra: str, *packages: str) -> None:
-    """Refuse what needs packages that are missing, naming the extra that installs them."""
+    """Raise a UserError if packages are missing; it names the extra that installs them."""
     for package in packages:
         if not installed(package):
             raise UserError(f"{what} needs {package}; pip install 'rendezvous-env[{extra}]'")
 
 
 class Bounds(NamedTuple):
-    """Least and most of a number, or of each of several; an end in a round bracket is left out."""
+    """Interval of a number or of each entry of a tuple; a round bracket excludes the end."""
 
     least: float
     most: float = math.inf
     ends: str = "[]"
 
     def check(self, name: str, value: float) -> None:
-        """Refuse a number beyond them, by the name of its flag."""
+        """Raise a UserError if a number lies outside; it names the flag."""
         above, below = self.ends[0] == "(", self.ends[1] == ")"
         if value < self.least or (value == self.least and above):
             right = f"more than {self.least}" if above else f"{self.least} or more"
@@ -81,7 +82,7 @@ class Flags:
     """
 
     def __post_init__(self) -> None:
-        """Convert and check all fields."""
+        """Convert and validate all fields."""
         from rendezvous_env.baselines.learned.plain_data import check_types  # not for --help
 
         kinds, marked = get_type_hints(type(self)), get_type_hints(type(self), include_extras=True)
@@ -119,14 +120,14 @@ def _named(value: Any) -> Any:
 
 
 def check_unused(flags: Flags, reasons: Mapping[str, str]) -> None:
-    """Refuse flags that mean nothing, for these reasons, unless they have their defaults."""
+    """Raise a UserError for flags without effect, with the given reasons, unless at default."""
     for name, why in reasons.items():
         if (value := getattr(flags, name)) != getattr(type(flags), name):
             raise UserError(f"{flag(name)} is {written(value)}; {why}")
 
 
 def _check_value(name: str, value: Any) -> None:
-    """Refuse what no flag may be: NaN, ±∞, text that is no name of a file."""
+    """Raise a UserError for NaN, ±∞ and text that is not a valid file name."""
     if isinstance(value, float) and not math.isfinite(value):
         raise UserError(f"{name} is {value}; it must be a finite number")
     if isinstance(value, str | Path):
@@ -139,7 +140,7 @@ def _check_value(name: str, value: Any) -> None:
 
 
 def unknown(what: str, word: str, known: Iterable[str]) -> UserError:
-    """The error that nothing of a kind has a name, with the known ones and the nearest."""
+    """Error for an unknown name, with the known names and the closest match."""
     from rendezvous_env.checks import meant  # not for --help
 
     listed = list(known)
@@ -148,7 +149,7 @@ def unknown(what: str, word: str, known: Iterable[str]) -> UserError:
 
 
 def check_text(name: str, text: str) -> None:
-    """Refuse text that no file can be called, and no terminal shows."""
+    """Raise a UserError for text that is not a valid file name or not printable."""
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -158,11 +159,11 @@ def check_text(name: str, text: str) -> None:
 
 
 def written(value: Any) -> str:
-    """What is written after a flag for a value."""
+    """Value as written on the command line."""
     return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def flag(name: str, hint: Any = None) -> str:
-    """What the command line calls a field, which ``tyro.conf.arg`` in its annotation may say."""
+    """Flag name of a field, honouring ``tyro.conf.arg`` in its annotation."""
     names = (getattr(mark, "name", None) for mark in getattr(hint, "__metadata__", ()))
     return "--" + next(filter(None, names), name.replace("_", "-"))

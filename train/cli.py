@@ -1,7 +1,7 @@
-"""The command line ``rendezvous``: finds the command, reads its flags, and ends it cleanly.
+"""Command line ``rendezvous``: selects the command, parses its flags and handles its errors.
 
-Each command is a module with a frozen dataclass ``Config`` of ``Flags``, and a
-function ``run(config)`` that returns the exit status. Only the module of the command is imported.
+Each command is a module with a frozen dataclass ``Config`` (a ``Flags``) and a function
+``run(config)`` that returns the exit status. Only the module of the command is imported.
 """
 
 import argparse
@@ -34,16 +34,19 @@ COMMANDS = {
     "warmup": ("bench.warmup", "compile beforehand what the first use would compile"),
     "verify": ("verify.verify", "check the theorems on random teams; status 1 if one fails"),
 }
-"""Module in ``train`` and one line of help for each command."""
+"""Commands: module in ``train`` and one-line help."""
 _COMPLETION = "--completion"
 _WIDTH = 96
 _LONGEST_LINE = 1000
-"""Characters; of a longer one the beginning and the end are shown."""
+"""Maximum length of a message, characters; longer ones are abbreviated in the middle."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command, of the words after ``rendezvous``; exit status 0, 1 for a failed check, 2 for
-    the user's mistake or a full disk or memory, 130 when interrupted (Ctrl-C), 143 when terminated.
+    """Run a command given as the arguments after ``rendezvous``.
+
+    Returns:
+        Exit status: 0; 1 for a failed check; 2 for invalid input or exhausted disk or memory; 130
+        after Ctrl-C; 143 after SIGTERM.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before anything loads torch
     # what a small network computes must not depend on the number of cores, nor wait for them
@@ -93,7 +96,7 @@ def _run(command: str, flags: Sequence[str]) -> int:
 
 
 def _say(command: str, what: str) -> int:
-    """One line about the user's mistake, which may quote anything; the exit status."""
+    """Print a one-line error message; returns the exit status."""
     line = " ".join(map(str.strip, what.splitlines()))
     if len(line) > _LONGEST_LINE:
         line = f"{line[: _LONGEST_LINE // 2]} … {line[-_LONGEST_LINE // 2 :]}"
@@ -125,7 +128,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _complete(shell: str) -> int:
-    """Print what makes a shell complete the commands and their flags."""
+    """Print the shell completion script of the commands and their flags."""
     import tyro
 
     configs = [
@@ -142,9 +145,7 @@ def _complete(shell: str) -> int:
 
 
 def help_of(command: str, module: Any) -> str:
-    """What ``--help`` prints: the docstring of the command's Config, EXAMPLES (words after the
-    command), and fields with their docstrings; those of FLAG_GROUPS (names by title) come last.
-    """
+    """Text of ``--help``: Config docstring, EXAMPLES, and flags grouped by FLAG_GROUPS."""
     config = module.Config
     hints, told = get_type_hints(config, include_extras=True), documents(config)
     home = sys.modules[config.__module__]
@@ -173,7 +174,7 @@ def help_of(command: str, module: Any) -> str:
 
 
 def documents(config: type) -> dict[str, str]:
-    """The docstring of each field of a dataclass and of those that it extends."""
+    """Docstrings of the fields of a dataclass, inherited ones included."""
     found: dict[str, str] = {}
     for kind in reversed(config.__mro__):
         if dataclasses.is_dataclass(kind):
@@ -190,9 +191,7 @@ def _is_positional(field: dataclasses.Field[Any]) -> bool:
 
 
 def flags_of(field: dataclasses.Field[Any], hint: Any) -> list[str]:
-    """What the command line calls a field with that annotation: its flag, other names of it and
-    what turns it off, or a word.
-    """
+    """Names of a field on the command line: flag, aliases and negation, or a positional name."""
     if _is_positional(field):
         return [field.name.upper()]
     name = flag(field.name, hint)
@@ -202,14 +201,14 @@ def flags_of(field: dataclasses.Field[Any], hint: Any) -> list[str]:
 
 
 def _flag_of(field: dataclasses.Field[Any], hint: Any) -> str:
-    """What the command line calls a field, and what follows it."""
+    """Flag of a field with a placeholder for its value."""
     kind = hint.__origin__ if get_origin(hint) is Annotated else hint
     is_told = get_origin(kind) is Literal or not (kind is bool or _is_positional(field))
     return " ".join([", ".join(flags_of(field, hint)), *([_value_of(kind)] if is_told else [])])
 
 
 def _value_of(kind: Any) -> str:
-    """What is written after a flag of a type."""
+    """Placeholder for the value of a type."""
     inner = [one for one in get_args(kind) if one is not type(None)]
     if get_origin(kind) is Literal:
         return "{" + ",".join(map(str, inner)) + "}"

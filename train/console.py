@@ -1,4 +1,4 @@
-"""Where commands say what they do."""
+"""Console output of commands."""
 
 import os
 import sys
@@ -13,15 +13,16 @@ def counted(count: int, noun: str) -> str:
 
 
 class Console(rich.console.Console):
-    """A console that shows text as it is: brackets and colons in a path or a name are no markup.
-    Once nobody reads any more, as after ``| head``, the command goes on in silence.
+    """Console without markup, so that brackets and colons in names are printed unchanged.
+
+    After a broken pipe, for example with ``| head``, the command continues silently.
     """
 
     def __init__(self, **options: Any) -> None:
         super().__init__(markup=False, emoji=False, **options)
 
     def on_broken_pipe(self) -> None:
-        """Write to nowhere."""
+        """Discard all further output."""
         self.quiet = True
         with open(os.devnull, "wb") as nowhere:
             os.dup2(nowhere.fileno(), sys.stdout.fileno())

@@ -1,8 +1,8 @@
-"""Recordings as text for a page: rounded to 16 bits, differences in time, gzip, base64.
+"""Compact text encoding of recordings: 16-bit rounding, time differences, gzip, base64.
 
-A recording of 400 frames of 20 robots shrinks to a hundredth of its numbers as JSON. In the plane a
-row of an observation is kept as its length, which hardly ever changes, and its angle: of a
-neighbour's row relative to the neighbour's place, nearly 0 if sensors are exact.
+A recording of 400 frames of 20 robots takes a hundredth of its size as JSON. In the plane an
+observation row is stored as length and angle. The angle of a neighbour row is relative to the true
+bearing, which makes it nearly 0 for exact sensors.
 """
 
 import base64
@@ -21,16 +21,16 @@ from rendezvous_env.render.scene import outermost
 from .recording import Recording
 
 LARGEST = 32767
-"""Of a rounded number; one below minus this stands for NaN."""
+"""Largest rounded value; the value below its negative encodes NaN."""
 
 BUDGET = 3_500_000
-"""Characters that all recordings of a page may take together before they are thinned out."""
+"""Maximum total size of the recordings of a page, characters; larger ones are subsampled."""
 
 ANGLE = 2 * np.pi / 2**16
-"""Of one in 16 bits, rad: angles wrap round as integers do."""
+"""Unit of a 16-bit angle, rad; angles wrap around as integers do."""
 _DIGITS = 6  # of lengths, beside the largest one
 _COARSE = 4
-"""Angles are multiples of so many of these; finer ones would take more room than they show."""
+"""Stored angles are multiples of this number of units, which is finer than visible."""
 
 _EXACT = ("times", "lyapunov", "lyapunov_before_merge", "lyapunov_after_merge", "contacts")
 _ROUNDED = ("positions", "frames", "alignment")
@@ -39,23 +39,20 @@ _KEPT = ("active", "observations", *_EXACT, *_ROUNDED)
 
 @dataclass(frozen=True)
 class Encoded:
-    """A recording as the page reads it."""
+    """Encoded recording, as read by the page."""
 
     fields: list[list[Any]]
-    """Of each array, in order: name, type ("float32", "uint8" or "int16"), shape, and of an int16
-    the scale, so that a number is scale · integer. In the plane "lengths" and "angles" stand for
-    the observations."""
+    """Per array: name, type ("float32", "uint8" or "int16"), shape, and scale of an int16 (value =
+    scale · integer). In the plane, "lengths" and "angles" replace the observations."""
     text: str
-    """All arrays, little-endian, in base64 of gzip."""
+    """All arrays, little-endian, gzip and base64."""
     stride: int  # besides merges and the end, every stride-th recorded frame is there
     extent: list[list[float]]  # of robots and obstacles, least and most of each axis, m
     obstacles: list[dict[str, Any]]  # centre, radius, vertices, m
 
 
 def encode_all(recordings: Sequence[Recording], budget: int | None = None) -> list[Encoded]:
-    """Encode recordings; if they exceed a budget of characters, by default BUDGET, thin out the
-    largest.
-    """
+    """Encode recordings; subsample the largest if they exceed a budget (default BUDGET)."""
     found = [encode(recording) for recording in recordings]
     left, share = budget or BUDGET, np.inf
     sizes = sorted(len(encoded.text) for encoded in found)
@@ -72,7 +69,7 @@ def encode_all(recordings: Sequence[Recording], budget: int | None = None) -> li
 
 
 def encode(recording: Recording, stride: int = 1) -> Encoded:
-    """A recording as the page reads it: every stride-th frame of it, every merge and the end."""
+    """Encode every stride-th frame of a recording, every merge and the last frame."""
     table, dim = recording["obstacles"], recording["positions"].shape[-1]
     points = outermost(recording["positions"], table)
     stays = ~np.isnan(recording["lyapunov_before_merge"])
@@ -105,13 +102,13 @@ def encode(recording: Recording, stride: int = 1) -> Encoded:
 
 
 def rounding(array: NDArray[np.floating[Any]]) -> float:
-    """Scale with which an array fits into 16 bits; its numbers are rounded to half of it."""
+    """Scale with which an array fits into 16 bits; the rounding error is half of it."""
     reach = float(np.nanmax(np.abs(array), initial=0.0))
     return reach / LARGEST or 1.0
 
 
 def _rounded(array: NDArray[np.floating[Any]]) -> tuple[NDArray[np.int16], float]:
-    """An array in 16 bits, and its scale."""
+    """Array rounded to 16 bits, and its scale."""
     scale = rounding(array)
     rounded = np.rint(array.astype(np.float64) / scale)
     return np.where(np.isnan(rounded), -LARGEST - 1, rounded).astype(np.int16), scale
@@ -120,7 +117,7 @@ def _rounded(array: NDArray[np.floating[Any]]) -> tuple[NDArray[np.int16], float
 def _seen(
     observations: NDArray[Any], positions: NDArray[np.float64], frames: NDArray[np.float64]
 ) -> dict[str, tuple[NDArray[np.int16], float]]:
-    """Lengths and angles of observations in the plane, (T, n, rows, 2), in 16 bits."""
+    """Lengths and angles of planar observations (T, n, rows, 2), in 16 bits."""
     x, y = np.moveaxis(observations.astype(np.float64), -1, 0)
     lengths, off = np.hypot(x, y), np.arctan2(y, x)
     rows = min(off.shape[-1], off.shape[1] - 1)
@@ -133,7 +130,7 @@ def _seen(
 
 
 def _bearings(positions: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angles (T, n, n − 1), rad, at which robots have all others in their own frames."""
+    """True bearings (T, n, n − 1) of all other robots in the robots' frames, rad."""
     n = positions.shape[1]
     others = np.array([[j for j in range(n) if j != i] for i in range(n)], dtype=np.int64)
     offsets = positions[:, others] - positions[:, :, None]
@@ -142,7 +139,7 @@ def _bearings(positions: NDArray[np.float64], frames: NDArray[np.float64]) -> ND
 
 
 def _differences(values: NDArray[np.int16]) -> bytes:
-    """Differences from frame to frame modulo 2¹⁶, time running fastest; all low bytes first."""
+    """Differences between frames modulo 2¹⁶, time axis last; all low bytes first."""
     first = np.zeros_like(values[:1])
     steps = np.moveaxis(np.diff(values, axis=0, prepend=first), 0, -1)
     pairs = np.ascontiguousarray(steps, dtype="<i2").view(np.uint8).reshape(-1, 2)

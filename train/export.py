@@ -1,4 +1,4 @@
-"""``rendezvous export``: a policy for robots, as one Python file or its network as an ONNX file."""
+"""``rendezvous export``: a policy as one Python file, or its network as an ONNX file."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -37,10 +37,10 @@ from .console import Console
 from .results import atomic, prepare_file
 
 _SLOTS = ((3, 12), (1, 0), (31, 24), (7, 1))
-"""Neighbours and obstacles of the tables on which a file is checked."""
+"""Numbers of neighbours and obstacles in the inputs of the check."""
 _AT_ONCE = 512
 _CLOSE = 1e-4
-"""Share of the largest preference by which the file may differ: sums are in another order."""
+"""Relative tolerance of the check, which allows for another summation order."""
 
 EXAMPLES = (
     "--policy learned --out out/policy.onnx",
@@ -50,9 +50,7 @@ EXAMPLES = (
 
 @dataclass(frozen=True)
 class Config(Flags):
-    """Write the network of a learned policy as an ONNX file, or a policy as one Python file that
-    needs NumPy alone, and check it against the policy.
-    """
+    """Export a learned network as ONNX, or a policy as one NumPy-only Python file, and check it."""
 
     policy: str = "learned"
     """The name of a shipped policy, or learned:PATH of a run or a checkpoint; with --standalone
@@ -64,14 +62,15 @@ class Config(Flags):
     standalone: Path | None = None
     """The Python file to write, likewise, instead of an ONNX file."""
     scenario: str = "clutter-8"
-    """Whose robot it is for: the name of a scenario or a TOML file. An ONNX file is for all robots
-    of that model."""
+    """Name or TOML file of the scenario that defines the robot. An ONNX file fits all robots of
+    that robot model."""
     checks: Annotated[int, Bounds(1, 10**7)] = 10_000
-    """On how many random inputs the file is compared with the policy before it takes its place."""
+    """Number of random inputs on which the file is compared with the policy before it is
+    written."""
 
 
 def run(config: Config) -> int:
-    """Read, write, compare; a UserError also for a file that does not do what the policy does."""
+    """Write and check the file; a UserError also if its output differs from the policy's."""
     flag, path, ending, is_written = "--out", config.out, SUFFIX, _is_written
     if config.standalone is not None:
         flag, path, ending = "--standalone", config.standalone, ".py"
@@ -88,13 +87,13 @@ def run(config: Config) -> int:
 
 
 def _is_written(path: Path) -> bool:
-    """Whether a file is an ONNX file of this command, of any version."""
+    """Whether a file is an ONNX file written by any version of this command."""
     content = path.read_bytes()
     return SETTINGS_KEY.encode() in content or trained_policy.ARGUMENTS_KEY.encode() in content
 
 
 def _write_onnx(config: Config, path: Path) -> str:
-    """Write and check an ONNX file; returns its size and error in words."""
+    """Write and check an ONNX file; returns a message with size and error."""
     check_installed("export", "export", "onnx", "onnxruntime")
     policies.check_names([config.policy])
     scenario = policies.resolve_scenario(config.scenario)
@@ -135,7 +134,7 @@ def _write_model(config: Config, path: Path, scenario: Scenario) -> str:
 
 
 def _write_python(config: Config, path: Path) -> str:
-    """The same for one Python file."""
+    """Write and check a standalone Python file; returns a message."""
     policies.check_names([config.policy])
     scenario = policies.resolve_scenario(config.scenario)
     network, build = _network_of(config.policy, scenario), None
@@ -181,7 +180,7 @@ def _check_close(apart: float, most: float, unit: str) -> None:
 
 
 def _network_of(name: str, scenario: Scenario) -> standalone.Network | None:
-    """Weights and settings of a learned policy that is not exported yet; None of a scripted one."""
+    """Weights and settings of a learned policy; None for a scripted one."""
     path = policies.learned_path(name, scenario)
     if path is None:
         return None
@@ -192,7 +191,7 @@ def _network_of(name: str, scenario: Scenario) -> standalone.Network | None:
 
 
 def _compare(path: Path, network: standalone.Network, checks: int) -> float:
-    """The largest difference between file and policy, as a share of the largest preference."""
+    """Largest difference between file and policy, relative to the largest logit."""
     weights, settings = network
     random, written, worst = np.random.default_rng(0), OnnxNetwork(path), 0.0
     for first in range(0, checks, _AT_ONCE):
@@ -212,7 +211,7 @@ def _compare(path: Path, network: standalone.Network, checks: int) -> float:
 def drawn_tables(
     layout: FeatureLayout, robots: int, random: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Tables as robots could be shown, (N, layout.size), each row of a set absent at random."""
+    """Random network inputs (N, layout.size) with randomly absent rows."""
     shown = random.normal(size=(robots, layout.size)).astype(np.float32)
     seen, likely = layout.split(shown), random.random((robots, 1))
     for rows in (seen.neighbours, seen.obstacles):
@@ -221,7 +220,7 @@ def drawn_tables(
 
 
 _OPSET, _IR_VERSION = 18, 8
-"""Old ones, so that old runtimes on robots read them, too."""
+"""Opset and IR version, old enough for old runtimes on robots."""
 _INPUTS = {
     "neighbours": "Unit bearing x, y; gain, m/s; zero rows are absent",
     "obstacles": "Counter-clockwise edge x, y; clockwise edge x, y; how fast each turns, rad/s; "
@@ -229,7 +228,7 @@ _INPUTS = {
     "context": "What belongs to no set; CONTEXT_COLUMNS of baselines.learned.features",
     "hidden": "What is remembered; zeros at first",
 }
-"""What each input is, in the frame with x along f."""
+"""Descriptions of the inputs, in the frame with x along f."""
 
 
 def model_of(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> Any:
@@ -292,14 +291,14 @@ def model_of(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> A
 
 
 class _Graph:
-    """Nodes and constants of a graph."""
+    """Builder of ONNX nodes and constants."""
 
     def __init__(self) -> None:
         self.nodes: list[Any] = []
         self.constants: list[Any] = []
 
     def add(self, operator: str, *inputs: Any, name: str = "", **options: Any) -> str:
-        """A node over names and constant arrays; the name of its one output."""
+        """Add a node over names and constant arrays; returns the name of its output."""
         from onnx import helper, numpy_helper
 
         named = []
@@ -322,10 +321,10 @@ class _Graph:
 
 
 def _pooled(graph: _Graph, rows: str, layers: list[Layer]) -> tuple[str, str]:
-    """Mean and largest feature over the rows that are present.
+    """Mean and maximum feature over the present rows.
 
-    An absent row's features become zeros, which no feature is below, as all end in a ReLU. One row
-    more is appended, absent: a set without any slot has no largest element.
+    Features are non-negative (ReLU), so those of absent rows are set to zero. An absent row is
+    appended so that the maximum over zero slots is defined.
     """
     along, last = np.array([1]), np.array([2])
     features = padded = graph.add("Pad", rows, np.array([0, 0, 0, 0, 1, 0]))
@@ -342,7 +341,7 @@ def _pooled(graph: _Graph, rows: str, layers: list[Layer]) -> tuple[str, str]:
 
 
 def _remembered(graph: _Graph, unit: RecurrentUnit, features: str) -> str:
-    """The equations of ``RecurrentUnit``, from "hidden" to "hidden_next"."""
+    """Equations of ``RecurrentUnit``, from "hidden" to "hidden_next"."""
     gates = [
         [graph.linear(values, part) for part in zip(*(np.split(a, 3) for a in layer), strict=True)]
         for values, layer in ((features, unit.seen), ("hidden", unit.kept))

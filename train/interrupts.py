@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM end a command soon, with one line."""
+"""Handling of Ctrl-C and SIGTERM: a command ends promptly with a one-line message."""
 
 import os
 import signal
@@ -10,11 +10,11 @@ from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 GRACE = 4.0
-"""s that a command has to clean up before its process ends."""
+"""Time for clean-up before the process is ended, s."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal, by its number, asked the command to end."""
+    """Termination requested by a signal."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -22,22 +22,22 @@ class Interrupted(KeyboardInterrupt):
 
 
 def status_of(error: KeyboardInterrupt) -> int:
-    """Exit status of a command that was interrupted: 128 + the signal's number."""
+    """Exit status of an interrupted command: 128 + signal number."""
     return 128 + getattr(error, "number", signal.SIGINT)
 
 
 def line_of(command: str, error: KeyboardInterrupt) -> str:
-    """The last line of a command, with the notes on resuming it that the error carries."""
+    """Last line of an interrupted command, with the notes on resuming attached to the error."""
     notes = getattr(error, "__notes__", ["no file is half written"])
     return f"rendezvous {command}: interrupted; {'; '.join(notes)}"
 
 
 @contextmanager
 def raised(command: str) -> Iterator[None]:
-    """Signals raise ``Interrupted`` in the body.
+    """Raise ``Interrupted`` in the body on a signal.
 
-    An exception can be lost, and compiled code sees none. So a thread that reads the signal from a
-    pipe ends the process, naming the command, if the body still runs after GRACE.
+    An exception can be swallowed, and compiled code does not check for it. A thread that reads the
+    signal from a pipe therefore ends the process if the body still runs after GRACE.
     """
     if threading.current_thread() is not threading.main_thread():
         yield  # signals go to the main thread
@@ -59,7 +59,7 @@ def raised(command: str) -> Iterator[None]:
 
 
 def leave_to_system() -> None:
-    """Let Ctrl-C end the process at once: the program is at its end."""
+    """Restore the default handling of Ctrl-C at the end of the program."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_DFL)
 
@@ -69,7 +69,7 @@ def _interrupt(number: int, frame: Any) -> None:
 
 
 def _end_late(reader: int, over: threading.Event, command: str) -> None:
-    """End the process GRACE after the first of SIGNALS in the pipe, unless the body is over."""
+    """End the process GRACE after the first signal in the pipe, unless the body has finished."""
     while content := os.read(reader, 1):  # empty once it is closed
         if content[0] in SIGNALS and not over.wait(GRACE):
             error = Interrupted(content[0])

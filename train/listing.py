@@ -1,4 +1,4 @@
-"""``rendezvous list``: the scenarios and the policies, a line for each, and which fit which."""
+"""``rendezvous list``: scenarios and policies, one line each, and which policies fit which."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ EXAMPLES = ("scenarios", "policies")
 
 @dataclass(frozen=True)
 class Config(Flags):
-    """List scenarios and policies, a line for each, with which policies fit which."""
+    """List scenarios and policies, one line each, with the scenarios that each policy fits."""
 
     what: Positional[Literal["all", "scenarios", "policies"]] = "all"
     """What to list."""
@@ -52,7 +52,7 @@ def run(config: Config) -> int:
 
 
 def _policies() -> Iterator[tuple[str, list[tuple[str, ...]]]]:
-    """Titles and lines of the policies by kind, with a matrix of the scenarios that they fit."""
+    """Policies by kind: titles and lines with a matrix of fitting scenarios."""
     fitting = {name: baselines.names(scenarios.get(name)) for name in scenarios.names()}
     columns = columns_of(fitting)
     for kind, title in KINDS.items():
@@ -70,7 +70,7 @@ def _policies() -> Iterator[tuple[str, list[tuple[str, ...]]]]:
 
 
 def columns_of(fitting: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
-    """Scenarios by letter, those together that the same policies fit, the largest group first."""
+    """Groups of scenarios that the same policies fit, by letter, largest group first."""
     groups: dict[frozenset[str], list[str]] = {}
     for scenario, names in fitting.items():
         groups.setdefault(frozenset(names), []).append(scenario)
@@ -79,7 +79,7 @@ def columns_of(fitting: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
 
 
 def describe(scenario: Scenario) -> str:
-    """A scenario in a line that follows from its fields; single integrators go unsaid."""
+    """One-line summary of a scenario from its fields; single integrators are the default."""
     where = "in the plane" if scenario.dim == 2 else "in 3-D"
     parts = [f"{scenario.n_robots} robots {where}"]
     if scenario.robot_model != "single_integrator":

@@ -1,7 +1,7 @@
-"""The policies and scenarios of commands, by name.
+"""Policies and scenarios by name, for commands.
 
-Policies: those of the registry; ``learned:PATH`` of a run, a checkpoint or an exported network;
-``module:function``, a user's own. Scenarios: by name or TOML file.
+Policies: registered names; ``learned:PATH`` of a run, a checkpoint or an exported network;
+``module:function`` for custom ones. Scenarios: by name or TOML file.
 """
 
 import hashlib
@@ -38,14 +38,14 @@ from rendezvous_env.trajectory import Policy, begin
 from .checks import GivenScenario, UserError, unknown, user_error
 
 _BEST = ("learned-tank", "tank-joined", "learned", "tangent-joined-tuned", "tangent-joined")
-"""Policies for obstacles; the sooner, the more collision-free (README, Results)."""
+"""Policies for obstacles, in order of decreasing collision-free success."""
 _ON_REQUEST = ("blind", "privileged")
-"""Kinds of policies that are compared where they are named."""
+"""Kinds of policies that are compared only if named."""
 _WHERE_SENSORS_ERR = ("learned-tank-noise",)
-"""Policies without an advantage where sensors are exact."""
+"""Policies without an advantage for exact sensors."""
 _LINK_KEEPING = "link-keeping"
 _found: dict[str, tuple[Any, str | None]] = {}
-"""Functions of users as this process has imported them, with the digests of their files."""
+"""Custom functions imported by this process, with the digests of their files."""
 
 
 def kind_of(name: str) -> str:
@@ -76,12 +76,12 @@ def labels_of(wanted: Sequence[str]) -> dict[str, str]:
 
 
 def about(name: str) -> str:
-    """A policy in one line; empty if it has no description."""
+    """One-line description of a policy; empty if there is none."""
     return "" if ":" in name else registry.about(name)
 
 
 def make(name: str, scenario: Scenario) -> Policy:
-    """A new policy; a ValueError if its name is unknown, it does not fit, or is not readable."""
+    """New policy by name; a ValueError if it is unknown, does not fit or is not readable."""
     if is_user_policy(name):
         if (policy := _make_own(name, scenario)) is None:
             raise ValueError(f"policy {name!r} does not fit scenario {scenario.name!r}")
@@ -90,7 +90,7 @@ def make(name: str, scenario: Scenario) -> Policy:
 
 
 def tried(name: str, scenario: Scenario) -> Policy:
-    """As ``make``, but a UserError says what is wrong, in the first step of a user's policy too."""
+    """As ``make`` with a UserError, which also covers the first step of a custom policy."""
     try:
         fitting(scenario, [name])
         return make(name, scenario)
@@ -109,7 +109,7 @@ def called(name: str, policy: Policy, observations: Any, now: Any) -> Any:
 
 
 def learned_path(name: str, scenario: Scenario | None = None) -> Path | None:
-    """Folder of a learned policy for the robots of a scenario, or for single integrators."""
+    """Folder of a learned policy for a scenario's robot model, default single integrators."""
     if name in shipped.NAMES:
         return shipped.folder(name, scenario)
     return Path(name.removeprefix(AT_PATH)) if name.startswith(AT_PATH) else None
@@ -144,8 +144,9 @@ def _is_hopeless(name: str, scenario: Scenario) -> bool:
 
 
 def source_digest(name: str) -> str | None:
-    """The ``digest_of`` of what makes a policy without weights; of ``module:function`` that of its
-    file as this process has imported it.
+    """``digest_of`` the factory of a policy without weights.
+
+    For ``module:function`` it is the digest of the file as imported by this process.
     """
     if not is_user_policy(name):
         return digest_of(builder_of(name))
@@ -154,15 +155,13 @@ def source_digest(name: str) -> str | None:
 
 
 def best(scenario: Scenario) -> str:
-    """The default policy: the best that fits among obstacles, else the law of such robots."""
+    """Default policy: the best that fits among obstacles, else the law of the robot model."""
     known = fitting(scenario, ())
     return next((name for name in _BEST if scenario.obstacles and name in known), known[0])
 
 
 def check_names(wanted: Sequence[str]) -> None:
-    """Refuse a name that no policy has or that stands twice, and a learned policy that cannot be
-    read.
-    """
+    """Raise a UserError for unknown or repeated names and unreadable learned policies."""
     known = baselines.names()
     for name in wanted:
         if wanted.count(name) > 1:
@@ -177,8 +176,9 @@ def check_names(wanted: Sequence[str]) -> None:
 
 
 def promised_margin(name: str, policy: Policy) -> float | None:
-    """Alignment margin ε that a policy keeps by construction: 1 for law (1), ``min_alignment`` of a
-    policy with certified headings, else None.
+    """Minimum alignment ε that a policy keeps by construction.
+
+    1 for law (1), ``min_alignment`` of a policy with certified headings, else None.
     """
     margin = 1.0 if name == "bearing-only" else getattr(policy, "min_alignment", None)
     return None if margin is None else float(margin)
@@ -202,8 +202,9 @@ def promised_time(name: str, policy: Policy, scenario: Scenario) -> float:
 
 
 def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
-    """A scenario by its name or TOML file, changed as ``--set`` says: FIELD=VALUE each, a value as
-    in TOML; changes go into its name.
+    """Scenario by name or TOML file with the overrides of ``--set``.
+
+    Overrides are FIELD=VALUE with TOML values and become part of the scenario's name.
     """
     try:
         given: dict[str, Any] = {}
@@ -229,8 +230,9 @@ def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
 
 
 def registered(scenario: Scenario) -> list[tuple[str, str | None]]:
-    """What somebody has registered and a scenario speaks of, which this process alone knows, with
-    the ``digest_of`` its function, which of a robot model is that of its constants.
+    """Registered extensions used by a scenario, with the ``digest_of`` their functions.
+
+    They are known to this process only. The digest of a robot model is that of its constants.
     """
     graph, model = scenario.sensing_graph, scenario.model
     terms = sorted({*dict(scenario.reward.custom), *scenario.costs} - {*COSTS})
@@ -244,8 +246,8 @@ def registered(scenario: Scenario) -> list[tuple[str, str | None]]:
 
 
 def digest_of(function: Callable[..., Any], path: Path | None = None) -> str | None:
-    """Digest of the file in which a function is written, unless another one is given, or of its own
-    lines in a notebook; None where nobody knows them.
+    """Digest of the file that defines a function (or of the given file), or of its source lines in
+    a notebook; None if the source is unavailable.
     """
     if (path := path or file_of(function)) is not None:
         return hashlib.sha256(path.read_bytes()).hexdigest()
@@ -255,12 +257,12 @@ def digest_of(function: Callable[..., Any], path: Path | None = None) -> str | N
 
 
 def is_user_policy(name: str) -> bool:
-    """Whether a name is meant as ``module:function``."""
+    """Whether a name has the form ``module:function``."""
     return ":" in name and not name.startswith(AT_PATH)
 
 
 def find_function(name: str) -> Callable[[Scenario], Policy | None]:
-    """The function of a name, whose module may lie in the current folder."""
+    """Function by ``module:function``; the module may be in the current folder."""
     module_name, _, function_name = name.partition(":")
     if not all(part.isidentifier() for part in (*module_name.split("."), function_name)):
         raise UserError(f"policy {name!r}: write MODULE:FUNCTION, as in my_policies:make")
@@ -281,14 +283,15 @@ def find_function(name: str) -> Callable[[Scenario], Policy | None]:
 
 
 def _file_of(function: Callable[..., Any], module: Any) -> Path | None:
-    """The file of a user's function; that of its module for an object that can be called."""
+    """File of a custom function; for a callable object, that of its module."""
     place = Path(file_of(function) or getattr(module, "__file__", None) or "")
     return place if place.is_file() else None
 
 
 def _check_fresh(name: str) -> None:
-    """Refuse a function whose file was edited since this process has imported it: others would
-    import another one.
+    """Raise a UserError if the file of a function was edited after this process imported it.
+
+    Worker processes would import another version.
     """
     function = find_function(name)
     place = _file_of(function, sys.modules[name.partition(":")[0]])

@@ -1,4 +1,4 @@
-"""Recordings of single teams of a batch, in no more frames than a picture can show."""
+"""Recordings of single environments of a batch, with a limited number of frames."""
 
 from collections.abc import Callable
 from functools import cache
@@ -13,7 +13,7 @@ from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Step
 
 MAX_FRAMES = 400
-"""Frames kept of one episode; of a longer one only every second, fourth, … step is kept."""
+"""Maximum number of frames per episode; longer episodes keep every second, fourth, … step."""
 
 ARRAYS = {
     "times": "(T,), s",
@@ -37,20 +37,23 @@ ARRAYS = {
     "second": "(changes, links), higher robot of each link, likewise",
     "obstacles": "(M, columns), a row each, as ``rendezvous_env.obstacles.shape`` says",
 }
-"""Shape and meaning of the arrays of a recording; in trajectories.npz each stands under
+"""Shape and meaning of the arrays of a recording; their key in trajectories.npz is
 scenario/policy/start/name."""
 Recording = dict[str, NDArray[Any]]
-"""One team's episode over T frames: the start, some of the steps, every merge and the end; arrays
-as in ``ARRAYS``. It has observations where they cannot be found again (``seen_again``), else links.
+"""One episode in T frames: the start, some of the steps, every merge and the end.
+
+Arrays are as in ``ARRAYS``. Observations are stored if they cannot be recomputed (``seen_again``),
+otherwise links.
 """
 
 LINKS = ("weights", "first", "second")
-"""Entries of a simulator's state that merging changes, of which a team may have the last two."""
+"""Entries of a simulator's state that merging changes; the last two are optional."""
 
 
 def seen_again(scenario: Scenario) -> bool:
-    """Whether what robots saw follows from where they were: exact sensors, fixed links, and no
-    state of a user's own model beyond what is recorded.
+    """Whether observations can be recomputed from recorded states.
+
+    This holds for exact sensors, fixed links and robot models without further state.
     """
     model = scenario.model
     recorded = model.n_angles + scenario.dim * model.keeps_velocity
@@ -59,7 +62,7 @@ def seen_again(scenario: Scenario) -> bool:
 
 
 def state_of(simulator: Simulator) -> Callable[[], Recording]:
-    """What frames are made of, read for all recorders of a batch once the first one asks."""
+    """State of a batch, read once for all recorders on first access."""
 
     @cache
     def read() -> Recording:
@@ -71,7 +74,7 @@ def state_of(simulator: Simulator) -> Callable[[], Recording]:
 
 
 class Recorder:
-    """Records one team of a batch that was just reset, with what it sees unless that is exact."""
+    """Recorder of one environment of a batch after a reset, with observations unless exact."""
 
     def __init__(
         self, simulator: Simulator, team: int, observations: NDArray[np.float32], exact: bool
@@ -96,9 +99,7 @@ class Recorder:
     def see(
         self, step: Step, alignments: NDArray[np.float64], after: Callable[[], Recording]
     ) -> None:
-        """Record a step, with the alignments (B, n) of its robots and the ``state_of`` the batch
-        after it.
-        """
+        """Record a step from alignments (B, n) and the ``state_of`` the batch after it."""
         team, outcome = self._team, step.outcome
         if not step.running[team]:
             return
@@ -120,7 +121,7 @@ class Recorder:
         alignment: NDArray[np.float64],
         jump: tuple[float, float] = (np.nan, np.nan),
     ) -> None:
-        """Keep a frame, and thin out if there are too many."""
+        """Store a frame; drop every second one if there are too many."""
         team = self._team
         kept = ("positions", "headings", "velocities", "frames", "active")
         frame = {
@@ -145,7 +146,7 @@ class Recorder:
         self._frames.append((self._step(), frame))
 
     def finish(self) -> Recording:
-        """The recording, once the team has finished."""
+        """Recording of the finished episode."""
         frames = [frame for _, frame in self._frames]
         stacked = {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
         if self._exact:
@@ -155,15 +156,17 @@ class Recorder:
 
 
 def whole(recording: Recording, scenario: Scenario) -> Recording:
-    """A recording with its observations; a ValueError as of ``observations``."""
+    """Recording with its observations; raises as ``observations``."""
     if "observations" in recording:
         return recording
     return recording | {"observations": observations(recording, scenario)}
 
 
 def observations(recording: Recording, scenario: Scenario) -> NDArray[np.float32]:
-    """What an exact sensor shows in each frame, (T, n, rows, d): bit for bit what the robots saw. A
-    ValueError names an entry that no episode of the scenario can have.
+    """Observations of an exact sensor in each frame, (T, n, rows, d), bitwise as in the episode.
+
+    Raises:
+        ValueError: naming an entry that is impossible in the scenario.
     """
     into = recording["merged_into"]
     frames = len(into)

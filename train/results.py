@@ -1,4 +1,4 @@
-"""The files that commands exchange, and how they are written: whole or not at all."""
+"""File formats shared by commands, written atomically."""
 
 import csv
 import json
@@ -23,7 +23,7 @@ from rendezvous_env.scenario.scenario import Scenario
 from .checks import UserError, user_error
 
 FORMAT_VERSION = 5
-"""Of the files of ``compare``; a change that a reader would notice raises it."""
+"""Format version of the files of ``compare``; raised with every visible change."""
 
 _INTERVAL = "of the 95 % interval of the column before it; empty for a single start"
 
@@ -49,7 +49,7 @@ RESULTS = {
     "min_alignment": "least alignment |h·f|/‖f‖ of a robot with ‖f‖ ≥ 2δ",
     "contacts": "mean number of contacts in an episode, one for each robot and step",
 }
-"""What the columns of results.csv mean, in order; empty where it does not apply."""
+"""Columns of results.csv and their meaning, in order; cells are empty if not applicable."""
 
 PAIRED = {
     "scenario": "name of the scenario",
@@ -63,7 +63,7 @@ PAIRED = {
     "improvement_low": f"lower end {_INTERVAL} (likewise)",
     "improvement_high": "upper end of it",
 }
-"""The same for paired.csv."""
+"""Columns of paired.csv and their meaning."""
 
 RESULT_COLUMNS, PAIRED_COLUMNS = tuple(RESULTS), tuple(PAIRED)
 Row = TypeVar("Row", bound=Mapping[str, Any])
@@ -72,9 +72,7 @@ _PACKAGES = ("rendezvous-env", "numpy", "numba", "scipy", "gymnasium", "pettingz
 
 @contextmanager
 def atomic(path: Path) -> Iterator[Path]:
-    """A name for a file or a folder, which takes its place once it is whole, unless the body
-    raises.
-    """
+    """Temporary path for a file or folder that is moved into place if the body succeeds."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part{path.suffix}")
     try:
         yield temporary
@@ -87,8 +85,9 @@ def atomic(path: Path) -> Iterator[Path]:
 
 
 def put_in_place(made: Path, place: Path) -> None:
-    """Rename what is whole, in place of an older one: of a folder a kill between two renamings
-    leaves the older one for ``put_back``.
+    """Move a complete file or folder into place, replacing an older one.
+
+    If the process is killed between the two renames of a folder, ``put_back`` restores the older.
     """
     older = _older(place)
     if made.is_dir() and place.exists():
@@ -100,7 +99,7 @@ def put_in_place(made: Path, place: Path) -> None:
 
 
 def put_back(place: Path) -> None:
-    """Put back an older folder if nothing has taken its place."""
+    """Restore an older folder if its replacement is missing."""
     if not place.exists() and _older(place).exists():
         _older(place).rename(place)
 
@@ -110,9 +109,7 @@ def _older(place: Path) -> Path:
 
 
 def prepare_folder(folder: Path, flag: str | None = None) -> Path:
-    """Make a folder that can be written to; a UserError names the flag with its value, by default
-    --out and the folder.
-    """
+    """Create a writable folder; a UserError names the flag (default --out) and its value."""
     with user_error(f"{flag or f'--out {folder}'}: cannot write there: ", OSError):
         folder.mkdir(parents=True, exist_ok=True)
         with TemporaryFile(dir=folder):  # on Linux without a name: a kill leaves nothing behind
@@ -121,8 +118,10 @@ def prepare_folder(folder: Path, flag: str | None = None) -> Path:
 
 
 def prepare_file(path: Path, flag: str) -> None:
-    """Make the folder of a file that can be written to; a UserError names the flag and the file,
-    also where that is a folder itself.
+    """Create the folder of a file to write.
+
+    Raises:
+        UserError: naming flag and file, if it is not writable or a folder.
     """
     if path.is_dir():
         raise UserError(f"{flag} {path}: is a folder; name a file")
@@ -132,8 +131,9 @@ def prepare_file(path: Path, flag: str) -> None:
 def write_csv(
     path: Path, rows: Iterable[Mapping[str, Any]], columns: Sequence[str] | None = None
 ) -> None:
-    """Write rows, each with exactly these columns, by default those of the first row; None and NaN
-    become empty cells.
+    """Write rows with the given columns (default: those of the first row).
+
+    None and NaN become empty cells.
     """
     with atomic(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         found = list(rows)
@@ -143,7 +143,7 @@ def write_csv(
 
 
 def plain(value: Any) -> Any:
-    """A cell as text that reads back as the same number."""
+    """Cell as text that parses to the same number."""
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, bool):
@@ -154,13 +154,13 @@ def plain(value: Any) -> Any:
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
-    """Rows of a file that ``write_csv`` wrote, every cell as text."""
+    """Rows of a file of ``write_csv``, cells as text."""
     with path.open(newline="", encoding="utf-8-sig") as file:
         return list(csv.DictReader(file))
 
 
 def grouped(rows: Iterable[Row], column: str) -> dict[Any, list[Row]]:
-    """Rows by what they have in a column, both in their order."""
+    """Rows grouped by the value of a column, in order of appearance."""
     found: dict[Any, list[Row]] = {}
     for row in rows:
         found.setdefault(row[column], []).append(row)
@@ -168,7 +168,7 @@ def grouped(rows: Iterable[Row], column: str) -> dict[Any, list[Row]]:
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any], run: str = "") -> None:
-    """Write named arrays to an npz file, with the id of their run as its comment."""
+    """Write named arrays to an npz file, with the run id as its comment."""
     with atomic(path) as temporary:
         with temporary.open("wb") as file:
             np.savez_compressed(file, **dict(arrays))
@@ -177,24 +177,24 @@ def write_arrays(path: Path, arrays: Mapping[str, Any], run: str = "") -> None:
 
 
 def entry(path: Path) -> dict[str, Any]:
-    """Size and SHA-256 of a file, as run.json names them."""
+    """Size and SHA-256 of a file for run.json."""
     return plain_data.entry(path.read_bytes())
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write text, whole or not at all."""
+    """Write text atomically."""
     with atomic(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write plain data, indented."""
+    """Write plain data as indented JSON."""
     write_text(path, json.dumps(content, indent=2) + "\n")
 
 
 def versioned(scenario: Scenario) -> dict[str, str]:
-    """Versioned name ("field") and digest of the first starts ("digest") of a named scenario;
-    empty for another one.
+    """Versioned name ("field") and digest of the first initial conditions ("digest") of a named
+    scenario; empty for any other scenario.
     """
     name = scenario.name
     if name not in scenarios.with_versions() or scenario != scenarios.get(name):
@@ -204,7 +204,7 @@ def versioned(scenario: Scenario) -> dict[str, str]:
 
 
 def provenance(packages: Sequence[str] = ()) -> dict[str, Any]:
-    """What it takes to run the same again: format, versions, command line."""
+    """Provenance of a run: format version, package versions, command line."""
     return {
         "format_version": FORMAT_VERSION,
         "command_line": [Path(sys.argv[0]).name, *sys.argv[1:]],

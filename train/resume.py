@@ -1,8 +1,8 @@
-"""Work that can be stopped at any moment: finished tasks lie in a folder, and the same command
-resumes it; one process at a time.
+"""Resumable work: results of finished tasks are stored, and the same command resumes.
 
-plan.json says what was asked for, cells/ holds the results of finished tasks. A cell depends on
-nothing but the plan, so a resumed command finds what an uninterrupted one would have found.
+plan.json describes the request; cells/ holds the results of finished tasks. Results depend on the
+plan alone, so a resumed command gives the same results as an uninterrupted one. A lock admits one
+process at a time.
 """
 
 import hashlib
@@ -34,14 +34,14 @@ _DIGEST = hashlib.sha256().digest_size
 
 
 def program() -> dict[str, Any]:
-    """What numbers depend on besides what was asked for, as plain data."""
+    """Version information on which results depend, as plain data."""
     about = results.provenance()
     return {**{key: about[key] for key in ("format_version", "versions")}, "source": _source()}
 
 
 @cache
 def _source() -> str:
-    """Digest of the program's own files, which change more often than its version."""
+    """Digest of the source files."""
     found = hashlib.sha256()
     for file in (rendezvous_env.__file__, baselines.__file__, __file__):
         for path in sorted(Path(str(file)).parent.rglob("*.py")):
@@ -50,17 +50,18 @@ def _source() -> str:
 
 
 def run_id(plan: Mapping[str, Any]) -> str:
-    """The id of a plan: the same for the same command."""
+    """Identifier of a plan, equal for equal commands."""
     return plain_data.digest(plan)[:16]
 
 
 @contextmanager
 def claimed(folder: Path, lock: str, what: str) -> Iterator[None]:
-    """Make a folder and hold a lock file in it, which names its holder; the system frees the lock
-    if this process dies. Folders that had to be made go again if they stay empty.
+    """Create a folder and hold a lock file in it, which the system releases if the process dies.
+
+    Created folders are removed again if they stay empty.
 
     Raises:
-        UserError: if another process holds it, naming that and ``what``; or it cannot be written.
+        UserError: if another process holds the lock, or the folder cannot be written.
     """
     new = [path for path in (folder, *folder.parents) if not path.exists()]
     path = folder / lock
@@ -90,8 +91,10 @@ def claimed(folder: Path, lock: str, what: str) -> Iterator[None]:
 
 
 class Part:
-    """The folder of unfinished work: a plan, as plain data; ``what`` names the work in a word. What
-    comes of it may be made in its folder ``whole``, to be put in place at once.
+    """Checkpoint folder of a resumable command.
+
+    It stores a plan as plain data; ``what`` names the work in one word. Results may be assembled in
+    its folder ``whole`` and moved into place at once.
     """
 
     def __init__(self, folder: Path, plan: Mapping[str, Any], what: str) -> None:
@@ -101,12 +104,13 @@ class Part:
 
     @contextmanager
     def at_work(self, given: Path, console: Console, *, fresh: bool) -> Iterator[None]:
-        """Make the folder, or resume what is there, and say so, with its lock held; ``given`` is
-        what --out said. Nothing stays where no task was finished.
+        """Create or resume the folder while holding its lock; ``given`` is the value of --out.
+
+        The folder is removed if no task was finished.
 
         Raises:
-            UserError: if it is of another command, and not to be thrown away for a fresh start, or
-                another process is at work.
+            UserError: if it belongs to another command and is not to be overwritten, or if another
+                process holds the lock.
         """
         with claimed(self.folder.parent, f".{self.folder.stem}.lock", f"--out {given}"):
             if any(self.folder.glob("[!.]*")):
@@ -135,13 +139,13 @@ class Part:
                     self.discard()
 
     def save(self, name: str, result: Any) -> None:
-        """Keep the result of a task."""
+        """Store the result of a task."""
         content = pickle.dumps(result)
         with results.atomic(self._cells / f"{name}.cell") as temporary:
             temporary.write_bytes(self._digest(content) + content)
 
     def load(self, name: str) -> Any:
-        """The result of a task; None if it is not finished, or damaged: it is done again."""
+        """Result of a task; None if it is missing or damaged, so that it is repeated."""
         try:
             content = (self._cells / f"{name}.cell").read_bytes()
         except OSError:
@@ -155,9 +159,10 @@ class Part:
         tasks: Sequence[Task],
         do: Callable[[Sequence[Task]], Generator[tuple[int, Any], None, None]],
     ) -> Iterator[tuple[Task, Any, bool]]:
-        """Tasks, each with a name of its own, their results and whether they were done now: first
-        those that are finished, then the others as they end, each kept; ``do`` does these, as
-        ``tasks.each``.
+        """Iterate over (task, result, whether computed now) of uniquely named tasks.
+
+        Stored results come first, then those of the other tasks as they finish; each is stored.
+        ``do`` computes them, as ``tasks.each``.
         """
         left = []
         for task in tasks:
@@ -171,7 +176,7 @@ class Part:
                 yield left[number], result, True
 
     def discard(self) -> None:
-        """Remove the folder: a kill leaves what can be resumed, or nothing at its place."""
+        """Remove the folder atomically."""
         gone = self.folder.with_name(f".{self.folder.name}.gone")
         shutil.rmtree(gone, ignore_errors=True)
         self.folder.rename(gone)
@@ -181,11 +186,11 @@ class Part:
         return hashlib.sha256(self.run.encode() + content).digest()
 
     def _count(self) -> int:
-        """How many tasks are finished."""
+        """Number of finished tasks."""
         return len(list(self._cells.glob("[!.]*.cell")))
 
     def _check_same(self, given: Path) -> None:
-        """Refuse to resume another command than the one that began."""
+        """Raise a UserError if the folder belongs to another command."""
         path = self.folder / PLAN
         if not path.is_file():
             raise UserError(f"{self.folder}: holds no {PLAN}, so it is none of ours; move it away")

@@ -1,4 +1,4 @@
-"""Independent tasks: one after the other, on all cores (joblib), or on a Ray cluster."""
+"""Execution of independent tasks: sequentially, on all cores (joblib) or on a Ray cluster."""
 
 import os
 import pickle
@@ -25,35 +25,35 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 _ALONE = 2.0
-"""s for which this process works by itself; only what takes longer is worth starting others."""
+"""Time before worker processes are started, s; shorter work stays in this process."""
 _TRIES = 3
-"""Times in a row that workers may be lost without a task being done."""
+"""Maximum number of consecutive worker losses without a finished task."""
 _ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"), "1")
-"""Environment of a worker."""
+"""Environment variables of a worker."""
 NAME = "rendezvous"
-"""Of a worker of a Ray cluster while it is at a task: ``ray::rendezvous``."""
+"""Process name of a busy Ray worker: ``ray::rendezvous``."""
 _AHEAD = 4
-"""Tasks submitted for each core of a cluster: some wait, so that no core idles."""
+"""Number of tasks submitted per cluster core, so that no core idles."""
 _ANSWER = 10.0
-"""s that a cluster has to answer."""
+"""Timeout of a cluster connection, s."""
 _MODE = "RAY_AUTH_MODE"
-"""Where each process reads whether a cluster asks for a token."""
+"""Environment variable with the authentication mode of a cluster."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Workers(Flags):
-    """The flags that say who does the tasks of a command."""
+    """Flags of the workers of a command."""
 
     jobs: Annotated[int | None, Bounds(1, 2**12)] = None
-    """How many processes work at once: one on each core by default, or all that a cluster
-    has. Results are the same, bit for bit, whatever their number."""
+    """Number of parallel processes. Default: one per core, or all of a cluster. Results do not
+    depend on it, bitwise."""
     on: Annotated[Literal["here", "ray"], arg(name="backend", aliases=("--on",))] = "here"
-    """Where they work: on this machine, or on a Ray cluster."""
+    """Backend: this machine or a Ray cluster."""
     address: str | None = None
-    """The address of the Ray cluster; without one a cluster starts on this machine."""
+    """Address of the Ray cluster. Default: start one on this machine."""
 
     def __post_init__(self) -> None:
-        """Refuse a cluster that cannot be asked, too."""
+        """Validate the flags, including the cluster address."""
         super().__post_init__()
         if self.on == "here":
             check_unused(self, {"address": "only --backend ray has one"})
@@ -62,7 +62,7 @@ class Workers(Flags):
 
     @property
     def worker_count(self) -> int:
-        """How many work at once on this machine."""
+        """Number of parallel processes on this machine."""
         from rendezvous_env.engine.threads import available_cores  # not in each worker
 
         return self.jobs or available_cores()
@@ -76,23 +76,22 @@ def each(
     *,
     long: bool = False,
 ) -> Generator[tuple[int, Result], None, None]:
-    """Numbers of tasks and their results, in the order in which they end; a result does not depend
-    on who finds it, nor on when.
+    """Iterate over (task index, result) in order of completion; results do not depend on workers.
 
-    Workers are processes: most of a step is Python's, and holds its lock. The tasks of a worker
-    that is lost (a kill, or no memory) are done again. Workers end when the iterator is closed,
-    which a caller that may be interrupted sees to itself.
+    Workers are processes, since most of a step is Python code under the GIL. The tasks of a lost
+    worker (killed or out of memory) are repeated. Workers end when the iterator is closed; callers
+    that may be interrupted must close it.
 
     Args:
-        work: what to do with a task; work, tasks and results are pickled.
-        tasks: any.
-        workers: who does them.
-        here: whether a task must be done in this process.
-        long: whether to start workers at once; else once the first tasks have taken some seconds.
+        work: function of a task; work, tasks and results are pickled.
+        tasks: inputs of ``work``.
+        workers: backend and number of workers.
+        here: (task) → whether it must run in this process.
+        long: whether to start workers at once, or only after some seconds.
 
     Raises:
-        UserError: if workers are lost again and again, or there is no such cluster.
-        Exception: what a task raised.
+        UserError: if workers are lost repeatedly, or the cluster is not available.
+        Exception: the error of a task.
     """
     left = dict(enumerate(tasks))
     alone = workers.on == "here" and workers.worker_count == 1
@@ -115,7 +114,7 @@ def each(
 
 @contextmanager
 def _one_thread(matrices: Any) -> Iterator[None]:
-    """Multiply matrices as workers do: NumPy and torch round otherwise on more threads."""
+    """Limit BLAS and torch to one thread as in workers, since rounding depends on the number."""
     torch: Any = sys.modules.get("torch")
     threads = None if torch is None else torch.get_num_threads()
     try:
@@ -131,7 +130,7 @@ def _one_thread(matrices: Any) -> Iterator[None]:
 def _on_cores(
     work: Callable[[Task], Result], left: dict[int, Task], count: int
 ) -> Generator[tuple[int, Result], None, None]:
-    """Results from other processes of this machine, which start again if one is lost."""
+    """Results from worker processes, which are restarted if one is lost."""
     from joblib.externals.loky.process_executor import BrokenProcessPool
 
     lost = 0
@@ -159,8 +158,9 @@ def _on_cores(
 
 
 def _executor(count: int) -> Any:
-    """Worker processes of one thread, which end with this one. They hear no Ctrl-C, which a
-    terminal sends to all processes: this one ends them.
+    """Single-threaded worker processes that end with this process.
+
+    They ignore Ctrl-C, which a terminal sends to all processes; this process ends them.
     """
     from joblib.externals.loky.process_executor import ProcessPoolExecutor
 
@@ -178,7 +178,7 @@ def _executor(count: int) -> Any:
 
 
 def _end_with(parent: int) -> None:
-    """End this worker once the process that it works for is gone."""
+    """End this worker when its parent process has ended."""
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -191,8 +191,9 @@ def _end_with(parent: int) -> None:
 def _on_cluster(
     work: Callable[[Task], Result], tasks: dict[int, Task], workers: Workers
 ) -> Generator[tuple[int, Result], None, None]:
-    """Results from a Ray cluster, each of a Ray task: its joblib backend returns all results
-    together, and none when a worker is lost.
+    """Results from a Ray cluster, one Ray task each.
+
+    Ray's joblib backend would return all results together, and none if a worker is lost.
     """
     import ray
     from ray.exceptions import OwnerDiedError, RayError, RayTaskError
@@ -229,7 +230,7 @@ def _on_cluster(
 
 @contextmanager
 def _joined(address: str | None, cores: int) -> Iterator[None]:
-    """This process is a driver of the cluster."""
+    """Connect this process to the cluster as a driver."""
     import ray
     from ray.exceptions import RayError
 
@@ -265,8 +266,9 @@ def _mode() -> str:
 
 
 def _do(folder: str, work: Callable[[Any], Any], task: Any) -> bytes:
-    """Do a task, in a folder if the worker has it, so that relative paths mean the same. The result
-    is pickled: arrays that Ray brings back are read-only.
+    """Run a task, in the caller's working folder if it exists on the worker.
+
+    The result is pickled, since arrays returned by Ray are read-only.
     """
     with suppress(OSError):
         os.chdir(folder)

@@ -1,4 +1,4 @@
-"""Laws: pure functions from what a robot sees to its velocity, and the same as policies."""
+"""Laws: pure functions from observations to velocities, and the corresponding policies."""
 
 from rendezvous_env.safety.heading import flexible_velocity
 from rendezvous_env.safety.links import link_keeping_law

@@ -1,4 +1,4 @@
-"""Laws from the literature for robots that can move in any direction, from bearings alone."""
+"""Bearing-only laws from the literature for holonomic robots."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -22,13 +22,12 @@ Order = NDArray[np.int64]
 
 
 def unit_mean_law(net_bearing: Array, *, speed: float) -> Array:
-    """Velocities along the mean bearing at one speed, (..., d), of fᵢ, (..., d), and v, all in m/s.
+    """Velocities along the mean bearing at constant speed, (..., d), for fᵢ, (..., d), and v, m/s.
 
         ṗᵢ = v fᵢ/‖fᵢ‖,   0 where fᵢ = 0
 
-    The circular mean of the bearings, which rendezvous code calls the average bearing. By lemma 1
-    (theory 3) V̇ = −2 v Σ‖fᵢ‖ ≤ −4 v a* on a fixed, connected, undirected graph, so all meet within
-    V0⁺/(4 v a*) in continuous time.
+    By lemma 1 (theory 3), V̇ = −2 v Σ‖fᵢ‖ ≤ −4 v a* on a fixed, connected, undirected graph, so
+    rendezvous takes at most V0⁺/(4 v a*) in continuous time.
     """
     f = net_bearing
     length = np.linalg.norm(f, axis=-1, keepdims=True)
@@ -40,9 +39,9 @@ def smallest_sector_law(bearings: Rows) -> Array:
 
         ṗᵢ = g₊ + g₋ if the sector is narrower than π, else 0    (Bellaiche & Bruckstein, 2016)
 
-    g₊ and g₋ bound the smallest sector with all neighbours in it, which is what the widest gap
-    between neighbouring directions leaves, wherever angles are counted from. Half of ṗᵢ is the
-    point of least norm of conv{gᵢⱼ} in the plane (guarantees 12).
+    g₊ and g₋ bound the smallest sector that contains all neighbours, the complement of the widest
+    gap between adjacent bearings. Half of ṗᵢ is the point of least norm of conv{gᵢⱼ} in the plane
+    (guarantees 12).
     """
     seen = np.any(bearings, axis=-1)
     angles = np.arctan2(bearings[..., 1], bearings[..., 0], dtype=np.float64)
@@ -60,7 +59,7 @@ def smallest_sector_law(bearings: Rows) -> Array:
 
 
 def rounded_bearings(bearings: Rows, sectors: int) -> Array:
-    """Bearings (..., 2) turned into the middles of their sectors, see ``in_sectors``."""
+    """Bearings (..., 2) rotated to the centres of their sectors, see ``in_sectors``."""
     rows = np.ascontiguousarray(bearings, np.float64).reshape(-1, 2)
     rounded = np.empty_like(rows)
     _round_rows(rows, sectors, rounded)
@@ -74,22 +73,22 @@ def _round_rows(rows, sectors, out):
 
 
 def cyclic_pursuit_law(bearings: Rows, *, speed: float) -> Array:
-    """Velocities straight at the next robot that is seen, (..., n, d), m/s; 0 if nobody is.
+    """Velocities towards the next visible robot, (..., n, d), m/s; 0 without one.
 
-        ṗᵢ = v gᵢⱼ,   j the next in cyclic order that is seen     (Yu et al., 2012, corollary 20)
+        ṗᵢ = v gᵢⱼ,   j the next visible robot in cyclic order    (Yu et al., 2012, corollary 20)
 
-    Of rows (..., n, K, d) of any length in the order of ``rows_from_next``, and v, m/s.
+    Rows are (..., n, K, d) of any length, in the order of ``rows_from_next``; v in m/s.
     """
     return _pursuit_law(bearings, rows_from_next(*bearings.shape[-3:-1]), speed)
 
 
 def nearest_pursuit_law(bearings: Rows, *, speed: float) -> Array:
-    """Velocities straight at the robot nearest by index; as ``cyclic_pursuit_law`` otherwise.
+    """Velocities towards the visible robot with the nearest index; as ``cyclic_pursuit_law``.
 
-        ṗᵢ = v gᵢⱼ,   j the one of least |i − j| that is seen            (theorem G, guarantees 10)
+        ṗᵢ = v gᵢⱼ,   j the visible robot with least |i − j|             (theorem G, guarantees 10)
 
-    Bearings do not tell who is nearest in 3-D. All meet within L0/(2vκ(n)) in continuous time on
-    any graph, while everybody sees somebody.
+    Bearings do not determine the nearest robot. Rendezvous takes at most L0/(2vκ(n)) in continuous
+    time on any graph, while every robot sees another one.
     """
     return _pursuit_law(bearings, rows_from_nearest(*bearings.shape[-3:-1]), speed)
 
@@ -100,13 +99,13 @@ def _pursuit_law(bearings: Rows, order: Order, speed: float) -> Array:
 
 
 def rows_from_next(n_robots: int, rows: int) -> Order:
-    """Rows, (n, K), of robots i + 1, i + 2, … (mod n); on sparse graphs as they stand."""
+    """Row indices, (n, K), of robots i + 1, i + 2, … (mod n); unchanged on sparse graphs."""
     robots, steps = np.arange(n_robots)[:, np.newaxis], np.arange(rows)
     return (robots + steps) % rows if rows == n_robots - 1 else 0 * robots + steps
 
 
 def rows_from_nearest(n_robots: int, rows: int) -> Order:
-    """Rows, (n, K), by |i − j|, the lower j of two first; on sparse graphs as they stand."""
+    """Row indices, (n, K), by |i − j|, lower j first; unchanged on sparse graphs."""
     own, row = np.arange(n_robots)[:, np.newaxis], np.arange(rows)
     if rows != n_robots - 1:
         return 0 * own + row
@@ -114,14 +113,14 @@ def rows_from_nearest(n_robots: int, rows: int) -> Order:
 
 
 def first_seen(seen: NDArray[np.bool_], order: Order) -> Order:
-    """Index, (..., n), of the first row of an order, ([...,] n, K), that is seen, (..., n, K)."""
+    """Index, (..., n), of the first visible row (mask (..., n, K)) in an order ([...,] n, K)."""
     order = np.broadcast_to(order, seen.shape)
     first = np.argmax(np.take_along_axis(seen, order, axis=-1), axis=-1)
     return np.take_along_axis(order, first[..., np.newaxis], axis=-1)[..., 0]
 
 
 def chosen_rows(rows: Rows, target: Order) -> Array:
-    """Of the rows (..., n, K, d) of each robot its target, (..., n): (..., n, d), float64."""
+    """Target rows (..., n, d), float64, of rows (..., n, K, d) by index (..., n)."""
     chosen = target[..., np.newaxis, np.newaxis]
     return np.take_along_axis(rows, chosen, axis=-2)[..., 0, :].astype(np.float64)
 
@@ -136,7 +135,7 @@ class _UnitMean(Law):
 
 @register("smallest-sector", fits=in_the_plane, kind="field")
 class _SmallestSector(Law):
-    """Between the two neighbours that bound the smallest sector with all of them in it."""
+    """Along the sum of the two bearings that bound the smallest sector of all neighbours."""
 
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         return smallest_sector_law(seen.neighbours)
@@ -145,7 +144,7 @@ class _SmallestSector(Law):
 @register("quantised", fits=in_the_plane, kind="field")
 @dataclass(frozen=True)
 class _Quantised(Law):
-    """Law (1) of bearings that are known by sector only."""
+    """Law (1) with bearings quantised to sectors."""
 
     sectors: int = 8
 
@@ -158,14 +157,14 @@ class _Quantised(Law):
 
 
 def _tells_robots_apart(scenario: Scenario) -> bool:
-    """Whether there is a row for each other robot, or one in all."""
+    """Whether there is a row for each other robot, or a single row."""
     slots = scenario.observation_layout.neighbour_slots
     return is_single_integrator(scenario) and slots in (1, scenario.n_robots - 1)
 
 
 @register("cyclic-pursuit", fits=_tells_robots_apart, kind="field")
 class _CyclicPursuit(Law):
-    """Straight at the next robot by row, at the speed limit."""
+    """Towards the next visible robot in cyclic order, at the speed limit."""
 
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         return cyclic_pursuit_law(seen.neighbours, speed=self.scenario.speed_limit)
@@ -173,7 +172,7 @@ class _CyclicPursuit(Law):
 
 @register("nearest-pursuit", fits=_tells_robots_apart, kind="field")
 class _NearestPursuit(Law):
-    """Straight at the robot nearest by index, at the speed limit."""
+    """Towards the visible robot with the nearest index, at the speed limit."""
 
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         return nearest_pursuit_law(seen.neighbours, speed=self.scenario.speed_limit)

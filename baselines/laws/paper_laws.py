@@ -1,4 +1,4 @@
-"""The laws of the paper, with its equation numbers."""
+"""Laws of Zhao & Zheng (2017), with equation numbers."""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -29,12 +29,14 @@ Array = NDArray[np.float64]
 
 
 def degree_of(seen: ObservedRows) -> Array:
-    """D_i = Σ_j a_ij, the summed lengths of the neighbour rows, (...), m/s."""
+    """Degree D_i = Σ_j a_ij, the sum of the neighbour rows' lengths, (...), m/s."""
     return np.asarray(np.linalg.norm(seen.neighbours, axis=-1).sum(-1, np.float64))
 
 
 def pitch_of(gravity: NDArray[Any]) -> Array:
-    """β, (...), rad, of gravity in the body frame, (−sin β, 0, −cos β), (..., 3); 0 for zeros."""
+    """Pitch β, (...), rad, from gravity (−sin β, 0, −cos β) in the body frame, (..., 3); 0 for
+    zeros.
+    """
     pitch: Array = np.arctan2(-gravity[..., 0], -gravity[..., 2], dtype=np.float64)
     return np.where(np.any(gravity, axis=-1), pitch, 0.0)
 
@@ -45,7 +47,7 @@ def bearing_only_law(net_bearing: Array) -> Array:
 
 
 def unicycle_law(net_bearing: Array) -> Array:
-    """Speed and turn rate of the unicycle law, (..., 2), m/s and rad/s, of f, (..., 2), m/s.
+    """Speed and turn rate of the unicycle law, (..., 2), m/s and rad/s, for f, (..., 2), m/s.
 
         v = hᵀf,   ω = (h^⊥)ᵀf,   h = (cos θ, sin θ)                  (eqs. 7, 8)
 
@@ -56,12 +58,16 @@ def unicycle_law(net_bearing: Array) -> Array:
 
 
 def unicycle_cosine_law(net_bearing: Array, time: ArrayLike) -> Array:
-    """Speed and turn rate, (..., n, 2), of a unicycle that turns to and fro whatever it sees.
+    """Speed and turn rate, (..., n, 2), of a unicycle with the open-loop rate cos t.
 
         v = hᵀf,   ω = cos t                                        (eq. 7 and the remark after it)
 
-    Of f, (..., n, 2), m/s, in the body frame, and t, (...) for each team, s; a ValueError if that
-    is not one finite number, or one for each team.
+    Args:
+        net_bearing: f, (..., n, 2), m/s, in the body frame.
+        time: t, s, one number or (...).
+
+    Raises:
+        ValueError: if the time is not finite or of another shape.
     """
     v, t = net_bearing[..., 0], floats("time", time)[..., np.newaxis]
     if t.shape[:-1] not in ((), v.shape[:-1]) or not np.isfinite(t).all():
@@ -72,27 +78,27 @@ def unicycle_cosine_law(net_bearing: Array, time: ArrayLike) -> Array:
 
 
 def nonholonomic_3d_law(net_bearing: Array, pitch: Array) -> Array:
-    """Speed, yaw and pitch rate, (..., 3), m/s and rad/s, of f, (..., 3), m/s, and β, (...), rad.
+    """Speed, yaw and pitch rate, (..., 3), m/s and rad/s, for f, (..., 3), m/s, and β, (...), rad.
 
         v = hᵀf,   (α̇, β̇) = (AᵀA)⁻¹ Aᵀ P_h f                         (eqs. 12, 17)
 
-    In the body frame (x = h, y = horizontal left, z = up-ish) this is v = f_x, α̇ = f_y/cos β,
-    β̇ = f_z. At β = ±π/2 it is singular, of which the paper says nothing: here α̇ grows until it is
-    saturated at the action bound, and it is 0 where f_y = 0.
+    In the body frame (x = h, y = horizontal left, z = upward) this is v = f_x, α̇ = f_y/cos β,
+    β̇ = f_z. The law is singular at β = ±π/2, a case that the paper does not treat: here α̇ saturates
+    at the action bound, and is 0 if f_y = 0.
     """
     f_x, f_y, f_z = np.moveaxis(net_bearing, -1, 0)
     return np.stack([f_x, yaw_rate_law(f_y, pitch), f_z], axis=-1)
 
 
 def damped_law(net_bearing: Array, velocity: Array, *, damping: float) -> Array:
-    """Accelerations, (..., d), m/s², of robots with inertia that go where law (1) would.
+    """Accelerations, (..., d), m/s², of double integrators towards the net bearing.
 
         a = f − k v
 
-    Not a law of the paper. The energy H = ½ Σ‖v‖² + V/2 falls, Ḣ = −k Σ‖v‖², while no limit
-    applies; V itself may rise. Under a constant f a robot tends to v = f/k.
+    Not a law of the paper. While no limit applies, the energy H = ½ Σ‖v‖² + V/2 decreases,
+    Ḣ = −k Σ‖v‖²; V itself may increase. Under a constant f the velocity tends to f/k.
 
-    Of f and v, (..., d), m/s, in one frame, f taken in m/s², one per second, and k, 1/s.
+    f and v are (..., d) in the same frame, m/s, with f interpreted in m/s²; k in 1/s.
     """
     f, v, k = net_bearing, velocity, damping
     return f - k * v
@@ -100,13 +106,13 @@ def damped_law(net_bearing: Array, velocity: Array, *, damping: float) -> Array:
 
 @dataclass(frozen=True)
 class Law(TeamPolicy):
-    """A law without memory; its actions are kept within the scenario's limits."""
+    """Base class of memoryless laws; actions are limited to the scenario's bounds."""
 
     scenario: Scenario
 
     @abstractmethod
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
-        """Actions (..., n, a) from f, (..., n, d), m/s, all that is seen, and the time in s."""
+        """Actions (..., n, a) from f, (..., n, d), m/s, the observations and the time, s."""
 
     def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
         """Actions (..., n, a); see ``Policy``."""
@@ -115,7 +121,7 @@ class Law(TeamPolicy):
         return within_limits(self.actions(f, seen, time), self.scenario)
 
     def slowed(self, velocity: Array, seen: ObservedRows) -> Array:
-        """Velocities (..., n, d), m/s, slowed down where the default step is long (theory 4)."""
+        """Velocities (..., n, d), m/s, scaled down if the default step is long (theory 4)."""
         if not self.scenario.scales_velocity:
             return velocity
         scale = step_scale(degree_of(seen), self.scenario.merge_radius, self.scenario.tau)
@@ -124,19 +130,19 @@ class Law(TeamPolicy):
 
 @dataclass(frozen=True)
 class LawPolicy(Law):
-    """A function as a law."""
+    """Law from a function."""
 
     law: Callable[[Array, ObservedRows, ArrayLike], Array]
-    """Arguments and result as of ``Law.actions``."""
+    """Function with arguments and result of ``Law.actions``."""
 
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
-        """What the function gives."""
+        """Result of the function."""
         return self.law(f, seen, time)
 
 
 @register("bearing-only", fits=is_single_integrator, kind="law")
 class _BearingOnly(Law):
-    """Law (1): along the net bearing, as fast as it is long."""
+    """Law (1): the velocity is the net bearing f."""
 
     @property
     def guarantee(self) -> dict[str, Any]:
@@ -149,7 +155,7 @@ class _BearingOnly(Law):
 
 @register("link-keeping", fits=is_single_integrator, kind="law")
 class _LinkKeeping(Law):
-    """Law (R b): into the middle of all that is seen, so that no link in sight grows longer."""
+    """Law (R b): connectivity maintenance; no visible link grows longer."""
 
     @property
     def guarantee(self) -> dict[str, Any]:
@@ -167,7 +173,7 @@ class _LinkKeeping(Law):
 
 
 def _no_farther(rate: Array, angle: Array, duration: float) -> Array:
-    """A turn rate, rad/s, that turns an axis by no more than the angle within the duration."""
+    """Turn rate, rad/s, limited so that the axis turns at most by the angle within the duration."""
     most = np.abs(angle) / duration
     return np.clip(rate, -most, most)
 
@@ -178,7 +184,7 @@ is_unicycle = of_model("unicycle")
 
 @register("unicycle", fits=is_unicycle, kind="law")
 class _Unicycle(Law):
-    """Laws (7) and (8) of unicycles: the speed along f, turning towards it."""
+    """Laws (7) and (8) for unicycles: speed along f, turning towards it."""
 
     @property
     def guarantee(self) -> dict[str, Any]:
@@ -193,7 +199,7 @@ class _Unicycle(Law):
 
 @register("unicycle-cosine", fits=is_unicycle, kind="law")
 class _UnicycleCosine(Law):
-    """Law (7) of unicycles that turn to and fro, ω = cos t, whatever they see."""
+    """Law (7) for unicycles with the open-loop turn rate ω = cos t."""
 
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         return unicycle_cosine_law(f, time)
@@ -201,7 +207,7 @@ class _UnicycleCosine(Law):
 
 @register("nonholonomic-3d", fits=of_model("nonholonomic_3d"), kind="law")
 class _Nonholonomic3D(Law):
-    """Laws (12) and (17) of nonholonomic robots in 3-D."""
+    """Laws (12) and (17) for 3-D nonholonomic robots."""
 
     @property
     def guarantee(self) -> dict[str, Any]:
@@ -223,7 +229,7 @@ class _Nonholonomic3D(Law):
 @register("damped", fits=is_double_integrator, kind="law")
 @dataclass(frozen=True)
 class _Damped(Law):
-    """For robots with inertia: where law (1) would go, with friction; not of the paper."""
+    """Law (1) with damping for double integrators; not from the paper."""
 
     damping: float = 1.0  # k, 1/s
 

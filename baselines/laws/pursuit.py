@@ -1,4 +1,4 @@
-"""Pursuit by robots with a turn limit, which see bearings alone."""
+"""Bearing-only pursuit laws for robots with limited turn rate."""
 
 import math
 from abc import abstractmethod
@@ -22,8 +22,10 @@ _SHARE = 0.8  # of ω_max r/2, the speed above which a target can run round its 
 
 @dataclass
 class Pursuer(RememberingPolicy):
-    """Keeps a target while it is seen, then takes the first that is seen in an order of rows. Where
-    nobody is seen it turns on the spot at ω_max: with a narrow field of view it searches.
+    """Base class of pursuit laws.
+
+    A robot keeps its target while visible, then takes the first visible row in a fixed order.
+    Without a visible robot it turns on the spot at ω_max, which scans a narrow field of view.
     """
 
     scenario: Scenario
@@ -75,12 +77,12 @@ class Pursuer(RememberingPolicy):
 
 @register("pursuit", fits=turns, kind="field")
 class Pursuit(Pursuer):
-    """Turns towards one robot, and drives only while it points at it (E2).
+    """Turns towards one robot, and drives only while facing it (E2).
 
         ω = ω_max sign α until α = 0,   v = c where α = 0, else 0,   c < ω_max r/2
                                                                         (guarantees 13, E2)
 
-    It points at it to within what is turned in a step.
+    The tolerance of α = 0 is the rotation within one step.
     """
 
     def _actions(self, bearing: Array, rows: ObservedRows) -> Array:
@@ -97,7 +99,7 @@ class Pursuit(Pursuer):
 @register("windshield", fits=is_unicycle, kind="field")
 @dataclass
 class Windshield(Pursuer):
-    """Drives on, and turns by all it can while its target is beside the windshield.
+    """Drives at constant speed, and turns at ω_max while its target is outside the windshield.
 
     v = c,   ω = ω_max, 0 or −ω_max for α > φ, |α| ≤ φ, α < −φ      (Yu et al., 2012, eq. 3)
     """
@@ -120,7 +122,7 @@ class Windshield(Pursuer):
 
 
 def yaw_and_pitch(bearing: Array, pitch: Array) -> Array:
-    """Turns in yaw and pitch, (..., 2), rad, from a body with pitch (...) to bearings (..., 3)."""
+    """Yaw and pitch rotations, (..., 2), rad, from a body with pitch (...) to bearings (..., 3)."""
     forward, left, up = np.moveaxis(bearing, -1, 0)
     level = np.cos(pitch) * forward - np.sin(pitch) * up
     height = np.sin(pitch) * forward + np.cos(pitch) * up

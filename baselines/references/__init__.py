@@ -1,1 +1,1 @@
-"""Blind and oracle baselines, which stand below and above every law."""
+"""Blind and oracle baselines: lower and upper references for every law."""

@@ -1,4 +1,4 @@
-"""Blind baselines: what any policy that sees must do better than."""
+"""Blind baselines, which ignore observations."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -18,13 +18,13 @@ from ..policy import Float32, Mask, TeamPolicy, register
 @register("random", fits=lambda scenario: True, kind="blind")
 @dataclass
 class RandomPolicy(TeamPolicy):
-    """Actions drawn at random, uniformly in the action space, whatever is seen."""
+    """Uniformly random actions."""
 
     scenario: Scenario
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Start the stream."""
+        """Initialise the random stream."""
         self.seed = check_seed(self.seed)
         self.reset()
 
@@ -36,14 +36,14 @@ class RandomPolicy(TeamPolicy):
         return drawn.astype(np.float32)
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Restart the stream, which all teams share: a mask that leaves some out does nothing."""
+        """Restart the random stream, shared by all environments; a partial mask has no effect."""
         if mask is None or bools("mask", mask, None, "teams").all():
             self._generator = np.random.default_rng(self.seed)
 
 
 @register("zero", fits=lambda scenario: True, kind="blind")
 class _Zero(Law):
-    """No action at all."""
+    """Zero actions."""
 
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         return np.zeros((*f.shape[:-1], self.scenario.action_size))

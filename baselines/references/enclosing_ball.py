@@ -1,4 +1,4 @@
-"""The smallest ball that holds a set of points."""
+"""Smallest enclosing ball of a set of points."""
 
 import math
 from typing import Any
@@ -13,10 +13,18 @@ Array = NDArray[np.float64]
 
 
 def smallest_enclosing_ball(points: ArrayLike) -> tuple[Array, float]:
-    """The smallest ball that holds all points: min_c max_k ‖p_k − c‖.
+    """Smallest enclosing ball: min_c max_k ‖p_k − c‖.
 
-    Centre c, (d,), m, and radius, m, of points (N, d), N ≥ 1, m, by Welzl's algorithm (1991) with
-    move-to-front, on at most d + 1 points at a time. ValueError for no point, or one not finite.
+    Welzl's algorithm (1991) with move-to-front.
+
+    Args:
+        points: (N, d), N ≥ 1, m.
+
+    Returns:
+        Centre c, (d,), m, and radius, m.
+
+    Raises:
+        ValueError: for no point, or one that is not finite.
     """
     p = floats("points", points)
     if p.ndim != 2 or p.size == 0 or not (np.abs(p) <= LARGEST).all():

@@ -1,4 +1,4 @@
-"""Oracle baselines: laws of the literature that need the distances that bearings lack."""
+"""Oracle baselines: laws from the literature that require relative positions."""
 
 from abc import abstractmethod
 from typing import Any
@@ -20,7 +20,7 @@ _ASIDE = 1e-3  # tangent of the angle from its way within which a robot that tur
 
 
 class PrivilegedPolicy(TeamPolicy):
-    """A policy that reads where robots are; those that turn do so on the spot."""
+    """Base class of oracles, which read positions; nonholonomic robots turn on the spot."""
 
     name: str  # in the registry
 
@@ -46,7 +46,7 @@ class PrivilegedPolicy(TeamPolicy):
         self.reset()
 
     def reset(self, mask: Mask | None = None) -> None:
-        """As ``Policy.reset``, of the teams that it watches."""
+        """As ``Policy.reset``, for the watched simulator."""
         if self._simulator is None:
             return
         batch = self._simulator.num_envs
@@ -56,8 +56,11 @@ class PrivilegedPolicy(TeamPolicy):
             self._fresh = self._fresh | bools("mask", mask, (batch,), "teams")
 
     def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
-        """As ``Policy``, of the teams that it watches; a RuntimeError if it watches none, a
-        ValueError if the observations are those of other teams.
+        """As ``Policy``, for the watched simulator.
+
+        Raises:
+            RuntimeError: without a watched simulator.
+            ValueError: if the observations belong to another simulator.
         """
         seen = self.scenario.observation_layout.checked(observations)
         if (simulator := self._simulator) is None:
@@ -84,20 +87,21 @@ class PrivilegedPolicy(TeamPolicy):
 
     @abstractmethod
     def _velocities(self, simulator: Simulator, active: Mask, begun: Mask) -> Array:
-        """(B, n, d), m/s, in the global frame, of the active robots, (B, n); teams of ``begun``,
-        (B,), start an episode or were reset.
+        """Velocities (B, n, d), m/s, in the global frame, of the active robots, (B, n).
+
+        ``begun``, (B,), marks environments that have just been reset.
         """
 
 
 def within_a_step(rest: Array, scenario: Scenario) -> Array:
-    """Velocities (..., d), m/s, straight along ``rest``, m, at the speed limit, not beyond it."""
+    """Velocities (..., d), m/s, along ``rest``, m, at the speed limit without overshoot."""
     distance = np.linalg.norm(rest, axis=-1, keepdims=True)
     speed = scenario.speed_limit / np.where(distance > 0.0, distance, 1.0)
     return rest * np.minimum(speed, 1.0 / scenario.tau)
 
 
 def circumcentres(positions: Array, linked: Mask) -> Array:
-    """Centres, (n, d), m, of the smallest balls about each robot and those ``linked``, (n, n)."""
+    """Centres, (n, d), m, of the smallest balls around robots and those ``linked``, (n, n)."""
     company, which = np.unique(
         linked | np.eye(len(positions), dtype=bool), axis=0, return_inverse=True
     )
@@ -106,13 +110,13 @@ def circumcentres(positions: Array, linked: Mask) -> Array:
 
 
 def farthest_steps(towards: Array, ways: Array, linked: Mask, sight: float) -> Array:
-    """How far robots may go in one step and still see their neighbours, wherever those go, (n,), m.
+    """Maximum step lengths that keep all neighbours within range, (n,), m.
 
         lᵢⱼ = (dⱼ/2) cos θⱼ + √((R/2)² − ((dⱼ/2) sin θⱼ)²),   minⱼ lᵢⱼ       (Ando et al., 1999)
 
-    Each of two neighbours stays in the ball of radius R/2 about the midpoint between them. Of their
-    directions, unit vectors (n, d), p_j − p_i, (n, n, d), m, of lengths d_j and at angles θ_j from
-    these, a mask of neighbours, (n, n), and R, m; inf for a robot without neighbours.
+    Two neighbours stay in the ball of radius R/2 around their midpoint. Inputs are directions, unit
+    vectors (n, d); p_j − p_i, (n, n, d), m, with lengths d_j and angles θ_j to the directions; a
+    mask of neighbours, (n, n); and R, m. inf for a robot without neighbours.
     """
     along = 0.5 * np.sum(ways * towards[:, np.newaxis], axis=-1)
     aside = np.maximum(0.25 * np.sum(ways**2, axis=-1) - along**2, 0.0)
@@ -121,7 +125,7 @@ def farthest_steps(towards: Array, ways: Array, linked: Mask, sight: float) -> A
 
 
 def _ways_and_gains(simulator: Simulator) -> tuple[Array, Array]:
-    """p_j − p_i, (B, n, n, d), m; and a_ij, (B, n, n), m/s, of robots within each other's range."""
+    """Offsets p_j − p_i, (B, n, n, d), m, and a_ij, (B, n, n), m/s, of robots within range."""
     positions, sight = simulator.positions, simulator.scenario.sensing.range
     ways, gains = positions[:, np.newaxis] - positions[:, :, np.newaxis], simulator.weights
     if sight is not None:
@@ -131,11 +135,11 @@ def _ways_and_gains(simulator: Simulator) -> tuple[Array, Array]:
 
 @register("privileged-consensus", is_single_integrator, kind="privileged", on_request=True)
 class PrivilegedConsensus(PrivilegedPolicy):
-    """Linear consensus: towards the neighbours, the faster the farther they are.
+    """Linear consensus protocol.
 
         ṗᵢ = Σⱼ aᵢⱼ (pⱼ − pᵢ),   aᵢⱼ here in 1/s           (Olfati-Saber & Murray, 2004)
 
-    Slowed where a step would lead beyond the neighbours' mean.
+    Scaled down where a step would overshoot the neighbours' mean.
     """
 
     name = "privileged-consensus"
@@ -148,7 +152,7 @@ class PrivilegedConsensus(PrivilegedPolicy):
 
 @register("privileged-circumcentre", is_single_integrator, kind="privileged", on_request=True)
 class PrivilegedCircumcentre(PrivilegedPolicy):
-    """To the circumcentre of what is seen, no farther than keeps links of limited range."""
+    """Towards the circumcentre of visible robots, with steps that keep all links (Ando et al.)."""
 
     name = "privileged-circumcentre"
 
@@ -173,9 +177,9 @@ class PrivilegedCircumcentre(PrivilegedPolicy):
 
 @register("privileged-enclosing-ball", is_single_integrator, kind="privileged", on_request=True)
 class PrivilegedEnclosingBall(PrivilegedPolicy):
-    """Straight to the centre of the smallest ball about the start; ignores obstacles.
+    """Straight to the centre of the smallest ball around the initial positions.
 
-    No policy can be sooner.
+    The fastest possible policy without obstacles, which it ignores.
     """
 
     name = "privileged-enclosing-ball"
@@ -194,7 +198,7 @@ class PrivilegedEnclosingBall(PrivilegedPolicy):
 
 @register("privileged-nearest-pursuit", is_single_integrator, kind="privileged", on_request=True)
 class PrivilegedNearestPursuit(PrivilegedPolicy):
-    """Straight at the nearest robot that is seen, which bearings do not tell."""
+    """Towards the nearest visible robot, which bearings do not determine."""
 
     name = "privileged-nearest-pursuit"
 

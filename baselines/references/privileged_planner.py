@@ -1,6 +1,4 @@
-"""An oracle baseline that knows the map and where everybody is, and plans: an upper bound for
-policies that see bearings alone.
-"""
+"""Oracle planner with the map and all positions: an upper bound for bearing-only policies."""
 
 from typing import NamedTuple
 
@@ -15,23 +13,23 @@ from .roadmap import Array, Roadmap, WaysTo
 
 NAME = "privileged-planner"
 _CLEARANCES = tuple(0.5**k for k in range(1, 9))
-"""In merge radii; the widest with which all robots can meet is kept."""
+"""Candidate clearances, in merge radii; the largest feasible one is used."""
 _GRID = {2: 13, 3: 7}  # places along each side of a grid
 _ARRIVED = 1e-5  # of a full step; a turn is reached within what float32 leaves of it
 
 
 class Meeting(NamedTuple):
-    """Where a team meets."""
+    """Meeting point of a team."""
 
     place: Array  # (d,), m
     left_out: int  # robots that cannot reach it
 
 
 def meeting_place(roadmap: Roadmap, positions: Array) -> Meeting:
-    """Where the last robot arrives first; among equals, where the ways together are shortest.
+    """Point that minimises the latest arrival, then the total path length.
 
-    Of the robots' own places, (n, d), m, the corners of obstacles and a grid over the team; and
-    then of a finer grid about the best of these.
+    Candidates are the robots' positions, (n, d), m, the corners of obstacles and a grid over the
+    team, followed by a finer grid around the best of these.
     """
     to_corners, _ = roadmap.to_corners(positions)
     low, high = positions.min(axis=0), positions.max(axis=0)
@@ -49,7 +47,7 @@ def _grid(low: Array, high: Array) -> Array:
 
 
 def _best(places: Array, ways: Array) -> Meeting:
-    """Of places (K, d), to which the ways (n, K) lead, m."""
+    """Best of K candidate points, (K, d), with path lengths (n, K), m."""
     left_out = np.isinf(ways).sum(axis=0)
     ways = np.where(np.isinf(ways), 0.0, ways)
     chosen = np.lexsort((ways.sum(axis=0), ways.max(axis=0), left_out))[0]
@@ -57,8 +55,9 @@ def _best(places: Array, ways: Array) -> Meeting:
 
 
 def plan(table: Array, positions: Array, merge_radius: float) -> WaysTo:
-    """The ways on which a team at (n, d), m, with a merge radius r, m, meets soonest among the
-    obstacles of a table; robots that cannot get there stay where they are.
+    """Paths for the earliest meeting of robots at (n, d), m, with merge radius r, m.
+
+    ``table`` holds the obstacles. Robots without a path stay in place.
     """
     found: list[tuple[Roadmap, Meeting]] = []
     for clearance in _CLEARANCES:
@@ -72,11 +71,11 @@ def plan(table: Array, positions: Array, merge_radius: float) -> WaysTo:
 
 @register(NAME, can_steer, kind="privileged")
 class PrivilegedPlanner(PrivilegedPolicy):
-    """Shortest ways on the map to where the last robot arrives first.
+    """Shortest paths on the map to the point of earliest meeting.
 
-    It goes at full speed from turn to turn, and shortens the step before one so that it never
-    leaves its way; robots that turn do so on the spot. After a merge, which moves the survivor,
-    ways are planned again. It keeps r/2 from obstacles, or less where it must; its V may rise.
+    Robots move at full speed and shorten the step before a waypoint, so they stay on their path;
+    nonholonomic robots turn on the spot. Paths are replanned after a merge. The clearance to
+    obstacles is r/2, or less if necessary. V may increase.
     """
 
     name = NAME
@@ -97,7 +96,7 @@ class PrivilegedPlanner(PrivilegedPolicy):
         return within_a_step(self._to_next_turn(positions), scenario)
 
     def _to_next_turn(self, positions: Array) -> Array:
-        """The straight way (B, n, d) to the turn that comes next, m."""
+        """Offset (B, n, d) to the next waypoint, m."""
         self._next = np.minimum(self._next, self._turns.shape[2] - 1)
         turn = np.take_along_axis(self._turns, self._next[..., None, None], axis=2)[:, :, 0]
         return turn - positions
@@ -105,7 +104,7 @@ class PrivilegedPlanner(PrivilegedPolicy):
     def _update_plans(
         self, simulator: Simulator, positions: Array, active: Mask, begun: Mask
     ) -> None:
-        """Plan for teams that start an episode, and find new ways where robots have merged."""
+        """Plan for environments that were reset, and replan where robots have merged."""
         merged = (active != self._active).any(axis=1)
         self._active = active
         for team in np.flatnonzero((begun | merged) & (active.sum(axis=1) > 1)).tolist():

@@ -1,8 +1,7 @@
-"""Shortest ways among obstacles, for policies that may know the map.
+"""Shortest paths among obstacles, for oracles.
 
-In the plane they are those of Dijkstra's algorithm in the visibility graph of the corners of the
-obstacles, inflated by a clearance. In space the nodes are points all over the inflated obstacles,
-and ways are nearly as short as can be.
+In the plane: Dijkstra's algorithm on the visibility graph of the corners of inflated obstacles. In
+3-D the nodes are points on the surfaces of inflated obstacles, and paths are nearly optimal.
 """
 
 import math
@@ -28,15 +27,16 @@ _SPIKE = 1e3  # longest corner of a pointed obstacle, in clearances
 _KEPT = 0.9  # share of the clearance that a way must keep: corners lie at all of it, up to rounding
 _MOST_SIDES = 16  # polygons with more corners are simplified, by less than half the clearance
 MOST_CORNERS = 4_000
-"""Of a roadmap, which looks from each to each: 250 discs, or so many polygons of 16 corners."""
+"""Maximum number of corners of a roadmap, since the graph is quadratic: 250 discs or 16-gons."""
 _HALVINGS = 12
 _ROUNDING = 1.0 + 1e-9
 _TOUCH = 1e-7  # m, less than the depth of a contact: so deep a way from the surface may go
 
 
 class Roadmap:
-    """Ways that keep a clearance, m, from the obstacles of one team, (M, width), or from a point
-    that is nearer to one of them less.
+    """Roadmap with a clearance, m, to the obstacles of one environment, (M, width).
+
+    The clearance is reduced for a point that is closer to an obstacle.
     """
 
     def __init__(self, table: Array, clearance: float, dim: int = 2) -> None:
@@ -59,21 +59,22 @@ class Roadmap:
         return out
 
     def _nearest_first(self, points: Array) -> NDArray[np.int64]:
-        """Obstacles in the order in which they may be in the way of a point, (N, M)."""
+        """Obstacle indices sorted by distance to each point, (N, M)."""
         centres = self._world.shapes[:, MIDDLE : MIDDLE + points.shape[1]]
         gaps = scipy.spatial.distance.cdist(points, centres) - self._world.shapes[:, BOUND]
         return np.argsort(gaps, axis=1)
 
     def straight(self, points: Array, targets: Array) -> Array:
-        """Lengths (N, K) of straight ways from points to targets, m; inf where one is blocked."""
+        """Lengths (N, K) of straight paths from points to targets, m; inf if blocked."""
         out = np.empty((len(points), len(targets)))
         around = self._spikes, self._nearest_first(points)
         _straight_lengths(self._world, around, points, targets, self._margins(points), out)
         return out
 
     def to_corners(self, points: Array) -> tuple[Array, NDArray[np.int32]]:
-        """Lengths (N, C) of the shortest ways from points to corners, m, and the corner before each
-        on that way, negative if it is the first.
+        """Lengths (N, C) of the shortest paths from points to corners, m, and predecessors.
+
+        The predecessor of a corner on its path is negative for the first corner.
         """
         n, count = len(points), len(self.corners)
         lengths = np.full((n + count, n + count), np.inf)
@@ -86,8 +87,9 @@ class Roadmap:
         return found[:, n:], before[:, n:] - n
 
     def distances(self, points: Array, to_corners: Array, places: Array) -> Array:
-        """Lengths (N, K) of the shortest ways from points to places, m, given those to corners; inf
-        where there is none.
+        """Lengths (N, K) of the shortest paths from points to targets, m; inf if unreachable.
+
+        Path lengths to corners are given.
         """
         out, last = self.straight(points, places), self.straight(self.corners, places)
         if len(self.corners):
@@ -97,7 +99,7 @@ class Roadmap:
 
 
 class WaysTo:
-    """The shortest way from anywhere to one place, (d,), m."""
+    """Shortest paths to one target, (d,), m."""
 
     def __init__(self, roadmap: Roadmap, place: Array) -> None:
         self._roadmap, self._place = roadmap, place
@@ -105,7 +107,7 @@ class WaysTo:
         self._lengths, self._following = lengths[0], following[0]
 
     def way(self, point: Array) -> Array:
-        """The turns of the way from a point, and its end, (P, d), m; the point if there is none."""
+        """Waypoints from a point to the target, (P, d), m; the point itself without a path."""
         if math.isfinite(self._roadmap.straight(point[None], self._place[None])[0, 0]):
             return self._place[None]
         over = self._roadmap.straight(point[None], self._roadmap.corners)[0] + self._lengths
@@ -119,7 +121,7 @@ class WaysTo:
 
 
 def _corners(world: ObstacleSet, clearance: float) -> Array:
-    """Corners of the inflated obstacles, (C, 2); round ones become polygons about them."""
+    """Corners of the inflated obstacles, (C, 2); round shapes are circumscribed by polygons."""
     import shapely  # slow to import, and only planners need it
 
     cores, radii = [], []
@@ -146,8 +148,9 @@ def _corners(world: ObstacleSet, clearance: float) -> Array:
 
 
 def _points_around(table: Array, clearance: float) -> Array:
-    """Points on balls that cover the inflated obstacles, (C, 3): a Fibonacci lattice on each, so
-    far out that a straight way from one to the next keeps the clearance.
+    """Points of Fibonacci lattices on balls that cover the inflated obstacles, (C, 3).
+
+    The balls are large enough that straight paths between adjacent points keep the clearance.
     """
     k = np.arange(_ON_A_BALL) + 0.5
     height, azimuth = 1.0 - 2.0 * k / _ON_A_BALL, math.pi * (1.0 + math.sqrt(5.0)) * k
@@ -165,8 +168,9 @@ def _vertices(world: ObstacleSet, m: int) -> Array:
 
 
 def _spikes(world: ObstacleSet) -> Array:
-    """How far corners of inflated obstacles stand out, (M,), as shares of what was added:
-    1/sin(θ/2) at the sharpest angle θ of a polygon, 1 for round ones.
+    """Corner distance of inflated obstacles relative to the inflation, (M,).
+
+    1/sin(θ/2) for the sharpest angle θ of a polygon, 1 for round shapes.
     """
     out = np.ones(len(world.kinds))
     for m in np.flatnonzero(world.kinds == POLYGON).tolist():
@@ -179,8 +183,9 @@ def _spikes(world: ObstacleSet) -> Array:
 
 @kernel
 def _margins_at(world, around, points, most, out):
-    """How far ways from points (N, d) can stay away from all obstacles, m: ``most``, or where a
-    point is too near half of it, a quarter, …; ``around``: ``_spikes``, and the order (N, M).
+    """Feasible clearance of paths from points (N, d), m: ``most`` halved until it fits.
+
+    ``around`` contains ``_spikes`` and the order of obstacles (N, M).
     """
     spikes, order = around
     for i in range(len(points)):
@@ -194,7 +199,7 @@ def _margins_at(world, around, points, most, out):
 
 @inner_kernel
 def _in_the_way(world, spikes, order, here, way, margin):
-    """Whether a way comes nearer to an obstacle; corners of polygons count as pointed."""
+    """Whether a path violates the clearance to an obstacle, with sharp polygon corners."""
     length = dot(way, way)
     for m in order:
         if world.kinds[m] == ABSENT:
@@ -211,7 +216,7 @@ def _in_the_way(world, spikes, order, here, way, margin):
 
 @kernel
 def _straight_lengths(world, around, points, targets, margins, out):
-    """``Roadmap.straight`` with margins (N,), m, that are kept; others as ``_margins_at``."""
+    """``Roadmap.straight`` with clearances (N,), m; other arguments as ``_margins_at``."""
     spikes, order = around
     for i in range(len(points)):
         here = load(points[i])

@@ -1,1 +1,1 @@
-"""What the environments of PettingZoo and Gymnasium share, and their wrappers."""
+"""Environments for PettingZoo and Gymnasium, and their wrappers."""

@@ -1,4 +1,4 @@
-"""The robots of one team by name, as PettingZoo has them."""
+"""Agents of one environment by name, for PettingZoo."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Generic, TypeVar
@@ -18,7 +18,7 @@ from .vector_env import OneTeam
 Observations = dict[str, NDArray[np.float32]]
 Infos = dict[str, dict[str, Any]]
 StepReturn = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]
-"""Observations, rewards, terminations, truncations and infos, by name."""
+"""Observations, rewards, terminations, truncations and infos by agent name."""
 _Space = TypeVar("_Space")
 
 
@@ -48,29 +48,29 @@ class LastRobotInfo(RobotInfo):
 
 
 class SpacesByName(Generic[_Space]):
-    """Spaces of single robots; the same object each time, so that each can be seeded."""
+    """Spaces by agent; the same object on every call, so that spaces can be seeded."""
 
     observation_spaces: dict[str, _Space]
     action_spaces: dict[str, _Space]
 
     def observation_space(self, agent: str) -> _Space:
-        """The space of one robot's observations."""
+        """Observation space of an agent."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> _Space:
-        """The space of one robot's actions."""
+        """Action space of an agent."""
         return self.action_spaces[agent]
 
 
 class TeamByName(OneTeam, SpacesByName[_Space], ParallelEnv[str, NDArray[np.float32], Any]):
-    """One team whose robots have names, as PettingZoo has it."""
+    """Base class of parallel environments, with agents by name."""
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo reads a plain class attribute
         "render_modes": RENDER_MODES,
         "is_parallelizable": True,
     }
     _left_out: tuple[str, ...] = ("robot_rewards",)
-    """Infos of the vector environment that robots are not given."""
+    """Infos of the vector environment that agents do not receive."""
 
     def __init__(self, teams: Any) -> None:
         self._hold(teams)
@@ -85,8 +85,12 @@ class TeamByName(OneTeam, SpacesByName[_Space], ParallelEnv[str, NDArray[np.floa
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, Infos]:
-        """Begin an episode: the first of a seed, or without one the next; options as in
-        ``RendezvousParallelEnv``. A ValueError for a bad option or seed, and nothing has changed.
+        """Start an episode: the first of a seed, or the next without one.
+
+        Options are those of ``RendezvousParallelEnv``.
+
+        Raises:
+            ValueError: for an invalid option or seed; the state is unchanged.
         """
         observations, infos = self._reset(seed, options)
         self.agents = self.possible_agents.copy()
@@ -119,7 +123,7 @@ class TeamByName(OneTeam, SpacesByName[_Space], ParallelEnv[str, NDArray[np.floa
         self.agents = [] if over else [name for name, active in robots if active or follow]
 
     def _by_name(self, infos: Mapping[str, Any]) -> Infos:
-        """Infos of each robot: its own numbers, and those of its team."""
+        """Infos by agent: individual values and those of the team."""
         kept = {
             key: values[0]
             for key, values in infos.items()
@@ -133,20 +137,21 @@ class TeamByName(OneTeam, SpacesByName[_Space], ParallelEnv[str, NDArray[np.floa
         }
 
     def _is_over(self, actions: Any) -> bool:
-        """Whether there are no robots and no actions; a RuntimeError before the first reset."""
+        """Whether there are no agents and no actions; a RuntimeError before the first reset."""
         if not self.simulator.begun:
             raise RuntimeError("call reset() before step()")
         return not self.agents and isinstance(actions, Mapping) and not actions
 
 
 def names_of(n_robots: int) -> list[str]:
-    """The names of the robots of a team."""
+    """Agent names of n robots."""
     return [f"robot_{i}" for i in range(n_robots)]
 
 
 def check_robots(actions: Any, alive: Sequence[str], merged_into: NDArray[np.int64]) -> None:
-    """Refuse actions, by name, that are not for exactly the robots alive: a KeyError names the
-    robot that is missing, unknown or gone, and what it is now part of.
+    """Raise a KeyError unless the actions are for exactly the live agents.
+
+    It names a missing, unknown or merged agent, and the survivor of a merged one.
     """
     if not isinstance(actions, Mapping):
         refuse("actions", actions, f"a dict with an action for each of {alive}")
@@ -166,7 +171,7 @@ def check_robots(actions: Any, alive: Sequence[str], merged_into: NDArray[np.int
 def table_of(
     actions: Mapping[str, Any], alive: Sequence[str], simulator: Simulator
 ) -> NDArray[np.float32]:
-    """Actions by name as (1, n, a) float32, refused by name; zero for robots that are gone."""
+    """Actions by name as (1, n, a) float32, zero for merged robots; errors name the agent."""
     n, size = simulator.scenario.n_robots, simulator.scenario.action_size
     try:  # all at once; one by one only to find out what is wrong with them
         listed = np.array([actions[name] for name in alive])
@@ -188,15 +193,16 @@ def table_of(
 
 
 class OneAfterAnother(parallel_to_aec_wrapper):
-    """PettingZoo's AEC form of a parallel environment of ours.
+    """AEC form of a parallel environment.
 
-    PettingZoo keeps the actions until the last robot has chosen: a wrong one would be found too
-    late for its robot to correct it.
+    It validates each action at once, whereas PettingZoo's wrapper would fail after the last agent.
     """
 
     def step(self, action: Any) -> None:
-        """Take the action of the robot whose turn it is, None of one that has ended; a ValueError
-        for anything else, naming the robot, and nothing has changed.
+        """Take the action of the selected agent, None if it has terminated.
+
+        Raises:
+            ValueError: for an invalid action, naming the agent; the state is unchanged.
         """
         robot = self.agent_selection
         if not (self.terminations[robot] or self.truncations[robot]):

@@ -1,4 +1,4 @@
-"""What the guarantee wrappers of PettingZoo and of vector environments share."""
+"""Common parts of the guarantee wrappers for PettingZoo and vector environments."""
 
 import functools
 import inspect
@@ -25,20 +25,20 @@ from .overrides import arguments_of
 from .spaces import choice_box, observation_box
 
 AnyFilter = SafetyFilter | type[SafetyFilter] | str
-"""A filter, or its class or name, from which settings make one."""
+"""A filter, its class or its name."""
 _Constructor = TypeVar("_Constructor", bound=Callable[..., None])
 _holders: weakref.WeakValueDictionary[int, Any] = weakref.WeakValueDictionary()
-"""The wrapper that holds a filter, by the filter's id; not on filters, which are pickled."""
+"""Wrapper by the id of its filter; kept outside filters, which are pickled."""
 _OF_STATES = ("decision_period", "env", "observed")
 _OF_INFOS = (
     *STANDING, "active", "clearance", "contact", "final_info", "final_obs", "merged_into",
     "robot_rewards", "summary",
 )  # fmt: skip
-"""Names that filters cannot have."""
+"""Reserved names of infos."""
 
 
 def check_period(decision_period: int) -> int:
-    """A decision period that is a positive whole number."""
+    """Validated decision period, a positive integer."""
     return whole("decision_period", decision_period, 1, MOST_HELD_STEPS)
 
 
@@ -53,14 +53,14 @@ def layers_of(env: Any) -> Iterator[Any]:
 
 
 def settings_of(kind: type[SafetyFilter]) -> list[str]:
-    """Names of what a user can choose of a filter."""
+    """Names of the settings of a filter."""
     return [name for name in arguments_of(kind)[2:] if name != "num_threads"]
 
 
 def make_filter(
     safety_filter: AnyFilter, simulator: Simulator, settings: Mapping[str, Any]
 ) -> SafetyFilter:
-    """The filter of these teams; one of other teams and unknown names are refused."""
+    """Filter for the given environments; raises for an unknown name or other environments."""
     scenario, num_envs = simulator.scenario, simulator.num_envs
     own = ["decision_period"]  # of the wrapper, which has taken it where it is spelt so
     if isinstance(safety_filter, SafetyFilter):
@@ -87,17 +87,17 @@ def make_filter(
 
 
 class HoldsFilter:
-    """A guarantee wrapper of either API: its filter, and its memory from step to step."""
+    """Mixin of guarantee wrappers for both APIs: the filter and its memory."""
 
     _wraps: tuple[type, type]
-    """Environments of this API, and ours."""
+    """Supported classes: of the API, and of this project."""
     _wanted: str
-    """What is to be wrapped, in words that take the wrapper's name."""
+    """Description of supported environments, a template with the wrapper's name."""
     _changing: tuple[type, ...] = ()
-    """Layers that change what robots see or do, on which no guarantee can stand."""
+    """Wrapper classes that change observations or actions, which invalidate a guarantee."""
     env: Any
     _base: Any
-    """The environment of ours under all wrappers."""
+    """Innermost environment."""
 
     def __init__(
         self, env: Any, safety_filter: AnyFilter, decision_period: int = 1, **settings: Any
@@ -123,7 +123,7 @@ class HoldsFilter:
         self._make_spaces(robot, choice_box(made))
 
     def _base_of(self, env: Any) -> Any:
-        """The environment of ours in one that can be wrapped; a TypeError refuses others."""
+        """Innermost environment; a TypeError if it is not supported."""
         wrapper, (of_api, ours) = type(self).__name__, self._wraps
         base = isinstance(env, of_api) and env.unwrapped  # type: ignore[attr-defined]
         if not isinstance(base, ours):
@@ -183,11 +183,11 @@ class HoldsFilter:
             )
 
     def _make_spaces(self, observations: Box, choices: Box) -> None:
-        """Make the spaces of the API from those of one robot."""
+        """Create the spaces of the API from those of one robot."""
         raise NotImplementedError
 
     def _check_names(self, made: SafetyFilter) -> None:
-        """Refuse a filter that calls its memory, or what it tells, what others are called."""
+        """Raise a ValueError if names of a filter's memory or infos are already in use."""
         kind, key = type(made).__name__, made.state_key
         if not (isinstance(key, str) and key.isidentifier()) or key[0] == "_":
             refuse(f"state_key of {kind}", key, "a word that does not begin with _")
@@ -201,7 +201,7 @@ class HoldsFilter:
             )
 
     def _take_alone(self, made: SafetyFilter) -> None:
-        """Refuse a filter that another wrapper holds: it remembers one batch of teams."""
+        """Raise a ValueError for a filter of another wrapper, since it stores one batch."""
         holder = _holders.get(id(made))
         if holder is not None and holder.filter is made:
             raise ValueError(
@@ -211,17 +211,18 @@ class HoldsFilter:
         _holders[id(made)] = self
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """A copy holds the copy of its filter alone, too."""
+        """Restore a copy and register its filter."""
         self.__dict__.update(state)
         _holders[id(self.filter)] = self
 
     def _note_seen(self) -> None:
-        """Note that what is remembered is of the teams as they are now."""
+        """Mark the filter's memory as up to date."""
         self._seen = self._base.simulator.changes
 
     def _check_seen(self) -> None:
-        """Refuse a step from what the filter has not seen: before a reset, or after a step that was
-        made beneath the wrapper or has failed.
+        """Raise a RuntimeError if the filter has not observed the current state.
+
+        This is so before a reset, and after a failed step or a step of the inner environment.
         """
         if self._seen != self._base.simulator.changes:
             raise RuntimeError(
@@ -232,9 +233,7 @@ class HoldsFilter:
             )
 
     def _step_beneath(self, actions: Any) -> Any:
-        """One step of what is wrapped; a wrapper between that makes others of it is refused, or a
-        reset.
-        """
+        """Step the wrapped environment; raises if a wrapper in between steps again or resets."""
         before = self._base.simulator.changes
         told = self.env.step(actions)
         if self._base.simulator.changes != before + 1:
@@ -256,23 +255,25 @@ class HoldsFilter:
 
     @property
     def _parts(self) -> dict[str, Any]:
-        """What remembers something, by its key in a state."""
+        """Stateful parts by their key in a state."""
         return {self.filter.state_key: self.filter}
 
     @property
     def _arrays(self) -> dict[str, NDArray[Any]]:
-        """What else is of a state, (B, ...)."""
+        """Further arrays of a state, (B, ...)."""
         return {"observed": self._observed}
 
     def get_state(self) -> dict[str, Any]:
-        """The running episodes and the wrapper's memory, as copies."""
+        """Copies of the running episodes and the wrapper's memory."""
         memory = {name: part.get_state() for name, part in self._parts.items()}
         memory |= {name: array.copy() for name, array in self._arrays.items()}
         return {"env": self._base.get_state(), **memory}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Put back what ``get_state`` took out; a ValueError names what does not fit, and nothing
-        has changed then.
+        """Restore a state of ``get_state``.
+
+        Raises:
+            ValueError: naming an entry that does not fit; the state is unchanged.
         """
         parts = self._parts
         check_keys(state, ("env", *parts, *self._arrays), exactly=True)
@@ -292,9 +293,9 @@ class HoldsFilter:
 
 
 def declared_for(kind: type[SafetyFilter]) -> Callable[[_Constructor], _Constructor]:
-    """Turns a declaration into a constructor: arguments given, and defaults, go to the filter.
+    """Decorator that turns a declaration into a constructor that builds the filter.
 
-    Unknown keywords are refused with a TypeError that names the nearest argument.
+    Unknown keywords raise a TypeError that names the closest argument.
     """
 
     def fill(declared: _Constructor) -> _Constructor:
@@ -317,7 +318,7 @@ def declared_for(kind: type[SafetyFilter]) -> Callable[[_Constructor], _Construc
 
 
 class HeadingSettings(HoldsFilter):
-    """Theorem C: ``HeadingVectorWrapper``."""
+    """Settings of ``HeadingVectorWrapper`` (theorem C)."""
 
     steering: HeadingFilter
 
@@ -335,7 +336,7 @@ class HeadingSettings(HoldsFilter):
 
 
 class TankSettings(HoldsFilter):
-    """Theorem D: ``EnergyTankWrapper``."""
+    """Settings of ``EnergyTankWrapper`` (theorem D)."""
 
     tank: EnergyTank
 
@@ -353,7 +354,7 @@ class TankSettings(HoldsFilter):
 
 
 class GainSettings(HoldsFilter):
-    """Theorem G: ``GainWrapper``."""
+    """Settings of ``GainWrapper`` (theorem G)."""
 
     gains: Gains
 
@@ -369,7 +370,7 @@ class GainSettings(HoldsFilter):
 
 
 class LinkSettings(HoldsFilter):
-    """Theorem R: ``LinkKeepingWrapper``."""
+    """Settings of ``LinkKeepingWrapper`` (theorem R)."""
 
     links: LinkKeeping
 

@@ -1,4 +1,4 @@
-"""Gymnasium: B teams as arrays, and one team as one agent, made from a scenario."""
+"""Gymnasium factories: vector environments, and one team as a single agent."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -33,14 +33,16 @@ __all__ = [
 
 
 class RendezvousEnv(OneTeam, PlainSpec, gymnasium.Env[Any, Any]):
-    """One team of n robots as one agent.
+    """A team of n robots as a single Gymnasium agent.
 
-    Observations (n, rows, d), actions (n, a), the team's reward and infos are those of
-    ``RendezvousVectorEnv``, without the axis of teams and without masks.
+    Observations (n, rows, d), actions (n, a), the team reward and infos are those of
+    ``RendezvousVectorEnv`` without the batch axis and masks.
 
     Args:
-        teams: a vector environment of one team, wrapped or not, with ``AutoresetMode.DISABLED``; a
-            ValueError for others.
+        teams: a vector environment with B = 1 and ``AutoresetMode.DISABLED``, wrapped or not.
+
+    Raises:
+        ValueError: for another environment.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as Gymnasium declares it
@@ -55,8 +57,10 @@ class RendezvousEnv(OneTeam, PlainSpec, gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], Info]:
-        """Begin a new episode; without a seed the next one of the last seed. A ValueError for a
-        bad option or seed, and nothing has changed.
+        """Start a new episode; without a seed the next one of the last seed.
+
+        Raises:
+            ValueError: for an invalid option or seed; the state is unchanged.
         """
         observations, infos = self._reset(seeds_of_teams(seed, 1), options)
         return observations[0], of_first_team(infos)
@@ -83,11 +87,11 @@ def make_vec(
     flatten: bool = False,
     **overrides: Any,
 ) -> RendezvousVectorEnv:
-    """``num_envs`` teams of one scenario as one vector environment.
+    """Vector environment of ``num_envs`` environments of one scenario.
 
-    A team that has ended is reset by ``autoreset_mode``, see ``RendezvousVectorEnv``. A step uses
-    ``num_threads`` at most; None is one for each core. All other arguments, and errors, are those
-    of ``rendezvous_env.parallel_env``; with ``flatten`` observations are (B, n, rows·d).
+    ``autoreset_mode`` is documented in ``RendezvousVectorEnv``. ``num_threads`` limits the threads
+    of a step; None is one per core. Other arguments and errors are those of
+    ``rendezvous_env.parallel_env``; with ``flatten`` observations are (B, n, rows·d).
     """
     check_overrides(make_vec, overrides)
     mode = _autoreset_mode(autoreset_mode)
@@ -98,7 +102,7 @@ def make_vec(
 
 
 def _autoreset_mode(given: AutoresetMode | str) -> AutoresetMode:
-    """The mode of this value, as Gymnasium spells them: "SAME_STEP", "same_step", "SameStep"."""
+    """Autoreset mode from any spelling of Gymnasium: "SAME_STEP", "same_step", "SameStep"."""
     if isinstance(given, AutoresetMode):
         return given
     modes = {mode.value.lower(): mode for mode in AutoresetMode}
@@ -111,8 +115,9 @@ def _autoreset_mode(given: AutoresetMode | str) -> AutoresetMode:
 def make_heading_vec(
     scenario: ScenarioLike = "fig3", num_envs: int = 1, **arguments: Any
 ) -> HeadingVectorWrapper:
-    """Many teams that choose heading vectors: ``make_vec`` in the vector HeadingVectorWrapper, with
-    the arguments and errors of both; ``max_turn_rate`` is the wrapper's.
+    """``make_vec`` in the vector HeadingVectorWrapper, with the arguments and errors of both.
+
+    ``max_turn_rate`` is the wrapper's.
     """
     own = arguments_of(HeadingVectorWrapper)[1:]
     of_wrapper, of_teams = sorted_overrides(make_vec, own, arguments)
@@ -120,13 +125,13 @@ def make_heading_vec(
 
 
 def make_env(scenario: ScenarioLike = "fig3", **arguments: Any) -> RendezvousEnv:
-    """One team as one agent; arguments and errors as ``make_vec``."""
+    """A team as a single agent; arguments and errors as ``make_vec``."""
     check_one_team(arguments, "gymnasium.make_vec or rendezvous_env.make_vec")
     return RendezvousEnv(make_vec(scenario, **ONE_TEAM | arguments))
 
 
 def make_heading_env(scenario: ScenarioLike = "fig3", **arguments: Any) -> RendezvousEnv:
-    """One team as one agent that chooses all heading vectors, as ``make_heading_vec``."""
+    """A team as a single agent with heading vectors as actions, as ``make_heading_vec``."""
     check_one_team(arguments, "gymnasium.make_vec or rendezvous_env.vector.HeadingVectorWrapper")
     return RendezvousEnv(make_heading_vec(scenario, **ONE_TEAM | arguments))
 
@@ -137,9 +142,11 @@ def env_from_plain(scenario: Mapping[str, Any], render_mode: str | None = None) 
 
 
 def register() -> None:
-    """Register ``rendezvous/Rendezvous-v0``, with certified headings
-    ``rendezvous/RendezvousHeading-v0``, and scenarios as ``rendezvous/clutter-16-v1``, once;
-    without ``max_episode_steps``, since the environment has a time limit of its own.
+    """Register the Gymnasium ids, once.
+
+    ``rendezvous/Rendezvous-v0``, ``rendezvous/RendezvousHeading-v0`` (certified headings), and
+    named scenarios such as ``rendezvous/clutter-16-v1``. There is no ``max_episode_steps``, since
+    the environment has its own time limit.
     """
     ids: dict[str, tuple[str, dict[str, str]]] = {
         "rendezvous/Rendezvous-v0": ("", {}),

@@ -1,4 +1,4 @@
-"""Keyword arguments of factories: of the scenario, of a guarantee's wrapper, and unknown ones."""
+"""Keyword arguments of factories: scenario fields, wrapper arguments, unknown ones."""
 
 import inspect
 import os
@@ -23,9 +23,7 @@ _FIELDS = sorted(field.name for field in fields(Scenario))
 def check_overrides(
     factory: Callable[..., Any], given: Mapping[str, Any], of_wrapper: Collection[str] = ()
 ) -> None:
-    """Refuse a word that is neither an argument of the factory or of its wrapper nor a field of the
-    scenario, with the known one that is most like it.
-    """
+    """Raise a TypeError for an unknown keyword, with the closest known one."""
     known = [*of_wrapper, *arguments_of(factory)[:-1], *_FIELDS]
     known_fields(given, known, factory.__name__, "argument")
 
@@ -33,10 +31,9 @@ def check_overrides(
 def sorted_overrides(
     factory: Callable[..., Any], of_wrapper: Collection[str], given: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Overrides that are arguments of a wrapper, and those of the factory and of the scenario;
-    others are refused as by ``check_overrides``.
+    """Split overrides into wrapper arguments and others; raises as ``check_overrides``.
 
-    ``max_turn_rate`` is both: it is the wrapper's, which turns no faster than the scenario allows.
+    ``max_turn_rate`` is passed to the wrapper, which also respects the scenario's limit.
     """
     check_overrides(factory, given, of_wrapper)
     arguments = {key: value for key, value in given.items() if key in of_wrapper}
@@ -88,5 +85,5 @@ class PlainSpec:
 
 
 def arguments_of(function: Callable[..., Any]) -> list[str]:
-    """Names of its arguments; the one that collects the rest stands last."""
+    """Argument names of a function, with the variadic one last."""
     return list(inspect.signature(function).parameters)

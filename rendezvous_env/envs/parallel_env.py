@@ -1,4 +1,4 @@
-"""PettingZoo's parallel environment: one team of a vector environment, its robots by name."""
+"""PettingZoo parallel environment: a vector environment with B = 1, agents by name."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -143,11 +143,12 @@ class RendezvousParallelEnv(TeamByName[Box], ParallelEnv[str, NDArray[np.float32
         self.simulator.set_max_steps(value)
 
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
-        """Advance by one step τ with an action for each robot in ``agents``; all that is returned
-        is by name, of the robots that were alive at the start of the step.
+        """Advance by one step τ with an action for each agent in ``agents``.
+
+        Returns dicts by agent name, for the agents at the start of the step.
 
         Raises:
-            KeyError: for a missing, unknown or merged-away robot; nothing has changed then.
+            KeyError: for a missing, unknown or merged agent; the state is unchanged.
             ValueError: for an action of the wrong shape, or one that is not finite; likewise.
             RuntimeError: before the first reset.
         """
@@ -183,5 +184,5 @@ class RendezvousParallelEnv(TeamByName[Box], ParallelEnv[str, NDArray[np.float32
         return returned
 
     def index(self, name: str) -> int:
-        """Index of a robot by its name."""
+        """Index of a robot by its agent name."""
         return self._indices[name]

@@ -1,4 +1,4 @@
-"""Gymnasium spaces of a scenario, and the privileged global state, for every environment."""
+"""Gymnasium spaces of a scenario, and the global state, for all environments."""
 
 from functools import cached_property
 from typing import Any
@@ -18,16 +18,16 @@ _LARGEST = float(np.finfo(np.float32).max)
 
 
 def as_told(rows: NDArray[np.float32], flatten: bool) -> NDArray[np.float32]:
-    """Rows (..., rows, d), or with ``flatten`` (..., rows·d): row by row, a view."""
+    """View of rows (..., rows, d), or (..., rows·d) with ``flatten``."""
     return rows.reshape(*rows.shape[:-2], -1) if flatten else rows
 
 
 def observation_box(
     scenario: Scenario, flatten: bool = False, action_filter: SafetyFilter | None = None
 ) -> Box:
-    """Space of one robot's observations: neighbour rows are at most D̄ long, the others 1.
+    """Observation space of one robot: neighbour rows have length at most D̄, others 1.
 
-    As a filter shows them, a turned row keeps only its length, and a tank's level has no bound.
+    Under a filter only lengths are bounded, since rows are rotated, and stored energy is unbounded.
     """
     layout = scenario.observation_layout
     lengths = np.ones(layout.shape)
@@ -45,31 +45,29 @@ def observation_box(
 
 
 def action_box(scenario: Scenario) -> Box:
-    """Space of one robot's actions."""
+    """Action space of one robot."""
     bounds = scenario.action_bounds.astype(np.float32)
     return Box(-bounds, bounds, dtype=np.float32)
 
 
 def choice_box(action_filter: SafetyFilter) -> Box:
-    """Space of a policy's choice for one robot, in units of the largest."""
+    """Normalised action space of a filter for one robot."""
     return Box(action_filter.lowest_choice, 1.0, (action_filter.action_size,), dtype=np.float32)
 
 
 def of_all_teams(space_of_one: str) -> Any:
-    """An attribute: the space of B teams, from the attribute with that of one team; made on
-    request, as it is larger than what it holds.
-    """
+    """Lazy attribute with the batched space of a single-environment space, which is large."""
     return cached_property(lambda env: batch_space(getattr(env, space_of_one), env.num_envs))
 
 
 def team_box(robot: Box, n: int) -> Box:
-    """Space of a team of n robots with equal spaces, (n, ...)."""
+    """Space of n robots with equal spaces, (n, ...)."""
     low, high = (np.broadcast_to(bound, (n, *robot.shape)) for bound in (robot.low, robot.high))
     return Box(low, high, dtype=np.float32)
 
 
 def of_one_robot(space: Space[Any]) -> Any:
-    """The space of one robot from that of a team of equal ones, a Box or a Discrete."""
+    """Space of one robot from that of n equal ones, a Box or a Discrete."""
     if isinstance(space, MultiDiscrete):
         return Discrete(int(space.nvec[0]))
     assert isinstance(space, Box)

@@ -1,4 +1,4 @@
-"""Teams to train in, made from a scenario, a guarantee and a few options."""
+"""Training environments for generic learners, with a fixed agent set."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ WRAPPERS: dict[str, Any] = {
     "gains": GainWrapper,
     "links": LinkKeepingWrapper,
 }
-"""By guarantee: theorems C, D, G and R."""
+"""Wrapper class by guarantee: theorems C, D, G and R."""
 _LOGGER = logging.getLogger("rendezvous_env")
 _said: set[tuple[Scenario, str, bool]] = set()
 _logged: set[tuple[RewardWeights, float]] = set()
@@ -48,8 +48,9 @@ _presets: list[Callable[[], Any]] = []
 
 
 def hand_in_preset(load: Callable[[], Any]) -> None:
-    """Set what ``learning_preset`` loads, as the environment itself knows no policy: an object like
-    ``ShippedPreset``.
+    """Register the loader of ``learning_preset``, an object like ``ShippedPreset``.
+
+    The environment itself does not depend on any policy.
     """
     _presets[:] = [load]
 
@@ -238,7 +239,7 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         return observations, infos
 
     def step(self, actions: ArrayLike) -> Transition:
-        """Let all robots act; errors as the wrapper of the guarantee."""
+        """Step with actions of all robots; errors as the guarantee wrapper."""
         seen, rewards, ends, cuts, infos = self.env.step(actions)  # type: ignore[arg-type]
         over = ends | cuts
         contact = at_the_end(infos, over, "contact")
@@ -255,7 +256,7 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         return self.teams.state()
 
     def get_state(self) -> dict[str, Any]:
-        """The running episodes and all memory, as copies."""
+        """Copies of the running episodes and all memory."""
         return {"env": self.env.get_state(), "touched": self._touched.copy()}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
@@ -273,8 +274,9 @@ def charge_first_touches(
     rewards: NDArray[Any],
     infos: Info,
 ) -> NDArray[Any]:
-    """Take the price of each robot's first touch of its episode from ``robot_rewards``, and note
-    who has ``touched``, (B, n); returns the rewards of teams, (B,), less the mean of that.
+    """Subtract the cost of each robot's first contact from ``robot_rewards``; update ``touched``.
+
+    Returns the team rewards, (B,), minus the mean cost.
     """
     first = contact & ~touched
     if not first.any():

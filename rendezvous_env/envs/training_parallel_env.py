@@ -1,4 +1,4 @@
-"""One training team as a PettingZoo environment: the vector environment with B = 1, by name."""
+"""PettingZoo form of the training environment: the vector form with B = 1, agents by name."""
 
 from __future__ import annotations
 
@@ -47,13 +47,12 @@ def training_env(
 class TrainingParallelEnv(
     TeamByName[Box | Discrete], ParallelEnv[str, NDArray[np.float32], Any]
 ):  # named, since some libraries look at direct bases alone
-    """The robots of one training team, by name; ``training_env`` says what they see and do.
+    """Training environment with agents by name; see ``training_env``.
 
-    All stay from the first step of an episode to its last: one that has merged away observes zeros,
-    its action is ignored, and it earns with its team. Infos are numbers, under the same keys in
-    every step: those of ``RendezvousParallelEnv`` without ``summary``, ``active`` (whether the
-    robot still exists on its own), and those of the guarantee's wrapper. ``contact`` and costs
-    count since the last decision.
+    The agent set is fixed for an episode: a merged robot observes zeros, its action is ignored, and
+    it receives the team reward. Infos have the same keys in every step: those of
+    ``RendezvousParallelEnv`` without ``summary``, ``active``, and those of the guarantee wrapper.
+    ``contact`` and costs cover the whole decision.
 
     Args:
         teams: ``TrainingTeams`` of one team, with ``AutoresetMode.DISABLED``.
@@ -62,7 +61,7 @@ class TrainingParallelEnv(
     metadata = TeamByName.metadata | {"name": "rendezvous_training_v0"}
 
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
-        """Let all robots act, those that have merged away included; errors as
+        """Step with actions of all agents, merged ones included; errors as
         ``RendezvousParallelEnv.step``.
         """
         if self._is_over(actions):

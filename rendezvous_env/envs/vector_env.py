@@ -1,4 +1,4 @@
-"""Many teams of one scenario as a vector environment of Gymnasium, and one team of it alone."""
+"""Gymnasium vector environment of one scenario, and the base of single environments."""
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -36,7 +36,7 @@ Info = dict[str, Any]
 Transition = tuple[
     NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info
 ]
-"""Observations, rewards, terminations, truncations and infos of B teams."""
+"""Observations, rewards, terminations, truncations and infos of B environments."""
 _DISABLED = AutoresetMode.DISABLED
 _IN_SUMMARY = (*STANDING, *(f"_{key}" for key in STANDING))
 _of_summary = itemgetter(*_IN_SUMMARY)
@@ -106,9 +106,9 @@ class RendezvousVectorEnv(
         self.renderer, self.render_mode = Renderer(simulator, render_mode), render_mode
         self.metadata = render_metadata(simulator) | {"autoreset_mode": autoreset_mode}
         self.begins_anew = True
-        """Whether teams that have ended are reset here, not by a wrapper (``begin_anew``)."""
+        """Whether this environment performs autoresets itself, not a wrapper (``begin_anew``)."""
         self.outcome: StepOutput | None = None
-        """Of the last step, None before the first one."""
+        """Output of the last step; None before the first."""
         self.records_passage = False
         """Whether ``passage`` is kept, for guarantees with wrappers beneath them."""
         self.passage: tuple[NDArray[np.float32] | None, NDArray[np.float32]] | None = None
@@ -125,9 +125,12 @@ class RendezvousVectorEnv(
         seed: int | Sequence[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], Info]:
-        """Begin a new episode in all teams, or in those of ``options["reset_mask"]``, (B,) bool;
-        observations of all teams, and infos masked to those that were reset. A ValueError for a bad
-        option, seed or mask, and nothing has changed.
+        """Start a new episode in all environments, or in those of ``options["reset_mask"]``, (B,).
+
+        Returns the observations of all environments, and infos masked to those that were reset.
+
+        Raises:
+            ValueError: for an invalid option, seed or mask; the state is unchanged.
         """
         simulator, start = self.simulator, as_options(options)
         mask = start.pop("reset_mask", None)
@@ -154,9 +157,12 @@ class RendezvousVectorEnv(
         return as_told(observations, self.flatten), infos
 
     def step(self, actions: NDArray[np.float32]) -> Transition:
-        """Advance every team by one step τ with actions (B, n, a); see the class. A ValueError for
-        another shape, or naming the robot whose action is not finite, and nothing has changed; a
-        RuntimeError before every team has been reset.
+        """Advance every environment by one step τ with actions (B, n, a); see the class.
+
+        Raises:
+            ValueError: for another shape, or naming the robot whose action is not finite; the state
+                is unchanged.
+            RuntimeError: before every environment has been reset.
         """
         simulator, mode = self.simulator, self.autoreset_mode if self.begins_anew else _DISABLED
         if mode is AutoresetMode.NEXT_STEP and not simulator.all_running:
@@ -175,7 +181,7 @@ class RendezvousVectorEnv(
         return observations, rewards, terminations, truncations, infos
 
     def advance(self, actions: NDArray[np.float32]) -> StepOutput:
-        """A step in which no team is reset, and whose infos are left to ``tell``."""
+        """Step without autoreset and without infos, which ``tell`` returns."""
         outcome = self.outcome = self.simulator.step(actions)
         if self.records_passage:
             self.passage = np.array(actions, np.float32), outcome.observations.copy()
@@ -200,8 +206,9 @@ class RendezvousVectorEnv(
         return driven
 
     def tell(self, **more: NDArray[Any]) -> Transition:
-        """What ``step`` returns of the last step while no team is reset, without ``summary``, and
-        with infos of a wrapper's own, (B, ...).
+        """Return value of ``step`` for the last step without autoreset and ``summary``.
+
+        Infos of a wrapper, (B, ...), are added.
         """
         simulator, outcome = self.simulator, self.outcome
         assert outcome is not None  # there has been a step
@@ -220,8 +227,9 @@ class RendezvousVectorEnv(
         return observations, outcome.rewards, terminations, truncations, infos
 
     def begin_anew(self, which: NDArray[np.bool_], infos: Info) -> NDArray[np.float32]:
-        """Reset these teams (B,), and bring the arrays and infos of the last step up to date, in
-        place; its observations.
+        """Reset the given environments (B,) and update arrays and infos of the last step in place.
+
+        Returns its observations.
         """
         outcome = self.outcome
         assert outcome is not None  # there has been a step
@@ -243,11 +251,11 @@ class RendezvousVectorEnv(
         return tuple(self.simulator.seeds.tolist()) if self.simulator.begun else None
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the output of the last step, for pickles."""
+        """State for pickle, without the output of the last step."""
         return vars(self) | {"outcome": None}
 
     def get_state(self) -> dict[str, NDArray[Any]]:
-        """Everything that the future of the teams depends on, as copies."""
+        """Copies of everything that determines the future of the environments."""
         return self.simulator.get_state()
 
     def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
@@ -255,7 +263,8 @@ class RendezvousVectorEnv(
         self.simulator.set_state(state)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """A picture for each team, see the class; in "human" mode they are shown, side by side.
+        """Image per environment, see the class; in "human" mode they are shown side by side.
+
         Errors as ``Renderer.render``.
         """
         return self.renderer.pictures()
@@ -276,7 +285,7 @@ def check_one_team(arguments: Mapping[str, Any], vector_form: str) -> None:
 
 
 class OneTeam:
-    """A vector environment with B = 1, wrapped or not, as an environment of one team."""
+    """Mixin that exposes a vector environment with B = 1, wrapped or not, as one environment."""
 
     teams: Any
     simulator: Simulator
@@ -302,7 +311,7 @@ class OneTeam:
         self.metadata = self.metadata | own
 
     def _reset(self, seed: Any, options: Any) -> tuple[NDArray[np.float32], Info]:
-        """Begin an episode of the team; a mask of teams is none of its options."""
+        """Start an episode; a reset mask is not an option here."""
         start = as_options(options)
         start.pop("reset_mask", None)
         begun = self.teams.reset(seed=seed, options=start)
@@ -316,27 +325,31 @@ class OneTeam:
             self._np_random, self._np_random_seed = np_random(seed)
 
     def state(self) -> NDArray[np.float32]:
-        """The privileged global state, one float32 vector: positions (n·d, m), frames (n·d·d),
-        weights (n·n, m/s), active (n, 0 or 1), packed obstacles (M·width), and the share of the
-        time limit that has passed.
+        """Global state as one float32 vector.
+
+        Positions (n·d, m), frames (n·d·d), weights (n·n, m/s), active (n, 0 or 1), packed obstacles
+        (M·width), and the elapsed fraction of the time limit.
         """
         return self.teams.state()[0]
 
     def get_state(self) -> dict[str, Any]:
-        """The running episode and all memory, as copies; ``set_state`` puts it back."""
+        """Copies of the running episode and all memory, for ``set_state``."""
         return self.teams.get_state()
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Put back what ``get_state`` took out; a ValueError names what does not fit, and nothing
-        has changed then.
+        """Restore a state of ``get_state``.
+
+        Raises:
+            ValueError: naming an entry that does not fit; the state is unchanged.
         """
         self.teams.set_state(state)
         if self.simulator.begun:
             self._note_seed(anew=False)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A picture, (600, 600, 3) uint8, in "rgb_array" mode; in "human" mode it is shown. Errors
-        as ``Renderer.render``.
+        """Image, (600, 600, 3) uint8, in "rgb_array" mode; in "human" mode it is shown.
+
+        Errors as ``Renderer.render``.
         """
         return self.renderer.render()
 
@@ -364,7 +377,7 @@ def tell_ends(
 
 
 def at_the_end(infos: Info, over: NDArray[np.bool_], key: str) -> NDArray[Any]:
-    """An info (B, ...) at the end of a step, before the teams (B,) that ended in it were reset."""
+    """Info (B, ...) at the end of a step, before the autoreset of ended environments, (B,)."""
     if "final_info" not in infos:
         values: NDArray[Any] = infos[key]
         return values
@@ -387,7 +400,7 @@ def leave_out_summary(infos: Info) -> None:
 
 
 def masked(infos: Info, mask: NDArray[np.bool_]) -> Info:
-    """Infos of the teams of a mask (B,), with masks: to every key ``_key``."""
+    """Infos for a mask (B,), with ``_key`` for every key."""
     masks, told = np.full((len(infos), len(mask)), mask), infos.copy()
     # to see whether a mask is left over, as ``strict`` would, takes as long as to hand all out
     told.update(zip(_names_of_masks(tuple(infos)), masks, strict=False))
@@ -396,12 +409,12 @@ def masked(infos: Info, mask: NDArray[np.bool_]) -> Info:
 
 @lru_cache
 def _names_of_masks(keys: tuple[str, ...]) -> tuple[str, ...]:
-    """Kept, since they are the same in each step."""
+    """Cached names of masks."""
     return tuple(f"_{key}" for key in keys)
 
 
 def of_first_team(told: Any) -> Any:
-    """Infos of team 0, nested or not, without the axis of teams and without masks."""
+    """Infos of environment 0 without the batch axis and masks."""
     if isinstance(told, dict):
         return {key: of_first_team(values) for key, values in told.items() if key[0] != "_"}
     return told[0] if told.ndim > 1 else told[0].item()

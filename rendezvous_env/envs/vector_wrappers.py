@@ -1,4 +1,4 @@
-"""Guarantees for vector environments: the wrappers of ``wrappers.py`` for B teams at once."""
+"""Guarantee wrappers for vector environments, the batched form of ``wrappers.py``."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -74,7 +74,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
 
     @property
     def autoreset_mode(self) -> AutoresetMode:
-        """When a team that has ended is reset."""
+        """Autoreset mode of the wrapped environment."""
         return self._base.autoreset_mode
 
     def state(self) -> NDArray[np.float32]:
@@ -87,7 +87,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         seed: int | Sequence[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], Info]:
-        """As ``RendezvousVectorEnv.reset``; it clears the memory of the teams that are reset."""
+        """As ``RendezvousVectorEnv.reset``; clears the memory of environments that are reset."""
         simulator = self._base.simulator
         knows_others = self._seen == simulator.changes or not simulator.begun
         given = as_options(options)
@@ -105,8 +105,10 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         return self._see(which).copy(), infos | masked(self._told(), reset)
 
     def step(self, actions: ArrayLike) -> Transition:
-        """Hold the choices (B, n, k) for ``decision_period`` base steps; rewards are summed. A
-        ValueError for a wrong shape, or naming the robot whose choice is not finite.
+        """Apply the actions (B, n, k) for ``decision_period`` steps; rewards are summed.
+
+        Raises:
+            ValueError: for a wrong shape, or naming the robot whose action is not finite.
         """
         self._check_seen()
         base, mode = self._base, self._base.autoreset_mode
@@ -133,12 +135,13 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
 
     @property
     def _pilot(self) -> BatchController | None:
-        """What computes actions within threads; None where each step is Python's."""
+        """Batch controller that runs within threads; None if every step runs in Python."""
         return self.filter if self.filter.supports_multi_step else None
 
     def _drive(self) -> tuple[NDArray[np.float32] | None, Any, Any, Any, Info]:
-        """Base steps under the held choices, in which no team is reset: the policy's observations
-        after them, None if they are still to be computed, summed rewards, ends, and infos.
+        """Steps of one decision without autoreset.
+
+        Returns the policy's observations (None if not computed), summed rewards, ends and infos.
         """
         base, pilot, shown = self._base, self._pilot, None
         alone = type(self.env) is RendezvousVectorEnv  # nobody between hears of base steps
@@ -158,9 +161,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         return shown, rewards, terminations, truncations, infos
 
     def _viewing(self) -> tuple[NDArray[np.float32] | None, ObservationCallback | None]:
-        """Memory for the policy's observations, and a function that fills it for some teams; None
-        where it sees base observations, or something else.
-        """
+        """Buffer of the policy's observations and the function that fills it; None if unused."""
         made = self.filter
         shown = made.new_view() if self._pilot is made else None
         if shown is None:
@@ -168,9 +169,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         return shown, lambda part, observations: made.observe_calls(part, observations, shown)
 
     def _drive_by_steps(self) -> tuple[Any, Any, Any, Info, Info, NDArray[np.bool_]]:
-        """The same step by step: rewards, robot rewards, contacts, costs, and the infos and ends of
-        which wrappers between told in any step.
-        """
+        """Stepwise version: rewards, robot rewards, contacts, costs, infos and ends."""
         base, simulator, shape = self._base, self._base.simulator, self._observed.shape
         rewards, robot_rewards = np.zeros(self.num_envs), np.zeros(shape[:2])
         contact, between = np.zeros(shape[:2], dtype=np.bool_), Info()
@@ -229,7 +228,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         return told
 
     def _begin_anew(self, which: NDArray[np.bool_], infos: Info) -> None:
-        """Reset these teams, and bring observations and infos up to date."""
+        """Reset the given environments and update observations and infos."""
         fresh = self._base.begin_anew(which, infos).reshape(self._observed.shape)
         self._observed[which] = fresh[which]
         self._forget(which)
@@ -241,23 +240,21 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         return {key: values.copy() for key, values in self.filter.diagnostics.items()}
 
     def _take(self, actions: ArrayLike) -> None:
-        """Take the choices of this period."""
+        """Set the actions of this decision."""
         self.filter.hold(actions)
 
     def _act(self) -> NDArray[np.float32]:
-        """Actions of the next base step."""
+        """Actions of the next step."""
         return self.filter.apply(self._observed)
 
     def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
-        """The policy's observations, (B, n, ...), which it may write to, not what the filter acts
-        on; only teams of the mask, None is all, are new.
-        """
+        """Writable observations of the policy, (B, n, ...), updated for a mask (None: all)."""
         seen = self.filter.observe(self._observed)
         own = seen.copy() if np.may_share_memory(seen, self._observed) else seen
         return as_told(own, self._base.flatten)
 
     def _forget(self, which: NDArray[np.bool_] | None) -> None:
-        """Clear the memory of these teams, None is all."""
+        """Clear the memory of the given environments (None: all)."""
         self.filter.forget(which)
 
 
@@ -311,19 +308,19 @@ def _where(mask: NDArray[np.bool_], values: Any, others: Any) -> Any:
 
 
 class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
-    """``rendezvous_env.HeadingVectorWrapper`` in arrays: raw vectors (B, n, k) in [−1, 1]."""
+    """Batched ``rendezvous_env.HeadingVectorWrapper``: raw vectors (B, n, k) in [−1, 1]."""
 
 
 class EnergyTankWrapper(TankSettings, GuaranteeWrapper):
-    """``rendezvous_env.EnergyTankWrapper`` in arrays: desired velocities (B, n, a) in [−1, 1].
+    """Batched ``rendezvous_env.EnergyTankWrapper``: desired velocities (B, n, a) in [−1, 1].
 
-    The tank of a robot that is gone is 0; a team that is reset has its budget.
+    The stored energy of a merged robot is 0; a reset restores the budget.
     """
 
 
 class GainWrapper(GainSettings, GuaranteeWrapper):
-    """``rendezvous_env.GainWrapper`` in arrays: weights (B, n, K) in [0, 1]."""
+    """Batched ``rendezvous_env.GainWrapper``: weights (B, n, K) in [0, 1]."""
 
 
 class LinkKeepingWrapper(LinkSettings, GuaranteeWrapper):
-    """``rendezvous_env.LinkKeepingWrapper`` in arrays: desired velocities (B, n, d) in [−1, 1]."""
+    """Batched ``rendezvous_env.LinkKeepingWrapper``: desired velocities (B, n, d) in [−1, 1]."""

@@ -1,4 +1,4 @@
-"""Guarantees for PettingZoo: choices are held, and a safety filter makes actions of them."""
+"""Guarantee wrappers for PettingZoo: a safety filter with action repeat."""
 
 from collections.abc import Mapping
 from copy import deepcopy
@@ -78,7 +78,7 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, Infos]:
-        """Begin an episode, without any memory of the last one."""
+        """Start an episode with cleared memory."""
         observations, infos = self.env.reset(seed=seed, options=options)
         self.filter.forget()
         self._remember(observations)
@@ -89,7 +89,7 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
         return self._view(observations), infos
 
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
-        """Hold the choices of the robots in ``agents`` for ``decision_period`` base steps.
+        """Apply the actions of ``agents`` for ``decision_period`` steps.
 
         Errors are those of ``RendezvousParallelEnv.step``.
         """
@@ -130,14 +130,14 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
         return self._view(observations), *returned[1:]
 
     def _add_told(self, infos: Infos) -> None:
-        """Add the filter's infos of the last base step."""
+        """Add the filter's infos of the last step."""
         told = {key: values[0].tolist() for key, values in self.filter.diagnostics.items()}
         for name, info in infos.items():
             i = self._base.index(name)
             info.update({key: values[i] for key, values in told.items()})
 
     def _remember(self, observations: Observations) -> None:
-        """Note what the robots see now; those that are gone see nothing."""
+        """Store the current observations, zero for merged robots."""
         shape = self._observed.shape[2:]
         rows = {name: seen.reshape(shape) for name, seen in observations.items()}
         self._observed = self._table(rows, shape, np.float32)
@@ -145,33 +145,32 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
     def _table(
         self, values: Mapping[str, Any], shape: tuple[int, ...], dtype: type[Any]
     ) -> NDArray[Any]:
-        """Values by name as (1, n, ...), zero for other robots."""
+        """Values by agent as (1, n, ...), zero for other robots."""
         table = np.zeros((1, self._base.scenario.n_robots, *shape), dtype=dtype)
         for name, value in values.items():
             table[0, self._base.index(name)] = value
         return table
 
     def _view(self, observations: Observations) -> Observations:
-        """Observations as the policy is given them."""
+        """Observations of the policy."""
         seen = as_told(self.filter.observe(self._observed)[0], self._base.flatten)
         return {name: seen[self._base.index(name)].copy() for name in observations}
 
 
 class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
-    """Robots choose a heading vector h_i instead of an action; law (4) moves them.
+    """Actions are heading vectors h_i, executed by law (4), with guaranteed rendezvous.
 
         ṗ_i = h_i h_iᵀ f_i                                              (Zhao & Zheng, eq. 4)
 
-    The raw vector of any policy becomes h_i by ``certified_heading`` (theorem C). So on a fixed,
-    connected, undirected graph, with bearings of all neighbours within ``bearing_error`` and
-    without obstacles, all robots meet within the certificate's time bound whatever the policy does.
-    Other graphs and sensors are taken too, without that promise: ``certificate`` says what is
-    granted. Velocities are scaled by r/(2 D_i τ) where the step is longer than certified
-    (theory 4). Nonholonomic robots choose turn rates through the gate of theory 3 and drive with
-    v = mᵀf.
+    ``certified_heading`` (theorem C) maps the raw vector of any policy to h_i. On a fixed,
+    connected, undirected graph, with bearing errors of at most ``bearing_error`` and without
+    obstacles, rendezvous occurs within the certificate's time bound for any policy. Other graphs
+    and sensors are accepted without this guarantee; see ``certificate``. Velocities are scaled by
+    r/(2 D_i τ) if the step is longer than certified (theory 4). Nonholonomic robots choose turn
+    rates, limited by the gate of theory 3, and drive with v = mᵀf.
 
-    * Actions: ``Box(−1, 1, (d,))``, a raw vector in the frame that is observed; its length does not
-      count. For nonholonomic robots ``Box(−1, 1, (1,))`` or ``(2,)``: turn rates in units of
+    * Actions: ``Box(−1, 1, (d,))``, a raw vector in the observed frame, of which only the direction
+      is used. For nonholonomic robots ``Box(−1, 1, (1,))`` or ``(2,)``: turn rates in units of
       ``max_turn_rate``.
     * Observations: the base environment's rows. With ``frame="net_bearing"`` (single integrators) x
       is along f_i, so that any network is rotation-equivariant: exactly in 2-D; in 3-D the second
@@ -185,60 +184,60 @@ class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
         env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``.
         min_alignment: ε, in (0, 1).
         max_turn_rate: ω_max, rad/s; for nonholonomic robots the scenario's limit holds too.
-        certified: False lets the raw vector through as h_i, without any guarantee.
-        bearing_error: η, rad: V never rises between merges while no bearing is wrong by more.
-            Robots then go max(0, h_iᵀf_i − e_i) along h_i, e_i = 2 sin(η/2) D_i (theorem N1').
+        certified: False uses the raw vector as h_i, without any guarantee.
+        bearing_error: η, rad: V never increases between merges for bearing errors up to η. The
+            speed along h_i is then max(0, h_iᵀf_i − e_i), e_i = 2 sin(η/2) D_i (theorem N1').
     """
 
 
 class EnergyTankWrapper(TankSettings, GuaranteeWrapper):
-    """Robots choose velocities; their energy tanks limit for how long V may rise.
+    """Actions are desired velocities; energy tanks limit the increase of V.
 
         A_i ← A_i + G_i(Δ_i),   G_i(Δ) = 2 f_i·Δ − (2/r) D_i ‖Δ‖² − ε² τ s_i ‖f_i‖²  (guarantees 8)
 
-    The desired velocity is carried out while A_i + G_i ≥ 0, even straight away from f_i. Otherwise
-    law (4) moves the robot along that direction, projected onto the cap |hᵀf_i| ≥ ε‖f_i‖, or along
-    f_i if it is zero, and that fills the tank. So on a fixed, connected, undirected graph, with
-    bearings of all neighbours within ``bearing_error``, V ≤ V(0) + n·budget until the first merge,
-    and without obstacles all robots meet in finite time whatever the policy does (theorem D). Other
-    graphs and sensors are taken too, without that promise: ``certificate`` says what is granted. In
-    a step with contact a robot books min(0, G_i): the bound on V is claimed for motion without
-    contacts. A survivor's tank is the sum of both; where everyone sees everyone with one weight,
-    and there are no obstacles, all levels also shrink at a merge (guarantees 8).
+    The desired velocity is executed while A_i + G_i ≥ 0, even opposite to f_i. Otherwise law (4)
+    moves the robot along that direction, projected onto the cap |hᵀf_i| ≥ ε‖f_i‖ (along f_i if it
+    is zero), which fills the tank. On a fixed, connected, undirected graph, with bearing errors of
+    at most ``bearing_error``, V ≤ V(0) + n·budget until the first merge, and without obstacles
+    rendezvous occurs in finite time for any policy (theorem D). Other graphs and sensors are
+    accepted without this guarantee; see ``certificate``. In a step with contact a robot books
+    min(0, G_i), so the bound on V holds for motion without contacts. A survivor inherits the sum of
+    both tanks; on complete graphs of equal weights without obstacles, all stored energies also
+    shrink at a merge (guarantees 8).
 
-    * Actions: ``Box(−1, 1, (d,))``, the desired velocity in units of v_max, in the frame that is
-      observed; a longer one is scaled to v_max. For other robot models the base action in units of
-      its bounds. For nonholonomic robots the energy budget has no term ε², and there is no time
-      bound; with an empty tank they drive with v = s mᵀf and turn through the gate of theory 3.
-    * Observations: as ``HeadingVectorWrapper``'s. With ``observe_level`` one row more, the last:
-      (A_i/(r D̄), 0, …), the level of the robot's own tank in units of twice the most that a step
-      can earn. The robot knows it from its own past; no sensor is needed.
+    * Actions: ``Box(−1, 1, (d,))``, the desired velocity in units of v_max, in the observed frame,
+      limited to v_max. For other robot models the base action in units of its bounds. For
+      nonholonomic robots the ledger has no term ε², and there is no time bound; with an empty tank
+      they drive with v = s mᵀf and turn through the gate of theory 3.
+    * Observations: as ``HeadingVectorWrapper``. ``observe_level`` appends a row (A_i/(r D̄), 0, …),
+      the robot's stored energy in units of twice the maximum gain of a step. A robot computes it
+      from its own past without a sensor.
 
     | infos | |
     |---|---|
-    | tank | A_i after the step, m²/s; 0 for a robot that has merged: the survivor has it |
-    | carried_out | whether the desired velocity was, not law (4) in its place |
+    | tank | stored energy A_i after the step, m²/s; 0 for a merged robot |
+    | carried_out | whether the desired velocity was executed instead of law (4) |
     | alignment | |h_iᵀf_i|/‖f_i‖, h_i the direction of motion or the body axis; NaN without any |
-    | lyapunov_rate | −2 f_iᵀΔ_i/τ, m²/s²: positive where V is made to rise |
+    | lyapunov_rate | −2 f_iᵀΔ_i/τ, m²/s²: positive if V increases |
 
     Args:
         env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``.
-        budget: B_i, the level of each robot's tank at the start of an episode, m²/s.
-        min_alignment: ε, in (0, 1): how fast robots are promised to meet.
-        observe_level: whether robots see the level of their own tank.
-        bearing_error: η, rad: the promises hold while no bearing is wrong by more; each step is
-            charged the most that such errors could hide.
+        budget: B_i, initial stored energy of each robot, m²/s.
+        min_alignment: ε, in (0, 1), which determines the time bound.
+        observe_level: whether robots observe their stored energy.
+        bearing_error: η, rad: guarantees hold for bearing errors up to η; each step is charged the
+            maximum effect of such errors.
     """
 
 
 class GainWrapper(GainSettings, GuaranteeWrapper):
-    """Robots weigh their neighbours; they move along the weighted bearings.
+    """Actions are weights of neighbours; robots move along the weighted sum of bearings.
 
         v_i = Σ_j c_ij g_ij,   c_ij ∝ w_j a_ij,   min_gain ≤ Σ_j c_ij ≤ max_gain    (theorem G)
 
-    With exact bearings, without obstacles and while linked robots are r or more apart, the team's
+    With exact bearings, without obstacles and while linked robots are at least r apart, the convex
     hull does not grow on any graph: directed, switching, or never connected at once. While every
-    robot sees somebody all meet in finite time. V is not watched: it may rise.
+    robot has a visible neighbour, rendezvous occurs in finite time. V may increase.
 
     * Actions: ``Box(0, 1, (K,))``, a weight for each neighbour row, in the order of the rows that
       are seen. Absent rows do not count; if the others are all zero, they count alike. Then all are
@@ -257,7 +256,7 @@ class GainWrapper(GainSettings, GuaranteeWrapper):
 
 
 class LinkKeepingWrapper(LinkSettings, GuaranteeWrapper):
-    """Robots choose velocities; they move as close to them as their links allow.
+    """Actions are desired velocities, projected onto those that maintain connectivity.
 
         v_i = λ min(d_i, r/(2τ), v_max) q_i + (1 − λ) P(desired)    (theorem R c, guarantees 12)
 

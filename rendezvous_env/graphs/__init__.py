@@ -1,4 +1,4 @@
-"""Sensing graphs: undirected or directed, fixed, drawn for every episode, or changing in it."""
+"""Sensing graphs: undirected or directed, fixed, random per episode, or time-varying."""
 
 from .directed import directed as directed
 from .directed import directed_cycle as directed_cycle

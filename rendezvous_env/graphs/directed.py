@@ -1,4 +1,4 @@
-"""Directed sensing graphs: sight need not be mutual (guarantees, section 10)."""
+"""Directed sensing graphs: visibility need not be mutual (guarantees, section 10)."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -12,17 +12,17 @@ from .reading import is_networkx, is_sparse
 
 @dataclass(frozen=True)
 class DirectedGraph(Graph, kinds=("directed", "directed_cycle")):
-    """Edges i → j, robot i sees robot j, with weights a_ij, m/s: row i of ``base_weights`` is what
-    robot i gives to those it sees.
+    """Directed graph with edges i → j (robot i observes robot j) of weights a_ij, m/s.
 
-    It is directed even if every edge has a way back: the weights of the two are not one.
+    Row i of ``base_weights`` holds the weights of robot i. The graph counts as directed even if
+    every edge has a reverse edge, since their weights are independent.
     """
 
     listed: ClassVar[str] = "directed"
     directed: ClassVar[bool] = True
 
     def links(self, n: int) -> LinkArrays:
-        """The edges before drawing: who sees, who is seen, and weights in m/s; each (E,)."""
+        """Edges before sampling: observers, observed robots and weights, m/s; (E,) each."""
         if self.kind == self.listed:
             return super().links(n)
         robots = np.arange(n)
@@ -51,5 +51,5 @@ def directed(arcs: Any, n_robots: int | None = None) -> Graph:
 
 
 def directed_cycle(weight: Weight = 1.0) -> Graph:
-    """Robot i sees i + 1, the last one robot 0: cyclic pursuit."""
+    """Directed cycle: robot i observes i + 1, the last one robot 0 (cyclic pursuit)."""
     return Graph("directed_cycle", as_range(weight))

@@ -1,4 +1,4 @@
-"""Undirected graphs whose edges are the same in every episode."""
+"""Undirected graphs with the same edges in every episode."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -12,13 +12,13 @@ from .graph import Graph, GraphNumbers, LinkArrays, from_matrix_of, from_network
 from .reading import is_networkx
 
 Weight = float | tuple[float, float]
-"""Of every edge, m/s, or a range to draw from."""
+"""Weight of every edge, m/s, or a range to sample from."""
 as_range = partial(number_range, "graph: weight_range", unit="m/s")
 
 
 @dataclass(frozen=True)
 class CompleteGraph(Graph, kinds=("complete",)):
-    """All pairs, whatever has merged; in closed form."""
+    """Complete graph, before and after merges, in closed form."""
 
     def links(self, n: int) -> LinkArrays:
         """All pairs."""
@@ -26,13 +26,13 @@ class CompleteGraph(Graph, kinds=("complete",)):
         return first.astype(np.int64), second.astype(np.int64), np.ones(len(first))
 
     def components(self, n: int) -> list[list[int]]:
-        """One."""
+        """The single component."""
         return [list(range(n))]
 
     closed_groups = components
 
     def numbers(self, n: int) -> GraphNumbers:
-        """Everyone may see everyone, with the largest weights."""
+        """Numbers for n − 1 neighbours with the largest weights."""
         (low, high), pairs = self.weight_range, n * (n - 1) // 2
         most = (n - 1) * high
         return GraphNumbers(pairs, n - 1, most, most, low, pairs * high, self.weight_range)
@@ -40,10 +40,10 @@ class CompleteGraph(Graph, kinds=("complete",)):
 
 @dataclass(frozen=True)
 class NamedGraph(Graph, kinds=("path", "cycle", "star")):
-    """Edges that follow from the number of robots."""
+    """Graph whose edges are determined by the number of robots."""
 
     def links(self, n: int) -> LinkArrays:
-        """The edges, each of weight 1 m/s."""
+        """Edges of weight 1 m/s."""
         others = np.arange(1, n)
         first, second = (0 * others if self.kind == "star" else others - 1), others
         if self.kind == "cycle" and n > 2:
@@ -53,28 +53,28 @@ class NamedGraph(Graph, kinds=("path", "cycle", "star")):
 
 @dataclass(frozen=True)
 class ListedGraph(Graph, kinds=("edges",)):
-    """Edges that are given one by one."""
+    """Graph with listed edges."""
 
     listed: ClassVar[str] = "edges"
 
 
 def complete(weight: Weight = 1.0) -> Graph:
-    """Everyone sees everyone; ``weight`` in m/s, or a range to draw from."""
+    """Complete graph; ``weight`` in m/s, or a range to sample from."""
     return Graph("complete", as_range(weight))
 
 
 def path(weight: Weight = 1.0) -> Graph:
-    """Robot i sees i - 1 and i + 1."""
+    """Path graph: robot i observes i − 1 and i + 1."""
     return Graph("path", as_range(weight))
 
 
 def cycle(weight: Weight = 1.0) -> Graph:
-    """A path whose ends see each other."""
+    """Cycle graph."""
     return Graph("cycle", as_range(weight))
 
 
 def star(weight: Weight = 1.0) -> Graph:
-    """Everyone sees robot 0 and is seen by it."""
+    """Star graph centred at robot 0."""
     return Graph("star", as_range(weight))
 
 

@@ -1,6 +1,6 @@
-"""What a sensing graph is: its fields, the numbers that theorems ask for, and the kinds there are.
+"""Base class of sensing graphs: fields, the quantities used by theorems, and the known kinds.
 
-Every kind is a subclass in a file of its own, which says what is particular to it.
+Every kind is a subclass in its own module.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from .weights import Edges, checked_edges, weighted_links
 GraphLike = Any
 """A Graph, the name of a kind, a matrix of weights, an edge list, a networkx graph, plain data."""
 LinkArrays = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
-"""Edges: robots (E,), (E,), weights (E,), m/s; of directed ones who sees, and who is seen."""
+"""Edges: robots (E,), (E,), weights (E,), m/s; for directed ones observer and observed robot."""
 _LARGE_TEAM = 48  # robots from which a step is made for what they see rather than for all merges
 KINDS: dict[str, type[Graph]] = {}
-"""The class of every kind of graph."""
+"""Class by kind of graph."""
 
 
 def _check_probability(field: str, value: Any) -> float:
@@ -36,26 +36,26 @@ def _check_probability(field: str, value: Any) -> float:
 
 
 class GraphNumbers(NamedTuple):
-    """What theorems and engine ask of a graph of n robots; ``Graph`` has a method for each."""
+    """Quantities of a graph of n robots for theorems and engine; each is a method of ``Graph``."""
 
     most_links: int
-    """The most links that an episode can have."""
+    """Maximum number of links in an episode."""
     most_neighbours: int
-    """The most neighbours that a robot can have in any episode, merges included, see
+    """Maximum number of neighbours of a robot in any episode, merges included, see
     ``weights.max_degree``."""
     max_degree: float
-    """D̄, m/s: the largest D_i = Σ_j a_ij in any episode, merges included (theory 4)."""
+    """D̄, m/s: the maximum D_i = Σ_j a_ij in any episode, merges included (theory 4)."""
     step_degree: float
-    """The D_i, m/s, that a step of single integrators is made for: D̄ of a small team; of a large
-    one the largest that a fixed graph has before any merge, twice the mean of a family."""
+    """D_i, m/s, for the default time step of single integrators: D̄ for few robots; for many the
+    maximum of a fixed graph before merges, or twice the mean of a random graph."""
     bottleneck_weight: float
-    """a*, m/s: the least a* over all graphs that an episode can draw (theory 3). Where links are
-    directed or change, a number below which no D_i of a robot that sees someone falls."""
+    """a*, m/s: minimum over all graphs of an episode (theory 3). For directed or time-varying
+    links, a lower bound of D_i of a robot with a neighbour."""
     weight_sum: float
-    """W, m/s: the largest sum of edge weights that an episode can draw; of directed edges half of
-    it, so that V ≤ 2 W × the largest distance."""
+    """W, m/s: maximum sum of edge weights, half of it for directed edges, so that V ≤ 2 W × the
+    maximum distance."""
     extreme_weights: tuple[float, float]
-    """The least and the largest a_ij that an edge can have, m/s; inf and 0 without edges."""
+    """Minimum and maximum edge weight a_ij, m/s; inf and 0 without edges."""
 
 
 @lru_cache(maxsize=64)
@@ -71,54 +71,54 @@ def _number(name: str) -> Callable[[Graph, int], Any]:
 
 
 def step_degree(n: int, worst: float, usual: float) -> float:
-    """The D_i, m/s, that a step is made for, from D̄ (``worst``) and D_i before any merge.
+    """D_i, m/s, for the default time step, from D̄ (``worst``) and D_i before any merge.
 
-    Merges could turn a large sparse graph into a star, and a step for that would be hundreds of
-    times too short for the robots there are. Whoever has a larger D_i goes more slowly (theory 4).
+    Merges could turn a large sparse graph into a star, whose certified step would be hundreds of
+    times shorter. Robots with a larger D_i scale their velocity instead (theory 4).
     """
     return worst if n < _LARGE_TEAM else min(worst, usual)
 
 
 @dataclass(frozen=True)
 class Graph:
-    """A weighted sensing graph for any number of robots, or a family of them.
+    """Weighted sensing graph for any number of robots, or a family of random graphs.
 
-    Make one with the functions of ``graphs``. This class is of graphs whose edges are the same in
-    every episode; other kinds say what differs.
+    Use the functions of ``graphs`` to create one. This base class has the same edges in every
+    episode; subclasses document differences.
     """
 
     kind: str
     """complete, path, cycle, star, edges, random_tree, erdos_renyi, directed, directed_cycle,
-    switching, proximity, or a family that has been registered."""
+    switching, proximity, or a registered family."""
     weight_range: Annotated[tuple[float, float], partial(checks.number_range, unit="m/s")] = (
         1.0,
         1.0,
     )
-    """Each edge draws its weight a_ij uniformly from this range, m/s; factors for listed edges."""
+    """Range of the uniformly sampled weights a_ij, m/s; factors for listed edges."""
     edges: Iterable[Sequence[float]] = ()
-    """(i, j, a_ij), with i < j where they are undirected; for kinds with listed edges only."""
+    """Edges (i, j, a_ij), i < j if undirected; for kinds with listed edges only."""
     n_nodes: int | None = None
-    """Number of robots that the edges are for; None is what the largest index asks for."""
+    """Number of robots; None is the largest index + 1."""
     probability: Annotated[float, _check_probability] = 0.5
-    """Chance of each edge; for kind "erdos_renyi" only."""
+    """Edge probability; for kind "erdos_renyi" only."""
 
     listed: ClassVar[str] = ""
-    """The kind, if any, whose edges are given one by one."""
+    """Kind with listed edges, if any."""
     fixed: ClassVar[bool] = True
     """Whether all episodes have the same edges."""
     directed: ClassVar[bool] = False
-    """Whether some robot may see another one that never sees it."""
+    """Whether visibility may be one-way."""
     changes: ClassVar[bool] = False
-    """Whether edges come and go within an episode, other than by merging."""
+    """Whether edges change within an episode other than by merging."""
     keys: ClassVar[tuple[str, ...]] = ("edges", "kind", "n_nodes", "probability", "weight_range")
-    """Of plain data."""
+    """Keys of plain data."""
 
     def __init_subclass__(cls, kinds: Sequence[str] = ()) -> None:
-        """Make a subclass the class of some kinds."""
+        """Register a subclass for its kinds."""
         KINDS.update(dict.fromkeys(kinds, cls))
 
     def __new__(cls, kind: Any = None, *_: Any, **__: Any) -> Self:
-        """An instance of the class of its kind."""
+        """Create an instance of the class of the given kind."""
         return object.__new__(class_of(kind) if cls is Graph else cls)  # type: ignore[return-value]
 
     def __post_init__(self) -> None:
@@ -139,22 +139,22 @@ class Graph:
             raise ValueError(f"graph: probability is {self.probability}; {kinds}")
 
     def check_fits(self, scenario: Any) -> None:
-        """Refuse a scenario whose other fields this graph does not fit."""
+        """Raise a ValueError if the graph does not fit the other fields of a scenario."""
 
     @property
     def undirected(self) -> bool:
-        """Whether it is neither directed nor changes: what theorems A, C and D ask for."""
+        """Whether it is neither directed nor time-varying, as theorems A, C and D require."""
         return not (self.directed or self.changes)
 
     def links(self, n: int) -> LinkArrays:
-        """The edges before drawing, sorted; refused if they are for another number of robots."""
+        """Sorted edges before sampling; a ValueError for another number of robots."""
         if not isinstance(self.edges, Edges) or n != self.n_nodes:
             given = f"its matrix or edge list is for {self.n_nodes} robots"
             raise ValueError(f"graph: {given}, not for {n}")
         return self.edges.first, self.edges.second, self.edges.weight
 
     def sparse_weights(self, n: int) -> Any:
-        """``base_weights`` as a sparse matrix, in memory that follows the edges."""
+        """``base_weights`` as a sparse matrix."""
         from scipy.sparse import csr_array
 
         first, second, weight = self.links(n)
@@ -164,21 +164,21 @@ class Graph:
         return csr_array((weight, (first, second)), shape=(n, n))
 
     def base_weights(self, n: int) -> NDArray[np.float64]:
-        """Weights before drawing, (n, n): an episode keeps some edges and scales each by a draw."""
+        """Weights before sampling, (n, n): an episode keeps some edges and scales each."""
         weights: NDArray[np.float64] = self.sparse_weights(n).toarray()
         return weights
 
     def components(self, n: int) -> list[list[int]]:
-        """Connected components as lists of robot indices; a family only draws connected graphs."""
+        """Connected components as lists of robot indices; random graphs are connected."""
         return [list(piece) for piece in _groups(self, n, matrices.components)]
 
     def closed_groups(self, n: int) -> list[list[int]]:
-        """Groups of robots who see nobody outside, see ``weights.closed_groups``."""
+        """Groups of robots without edges to other robots, see ``weights.closed_groups``."""
         return [list(group) for group in _groups(self, n, matrices.closed_groups)]
 
     def why_not_joined(self, n: int) -> str | None:
-        """Why robots of this graph can never all meet (theorem 1), or need not where it is directed
-        or changes (guarantees, section 10); None if they do.
+        """Reason why rendezvous is impossible on this graph (theorem 1), or not guaranteed if it is
+        directed or time-varying (guarantees, section 10); None if there is none.
         """
         pieces = self.components(n) if self.undirected else self.closed_groups(n)
         listed = " and ".join(map(str, pieces))
@@ -192,7 +192,7 @@ class Graph:
         )
 
     def numbers(self, n: int) -> GraphNumbers:
-        """All numbers of this graph for n robots; the methods below give them one by one."""
+        """All quantities of this graph for n robots, also available as methods."""
         (low, high), matrix, weight = self.weight_range, self.sparse_weights(n), self.links(n)[2]
         few, seen = (1 if self.directed else 2), np.diff(matrix.indptr).max()
         worst = high * matrices.max_degree(matrix, directed=self.directed)
@@ -217,11 +217,11 @@ class Graph:
     extreme_weights = _number("extreme_weights")
 
     def start_reach(self, scenario: Any) -> float:
-        """Links up to this length, m, must connect every start that is drawn; inf asks nothing."""
+        """Maximum length of links that must connect sampled initial positions, m; inf for none."""
         return float(np.inf)
 
     def to_plain(self) -> str | dict[str, Any]:
-        """The graph as plain data for TOML; ``parse`` turns it back into an equal graph."""
+        """Plain data for TOML; ``parse`` is the inverse."""
         if self.kind != self.listed and self == Graph(self.kind):
             return self.kind
         plain: dict[str, Any] = {"kind": self.kind, "weight_range": list(self.weight_range)}
@@ -238,7 +238,7 @@ def _groups(graph: Graph, n: int, found_by: Callable[[Any], list[list[int]]]) ->
 
 
 def class_of(kind: Any) -> type[Graph]:
-    """The class of a kind of graph; an unknown one is refused with the nearest known one."""
+    """Class of a kind of graph; a ValueError for an unknown kind names the closest match."""
     return KINDS[checks.choice("graph", kind, KINDS)]
 
 
@@ -311,7 +311,7 @@ def from_networkx(kind: str, graph: Any) -> Graph:
 
 
 def from_matrix_of(kind: str, weights: Any, n: int | None = None) -> Graph:
-    """A graph with listed edges from its (n, n) matrix of weights a_ij, m/s; 0 = no edge."""
+    """Graph with listed edges from an (n, n) matrix of weights a_ij, m/s; 0 = no edge."""
     if reading.is_networkx(weights):
         return from_networkx(kind, weights)
     matrix = reading.as_matrix("graph", weights)

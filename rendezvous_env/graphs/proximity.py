@@ -1,4 +1,4 @@
-"""Graphs whose links follow sight."""
+"""Proximity graphs: links follow visibility."""
 
 import math
 from dataclasses import dataclass
@@ -10,17 +10,17 @@ from .graph import Graph
 
 @dataclass(frozen=True)
 class ProximityGraph(CompleteGraph, kinds=("proximity",)):
-    """Robot i sees robot j while j is within its sensor's range and field of view.
+    """Graph in which robot i observes robot j while j is within range and field of view.
 
-    Its numbers are those of the complete graph, which it may become. With a field of view links can
-    be one-way.
+    Its quantities are those of the complete graph, which it may become. With a limited field of
+    view, links can be one-way.
     """
 
     fixed: ClassVar[bool] = False
     changes: ClassVar[bool] = True
 
     def check_fits(self, scenario: Any) -> None:
-        """Links by sight need a limit of sight, and one that lets a drawn start be connected."""
+        """Raise a ValueError without a sensor limit, or if no connected start can be sampled."""
         sensing = scenario.sensing
         if sensing.range is None and sensing.field_of_view == type(sensing)().field_of_view:
             raise ValueError(
@@ -36,8 +36,9 @@ class ProximityGraph(CompleteGraph, kinds=("proximity",)):
             )
 
     def start_reach(self, scenario: Any) -> float:
-        """R − (n − 1) r/2, m, for a range R (guarantees, section 12); infinite without one, or if
-        the start need not be connected.
+        """R − (n − 1) r/2, m, for a range R (guarantees, section 12).
+
+        Infinite without a range, or if the initial graph need not be connected.
         """
         sight = scenario.sensing.range
         if sight is None or not scenario.require_connected:
@@ -46,7 +47,8 @@ class ProximityGraph(CompleteGraph, kinds=("proximity",)):
 
 
 def proximity(weight: Weight = 1.0) -> Graph:
-    """Robot i sees robot j while j is within the range and field of view of ``Scenario.sensing``;
-    every pair has a weight of its own, which both give.
+    """Graph in which robot i observes robot j within range and field of view of the sensor.
+
+    The limits are those of ``Scenario.sensing``. Every pair has one symmetric weight.
     """
     return Graph("proximity", as_range(weight))

@@ -1,4 +1,4 @@
-"""Families of graphs, of which every episode draws one from the stream of its graph."""
+"""Random graphs, sampled per episode from their own random stream."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -16,15 +16,17 @@ from .graph import KINDS, Graph, GraphNumbers, LinkArrays, step_degree
 from .weights import checked_edges, read_edges
 
 FIXED_EDGES, RANDOM_TREE, ERDOS_RENYI = range(3)
-"""What a kernel draws of a graph: nothing but its weights, or its edges."""
+"""What is sampled: weights only, a random tree, or an Erdős–Rényi graph."""
 _TRIES_FOR_CONNECTED = 100
 _NO_LINKS = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
 
 
 @dataclass(frozen=True)
 class DrawnGraph(CompleteGraph):
-    """A family of connected graphs; where nothing else is known its numbers are those of the
-    complete graph, and a* is the least weight that can be drawn.
+    """Family of connected random graphs.
+
+    Unless a subclass knows better, quantities are those of the complete graph and a* is the minimum
+    weight.
     """
 
     fixed: ClassVar[bool] = False
@@ -35,7 +37,7 @@ class RandomTree(DrawnGraph, kinds=("random_tree",)):
     """A uniformly random labelled tree."""
 
     def numbers(self, n: int) -> GraphNumbers:
-        """There are n − 1 edges, two at a robot in the mean."""
+        """Quantities for n − 1 edges and a mean degree of two."""
         found, high = super().numbers(n), self.weight_range[1]
         step = step_degree(n, found.max_degree, 4.0 * (n - 1) / n * high)
         return found._replace(most_links=n - 1, step_degree=step, weight_sum=(n - 1) * high)
@@ -43,10 +45,10 @@ class RandomTree(DrawnGraph, kinds=("random_tree",)):
 
 @dataclass(frozen=True)
 class ErdosRenyi(DrawnGraph, kinds=("erdos_renyi",)):
-    """Every edge with the same chance, connected."""
+    """Connected Erdős–Rényi graph."""
 
     def numbers(self, n: int) -> GraphNumbers:
-        """More than ``most_links``, ten standard deviations, have a chance of 10⁻⁹ at most."""
+        """Quantities; more than ``most_links`` (ten standard deviations) has probability < 10⁻⁹."""
         found, chance = super().numbers(n), self.probability
         spread = 10 * np.sqrt(found.most_links * chance * (1 - chance))
         most_links = min(found.most_links, int(np.ceil(found.most_links * chance + spread)) + n)
@@ -55,15 +57,15 @@ class ErdosRenyi(DrawnGraph, kinds=("erdos_renyi",)):
 
 
 def random_tree(weight: Weight = 1.0) -> Graph:
-    """A uniformly random labelled tree, drawn anew for every episode."""
+    """Uniformly random labelled tree, sampled per episode."""
     return Graph("random_tree", as_range(weight))
 
 
 def erdos_renyi(probability: float, weight: Weight = 1.0) -> Graph:
-    """A connected Erdős–Rényi graph, drawn anew for every episode.
+    """Connected Erdős–Rényi graph, sampled per episode.
 
-    Draws are repeated until one is connected; after 100 in vain a uniformly random spanning tree is
-    added to the last one.
+    Sampling is repeated until the graph is connected. After 100 attempts a uniformly random
+    spanning tree is added to the last sample.
     """
     return Graph("erdos_renyi", as_range(weight), probability=probability)
 
@@ -74,15 +76,17 @@ FAMILIES = Registry("family of graphs", "rv.graphs.family")
 
 @dataclass(frozen=True)
 class CustomFamily(DrawnGraph):
-    """A family whose edges a registered function draws, see ``family``."""
+    """Random graph sampled by a registered function, see ``family``."""
 
     def check_fits(self, scenario: Any) -> None:
-        """Draw once, so that what is wrong with the function shows before any episode."""
+        """Sample once to detect errors of the function before any episode."""
         self.draw(scenario.n_robots, 0, 0, connected=scenario.require_connected)
 
     def draw(self, n: int, seed: int, episode: int, *, connected: bool) -> LinkArrays:
-        """The edges of one episode, a function of seed and episode alone; refused are wrong edges
-        and, if ``connected``, those that do not join all robots.
+        """Edges of one episode, a function of seed and episode number.
+
+        Raises:
+            ValueError: for invalid edges or, with ``connected``, a disconnected graph.
         """
         random = np.random.default_rng((int(seed), int(episode), GRAPH))
         try:
@@ -100,15 +104,15 @@ class CustomFamily(DrawnGraph):
 
 
 def family(name: str, draw: DrawEdges | None = None) -> Any:
-    """Register a family of graphs of your own: a function of the number of robots n and a NumPy
-    ``Generator`` of the episode that returns its edges (i, j), each once.
+    """Register a custom family of random graphs.
 
-    ``Scenario(graph=name)`` and ``graphs.parse({"kind": name, "weight_range": [low, high]})`` then
-    know it. Weights are drawn after the edges. Theorems take it for any connected graph with these
-    weights. One of the same name is replaced; without ``draw`` a decorator is returned.
+    ``draw`` maps the number of robots n and a NumPy ``Generator`` to edges (i, j). Use it with
+    ``Scenario(graph=name)`` or ``graphs.parse({"kind": name, "weight_range": [low, high]})``.
+    Weights are sampled after the edges. Theorems assume an arbitrary connected graph with these
+    weights. An existing family of the same name is replaced. Without ``draw`` this is a decorator.
 
     Raises:
-        ValueError: for a name that another kind of graph has, or what cannot be called.
+        ValueError: for the name of another kind of graph, or a ``draw`` that is not callable.
     """
     if isinstance(name, str) and KINDS.get(name, CustomFamily) is not CustomFamily:
         raise ValueError(f"name is {name!r}; it must be new: {', '.join(KINDS)} are taken")
@@ -122,7 +126,7 @@ def family(name: str, draw: DrawEdges | None = None) -> Any:
 
 
 class GraphRules(NamedTuple):
-    """A family of graphs, or one graph whose weights are drawn."""
+    """Sampling rules of a random graph, or of random weights on a fixed graph."""
 
     topology: int  # FIXED_EDGES, RANDOM_TREE or ERDOS_RENYI
     probability: float  # chance of a link, for ERDOS_RENYI
@@ -133,7 +137,7 @@ class GraphRules(NamedTuple):
 
 
 def graph_rules(graph: Graph, n: int) -> GraphRules | None:
-    """What a kernel draws of an undirected graph, if anything."""
+    """Sampling rules of an undirected graph; None if nothing is random."""
     low, high = graph.weight_range
     if not graph.undirected or (graph.fixed and low == high) or isinstance(graph, CustomFamily):
         return None
@@ -145,8 +149,9 @@ def graph_rules(graph: Graph, n: int) -> GraphRules | None:
 
 @kernel
 def draw_links(key, n, rules, first, second, weights, places):
-    """Draw the links of one episode by ``GraphRules``, sorted by their robots, into three arrays:
-    how many, or −1 if there are more than the arrays hold. ``places`` is (n,) working memory.
+    """Sample the links of one episode, sorted by robots, into three arrays.
+
+    Returns their number, or −1 if the arrays are too short. ``places`` is (n,) working memory.
     """
     capacity, counter, count = len(first), 0, 0
     if rules.topology == FIXED_EDGES:
@@ -178,7 +183,7 @@ def draw_links(key, n, rules, first, second, weights, places):
 
 @inner_kernel
 def _draw_pairs(key, counter, n, probability, first, second):
-    """Every pair with the same chance; number of links, those without room too, and the counter."""
+    """Sample every pair with equal probability; returns the number of links and the counter."""
     count = 0
     for i in range(n):
         for j in range(i + 1, n):
@@ -192,9 +197,7 @@ def _draw_pairs(key, counter, n, probability, first, second):
 
 @inner_kernel
 def _add_tree(key, counter, n, first, second, count, places):
-    """Add the first-entry edges of a random walk on the complete graph, a uniform tree
-    (Aldous–Broder), but for those that are among the sorted ``count`` already.
-    """
+    """Add a uniform random tree (Aldous–Broder), except edges among the sorted ``count``."""
     places[:] = 0  # 1: visited
     here, left = 0, n - 1
     places[here] = 1
@@ -216,7 +219,7 @@ def _add_tree(key, counter, n, first, second, count, places):
 
 @kernel
 def is_linked(i, j, links):
-    """Whether two robots i < j are linked by sorted links (first, second, …)."""
+    """Whether robots i < j are linked, given sorted links (first, second, …)."""
     first, second = links[0], links[1]
     low, high = 0, len(first)
     while low < high:
@@ -230,7 +233,7 @@ def is_linked(i, j, links):
 
 @inner_kernel
 def _is_connected(first, second, count, places):
-    """Whether the links join all robots; ``places`` holds the leader of each one's group."""
+    """Whether the links connect all robots; ``places`` holds the union-find parents."""
     n = len(places)
     for i in range(n):
         places[i] = i
@@ -242,7 +245,7 @@ def _is_connected(first, second, count, places):
 
 @kernel
 def join(i, j, places):
-    """Make one group of those of two robots; 1, or 0 if they are in one already."""
+    """Union of the groups of two robots; 1, or 0 if they are equal."""
     a, b = _leader(i, places), _leader(j, places)
     if a == b:
         return 0

@@ -1,4 +1,4 @@
-"""Graphs that take turns within an episode."""
+"""Switching graphs: several fixed graphs in sequence within an episode."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -32,10 +32,10 @@ def _check_graphs(field: str, value: Any) -> tuple[Graph, ...]:
 
 @dataclass(frozen=True)
 class SwitchingGraph(Graph, kinds=("switching",)):
-    """A list of fixed graphs of which each holds for a dwell time; merges hold in all of them.
+    """Switching sequence of fixed graphs with a dwell time; merges apply to all of them.
 
-    Its numbers are the worst of the list, as robots may merge that are no neighbours in the current
-    graph. It has no weights of its own: ``weight_range`` is 1.
+    Quantities are the worst of the list, since robots may merge that are not neighbours in the
+    current graph. It has no weights itself: ``weight_range`` is 1.
     """
 
     fixed: ClassVar[bool] = False
@@ -43,12 +43,11 @@ class SwitchingGraph(Graph, kinds=("switching",)):
     keys: ClassVar[tuple[str, ...]] = ("dwell", "graphs", "kind", "order")
 
     graphs: Annotated[tuple[Graph, ...], _check_graphs] = ()
-    """Fixed graphs for the same robots, undirected or directed."""
+    """Fixed graphs of the same number of robots, undirected or directed."""
     dwell: Seconds = 1.0
-    """How long each holds, s: switches are due at its multiples, and each is at the first step that
-    begins then or later."""
+    """Dwell time, s. Switches are due at its multiples and happen at the next start of a step."""
     order: Literal["cyclic", "random"] = "cyclic"
-    """One after another, or each time drawn anew from the list."""
+    """Order: cyclic, or random at every switch."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -56,7 +55,7 @@ class SwitchingGraph(Graph, kinds=("switching",)):
             raise ValueError("graph: a switching graph has the weights of its list, and no others")
 
     def check_fits(self, scenario: Any) -> None:
-        """A graph that holds for less than a step would never be seen."""
+        """Raise a ValueError if the dwell time is shorter than a step."""
         if self.dwell < scenario.tau * (1 - 1e-9):
             raise ValueError(
                 f"graph: dwell is {exact(self.dwell)} s, shorter than the time step "
@@ -65,19 +64,20 @@ class SwitchingGraph(Graph, kinds=("switching",)):
 
     @property
     def directed(self) -> bool:  # type: ignore[override]
-        """Whether a graph of the list is."""
+        """Whether any graph of the list is directed."""
         return any(graph.directed for graph in self.graphs)
 
     def links(self, n: int) -> LinkArrays:
-        """The edges of all graphs together, each with the heaviest a_ij that it can have."""
+        """Union of the edges of all graphs, with their maximum weights a_ij."""
         listed = [graph.base_weights(n) * graph.weight_range[1] for graph in self.graphs]
         union = np.max(listed, axis=0)
         sees, seen = np.nonzero(union if self.directed else np.triu(union))
         return sees, seen, union[sees, seen]
 
     def numbers(self, n: int) -> GraphNumbers:
-        """The worst of the list: merges in one graph gather the neighbours of another. Graphs
-        without links make nobody's D_i small.
+        """Worst quantities of the list, since merges in one graph combine neighbours of another.
+
+        Graphs without links are ignored for lower bounds of D_i.
         """
         found = [graph.numbers(n) for graph in self.graphs]
         worst = max(
@@ -97,7 +97,7 @@ class SwitchingGraph(Graph, kinds=("switching",)):
         )
 
     def to_plain(self) -> dict[str, Any]:
-        """The graph as plain data for TOML."""
+        """Plain data for TOML."""
         listed = [graph.to_plain() for graph in self.graphs]
         return {"kind": self.kind, "graphs": listed, "dwell": self.dwell, "order": self.order}
 
@@ -105,16 +105,15 @@ class SwitchingGraph(Graph, kinds=("switching",)):
 def switching(
     graphs: Iterable[Any], dwell: float = 1.0, order: Literal["cyclic", "random"] = "cyclic"
 ) -> Graph:
-    """A list of fixed graphs of which each holds for a dwell time.
+    """Switching sequence of fixed graphs.
 
     Args:
-        graphs: what ``parse`` takes, undirected or directed; their weights may be drawn from a
-            range for every episode.
-        dwell: s, at least a step.
-        order: "cyclic", one after another, or "random", each time drawn anew.
+        graphs: arguments of ``parse``, undirected or directed; weights may be random per episode.
+        dwell: dwell time, s, at least one step.
+        order: "cyclic", or "random" at every switch.
 
     Raises:
-        ValueError: naming the entry of the list that has no fixed edges, or the bad dwell or order.
+        ValueError: naming an entry without fixed edges, or an invalid dwell time or order.
     """
     listed = _check_graphs("graph: graphs", graphs)
     return SwitchingGraph("switching", graphs=listed, dwell=dwell, order=order)

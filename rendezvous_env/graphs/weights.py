@@ -1,4 +1,4 @@
-"""Edges and matrices of weights: how they are given and kept, and their numbers (theory 3, 4)."""
+"""Edge lists and weight matrices: parsing, validation, and their quantities (theory 3, 4)."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
@@ -14,7 +14,7 @@ _ROUNDING = 1e-6  # share by which a_ij and a_ji may differ: matrices come in fl
 
 
 class Edges:
-    """Edges (i, j, a_ij), m/s, sorted: three arrays (E,) that look like a tuple of triples."""
+    """Sorted edges (i, j, a_ij), m/s: three arrays (E,) that act as a tuple of triples."""
 
     def __init__(self, first: NDArray[Any], second: NDArray[Any], weight: NDArray[Any]) -> None:
         n = 1 + max(first.max(initial=0), second.max(initial=0))
@@ -59,7 +59,7 @@ def read_edges(edges: Any) -> tuple[tuple[int, int, float], ...]:
 
 
 def _as_edge(edge: Any) -> tuple[int, int, float]:
-    """One edge; whole numbers may come as floats."""
+    """Parse one edge; indices may be integral floats."""
     row = edge.tolist() if isinstance(edge, np.ndarray) else edge
     if not isinstance(row, Sequence) or isinstance(row, str | bytes) or len(row) not in (2, 3):
         refuse("graph: an edge", edge, "(i, j) or (i, j, weight) with indices of robots")
@@ -76,8 +76,10 @@ def _as_edge(edge: Any) -> tuple[int, int, float]:
 
 
 def checked_edges(edges: Any, n: int, *, directed: bool) -> Edges:
-    """Edges of ``read_edges`` as a graph of n robots keeps them, undirected ones with i < j, each
-    of two different robots and once, or they are refused.
+    """Validated edges of a graph of n robots, with i < j if undirected.
+
+    Raises:
+        ValueError: for a loop or a repeated edge.
     """
     if isinstance(edges, Edges):
         first, second, weight = edges.first, edges.second, edges.weight
@@ -153,7 +155,7 @@ def weighted_links(
 
 
 def sparse(weights: Any) -> Any:
-    """Weights as a sparse matrix without stored zeros."""
+    """Weights as a sparse matrix without explicit zeros."""
     from scipy.sparse import csr_array, issparse
 
     if issparse(weights):
@@ -176,10 +178,10 @@ def _groups(count: int, labels: NDArray[Any]) -> list[list[int]]:
 
 
 def max_degree(weights: Any, *, directed: bool = False) -> float:
-    """D̄: the largest D_i = Σ_j a_ij that merging can produce (theory 4), m/s.
+    """D̄: the maximum D_i = Σ_j a_ij that merging can produce (theory 4), m/s.
 
-    Nobody on a path or cycle comes to have more than two neighbours, and nobody who sees one robot
-    at most comes to see two. Other components can become a star.
+    On paths and cycles no robot gets more than two neighbours, and if every robot observes at most
+    one other, this remains so. Other components can become a star.
     """
     from scipy.sparse.csgraph import connected_components
 
@@ -197,7 +199,7 @@ def max_degree(weights: Any, *, directed: bool = False) -> float:
 
 
 def bottleneck_weight(weights: Any) -> float:
-    """a* of a weight matrix: the least edge of a maximum spanning tree (of each component)."""
+    """a* of a weight matrix: the minimum edge of a maximum spanning tree (of each component)."""
     from scipy.sparse.csgraph import minimum_spanning_tree
 
     tree = minimum_spanning_tree(-sparse(weights))
@@ -205,8 +207,9 @@ def bottleneck_weight(weights: Any) -> float:
 
 
 def closed_groups(weights: Any) -> list[list[int]]:
-    """Strongly connected components that no directed edge leaves; if there is only one, its robots
-    are globally reachable (guarantees, section 10).
+    """Strongly connected components without outgoing edges.
+
+    If there is only one, its robots are globally reachable (guarantees, section 10).
     """
     from scipy.sparse.csgraph import connected_components
 

@@ -1,1 +1,1 @@
-"""The physics as pure functions: no batch, no lane, no thread."""
+"""Pure functions of the physics, independent of batches, lanes and threads."""

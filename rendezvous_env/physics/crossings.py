@@ -1,4 +1,4 @@
-"""When a point that moves straight comes within a ball or a capsule."""
+"""First crossing of a straight path with a ball or a capsule."""
 
 import math
 
@@ -10,9 +10,9 @@ from .vectors import combine, dot, norm, subtract
 
 @kernel
 def first_crossing(offset, velocity, radius):
-    """When a point that moves straight comes within a ball about the origin: the smallest s in
-    [0, 1] with ‖offset + s velocity‖ ≤ radius, a number; inf if there is none.
+    """First crossing of a straight path with a ball around the origin.
 
+    The smallest s in [0, 1] with ‖offset + s velocity‖ ≤ radius, a number; inf if there is none.
     Offset (m) and velocity (m per unit of s) are triples.
     """
     distance = norm(offset)
@@ -33,10 +33,10 @@ def first_crossing(offset, velocity, radius):
 
 @inner_kernel
 def capsule_crossing(offset, velocity, half, radius):
-    """As ``first_crossing``, of a capsule: ‖offset + s velocity − q‖ ≤ radius for a q of its
-    segment. Offset is from the middle of the segment, ``half`` from there to an end, triples, m.
+    """``first_crossing`` with a capsule: ‖offset + s velocity − q‖ ≤ radius for a q of its segment.
 
-    It enters through the ball about one of the ends, or through the cylinder between them.
+    ``offset`` is relative to the centre of the segment, ``half`` points to an end, triples, m. The
+    path enters through the ball around an end, or through the cylinder between them.
     """
     first = min(
         first_crossing(subtract(offset, half), velocity, radius),

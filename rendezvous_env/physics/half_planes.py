@@ -1,4 +1,4 @@
-"""The point of an intersection of half-planes that is nearest to another: who may go how far."""
+"""Projection onto an intersection of half-planes."""
 
 import math
 
@@ -9,13 +9,13 @@ _PARALLEL = 1e-12  # Sine below which two borders do not cross
 
 @kernel
 def nearest_within(wanted, normals, rooms, count):
-    """The pair x nearest to a wanted one, w, in its unit (Seidel 1991, one by one).
+    """Closest feasible pair x to a desired one, w, in its unit (incremental, Seidel 1991).
 
         min ‖x − w‖²   subject to   n_kᵀ x ≤ c_k,   c_k ≥ 0
 
-    While x fits, nothing is to be done; else the nearest point lies on the border that it violates,
-    within what the borders before leave of that. It is the origin, which always fits, where
-    rounding leaves nothing else. Normals n_k, (≥ count, 2), are unit vectors, rooms c_k (≥ count,).
+    If x violates a constraint, the solution lies on its boundary, restricted by the previous
+    constraints. The origin, which is always feasible, is the fallback for rounding. Normals n_k,
+    (≥ count, 2), are unit vectors; c_k has shape (≥ count,).
     """
     x, y = wanted
     for j in range(count):

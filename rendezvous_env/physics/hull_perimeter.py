@@ -1,6 +1,4 @@
-"""The size L of a team: in the plane the perimeter of its convex hull, in 3-D 2π times its mean
-width (guarantees, section 9).
-"""
+"""Hull perimeter L: perimeter of the convex hull, in 3-D 2π times its mean width (guarantees 9)."""
 
 import math
 from typing import Any
@@ -10,11 +8,11 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 _FLAT = 1e-10
-"""Extent over the largest one below which a hull counts as flat; L moves by no larger a share."""
+"""Relative extent below which a hull counts as flat, which bounds the relative error of L."""
 
 
 def size(points: Array) -> float:
-    """L = ∫_{|u|=1} max_i u·p_i du, m, of finite points p, (N, d), m, N ≥ 1; 0 for a single place.
+    """L = ∫_{|u|=1} max_i u·p_i du, m, of finite points p, (N, d), m, N ≥ 1; 0 for a single point.
 
     A segment is a polygon with two sides, a flat polygon in 3-D has the mean width P/4, so
     L = (π/2) P with P its perimeter.
@@ -30,7 +28,7 @@ def size(points: Array) -> float:
 
 
 def _in_their_own_axes(points: Array) -> Array:
-    """Coordinates (N, k) along the k ≤ d orthogonal directions in which the points extend, m."""
+    """Coordinates (N, k) along the k ≤ d principal directions in which the points extend, m."""
     offsets = points - points[0]
     _, extents, axes = np.linalg.svd(offsets, full_matrices=False)
     k = int(np.sum(extents > _FLAT * extents[0]))

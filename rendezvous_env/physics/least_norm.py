@@ -1,8 +1,8 @@
-"""The point q_i of least norm of all averages of a robot's bearings (guarantees, lemma 2).
+"""Point q_i of least norm in the convex hull of a robot's bearings (guarantees, lemma 2).
 
-    q_i = argmin ‖q‖,   q ∈ conv{g_ij : j seen}
+    q_i = argmin ‖q‖,   q ∈ conv{g_ij : j visible}
 
-Along q_i lie all bearings: q_i·g_ij ≥ ‖q_i‖². It is zero where neighbours are all round.
+All bearings satisfy q_i·g_ij ≥ ‖q_i‖². It is zero if neighbours surround the robot.
 """
 
 import math
@@ -14,13 +14,14 @@ _ROUNDING = 4e-16  # Of a scalar product of unit vectors
 _SURROUNDED = 1e-14  # Norm of a point that would be zero without rounding
 _SURROUNDED_THINLY = 1e-10  # The same inside of a thin tetrahedron, whose weights are less exact
 _MOST_ROUNDS = 64
-"""A few do, however many bearings there are; each brings the point nearer to the origin."""
+"""Maximum number of iterations; a few suffice for any number of bearings."""
 
 
 @inner_kernel
 def least_norm_of(rows, neighbour_slots):
-    """q_i, a triple without unit, ‖q_i‖ ≤ 1, of the first K of the rows (rows, d) of one robot,
-    whose lengths do not count; zero where nobody is seen.
+    """q_i, a triple without unit, ‖q_i‖ ≤ 1, from the first K rows (rows, d) of one robot.
+
+    Lengths of rows are ignored; zero without a visible neighbour.
     """
     if rows.shape[1] == 2:
         right, left = cone_of(rows, neighbour_slots)
@@ -30,9 +31,11 @@ def least_norm_of(rows, neighbour_slots):
 
 @inner_kernel
 def cone_of(rows, neighbour_slots):
-    """The clockwise and the counter-clockwise end, unit triples, of the narrowest angle ≤ π of the
-    plane that holds all bearings; q is halfway between. Both are zero where nobody is seen, or
-    neighbours are all round. Arguments as ``least_norm_of``.
+    """Clockwise and counter-clockwise end, unit triples, of the smallest sector ≤ π of all
+    bearings.
+
+    q bisects it. Both are zero without a visible neighbour, or if neighbours surround the robot.
+    Arguments as ``least_norm_of``.
     """
     right, left = ORIGIN, ORIGIN
     nobody = True
@@ -58,9 +61,10 @@ def cone_of(rows, neighbour_slots):
 
 @inner_kernel
 def _least_in_space(rows, neighbour_slots):
-    """``least_norm_of`` in 3-D: the nearest point of a triangle of bearings, exchanged for a
-    nearer one while some bearing g lies on this side of it, q·g < ‖q‖² (Gilbert, Johnson and
-    Keerthi, 1988). Where rounding hides the nearer one q is shortened, until g does not any more.
+    """``least_norm_of`` in 3-D by the algorithm of Gilbert, Johnson and Keerthi (1988).
+
+    The nearest point of a triangle of bearings is updated while some bearing has q·g < ‖q‖². If
+    rounding prevents an update, q is shortened until no bearing violates this.
     """
     a = least_along(rows, neighbour_slots, ORIGIN)
     b, c, q = a, a, a
@@ -88,8 +92,9 @@ def _least_in_space(rows, neighbour_slots):
 
 @inner_kernel
 def least_along(rows, neighbour_slots, direction):
-    """The bearing g, a unit triple, that lies least far along a triple u, argmin g·u; zero where
-    nobody is seen. Rows as ``least_norm_of``.
+    """Bearing g = argmin g·u for a triple u, a unit triple; zero without a visible neighbour.
+
+    Rows as ``least_norm_of``.
     """
     least, bearing = math.inf, ORIGIN
     for k in range(neighbour_slots):
@@ -101,7 +106,7 @@ def least_along(rows, neighbour_slots, direction):
 
 @inner_kernel
 def _nearest_of_triangle(a, b, c):
-    """The point of a triangle, corners may coincide, that is nearest to the origin."""
+    """Nearest point of a triangle, possibly degenerate, to the origin."""
     normal = cross(subtract(b, a), subtract(c, a))
     u = dot(normal, cross(b, subtract(c, b)))
     v = dot(normal, cross(c, subtract(a, c)))
@@ -117,7 +122,7 @@ def _nearest_of_triangle(a, b, c):
 
 @inner_kernel
 def _nearest_of_segment(a, b):
-    """The point of a segment that is nearest to the origin."""
+    """Nearest point of a segment to the origin."""
     along = subtract(b, a)
     length = dot(along, along)
     if length == 0.0:
@@ -127,7 +132,7 @@ def _nearest_of_segment(a, b):
 
 @inner_kernel
 def _holds_origin(a, b, c, d):
-    """Whether the origin lies inside a tetrahedron, and not only by rounding."""
+    """Whether the origin lies inside a tetrahedron, with a margin for rounding."""
     weights = (
         dot(b, cross(c, d)),
         -dot(a, cross(c, d)),

@@ -1,4 +1,4 @@
-"""What a robot makes of the neighbour rows a_ij g_ij of its observation; zero rows are absent."""
+"""Net bearing and degree from the neighbour rows a_ij g_ij of an observation."""
 
 from ..compilation import inner_kernel, kernel
 from .vectors import ORIGIN, combine, load, norm

@@ -1,6 +1,4 @@
-"""Discs that stop where they would touch, and whether they lie in one packed cluster: of robots
-with bodies, what merging is for others.
-"""
+"""Packing of disc-shaped robots, which stop at contact and form a cluster instead of merging."""
 
 import math
 
@@ -8,9 +6,9 @@ from ..compilation import inner_kernel, kernel
 from .half_planes import nearest_within
 
 _SHORT_OF_TOUCHING = 1.0 - 1e-9
-"""Share of the room that is used, so that rounding lets no two discs overlap."""
+"""Fraction of the available gap that is used, so that rounding causes no overlap."""
 _TOUCHED = 2
-"""Others that a disc of a packed cluster touches: one that touches a single one can still roll."""
+"""Minimum number of contacts of a disc in a packed cluster; with one contact it can still roll."""
 
 
 @kernel
@@ -19,9 +17,9 @@ def move_apart(positions, displacements, lengths, size, work):
 
         min ‖x_i − Δ_i‖²   subject to   x_i·g_ij ≤ (‖p_j − p_i‖ − D)/2   for all j
 
-    Each takes at most its half of every gap (buffered Voronoi cells, Zhou et al. 2017): nobody is
-    pushed. Positions and displacements, (n, 2), m, and lengths of the ways, (n,), m, are those that
-    were executed on return; ``size`` is D, m; working memory is (normals (n, 2), rooms (≥ n − 1,)).
+    Each disc uses at most half of every gap (buffered Voronoi cells, Zhou et al. 2017), so none is
+    pushed. Positions and displacements, (n, 2), m, and path lengths, (n,), m, are overwritten by
+    the executed ones; ``size`` is D, m; working memory is (normals (n, 2), rooms (≥ n − 1,)).
     """
     normals, rooms = work
     for i in range(len(lengths)):
@@ -47,8 +45,9 @@ def move_apart(positions, displacements, lengths, size, work):
 
 @kernel
 def is_packed(positions, radius, work):
-    """Whether all discs hang together, and each touches two others, in a team of two the other one:
-    those with ‖p_i − p_j‖ ≤ radius, m. Working memory is (order (n,) int64, reached (n,) bool).
+    """Whether all discs are connected by contacts and each touches two others (one for n = 2).
+
+    Contacts have ‖p_i − p_j‖ ≤ radius, m. Working memory is (order (n,) int64, reached (n,) bool).
     """
     order, reached = work
     n, done, found = len(positions), 0, 1

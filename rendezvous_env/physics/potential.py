@@ -1,4 +1,4 @@
-"""What neighbours are to each other: bearing, gain, net bearing, and V (paper, sections II, III).
+"""Bearings, net bearings and V (Zhao & Zheng, sections II, III).
 
 g_ij = (p_j − p_i)/‖p_j − p_i‖,    f_i = Σ_j a_ij g_ij,    V = Σ_i Σ_j a_ij ‖p_i − p_j‖
 """
@@ -11,10 +11,10 @@ from .vectors import dot, scaled, subtract, to_local
 
 @inner_kernel(inline="code")
 def sighting(position_i, position_j, gain):
-    """What robot i sees of its neighbour j: p_j − p_i (m), ‖p_j − p_i‖² (m²), ‖p_j − p_i‖ (m), and
-    the factor (1/s) with a_ij g_ij = factor · (p_j − p_i).
+    """Offset p_j − p_i (m), its square (m²), distance (m), and bearing factor (1/s) of neighbour j.
 
-    Positions are pairs or triples, m; the gain is a_ij, m/s, 0 without an edge.
+    a_ij g_ij = factor · (p_j − p_i). Positions are pairs or triples, m; the gain is a_ij, m/s, 0
+    without an edge.
     """
     offset = subtract(position_j, position_i)
     gap = dot(offset, offset)
@@ -24,22 +24,22 @@ def sighting(position_i, position_j, gain):
 
 @inner_kernel(inline="code")
 def bearing_factor(gain, distance):
-    """a_ij/‖p_j − p_i‖, a number, 1/s; 0 where both stand in one place, without direction."""
+    """a_ij/‖p_j − p_i‖, a number, 1/s; 0 for coincident robots, which have no direction."""
     return gain / distance if distance > 0.0 else 0.0
 
 
 @kernel(inline="code")
 def observed(frame, offset, factor):
-    """One row of an observation: factor · Rᵀ offset, a pair or triple of the robot's frame, m/s.
+    """Observation row factor · Rᵀ offset, a pair or triple in the robot's frame, m/s.
 
-    Of a frame R, see ``to_local``, an offset in the global frame, m, and a factor, 1/s.
+    R is a frame, see ``to_local``; the offset is in the global frame, m; the factor is in 1/s.
     """
     return scaled(to_local(frame, offset), factor)
 
 
 @inner_kernel
 def distance_squared(positions, i, j):
-    """‖p_i − p_j‖² of the robots with indices i and j of one team, m²; positions (n, d), m."""
+    """‖p_i − p_j‖² of robots i and j, m²; positions (n, d), m."""
     total = 0.0
     for k in range(positions.shape[1]):
         total += (positions[j, k] - positions[i, k]) ** 2
@@ -48,10 +48,10 @@ def distance_squared(positions, i, j):
 
 @kernel
 def lyapunov_of_links(positions, links):
-    """V = Σ_i Σ_j a_ij ‖p_i − p_j‖ of one team, a number, m²/s: each edge counts twice.
+    """V = Σ_i Σ_j a_ij ‖p_i − p_j‖, a number, m²/s, with each edge counted twice.
 
-    Of positions (n, d), m, and links (first, second, weight), (E,) each, m/s: 0 where there is no
-    link, (a_ij + a_ji)/2 where the two differ.
+    Positions are (n, d), m; links are (first, second, weight), (E,) each, m/s, with weight 0 for an
+    absent link and (a_ij + a_ji)/2 for a directed pair.
     """
     first, second, weight = links
     total = 0.0
@@ -63,8 +63,9 @@ def lyapunov_of_links(positions, links):
 
 @kernel
 def net_bearings_of_links(positions, links, out):
-    """f_i = Σ_j a_ij g_ij of every robot into ``out``, (n, d), m/s, in the global frame; arguments
-    as ``lyapunov_of_links``. Sorted links add up in the order of the neighbours.
+    """Write f_i = Σ_j a_ij g_ij of every robot to ``out``, (n, d), m/s, in the global frame.
+
+    Arguments as ``lyapunov_of_links``. With sorted links, terms are added in neighbour order.
     """
     first, second, weight = links
     out[:] = 0.0
@@ -82,8 +83,9 @@ def net_bearings_of_links(positions, links, out):
 
 @kernel
 def net_bearings_of_arcs(positions, arcs, out):
-    """The same of arcs a_ij, (n, n), m/s, 0 where robot i does not see robot j: a_ij need not be
-    a_ji. Arguments as ``net_bearings_of_links``.
+    """f_i = Σ_j a_ij g_ij of a directed graph with weights a_ij, (n, n), m/s.
+
+    Arguments as ``net_bearings_of_links``.
     """
     out[:] = 0.0
     for i in range(arcs.shape[0]):

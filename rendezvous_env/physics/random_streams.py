@@ -1,7 +1,7 @@
-"""Counter-based random numbers: an episode is the same wherever and whenever it is drawn.
+"""Counter-based random numbers, so that an episode is independent of batch and thread.
 
-A stream is a key made of (seed, episode, purpose); its k-th number is a function of the key and k
-alone. The mixing function is that of SplitMix64 (Steele, Lea and Flood, 2014).
+A stream has a key derived from (seed, episode, purpose); its k-th number is a function of the key
+and k. The mixing function is that of SplitMix64 (Steele, Lea and Flood, 2014).
 """
 
 import math
@@ -13,7 +13,7 @@ import numpy as np
 from ..compilation import compiled, inner_kernel, kernel
 
 START, FRAMES, OBSTACLES, GRAPH, SENSING, ACTUATION, SWITCHING = range(7)
-"""Purposes; a stream of its own for each, so that one never shifts another."""
+"""Purposes of streams; separate streams are independent."""
 
 _INCREMENT = np.uint64(0x9E3779B97F4A7C15)
 _FACTOR_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -87,7 +87,5 @@ def draw_rotation(key, first_counter, axes):
 
 
 def ignore_overflow(run: Callable[..., Any]) -> Callable[..., Any]:
-    """The same function; without compilation NumPy would warn of every product of 64-bit numbers
-    that wraps around. For kernels that draw, without unit.
-    """
+    """Suppress NumPy's overflow warnings of 64-bit products in plain Python, without unit."""
     return run if compiled() else np.errstate(over="ignore")(run)

@@ -1,7 +1,7 @@
-"""Small vectors as tuples of numbers: nothing is allocated, and loops over teams become SIMD.
+"""Small vectors as tuples of numbers, without allocation, so that loops over lanes become SIMD.
 
-Most functions take triples, z = 0 in the plane. Those that every robot needs in every step take
-pairs too; which of their branches is compiled follows from the length of the argument.
+Most functions take triples, with z = 0 in the plane. Those on the hot path also take pairs; the
+length of the argument selects the compiled branch.
 """
 
 import math
@@ -84,9 +84,7 @@ def combine(p, a, q, b):
 
 @kernel
 def add(a, factor, b):
-    """The pair or triple a + factor b of two of them and a number, in the unit of a; a itself, bit
-    for bit, where b is zero.
-    """
+    """The pair or triple a + factor b, in the unit of a; bitwise a where b is zero."""
     if len(a) == 2:
         return a[0] + factor * b[0], a[1] + factor * b[1]
     return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
@@ -108,9 +106,11 @@ def norm(a):
 
 @kernel(inline="code")
 def split(a):
-    """Length ‖a‖ and unit vector a/‖a‖ of a pair or triple: a number in its unit, and one like it;
-    (0, zero) for the zero vector. Safe for any finite numbers, of which the squares may overflow or
-    vanish. Powers of two change no digit, and choices in place of branches leave loops SIMD.
+    """Length ‖a‖ and unit vector a/‖a‖ of a pair or triple; (0, zero) for the zero vector.
+
+    The length is a number in the unit of a. Safe for all finite numbers, including those with
+    overflowing or vanishing squares: scaling by powers of two is exact, and selects keep loops
+    SIMD.
     """
     largest = max(abs(a[0]), abs(a[1]))
     if len(a) == 3:
@@ -124,8 +124,9 @@ def split(a):
 
 @kernel(inline="code")
 def without(a, h):
-    """The part a − (hᵀa) h of a pair or triple across a unit one h, in the unit of a; taken twice,
-    so that rounding leaves none of h.
+    """Component a − (hᵀa) h across a unit pair or triple h, in the unit of a.
+
+    It is applied twice, so that rounding leaves no component along h.
     """
     once = combine(1.0, a, -dot(a, h), h)
     return combine(1.0, once, -dot(once, h), h)
@@ -133,9 +134,10 @@ def without(a, h):
 
 @inner_kernel(inline="code")
 def split_across(a, h):
-    """Length and unit vector of the part a − (hᵀa) h across a unit vector h, as ``split``. In the
-    plane there are but two directions across h, so nothing is divided; for a along h it is the one
-    to the left.
+    """``split`` of the component a − (hᵀa) h across a unit vector h.
+
+    In the plane there are two directions across h, so no division is needed; for a along h it is
+    the left one.
     """
     if len(a) == 2:
         to_left = h[0] * a[1] - h[1] * a[0]

@@ -1,8 +1,8 @@
-"""Which way a robot must move for the size L of its team to grow fastest (guarantees, section 9).
+"""Gradient of the hull perimeter L with respect to a robot's position (guarantees, section 9).
 
-    ∂L/∂p_i = ∫_{N_i} u du,   N_i the directions u in which robot i is the farthest of all
+    ∂L/∂p_i = ∫_{N_i} u du,   N_i the directions u in which robot i is the farthest
 
-so that L' = Σ_i v_i·∂L/∂p_i: to turn a bearing towards this direction raises L most (section 11).
+L' = Σ_i v_i·∂L/∂p_i, so a bearing rotated towards the gradient increases L most (section 11).
 """
 
 import math
@@ -15,9 +15,10 @@ _IN_LINE = 1e-9  # Sine of the angle between two directions below which they cou
 
 @kernel
 def outward_directions(positions, merged_into, out):
-    """Unit vectors along ∂L/∂p_i into ``out`` (n, d); away from the centroid for robots inside the
-    hull, whose motion does not change L, and zero where that is no direction either. Only robots
-    that are part of themselves count.
+    """Write unit vectors along ∂L/∂p_i to ``out`` (n, d).
+
+    For robots inside the hull, whose motion does not change L, it is the direction away from the
+    centroid, or zero. Only active robots count.
     """
     count, centre = 0, ORIGIN
     for i in range(positions.shape[0]):

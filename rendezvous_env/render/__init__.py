@@ -1,3 +1,5 @@
-"""How a picture is made; ``renderer`` is the entry point, and what other renderers share lies in
-``scene`` and ``palette``. Without pygame-ce load these, ``camera`` and ``history``.
+"""Rendering; ``renderer`` is the entry point.
+
+``scene``, ``palette``, ``camera`` and ``history`` are independent of pygame-ce and shared with
+other renderers.
 """

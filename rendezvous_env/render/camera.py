@@ -1,4 +1,4 @@
-"""Where a point of the plane or of space stands in a picture: a fixed view, equal in every axis."""
+"""Projection of points to pixels: a fixed view with equal scale in all axes."""
 
 import math
 from itertools import product
@@ -25,12 +25,12 @@ class Area(NamedTuple):
 
 
 def columns_of(count: int) -> int:
-    """Teams in a row of a picture of so many."""
+    """Number of columns in a grid of the given number of environments."""
     return math.ceil(math.sqrt(count))
 
 
 def cell(team: int, count: int, width: int, height: int) -> Area:
-    """A team's part of a picture of so many teams, whose size is given in pixels."""
+    """Area of one environment in a grid picture of the given size, pixels."""
     columns = columns_of(count)
     rows = math.ceil(count / columns)
     row, column = divmod(team, columns)
@@ -40,7 +40,7 @@ def cell(team: int, count: int, width: int, height: int) -> Area:
 
 
 class Camera(NamedTuple):
-    """A fixed view; the plane from straight above, space in perspective."""
+    """Fixed view: top view in the plane, perspective in 3-D."""
 
     low: Floats  # (d,), least corner of the scene's bounding box, m
     high: Floats  # (d,), its largest corner, m
@@ -53,7 +53,7 @@ class Camera(NamedTuple):
 
     @property
     def centre(self) -> Floats:
-        """(d,), middle of the scene, m."""
+        """Centre of the scene, (d,), m."""
         return (self.low + self.high) / 2
 
     def project(self, points: Floats) -> Floats:
@@ -63,22 +63,18 @@ class Camera(NamedTuple):
         return self.shift + self.scale * self.nearness(points)[..., None] * flat
 
     def nearness(self, points: Floats) -> Floats:
-        """(...,), how much larger things appear at points (..., d) than at the middle."""
+        """Magnification at points (..., d) relative to the centre, (...,)."""
         offsets = np.asarray(points, dtype=np.float64) - self.centre
         return 1.0 / (1.0 - (offsets @ self.back) / self.distance)
 
     def directions(self, points: Floats, vectors: Floats) -> Floats:
-        """Unit vectors (..., d) at points (..., d) as they appear: (..., 2), shorter than 1 where
-        they point towards the eye or away from it.
-        """
+        """Projection of unit vectors (..., d) at points (..., d): (..., 2), foreshortened."""
         short = 1e-3 / self.scale
         moved = self.project(points + short * vectors) - self.project(points)
         return moved / (1e-3 * self.nearness(points)[..., None])
 
     def hidden(self, points: Floats, obstacles: Floats) -> Bools:
-        """(m,), whether a sphere of a table stands between the eye and each point (m, d), m; in the
-        plane nothing is hidden.
-        """
+        """Whether a sphere hides each point (m, d), m, from view, (m,); False in the plane."""
         spheres = [] if math.isinf(self.distance) else outlines(obstacles, 3)
         if not spheres:
             return np.zeros(len(points), dtype=np.bool_)
@@ -93,8 +89,9 @@ class Camera(NamedTuple):
 
 
 def fit(positions: Floats, obstacles: Floats, area: Area, margin: float) -> Camera:
-    """The view of a team's start (n, d), m, and its table of obstacles (M, width) that fills an
-    area but for a margin on each side; pixels count from its left top corner.
+    """View that fits initial positions (n, d), m, and obstacles (M, width) into an area.
+
+    Pixels count from the top left corner of the area, with a margin on each side.
     """
     points = outermost(positions, obstacles)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -113,7 +110,7 @@ def fit(positions: Floats, obstacles: Floats, area: Area, margin: float) -> Came
 
 
 def _view(low: Floats, high: Floats) -> Camera:
-    """Of a bounding box: from above, or in perspective."""
+    """View of a bounding box, from above or in perspective."""
     if len(low) == 2:
         right, up = np.eye(2)
         return Camera(low, high, right, up, np.zeros(2), math.inf)
@@ -130,6 +127,6 @@ def _view(low: Floats, high: Floats) -> Camera:
 
 
 def nice_step(span: float, most: int) -> float:
-    """The least of 1, 2 and 5 times a power of ten of which at most ``most`` fit into a span."""
+    """Smallest 1, 2 or 5 times a power of ten that fits at most ``most`` times into a span."""
     power = 10.0 ** math.floor(math.log10(span / most))
     return next(step * power for step in (1, 2, 5, 10, 20) if step * power * most >= span)

@@ -1,4 +1,4 @@
-"""What a team has done so far, as far as a picture shows it; kept only where one is drawn."""
+"""History of an episode for rendering; recorded only if pictures are drawn."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ from .scene import Bools, Floats
 
 
 class Moment(NamedTuple):
-    """A team after some step."""
+    """State of one environment after a step."""
 
     steps: int
     time: float  # s
@@ -21,12 +21,12 @@ class Moment(NamedTuple):
 
     @property
     def active(self) -> Bools:
-        """(n,), whether the robot still exists on its own."""
+        """Whether each robot is active (not merged), (n,)."""
         return self.merged_into == np.arange(len(self.merged_into))
 
 
 class History(NamedTuple):
-    """One team's episode since the renderer first saw it."""
+    """Episode of one environment since the renderer's first observation."""
 
     obstacles: Floats  # (M, width), a table of ``obstacles.obstacle_set``
     initial_lyapunov: float  # V at the start of the episode, m²/s

@@ -1,4 +1,4 @@
-"""Letters, marks and greys of the pictures."""
+"""Text, marks and greys of rendered pictures."""
 
 from functools import lru_cache
 
@@ -33,8 +33,9 @@ def write(
     anchor: str = "topleft",
     colour: Rgb = _TEXT,
 ) -> int:
-    """Write a line of text, ``size`` pixels high, with its ``anchor``, as pygame names it, at a
-    pixel; the width of the line, pixels.
+    """Draw a line of text, ``size`` pixels high, with a pygame ``anchor`` at a pixel.
+
+    Returns the width, pixels.
     """
     try:
         letters = _font(round(size)).render(text, True, colour)
@@ -55,14 +56,14 @@ def width_of(text: str, size: float) -> int:
 
 
 def cross(surface: pygame.Surface, place: Place, unit: float) -> None:
-    """Where robots became one."""
+    """Draw the mark of a merge."""
     (x, y), arm, width = place, 4 * unit, max(1, round(1.5 * unit))
     pygame.draw.line(surface, BLACK, (x - arm, y - arm), (x + arm, y + arm), width)
     pygame.draw.line(surface, BLACK, (x - arm, y + arm), (x + arm, y - arm), width)
 
 
 def ring(surface: pygame.Surface, place: Place, unit: float, radius: float = 0.0) -> None:
-    """Where a robot touched an obstacle; with a radius, about a robot that does."""
+    """Draw the mark of a contact, around a robot if a radius is given."""
     pygame.draw.circle(surface, BLACK, place, radius or 4 * unit, max(1, round(1.5 * unit)))
 
 
@@ -99,8 +100,9 @@ def arrow(surface: pygame.Surface, shade: Rgb, place: Place, unit: float) -> Non
 def wedge(
     surface: pygame.Surface, shade: Rgb, tip: Floats, along: Floats, length: float, half: float
 ) -> None:
-    """The nose of a robot or the head of an arrow, ``half`` as wide to each side at its foot;
-    ``along`` is shorter than 1 where it points towards the eye.
+    """Draw the nose of a robot or an arrow head of half-width ``half``.
+
+    ``along`` is the projected unit direction, foreshortened in 3-D.
     """
     norm = float(np.hypot(*along))
     if norm > 0:

@@ -1,4 +1,4 @@
-"""A whole picture: one team with a header and a strip of V(t), or a tile of teams."""
+"""Page layout: one environment with header and V(t), or a grid of environments."""
 
 import math
 from itertools import pairwise
@@ -22,8 +22,9 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 64, 16, 16, 34  # margins within the strip, pixel
 
 
 class Page:
-    """Draws teams in ``size`` pixels; keeps what does not change from frame to frame. ``horizon``
-    is the first length of the time axis, s; None is a tenth of the limit.
+    """Page of ``size`` pixels with cached static parts.
+
+    ``horizon`` is the initial length of the time axis, s; None is a tenth of the time limit.
     """
 
     def __init__(self, simulator: Simulator, size: tuple[int, int], horizon: float | None) -> None:
@@ -60,7 +61,7 @@ class Page:
         return self._surface
 
     def pixels(self, positions: Floats, team: int = 0) -> Floats:
-        """Where points (..., d) of a team stand in the last picture: (..., 2), x and y."""
+        """Pixels (..., 2) of points (..., d) of an environment in the last picture."""
         picture = self._pictures[team]
         places = picture.camera.project(positions) + np.array(picture.area[:2])
         return np.asarray(places / _FINE - 0.5)
@@ -138,7 +139,7 @@ class Page:
             x += ink.write(page, word, (x, middle), size, anchor="midleft") + 14 * unit
 
     def _draw_caption(self, team: int, history: History) -> None:
-        """Number and time of a team above its picture, and a frame about both."""
+        """Draw index and time of an environment above its picture, and a frame."""
         area, moment, unit = self._pictures[team].area, history.moments[-1], self._unit
         caption = round(_CAPTION * unit)
         met = self._simulator.status[team] == RENDEZVOUS
@@ -150,9 +151,7 @@ class Page:
         pygame.draw.rect(self._fine, ink.FRAME, frame, max(1, round(unit / 2)))
 
     def _draw_strip(self, history: History) -> None:
-        """V(t) below the picture. When the episode outlasts the time axis, one at least twice as
-        long takes its place.
-        """
+        """Draw V(t) below the picture; the time axis at least doubles when exceeded."""
         sheet, unit, moments = self._fine, self._unit, history.moments
         above = self._pictures[0].area
         box = pygame.Rect(
@@ -170,7 +169,7 @@ class Page:
         highest = history.initial_lyapunov or 1.0
 
         def place(time: float, lyapunov: float) -> tuple[float, float]:
-            """A pixel; V above its start stays at the upper edge."""
+            """Pixel of a value; V above its initial value is clipped."""
             up = min(lyapunov / highest, 1.06)
             return box.left + box.width * time / end, box.bottom - box.height * up
 

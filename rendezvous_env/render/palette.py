@@ -1,7 +1,6 @@
-"""Colours that mean the same in every picture of this project.
+"""Colours with the same meaning in all pictures.
 
-Those of Okabe and Ito, which colour-blind readers can tell apart; yellow, too faint on white, is
-replaced by a dark red.
+The colour-blind safe palette of Okabe and Ito, with yellow replaced by dark red for contrast.
 """
 
 from typing import Final
@@ -9,7 +8,7 @@ from typing import Final
 Rgb = tuple[int, int, int]
 
 OBSTACLE: Final[Rgb] = (0xE6, 0x9F, 0x00)
-"""Orange, as in the paper; nothing else has it."""
+"""Orange, as in the paper; reserved for obstacles."""
 OBSTACLE_EDGE: Final[Rgb] = (0x8A, 0x5F, 0x00)
 """Outlines of obstacles, and bearings to their edges."""
 ROBOTS: Final[tuple[Rgb, ...]] = (
@@ -21,16 +20,16 @@ ROBOTS: Final[tuple[Rgb, ...]] = (
     (0x88, 0x22, 0x55),  # dark red
     (0x00, 0x00, 0x00),
 )
-"""Of the robots, by index; the eighth has the colour of the first again."""
+"""Colours of robots by index, repeating after seven."""
 
 
 def robot_colour(index: int) -> Rgb:
-    """Red, green and blue of a robot."""
+    """Colour of a robot as red, green, blue."""
     return ROBOTS[index % len(ROBOTS)]
 
 
 def mixed(colour: Rgb, other: Rgb, share: float) -> Rgb:
-    """A colour with a share of another mixed in."""
+    """Colour mixed with a fraction of another."""
     red, green, blue = (
         round((1 - share) * one + share * two) for one, two in zip(colour, other, strict=True)
     )
@@ -38,5 +37,5 @@ def mixed(colour: Rgb, other: Rgb, share: float) -> Rgb:
 
 
 def code(colour: Rgb) -> str:
-    """A colour as "#RRGGBB"."""
+    """Colour as "#RRGGBB"."""
     return "#{:02X}{:02X}{:02X}".format(*colour)

@@ -1,4 +1,4 @@
-"""One team as a picture: obstacles and paths, kept from frame to frame, and the robots."""
+"""Picture of one environment: cached obstacles and paths, and the robots."""
 
 import math
 
@@ -27,10 +27,10 @@ _MOST_HEADS = 60  # arrows up to which each has a head
 
 
 class TeamPicture:
-    """One team's episode in a part of a page; the view does not change.
+    """Episode of one environment in an area of a page, with a fixed view.
 
-    Space has three layers: the ground with what spheres hide, the spheres, and the rest; the plane
-    has the ground. ``unit`` pixels of the page count as one, so that a fine page has no thin lines.
+    3-D scenes have three layers: the ground with everything behind spheres, the spheres, and the
+    rest. Planar ones have the ground. ``unit`` scales line widths, pixels.
     """
 
     def __init__(self, scenario: Scenario, history: History, area: Area, unit: float) -> None:
@@ -121,7 +121,7 @@ class TeamPicture:
             )
 
     def _draw_grid(self) -> None:
-        """Lines a round number of metres apart, and that number."""
+        """Draw grid lines at a round spacing, with its value."""
         camera, ground, unit = self.camera, self._ground, self._unit
         low, high = camera.low[:2], camera.high[:2]
         if self._scenario.dim == 2:
@@ -141,14 +141,14 @@ class TeamPicture:
         ink.write(ground, f"grid {step:g} m", place, 15 * unit, anchor="bottomleft")
 
     def _on_ground(self, points: Floats) -> Floats:
-        """Pixels of points (..., 2) of the plane, or of the floor of the scene."""
+        """Pixels of points (..., 2) in the plane, or on the floor in 3-D."""
         if self._scenario.dim == 3:
             floor = np.full((*points.shape[:-1], 1), self.camera.low[2])
             points = np.concatenate([points, floor], axis=-1)
         return self.camera.project(points)
 
     def _draw_obstacles(self, layer: pygame.Surface) -> None:
-        """Obstacles from the farthest to the nearest; spheres a little lighter at their top."""
+        """Draw obstacles from back to front, spheres with a lighter top."""
         camera, draw = self.camera, pygame.draw
         for centre, size, vertices in sorted(
             outlines(self.history.obstacles, self._scenario.dim),
@@ -170,7 +170,7 @@ class TeamPicture:
             draw.circle(layer, OBSTACLE_EDGE, middle.tolist(), radius, self._thin)
 
     def _extend_paths(self) -> None:
-        """Add to the paths what has happened since the last frame; a dot where each begins."""
+        """Extend the paths since the last frame, with a dot at their start."""
         moments = self.history.moments[max(0, self._drawn - 1) :]
         positions, active, contact = (
             np.array([getattr(moment, name) for moment in moments])
@@ -192,7 +192,7 @@ class TeamPicture:
                 mark(layers[k][i], pixels[k][i], self._unit)
 
     def _draw_stems(self, canvas: pygame.Surface, moment: Moment, pixels: Floats) -> None:
-        """A plumb line from each robot to the ground, which shows where it is in 3-D."""
+        """Draw a plumb line from each robot to the ground."""
         feet = self._on_ground(moment.positions[:, :2])
         for i in np.flatnonzero(moment.active).tolist():
             shade = mixed(robot_colour(i), ink.WHITE, 0.6)
@@ -227,9 +227,7 @@ class TeamPicture:
         return self._unit * (_ROBOT + min(4.0, 1.5 * math.sqrt(members - 1)))
 
     def _facing(self, moment: Moment) -> Floats:
-        """(n, d), unit vectors along the robots' bodies, or along the last motion of robots without
-        one; zero for one that has not moved.
-        """
+        """Unit vectors along the body axis, or else the last motion, (n, d); zero if not moved."""
         if moment.headings.shape[1]:
             return facing(moment.headings, self._scenario.dim)
         motion = moment.positions - self.history.moments[-2:][0].positions

@@ -1,4 +1,4 @@
-"""State → picture. The drawing library, pygame-ce, is loaded when the first picture is drawn."""
+"""Renderer of simulator states. pygame-ce is imported with the first picture."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from .window import Window
 
 RENDER_MODES = ["human", "rgb_array"]
-"""A window that follows the episode, or a picture as an array on request."""
+"""Render modes: a live window, or pictures as arrays."""
 MOST_TEAMS = 16
-"""Teams in one picture; of a larger batch the first ones are shown."""
+"""Maximum number of environments in a picture; the first ones are shown."""
 
 
 def render_metadata(simulator: Simulator) -> dict[str, Any]:
-    """Render modes and frames a second, one for each step, so that a video runs in real time."""
+    """Render modes and frame rate, one frame per step in real time."""
     return {"render_modes": RENDER_MODES.copy(), "render_fps": 1.0 / simulator.scenario.tau}
 
 
@@ -74,15 +74,13 @@ class Renderer:
         self._dismissed = False
 
     def reset(self) -> None:
-        """Look at teams that have been reset; in "human" mode open the window."""
+        """Start new histories after a reset; in "human" mode open the window."""
         if self.render_mode is not None:
             self._look()
             self._show()
 
     def see(self, contact: NDArray[np.bool_]) -> None:
-        """Look at the teams after a step in which robots (B, n) touched obstacles; in "human" mode
-        show them, at most in real time.
-        """
+        """Record a step with contacts (B, n); in "human" mode show it, at most in real time."""
         if self.render_mode is None:
             return
         self._look(contact)
@@ -95,7 +93,7 @@ class Renderer:
                 self.window, self._dismissed = None, True
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The picture, (height, width, 3); None in "human" mode, which shows it.
+        """Picture, (height, width, 3); None in "human" mode.
 
         Raises:
             RuntimeError: before the first reset, or where no window can be opened.
@@ -118,9 +116,9 @@ class Renderer:
         return flat.reshape(height, width, 3).copy()
 
     def pictures(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """The picture cut into the parts of its teams; errors and "human" mode as ``render``.
+        """Pictures of the single environments; errors and "human" mode as ``render``.
 
-        Teams beyond the first ``MOST_TEAMS`` are not drawn: they share one blank part.
+        Environments beyond the first ``MOST_TEAMS`` share one blank picture.
         """
         if (picture := self.render()) is None:
             return None
@@ -132,19 +130,19 @@ class Renderer:
         return (*parts, *[blank] * (self._simulator.num_envs - self._teams))
 
     def pixels(self, positions: NDArray[np.float64], team: int = 0) -> NDArray[np.float64]:
-        """Where points (..., d) in m of a team stand in the last picture: (..., 2), x and y."""
+        """Pixels (..., 2) of points (..., d), m, of an environment in the last picture."""
         if self._page is None:
             raise RuntimeError("call render() before pixels()")
         return self._page.pixels(positions, team)
 
     def close(self) -> None:
-        """Take the window off the screen."""
+        """Close the window."""
         if self.window is not None:
             self.window.close()
             self.window = None
 
     def _look(self, contact: NDArray[np.bool_] | None = None) -> None:
-        """Add the present moment to the histories; another episode begins another history."""
+        """Append the current state to the histories; a new episode starts a new history."""
         simulator, teams, histories = self._simulator, self._teams, self._histories
         if contact is None:
             contact = np.zeros(simulator.merged_into.shape, dtype=np.bool_)
@@ -184,7 +182,7 @@ class Renderer:
         return self._page.draw(self._histories, self.policy)
 
     def _show(self) -> None:
-        """Draw into the window; once its user has closed it there is none any more."""
+        """Draw into the window unless the user has closed it."""
         if self.render_mode != "human" or self._dismissed:
             return
         picture, pygame = self._draw(), _load_pygame()

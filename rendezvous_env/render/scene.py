@@ -1,6 +1,6 @@
-"""What a picture of a team consists of, for every renderer: pygame, matplotlib, the report's page.
+"""Scene elements shared by all renderers: pygame, Matplotlib and the report page.
 
-Shapes of obstacles, paths, marks and extents, all in metres; their colours are in ``palette``.
+Obstacle shapes, paths, marks and extents, in metres; colours are in ``palette``.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ Bools = NDArray[np.bool_]
 
 
 def outermost(positions: Floats, obstacles: Floats) -> Floats:
-    """Points (m, d) that a picture has to show: positions (..., d) and the ends of all shapes."""
+    """Points (m, d) that must be visible: positions (..., d) and extents of all shapes."""
     d = positions.shape[-1]
     arms = np.concatenate([np.eye(d), -np.eye(d)])
     ends = [
@@ -24,20 +24,20 @@ def outermost(positions: Floats, obstacles: Floats) -> Floats:
 
 
 def facing(headings: Floats, dim: int) -> Floats:
-    """Unit vectors (..., d) along bodies with headings (..., k), rad: yaw, or yaw and pitch."""
+    """Unit body axes (..., d) from headings (..., k), rad: yaw, or yaw and pitch."""
     yaw, pitch = headings[..., 0], headings[..., 1:].sum(axis=-1)
     flat = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch)], axis=-1)
     return flat if dim == 2 else np.concatenate([flat, np.sin(pitch)[..., None]], axis=-1)
 
 
 def ways(positions: Floats, active: Bools) -> list[Floats]:
-    """The path of each robot, (T', d), up to where it merges; from positions (T, n, d)."""
+    """Path of each robot up to its merge, (T', d), from positions (T, n, d)."""
     last = active.sum(axis=0) + 1  # one frame more: where it merged
     return [positions[: last[robot], robot] for robot in range(positions.shape[1])]
 
 
 def ended(flags: Bools) -> NDArray[np.int64]:
-    """Frame and robot, (m, 2), at which flags (T, n) go down: the merges, if given ``active``."""
+    """Frame and robot, (m, 2), of falling edges of flags (T, n): merges, for ``active``."""
     return np.argwhere(flags[:-1] & ~flags[1:]) + np.array([1, 0])
 
 
@@ -71,5 +71,5 @@ def sights(rows: Floats, positions: Floats, linked: Bools, in_order: bool) -> Bo
 
 
 def in_contact(count: int) -> str:
-    """Contacts in words: they are counted once for each robot and step."""
+    """Contacts as text, counted once per robot and step."""
     return f"{count} robot-step{'' if count == 1 else 's'} in contact"

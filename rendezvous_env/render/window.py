@@ -1,4 +1,4 @@
-"""A window that plays what happens: space pauses, the right arrow or s makes one step."""
+"""Live window: space pauses, the right arrow or s makes a single step."""
 
 import time
 
@@ -8,7 +8,7 @@ _LEAST_PAUSE = 1 / 60  # s between two pictures; steps that are shorter are not 
 
 
 class Window:
-    """A window of its own, in which time passes as in the simulation or more slowly."""
+    """Window that shows an episode at most in real time."""
 
     def __init__(self, title: str, size: tuple[int, int]) -> None:
         self._title, self._size = title, size
@@ -19,17 +19,17 @@ class Window:
 
     @property
     def closed(self) -> bool:
-        """Whether its user or ``close`` has closed it."""
+        """Whether the window is closed."""
         return self.screen is None
 
     @property
     def wants_picture(self) -> bool:
-        """Whether it is time for the next picture."""
+        """Whether the next picture is due."""
         self._read_events()
         return self.paused or time.monotonic() - self._shown >= _LEAST_PAUSE
 
     def show(self, picture: pygame.Surface) -> None:
-        """Put a picture into the window."""
+        """Show a picture."""
         if self.screen is None:
             return
         try:
@@ -42,7 +42,7 @@ class Window:
         self._shown = time.monotonic()
 
     def wait(self, seconds: float) -> None:
-        """Wait until a step of so many seconds is over; while paused, for a key."""
+        """Wait until a step of the given duration is over, or for a key while paused."""
         while self.is_held():
             time.sleep(0.01)
         now = time.monotonic()
@@ -50,7 +50,7 @@ class Window:
         time.sleep(self._due - now)
 
     def is_held(self) -> bool:
-        """Whether it is paused, and no single step is asked for."""
+        """Whether it is paused without a pending single step."""
         self._read_events()
         if not self.paused or self.closed:
             return False

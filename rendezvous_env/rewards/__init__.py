@@ -1,1 +1,1 @@
-"""The terms of the team reward."""
+"""Terms of the team reward, and costs."""

@@ -1,4 +1,4 @@
-"""Costs of a step, robot by robot: what a learner is to keep below a limit, apart from its reward.
+"""Costs per robot and step, for constrained learning.
 
 As in Safety-Gymnasium's converters to Gymnasium, infos have ``cost_NAME`` and their sum, ``cost``.
 """
@@ -33,13 +33,13 @@ def as_costs(field: str, value: Any) -> tuple[str, ...]:
 
 
 def no_costs(names: tuple[str, ...], shape: tuple[int, int]) -> Costs:
-    """Zeros for the sum and each cost; without names there are no keys."""
+    """Zero costs and their sum; empty without names."""
     keys = [f"cost_{name}" for name in names]
     return {key: np.zeros(shape) for key in (["cost", *keys] if names else [])}
 
 
 def costs_of(names: tuple[str, ...], step: RewardStep, running: NDArray[np.bool_]) -> Costs:
-    """What a step cost each robot that took part, in teams that are ``running``, (B,)."""
+    """Costs of a step for each active robot in ``running`` environments, (B,)."""
     paying = running[:, None] & step.took_part
     costs = no_costs(names, paying.shape)
     for name in names:

@@ -1,4 +1,4 @@
-"""Reward terms of a user's own: functions of what happened in one step of a batch of teams."""
+"""Custom reward terms: functions of one step of a batch of environments."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -10,36 +10,35 @@ from ..checks import Registry, check_shape, floats, number, refuse
 
 
 class RewardStep(NamedTuple):
-    """What happened in one step of B teams; a term may read all of it and change none."""
+    """Read-only data of one step of B environments, for reward terms and costs."""
 
     scenario: Any
     """The Scenario."""
     actions: NDArray[np.float32]
-    """(B, n, a), as they were given, in the robots' own frames."""
+    """Actions as given, (B, n, a), in the robots' frames."""
     positions_before: NDArray[np.float64]
-    """(B, n, d), m."""
+    """Positions before the step, (B, n, d), m."""
     positions: NDArray[np.float64]
-    """(B, n, d), m; a merged-away robot is where the robot is that it became part of."""
+    """Positions after the step, (B, n, d), m; a merged robot has that of its survivor."""
     took_part: NDArray[np.bool_]
-    """(B, n), whether the robot existed on its own before the step."""
+    """Whether each robot was active before the step, (B, n)."""
     active: NDArray[np.bool_]
-    """(B, n), whether it does after it."""
+    """Whether each robot is active after the step, (B, n)."""
     contact: NDArray[np.bool_]
-    """(B, n), whether it touched an obstacle in the step."""
+    """Whether each robot had a contact in the step, (B, n)."""
     clearance: NDArray[np.float64]
-    """(B, n), distance to the nearest obstacle, m; inf without obstacles."""
+    """Distance to the nearest obstacle, (B, n), m; inf without obstacles."""
     time: NDArray[np.float64]
-    """(B,), s since the start of the episode."""
+    """Time since the start of the episode, (B,), s."""
     met: NDArray[np.bool_]
-    """(B,), whether the step brought the rendezvous."""
+    """Whether rendezvous occurred in the step, (B,)."""
     rise: NDArray[np.float64]
-    """(B,), by how much V rose before any merge, as a share of V at the start; never below 0."""
+    """Increase of V before any merge relative to the initial V, (B,), at least 0."""
     links_lost: NDArray[np.int64]
-    """(B, n), links of each robot that were lost other than by merging; 0 but on proximity
-    graphs."""
+    """Number of links lost other than by merging, (B, n); nonzero on proximity graphs only."""
 
     def read_only(self) -> "RewardStep":
-        """The same, with arrays that refuse to be written to."""
+        """A copy with read-only arrays."""
         views = {k: v.view() for k, v in self._asdict().items() if isinstance(v, np.ndarray)}
         for view in views.values():
             view.flags.writeable = False
@@ -52,23 +51,23 @@ COSTS: dict[str, Term] = {
     "rise": lambda step: step.rise,
     "link_lost": lambda step: step.links_lost,
 }
-"""Costs of a robot in a step: whether it touched an obstacle; by how much V of its team rose before
-any merge, as a share of V at the start; how many of its links were lost other than by merging."""
+"""Built-in costs per robot and step: contact; increase of V before any merge relative to the
+initial V; number of links lost other than by merging."""
 
 TERMS = Registry("reward term", "rv.reward_term")
-"""By name."""
+"""Registered terms by name."""
 
 
 def reward_term(name: str, term: Term | None = None) -> Any:
-    """Register a reward term: a function from a ``RewardStep`` to numbers, (B,) or (B, n).
+    """Register a reward term: a function from a ``RewardStep`` to values, (B,) or (B, n).
 
-    ``RewardWeights(custom={name: weight})`` adds weight × term in every step. (B,) is earned by the
-    team and each of its robots; of (B, n) each robot earns its own, and the team the mean over the
-    robots that took part. A term treats every team by itself. One of the same name is replaced;
-    without ``term`` a decorator is returned.
+    ``RewardWeights(custom={name: weight})`` adds weight × term in every step. Values (B,) are team
+    rewards, given to each robot; values (B, n) are individual, and the team reward is the mean over
+    active robots. A term must treat environments independently. An existing term of the same name
+    is replaced. Without ``term`` this is a decorator.
 
     Raises:
-        ValueError: for what is no name, or that of a built-in cost, or cannot be called.
+        ValueError: for an invalid name, that of a built-in cost, or a term that is not callable.
     """
     if isinstance(name, str) and name in COSTS:
         refuse("name of a reward term", name, f"none of the costs {', '.join(COSTS)}")
@@ -109,7 +108,7 @@ def add_custom_terms(
 
 
 def of_step(what: str, given: Any, counts: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """What a term gave, (B,) or (B, n), for each robot, (B, n); 0 where it does not count."""
+    """Values of a term, (B,) or (B, n), per robot, (B, n); 0 where they do not count."""
     earned = floats(what, given)
     check_shape(what, earned, counts.shape[:1], counts.shape)
     each = np.broadcast_to(earned[:, None] if earned.ndim == 1 else earned, counts.shape)

@@ -1,4 +1,4 @@
-"""The terms of the team reward (design, section 6): their weights and their sum.
+"""Team reward: weights and sum of its terms.
 
 The reward may use the global state; observations never do.
 """
@@ -21,38 +21,37 @@ CLEARANCE_PENALTY = 4  # place of a weight whose term is only worked out where i
 @names_unknown_fields("reward")
 @dataclass(frozen=True)
 class RewardWeights:
-    """Weights of the terms of the team reward; every robot gets the team reward.
+    """Weights of the terms of the team reward, which every robot receives.
 
     Raises:
         ValueError: naming a weight that is not a finite number.
     """
 
     progress: float = 1.0
-    """Times (V_t − V_{t+1})/V_0, which adds up to at most 1 over an episode."""
+    """Weight of (V_t − V_{t+1})/V_0, whose sum over an episode is at most 1."""
     time_penalty: float = 0.1
-    """Paid evenly over the time limit."""
+    """Cost of an episode of full length, spread evenly over the time limit."""
     collision_penalty: float = 0.1
-    """Paid for each robot in contact with an obstacle, in each step."""
+    """Cost per robot in contact with an obstacle and step."""
     rendezvous_bonus: float = 1.0
-    """Earned once, when all robots have become one."""
+    """Reward at rendezvous, given once."""
     clearance_penalty: float = 0.0
-    """Paid in each step for each robot, times 1 − clearance/``obstacle_range`` where it is nearer
-    to an obstacle than that."""
+    """Cost per robot and step, times max(0, 1 − clearance/``obstacle_range``)."""
     custom: Annotated[Mapping[str, float] | tuple[tuple[str, float], ...], as_custom] = field(
         default=(), kw_only=True
     )
-    """Weights of terms of your own, by the names under which ``reward_term`` registered them."""
+    """Weights of custom terms by their name in ``reward_term``."""
 
     def __post_init__(self) -> None:
         check_fields(self, "reward.{}")
 
     @property
     def built_in(self) -> tuple[float, ...]:
-        """The weights w of ``team_reward``, in its order."""
+        """Weights w of ``team_reward``, in order."""
         return tuple(value for name, value in vars(self).items() if name != "custom")
 
     def to_plain(self) -> dict[str, Any]:
-        """The weights as plain data for TOML."""
+        """Plain data for TOML."""
         plain = asdict(self) | {"custom": dict(self.custom)}
         return {key: value for key, value in plain.items() if value != {}}
 
@@ -84,7 +83,7 @@ def earned_in_episode(
 
 @kernel(inline="code")
 def team_reward(progress, time_share, contacts, closeness, met, weights):
-    """Team reward of one step, a number without unit like all that it is made of.
+    """Team reward of one step, dimensionless.
 
         w₀ progress − w₁ time_share − w₂ contacts − w₄ closeness + w₃ if met
 

@@ -1,4 +1,4 @@
-"""The protocol of a robot model, and one file for each."""
+"""Robot models: the protocol and one module per model."""
 
 from . import double_integrator, nonholonomic_3d, single_integrator, unicycle
 

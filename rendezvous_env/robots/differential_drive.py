@@ -1,19 +1,18 @@
-"""From the desired velocity of a policy to the wheels of a differential drive.
+"""Wheel speeds of a differential drive for the desired velocity of a policy.
 
-Plain Python, for one robot. Bearings and velocities are those of the point P at a distance l ahead
-of the axle, which can move in any direction, though the axle cannot. With a velocity (x, y) of P in
-the body frame, x ahead, y to the left,
+Plain Python, for one robot. Bearings and velocities refer to the point P at a distance l ahead of
+the axle, which is holonomic. With a velocity (x, y) of P in the body frame, x ahead, y to the left,
 
     v = x,   ω = y/l                                          (speed and turn rate of the body)
     w = (2v ∓ L ω)/(2R)                                       (left and right wheel, rad/s)
 
-of wheels of radius R, L apart. They are limited together:
+for wheels of radius R at distance L. Both are limited together:
 
     w ← w min(1, W/max|w|)                                    (speed)
     w ← w₋ + (w − w₋) min(1, A dt/max|w − w₋|)                (acceleration, from w₋ before)
 
-The first keeps the direction of P, as x : y = v : l ω. With the second both wheels reach what is
-wanted at the same time.
+The first preserves the direction of P, since x : y = v : l ω. With the second, both wheels reach
+their target at the same time.
 """
 
 import math
@@ -33,38 +32,38 @@ _BELOW = 1.0 - 1e-9  # of a wheel's speed: whoever works it out from v and ω fi
 
 
 class Machine(NamedTuple):
-    """What a differential drive is made of and can do; by default a robot of the Robotarium."""
+    """Parameters of a differential drive; defaults are those of the Robotarium."""
 
     wheel_radius: float = 0.016
-    """R, m."""
+    """Wheel radius R, m."""
     base_length: float = 0.11
-    """L, m, from wheel to wheel."""
+    """Distance L between the wheels, m."""
     lead: float = 0.025
-    """l, m, from the axle ahead to P."""
+    """Distance l from the axle to P, m."""
     wheel_speed: float = 12.5
-    """W, rad/s."""
+    """Maximum wheel speed W, rad/s."""
     wheel_acceleration: float = math.inf
-    """A, rad/s²."""
+    """Maximum wheel acceleration A, rad/s²."""
     timeout: float = 0.2
-    """s without a new command, after which the robot stops."""
+    """Time without a new command after which the robot stops, s."""
 
 
 def keep_apart(velocity: Sequence[float], near: ArrayLike, rooms: ArrayLike = 0.0) -> Pair:
-    """The velocity nearest to a desired one, v, (x, y), m/s, that keeps away from what is near.
+    """Closest admissible velocity to a desired one, v, (x, y), m/s, for collision avoidance.
 
         min ‖x − v‖²   subject to   x·g_k ≤ c_k                    (buffered Voronoi cells)
 
-    With c_k = 0 robots come no nearer while they move; each needs to know only the directions of
-    those nearby. With c_k = (d_k − D)/(2 dt), for known distances d_k, they come no nearer than D
-    (Zhou et al. 2017).
+    With c_k = 0 distances do not decrease while robots move, from directions alone. With
+    c_k = (d_k − D)/(2 dt), for known distances d_k, they stay at least D (Zhou et al. 2017).
 
     Args:
         velocity: v.
-        near: g_k, (k, 2), unit vectors to what is near, in the frame of the velocity.
-        rooms: c_k, (k,) or one for all, m/s; less than 0 counts as 0.
+        near: g_k, (k, 2), unit vectors to nearby robots, in the frame of the velocity.
+        rooms: c_k, (k,) or one for all, m/s; negative values count as 0.
 
     Raises:
-        ValueError: naming the argument that has another shape, is not finite or not of unit length.
+        ValueError: naming the argument with a wrong shape or a value that is not finite or not of
+            unit length.
     """
     wanted, normals = _velocity(velocity), np.atleast_2d(floats("near", near))
     normals, most = normals if normals.size else normals.reshape(0, 2), floats("rooms", rooms)
@@ -86,10 +85,10 @@ def _velocity(given: ArrayLike) -> Pair:
 
 
 class DifferentialDrive:
-    """The wheels of one robot, from tick to tick.
+    """Wheel controller of one robot.
 
     Raises:
-        ValueError: naming the machine or a field of it, its value and what would be right.
+        ValueError: naming the invalid field of the machine, its value and the remedy.
     """
 
     def __init__(self, machine: Machine = Machine()) -> None:  # noqa: B008 - immutable
@@ -102,18 +101,20 @@ class DifferentialDrive:
         self.reset()
 
     def reset(self) -> None:
-        """At rest, without a command."""
+        """Reset to rest without a command."""
         self.wheels: Pair = (0.0, 0.0)
-        """Last commanded, left and right, rad/s."""
+        """Last commanded wheel speeds, left and right, rad/s."""
         self._wanted: Pair = (0.0, 0.0)
         self._age = 0.0
 
     def command(self, velocity: Sequence[float], yaw: float, dt: float) -> Pair:
-        """Speed and turn rate (v, ω), m/s and rad/s, for a new velocity of P, m/s, as ``act`` of a
-        policy gives it, in a frame in which the body has a yaw, rad; dt s after the last command.
+        """Speed and turn rate (v, ω), m/s and rad/s, for a new velocity of P, dt s after the last.
+
+        The velocity, m/s, is the output of a policy's ``act``, in the frame in which ``yaw``, rad,
+        is the orientation of the body.
 
         Raises:
-            ValueError: naming the argument; nothing has changed then.
+            ValueError: naming the argument; the state is unchanged.
         """
         machine, (x, y) = self.machine, _velocity(velocity)
         if not math.isfinite(real(yaw)):
@@ -128,7 +129,7 @@ class DifferentialDrive:
         return self._go(dt)
 
     def hold(self, dt: float) -> Pair:
-        """As ``command`` without a new one: on as before, and from ``timeout`` on to rest."""
+        """As ``command`` without a new velocity: zero-order hold, and stop after ``timeout``."""
         self._age += positive("dt", dt, "s")
         if self._age >= self.machine.timeout:
             self._wanted = (0.0, 0.0)

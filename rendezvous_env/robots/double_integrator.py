@@ -1,13 +1,13 @@
-"""A robot with inertia: its action is an acceleration, held over the step.
+"""Double integrator: the action is an acceleration with zero-order hold.
 
     p̈ = a,    ‖a‖ ≤ a_max,    ‖ṗ‖ ≤ v_max
 
 An acceleration that would exceed the speed limit at the end of the step is replaced by the constant
-one that reaches the limit in the same direction of motion. So the motion is exact for a held input,
-and the speed keeps within the limit: ‖ṗ‖ is convex along the step.
+one that reaches the limit in the same direction. The motion is exact for a held input, and the
+speed stays within the limit, since ‖ṗ‖ is convex along the step.
 
-An obstacle takes away the part of the velocity that goes into it, without friction; where a contact
-stops a robot, all of it.
+A contact removes the normal component of the velocity without friction, or all of it with contact
+mode "stop".
 """
 
 import math
@@ -25,7 +25,7 @@ _NEARLY_STEADY = 1e-3
 
 
 class DoubleIntegrator(NamedTuple):
-    """p̈ = a: the action is an acceleration, m/s², the memory the velocity in the global frame."""
+    """p̈ = a: the action is an acceleration, m/s²; the memory is the velocity, global frame."""
 
     duration: float  # τ, s
     speed_limit: float  # v_max, m/s
@@ -35,8 +35,9 @@ class DoubleIntegrator(NamedTuple):
 
 @kernel
 def final_velocity(model, action, frame, velocity):
-    """Velocity at the end of a step in the global frame, m/s: v + τ R a with ‖a‖ ≤ a_max, then
-    ‖v‖ ≤ v_max, both with the direction kept.
+    """Velocity at the end of a step in the global frame, m/s.
+
+    v + τ R a, with ‖a‖ ≤ a_max and then ‖v‖ ≤ v_max, both limited along their direction.
     """
     _, factor = speed_scale(dot(action, action), model.acceleration_limit)
     pushed = add(velocity, model.duration * factor, to_global(frame, action))
@@ -46,7 +47,7 @@ def final_velocity(model, action, frame, velocity):
 
 @kernel
 def _displacement_at(model, action, frame, memory, time):
-    """The way v t + ½ a t², with a = (v(τ) − v)/τ."""
+    """Displacement v t + ½ a t², with a = (v(τ) − v)/τ."""
     change = add(final_velocity(model, action, frame, memory), -1.0, memory)
     half = 0.5 * time * time / model.duration
     return add(scaled(memory, time), half, change)
@@ -54,7 +55,7 @@ def _displacement_at(model, action, frame, memory, time):
 
 @kernel
 def mean_speed(before, after):
-    """∫₀¹ ‖v₀ + s (v₁ − v₀)‖ ds: the length of a parabola, per second; m/s.
+    """Mean speed ∫₀¹ ‖v₀ + s (v₁ − v₀)‖ ds along a parabola, m/s.
 
     With u the part of the velocity along its change c, and h the part across it, it is
     [u √(u² + h²) + h² asinh(u/h)] / 2‖c‖ between the ends.
@@ -89,7 +90,7 @@ def _chord_error_bound(model, action, memory):
 
 @kernel
 def _update(model, action, frame, memory, displacement, contact):
-    """After a contact without the part into the obstacle: that is along what it took of the way."""
+    """Velocity after the step; a contact removes its component along the blocked displacement."""
     velocity = final_velocity(model, action, frame, memory)
     if contact == FREE:
         return velocity

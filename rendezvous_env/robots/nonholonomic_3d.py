@@ -1,4 +1,4 @@
-"""The robot of space that moves along its own axis (eqs. 9–10).
+"""The 3-D nonholonomic robot, which moves along its body axis (eqs. 9–10).
 
     ẋ = v cos β cos α,  ẏ = v cos β sin α,  ż = v sin β,  α̇ = ω_α,  β̇ = ω_β
 
@@ -96,7 +96,7 @@ def _gravity(model, frame, memory):
 
 @kernel
 def _init(model, key, counter):
-    """Pitch within 45° of the horizontal."""
+    """Uniform yaw, and pitch within 45° of the horizontal."""
     yaw = math.pi * (2.0 * uniform(key, counter) - 1.0)
     return yaw, _LARGEST_START_PITCH * (2.0 * uniform(key, counter + 1) - 1.0)
 

@@ -1,7 +1,7 @@
-"""What a robot model is to an experiment: actions, limits, what it keeps and senses.
+"""Robot models of an experiment: actions, limits, memory and proprioception.
 
-Its equations are named by the type of its constants, see ``motion``. Contacts and merging rest on
-what they promise, so the equations of a user's model are tried before robots move by them.
+The type of its constants selects the equations, see ``motion``. Contacts and merging rely on their
+properties, so the equations of a custom model are validated numerically before use.
 """
 
 import math
@@ -30,37 +30,37 @@ def _check_dims(field: str, value: Any) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class RobotModel:
-    """One robot model.
+    """Robot model.
 
     Raises:
-        ValueError: naming the field, its value and what would be right.
-        TypeError: if what must be a function is none.
+        ValueError: naming the field, its value and the remedy.
+        TypeError: if a field that must be a function is not callable.
     """
 
     name: str
     dims: Annotated[tuple[int, ...], _check_dims]
-    """Dimensions of space it exists in."""
+    """Supported dimensions."""
     constants: Annotated[Callable[[Any], Any], check_function]
-    """Scenario → NamedTuple of constants that its equations take, with the fields ``duration``, the
-    step τ, s, and ``speed_limit``, m/s, which no motion exceeds."""
+    """Scenario → NamedTuple of constants for the equations, with fields ``duration`` (τ, s) and
+    ``speed_limit`` (m/s, never exceeded)."""
     bounds: Annotated[Callable[[Any], list[float]], check_function]
-    """Scenario → symmetric bound on each number of an action."""
+    """Scenario → symmetric bound of each action component."""
     n_angles: Annotated[int, partial(whole, least=0, most=MOST_KEPT)] = 0
-    """Angles of its attitude, the first numbers that it keeps; without any its frame is fixed."""
+    """Number of attitude angles, the first entries of the memory; 0 for a fixed frame."""
     n_kept: Annotated[Callable[[int], int], check_function] | None = None
-    """Dimension → numbers kept from step to step; None is ``n_angles``."""
+    """Dimension → size of the memory; None is ``n_angles``."""
     keeps_velocity: bool = False
-    """Whether what it keeps after its angles is its velocity in the global frame, m/s, never above
-    the speed limit."""
+    """Whether the memory after the angles is the velocity in the global frame, m/s, within the
+    speed limit."""
     senses: Literal["gravity", "velocity"] | None = None
-    """What the last row of an observation is: "gravity", "velocity", or nothing."""
+    """Last row of an observation: "gravity", "velocity", or nothing."""
     action: str = "velocity, m/s"
-    """What an action is, in words."""
+    """Description of the action."""
     theorem: str | None = None
-    """Which theorem covers its own law in continuous time, e.g. "theorem 3"."""
+    """Theorem that covers its law in continuous time, for example "theorem 3"."""
     bounded: bool = False
-    """Whether its action is its velocity, with v_max as its bounds: theorems 1, 2, A and C, and the
-    bounds of theory 3, hold."""
+    """Whether the action is the velocity with bounds v_max, as assumed by theorems 1, 2, A and C
+    and the bounds of theory 3."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.isidentifier():
@@ -77,12 +77,12 @@ class RobotModel:
                 raise ValueError(f"robot model {self.name!r} keeps {kept}")
 
     def memory_size(self, dim: int) -> int:
-        """Numbers that a robot keeps from step to step."""
+        """Size of the memory."""
         return self.n_angles if self.n_kept is None else self.n_kept(dim)
 
     @property
     def nonholonomic(self) -> bool:
-        """Whether the robot can only move along its body axis; a ``bounded`` one moves any way."""
+        """Whether the robot moves along its body axis only; a ``bounded`` one is holonomic."""
         return self.n_angles > 0 and not self.bounded
 
 
@@ -91,18 +91,18 @@ _EXAMPLES: list[Callable[[str, int], Any]] = []
 
 
 def try_with(example: Callable[[str, int], Any]) -> None:
-    """Say how a scenario of a model's name and dimension is made, to try models with."""
+    """Set the factory of scenarios (model name, dimension) used to validate models."""
     _EXAMPLES.append(example)
 
 
 def register_robot_model(model: RobotModel, *, replace: bool = False) -> None:
-    """Make a robot model known by its name; ``replace`` lets it take the place of another.
+    """Register a robot model by name; ``replace`` overwrites an existing one.
 
-    Its equations, described by ``motion.describe``, are tried a few times.
+    Its equations, described by ``motion.describe``, are validated numerically.
 
     Raises:
-        ValueError: if it is no RobotModel or its name is taken; or if its equations give what is
-            not finite, exceed its speed limit, or contradict one another.
+        ValueError: if it is not a RobotModel or its name is taken; or if its equations give values
+            that are not finite, exceed the speed limit, or are inconsistent.
     """
     if not isinstance(model, RobotModel):
         refuse("model", model, "a RobotModel")
@@ -123,14 +123,14 @@ def register_robot_model(model: RobotModel, *, replace: bool = False) -> None:
 
 
 def is_custom(model: RobotModel) -> bool:
-    """Whether a robot model comes from outside the package."""
+    """Whether a robot model is custom."""
     return not getattr(model.constants, "__module__", "").startswith(__package__)
 
 
 def constants_of(scenario: Any, early: bool = False) -> Any:
-    """The constants that the equations of a scenario's robot model take; they and a few sampled
-    calls are checked. At registration, ``early``, a model need not be described yet, nor fit the
-    step.
+    """Constants for the equations of a scenario's robot model, validated with sampled calls.
+
+    At registration (``early``) a model need not be described yet, nor fit the time step.
     """
     model, tau = scenario.model, scenario.tau
     who = f"robot model {model.name!r}"
@@ -168,7 +168,7 @@ def constants_of(scenario: Any, early: bool = False) -> Any:
 
 
 def _called(what: str, function: Any, *arguments: Any) -> Any:
-    """What a function of the user's gives, as plain Python."""
+    """Result of a custom function, as plain Python."""
     try:
         return getattr(function, "py_func", function)(*arguments)
     except ZeroDivisionError:
@@ -182,7 +182,7 @@ def _called(what: str, function: Any, *arguments: Any) -> Any:
 def try_equations(
     model: RobotModel, motion: Motion, constants: Any, bounds: NDArray[np.float64], dim: int
 ) -> None:
-    """Ask all equations a few times; the first that is wrong is refused."""
+    """Validate all equations with sampled calls; raises for the first invalid one."""
     random, used = np.random.default_rng(0), np.zeros(len(bounds), bool)
     for sample in range(_SAMPLES):
         drawn = random.uniform(-1.0, 1.0, len(bounds)) * bounds * 0.1 ** (sample % 4)
@@ -202,7 +202,7 @@ def try_equations(
 
 
 class _Asked(NamedTuple):
-    """The equations of a robot model, asked about one action."""
+    """Validation of the equations of a robot model for one action."""
 
     model: RobotModel
     motion: Motion
@@ -211,30 +211,30 @@ class _Asked(NamedTuple):
     dim: int
 
     def ask(self, name: str, *arguments: Any) -> Any:
-        """What an equation gives."""
+        """Result of an equation."""
         what = f"{name} of robot model {self.model.name!r}"
         return _called(what, getattr(self.motion, name), self.constants, *arguments)
 
     def numbers(self, name: str, count: int, *arguments: Any) -> tuple[float, ...]:
-        """What an equation gives, refused unless it is this many finite numbers."""
+        """Result of an equation, validated to be the given number of finite values."""
         return self.check(name, count, self.ask(name, *arguments))
 
     def check(self, name: str, count: int, found: Any) -> tuple[float, ...]:
-        """Refuse what is not this many finite numbers."""
+        """Raise unless a value is the given number of finite values."""
         finite = isinstance(found, tuple) and all(math.isfinite(real(number)) for number in found)
         if not finite or len(found) != count:
             self.refuse(name, found, f"a tuple of {count} finite numbers")
         return found
 
     def refuse(self, name: str, found: Any, wanted: str) -> NoReturn:
-        """Say what would have been right."""
+        """Raise an error that names the remedy."""
         raise ValueError(
             f"{name} of robot model {self.model.name!r} gives {shown(found)} for the action "
             f"{shown(self.action)}; it must be {wanted}"
         )
 
     def step(self, seed: int) -> NDArray[np.bool_]:
-        """All equations of a step, in order; which numbers of the action they look at."""
+        """Validate all equations of a step in order; returns which action components they use."""
         action, dim, size = self.action, self.dim, self.model.memory_size(self.dim)
         tau, limit = self.constants.duration, self.constants.speed_limit
         memory = self.numbers("init", size, np.uint64(seed), 0)
@@ -272,7 +272,7 @@ class _Asked(NamedTuple):
         return looks
 
     def _check_velocity(self, rotation: Any, displacement: NDArray[np.float64]) -> None:
-        """A ``bounded`` model's action is its velocity: τ R a, slowed down to the speed limit."""
+        """Check that a ``bounded`` model moves by τ R a, limited to the speed limit."""
         tau, limit, action = self.constants.duration, self.constants.speed_limit, self.action
         slowed = tau * min(1.0, limit / max(math.hypot(*action), 1e-300))
         wanted = slowed * rotation @ action if len(action) == self.dim else np.inf
@@ -281,7 +281,7 @@ class _Asked(NamedTuple):
             self.refuse("propose", displacement.tolist(), f"{held}, since the model is bounded")
 
     def _check_curve(self, frame: Any, memory: Any, displacement: NDArray[np.float64]) -> None:
-        """``displacement_at`` ends where ``propose`` does, its chord within β τ² of it."""
+        """Check that ``displacement_at`` ends as ``propose``, within β τ² of its chord."""
         tau = self.constants.duration
         bent = real(self.ask("chord_error_bound", self.action, memory))
         if not 0.0 <= bent < math.inf:

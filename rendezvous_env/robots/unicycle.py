@@ -1,4 +1,4 @@
-"""The unicycle: a robot of the plane that moves along its own axis, and turns (eqs. 5–6).
+"""The unicycle: a planar robot that moves along its body axis and turns (eqs. 5–6).
 
     ẋ = v cos θ,  ẏ = v sin θ,  θ̇ = ω
 
@@ -68,7 +68,7 @@ def clip(value, bound):
 
 @kernel
 def propose_along_axis(model, action, frame, memory):
-    """``propose`` of a robot that moves along its own axis, whose way is |v| τ."""
+    """``propose`` of a robot that moves along its body axis, with path length |v| τ."""
     way = abs(clip(action[0], model.speed_limit)) * model.duration
     return displacement_at(model, action, frame, memory, model.duration), way
 

@@ -1,1 +1,1 @@
-"""What keeps the theorems: certified headings, gated turn rates, bounds, certificates."""
+"""Safety filters, theorems and certificates."""

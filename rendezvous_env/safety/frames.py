@@ -1,6 +1,4 @@
-"""Frames that robots look along: x along the net bearing f, so that what is seen does not turn with
-the robot (theory 7).
-"""
+"""Observation frames with x along the net bearing f, for rotation equivariance (theory 7)."""
 
 from ..compilation import inner_kernel, kernel
 from ..engine.memory import read, write
@@ -10,15 +8,18 @@ from .robot_lanes import LANES, lanes_of, sum_rows
 
 FRAMES = ("net_bearing", "local")
 _NEARLY_ALONG = 1e-6
-"""A row whose part across f is shorter than this cannot give a frame its second axis, m/s."""
+"""Minimum component of a row across f that may define the second axis of a frame, m/s."""
 _CLEARLY_LONGER = 1.001
-"""Rounding must not choose among equal rows: two neighbours' parts across f always are."""
+"""Minimum ratio for a row to replace another, so that rounding does not choose between ties."""
 
 
 @kernel
 def look_along_net_bearing(axes, robots, robot, arrays, work):
-    """Turn observations (B, n, rows, d), m/s, of some teams into frames with x along f: row ← Fᵀ
-    row, F = (f/‖f‖, …) (theory 7). Where ‖f‖ < δ the last frame is kept.
+    """Rotate observations (B, n, rows, d), m/s, into frames with x along f (theory 7).
+
+        row ← Fᵀ row,   F = (f/‖f‖, …)
+
+    Where ‖f‖ < δ the last frame is kept.
     """
     observations, frames, seen = arrays
     if len(axes) == 2:
@@ -47,7 +48,7 @@ def _turn_in_plane(rows, frame, seen):
 
 @inner_kernel(inline="code")
 def _aim_in_plane(axes, observations, robot, frames, first, stop, work):
-    """The only right-handed frames with x along f; columns are axes in the local frame."""
+    """Right-handed planar frames with x along f; columns are axes in the local frame."""
     numbers, _ = work
     if numbers.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
         return
@@ -67,8 +68,9 @@ def _aim_in_plane(axes, observations, robot, frames, first, stop, work):
 
 @inner_kernel(inline="code")
 def _aim_in_space(rows, robot, frame):
-    """A right-handed frame, x along f, y the longest part across x of a row, the first of equals,
-    or of a local axis; columns are its axes in the local frame.
+    """Right-handed 3-D frame with x along f; columns are axes in the local frame.
+
+    y is the longest component across x of any row (the first of ties), or of a local axis.
     """
     strength, towards = split(net_bearing_of(rows, robot.neighbour_slots))
     if strength < robot.gate.dead_zone:

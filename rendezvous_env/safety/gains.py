@@ -1,4 +1,4 @@
-"""Gains: one weight per neighbour in, velocities within the hull of the team out (theorem G)."""
+"""Gain filter: neighbour weights to velocities that keep the convex hull (theorem G)."""
 
 from typing import Any, NamedTuple
 
@@ -28,9 +28,12 @@ class _Constants(NamedTuple):
 def gain_range(
     scenario: Scenario, min_gain: Any = None, max_gain: Any = None
 ) -> tuple[float, float]:
-    """The limits c and C of Σ_j c_ij in force, numbers, m/s (theorem G), neither above r/τ: a* and
-    D̄ where none is given, or the other one if that is less, or more. A ValueError names the one
-    that is not positive, too large for the step, or less than the other.
+    """Limits c and C of Σ_j c_ij in force, numbers, m/s, at most r/τ (theorem G).
+
+    The defaults are a* and D̄, adjusted to a given other limit.
+
+    Raises:
+        ValueError: naming a limit that is not positive, too large for the step, or inconsistent.
     """
     safe = scenario.merge_radius / scenario.tau
     least = None if min_gain is None else positive("min_gain", min_gain, "m/s")
@@ -48,12 +51,12 @@ def gain_range(
 
 
 class Gains(SafetyFilter):
-    """Held weights and frames of the robots of B teams (theorem G).
+    """Gain filter of B environments (theorem G).
 
         v_i = Σ_j c_ij g_ij,   c_ij ∝ w_j a_ij,   min_gain ≤ Σ_j c_ij ≤ max_gain
 
-    Weights are cut to [0, 1]; if all that count are zero, all are equal. Where ‖v_i‖ would exceed
-    v_max all gains are scaled down to that. Arguments as ``SafetyFilter`` and ``gain_range``.
+    Weights are clipped to [0, 1]; if all present ones are zero, they are equal. Gains are scaled
+    down where ‖v_i‖ would exceed v_max. Arguments as ``SafetyFilter`` and ``gain_range``.
     """
 
     state_key = "gains"
@@ -118,7 +121,7 @@ def _weigh(axes, robots, constants, arrays, work):
 
 @inner_kernel
 def _weighted(rows, weights, neighbour_slots, least):
-    """Σ_j w_j a_ij, m/s, and Σ_j w_j a_ij g_ij, a triple, of weights cut to [``least``, 1]."""
+    """Σ_j w_j a_ij, m/s, and Σ_j w_j a_ij g_ij, a triple, for weights clipped to [``least``, 1]."""
     total, towards = 0.0, (0.0, 0.0, 0.0)
     for k in range(neighbour_slots):
         row, weight = load(rows[k]), min(max(weights[k], least), 1.0)

@@ -1,6 +1,6 @@
-"""Theorem C: any raw vector becomes a certified heading, which law (4) moves a robot along.
+"""Heading filter: certified headings from raw vectors, executed by law (4) (theorem C).
 
-docs/theory.md, section 3. The turn rates of nonholonomic robots are in ``turning.py``.
+See docs/theory.md, section 3. Turn rates of nonholonomic robots are in ``turning.py``.
 """
 
 import math
@@ -40,16 +40,25 @@ _NEARLY_ANTIPODAL = 1e-6  # part of a unit vector across another that says nothi
 def flexible_velocity(
     net_bearing: NDArray[np.float64], headings: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """ṗᵢ = hᵢ hᵢᵀ fᵢ (Zhao & Zheng, eq. 4), of fᵢ = Σⱼ aᵢⱼ gᵢⱼ, (..., d), m/s, and unit vectors hᵢ,
-    (..., d), in the robot's own frame.
+    """Velocity of the flexible bearing-only law.
+
+        ṗᵢ = hᵢ hᵢᵀ fᵢ                                                  (Zhao & Zheng, eq. 4)
+
+    Args:
+        net_bearing: fᵢ = Σⱼ aᵢⱼ gᵢⱼ, (..., d), m/s, in the robot's frame.
+        headings: hᵢ, (..., d), unit vectors in the same frame.
+
+    Returns:
+        Velocities, (..., d), m/s.
     """
     f, h = net_bearing, headings
     return h * np.sum(h * f, axis=-1, keepdims=True)
 
 
 def step_scale(row_lengths_sum: Any, merge_radius: float, duration: float) -> Any:
-    """Factor min(1, r/(2 Dᵢ τ)) on a velocity with which V cannot rise within a long step (theory
-    4), of Dᵢ = Σⱼ aᵢⱼ, the summed lengths of the neighbour rows, any shape, m/s, r, m, and τ, s.
+    """Velocity factor min(1, r/(2 Dᵢ τ)) with which V cannot increase in a long step (theory 4).
+
+    Dᵢ = Σⱼ aᵢⱼ is the sum of the neighbour rows' lengths, any shape, m/s; r in m, τ in s.
     """
     return merge_radius / np.maximum(2.0 * duration * row_lengths_sum, merge_radius)
 
@@ -59,8 +68,9 @@ scale_of_step = kernel(step_scale, inline="code")  # ``step_scale`` of a number,
 
 @kernel
 def turn_limit(max_turn):
-    """Numbers of a largest turn γ, rad: cos γ, sin γ, and the squared chord 4 sin²(γ/2), which is
-    inf from π on, where there is no limit.
+    """The numbers cos γ, sin γ and the squared chord = 4 sin²(γ/2) of a maximum turn γ, rad.
+
+    The chord is inf from π on (no limit).
     """
     turn = min(max_turn, math.pi)
     chord = 2.0 * math.sin(0.5 * turn)
@@ -77,7 +87,7 @@ def certified_heading(
     dead_zone: float,
     max_turn: float,
 ) -> NDArray[np.float64]:
-    """The heading nearest in spirit to a raw vector with which law (4) is certain to meet.
+    """Closest admissible heading to a raw vector, with guaranteed rendezvous under law (4).
 
         Cᵢ = {h : ‖h‖ = 1, hᵀfᵢ ≥ εᵢ ‖fᵢ‖},   εᵢ = ε clip(‖fᵢ‖/δ − 1, 0, 1)    (theorem C)
 
@@ -87,21 +97,23 @@ def certified_heading(
     3. Turn from carried towards aim along the great circle, through fᵢ if they are antipodal, by at
        most ``max_turn``.
 
-    Where fᵢ = 0 every heading is allowed, nothing is flipped, and antipodal headings turn
+    Where fᵢ = 0 every heading is admissible, nothing is flipped, and antipodal headings turn
     counter-clockwise in the local xy plane.
 
     Args:
-        raw: any vectors, (..., d), d = 2 or 3, of any unit; only the direction counts.
+        raw: vectors, (..., d), d = 2 or 3, of any unit; only the direction is used.
         net_bearing: fᵢ, (..., d), m/s, in the same frame.
-        previous: the headings of the step before, likewise; zero = none yet: fᵢ/‖fᵢ‖ is carried
-            then, or the local x axis where fᵢ = 0.
+        previous: headings of the previous step, (..., d); zero for none, which carries fᵢ/‖fᵢ‖, or
+            the local x axis where fᵢ = 0.
         min_alignment: ε, at least 10⁻⁶ and less than 1.
         dead_zone: δ = a*/(2n), m/s.
-        max_turn: ω_max τ, rad; π or more (inf too) is no limit.
+        max_turn: ω_max τ, rad; π or more (also inf) is no limit.
 
     Returns:
-        Headings hᵢ, (..., d), unit vectors. A ValueError names an argument out of range, of the
-        wrong shape, or not finite.
+        Headings hᵢ, (..., d), unit vectors.
+
+    Raises:
+        ValueError: naming an argument out of range, of the wrong shape, or not finite.
     """
     check_gate_constants(min_alignment, dead_zone)
     if not real(max_turn) > 0:
@@ -119,7 +131,7 @@ def certified_heading(
 
 @kernel
 def certify(raw, net_bearing, previous, min_alignment, dead_zone, max_turn, out):
-    """As ``certified_heading``, unchecked, of arrays (N, d); ``out`` may be ``previous``."""
+    """Unchecked, as ``certified_heading``, for arrays (N, d); ``out`` may be ``previous``."""
     limit = turn_limit(max_turn)
     for i in range(out.shape[0]):
         if out.shape[1] == 2:
@@ -132,7 +144,7 @@ def certify(raw, net_bearing, previous, min_alignment, dead_zone, max_turn, out)
 
 @inner_kernel(inline="code")
 def certify_one(raw, net_bearing, previous, min_alignment, dead_zone, limit):
-    """As ``certified_heading`` of one robot, pairs or triples; ``limit`` is from ``turn_limit``."""
+    """As ``certified_heading``, one robot, pairs or triples; ``limit`` from ``turn_limit``."""
     strength, towards = split(net_bearing)
     margin = min_alignment * min(max(strength / dead_zone - 1.0, 0.0), 1.0)
     if strength == 0.0:
@@ -145,7 +157,7 @@ def certify_one(raw, net_bearing, previous, min_alignment, dead_zone, limit):
 
 @inner_kernel(inline="code")
 def _carry(previous, towards, margin):
-    """The previous heading as a line: its end that looks along f, projected onto the cap."""
+    """Previous heading, flipped towards f and projected onto the cap."""
     length, heading = split(previous)
     if length == 0.0:
         return towards
@@ -156,8 +168,9 @@ def _carry(previous, towards, margin):
 
 @kernel(inline="code")
 def into_cap(direction, towards, margin, otherwise):
-    """Nearest unit vector h, a pair or triple, with h·u ≥ ε: ε u + √(1 − ε²) w, w the part across
-    u. Where the direction is −u all of the edge is equally near, and h is ``otherwise``.
+    """Nearest unit vector h, a pair or triple, with h·u ≥ ε: ε u + √(1 − ε²) w, w ⟂ u.
+
+    For the direction −u all of the boundary is equally near, and h is ``otherwise``.
     """
     if dot(direction, towards) >= margin:
         return direction
@@ -169,8 +182,9 @@ def into_cap(direction, towards, margin, otherwise):
 
 @inner_kernel(inline="code")
 def _turn(carried, aim, towards, limit):
-    """From carried towards aim along the great circle by at most γ of ``turn_limit``: h cos γ + t
-    sin γ, t the unit tangent at h. An antipodal aim is reached through ``towards``.
+    """Turn from carried towards aim along the great circle by at most γ of ``turn_limit``.
+
+    h cos γ + t sin γ, with t the unit tangent at h. An antipodal aim is reached via ``towards``.
     """
     cos_limit, sin_limit, square_chord = limit
     gap = combine(1.0, aim, -1.0, carried)
@@ -186,7 +200,7 @@ def _turn(carried, aim, towards, limit):
 
 @inner_kernel(inline="code")
 def without_error(along, error):
-    """What is sure of hᵀf, m/s, if f is wrong by e: sgn(hᵀf) max(0, |hᵀf| − e), a number (N1')."""
+    """Lower bound sgn(hᵀf) max(0, |hᵀf| − e), a number, m/s, for an error e of f (N1')."""
     return max(along - error, 0.0) + min(along + error, 0.0)
 
 
@@ -243,7 +257,7 @@ def _steer(axes, robots, constants, arrays, work):
 
 @kernel
 def _turn_bodies(axes, robots, constants, arrays, work):
-    """Gated turn rates, and the speed v = s mᵀf for the mean body axis m, less by e (theory 4)."""
+    """Gated turn rates, and speed v = s mᵀf along the mean body axis m, minus e (theory 4)."""
     observations, held, _, actions, alignment, lyapunov_rate = arrays
     robot, gate = constants.robot, constants.robot.gate
     duration = gate.duration if constants.speed_scaled else 0.0  # of 0 the scale is 1
@@ -269,14 +283,14 @@ def _turn_bodies(axes, robots, constants, arrays, work):
 
 
 class HeadingFilter(SafetyFilter):
-    """Headings, frames and held raw vectors of the robots of B teams.
+    """Heading filter of B environments (theorem C).
 
     Args:
         scenario, num_envs, frame, num_threads: as ``SafetyFilter``.
         min_alignment: ε, at least 10⁻⁶ and less than 1.
-        max_turn_rate: of a heading or of a body axis, rad/s; the scenario's limit holds too.
-        certified: False lets the raw vector through: law (4) bare, without margin or gate.
-        bearing_error: η, rad: robots go slower by what errors no larger could feign (theorem N1').
+        max_turn_rate: of a heading or a body axis, rad/s; the scenario's limit also applies.
+        certified: False uses the raw vector in law (4) without margin or gate.
+        bearing_error: η, rad; speeds are reduced by the maximum effect of errors (theorem N1').
     """
 
     state_key = "steering"
@@ -308,11 +322,11 @@ class HeadingFilter(SafetyFilter):
         max_turn = self._heading_rate * scenario.tau
         self._constants = _Constants(robot, scaled_speed, certified, max_turn)
         self.carried = np.zeros((num_envs, scenario.n_robots, scenario.dim))
-        """h_i, (B, n, d), in the robots' own frames; zero for a robot that has none yet."""
+        """Headings h_i, (B, n, d), in the robots' frames; zero if none yet."""
 
     @property
     def headings(self) -> NDArray[np.float64]:
-        """A copy of what is ``carried``."""
+        """Copy of ``carried``."""
         return self.carried.copy()
 
     @property

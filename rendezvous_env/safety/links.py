@@ -1,4 +1,4 @@
-"""Theorem R: velocities that lengthen no link in sight, made of desired ones (guarantees, 12)."""
+"""Connectivity maintenance: velocities that lengthen no visible link (theorem R, guarantees 12)."""
 
 import math
 from typing import Any, NamedTuple
@@ -30,11 +30,13 @@ from .settings import check_bearing_error, check_share, check_vectors
 
 
 def least_norm_points(neighbour_rows: ArrayLike) -> NDArray[np.float64]:
-    """q_i = argmin ‖q‖, q ∈ conv{g_ij : j seen}, (..., d), without unit (guarantees, lemma 2), zero
-    where neighbours are all round, or nobody is seen.
+    """Point of least norm q_i = argmin ‖q‖, q ∈ conv{g_ij}, (..., d), without unit (lemma 2).
 
-    Of rows a_ij g_ij, (..., K, d), m/s, zero ones are absent, lengths do not count; a ValueError
-    says which shape is wrong, or that they are not finite.
+    Rows are a_ij g_ij, (..., K, d), m/s; zero rows are absent, lengths are ignored. q_i is zero if
+    neighbours surround the robot, or none is visible (guarantees 12).
+
+    Raises:
+        ValueError: for a wrong shape, or rows that are not finite.
     """
     rows = check_vectors("neighbour_rows", neighbour_rows)
     if rows.ndim < 2:
@@ -53,8 +55,9 @@ def _least_norm_points(rows, out):
 def link_keeping_law(
     least_norm_point: NDArray[np.float64], degree: Any, *, merge_radius: float, duration: float
 ) -> NDArray[np.float64]:
-    """Velocities v_i = min(d_i, r/τ) q_i, (..., d), m/s, that lengthen no link in sight for τ, s
-    (theorem R b), of q_i, (..., d), in the robot's own frame, d_i = Σ_j a_ij, (...), m/s, and r, m.
+    """Velocities v_i = min(d_i, r/τ) q_i, (..., d), m/s, that lengthen no visible link (R b).
+
+    Inputs are q_i, (..., d), in the robot's frame, d_i = Σ_j a_ij, (...), m/s, r in m and τ in s.
     """
     speed = np.minimum(degree, merge_radius / duration)
     return least_norm_point * np.asarray(speed)[..., np.newaxis]
@@ -67,12 +70,12 @@ _ALIKE = 1e-11  # bearings whose difference is shorter than this are one bearing
 
 @inner_kernel
 def project_on_links(wanted, rows, neighbour_slots, radius, error):
-    """The velocity in B_i, a triple, m/s, that is nearest to the desired one (theorem R c), of rows
-    a_ij g_ij, (rows, d), m/s, the first K neighbours; ρ, m/s; and η, rad.
+    """Velocity in B_i closest to the desired one, a triple, m/s (theorem R c).
 
-    Found as an active set of at most three balls: while the point lies outside of some ball, the
-    nearest point of that one and the active ones takes its place, and its distance grows. What
-    rounding leaves outside is scaled into the set: ‖v‖ ≤ 2 ρ cos ∠(v, g) for all g.
+    Inputs are rows a_ij g_ij, (rows, d), m/s, the first K neighbours; ρ, m/s; and η, rad.
+    Active-set method with at most three balls: while the point violates a ball, it is replaced by
+    the nearest point of that ball and the active ones, at a larger distance. A remainder from
+    rounding is scaled into the set: ‖v‖ ≤ 2 ρ cos ∠(v, g) for all g.
     """
     point, active = wanted, (ORIGIN, ORIGIN, ORIGIN)
     for _ in range(_MOST_ROUNDS):
@@ -90,8 +93,9 @@ def project_on_links(wanted, rows, neighbour_slots, radius, error):
 
 @inner_kernel
 def worst_bearing(direction, rows, neighbour_slots, error):
-    """Of all bearings within η, rad, of the seen ones the one that lies least along a direction v,
-    a triple, zero where nobody is seen: g cos α − u sin α, α = min(η, π − ∠(g, v)), u ⟂ g along v.
+    """Bearing within η, rad, of the visible ones with the least component along v, a triple.
+
+    g cos α − u sin α, α = min(η, π − ∠(g, v)), u ⟂ g along v; zero without a visible neighbour.
     """
     g = least_along(rows, neighbour_slots, direction)
     if error == 0.0 or dot(g, g) == 0.0:
@@ -105,14 +109,15 @@ def worst_bearing(direction, rows, neighbour_slots, error):
 
 @inner_kernel
 def _excess(point, bearing, radius):
-    """‖x‖² − 2 ρ x·g: how far a point is outside of the ball of a bearing; negative inside."""
+    """Violation ‖x‖² − 2 ρ x·g of the ball of a bearing; negative inside."""
     return dot(point, point) - 2.0 * radius * dot(point, bearing)
 
 
 @inner_kernel
 def _nearest_on(wanted, bearing, active, radius):
-    """The point of some balls nearest to the desired one, on the first one's boundary; and the
-    balls it is on. ``active`` are up to three others, zero for none.
+    """Closest point to the desired one in several balls, on the boundary of the first.
+
+    Returns also the balls it lies on. ``active`` holds up to three others, zero for none.
     """
     found, kept = ORIGIN, (ORIGIN, ORIGIN, ORIGIN)
     least = dot(wanted, wanted)
@@ -133,8 +138,10 @@ def _nearest_on(wanted, bearing, active, radius):
 
 @inner_kernel
 def _nearest_on_all(wanted, on, radius):
-    """The point nearest to the desired one on the boundaries of one to three balls; the origin,
-    which they share, where there is no other. Two meet in a circle, three in one more point.
+    """Closest point to the desired one on the boundaries of one to three balls.
+
+    Two spheres intersect in a circle, three in one point besides the common origin, which is the
+    fallback.
     """
     g, first, second = on
     centre, strides = g, wanted
@@ -161,18 +168,20 @@ class _Constants(NamedTuple):
 
 
 class LinkKeeping(SafetyFilter):
-    """Desired velocities, and frames, of B teams whose links in sight do not grow (theorem R).
+    """Connectivity-maintenance filter of B environments (theorem R).
 
         v_i = λ min(d_i, r/(2τ), v_max) sin(φ_i − η)₊ q_i/‖q_i‖ + (1 − λ) P(wanted)
 
     with φ_i = asin ‖q_i‖, q_i of lemma 2, and P the projection onto B_i = ∩ ball(ρ g, ρ) over all
-    bearings g within η of a seen one, ρ = r/(4τ). The first part is in B_i too, so v_i is.
+    bearings g within η of a visible one, ρ = r/(4τ). Both terms lie in the convex set B_i.
 
     Args:
-        scenario, num_envs, frame, num_threads: as ``SafetyFilter``. A ValueError says why the
-            robots of a scenario cannot keep their links.
-        share: λ, in [10⁻⁶, 1], how much of each velocity is the law's.
-        bearing_error: η, rad, the largest angle by which a bearing may be wrong.
+        scenario, num_envs, frame, num_threads: as ``SafetyFilter``.
+        share: λ, in [10⁻⁶, 1], weight of the link-keeping law.
+        bearing_error: η, rad, maximum bearing error.
+
+    Raises:
+        ValueError: with the reason why the scenario does not admit link keeping.
     """
 
     state_key = "links"
@@ -211,9 +220,7 @@ register_filter("links", LinkKeeping)
 
 
 def asymmetric_sight(scenario: Scenario) -> str:
-    """Why a robot may see one that does not see it, or lose sight of one that is near, in words;
-    empty where sight is symmetric (theorem R).
-    """
+    """Reason why visibility is not mutual or a near robot may be invisible; else empty (R)."""
     sensing, graph = scenario.sensing, scenario.sensing_graph
     needs = "theorem R needs that both see each other while they are near"
     if not graph.undirected and graph.kind != "proximity":
@@ -232,7 +239,7 @@ def asymmetric_sight(scenario: Scenario) -> str:
 
 @kernel
 def _keep_links(axes, robots, constants, arrays, work):
-    """Velocities (R c and d) from desired ones in units of v_max, and what is told of them."""
+    """Velocities (R c and d) from desired ones in units of v_max, and their diagnostics."""
     observations, held, actions, alignment, lyapunov_rate = arrays
     slots, radius, error = constants.neighbour_slots, constants.radius, constants.bearing_error
     for i in range(robots[0], robots[1]):

@@ -1,9 +1,8 @@
-"""Robots side by side: what filters work out of their rows becomes SIMD in the lanes of a buffer.
+"""SIMD over robots for the kernels of safety filters.
 
-A filter's kernel takes LANES robots at a time: rows are summed and memory is copied into lanes, one
-loop over them does the arithmetic, with choices in place of branches, and what has come of it is
-copied out. All lanes are computed, those of no robot too, by the same code: so what becomes of a
-robot does not hang on how many others there are.
+A kernel processes LANES robots at a time: it sums rows and copies memory into lanes, computes in
+one branch-free loop, and copies results out. All lanes are computed, also unused ones, so the
+result for a robot does not depend on the number of robots.
 """
 
 from collections.abc import Sequence
@@ -44,8 +43,9 @@ def room_for(rows: int, dim: int) -> tuple[Numbers, NDArray[np.float32]]:
 
 
 def by_robot(part: Slice, arrays: Sequence[NDArray[Any]]) -> tuple[tuple[int, int], Any]:
-    """The first robot of a slice and the one after its last, b·n + i for robot i of environment b;
-    and arrays (B, n, ...) as (B·n, ...), not copied.
+    """Range of robots of a slice, b·n + i for robot i of environment b, and flat views of arrays.
+
+    Arrays (B, n, ...), any unit, become (B·n, ...) without a copy.
     """
     n = arrays[0].shape[1]
     return (part[0] * n, part[1] * n), tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])
@@ -84,8 +84,9 @@ def give_out(axes, lanes, first, stop, values):
 
 @inner_kernel(inline="code")
 def tell(lanes, first, stop, values):
-    """Copy numbers, any unit, from lanes (LANES,) to robots first ≤ i < stop, (N,); where those are
-    bool, whether they are ≠ 0.
+    """Copy numbers, any unit, from lanes (LANES,) to robots first ≤ i < stop, (N,).
+
+    For a bool target, whether they are nonzero.
     """
     told = values[first:stop]
     for lane in range(len(told)):

@@ -1,6 +1,6 @@
-"""Safety filters: held choices, frames of observation, registration by name.
+"""Base class of safety filters: held actions, observation frames, registration by name.
 
-Filters use the robots' own observations only: no position, no global frame.
+Filters use the robots' own observations only: no positions, no global frame.
 """
 
 from __future__ import annotations
@@ -29,15 +29,13 @@ Float32 = NDArray[np.float32]
 _ROBOTS_PER_THREAD = 4096
 _ROUNDING = 1e-6  # so far from a rotation may a frame be that was put back
 FILTERS: dict[str, type[SafetyFilter]] = {}
-"""By the name that wrappers and training environments know."""
+"""Registered filter classes by name."""
 
 
 def over_teams(
     calls_of: Callable[[Slice], Calls], num_envs: int, n_robots: int, num_threads: int | None
 ) -> None:
-    """Let up to ``num_threads`` threads make the calls for the teams of a batch; None is one for
-    each core.
-    """
+    """Execute calls for a batch on up to ``num_threads`` threads; None is one per core."""
     most = num_envs * n_robots // _ROBOTS_PER_THREAD
     if most > 1:  # to ask how many cores there are takes a while
         most = min(most, threads.max_threads(num_threads))
@@ -48,11 +46,10 @@ _entry_points: dict[tuple[Any, type, np.dtype[Any], int], Callable[..., Any]] = 
 
 
 def over_robots(kernel: Any, part: Slice, constants: Any, *arrays: NDArray[Any]) -> Calls:
-    """The call of a kernel for the robots of a slice.
+    """Call of a kernel for the robots of a slice.
 
-    Its arguments are axes, (0, 1) or (0, 1, 2), the range of robots, constants, arrays (B·n, ...)
-    made of ``arrays`` (B, n, ...), the first of which is observations, and memory for ``lanes_of``
-    and rows.
+    Its arguments are axes, (0, 1) or (0, 1, 2), the range of robots, constants, flat views of
+    ``arrays`` (B, n, ...) of any unit, observations first, and memory for ``lanes_of`` and rows.
     """
     rows, d = arrays[0].shape[2:]
     robots, flat = by_robot(part, arrays)
@@ -65,7 +62,7 @@ def over_robots(kernel: Any, part: Slice, constants: Any, *arrays: NDArray[Any])
 
 @kernel
 def _hold(given, frames, held):
-    """Hold vectors (B, n, d), turned by frames: h = F q."""
+    """Store vectors (B, n, d), rotated by frames: h = F q."""
     if frames.shape[3] == 2:
         numbers, kept, turning = given.reshape(-1), held.reshape(-1), frames.reshape(-1)
         for i in range(len(kept) // 2):  # of rows that are cut out it would not become SIMD
@@ -80,8 +77,9 @@ def _hold(given, frames, held):
 
 
 def check_inputs(scenario: Scenario, theorem: str, *, bodies: bool = False) -> None:
-    """Refuse robots, by their model, whose action is not their velocity, as a theorem needs; nor,
-    with ``bodies``, a speed and turn rates.
+    """Raise a ValueError unless the action is the velocity, as a theorem requires.
+
+    With ``bodies``, a speed and turn rates are accepted as well.
     """
     model = scenario.model
     if model.bounded or (bodies and model.theorem is not None):
@@ -125,7 +123,7 @@ def check_sees_all_neighbours(scenario: Scenario) -> None:
 
 
 class SafetyFilter(Remembering):
-    """Turns the choices of the policies of B environments into actions that keep a promise.
+    """Base class of safety filters: actions with a guarantee from the choices of any policy.
 
         actions = safety_filter.apply(safety_filter.observe(observations), choices)
         ... step the environments ...
@@ -200,7 +198,7 @@ class SafetyFilter(Remembering):
 
     @property
     def _memory(self) -> dict[str, NDArray[np.float64]]:
-        """What is remembered from step to step; not copied."""
+        """State from step to step, by name; not copied."""
         return {"frames": self._frames, "held": self._held}
 
     def _begin(self, which: Any) -> None:
@@ -209,8 +207,10 @@ class SafetyFilter(Remembering):
         self.alignment[which], self.lyapunov_rate[which] = np.nan, 0.0
 
     def observe(self, observations: Float32) -> Float32:
-        """Observations (B, n, rows, d) as the policy sees them, with x along f for that frame; the
-        frames are updated. A ValueError for another shape or type.
+        """Observations of the policy, with x along f for that frame; updates the frames.
+
+        Raises:
+            ValueError: for another shape or type than (B, n, rows, d).
         """
         observations = check_observations(observations, self._seen)
         if (shown := self.new_view(observations.dtype)) is None:
@@ -219,7 +219,7 @@ class SafetyFilter(Remembering):
         return shown
 
     def new_view(self, dtype: DTypeLike = np.float32) -> Float32 | None:
-        """Memory for ``observe_calls``; None if the policy sees observations as they are."""
+        """Buffer for ``observe_calls``; None if observations are passed unchanged."""
         if not (self.along_net_bearing or self.observes_level):
             return None
         num_envs, n, rows, d = self._seen
@@ -235,12 +235,14 @@ class SafetyFilter(Remembering):
 
     @property
     def held(self) -> NDArray[np.float64]:
-        """The choices in force, (B, n, k), vectors in the robots' own frames; not copied."""
+        """Current choices, (B, n, k), vectors in the robots' frames; not copied."""
         return self._held
 
     def hold(self, raw: ArrayLike) -> None:
-        """Take new choices (B, n, k), fixed in the robots' local frames from now on. A ValueError
-        for a wrong shape, or naming the robot whose choice is not finite.
+        """Set new choices (B, n, k), fixed in the robots' local frames.
+
+        Raises:
+            ValueError: for a wrong shape, or naming the robot whose choice is not finite.
         """
         given = check_actions(raw, self._held.shape, "(B, n, k)")
         if given is not raw:  # which may be float64
@@ -357,8 +359,10 @@ for _old, _new in _RENAMED.items():
 
 
 def register_filter(name: str, safety_filter: type[SafetyFilter]) -> None:
-    """Give a filter a name, for ``GuaranteeWrapper`` and ``training_env(guarantee=name)``; a
-    ValueError for a name that is no word or is another filter's, or what is no filter.
+    """Register a filter by name for ``GuaranteeWrapper`` and ``training_env(guarantee=name)``.
+
+    Raises:
+        ValueError: for an invalid or used name, or a class that is not a filter.
     """
     if not (isinstance(name, str) and name.isidentifier()):
         refuse("name", name, "a word")

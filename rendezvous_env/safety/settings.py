@@ -1,4 +1,4 @@
-"""Settings that filters share, and what is refused: margins ε, bearing errors η, vectors."""
+"""Validation of settings shared by filters: margins ε, bearing errors η, vectors."""
 
 import math
 from typing import Any
@@ -11,12 +11,11 @@ from ..scenario.scenario import Scenario
 from ..sensors.sensing import Sensing
 
 SMALLEST_MARGIN = 1e-6
-"""Margin ε, or share λ, below which nothing is promised: times grow with 1/ε² and 1/λ, and soon
-overflow; a step of less moves nobody."""
+"""Minimum margin ε and share λ: time bounds grow with 1/ε² and 1/λ, and rounding dominates."""
 TANK_MARGIN = 0.05
-"""ε of tanks that are given no other."""
+"""Default ε of tanks."""
 MAX_TURN_RATE = 3.0
-"""Of headings and of bodies under certified headings that are given no other, rad/s."""
+"""Default maximum turn rate of headings and body axes under certified headings, rad/s."""
 
 
 def check_share(name: str, value: Any) -> float:
@@ -63,7 +62,7 @@ def check_bearing_error(bearing_error: Any) -> float:
 
 
 def bounded_error(sensing: Sensing, dim: int) -> float:
-    """The most by which a sensor's bearings are wrong, a number, rad; noise and bias have no most.
+    """Maximum bearing error of a sensor, a number, rad; unbounded for noise and bias.
 
     η = error + π/sectors ≤ π;   in 3-D √((π/S)² + e²) for the sectors, e the most in elevation
     """
@@ -94,8 +93,9 @@ def has_one_weight(scenario: Scenario) -> bool:
 
 
 def levels_follow_v(scenario: Scenario) -> bool:
-    """Whether tanks shrink with V at merges (theorem D): everyone sees everyone, linked with the
-    same weight, robots whose action is their velocity, no obstacles.
+    """Whether stored energy follows V at merges (theorem D).
+
+    This holds for single integrators on complete graphs of equal weights without obstacles.
     """
     sensing = scenario.sensing
     sees_all = sensing == Sensing(error=sensing.error, sectors=sensing.sectors)

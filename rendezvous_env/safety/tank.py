@@ -1,7 +1,8 @@
-"""Theorem D: any motion while a robot's energy tank lasts, else law (4), which fills it.
+"""Energy-tank filter: any motion while stored energy lasts, else law (4) (theorem D).
 
-docs/guarantees.md, section 8. Each robot keeps this account alone, from its own bearings. Vectors
-are pairs or triples in one frame. Bearing errors η make f wrong by e = 2 sin(η/2) D, m/s, at most.
+See docs/guarantees.md, section 8. Each robot keeps its own ledger from its own bearings. Vectors
+are pairs or triples in one frame. Bearing errors η cause an error of f of at most e = 2 sin(η/2) D,
+m/s.
 """
 
 from functools import partial
@@ -29,8 +30,9 @@ from .turning import desired_rates, gated_rates, pitch_of, rates_of, robot_of, t
 
 @inner_kernel(inline="code")
 def descent_scale(strength, degree, merge_radius, duration, speed_limit):
-    """Factor min(1, r/(2 D τ), v_max/‖f‖) on f with which a step is sure to let V fall, a number
-    without unit (theorem D), of ‖f‖, D > 0 and v_max, m/s, r, m, and τ, s.
+    """Factor min(1, r/(2 D τ), v_max/‖f‖) on f with which V decreases, a number without unit.
+
+    See theorem D; ‖f‖, D > 0 and v_max in m/s, r in m, τ in s.
     """
     unhurried = speed_limit / max(strength, speed_limit)
     return min(scale_of_step(degree, merge_radius, duration), unhurried)
@@ -38,8 +40,9 @@ def descent_scale(strength, degree, merge_radius, duration, speed_limit):
 
 @inner_kernel(inline="code")
 def certain_descent(net_bearing, degree, displacement, merge_radius, error=0.0):
-    """2 f·Δ − (2/r) D ‖Δ‖² − 2 e ‖Δ‖, a number, m²/s: summed over the robots V falls by so much in
-    a step that begins with neighbours r or more apart (theorem D).
+    """Certain decrease of V by a displacement: 2 f·Δ − (2/r) D ‖Δ‖² − 2 e ‖Δ‖, a number, m²/s.
+
+    Summed over robots, for a step that begins with neighbours at least r apart (theorem D).
     """
     spent = 2.0 / merge_radius * degree * dot(displacement, displacement)
     sure = 2.0 * dot(net_bearing, displacement) - spent
@@ -48,8 +51,9 @@ def certain_descent(net_bearing, degree, displacement, merge_radius, error=0.0):
 
 @inner_kernel(inline="code")
 def promised_descent(strength, scale, min_alignment, duration, error=0.0):
-    """ε² τ s ‖f‖², with errors τ s max(0, ε ‖f‖ − e)²: what a robot owes in every step, so that all
-    meet in finite time, a number, m²/s (theorem D).
+    """Required decrease of V per step: ε² τ s ‖f‖², a number, m²/s (theorem D).
+
+    With errors τ s max(0, ε ‖f‖ − e)². It ensures rendezvous in finite time.
     """
     if error > 0.0:
         sure = max(min_alignment * strength - error, 0.0)
@@ -59,11 +63,12 @@ def promised_descent(strength, scale, min_alignment, duration, error=0.0):
 
 @inner_kernel(inline="code")
 def descending_velocity(wanted, net_bearing, scale, min_alignment, error=0.0):
-    """Law (4) along the wanted line, which earns at least what is owed, a pair or triple, m/s.
+    """Velocity of law (4) along the desired line, a pair or triple, m/s, with the required
+    decrease.
 
         v = s max(0, hᵀf − e) h,   h the wanted direction projected onto the cap |hᵀf| ≥ ε‖f‖
 
-    ``wanted`` is of any length; the direction is f/‖f‖ where nothing is wanted. f is not zero.
+    ``wanted`` has any length; the direction is f/‖f‖ if it is zero. f is not zero.
     """
     (length, h), (_, towards) = split(wanted), split(net_bearing)
     h = h if length > 0.0 else towards
@@ -75,8 +80,9 @@ def descending_velocity(wanted, net_bearing, scale, min_alignment, error=0.0):
 
 @kernel
 def _spend(axes, robots, robot, arrays, work):
-    """Actions of robots that go anywhere, carried out where A + G(Δ) ≥ 0, and what is told of them
-    (theorem D). Those that see nobody rest, and owe nothing.
+    """Actions of single integrators, executed where A + G(Δ) ≥ 0, and diagnostics (theorem D).
+
+    Robots without a visible neighbour stop at no cost.
     """
     numbers, room = work
     if numbers.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
@@ -123,7 +129,7 @@ def _spend(axes, robots, robot, arrays, work):
 
 @inner_kernel(inline="code")
 def _either(first, one, other):
-    """One pair or triple or the other, without a branch."""
+    """Branch-free selection between two pairs or triples."""
     x, y = one[0] if first else other[0], one[1] if first else other[1]
     if len(one) == 2:
         return x, y
@@ -132,7 +138,7 @@ def _either(first, one, other):
 
 @inner_kernel(inline="code")
 def _moved(sent, limit, duration):
-    """The displacement of a velocity that is sent, as it is executed, and its length, m."""
+    """Executed displacement of a commanded velocity, and its length, m."""
     speed, within = speed_scale(dot(sent, sent), limit)
     return scaled(sent, duration * within), duration * within * speed
 
@@ -178,9 +184,10 @@ def _driven(m, action, limit, gate):
 
 @kernel
 def _book(teams, levels, deposits, linked, contact, merged_into, resting, follow_v):
-    """A ← max(A + G, 0), in place (theorem D): a loss that would empty a tank is rounding. A robot
-    that presses against a wall along f would earn without end: in a step with contact only a loss
-    is booked.
+    """Book A ← max(A + G, 0) in place (theorem D); negative values are rounding.
+
+    In a step with contact only losses are booked, since pressing against a wall would otherwise
+    fill the tank.
     """
     first, stop = teams[0], teams[1]
     for team in range(first, stop):
@@ -203,7 +210,7 @@ def _book(teams, levels, deposits, linked, contact, merged_into, resting, follow
 
 @inner_kernel
 def _hand_over(levels, linked, merged_into, follow_v):
-    """A survivor takes all, (n,). Levels that follow V become (m' − 1)/(m − 1) of themselves."""
+    """Transfer stored energy to survivors, (n,); levels that follow V scale by (m' − 1)/(m − 1)."""
     before, gone = 0, 0
     for i in range(len(levels)):
         survivor = merged_into[i]
@@ -222,28 +229,29 @@ _FULLEST = 1e60  # level that no episode can have, m²/s: sums of such levels ar
 
 
 def unit_of_tanks(scenario: Scenario) -> float:
-    """The unit r D̄ in which levels are shown, a number, m²/s: twice the most that a robot can earn
-    in a step (theorem D); 1 without links.
+    """Unit r D̄ of observed levels, a number, m²/s: twice the maximum gain of a step (theorem D).
+
+    It is 1 without links.
     """
     return float(scenario.merge_radius * scenario.max_degree) or 1.0
 
 
 class EnergyTank(SafetyFilter):
-    """Energy tanks, frames and desired inputs of the robots of B teams (theorem D).
+    """Energy-tank filter of B environments (theorem D).
 
         A ← A + G(Δ),   G(Δ) = 2 f·Δ − (2/r) D ‖Δ‖² − ε² τ s ‖f‖²              (guarantees 8)
 
-    A desired velocity is carried out where A + G ≥ 0, else law (4) along it; G is that of actions
-    as they are sent, in float32. Nonholonomic robots keep the account without the term ε²; with an
-    empty tank they turn through the gate and drive with v = s mᵀf. A policy, which learns of
-    neither contacts nor merges, calls ``update()`` without arguments after each ``apply``.
+    A desired velocity is executed where A + G ≥ 0, else law (4) along it; G is that of the
+    commanded float32 action. The ledger of nonholonomic robots has no term ε²; with an empty tank
+    they turn through the gate and drive with v = s mᵀf. A policy, which does not observe contacts
+    and merges, calls ``update()`` without arguments after each ``apply``.
 
     Args:
         scenario, num_envs, frame, num_threads: as ``SafetyFilter``.
-        budget: B_i, the level of every robot's tank at the start of an episode, m²/s.
+        budget: B_i, initial stored energy of every robot, m²/s.
         min_alignment: ε, at least 10⁻⁶ and less than 1.
-        observe_level: whether ``observe`` shows one row more, (A/(r D̄), 0, …).
-        bearing_error: η, rad: the account stays right while no bearing is wrong by more.
+        observe_level: whether ``observe`` appends a row (A/(r D̄), 0, …).
+        bearing_error: η, rad, maximum bearing error covered by the ledger.
     """
 
     state_key = "tank"
@@ -274,7 +282,7 @@ class EnergyTank(SafetyFilter):
 
     @property
     def levels(self) -> NDArray[np.float64]:
-        """A, (B, n), m²/s; zero for a robot whose tank a survivor has taken over."""
+        """Stored energy A, (B, n), m²/s; zero for a merged robot."""
         return self._levels.copy()
 
     @property
@@ -309,14 +317,14 @@ class EnergyTank(SafetyFilter):
     def apply_calls(
         self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
-        """As ``SafetyFilter.apply_calls``; what the step earns waits for ``update``."""
+        """As ``SafetyFilter.apply_calls``; the gain of the step is booked by ``update``."""
         act = _spend_bodies if self.turns_body else _spend
         told = self._deposits, self.carried_out, self.alignment, self.lyapunov_rate
         memory = self._held, self._levels, actions, self._linked
         return over_robots(act, part, self._robot, observations, *memory, *told)
 
     def update_calls(self, part: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:
-        """As ``SafetyFilter.update_calls``; a step that a merge cuts short books as commanded."""
+        """As ``SafetyFilter.update_calls``; a step truncated by a merge is booked as commanded."""
         account = self._levels, self._deposits, self._linked
         step = contact, merged_into, resting
         return [partial(_book, part, *account, *step, self._follow_v)]

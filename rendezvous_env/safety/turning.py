@@ -1,8 +1,8 @@
 """Turn rates of nonholonomic robots: law (17), the gate around a policy, and mean axes of arcs.
 
-docs/theory.md sections 3 (the gate) and 4 (arcs). Vectors are triples in the body frame at the
-start of the step: x = heading h, y = horizontal left, z = up-ish. Turn rates are pairs (ω_α, ω_β),
-rad/s, the second 0 in the plane, where the pitch β, a number, rad, is 0 too.
+See docs/theory.md, sections 3 (the gate) and 4 (arcs). Vectors are triples in the body frame at the
+start of the step: x = heading h, y = horizontal left, z = upward. Turn rates are pairs (ω_α, ω_β),
+rad/s; the second is 0 in the plane, as is the pitch β, a number, rad.
 """
 
 import math
@@ -18,7 +18,7 @@ from ..scenario.scenario import Scenario
 from .settings import check_bearing_error, error_chord
 
 SMALLEST_COSINE = 1e-9
-"""Law (17) takes |cos β| for no less than this: its rate is then far over any limit."""
+"""Lower bound on |cos β| in law (17), where the rate is far above any limit."""
 TINY = 1e-300  # rad/s; a limit of 0 counts as this
 
 
@@ -31,7 +31,7 @@ def yaw_rate_law(left: Any, pitch: Any) -> Any:
 
 
 class Gate(NamedTuple):
-    """What the gate knows of a robot."""
+    """Constants of the gate."""
 
     planar: bool
     min_alignment: float  # ε
@@ -42,7 +42,7 @@ class Gate(NamedTuple):
 
 
 class Robot(NamedTuple):
-    """What kernels know of the robots of a scenario."""
+    """Constants of a scenario's robots for kernels."""
 
     neighbour_slots: int
     obstacle_slots: int
@@ -60,8 +60,9 @@ def robot_of(
     bearing_error: Any = 0.0,
     most: float = math.inf,
 ) -> Robot:
-    """The robots of a scenario, with a margin ε and bearing errors η, numbers, rad, the errors
-    checked, and turn limits, rad/s, |ω| ≤ ``most`` (theorem N1').
+    """Constants of a scenario's robots: margin ε, bearing errors η, numbers, rad (theorem N1').
+
+    Turn limits are |ω| ≤ ``most``, rad/s; errors are validated.
     """
     layout = scenario.observation_layout
     limits = [min(most, float(limit)) for limit in scenario.action_bounds[1:]]
@@ -84,11 +85,11 @@ def robot_of(
 def gated_rates(requested, net_bearing, pitch, gate):
     """Turn rates with which a nonholonomic robot cannot stay orthogonal to f, a triple, m/s.
 
-    They are free while they keep the margin, |hᵀf| ≥ ε‖f‖ now and |mᵀf| ≥ ε‖f‖/2 over the step, or
-    ‖f‖ ≤ δ; otherwise they are replaced by some that turn towards f and, held over the step, never
-    past it (theory 3, the gate): in the plane by law (8), ω = f_y, clipped and at most |∠(h, f)|/τ;
-    in 3-D by ``rates_onto_line``. Law (17) itself flips from step to step near β = ±π/2, where its
-    yaw rate is saturated: a robot may stay across f for ever.
+    Rates are unchanged while they keep the margin, |hᵀf| ≥ ε‖f‖ now and |mᵀf| ≥ ε‖f‖/2 over the
+    step, or ‖f‖ ≤ δ. Otherwise they are replaced by rates that turn towards f without overshoot
+    (theory 3, the gate): in the plane by law (8), ω = f_y, limited to |∠(h, f)|/τ; in 3-D by
+    ``rates_onto_line``. Law (17) itself alternates near β = ±π/2, where its yaw rate saturates, and
+    a robot could stay orthogonal to f forever.
     """
     rates = clip(requested[0], gate.yaw_limit), clip(requested[1], gate.pitch_limit)
     m, strength = mean_axis(rates, pitch, gate), math.sqrt(dot(net_bearing, net_bearing))
@@ -104,9 +105,11 @@ def gated_rates(requested, net_bearing, pitch, gate):
 
 @inner_kernel
 def rates_onto_line(net_bearing, pitch, gate):
-    """Yaw and pitch rates, a pair, rad/s, that bring the body axis h onto the line of f, m/s, in
-    this step if they may: ω_α = ψ/τ, ω_β = (β* − β)/τ (docs/proofs.md, T). The meridian of h holds
-    f after a yaw ψ ∈ [−π/2, π/2], and β* is the pitch of f or −f on it, whichever is nearer.
+    """Yaw and pitch rates, a pair, rad/s, that align the body axis h with the line of f, m/s.
+
+        ω_α = ψ/τ,   ω_β = (β* − β)/τ                                        (docs/proofs.md, T)
+
+    After a yaw ψ ∈ [−π/2, π/2] the meridian of h contains f; β* is the nearer pitch of f or −f.
     """
     ahead, left, up = _levelled(net_bearing, pitch)
     side = -1.0 if ahead < 0.0 else 1.0
@@ -118,16 +121,17 @@ def rates_onto_line(net_bearing, pitch, gate):
 
 @inner_kernel
 def _levelled(vector, pitch):
-    """A triple of the body frame in the frame of the same yaw that is level."""
+    """Triple of the body frame in the level frame of the same yaw."""
     c, s = math.cos(pitch), math.sin(pitch)
     return c * vector[0] - s * vector[2], vector[1], s * vector[0] + c * vector[2]
 
 
 @inner_kernel
 def rates_towards(wanted, pitch, gate):
-    """Turn rates ω = ψ/τ, in 3-D (ψ, β* − β)/τ scaled together, a pair, rad/s, that bring the body
-    axis h to a direction, of any length but 0, in this step if their limits allow it, and never
-    past it: of the two ways there, upright or upside down, the one that takes less time.
+    """Turn rates towards a nonzero direction without overshoot, a pair, rad/s.
+
+    ω = ψ/τ, in 3-D (ψ, β* − β)/τ scaled together to their limits; of both ways, upright or
+    inverted, the faster one.
     """
     if gate.planar:
         yaw = math.atan2(wanted[1], wanted[0])
@@ -142,7 +146,7 @@ def rates_towards(wanted, pitch, gate):
 
 @inner_kernel
 def _in_one_go(yaw, rise, gate):
-    """Turn rates that make two turns within one step, rad/s, and how many steps they take."""
+    """Turn rates for two turns within one step, rad/s, and the number of steps they take."""
     rise -= 2.0 * math.pi * round(rise / (2.0 * math.pi))
     yaw_rate, pitch_rate = yaw / gate.duration, rise / gate.duration
     yaw_limit, pitch_limit = max(gate.yaw_limit, TINY), max(gate.pitch_limit, TINY)
@@ -151,8 +155,9 @@ def _in_one_go(yaw, rise, gate):
 
 @inner_kernel
 def mean_axis(rates, pitch, gate):
-    """Mean of the body axis over a step with held turn rates, m = (1/τ) ∫ h dt (theory 4, arcs), a
-    triple without unit: exactly, the displacement of eqs. (5) and (9) at unit speed.
+    """Mean body axis over a step with held turn rates, m = (1/τ) ∫ h dt, a triple without unit.
+
+    The exact displacement of eqs. (5) and (9) at unit speed (theory 4, arcs).
     """
     if gate.planar:
         mean_cos, mean_sin = mean_cos_sin(0.0, rates[0] * gate.duration)
@@ -172,16 +177,14 @@ def pitch_of(rows, gravity_row, gate):
 
 @inner_kernel
 def rates_of(action, gate):
-    """The turn rates |ω| ≤ limit of an action, as executed after rounding to float32, a pair,
-    rad/s.
-    """
+    """Executed turn rates |ω| ≤ limit of a float32 action, a pair, rad/s."""
     pitch_rate = 0.0 if gate.planar else clip(np.float64(action[2]), gate.pitch_limit)
     return clip(np.float64(action[1]), gate.yaw_limit), pitch_rate
 
 
 @inner_kernel
 def desired_rates(shares, gate):
-    """Desired turn rates from shares of their limits, a pair, rad/s: |ω| ≤ its limit."""
+    """Desired turn rates from fractions of their limits, a pair, rad/s, |ω| ≤ limit."""
     pitch_rate = 0.0 if gate.planar else clip(shares[-1], 1.0) * gate.pitch_limit
     return clip(shares[0], 1.0) * gate.yaw_limit, pitch_rate
 
@@ -196,6 +199,6 @@ def send_rates(rates, action, gate):
 
 @inner_kernel
 def turn(rates, pitch, action, gate):
-    """``send_rates``; and m with them as they are rounded, a triple without unit (theory 4)."""
+    """``send_rates``, and m for the rounded rates, a triple without unit (theory 4)."""
     send_rates(rates, action, gate)
     return mean_axis(rates_of(action, gate), pitch, gate)

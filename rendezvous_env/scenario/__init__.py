@@ -1,1 +1,1 @@
-"""What is simulated: scenario, graph, obstacles, start, reward, layout of an observation."""
+"""Experiments: scenarios, named scenarios, files, observation layout and reset options."""

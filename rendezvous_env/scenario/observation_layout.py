@@ -1,4 +1,4 @@
-"""Which row of an observation is what. Nobody else counts rows."""
+"""Layout of observation rows, the single definition for all modules."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -10,33 +10,34 @@ from ..checks import floats
 from ..field_docs import lists_fields
 
 SILHOUETTE_POINTS = {2: 2, 3: 8}
-"""Points seen of one obstacle: both edges in the plane, eight boundary rays of its cone in
-space."""
+"""Rows per obstacle by dimension: both edges in the plane, eight boundary rays of its cone in
+3-D."""
 _TYPES = (np.dtype(np.float32), np.dtype(np.float64))  # of numbers that compiled policies take
 
 
 class ObservedRows(NamedTuple):
-    """An observation taken apart; every array is a view of it."""
+    """Parts of an observation, as views."""
 
     neighbours: NDArray[Any]
     """a_ij g_ij, (..., K, d), m/s; the sum over K is the net bearing f_i."""
     obstacles: NDArray[Any]
-    """Unit silhouette bearings, (..., M, S, d)."""
+    """Unit bearings to obstacle edges, (..., M, S, d)."""
     gravity: NDArray[Any] | None
-    """Unit direction of gravity, (..., d); None where the robots do not sense it."""
+    """Unit direction of gravity, (..., d); None if the robots do not sense it."""
     velocity: NDArray[Any] | None = None
-    """The robot's own velocity, (..., d), m/s; None where the robots do not sense it."""
+    """The robot's own velocity, (..., d), m/s; None if the robots do not sense it."""
 
 
 @lists_fields
 @dataclass(frozen=True)
 class ObservationLayout:
-    """The rows of an observation ``(..., rows, d)``: neighbours, obstacles, then gravity or the
-    robot's velocity. An absent row is zero.
+    """Rows of an observation ``(..., rows, d)``: neighbours, obstacles, then gravity or velocity.
+
+    An absent row is zero.
     """
 
     dim: int
-    """Dimension d of the space, 2 or 3."""
+    """Dimension d, 2 or 3."""
     neighbour_slots: int
     """K, the most neighbours that a robot can have. With n − 1 each other robot has its own row, in
     index order; with fewer those present stand first."""
@@ -49,35 +50,35 @@ class ObservationLayout:
 
     @property
     def silhouette_points(self) -> int:
-        """S, rows for each obstacle."""
+        """S, number of rows per obstacle."""
         return SILHOUETTE_POINTS[self.dim]
 
     @property
     def neighbours(self) -> slice:
-        """Rows of the neighbours."""
+        """Slice of the neighbour rows."""
         return slice(0, self.neighbour_slots)
 
     @property
     def obstacles(self) -> slice:
-        """Rows of the obstacles; they reshape to (M, S, d)."""
+        """Slice of the obstacle rows, which reshape to (M, S, d)."""
         start = self.neighbour_slots
         return slice(start, start + self.obstacle_slots * self.silhouette_points)
 
     @property
     def gravity(self) -> slice:
-        """The row of gravity; an empty slice where the robots do not sense it."""
+        """Slice of the gravity row; empty if the robots do not sense it."""
         start = self.obstacles.stop
         return slice(start, start + int(self.senses_gravity))
 
     @property
     def velocity(self) -> slice:
-        """The row of the robot's own velocity; an empty slice where it does not sense it."""
+        """Slice of the velocity row; empty if the robots do not sense it."""
         start = self.gravity.stop
         return slice(start, start + int(self.senses_velocity))
 
     @property
     def rows(self) -> int:
-        """Number of rows in all."""
+        """Total number of rows."""
         return int(self.velocity.stop)
 
     @property
@@ -86,8 +87,12 @@ class ObservationLayout:
         return self.rows, self.dim
 
     def split(self, observations: NDArray[Any]) -> ObservedRows:
-        """Take observations, (..., rows, d) or flat, (..., rows·d), apart; where there is one row
-        only, (..., 1, d) is a table. Other shapes are refused.
+        """Split observations, (..., rows, d) or flat (..., rows·d), into their parts.
+
+        With a single row, (..., 1, d) is not flat.
+
+        Raises:
+            ValueError: for another shape.
         """
         observations = self.checked(self.unflattened(observations))
         leading = observations.shape[:-2]
@@ -100,14 +105,14 @@ class ObservationLayout:
         )
 
     def unflattened(self, observations: NDArray[Any]) -> NDArray[Any]:
-        """Flat observations (..., rows·d) as tables (..., rows, d), a view; others as they are."""
+        """View of flat observations (..., rows·d) as (..., rows, d); others unchanged."""
         shape = tuple(getattr(observations, "shape", ()))
         if shape[-2:] != self.shape and shape[-1:] == (self.rows * self.dim,):
             return np.reshape(observations, (*shape[:-1], *self.shape))
         return observations
 
     def checked(self, observations: Any) -> NDArray[Any]:
-        """Observations as an array of numbers whose last two axes are ours, or a ValueError."""
+        """Observations as an array (..., rows, d); a ValueError for another shape."""
         if not isinstance(observations, np.ndarray) or observations.dtype not in _TYPES:
             observations = floats("observations", observations)
         if observations.shape[-2:] != self.shape:
@@ -123,6 +128,6 @@ class ObservationLayout:
         return np.asarray(np.sum(rows, axis=-2, dtype=np.float64))
 
     def degree(self, observations: NDArray[Any]) -> NDArray[Any]:
-        """D_i = Σ_j a_ij: the summed lengths of the neighbour rows, (...), m/s, float64."""
+        """Degree D_i = Σ_j a_ij: the sum of the neighbour rows' lengths, (...), m/s, float64."""
         rows = self.checked(observations)[..., self.neighbours, :]
         return np.asarray(np.linalg.norm(rows, axis=-1).sum(axis=-1, dtype=np.float64))

@@ -1,4 +1,4 @@
-"""TOML files of scenarios as plain data; paths that no file can have are refused in words."""
+"""Reading and writing scenarios as TOML files, with validated paths."""
 
 import errno
 import os
@@ -14,7 +14,7 @@ _PathLike = str | os.PathLike[str]
 
 
 def read(path: _PathLike) -> dict[str, Any]:
-    """The plain data of a TOML file; ValueError for text that is none."""
+    """Plain data of a TOML file; a ValueError for invalid TOML."""
     with _possible(path) as file:
         content = file.read_bytes()
     try:
@@ -29,7 +29,7 @@ def read(path: _PathLike) -> dict[str, Any]:
 
 
 def write(path: _PathLike, plain: dict[str, Any]) -> None:
-    """Write plain data to a TOML file: all of it, or nothing."""
+    """Write plain data to a TOML file atomically."""
     import tomli_w
 
     text = tomli_w.dumps(plain)

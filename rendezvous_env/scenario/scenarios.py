@@ -1,4 +1,4 @@
-"""The named scenarios."""
+"""Named scenarios."""
 
 import json
 import math
@@ -15,7 +15,7 @@ from .scenario import Scenario
 ScenarioLike = Scenario | str | os.PathLike[str] | Mapping[str, Any]
 """A Scenario, the name of one, the path of a TOML file, or plain data (``Scenario.to_plain``)."""
 Fields = dict[str, Any]
-"""Fields of a scenario that are not the default, as plain data: checked when one is asked for."""
+"""Non-default fields of a scenario as plain data, validated on access."""
 
 # The experiment of theory 6: the long step is meant, V still falls with it.
 _AMONG_OBSTACLES: Fields = {
@@ -47,7 +47,7 @@ def _clutter(discs: int, robots: int = 4, **more: Any) -> Fields:
 
 
 def _walls(layout: str, size: list[float], opening: list[float], spawn_size: float) -> Fields:
-    """Walls longer than the team is wide: most ways round them raise V, which law (4) may not."""
+    """Walls longer than the team: most paths around them raise V, which law (4) cannot do."""
     walls = {"layout": layout, "size": size, "opening": opening, "thickness": 0.5}
     placed = {**walls, "region": 2.0, "keep_out": 0.5}
     return {"obstacles": placed, "spawn_size": spawn_size, **_AMONG_OBSTACLES}
@@ -63,8 +63,9 @@ def _in_space(obstacles: Any, spawn_size: float = 14.0, **more: Any) -> Fields:
 
 
 def _beads(side: int, rim: int = 0, window: bool = False) -> list[Fields]:
-    """A square slab of overlapping spheres, so many along each side; with a rim it is a bowl, and a
-    window leaves out the middle one. Eight rays show spheres as they are, long bars not.
+    """Square slab of overlapping spheres, with an optional rim (bowl) or central opening (window).
+
+    Spheres are used because eight rays represent them exactly, unlike long bars.
     """
     places = range(-(side // 2), side // 2 + 1)
     return [
@@ -77,7 +78,7 @@ def _beads(side: int, rim: int = 0, window: bool = False) -> list[Fields]:
 
 
 def _turning(fields: Fields, turn_rate: float) -> Fields:
-    """The same for unicycles, which at 1 m/s turn within a circle of 1/ω m, and need longer."""
+    """Variant for unicycles, which need more time: at 1 m/s their turning radius is 1/ω m."""
     turns = {"robot_model": "unicycle", "max_turn_rate": turn_rate, "time_limit": 120.0}
     return {**fields, **turns}
 
@@ -129,8 +130,9 @@ _RSSDOA: Fields = {
 
 
 def _robotarium(robots: int) -> Fields:
-    """The Robotarium's arena of 3.2 m × 2 m and its robots, which count as colliding below 0.135 m:
-    discs of 0.15 m that pack, with gains that never ask for more than 0.2 m/s.
+    """The Robotarium: an arena of 3.2 m × 2 m and robots that collide below 0.135 m.
+
+    Robots are packing discs of 0.15 m with edge weights that keep speeds below 0.2 m/s.
     """
     return {
         "n_robots": robots,
@@ -226,24 +228,24 @@ _NAME = re.compile(rf"(?:{NAMESPACE}/)?(?P<plain>.+?)(?P<version>-v\d+)?")
 
 @cache
 def digests() -> dict[str, str]:
-    """Of every scenario by its name and version: ``first_starts.digest`` of its first starts.
+    """Digests of the first initial conditions (``first_starts.digest``) by name and version.
 
-    A scenario's version is the number of its entry here. What changes the digest raises it.
+    The number of entries is the version of a scenario; a changed digest requires a new version.
     """
     path = Path(__file__).with_name("digests.json")
     return dict(json.loads(path.read_text(encoding="utf-8")))
 
 
 def with_versions() -> dict[str, str]:
-    """The versioned name of every scenario that has one, by its plain name."""
+    """Versioned names by plain name."""
     return {entry.rpartition("-v")[0]: f"{NAMESPACE}/{entry}" for entry in digests()}
 
 
 def versioned(name: str) -> str:
-    """The name with which results are quoted, such as "rendezvous/clutter-16-v1".
+    """Versioned name for citing results, such as "rendezvous/clutter-16-v1".
 
     Raises:
-        ValueError: for the name of no scenario.
+        ValueError: for an unknown name.
     """
     known = with_versions()
     if name not in known:
@@ -253,10 +255,10 @@ def versioned(name: str) -> str:
 
 
 def get(name: str) -> Scenario:
-    """The scenario of that name, with or without namespace and version ("rendezvous/duo-v1").
+    """Scenario by name, with or without namespace and version ("rendezvous/duo-v1").
 
     Raises:
-        ValueError: for an unknown name, with the nearest known one, or a version that this is not.
+        ValueError: for an unknown name (with the closest match) or another version.
     """
     parts = _NAME.fullmatch(name) if isinstance(name, str) else None
     plain = parts["plain"] if parts else name

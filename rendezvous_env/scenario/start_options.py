@@ -1,4 +1,4 @@
-"""How a start can be given: seeds, and what ``reset(options=…)`` accepts, any part of a start."""
+"""Seeds and ``reset(options=…)``: any part of an initial condition can be given."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +19,7 @@ _ROUNDING = 1e-9
 
 
 class StartOptions(NamedTuple):
-    """The given parts of a start, with a leading axis of 1 or B; None is to be drawn."""
+    """Given parts of an initial condition, with a leading axis of 1 or B; None is sampled."""
 
     positions: NDArray[np.float64] | None = None
     angles: NDArray[np.float64] | None = None
@@ -71,14 +71,14 @@ def parse_options(scenario: Any, num_envs: int, options: Mapping[str, Any] | Non
 
 
 def as_options(options: Any) -> dict[Any, Any]:
-    """Options as a dict of their own; None is none, and what is no mapping is refused."""
+    """Copy of the options as a dict; None is empty."""
     if options is None:
         return {}
     return dict(mapping("options", options, f"None or a dict; it may hold {', '.join(OPTIONS)}"))
 
 
 def _table(field: str, value: Any, shape: tuple[int, ...], num_envs: int) -> NDArray[np.float64]:
-    """(1, …) from one table for all teams, or (B, …) from one for each."""
+    """Table with leading axis 1 (shared by all environments) or B."""
     array = floats(field, value)
     batched = array.ndim == len(shape) + 1
     checked = check_table(field, array, (num_envs, *shape) if batched else shape)
@@ -138,7 +138,7 @@ def _checked_weights(scenario: Any, matrix: NDArray[np.float64]) -> NDArray[np.f
 
 
 def _check_within(scenario: Any, weights: NDArray[np.float64]) -> None:
-    """The constants D̄ and a* of the mission and the rows must hold for the given weights too."""
+    """Raise a ValueError if given weights exceed the scenario's D̄, a* or number of rows."""
     n, directed = scenario.n_robots, scenario.sensing_graph.directed
     given = graphs.directed(weights) if directed else graphs.from_matrix(weights)
     if scenario.require_connected and (why := given.why_not_joined(n)) is not None:
@@ -181,12 +181,12 @@ _READERS: dict[str, Callable[[Any, int, Any], NDArray[np.float64]]] = {
     "weights": _weights,
     "obstacles": _obstacles,
 }
-"""In the order of ``StartOptions``."""
+"""Parsers of the options, in the order of ``StartOptions``."""
 OPTIONS = tuple(_READERS)
 
 
 def check_table(field: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """A float64 array of a shape, of numbers within the limits; a wrong robot is named."""
+    """Validated float64 array of a shape; a ValueError names the invalid robot."""
     table = np.array(floats(field, value))
     check_shape(field, table, shape)
     if not (wanted := np.abs(table) <= LARGEST).all():
@@ -199,8 +199,9 @@ def check_table(field: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.fl
 def check_positions(
     field: str, scenario: Any, positions: NDArray[np.float64], weights: Any, standing: Any
 ) -> None:
-    """Refuse positions, (n, d), m, inside obstacles, or of neighbours in one place, who have no
-    bearing: those with a weight in an (n, n) matrix, or in what gives one for n.
+    """Raise a ValueError for positions (n, d), m, inside obstacles, or for coincident neighbours.
+
+    Neighbours have a positive entry in a weight matrix (n, n), or in a function of n returning one.
     """
     _, place, counts = np.unique(positions + 0.0, axis=0, return_inverse=True, return_counts=True)
     if counts.max() > 1:
@@ -218,9 +219,7 @@ def check_positions(
 
 
 def check_apart(field: str, positions: NDArray[np.float64], least: float) -> None:
-    """Refuse robots that stand nearer to each other than a length, m, by more than rounding leaves
-    of bodies that touch: they overlap.
-    """
+    """Raise a ValueError for robots closer than a length, m, beyond rounding: bodies overlap."""
     offsets = positions[:, np.newaxis] - positions
     distances = np.linalg.norm(offsets, axis=-1) + np.diag(np.full(len(positions), np.inf))
     if distances.min() < least * (1 - _ROUNDING):

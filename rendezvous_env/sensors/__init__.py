@@ -1,1 +1,1 @@
-"""What a robot sees of its neighbours: exact bearings, and imperfections composed in order."""
+"""Sensors: exact bearings and imperfections, applied in order."""

@@ -1,4 +1,4 @@
-"""Imperfections of a user's own: functions of what a batch of teams sees, applied last."""
+"""Custom sensor imperfections: functions of the observations of a batch, applied last."""
 
 import zlib
 from collections.abc import Callable
@@ -14,16 +14,16 @@ from .chance import step_key
 
 
 class Seen:
-    """What B teams see at one moment, to be changed in place."""
+    """Observations of B environments at one time, to be modified in place."""
 
     neighbours: NDArray[np.float32]
-    """(B, n, K, d): a_ij g_ij in the robots' own frames, m/s; zero where nobody is seen."""
+    """Neighbour rows a_ij g_ij in the robots' frames, (B, n, K, d), m/s; zero if absent."""
     obstacles: NDArray[np.float32]
-    """(B, n, M, S, d): unit silhouette bearings; likewise."""
+    """Unit bearings to obstacle edges in the robots' frames, (B, n, M, S, d); zero if absent."""
     positions: NDArray[np.float64]
-    """(B, n, d), m, for what depends on distance; robots themselves never know it."""
+    """Positions, (B, n, d), m, for distance-dependent errors; not observed by robots."""
     time: NDArray[np.float64]
-    """(B,), s since the start of the episode."""
+    """Time since the start of the episode, (B,), s."""
 
     def __init__(
         self,
@@ -39,9 +39,7 @@ class Seen:
         self._name, self._keys = "", (seeds, episodes, steps)
 
     def uniform(self, *shape: int) -> NDArray[np.float64]:
-        """Random numbers in [0, 1), (B, *shape), which follow from a team's seed, episode and step
-        and the name of the imperfection.
-        """
+        """Random numbers in [0, 1), (B, *shape), keyed by seed, episode, step and imperfection."""
         numbers = np.empty((len(self.time), int(np.prod(shape))))
         salt = np.uint64(zlib.crc32(self._name.encode()))
         with np.errstate(over="ignore"):  # of kernels that are left plain Python
@@ -51,7 +49,7 @@ class Seen:
 
 @kernel
 def _fill(seeds, episodes, steps, salt, out):
-    """Numbers of every team's stream of sensing, of the step and of one imperfection."""
+    """Fill random numbers of each environment's sensing stream for a step and imperfection."""
     for team in range(out.shape[0]):
         key = step_key(stream_key(seeds[team], episodes[team], SENSING), steps[team])
         key = mix(key ^ salt)
@@ -64,21 +62,21 @@ IMPERFECTIONS = Registry("sensor imperfection", "rv.sensor_imperfection")
 
 
 def sensor_imperfection(name: str, change: Imperfection | None = None) -> Any:
-    """Register an imperfection: a function that changes what is ``Seen`` in place.
+    """Register a sensor imperfection: a function that modifies ``Seen`` in place.
 
-    ``Sensing(custom=(name,))`` applies it after all others. It treats every team by itself and
-    remembers nothing. It may zero rows and turn them; absent rows stay so. Where there are fewer
-    rows than other robots, those left stand first. One of the same name is replaced; without
-    ``change`` a decorator is returned.
+    ``Sensing(custom=(name,))`` applies it after all others. It must treat environments
+    independently and be stateless. It may zero and rotate rows; absent rows stay absent. With fewer
+    rows than other robots, present rows are moved to the front. An existing one of the same name is
+    replaced. Without ``change`` this is a decorator.
 
     Raises:
-        ValueError: for what is no name or cannot be called.
+        ValueError: for an invalid name or a function that is not callable.
     """
     return IMPERFECTIONS.add(name, change)
 
 
 def as_custom(field: str, value: Any) -> tuple[str, ...]:
-    """Names of registered imperfections."""
+    """Validated names of registered imperfections."""
     if not isinstance(value, list | tuple):
         refuse(field, value, "a list of names")
     for name in value:
@@ -87,7 +85,7 @@ def as_custom(field: str, value: Any) -> tuple[str, ...]:
 
 
 def apply_custom(seen: Seen) -> None:
-    """Let the custom imperfections of a scenario change what is seen."""
+    """Apply the custom imperfections of a scenario."""
     tables = seen.neighbours, seen.obstacles
     for name in seen.scenario.sensing.custom:
         absent = [~table.any(axis=-1) for table in tables]

@@ -1,4 +1,4 @@
-"""What the robots' sensors get wrong; by default nothing."""
+"""Sensor imperfections of a scenario; none by default."""
 
 from __future__ import annotations
 
@@ -45,59 +45,56 @@ class Sensing:
     """
 
     range: Metres | None = None
-    """Neighbours farther away have no row, m; None is without a limit."""
+    """Maximum distance of detected neighbours, m; None is unlimited."""
     field_of_view: Annotated[float, _check_view] = _FULL_CIRCLE
-    """Angle of the cone about the body's or local x axis in which neighbours have a row, rad. An
-    obstacle is seen while one of its silhouette points is in it."""
+    """Full angle of the field of view around the body or local x axis, rad. An obstacle is visible
+    while one of its edge points is inside."""
     noise: _Deviation = 0.0
-    """Standard deviation of the angle by which each bearing is turned, drawn anew for every ordered
-    pair and step, rad; in 3-D about a random axis perpendicular to the bearing."""
+    """Standard deviation of white angular noise per ordered pair and step, rad; in 3-D about a
+    random axis perpendicular to the bearing."""
     bias: _Deviation = 0.0
     """Standard deviation of a constant error of each bearing, drawn once for every ordered pair and
     episode, rad. Pairs differ, so unlike the error of a compass it does not cancel."""
     error: Annotated[float, partial(checks.number, least=0.0, most=math.pi, unit="rad")] = 0.0
-    """The bearings of neighbours are turned by exactly this much in the direction that raises L
-    most, rad: the adversary of theorem N (guarantees, section 11)."""
+    """Adversarial error: bearings are rotated by this angle in the direction that increases L most,
+    rad (theorem N; guarantees, section 11)."""
     dropout: Annotated[float, partial(checks.number, least=0.0, most=1.0)] = 0.0
-    """Chance that the row of a neighbour is missing in a step."""
+    """Probability that a neighbour is not detected in a step."""
     delay: Annotated[int, partial(checks.whole, least=0, most=MOST_DELAY)] = 0
-    """Steps by which what is seen is late; until then what is seen first is held."""
+    """Delay of observations, steps; the first observation is held until then."""
     sectors: Annotated[int, partial(checks.whole, least=2, most=MOST_SECTORS)] | None = None
-    """Bearings are rounded to this many directions from the x axis on, in 3-D in yaw and, as far as
-    ± π/2, in elevation; None does not round."""
+    """Number of sectors to which bearings are quantised, in 3-D in yaw and elevation (± π/2); None
+    disables quantisation."""
     occlusion: Literal["none", "obstacles", "robots", "both"] = "none"
-    """What hides neighbours that are behind it: none, obstacles, robots (as discs or spheres of
-    radius r/2) or both."""
+    """Occluding objects: none, obstacles, robots (discs or spheres of radius r/2) or both."""
     custom: Annotated[tuple[str, ...], as_custom] = ()
-    """Names that ``sensor_imperfection`` registered, applied in this order after all others."""
+    """Names of custom imperfections (``sensor_imperfection``), applied last in this order."""
 
     def __post_init__(self) -> None:
         checks.check_fields(self, "sensing.{}")
 
     @classmethod
     def camera(cls) -> Sensing:
-        """Four cameras of 64 × 64 pixels and a detector of coloured lamps, as measured in pictures
-        (docs/worlds.md).
-        """
+        """Errors of four rendered 64 × 64 pixel cameras and a lamp detector (docs/worlds.md)."""
         return cls(noise=0.0075, dropout=0.03, occlusion="both")
 
     @property
     def exact(self) -> bool:
-        """Whether nothing is missed and no bearing is wrong."""
+        """Whether the sensor has no imperfection."""
         return self == _EXACT
 
     @property
     def built_in_exact(self) -> bool:
-        """Whether nothing but a custom imperfection makes it wrong."""
+        """Whether the sensor has no built-in imperfection."""
         return dataclasses.replace(self, custom=()).exact
 
     def departures(self) -> str:
-        """The fields that are not those of an exact sensor, in words."""
+        """Names and values of the imperfections, as text."""
         own, ideal = dataclasses.asdict(self), dataclasses.asdict(_EXACT)
         return ", ".join(f"{field} = {own[field]}" for field in own if own[field] != ideal[field])
 
     def to_plain(self) -> dict[str, Any]:
-        """The fields as plain data, as TOML or JSON hold it; None is an absent key."""
+        """Plain data for TOML or JSON; None is an absent key."""
         plain = {**dataclasses.asdict(self), "custom": list(self.custom) or None}
         return {field: value for field, value in plain.items() if value is not None}
 

@@ -1,1 +1,1 @@
-"""Speed, as ratios."""
+"""Benchmarks of speed, reported as ratios."""

@@ -1,4 +1,4 @@
-"""``rendezvous bench``: how fast the environments are on this machine, as ratios of one run."""
+"""``rendezvous bench``: throughput on this machine, as ratios within one run."""
 
 import os
 import platform
@@ -38,20 +38,20 @@ class Config(Flags):
     """Measure the speed of the environments."""
 
     json: Path | None = None
-    """A file for the numbers, beside the table."""
+    """File for the results as JSON."""
     only: tuple[str, ...] = ()
-    """The groups of rows to measure: one-team, batched, obstacles, wrapped, training, sensing,
-    adapters, heading-ppo. Without it all are."""
+    """Groups of rows to measure: one-team, batched, obstacles, wrapped, training, sensing,
+    adapters, heading-ppo. Default: all."""
     robots: Annotated[tuple[int, ...], Bounds(2, 2**12)] = (3, 8, 32)
-    """The sizes of teams."""
+    """Numbers of robots per environment."""
     num_envs: Annotated[int, Bounds(1, 2**24)] = 1024
-    """How many environments step together."""
+    """Number of environments in a batch."""
     num_threads: Annotated[int | None, Bounds(1, 2**10)] = None
-    """The most threads a step may use: one for each core by default."""
+    """Maximum number of threads per step. Default: one per core."""
     repeats: Annotated[int, Bounds(1)] = 5
-    """Of how many measurements the median is taken; cases that are compared take turns."""
+    """Number of measurements per case, of which the median is reported. Cases alternate."""
     seconds: Annotated[float, Bounds(0, 3600, "(]")] = 0.3
-    """The length of a measurement, s."""
+    """Duration of a measurement, s."""
 
 
 Row = dict[str, Any]
@@ -61,7 +61,7 @@ median over turns of this rate divided by that of the case against which it is m
 
 
 def check(config: Config) -> None:
-    """Refuse settings that cannot be measured."""
+    """Validate the settings."""
     if others := sorted(set(config.only) - set(GROUPS)):
         raise unknown("--only: group", others[0], GROUPS)
     if not config.robots:
@@ -76,7 +76,7 @@ def check(config: Config) -> None:
 
 
 def run(config: Config) -> None:
-    """Measure, print the table, write what files are asked for."""
+    """Measure, print the table and write the requested files."""
     check(config)
     console = Console(width=None if sys.stdout.isatty() else 120)
     rows = []
@@ -93,7 +93,7 @@ def run(config: Config) -> None:
 
 
 def _compared(config: Config) -> Iterator[list[Case]]:
-    """Cases that are timed in turns."""
+    """Groups of cases that are timed alternately."""
     size, robots = Size(config.num_envs, config.num_threads), config.robots
     teams, discs = [spread_out(n) for n in robots], cases.among_discs()
     known: dict[str, Iterable[list[Case]]] = {
@@ -110,8 +110,10 @@ def _compared(config: Config) -> Iterator[list[Case]]:
 
 
 def measure(compared: Sequence[Case], config: Config) -> list[Row]:
-    """Time cases in turns, so that what disturbs the machine disturbs all of them; a RuntimeError
-    if robots merged meanwhile.
+    """Time cases alternately, so that disturbances affect all of them equally.
+
+    Raises:
+        RuntimeError: if robots merged during the measurement.
     """
     running = [case.build() for case in compared]
     counts = [_calibrate(each, config.seconds) for each in running]
@@ -129,7 +131,7 @@ def measure(compared: Sequence[Case], config: Config) -> list[Row]:
 
 
 def _calibrate(running: Running, seconds: float) -> int:
-    """Steps that take about so long, after warming up."""
+    """Number of steps that take about the given time, after a warm-up."""
     running.step()
     begin, count = time.perf_counter(), 0
     while (passed := time.perf_counter() - begin) < seconds / 2:
@@ -148,7 +150,7 @@ def _row(case: Case, rates: Mapping[str, list[float]]) -> Row:
 
 
 def _bytes_per_team(n_robots: int, config: Config) -> tuple[int, int]:
-    """Bytes of a team's state, and of its observations in one step."""
+    """Bytes of the state of one environment, and of its observations."""
     simulator = rv.Simulator(spread_out(n_robots), config.num_envs)
     return simulator.nbytes // config.num_envs, simulator.reset(0).nbytes // config.num_envs
 
@@ -170,7 +172,7 @@ def _table(rows: Sequence[Row]) -> Table:
 def _content(
     rows: Sequence[Row], sizes: Mapping[int, tuple[int, int]], config: Config
 ) -> dict[str, Any]:
-    """All numbers and what they were measured on, as plain data."""
+    """Results and machine description as plain data."""
     told = Path("/proc/cpuinfo")
     named = re.search(r"model name\s*: (.*)", told.read_text() if told.exists() else "")
     peers = [name for name in _PEERS if any(metadata.distributions(name=name))]

@@ -1,4 +1,4 @@
-"""What ``rendezvous bench`` times of the environments, beside a peer and a bare kernel."""
+"""Benchmark cases: the environments, a peer and a bare kernel."""
 
 import itertools
 import math
@@ -17,7 +17,7 @@ from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper, train
 from ..checks import installed
 
 EPISODE = 200
-"""Steps of an episode in the case that ends episodes."""
+"""Episode length in the case with episode ends, steps."""
 _LANES = 64
 _SENSORS = {
     "exact sensor": rv.Sensing(),
@@ -27,11 +27,11 @@ _SENSORS = {
 
 
 class Running(NamedTuple):
-    """Something that can be timed."""
+    """A prepared case, ready to be timed."""
 
     step: Callable[[], Any]
     intact: Callable[[], bool] = lambda: True
-    """Whether no robot has merged meanwhile, so that every step did the same work."""
+    """() → whether no robot has merged, so that every step did the same work."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Case:
 
 
 class Size(NamedTuple):
-    """What the rows of many environments share."""
+    """Settings shared by the rows of a batch size."""
 
     num_envs: int
     num_threads: int | None
@@ -61,7 +61,7 @@ Builds = Mapping[str, Callable[[], Running]]
 def in_turns(
     group: str, n_robots: int, count: int, builds: Builds, unit: str = "team steps"
 ) -> list[Case]:
-    """Cases that are timed in turns, each against the first."""
+    """Cases that are timed alternately, relative to the first."""
     first = next(iter(builds))
     return [
         Case(name, group, n_robots, count, count, unit, build, "" if name == first else first)
@@ -70,13 +70,13 @@ def in_turns(
 
 
 def spread_out(n_robots: int, **fields: Any) -> rv.Scenario:
-    """A complete graph of robots that are too far apart to meet while they are timed."""
+    """Scenario with a complete graph and robots too far apart to merge while timed."""
     fields = {"spawn_size": 2000.0 * n_robots, "time_limit": 1e9} | fields
     return rv.Scenario(name=f"spread-out-{n_robots}", n_robots=n_robots, **fields)
 
 
 def among_discs() -> rv.Scenario:
-    """Four robots that see 8 discs and are too slow to meet or reach them while they are timed."""
+    """Scenario with four slow robots among 8 discs, without merges or contacts while timed."""
     places = [(6.0 * math.cos(k * math.pi / 4), 6.0 * math.sin(k * math.pi / 4)) for k in range(8)]
     return rv.Scenario(
         name="among-discs",
@@ -90,7 +90,7 @@ def among_discs() -> rv.Scenario:
 
 
 def one_team(group: str, scenario: rv.Scenario, size: Size | None = None) -> list[Case]:
-    """A step of one team in dicts, beside MPE2's ``simple_spread_v3`` when it is installed."""
+    """PettingZoo step of one environment, relative to MPE2's ``simple_spread_v3`` if installed."""
     builds = {"PettingZoo": partial(_in_dicts, partial(rv.parallel_env, scenario))}
     if installed("mpe2") and not scenario.obstacles:
         peer = partial(_in_dicts, partial(_mpe2, scenario.n_robots), 0.0)
@@ -99,7 +99,7 @@ def one_team(group: str, scenario: rv.Scenario, size: Size | None = None) -> lis
 
 
 def batched(group: str, scenario: rv.Scenario, size: Size) -> list[Case]:
-    """Steps of many teams, beside the bare kernel where there are no obstacles."""
+    """Batched steps, relative to the bare kernel in scenarios without obstacles."""
     builds = {
         "Simulator": partial(simulator_of, scenario, size),
         "make_vec": partial(_vector, scenario, size),
@@ -112,7 +112,7 @@ def batched(group: str, scenario: rv.Scenario, size: Size) -> list[Case]:
 
 
 def wrapped(n: int, size: Size) -> list[Case]:
-    """Steps of many teams under random choices and a guarantee, beside those under none."""
+    """Batched steps with random actions under a safety filter, relative to no filter."""
     # robots that are steered go towards each other, unlike those of random actions
     scenario = spread_out(n, spawn_size=1e6 * n)
 
@@ -127,7 +127,7 @@ def wrapped(n: int, size: Size) -> list[Case]:
 
 
 def training(name: str, guarantee: str, size: Size) -> list[Case]:
-    """Decisions where robots learn, beside the physics of their base steps alone."""
+    """Decisions of the training environment, relative to the physics of its steps."""
 
     def build(learning: bool) -> Running:
         threads = size.num_threads
@@ -144,7 +144,7 @@ def training(name: str, guarantee: str, size: Size) -> list[Case]:
 
 
 def sensing(n: int, size: Size | None) -> list[Case]:
-    """Steps of many teams, or of one in dicts, with sensors that err beside the exact one."""
+    """Steps with imperfect sensors, batched or PettingZoo, relative to exact sensors."""
 
     def build(sensor: rv.Sensing) -> Running:
         scenario = spread_out(n, sensing=sensor)
@@ -157,7 +157,7 @@ def sensing(n: int, size: Size | None) -> list[Case]:
 
 
 def tape_of(space: Any, *batch: int) -> Iterator[Any]:
-    """Random actions again and again, prepared beforehand: (*batch, *shape)."""
+    """Endless iterator over prepared random actions, (*batch, *shape)."""
     random, shape = np.random.default_rng(0), (8, *batch, *space.shape)
     if isinstance(space, MultiDiscrete):
         return itertools.cycle(random.integers(space.nvec.min(), size=shape))
@@ -165,7 +165,7 @@ def tape_of(space: Any, *batch: int) -> Iterator[Any]:
 
 
 def stepping(env: Any) -> Running:
-    """A vector environment under random actions."""
+    """Vector environment with random actions."""
     env.reset(seed=0)
     tape, simulator = tape_of(env.single_action_space, env.num_envs), env.unwrapped.simulator
     return Running(lambda: env.step(next(tape)), lambda: bool(simulator.active.all()))
@@ -178,7 +178,7 @@ def _mpe2(n: int) -> Any:
 
 
 def _in_dicts(make: Callable[[], Any], low: float = -1.0) -> Running:
-    """A PettingZoo environment under random actions from ``low`` to 1."""
+    """PettingZoo environment with random actions between ``low`` and 1."""
     env = make()
     env.reset(seed=0)
     names = list(env.agents)
@@ -189,7 +189,7 @@ def _in_dicts(make: Callable[[], Any], low: float = -1.0) -> Running:
 
 
 def simulator_of(scenario: rv.Scenario, size: Size) -> Running:
-    """Many teams in the bare simulator, under random actions."""
+    """Batched simulator with random actions."""
     simulator = rv.Simulator(scenario, size.num_envs, num_threads=size.num_threads)
     simulator.reset(0)
     tape = tape_of(rv.make_vec(scenario, 1).single_action_space, size.num_envs)
@@ -204,7 +204,7 @@ def simulator_of(scenario: rv.Scenario, size: Size) -> Running:
 
 
 def _vector(scenario: rv.Scenario, size: Size, max_cycles: int | None = None) -> Running:
-    """Many teams through ``make_vec``; with ``max_cycles`` their episodes end one after another."""
+    """Environments of ``make_vec``; with ``max_cycles`` their episodes end one after another."""
     venv = rv.make_vec(scenario, size.num_envs, num_threads=size.num_threads, max_cycles=max_cycles)
     running = stepping(venv)
     if max_cycles is not None:
@@ -221,8 +221,10 @@ def _limit(n: int, num_envs: int) -> Running:
 
 @njit(nogil=True, error_model="numpy")
 def bare_step(positions: Any, bearings: Any, f: Any) -> None:
-    """All bearings (blocks, n, n − 1, 2, lanes), their sums f (n, 2, lanes) and an Euler step of
-    1 ns: no frames, merging or reward. Teams stand last in memory: several are computed at once.
+    """Bare reference kernel: all bearings, their sums f and an Euler step of 1 ns.
+
+    Shapes are (blocks, n, n − 1, 2, lanes) and (n, 2, lanes), with environments last for SIMD.
+    There are no frames, merges or rewards.
     """
     blocks, n, _, lanes = positions.shape
     for block in range(blocks):

@@ -1,4 +1,4 @@
-"""What ``rendezvous bench`` times of the learner's side: adapters and PPO."""
+"""Benchmark cases of learning libraries: adapters and PPO."""
 
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -13,12 +13,12 @@ from ..checks import installed
 from .cases import Case, Running, Size, in_turns, spread_out, stepping, tape_of
 
 _BARE: dict[str, Any] = {"guarantee": None, "learning_preset": False}
-"""Choices of ``training_env`` under which it does what ``make_vec`` does."""
+"""Arguments with which ``training_env`` is equivalent to ``make_vec``."""
 _TRAINING = "clutter-8"
 
 
 def adapters(robots: tuple[int, ...], size: Size) -> Iterator[list[Case]]:
-    """Each learner's environment over ours: bare, where robots learn, and with all of training."""
+    """Cases of each learner: bare environment, training environment, full training."""
     for n in robots:
         yield _over("make_vec", spread_out(n), size, _BARE)
     scenario = rv.scenarios.get(_TRAINING)
@@ -41,7 +41,7 @@ def _over(ours: str, scenario: rv.Scenario, size: Size, choices: dict[str, Any])
 
 
 def _torchrl(scenario: rv.Scenario, size: Size, choices: dict[str, Any]) -> Running:
-    """What ``rollout`` and collectors do with each step, without a policy and without storing."""
+    """A TorchRL step as in ``rollout`` and collectors, without policy and storage."""
     import torch
 
     from rendezvous_env.adapters.torchrl import GROUP, RendezvousEnv
@@ -81,13 +81,11 @@ _LEARNERS: dict[str, tuple[str, Callable[..., Running]]] = {
     "TorchRL": ("torchrl", _torchrl),
     "PufferLib": ("pufferlib", _pufferlib),
 }
-"""Libraries whose adapters are timed where they are installed: module, and what steps."""
+"""Libraries whose adapters are timed if installed: module name and case."""
 
 
 def heading_ppo(size: Size) -> list[Case]:
-    """What ``rendezvous train`` does, beside the same on robots that cost nothing, and that beside
-    stable-baselines3's own PPO and network with the same settings.
-    """
+    """``rendezvous train``, relative to a zero-cost environment and to stable-baselines3's PPO."""
     from stable_baselines3.common.logger import Logger
 
     from ..learn.settings import Config
@@ -128,7 +126,7 @@ def heading_ppo(size: Size) -> list[Case]:
 
 
 def _free(teams: Any) -> Any:
-    """Robots whose steps cost nothing and always return the same."""
+    """Zero-cost environment with constant observations."""
     from rendezvous_env.adapters.sb3 import RobotVecEnv
 
     robots: Any = RobotVecEnv(teams)

@@ -1,4 +1,4 @@
-"""``rendezvous warmup``: compile beforehand what the first use of a scenario would compile."""
+"""``rendezvous warmup``: compile the kernels of scenarios in advance."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -18,14 +18,14 @@ from ..policies import resolve_scenario
 
 @dataclass(frozen=True)
 class Config(Flags):
-    """Compile beforehand what the first use of a scenario would compile."""
+    """Compile the kernels that the first use of a scenario needs."""
 
     scenarios: Annotated[tuple[str, ...], arg(aliases=("--scenario",))] = ()
-    """Names of scenarios or TOML files; without any all named ones are taken, some minutes."""
+    """Names of scenarios or TOML files. Default: all named scenarios."""
 
 
 def run(config: Config) -> None:
-    """Play every policy that fits a scenario for two steps, with one team and with many."""
+    """Run every fitting policy for two steps, with one environment and with a batch."""
     scenarios = [resolve_scenario(name) for name in config.scenarios or names()]
     for scenario in track(scenarios, "compiling", console=Console(stderr=True)):
         for name in baselines.names(scenario):

@@ -1,6 +1,6 @@
-"""Policies on the same starts: evaluation, statistics, tables.
+"""Comparison of policies on the same initial conditions: evaluation, statistics, tables.
 
-``Config``, ``run``, ``plan`` and the other names of the command are loaded when they are asked for.
+``Config``, ``run``, ``plan`` and the other names of the command are imported on first access.
 """
 
 from importlib import import_module

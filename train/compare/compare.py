@@ -1,4 +1,4 @@
-"""``rendezvous compare``: policies on the same starts, as an answer, tables, files and figures."""
+"""``rendezvous compare``: policies on the same initial conditions; tables, files and figures."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ __all__ = ["Config", "Job", "Played", "plan", "play_job", "run", "summary"]
 
 Row = dict[str, Any]
 Picture = tuple[str, Callable[[], "Figure"]]
-"""The name of a figure, and what draws it."""
+"""Name of a figure and the function that draws it."""
 
 
 class _Clock(dict[str, float]):
-    """Wall-clock time of each part that is over, s."""
+    """Wall-clock time of each finished stage, s."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -40,17 +40,19 @@ class _Clock(dict[str, float]):
 
     @property
     def total(self) -> float:
-        """Since the command began, s."""
+        """Time since the start of the command, s."""
         return time.perf_counter() - self._began
 
     def now(self, part: str) -> None:
-        """All since the last call was spent on ``part``."""
+        """Attribute the time since the last call to a stage."""
         self[part] = self.total - sum(self.values())
 
 
 def run(config: Config) -> int:
-    """Compare, print the answer, write all files; exit status 1 if a merge raised V above its
-    proven bound, else 0.
+    """Run the comparison, print the summary and write all files.
+
+    Returns:
+        Exit status: 1 if a merge raised V above its proven bound, else 0.
     """
     console, clock = Console(), _Clock()
     jobs = plan(config)
@@ -90,7 +92,7 @@ def run(config: Config) -> int:
 
 @dataclass(frozen=True)
 class Found:
-    """What a comparison found."""
+    """Results of a comparison."""
 
     played: list[Played]  # in the order of the jobs
     rows: list[Row]  # of results.csv
@@ -100,7 +102,7 @@ class Found:
 
     @property
     def excess(self) -> int:
-        """Episodes in which a merge raised V above its proven bound, rounding aside."""
+        """Number of episodes in which a merge raised V above its proven bound plus rounding."""
         return sum(
             int((one.episodes.merge_excess > statistics.rounding_of_v(one.job.scenario)).sum())
             for one in self.played
@@ -108,7 +110,7 @@ class Found:
 
 
 def _play(config: Config, jobs: Sequence[Job], part: Part, console: Console) -> tuple[Found, float]:
-    """What was found, and how long workers made kernels ready, s."""
+    """Results, and the time that workers spent on compiling or loading kernels, s."""
     blocks = [blocks_of(number, job, config) for number, job in enumerate(jobs)]
     bounded = filter(upper_bound.applies, dict.fromkeys(job.scenario for job in jobs))
     runs = {one: upper_bound.tasks_of(one, config) for one in bounded if config.ceiling}
@@ -123,7 +125,7 @@ def _play(config: Config, jobs: Sequence[Job], part: Part, console: Console) -> 
 
 
 def paired_rows(played: Sequence[Played], against: str | None) -> list[Row]:
-    """The rows of paired.csv; where ``against`` was not played another is the reference."""
+    """Rows of paired.csv; another reference is used where ``against`` was not run."""
     return [
         row
         for scenario, own in by_scenario(played).items()
@@ -132,7 +134,7 @@ def paired_rows(played: Sequence[Played], against: str | None) -> list[Row]:
 
 
 def _show(found: Found, config: Config, console: Console) -> None:
-    """The answer, the matrix, and what was asked for besides."""
+    """Print the summary, the matrix and the requested details."""
     if config.ceiling:
         console.print(tables.ceiling_table(found.bounds))
     console.print(f"\n{answer(found.rankings)}\n", style="bold")
@@ -155,7 +157,7 @@ def _show(found: Found, config: Config, console: Console) -> None:
 
 
 def write(part: Part, found: Found, config: Config) -> list[str]:
-    """Write all tables and trajectories.npz; their names."""
+    """Write all tables and trajectories.npz; returns their names."""
     episodes = (
         {"scenario": done.job.scenario.name, "policy": done.job.name} | row
         for done in found.played
@@ -183,7 +185,7 @@ def write(part: Part, found: Found, config: Config) -> list[str]:
 
 
 def description(config: Config, found: Found, timing: dict[str, float]) -> dict[str, Any]:
-    """The content of run.json, but for the digests."""
+    """Content of run.json without the digests."""
     starts = {done.job.scenario: len(done.episodes.success) for done in found.played}
     return results.provenance() | {
         "seed": config.seed,
@@ -200,8 +202,9 @@ def description(config: Config, found: Found, timing: dict[str, float]) -> dict[
 
 
 def write_summary(path: Path, found: Found, about: Mapping[str, Any]) -> None:
-    """Write a short form of all that was found, as JSON, for ``--json``; columns as in results.csv
-    and paired.csv, null where they do not apply.
+    """Write a JSON summary for ``--json``.
+
+    Columns are those of results.csv and paired.csv, null if not applicable.
     """
     scenarios = {
         ranking.scenario: {
@@ -223,13 +226,13 @@ def write_summary(path: Path, found: Found, about: Mapping[str, Any]) -> None:
 
 
 def _plain(row: Row, columns: Sequence[str]) -> Row:
-    """Cells as numbers and words, null where they are empty."""
+    """Cells as numbers and strings, null if empty."""
     cells = {column: results.plain(row[column]) for column in columns}
     return {column: None if cell == "" else cell for column, cell in cells.items()}
 
 
 def _draw(part: Part, found: Found, config: Config, console: Console) -> list[str]:
-    """Draw all figures; the names of their files."""
+    """Draw all figures; returns the names of their files."""
     pictures, endings = list(_pictures(found, config)), ("png", "pdf") if config.pdf else ("png",)
     work = partial(_draw_one, folder=part.whole, run=part.run, endings=endings)
     # on this machine, wherever was played: its files are wanted here

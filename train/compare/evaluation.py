@@ -1,4 +1,4 @@
-"""Play episodes of one policy and measure them."""
+"""Evaluation of one policy: simulated episodes and their metrics."""
 
 from __future__ import annotations
 
@@ -25,56 +25,55 @@ from ..checks import user_error
 from ..recording import Recorder, Recording, seen_again, state_of
 
 CHUNK = 1024
-"""Most teams simulated at once; more starts are played one chunk after the other."""
+"""Maximum batch size; further initial conditions are simulated in later chunks."""
 
 
 @dataclass(frozen=True)
 class Episodes:
-    """What one policy did on N starts of one scenario; every field is (N,)."""
+    """Metrics of one policy from N initial conditions of a scenario; every field is (N,)."""
 
     success: NDArray[np.bool_]
     """Whether all robots met within the time limit."""
     clean: NDArray[np.float64]
-    """1 if they met without touching an obstacle, else 0; NaN where contacts do not count, because
-    robots pass through obstacles."""
+    """1 for collision-free success, else 0; NaN where robots pass through obstacles."""
     time: NDArray[np.float64]
-    """When they met, s; the time limit if they did not."""
+    """Rendezvous time, s; the time limit without success."""
     path_length: NDArray[np.float64]
-    """Way of all robots together, m."""
+    """Total path length of all robots, m."""
     contacts: NDArray[np.int64]
-    """Contacts with obstacles, one for each robot and step."""
+    """Number of contacts with obstacles, counted per robot and step."""
     clearance: NDArray[np.float64]
-    """Least distance of a robot to an obstacle, m; NaN without obstacles."""
+    """Minimum distance of a robot to an obstacle, m; NaN without obstacles."""
     max_rise_between_merges: NDArray[np.float64]
-    """Largest change of V in a step up to its first merge, m²/s; negative if V always fell."""
+    """Largest change of V in a step up to its first merge, m²/s; negative if V always decreased."""
     merge_rise: NDArray[np.float64]
-    """Largest rise of V at a merge, m²/s."""
+    """Largest increase of V at a merge, m²/s."""
     merge_excess: NDArray[np.float64]
-    """By how much a merge raised V above the bound of theory 5, m²/s; anything but 0 is an
+    """Excess of an increase of V at a merge over its bound (theory 5), m²/s; 0 unless there is an
     error."""
     min_alignment: NDArray[np.float64]
-    """Least alignment of a robot with ‖f‖ ≥ 2δ, NaN if there was none; see ``alignments``."""
+    """Minimum alignment of robots with ‖f‖ ≥ 2δ, NaN if there was none; see ``alignments``."""
     initial_lyapunov: NDArray[np.float64]
-    """V at the start, m²/s."""
+    """Initial V, m²/s."""
     time_bound: NDArray[np.float64]
-    """Time by which the policy is proven to have met, s; NaN where nothing is proven."""
+    """Proven bound on the rendezvous time, s; NaN without one."""
     max_rise_of_size: NDArray[np.float64]
-    """Largest change of the size L in a step, m; negative if L always fell. NaN where the graph is
-    undirected and fixed: there V is what must not rise."""
+    """Largest change of the hull perimeter L in a step, m; negative if L always decreased. NaN for
+    fixed undirected graphs, where V must not increase instead."""
 
     @classmethod
     def joined(cls, parts: list[Episodes]) -> Episodes:
-        """Episodes one after the other."""
+        """Concatenated episodes."""
         columns = [field.name for field in fields(cls)]
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in columns))
 
     @property
     def good(self) -> NDArray[np.bool_]:
-        """(N,), whether all met: without a contact, where contacts count."""
+        """(N,), whether an episode succeeded, collision-free where contacts count."""
         return np.where(np.isnan(self.clean), self.success, self.clean == 1)
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """One row for each start, as in episodes.csv."""
+        """Rows of episodes.csv, one per initial condition."""
         columns = {field.name: getattr(self, field.name).tolist() for field in fields(self)}
         columns["clean"] = [None if value != value else int(value) for value in self.clean]
         for start in range(len(self.success)):
@@ -130,17 +129,17 @@ def play(
 
 
 def starts_of(scenario: Scenario, asked: int) -> int:
-    """How many different starts a scenario has, of as many as are asked for."""
+    """Number of distinct initial conditions, at most the requested number."""
     return 1 if begins_alike(scenario) else asked
 
 
 def counts_contacts(scenario: Scenario) -> bool:
-    """Whether contacts count: not where robots pass through obstacles."""
+    """Whether contacts count, that is, robots do not pass through obstacles."""
     return not scenario.obstacles or scenario.obstacle_contact != "ignore"
 
 
 class _Meter:
-    """Watches a batch and keeps the worst of each team so far."""
+    """Running extrema of the metrics of a batch."""
 
     def __init__(self, simulator: Simulator) -> None:
         batch = simulator.num_envs
@@ -153,7 +152,7 @@ class _Meter:
         self._size = simulator.size() if sized else None
 
     def see(self, step: Step) -> NDArray[np.float64]:
-        """Measure a step; returns the alignments of its robots, (B, n)."""
+        """Update from a step; returns the alignments of its robots, (B, n)."""
 
         def keep(worst: NDArray[np.float64], found: NDArray[np.float64]) -> None:
             np.maximum(worst, found, out=worst, where=step.running)
@@ -170,7 +169,7 @@ class _Meter:
         return aligned
 
     def episodes(self, margin: float | None, promised: float) -> Episodes:
-        """The measures, once every team has finished."""
+        """Metrics after all episodes have finished."""
         simulator, scenario = self._simulator, self._simulator.scenario
         success = simulator.status == RENDEZVOUS
         contacts, start = simulator.contacts, simulator.initial_lyapunov
@@ -200,12 +199,13 @@ def _or_nan(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def alignments(scenario: Scenario, step: Step) -> NDArray[np.float64]:
-    """Alignment |vᵀf|/(‖v‖‖f‖), (B, n), in [0, 1], of every robot with ‖f‖ ≥ 2δ, else NaN, as of
-    teams that have finished. A ValueError for a step of other robots.
+    """Alignment |vᵀf|/(‖v‖‖f‖), (B, n), in [0, 1], of robots with ‖f‖ ≥ 2δ.
 
-    v is the commanded velocity; for nonholonomic robots it has the direction of the body axis,
-    for robots with inertia it is the commanded acceleration. A robot that is to rest has alignment
-    0.
+    NaN for other robots and finished episodes. v is the commanded velocity (0 has alignment 0), for
+    nonholonomic robots along the body axis, for double integrators the commanded acceleration.
+
+    Raises:
+        ValueError: if the shapes do not match.
     """
     n, layout = scenario.n_robots, scenario.observation_layout
     shape = (len(step.running), n, *layout.shape)
@@ -224,8 +224,9 @@ def alignments(scenario: Scenario, step: Step) -> NDArray[np.float64]:
 def batch_alignments(
     observations: Any, actions: Any, running: Any, slots: int, along_x: bool, least: float, out: Any
 ) -> None:
-    """Write |vᵀf|/(‖v‖‖f‖) of the robots of running teams whose ‖f‖ is ``least`` (m/s) or more to
-    ``out`` (B, n); 0 where v = 0.
+    """Write |vᵀf|/(‖v‖‖f‖) of robots with ‖f‖ ≥ ``least`` (m/s) in running episodes to ``out``.
+
+    ``out`` is (B, n); the value is 0 where v = 0.
     """
     for b in range(out.shape[0]):
         for i in range(out.shape[1]):

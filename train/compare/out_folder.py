@@ -1,8 +1,8 @@
-"""A result folder stands at OUT whole, or not at all.
+"""Atomic output folder of a comparison.
 
-OUT.part holds an unfinished comparison (``resume``). In a folder there it gets tables, figures and,
-last of all, run.json with the digests of all of them; then that is renamed to OUT, and the rest
-goes. So wherever a kill strikes, the same command resumes, and the older OUT stays until then.
+OUT.part holds an unfinished comparison (``resume``). A folder in it receives tables, figures and
+finally run.json with all digests, and is then renamed to OUT. If the process is killed, the same
+command resumes; an older OUT stays until the end.
 """
 
 import os
@@ -22,25 +22,23 @@ _OURS = re.compile(
     r"|(success|times|against-.+|levels-.+|trajectories-.+)\.(png|pdf)"
 )
 _LITTER = re.compile(r"\..+\.part(\.\w+)?")
-"""What a kill leaves of a file that was being written."""
+"""Pattern of temporary files left by a killed process."""
 
 
 def is_ours(name: str) -> bool:
-    """Whether ``compare`` and ``report`` write a file of that name."""
+    """Whether a file name is one of those written by ``compare`` and ``report``."""
     return _OURS.fullmatch(name) is not None
 
 
 def part_of(out: Path) -> Path:
-    """Where a comparison stands until it is finished."""
+    """Folder of an unfinished comparison."""
     return out.with_name(f"{out.name}.part")
 
 
 def destination(
     given: Path, command: str = "compare", ours: Callable[[str], object] = is_ours
 ) -> Path:
-    """The folder that --out means; a UserError if it holds what the command has not written, which
-    would be lost with the older results.
-    """
+    """Resolve --out; a UserError if the folder holds foreign files, which would be lost."""
     out = Path(os.path.realpath(given))
     here = Path.cwd()
     if out == here or out in here.parents or os.path.ismount(out):
@@ -57,7 +55,7 @@ def destination(
 
 
 def seal(folder: Path, files: Sequence[str], about: Mapping[str, Any]) -> None:
-    """Write run.json: what is known about a run, the digest of every file, and its own."""
+    """Write run.json: the description of a run and the digests of all files and of itself."""
     for name in files:
         with (folder / name).open("rb") as file:
             os.fsync(file.fileno())  # outlasts a power failure, as run.json does

@@ -1,4 +1,4 @@
-"""Play a comparison in independent tasks."""
+"""Independent tasks of a comparison."""
 
 import time
 from collections.abc import Callable, Generator, Sequence
@@ -25,25 +25,25 @@ from .evaluation import Episodes, play
 from .settings import Config, Job
 
 BLOCK = 128
-"""Most starts of a task. The same for any number of workers: matrices of another size may be
-multiplied in another order, and rounded otherwise."""
+"""Maximum number of initial conditions per task, independent of the number of workers: rounding of
+matrix products may depend on their size."""
 TOGETHER = 8
-"""Starts that are computed side by side, by other code than a few."""
+"""Batch size that uses the SIMD code path."""
 _MANY = 32
-"""Tasks from which on other processes start at once. With fewer this one plays until it sees that
-they take long; where kernels are not compiled yet, the first task takes as long as many."""
+"""Number of tasks from which worker processes start at once. With fewer, this process starts alone,
+since compiling may dominate the first task."""
 
 
 @dataclass(frozen=True)
 class Played:
-    """The results of a job, or of a block of its starts."""
+    """Results of a job, or of a block of its initial conditions."""
 
     job: Job
     episodes: Episodes
     recordings: dict[int, Recording]
-    """By start: the first ones, and the first on which the policy failed."""
+    """Recordings by number: the first episodes, and the first failure."""
     ready: float = 0.0
-    """How long it took to make the kernels ready, s."""
+    """Time for compiling or loading kernels, s."""
 
 
 def by_scenario(played: Sequence[Played]) -> dict[str, dict[str, Episodes]]:
@@ -57,9 +57,7 @@ def by_scenario(played: Sequence[Played]) -> dict[str, dict[str, Episodes]]:
 def play_job(
     job: Job, *, episodes: int, seed: int, keep: int = 0, steps: int | None = None
 ) -> Played:
-    """Play one job; the arguments are those of ``evaluation.play``. What a policy raises has a note
-    whose it is.
-    """
+    """Run one job; arguments as ``evaluation.play``. Errors of a policy name it in a note."""
     make = partial(policies.make, job.policy, job.scenario)
     try:
         first = make()
@@ -80,12 +78,12 @@ def play_job(
 
 
 def summary(played: Played) -> dict[str, Any]:
-    """The row of results.csv that belongs to a job."""
+    """Row of results.csv of a job."""
     return statistics.summarise(played.job.scenario, played.job.name, played.episodes)
 
 
 def plan_of(jobs: Sequence[Job], config: Config) -> dict[str, Any]:
-    """All that the numbers of a comparison depend on, as plain data."""
+    """Everything that determines the results of a comparison, as plain data."""
     scenarios = list(dict.fromkeys(job.scenario for job in jobs))
     return {
         **program(),
@@ -103,8 +101,10 @@ def plan_of(jobs: Sequence[Job], config: Config) -> dict[str, Any]:
 
 
 def _weights(policy: str, scenarios: Sequence[Scenario]) -> str | None:
-    """Digests of a learned policy's checkpoints, one for each robot model that has its own, or of
-    the file of a policy: an exported network, or the source of a scripted one; None without one.
+    """Digests of a policy's files; None if it has none.
+
+    They are the checkpoints of a learned policy by robot model, an exported network, or the source
+    of a scripted policy.
     """
     places = {policies.learned_path(policy, scenario) for scenario in scenarios}
     learned = sorted(place for place in places if place is not None)
@@ -118,7 +118,7 @@ def _weights(policy: str, scenarios: Sequence[Scenario]) -> str | None:
 
 @dataclass(frozen=True)
 class Task:
-    """A part of a comparison that any process can do."""
+    """Part of a comparison that can run in any process."""
 
     name: str  # of the file in OUT.part that keeps its result
     label: str  # for the progress bar, once it is done
@@ -129,7 +129,7 @@ class Task:
 
 
 def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
-    """A job, cut into blocks of its starts; ``number`` is its place among all jobs."""
+    """Tasks of a job, one per block of initial conditions; ``number`` is the job's index."""
     starts, kept = config.starts(job.scenario), config.kept(job.scenario)
     # what was registered from outside is known to this process alone
     has_file = ":" in job.policy and not job.policy.startswith("__main__:")
@@ -154,10 +154,12 @@ def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
 def play_block(
     job: Job, first: int, count: int, seed: int, keep: int, weights: str | None
 ) -> Played:
-    """Play ``count`` starts of a job, from number ``first`` on; ``seed`` is that of start 0.
+    """Run ``count`` initial conditions of a job from index ``first``; index 0 has ``seed``.
 
-    The first ``keep`` are recorded and, of the first block, the first failure beyond these. A
-    UserError if the policy's ``_weights`` are not the given ones any more.
+    The first ``keep`` are recorded and, in the first block, the first failure after these.
+
+    Raises:
+        UserError: if the policy's ``_weights`` have changed.
     """
     began = time.perf_counter()
     make_ready(job, min(count, TOGETHER))
@@ -181,12 +183,12 @@ def play_block(
 
 @cache
 def make_ready(job: Job, starts: int) -> None:
-    """Play two steps, so that the kernels of a job are loaded, or compiled."""
+    """Compile or load the kernels of a job by running two steps."""
     play_job(job, episodes=starts, seed=0, steps=2)
 
 
 def joined(blocks: Sequence[Played]) -> Played:
-    """The results of a job, of all its blocks in order."""
+    """Results of a job from its blocks, in order."""
     recordings = {start: one for block in blocks for start, one in block.recordings.items()}
     return Played(blocks[0].job, Episodes.joined([one.episodes for one in blocks]), recordings)
 
@@ -194,8 +196,10 @@ def joined(blocks: Sequence[Played]) -> Played:
 def play_all(
     tasks: Sequence[Task], workers: Workers, part: Part, console: Console
 ) -> tuple[dict[str, Any], float]:
-    """Do all tasks that are not finished, under a progress bar; results by the names of tasks, and
-    how long each worker made kernels ready, s.
+    """Run all unfinished tasks with a progress bar.
+
+    Returns:
+        Results by task name, and the compile time of each worker, s.
     """
 
     def do(left: Sequence[Task]) -> Generator[tuple[int, Any], None, None]:
@@ -215,8 +219,10 @@ def play_all(
 
 
 def _one_of_each_first(tasks: Sequence[Task]) -> list[Task]:
-    """The tasks, those first that need different kernels: workers that start together then do not
-    compile the same ones. All tasks count, finished ones too, as their kernels lie on disk.
+    """Tasks ordered so that the first ones need different kernels.
+
+    Workers that start together then do not compile the same kernels. Finished tasks count, since
+    their kernels are cached.
     """
     first: dict[tuple[Any, ...], str] = {}
     for task in tasks:

@@ -1,4 +1,4 @@
-"""The best policy of each scenario, and those that are tied with it."""
+"""Best policy of each scenario, and policies tied with it."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -14,23 +14,23 @@ from .playing import Played, by_scenario
 from .statistics import best_policy, clean_difference
 
 _MOST_NAMED = 4
-"""Of policies that are tied."""
+"""Maximum number of tied policies named in the summary."""
 ONE_START, NONE_MET = "one start decides nothing", "no policy met without a collision"
 """Why a scenario has no best policy."""
 
 
 @dataclass(frozen=True)
 class Ranking:
-    """Collision-free success of the policies on one scenario."""
+    """Ranking of policies on one scenario by collision-free success."""
 
     scenario: str
     starts: int
     share: dict[str, float]  # collision-free success, 0 to 1; NaN where contacts do not count
     best: str | None  # of those that know no map
     tied: tuple[str, ...]
-    """The paired interval of their difference from the best contains 0."""
+    """Policies whose paired difference from the best has an interval that contains 0."""
     references: tuple[str, ...]
-    """Those that know the map: they are shown and do not compete."""
+    """Oracles, which are shown but not ranked."""
     undecided: str = ""
     """Why there is no best, where policies compete: ONE_START or NONE_MET."""
 
@@ -41,12 +41,12 @@ class Ranking:
 
     @property
     def top(self) -> tuple[str, ...]:
-        """The best, and those that are tied with it."""
+        """The best policy and those tied with it."""
         return () if self.best is None else (self.best, *self.tied)
 
 
 def rank(played: Sequence[Played]) -> list[Ranking]:
-    """The rankings of all scenarios, in their order."""
+    """Rankings of all scenarios, in order."""
     drawn = {done.job.scenario.name: done.job.scenario for done in played}
     kinds = {done.job.name: policies.kind_of(done.job.policy) for done in played}
     return [_rank_one(drawn[name], own, kinds) for name, own in by_scenario(played).items()]
@@ -83,7 +83,7 @@ def _tied(best: str, competing: dict[str, Episodes]) -> tuple[str, ...]:
 
 
 def answer(rankings: Sequence[Ranking]) -> str:
-    """The leading policies, in one sentence."""
+    """One-sentence summary of the leading policies."""
     contests = [ranking for ranking in rankings if ranking.is_contest]
     if not contests:
         return f"Nothing to win: {_why_undecided(rankings)}."
@@ -113,12 +113,12 @@ def _why_undecided(rankings: Sequence[Ranking]) -> str:
 
 
 def leaders(rankings: Sequence[Ranking]) -> list[str]:
-    """Policies that are best of a scenario or tied with it, those of most scenarios first."""
+    """Policies that lead or tie in a scenario, sorted by the number of scenarios."""
     tops, alone = _counts([ranking for ranking in rankings if ranking.is_contest])
     return sorted(tops, key=lambda name: (-tops[name], -alone[name]))
 
 
 def _counts(contests: Sequence[Ranking]) -> tuple[Counter[str], Counter[str]]:
-    """In how many scenarios each policy is at the top, and in how many alone."""
+    """Number of scenarios that each policy leads or ties, and leads alone."""
     tops = Counter(name for ranking in contests for name in ranking.top)
     return tops, Counter(ranking.top[0] for ranking in contests if not ranking.tied)

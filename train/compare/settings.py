@@ -1,4 +1,4 @@
-"""The settings of a comparison, and the jobs that follow from them."""
+"""Settings of a comparison and the resulting jobs."""
 
 import os
 from dataclasses import dataclass
@@ -29,10 +29,9 @@ DEFAULT_SCENARIOS = (
 
 _STARTS, _KEPT = 100, 3
 _LONGEST_NAME = 200
-"""Bytes; figures are called after scenarios, and a file's name may have 255."""
+"""Maximum length of a scenario name, bytes; figure files are named after scenarios."""
 _LARGE = 8
-"""Robots; larger teams among obstacles take so long, and so much room, that they have fewer
-starts."""
+"""Number of robots above which scenarios with obstacles get fewer initial conditions."""
 
 EXAMPLES = (
     "",
@@ -48,7 +47,7 @@ FLAG_GROUPS = {
 
 @dataclass(frozen=True)
 class Config(Workers):
-    """Compare policies on the same starts and under one speed limit."""
+    """Compare policies on the same initial conditions and under the same speed limit."""
 
     scenarios: Annotated[tuple[str, ...], arg(aliases=("--scenario",))] = DEFAULT_SCENARIOS
     """Names of scenarios, or paths of TOML files; in Python also Scenario objects."""
@@ -65,50 +64,48 @@ class Config(Workers):
     eight robots among obstacles, 800 over their number. A scenario whose start is given is played
     once."""
     seed: Annotated[int, Bounds(0)] = 0
-    """Start k of every scenario has the seed SEED + k, whatever the policy."""
+    """First seed: initial condition k of every scenario has seed SEED + k for all policies."""
     out: Path = Path("out/compare")
-    """The folder for tables, trajectories and figures; one that is there is replaced at the end.
-    Until then what is finished lies in OUT.part, and the same command resumes it."""
+    """Folder for tables, trajectories and figures; an existing one is replaced at the end. Finished
+    results are in OUT.part until then, and the same command resumes."""
     fresh: Annotated[bool, arg(name="overwrite", aliases=("--fresh",))] = False
-    """Throws away what another command has left unfinished in OUT.part."""
+    """Discard the unfinished results of another command in OUT.part."""
     keep: Annotated[int | None, Bounds(0), arg(name="keep-trajectories", aliases=("--keep",))] = (
         None
     )
-    """Of how many starts the trajectories are kept: 3 by default, and fewer where there are
-    fewer starts. Where a policy fails and none of these fails, its first failure is kept too."""
+    """Number of recorded trajectories per job. Default: 3. If none of them fails, the first failure
+    is recorded as well."""
     sensing: tuple[str, ...] = ()
-    """Fields of the sensor and levels of each, as in noise=0,0.1,0.2 range=none,4,2: each scenario
-    is played at each of them, one field at a time, and drawn against it. The level none is that of
-    an exact sensor."""
+    """Sensor fields and levels to sweep, one field at a time, for example noise=0,0.1,0.2
+    range=none,4,2. The level none is the exact sensor."""
     set: tuple[str, ...] = ()
-    """Other values for fields of every scenario, as in n_robots=9 time_limit=60."""
+    """Overrides of scenario fields, for example n_robots=9 time_limit=60."""
     ceiling: Annotated[int, Bounds(0), arg(name="oracle-runs", aliases=("--ceiling",))] = 0
-    """Randomised runs of law (4) on each start, the best of which says what any heading policy can
-    reach (a hindsight upper bound), beside what a planner can that knows the map. With 0 this is
-    left out."""
+    """Number of randomised runs of law (4) per initial condition. Their best is a hindsight
+    estimate for heading policies; a planner with the map gives an upper bound. 0 disables both."""
     details: bool = False
-    """Prints times, lengths and margins of every policy too, which always stand in results.csv."""
+    """Print times, path lengths and margins of every policy as well; results.csv always has
+    them."""
     against: str | None = None
-    """The policy that the others are compared with, start by start: paired differences with
-    intervals, printed and in paired.csv."""
+    """Reference policy for paired differences with intervals, printed and in paired.csv."""
     json: Path | None = None
-    """A file for all that is found in short, as JSON."""
+    """File for a JSON summary."""
     figures: bool = True
-    """Draws figures."""
+    """Draw figures."""
     pdf: bool = False
-    """Writes each figure as PDF too, for print."""
+    """Write each figure as PDF as well."""
 
     def sweeps(self) -> list[levels.Sweep]:
-        """The scenarios at levels of a sensor."""
+        """Scenarios at the levels of the sensor sweeps."""
         return levels.sweeps(_resolve(self), self.sensing)
 
     def starts(self, scenario: Scenario) -> int:
-        """How many different starts of a scenario are played."""
+        """Number of distinct initial conditions of a scenario."""
         asked = _fewer(_STARTS, scenario) if self.episodes is None else self.episodes
         return starts_of(scenario, asked)
 
     def kept(self, scenario: Scenario) -> int:
-        """How many of them are recorded."""
+        """Number of recorded episodes."""
         return _fewer(_KEPT, scenario) if self.keep is None else self.keep
 
 
@@ -134,7 +131,7 @@ class Job:
 
 
 def plan(config: Config) -> list[Job]:
-    """The jobs that a configuration asks for; a UserError where it cannot be."""
+    """Jobs of a configuration; a UserError if it is invalid."""
     episodes = config.episodes or _STARTS
     if config.seed + episodes > 2**63:
         raise UserError(f"--seed is {config.seed}; with {episodes} starts it is too large")

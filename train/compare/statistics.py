@@ -1,4 +1,4 @@
-"""From episodes to the numbers of a table: intervals, censored medians, paired comparisons."""
+"""Statistics of episodes: intervals, censored medians, paired comparisons."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -13,18 +13,19 @@ from .evaluation import Episodes
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
-"""Of every bootstrap."""
+"""Number of bootstrap resamples."""
 _AT_ONCE = 10**7
-"""Numbers of resamples that are in memory together."""
+"""Maximum number of values of simultaneous resamples."""
 
 Interval = tuple[float, float]
 _NONE: Interval = (np.nan, np.nan)
-"""What is known of other starts from a single one, or of what does not apply."""
+"""Interval of a single sample, or of a quantity that is not applicable."""
 
 
 def fraction_interval(hits: NDArray[Any]) -> Interval:
-    """Wilson interval of the mean of ``hits``, (N,), 0 or 1, which holds near 0 and 1, unlike the
-    bootstrap; none of a single one, or of NaN.
+    """Wilson interval of the mean of ``hits``, (N,), 0 or 1.
+
+    Valid near 0 and 1, unlike the bootstrap. Undefined for a single sample and for NaN.
     """
     from scipy.stats import binomtest
 
@@ -38,8 +39,9 @@ def fraction_interval(hits: NDArray[Any]) -> Interval:
 def bootstrap_interval(
     samples: tuple[NDArray[Any], ...], statistic: Callable[..., Any]
 ) -> Interval:
-    """Percentile bootstrap interval of a statistic of ``samples``, each (N,), paired by start; the
-    same for the same samples; none of a single start, or of NaN.
+    """Percentile bootstrap interval of a statistic of paired ``samples``, each (N,).
+
+    Deterministic. Undefined for a single sample and for NaN.
     """
     from scipy.stats import bootstrap
 
@@ -61,9 +63,10 @@ def bootstrap_interval(
 
 
 def paired_interval(values: NDArray[Any], least: float, most: float) -> Interval:
-    """Interval of the mean of ``values``, (N,), from ``least`` to ``most``, one for each start: the
-    bootstrap's, which finds no spread where all are alike. There 1 − p of other starts may differ,
-    p the lower end of Wilson's interval for N of N.
+    """Interval of the mean of ``values``, (N,), which lie between ``least`` and ``most``.
+
+    It is the bootstrap interval. If all values are equal, a fraction 1 − p may differ, with p the
+    lower end of Wilson's interval for N of N.
     """
     if (values != values[0]).any():
         return bootstrap_interval((values,), np.mean)
@@ -77,8 +80,8 @@ def censored_median(
 ) -> tuple[float, Interval]:
     """Median of rendezvous times (N,), s, with time-outs censored, and its 95 % interval.
 
-    A time-out counts as later than every rendezvous, never as a time. Where the median (or an end
-    of its interval) falls among the time-outs it is ``limit``, which then means: later than this.
+    A time-out ranks after every rendezvous. A median or interval end among the time-outs is
+    ``limit`` and means: later than this.
     """
 
     def median(censored: NDArray[np.float64], axis: int = -1) -> Any:
@@ -90,7 +93,7 @@ def censored_median(
 
 
 def rounding_of_v(scenario: Scenario) -> float:
-    """The largest rise of V, a number, m²/s, that counts as rounding: 10⁻⁹ r D̄."""
+    """Largest increase of V attributed to rounding, m²/s: 10⁻⁹ r D̄."""
     return 1e-9 * unit_of_tanks(scenario)
 
 
@@ -100,7 +103,7 @@ def rounding_of_clearance(scenario: Scenario) -> float:
 
 
 def summarise(scenario: Scenario, policy: str, episodes: Episodes) -> dict[str, Any]:
-    """One row of results.csv, see ``results.RESULTS``; NaN where it does not apply."""
+    """Row of results.csv, see ``results.RESULTS``; NaN if not applicable."""
     limit = scenario.max_steps * scenario.tau
     median, times = censored_median(episodes.time, episodes.success, limit)
     return {
@@ -123,19 +126,17 @@ def summarise(scenario: Scenario, policy: str, episodes: Episodes) -> dict[str, 
 
 
 def _ends(name: str, interval: Interval) -> dict[str, float]:
-    """The columns of an interval."""
+    """Columns of an interval."""
     return {f"{name}_low": interval[0], f"{name}_high": interval[1]}
 
 
 def best_policy(played: Mapping[str, Episodes]) -> str:
-    """The policy that meets most often, cleanly where contacts count; among equals the soonest."""
+    """Policy with the most (collision-free) success; ties are broken by time."""
     return max(played, key=lambda name: (played[name].good.mean(), -np.median(played[name].time)))
 
 
 def clean_difference(own: Episodes, other: Episodes) -> tuple[float, Interval]:
-    """Difference of collision-free success on the same starts, and its 95 % interval; NaN where
-    contacts do not count.
-    """
+    """Paired difference of collision-free success and its 95 % interval; NaN without contacts."""
     difference = own.clean.astype(float) - other.clean
     return float(difference.mean()), paired_interval(difference, -1.0, 1.0)
 
@@ -143,8 +144,9 @@ def clean_difference(own: Episodes, other: Episodes) -> tuple[float, Interval]:
 def compare_pairs(
     scenario: str, played: Mapping[str, Episodes], against: str | None = None
 ) -> list[dict[str, Any]]:
-    """Rows of paired.csv, see ``results.PAIRED``: every policy against a reference on the same
-    starts, by default law (1), or else the best. Two failures tie.
+    """Rows of paired.csv, see ``results.PAIRED``: every policy against a reference.
+
+    The default reference is law (1), or else the best policy. Two failures tie.
     """
     against = against or ("bearing-only" if "bearing-only" in played else best_policy(played))
     # a rendezvous that is not good is later than any
@@ -168,8 +170,9 @@ def compare_pairs(
 
 
 def interquartile_mean(scores: NDArray[np.float64]) -> float:
-    """Mean of the middle half of all runs: scores (S, F), of S seeds on F fields. For a bootstrap
-    ``scipy.stats.trim_mean`` is too slow.
+    """Interquartile mean of scores (S, F), of S seeds and F scenarios.
+
+    ``scipy.stats.trim_mean`` is too slow for a bootstrap.
     """
     quarter = scores.size // 4
     ordered = np.partition(scores, (quarter, scores.size - quarter - 1), axis=None)
@@ -179,8 +182,9 @@ def interquartile_mean(scores: NDArray[np.float64]) -> float:
 def stratified_interval(
     samples: tuple[NDArray[np.float64], ...], statistic: Callable[..., float]
 ) -> Interval:
-    """Percentile bootstrap interval of a statistic of ``samples``, (S, F) each, drawn independently
-    for each and each field; the same for the same samples; none of single seeds.
+    """Stratified percentile bootstrap interval of a statistic of ``samples``, (S, F) each.
+
+    Resampling is independent per sample and scenario, and deterministic. Undefined for one seed.
     """
     if all(len(one) == 1 for one in samples):
         return _NONE
@@ -197,8 +201,9 @@ def stratified_interval(
 
 
 def probability_of_improvement(own: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    """Chance that a run of scores (S, F) does better than one of (S', F) on the same field; a tie
-    counts half.
+    """Probability that a run of scores (S, F) exceeds one of (S', F) on the same scenario.
+
+    A tie counts one half.
     """
     above = (own[:, None] > other) + 0.5 * (own[:, None] == other)
     return float(above.mean(axis=(0, 1)).mean())
@@ -207,6 +212,6 @@ def probability_of_improvement(own: NDArray[np.float64], other: NDArray[np.float
 def performance_profile(
     scores: NDArray[np.float64], levels: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Share of runs, fields alike, that reach each level: (L,) of scores (S, F) and levels (L,)."""
+    """Fraction of runs that reach each level, scenarios weighted equally: (L,) from (S, F)."""
     reached: NDArray[np.float64] = (scores[..., None] >= levels).mean(axis=(0, 1))
     return reached

@@ -1,4 +1,4 @@
-"""Scenarios at several levels of what a sensor gets wrong."""
+"""Scenarios at several levels of a sensor imperfection."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -11,7 +11,7 @@ from ..checks import UserError, unknown, user_error
 
 Level = float | str | None
 _EXACT = "none"
-"""The level of an exact sensor, whatever the field."""
+"""Level of the exact sensor, for any field."""
 _FIELDS = tuple(field.name for field in fields(Sensing))
 
 
@@ -24,7 +24,7 @@ def _shown(level: Level) -> str:
 
 @dataclass(frozen=True)
 class Sweep:
-    """One scenario at some levels of one field of its sensor."""
+    """A scenario at several levels of one sensor field."""
 
     base: Scenario
     field: str  # of ``rv.Sensing``
@@ -38,14 +38,12 @@ class Sweep:
 
     @property
     def name(self) -> str:
-        """Of its files."""
+        """Base name of its files."""
         return f"levels-{self.base.name}-{self.field.replace('_', '-')}"
 
 
 def sweeps(scenarios: Sequence[Scenario], words: Sequence[str]) -> list[Sweep]:
-    """Each scenario at each level of each field, of words like ``noise=0,0.1,0.2``; its other
-    fields are its own.
-    """
+    """Sweeps of each scenario from strings such as ``noise=0,0.1,0.2``."""
     found: dict[str, tuple[Level, ...]] = {}
     for word in words:
         name, _, listed = word.partition("=")
@@ -65,7 +63,7 @@ def sweeps(scenarios: Sequence[Scenario], words: Sequence[str]) -> list[Sweep]:
 
 
 def _level(field: str, text: str) -> Level:
-    """A value of a field; numbers where they are numbers."""
+    """Parse a level, as a number if possible."""
     if text == _EXACT:
         exact: Level = getattr(Sensing(), field)
         return exact
@@ -77,7 +75,7 @@ def _level(field: str, text: str) -> Level:
 
 
 def _at(base: Scenario, field: str, level: Level) -> Scenario:
-    """The scenario at a level; the scenario itself where that is its own."""
+    """Scenario at a level, or unchanged if it already has that level."""
     change: dict[str, Any] = {field: level}
     with user_error(f"--sensing {field}={level}: ", ValueError, TypeError):
         sensing = replace(base.sensing, **change)
@@ -88,9 +86,10 @@ def _at(base: Scenario, field: str, level: Level) -> Scenario:
 
 
 def rows_of(sweep: Sweep, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows of levels.csv that belong to a sweep, of those of results.csv: before each a
-    scenario, a field of its sensor and its level, empty where that is no number and the sensor's
-    is exact.
+    """Rows of levels.csv for a sweep, from rows of results.csv.
+
+    Columns of the scenario, sensor field and level precede each row; the level of the exact sensor
+    is empty if it is not a number.
     """
     return [
         {"base": sweep.base.name, "field": sweep.field, "level": level} | row

@@ -19,13 +19,13 @@ from .statistics import rounding_of_clearance, rounding_of_v
 from .sweep import Sweep, rows_of
 
 WIDTH = 118
-"""Characters that the table needs; on a narrower terminal its lines wrap."""
+"""Width of the table, characters; lines wrap on narrower terminals."""
 
 Row = Mapping[str, Any]
 
 
 def _empty(*columns: str, **options: Any) -> Table:
-    """A table without lines; numbers are aligned to the right, names in the first column."""
+    """Table without rules; names in the first column, numbers right-aligned."""
     table = Table(box=None, header_style="bold", pad_edge=False, caption_justify="left", **options)
     for number, column in enumerate(columns):
         table.add_column(column, justify="right" if number else "left")
@@ -33,7 +33,7 @@ def _empty(*columns: str, **options: Any) -> Table:
 
 
 def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Table:
-    """The rows of results.csv for people; the scenarios, by name, give the time limits."""
+    """Table of the rows of results.csv; scenarios by name provide the time limits."""
     columns = ("policy", "met %", "cleanly % [95 %]", "median s [95 %]", "T/bound", "path m")
     table = _empty(*columns, "V rise", "clear m", "align", title="Policies on the same starts")
     for column in table.columns:
@@ -66,7 +66,7 @@ def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Tab
 
 
 def _percent(row: Row, value: str, interval: str, style: str = ".0f") -> str:
-    """A share with its interval, if it has one; – where it does not apply."""
+    """Percentage with its interval, if any; – if not applicable."""
     value, low, high = (row[name] for name in (value, f"{interval}_low", f"{interval}_high"))
     if value != value:
         return "–"
@@ -75,12 +75,12 @@ def _percent(row: Row, value: str, interval: str, style: str = ".0f") -> str:
 
 
 def number(value: float, style: str) -> str:
-    """A number, without a minus sign on a rounded zero; – where it does not apply."""
+    """Format a number without negative zero; – if not applicable."""
     return "–" if value != value else format(value, "z" + style)
 
 
 def _metres(value: float, digits: int) -> str:
-    """A length, to so many digits after the point, or to two that count where these are zeros."""
+    """Format a length with a number of decimals, or with two significant digits if all are 0."""
     return number(value, ".2g" if 0.0 < abs(value) < 10.0**-digits else f".{digits}f")
 
 
@@ -90,7 +90,7 @@ def _clearance(value: float, scenario: Scenario) -> str:
 
 
 def paired_table(rows: Sequence[Row]) -> Table:
-    """The rows of paired.csv for people."""
+    """Table of the rows of paired.csv."""
     table = _empty(
         *("policy", "points", "better %"),
         title=f"Against {rows[0]['against']} on the same starts",
@@ -107,7 +107,7 @@ def paired_table(rows: Sequence[Row]) -> Table:
 
 
 def ceiling_table(rows: Sequence[Row]) -> Table:
-    """The rows of ceiling.csv for people."""
+    """Table of the rows of ceiling.csv."""
     columns = ("planner cleanly %", "cleanly %", "met %", "mean run cleanly %", "never cleanly")
     title = "What can be reached: by a planner, and by law (4), the best of its randomised runs"
     table = _empty("scenario", "runs", *columns, title=title)
@@ -120,13 +120,13 @@ def ceiling_table(rows: Sequence[Row]) -> Table:
 
 
 _HEADING, _LONGEST_WORD = 9, 14
-"""Least and most characters of a line of a scenario's name."""
+"""Minimum and maximum line length of a scenario's name, characters."""
 _BETWEEN = 2
 BEST, TIED = "*", "="
 
 
 def show_matrix(rankings: Sequence[Ranking], console: Console) -> None:
-    """Print the matrix, in parts where the console is too narrow, and the meaning of its marks."""
+    """Print the matrix, split if the console is too narrow, with a legend of its marks."""
     names = max(len(name) for ranking in rankings for name in ranking.share)
     room = console.width - min(names, console.width // 2)
     words = (len(word) + 1 for ranking in rankings for word in ranking.scenario.split("-"))
@@ -163,12 +163,12 @@ def _cell(ranking: Ranking, name: str) -> RenderableType:
 
 
 def percent(share: float, starts: int) -> str:
-    """A share in per cent, with a digit after the point where there are starts to mean it."""
+    """Percentage, with one decimal if the number of episodes supports it."""
     return "–" if share != share else f"{100 * share:.{int(starts >= 400)}f}"
 
 
 def _notes(rankings: Sequence[Ranking]) -> Iterator[str]:
-    """The meaning of the marks that are there."""
+    """Legend of the marks in use."""
     if any(ranking.is_contest for ranking in rankings):
         yield (
             f"{BEST} best of a scenario (among equals the soonest); {TIED} tied with it: the "
@@ -188,7 +188,7 @@ def _notes(rankings: Sequence[Ranking]) -> Iterator[str]:
 
 
 def show_sweeps(sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]], console: Console) -> None:
-    """A table for each sweep: collision-free success and median time of each policy."""
+    """Print a table per sweep: collision-free success and median time of each policy."""
     for sweep in sweeps:
         own, limit = rows_of(sweep, rows), sweep.base.max_steps * sweep.base.tau
         title = f"{sweep.base.name}: {sweep.field}, {counted(own[0]['episodes'], 'start')}"
@@ -206,5 +206,5 @@ def show_sweeps(sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]], console
 
 
 def _time(seconds: float, limit: float) -> str:
-    """A time at the limit means later than it."""
+    """Format a time; the limit is shown as a lower bound."""
     return f"> {limit:.3g}" if seconds >= limit else f"{seconds:.3g}"

@@ -1,8 +1,7 @@
-"""Upper bounds: by a planner that knows the map, and by law (4).
+"""Upper bounds on collision-free success: an oracle planner, and randomised runs of law (4).
 
-The planner's collision-free success is the share of starts that are possible. The share that at
-least one of many randomised certified runs passed without a collision is an estimate, from below,
-of what any heading policy can reach.
+The success of the planner is the fraction of solvable initial conditions. The fraction solved by at
+least one of many randomised certified runs is a lower estimate of the best heading policy.
 """
 
 import math
@@ -28,22 +27,23 @@ from .playing import Task
 from .settings import Config
 
 MIN_ALIGNMENT = 0.05
-"""ε of every run."""
+"""Minimum alignment ε of every run."""
 _LEAST_CLEARANCE, _MOST_CLEARANCE = 0.02, 0.4  # rad
 _SPREADS = (0.3, 0.6, 1.0)  # rad; of the bias that a robot keeps for an episode
 _WANDER = 0.3
-"""Spread of the varying bias, as a share of the constant one."""
+"""Standard deviation of the varying bias relative to the constant one."""
 _WANDER_TIME = 1.0  # s
 
 
 def applies(scenario: Scenario) -> bool:
-    """Whether the joined rule, whose runs these are, fits, and there is something to touch."""
+    """Whether the merged-interval rule fits and the scenario has obstacles."""
     return "tangent-joined" in baselines.names(scenario) and counts_contacts(scenario)
 
 
 def play_run(scenario: Scenario, number: int | None, episodes: int, seed: int) -> Episodes:
-    """Play a run on the starts from ``seed`` on. All that is random follows from its number; 0 is
-    the joined rule with nothing random but its clearance, None the planner.
+    """Run all initial conditions from ``seed`` on with one randomised policy.
+
+    The run number determines all randomness: 0 randomises the clearance only, None is the planner.
     """
     make: Callable[[], Policy] = partial(baselines.make, privileged_planner.NAME, scenario)
     if number is not None:
@@ -54,7 +54,7 @@ def play_run(scenario: Scenario, number: int | None, episodes: int, seed: int) -
 
 
 def tasks_of(scenario: Scenario, config: Config) -> list[Task]:
-    """The runs of law (4) that are asked for, and the planner's."""
+    """Tasks of the requested runs of law (4) and of the planner."""
     starts = config.starts(scenario)
     return [
         Task(
@@ -70,8 +70,9 @@ def tasks_of(scenario: Scenario, config: Config) -> list[Task]:
 
 
 def row_of(scenario: Scenario, runs: Sequence[Episodes]) -> dict[str, Any]:
-    """The row of ceiling.csv of all runs on a scenario, of which the planner's is the last:
-    fractions 0–1 of the starts, and starts that no run passed cleanly, or at all.
+    """Row of ceiling.csv from all runs on a scenario, with the planner's last.
+
+    Fractions of initial conditions, and those without a collision-free run, or without success.
     """
     *own, planned = runs
     clean = np.array([run.clean == 1 for run in own])
@@ -90,15 +91,16 @@ def row_of(scenario: Scenario, runs: Sequence[Episodes]) -> dict[str, Any]:
 
 
 def randomised(scenario: Scenario, *, seed: int, spread: float) -> CertifiedHeadingPolicy:
-    """The joined rule looking past f by an angle that is random for each robot, of standard
-    deviation ``spread``, rad.
+    """Merged-interval rule with f rotated by a random angle per robot.
+
+    ``spread`` is the standard deviation of the angle, rad.
     """
     rule = _RandomRule(scenario.tau, np.random.default_rng(seed), spread)
     return CertifiedHeadingPolicy(scenario, rule, MIN_ALIGNMENT, math.pi / scenario.tau)
 
 
 class _RandomRule:
-    """A heading rule with memory of its random angles, one for each robot."""
+    """Stateful heading rule with one random angle per robot."""
 
     def __init__(self, tau: float, random: np.random.Generator, spread: float) -> None:
         self.tau, self.random, self.spread = tau, random, spread
@@ -108,7 +110,7 @@ class _RandomRule:
     def __call__(
         self, net_bearing: NDArray[np.float64], silhouettes: NDArray[Any]
     ) -> NDArray[np.float64]:
-        """Headings of the joined rule, as if f pointed elsewhere; never against the true f."""
+        """Headings of the rule for the rotated f, never opposite to the true f."""
         shape = net_bearing.shape[:-1]
         if self._bias.shape != shape:
             self._bias = self.random.normal(0.0, self.spread, shape)

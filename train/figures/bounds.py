@@ -44,8 +44,9 @@ _NAMES = {
 
 
 def measure(rows: Sequence[tuple[str, str]], teams: int, seed: int) -> Iterator[dict[str, Any]]:
-    """COLUMNS of each row: how long random teams take under random choices, and their time bounds.
-    The seed is that of the first team's start; choices are drawn from it too.
+    """Rows with COLUMNS: rendezvous times under random actions, and time bounds.
+
+    ``seed`` is the seed of the first environment and of the random actions.
     """
     for by, graph in rows:
         scenario = scenario_of(graph)
@@ -61,7 +62,7 @@ def measure(rows: Sequence[tuple[str, str]], teams: int, seed: int) -> Iterator[
 
 
 def scenario_of(graph: str) -> rv.Scenario:
-    """A named scenario, or a kind of graph and the number of robots, all else by default."""
+    """Named scenario, or a scenario of a graph type and number of robots with defaults."""
     if graph in rv.scenarios.names():
         return rv.scenarios.get(graph)
     kind, _, count = graph.partition("-")
@@ -71,8 +72,9 @@ def scenario_of(graph: str) -> rv.Scenario:
 def times_to_meet(
     scenario: rv.Scenario, by: str, arguments: Mapping[str, float], teams: int, seed: int
 ) -> tuple[Array, Array]:
-    """Starts (B, n, d), m, and rendezvous times (B,), s, under choices drawn anew in every step;
-    inf for a time-out.
+    """Initial positions (B, n, d), m, and rendezvous times (B,), s, under random actions.
+
+    Times are inf after a time-out.
     """
     env = rv.make_vec(scenario, teams, autoreset_mode="Disabled", max_cycles=_MOST_STEPS)
     wrapped, random = guarded(env, by, arguments), np.random.default_rng([seed, 1])
@@ -92,7 +94,7 @@ def times_to_meet(
 
 
 def table_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The lines of a Markdown table."""
+    """Lines of a Markdown table."""
 
     def cell(value: float) -> str:
         return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
@@ -104,7 +106,7 @@ def table_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def write_into(page: Path, table: Sequence[str]) -> None:
-    """Replace the table with the same head in a Markdown page."""
+    """Replace the table with the same header in a Markdown page."""
     lines = page.read_text(encoding="utf-8").split("\n")
     if table[0] not in lines:
         raise UserError(f"--page is {page}, which has no table that begins with {table[0]}")

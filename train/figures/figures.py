@@ -1,5 +1,6 @@
-"""Figures of ``compare``: success, times, and collision-free success against clutter, team size and
-levels of a sensor. The drawing library is imported when a figure is made.
+"""Figures of ``compare``: success, times, and sweeps over obstacles, robots and sensor levels.
+
+Matplotlib is imported when a figure is made.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 ROBOT_COLOURS = tuple(code(colour) for colour in ROBOTS)
 ORANGE = code(OBSTACLE)
-"""Of obstacles, as in the paper."""
+"""Colour of obstacles, as in the paper."""
 BLUE, VERMILLION, GREEN, PURPLE, SKY, DARK_RED, BLACK = ROBOT_COLOURS
 GREY = "#B8B8B8"
 _POLICY_COLOURS = {
@@ -50,14 +51,14 @@ _POLICY_COLOURS = {
     "random": GREY,
     "zero": GREY,
 }
-"""The paper's laws (1), (7) and (12) never meet in one scenario and share a colour."""
+"""Laws (1), (7) and (12) of the paper never share a scenario and have the same colour."""
 LINE = 0.155
-"""Height of a line of a panel or a legend, inch."""
+"""Height of a row in a panel or legend, inch."""
 LEGEND_COLUMNS = 2
 _CROWDED = 0.07
-"""Share of an axis in which two numbers would touch."""
+"""Minimum distance of two tick labels, as a fraction of the axis."""
 _VARIANTS = {"-certified": "s", "-tuned": "^", "-tank": "D", "-tank-noise": "P"}
-"""Variants of a policy have its colour and another marker."""
+"""Variants of a policy: same colour, another marker."""
 
 
 _OWN_COLOURS = (BLACK, "#A6761D", "#7B3FE4", "#C51B7D", "#00788A", "#6B6B00", "#FF5FA2")
@@ -104,7 +105,7 @@ def policy_marker(name: str, own: Names = ()) -> str:
 
 @styled
 def success_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Success, with and without collisions, of every policy in results.csv, a panel a scenario."""
+    """Success and collision-free success of the policies in results.csv, one panel per scenario."""
     own = own_names(rows)
 
     def draw(axes: Axes, panel: Sequence[Mapping[str, Any]]) -> None:
@@ -129,7 +130,7 @@ def success_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
 
 @styled
 def time_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Median rendezvous times of the policies that meet, a panel a scenario."""
+    """Median rendezvous times of the policies, one panel per scenario."""
     own = own_names(rows)
 
     def draw(axes: Axes, panel: Sequence[Mapping[str, Any]]) -> None:
@@ -151,7 +152,7 @@ def time_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
 
 
 def _panels(rows: Sequence[Mapping[str, Any]], draw: Any, label: str) -> Figure:
-    """A page with one panel for each scenario and one line for each of its policies."""
+    """Figure with one panel per scenario and one row per policy."""
     found = grouped(map(dict, rows), "scenario")
     panels, columns = list(found.values()), min(3, len(found))
     tallest = [max(map(len, panels[k : k + columns])) for k in range(0, len(found), columns)]
@@ -182,8 +183,9 @@ def _intervals(
     shift: float = 0.0,
     **style: Any,
 ) -> None:
-    """A marker with a horizontal interval for each row, of the columns that ``columns_of`` takes;
-    none where the value does not apply, and no interval where there is none.
+    """Draw a marker with a horizontal interval for each row, from the columns of ``columns_of``.
+
+    Missing values and intervals are left out.
     """
     style = {"markersize": 3, "linewidth": 1.0, "markeredgewidth": 0.8, "clip_on": False} | style
     for row in rows:
@@ -196,8 +198,9 @@ def _intervals(
 
 
 def sweeps(scenarios: Sequence[Scenario], quantity: str) -> list[list[Scenario]]:
-    """Groups of two or more scenarios that differ only in the number of "robots", or of "obstacles"
-    that are drawn at random, in its order.
+    """Groups of scenarios that differ only in the number of "robots" or random "obstacles".
+
+    Each group has at least two scenarios, sorted by that number.
     """
     groups: dict[str, dict[int, Scenario]] = {}
     for scenario in scenarios:
@@ -215,7 +218,7 @@ def sweeps(scenarios: Sequence[Scenario], quantity: str) -> list[list[Scenario]]
 
 
 def _number(scenario: Scenario, quantity: str) -> int | None:
-    """How many obstacles or robots a scenario has; None where they are not drawn by number."""
+    """Number of obstacles or robots of a scenario; None if obstacles are not random."""
     if quantity == "robots":
         return scenario.n_robots
     count = getattr(scenario.obstacles, "count", None)  # of a tuple it is a method
@@ -226,9 +229,7 @@ def _number(scenario: Scenario, quantity: str) -> int | None:
 def sweep_figure(
     rows: Sequence[Mapping[str, Any]], group: Sequence[Scenario], quantity: str
 ) -> Figure:
-    """Collision-free success of every policy, of rows of results.csv, against the number of
-    obstacles or of robots, in a group of ``sweeps``.
-    """
+    """Collision-free success from results.csv against the number of obstacles or robots."""
     numbers, own_of_all = {one.name: _number(one, quantity) or 0 for one in group}, own_names(rows)
     found = grouped((row for row in rows if row["scenario"] in numbers), "policy")
     figure = new_figure(COLUMN, 2.75 + LINE * math.ceil(len(found) / LEGEND_COLUMNS))
@@ -261,8 +262,10 @@ def policy_line(
     numbers: NDArray[Any],
     own: Names = (),
 ) -> None:
-    """One policy with its intervals: ``numbers`` are values and the ends of theirs, (3, N). Solid
-    for a policy, broken for a variant, dotted under a tank.
+    """Draw one policy with its intervals.
+
+    ``numbers``, (3, N), are values and interval ends. Lines are solid, dashed for a variant, dotted
+    under an energy tank.
     """
     (centre, low, high), marker = numbers, policy_marker(policy, own)
     broken = {"o": "-", _VARIANTS["-tank"]: ":"}.get(marker, "--")
@@ -279,7 +282,7 @@ def policy_line(
 
 
 def columns_of(rows: Sequence[Mapping[str, Any]], value: str, interval: str) -> NDArray[Any]:
-    """Values and the ends of their intervals, (3, N), of rows of results.csv."""
+    """Values and interval ends, (3, N), from rows of results.csv."""
     names = (value, f"{interval}_low", f"{interval}_high")
     return np.array([[row[name] for row in rows] for name in names], dtype=float)
 
@@ -292,10 +295,10 @@ _UNITS = {
 
 @styled
 def level_figure(sweep: Any, rows: Sequence[dict[str, Any]]) -> Figure:
-    """Success and time at the levels of a ``compare.sweep.Sweep``, of rows of levels.csv.
+    """Success and time at the levels of a ``compare.sweep.Sweep``, from rows of levels.csv.
 
-    Levels stand at equal distances, since the exact sensor need not be a number. Where more than
-    half of the starts time out there is no median time, and no mark.
+    Levels are equally spaced, since the exact sensor need not be a number. Where more than half of
+    the episodes time out, the median is undefined and not drawn.
     """
     found, own_of_all = grouped(rows, "policy"), own_names(rows)
     figure = new_figure(COLUMN, 4.2 + LINE * math.ceil(len(found) / LEGEND_COLUMNS))

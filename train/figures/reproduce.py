@@ -1,6 +1,7 @@
-"""``rendezvous reproduce``: figures 3 and 4 of the paper for our start positions, what the margin
-and the budget of an energy tank buy, how far bounds lie above what teams take, and policies that
-see with cameras.
+"""``rendezvous reproduce``: figures of the paper and studies of this project.
+
+Figures 3 and 4 of the paper; collision-free success over margin and budget of an energy tank; time
+bounds against measured times; policies with cameras.
 """
 
 from __future__ import annotations
@@ -31,14 +32,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _LAWS = {"fig3": "bearing-only", "fig4": "tangent-joined"}
-"""Figure 3: law (1), through the obstacles. Figure 4: law (4) round them."""
+"""Figure 3: law (1) through the obstacles. Figure 4: law (4) around them."""
 
 _JUMPS = ("lyapunov_before_merge", "lyapunov_after_merge")
 
 TANK_SCENARIO, TANK_POLICY = "clutter-24", "tank-joined"
 MARGINS = (0.05, 0.1, 0.2, 0.4, 0.8)
 BUDGETS = (0.0, 20.0)
-"""m²/s."""
+"""Energy budgets, m²/s."""
 _TANK_COLOURS = (BLUE, VERMILLION)
 
 EXAMPLES = (
@@ -51,31 +52,26 @@ _COMPILING = "the first use on a machine compiles …"
 
 @dataclass(frozen=True)
 class Config(Flags):
-    """Draw a figure of the paper: (a) the paths, (b) V(t) with its jumps at merges.
+    """Reproduce a figure of the paper or a study of this project.
 
-    The paper prints no coordinates; start positions and obstacles are our own choice. Or draw
-    what a tank's margin and budget buy: collision-free success and the time bound. Or make the
-    table of certified times over those that random teams take. Or let policies drive from the
-    pictures of cameras.
+    The paper gives no coordinates, so initial positions and obstacles are this project's choice.
     """
 
     figure: Positional[Literal["fig3", "fig4", "tank", "bounds", "pixels"]]
-    """What to draw. fig3: law (1), obstacles ignored. fig4: law (4) with headings round the
-    obstacles. tank: tank-joined among 24 discs with other margins and budgets. bounds: a table of
-    times, random choices under every guarantee. pixels: success from pictures alone beside
-    what Sensing.camera() predicts."""
+    """Figure to make. fig3: paths and V(t) of law (1), obstacles ignored. fig4: paths and V(t) of
+    law (4) around the obstacles. tank: tank-joined among 24 discs over margins and budgets. bounds:
+    table of measured times and time bounds under every guarantee. pixels: success from camera
+    images and the prediction of Sensing.camera()."""
     policy: str | None = None
-    """Another policy than the figure's own, which is bearing-only or tangent-joined; for fig3 and
-    fig4, and for pixels, which shows four."""
+    """Policy of fig3, fig4 or pixels. Default: bearing-only, tangent-joined, or four policies."""
     out: Path = Path("out/reproduce")
-    """The folder for the picture and its data; it is made if there is none."""
+    """Folder for the figure and its data."""
     seed: Annotated[int, Bounds(0, 2**63 - 1)] = 0
-    """The seed of the robots' local frames, which do not change what is drawn; of tank, bounds and
-    pixels that of the first start."""
+    """Seed of the local frames (fig3, fig4), or of the first initial condition."""
     episodes: Annotated[int, Bounds(1, 10**6)] = 256
-    """How many starts each point of tank has, each row of bounds and each policy of pixels."""
+    """Number of initial conditions per point (tank), row (bounds) or policy (pixels)."""
     page: Path | None = None
-    """A Markdown page in which the table of bounds takes the place of the one with its head."""
+    """Markdown page in which the table of bounds replaces the one with the same header."""
 
 
 def run(config: Config) -> int:
@@ -94,7 +90,7 @@ def _save(figure: Figure, path: Path) -> None:
 
 
 def _paper(config: Config) -> int:
-    """Figure 3 or 4."""
+    """Make figure 3 or 4."""
     scenario = scenarios.get(config.figure)
     name = config.policy or _LAWS[config.figure]
     policy = policies.tried(name, scenario)
@@ -119,7 +115,7 @@ def one_team(trajectory: Trajectory) -> Recording:
 
 
 def _table_of(recording: Recording) -> list[dict[str, Any]]:
-    """A row for each frame: s, m²/s (empty without a merge), m."""
+    """Rows of the CSV file, one per frame: s, m²/s (empty without a merge), m."""
     positions = recording["positions"]
     places = [f"{axis}_{robot}" for robot in range(positions.shape[1]) for axis in ("x", "y")]
     columns = ["time", "robots", "lyapunov", *_JUMPS, *places]
@@ -130,7 +126,7 @@ def _table_of(recording: Recording) -> list[dict[str, Any]]:
 
 
 def _bounds(config: Config) -> int:
-    """Play, print the table, write bounds.csv and the page."""
+    """Simulate, print the table, and write bounds.csv and the page."""
     path, console = results.prepare_folder(config.out) / "bounds.csv", Console()
     with console.status(f"playing; {_COMPILING}"):
         rows = list(bounds.measure(bounds.ROWS, config.episodes, config.seed))
@@ -144,7 +140,7 @@ def _bounds(config: Config) -> int:
 
 
 def _pixels(config: Config) -> int:
-    """Play, print, and write pixels.csv."""
+    """Simulate, print, and write pixels.csv."""
     check_installed("reproduce pixels", "mujoco", "mujoco")
     from ..pixels import pixels
 
@@ -166,7 +162,7 @@ def _pixels(config: Config) -> int:
 
 
 def _tank(config: Config) -> int:
-    """Play, draw, and write tank.png, tank.pdf and tank.csv."""
+    """Simulate, draw, and write tank.png, tank.pdf and tank.csv."""
     path, console = results.prepare_folder(config.out) / "tank.png", Console()
     with console.status(f"playing; {_COMPILING}"):
         rows = list(measure_tanks(config.episodes, config.seed))
@@ -182,7 +178,7 @@ def _tank(config: Config) -> int:
 
 
 def measure_tanks(episodes: int, seed: int) -> Iterator[dict[str, Any]]:
-    """One row for each budget and margin, all from the same starts, of which seed is the first."""
+    """One row per budget and margin, from the same initial conditions starting at a seed."""
     scenario = scenarios.get(TANK_SCENARIO)
     free = scenario.replace(obstacles=())  # theorem D bounds a team with nothing in its way
     for budget, margin in product(BUDGETS, MARGINS):
@@ -202,7 +198,7 @@ def measure_tanks(episodes: int, seed: int) -> Iterator[dict[str, Any]]:
 
 @styled
 def tank_tradeoff_figure(rows: Sequence[dict[str, Any]]) -> Figure:
-    """Collision-free success and the bound against ε, one line for each budget."""
+    """Collision-free success and time bound against ε, one line per budget."""
     figure = new_figure(PAGE, 2.6)
     left, right = figure.subplots(1, 2)
     for budget, colour in zip(BUDGETS, _TANK_COLOURS, strict=True):

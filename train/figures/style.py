@@ -1,4 +1,4 @@
-"""The style of figures, and writing them; the drawing library is imported late."""
+"""Style and output of figures; Matplotlib is imported late."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLUMN, PAGE = 3.5, 7.16
-"""Widths of a column and of a page of two columns, inch: those of IEEE journals."""
+"""Widths of one and two columns of IEEE journals, inch."""
 SMALL = 7
-"""Size of the smallest letters, points."""
+"""Smallest font size, points."""
 _DPI = 200
 _STYLE = {
     "pdf.fonttype": 42,  # TrueType; IEEE refuses Type 3
@@ -42,7 +42,7 @@ R = TypeVar("R")
 
 
 def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """A function that draws or writes a figure, in this style, whatever a matplotlibrc says."""
+    """Decorator that applies this style, independent of a matplotlibrc."""
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -55,7 +55,7 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """A figure of a size in inches, without a window system."""
+    """New figure of a size in inches, without a window system."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
@@ -63,9 +63,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 @styled
 def save(figure: Figure, path: Path, run: str = "") -> None:
-    """Write a figure as PNG or PDF, by the name's ending, whole or not at all; the id of its run is
-    the file's subject.
-    """
+    """Write a figure as PNG or PDF atomically, with the run id as the file's subject."""
     about = {"Subject": f"rendezvous compare, run {run}"} if run else None
     with atomic(path) as temporary:
         ending = path.suffix.lower().removeprefix(".")

@@ -1,1 +1,1 @@
-"""Algorithms × fields × seeds: who meets, who touches, what a guarantee costs."""
+"""Comparison of learning algorithms over scenarios and seeds: success, contacts, rises of V."""

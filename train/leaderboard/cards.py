@@ -1,4 +1,4 @@
-"""Results cards: the outcome of a cell, and all that is needed to repeat it."""
+"""Run records: the result of an (algorithm, scenario, seed) run and all settings to repeat it."""
 
 import json
 import time
@@ -28,13 +28,13 @@ _TYPES = {
     **dict.fromkeys(("learning_s", "playing_s"), float),
     "results": dict[str, list[float]],
 }
-"""Of the entries of a card that tables and pages read."""
+"""Types of the entries of a run record that tables and pages read."""
 _BOUNDS = ("seed", 0, MOST_SEED), ("decisions", 0, 2**62), ("starts", 1, 2**62)
 _RESULTS = ("success", "clean", "time", "touches", "risen", "rise", "steps")
 
 
 class Place(NamedTuple):
-    """A cell: what is trained, where, and with which seed."""
+    """Identity of a run: algorithm, scenario and seed."""
 
     algorithm: str
     field: str  # with version, without namespace
@@ -44,12 +44,12 @@ class Place(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Of its file."""
+        """File name of the run record, without folder."""
         return f"{self.algorithm}/{self.field}-seed-{self.seed}"
 
     @property
     def command(self) -> str:
-        """The command that does this cell alone."""
+        """Command line that repeats this run alone."""
         budget = f" --decisions {self.decisions}" if self.decisions else ""
         return (
             f"rendezvous leaderboard --algorithms {self.algorithm} --fields {self.field} "
@@ -58,8 +58,10 @@ class Place(NamedTuple):
 
 
 def run_of(place: Place, record: bool) -> Run:
-    """Train and play a cell; its card has all that is needed to repeat it, and the raw numbers of
-    every start. With ``record`` there may be a replay, see ``replay_of``.
+    """Train and evaluate one run.
+
+    The record contains everything needed to repeat the run and the raw result of every initial
+    condition. With ``record`` there may be a replay, see ``replay_of``.
     """
     algorithm, scenario = registry.find(place.algorithm), scenarios.get(place.field)
     began = time.perf_counter()
@@ -88,7 +90,7 @@ def run_of(place: Place, record: bool) -> Run:
 
 
 def write_run(folder: Path, card: Card, replay: Replay | None) -> None:
-    """Write a card where ``read_cards`` finds it, a line for each entry, and its replay."""
+    """Write a run record for ``read_cards``, one line per entry, and its replay."""
     path = path_in(folder, card)
     if replay is not None:
         write_replay(path_of(path), replay)
@@ -98,18 +100,20 @@ def write_run(folder: Path, card: Card, replay: Replay | None) -> None:
 
 
 def path_in(folder: Path, card: Card) -> Path:
-    """Where a card lies in a leaderboard's folder."""
+    """Path of a run record in a leaderboard folder."""
     return folder / "cells" / f"{place_of(card).name}.json"
 
 
 def has_replay(folder: Path, card: Card) -> bool:
-    """Whether there is a replay of a card in a leaderboard's folder."""
+    """Whether a leaderboard folder holds a replay of a run."""
     return path_of(path_in(folder, card)).exists()
 
 
 def read_cards(out: Path) -> list[Card]:
-    """The cards of a folder, by algorithm, field and seed; as ``read_card``, and a UserError for
-    one whose file has the name of another cell.
+    """Run records of a folder, sorted by algorithm, scenario and seed.
+
+    Raises:
+        UserError: as ``read_card``, and for a file with the name of another run.
     """
     found = {path: read_card(path) for path in (out / "cells").glob("*/*.json")}
     for path, card in found.items():
@@ -119,7 +123,7 @@ def read_cards(out: Path) -> list[Card]:
 
 
 def read_card(path: Path) -> Card:
-    """A card that belongs to the fields of this version; a UserError if it is none."""
+    """Read a run record of this version's scenarios; a UserError if it is not one."""
     try:
         card = dict(plain_data.read_json(path))
         plain_data.check_types(card, _TYPES)
@@ -142,6 +146,6 @@ def read_card(path: Path) -> Card:
 
 
 def place_of(card: Card) -> Place:
-    """The cell that a card is of."""
+    """Identity of the run that a record describes."""
     field = card["field"].partition("/")[2]
     return Place(card["algorithm"], field, card["seed"], card["decisions"], card["starts"])

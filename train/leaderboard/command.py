@@ -1,4 +1,4 @@
-"""``rendezvous leaderboard``: train, play and report, cell by cell, so that it can be resumed."""
+"""``rendezvous leaderboard``: train, evaluate and report run by run; resumable."""
 
 import re
 import sys
@@ -30,7 +30,7 @@ Tier = Literal["smoke", "mini", "full"]
 
 
 class Protocol(NamedTuple):
-    """What is the same for all algorithms of a tier."""
+    """Settings shared by all algorithms of a tier."""
 
     fields: tuple[str, ...]
     seeds: int
@@ -54,41 +54,41 @@ EXAMPLES = (
 FLAG_GROUPS = {"Output": ("out", "fresh"), "Workers": ("jobs", "on", "address")}
 _TABLES = r"(leaderboard|improvement)\.csv|(price|profiles)\.png|README\.md|report\.html"
 _SAME = ("algorithm", "field", "digest", "seed", "decisions", "starts", "results")
-"""Of a card, what a repetition finds again."""
+"""Entries of a run record that a repetition must reproduce."""
 
 
 @dataclass(frozen=True)
 class Config(Workers):
-    """Train and play algorithms × fields × seeds; tables with intervals, and every raw number."""
+    """Train and evaluate algorithms over scenarios and seeds; write tables and raw results."""
 
     tier: Tier = "smoke"
-    """How much: smoke (minutes), mini (hours on two cores), full (a cluster)."""
+    """Size: smoke (minutes), mini (hours on two cores) or full (a cluster)."""
     algorithms: tuple[str, ...] = ()
-    """Names of algorithms, which are files in train/leaderboard/algorithms; without any all whose
+    """Names of algorithms, one file each in train/leaderboard/algorithms. Default: all whose
     libraries are installed."""
     fields: Annotated[tuple[str, ...], arg(aliases=("--scenarios",))] = ()
-    """Other fields than the tier's: named scenarios, with or without version."""
+    """Named scenarios, with or without version. Default: those of the tier."""
     seeds: Annotated[tuple[int, ...], Bounds(0, MOST_SEED)] = ()
-    """Other seeds than the tier's, which are 0, 1, and so on."""
+    """Training seeds. Default: those of the tier, 0, 1 and so on."""
     decisions: Annotated[int | None, Bounds(1)] = None
-    """Another budget than the tier's, in decisions of single robots."""
+    """Training budget, in decisions of single robots. Default: that of the tier."""
     starts: Annotated[int | None, Bounds(1)] = None
-    """Another number of held-out starts than the tier's."""
+    """Number of held-out initial conditions. Default: that of the tier."""
     repeat: Path | None = None
-    """A results card: its cell is done again, and compared with it bit by bit; status 1 if it
-    differs. The other flags are those of the card."""
+    """Run record to repeat and compare bitwise; exit status 1 if it differs. The other flags are
+    taken from the record."""
     record: bool = False
-    """Keeps a replay of every run, not of the first seed alone; cells of OUT without one are done
-    again. With --repeat of that run, beside its card, if it does not differ."""
+    """Keep a replay of every run instead of the first seed only; runs of OUT without a replay are
+    repeated. With --repeat, keep the replay of that run if it does not differ."""
     out: Path = Path("out/leaderboard")
-    """The folder for cards, tables and figures. Cells that it has are kept, others added. What is
-    finished lies in OUT.part until all is, and the same command resumes it."""
+    """Folder for run records, tables and figures. Existing runs are kept and others added.
+    Finished runs are in OUT.part until all are done; the same command resumes."""
     fresh: Annotated[bool, arg(name="overwrite")] = False
-    """Throws away what another command has left unfinished in OUT.part."""
+    """Discard the unfinished results of another command in OUT.part."""
 
 
 def plan(config: Config) -> list[Place]:
-    """The cells that a configuration asks for, those that fit; a UserError if there are none."""
+    """Runs requested by a configuration; a UserError if no algorithm fits any scenario."""
     tier = TIERS[config.tier]
     able = tuple(name for name, one in registry.known().items() if not one.missing)
     decisions, starts = config.decisions or tier.decisions, config.starts or tier.starts
@@ -112,8 +112,10 @@ def plan(config: Config) -> list[Place]:
 
 
 def run(config: Config) -> int:
-    """Do all cells and write cards, tables and figures, or repeat one. The exit status is 1 if a
-    repetition differs from its card.
+    """Execute all runs and write the results, or repeat one run.
+
+    Returns:
+        Exit status: 1 if a repetition differs from its record.
     """
     console = Console()
     if config.repeat is not None:
@@ -154,9 +156,7 @@ def run(config: Config) -> int:
 
 
 def _kept(out: Path, places: Sequence[Place]) -> dict[Place, Card]:
-    """The cells that a folder has; a UserError if they are not of the same budget and starts as
-    those asked for.
-    """
+    """Runs stored in a folder; a UserError if their budget or initial conditions differ."""
     kept = {place_of(card): card for card in read_cards(out)}
     for what in ("decisions", "starts"):
         amounts = {getattr(place, what) for place in (*kept, *places)} - {0}
@@ -169,7 +169,7 @@ def _kept(out: Path, places: Sequence[Place]) -> dict[Place, Card]:
 
 
 def write(out: Path, runs: Sequence[Run], console: Console) -> None:
-    """Write a card for each cell, replays, tables, figures; print the table."""
+    """Write a record per run, replays, tables and figures; print the table."""
     for run in runs:
         write_run(out, *run)
     cards = [card for card, _ in runs]
@@ -182,8 +182,9 @@ def write(out: Path, runs: Sequence[Run], console: Console) -> None:
 
 
 def _repeat(path: Path, record: bool, console: Console) -> int:
-    """Repeat the cell of a card; where it differs, say whether collision-free success is within the
-    interval of a repetition.
+    """Repeat a recorded run.
+
+    If it differs, report whether collision-free success lies within the interval of a repetition.
     """
     card = read_card(path)
     place = place_of(card)

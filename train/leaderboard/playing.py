@@ -1,4 +1,4 @@
-"""Play held-out starts with whatever came of an algorithm, and count."""
+"""Evaluation of a trained policy on held-out initial conditions."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,22 +15,27 @@ from .teams import COSTS
 
 @dataclass(frozen=True)
 class Player:
-    """Teams that rest when they have ended, and what chooses for them."""
+    """Environments that stop when their episode ends, with the policy that controls them."""
 
     teams: Any  # a vector environment of B teams with ``costs`` of ``teams.COSTS``
     act: Callable[[NDArray[np.float32], NDArray[np.float64]], Any]
-    """From observations and times (B,), s, to actions."""
+    """(observations, times (B,) in s) → actions."""
 
 
 def play(
     player: Player, watch: Callable[[Simulator], None] = lambda simulator: None
 ) -> dict[str, list[Any]]:
-    """One episode of each team from the held-out starts 2⁶¹, 2⁶¹ + 1, …, by name, a number each.
+    """Run one episode per environment from the held-out seeds 2⁶¹, 2⁶¹ + 1, ….
 
-    "success", "clean" (met and touched nothing), "time" (s; the limit where they did not meet),
-    "touches" and "risen" (robot steps with a contact; in which V rose between merges, nobody of the
-    team in contact), "rise" (sum of V's rises between merges, share of V₀), "steps" (of robots).
-    ``watch`` is called with the simulator once the teams have begun.
+    Args:
+        player: environments and their policy.
+        watch: called with the simulator after the reset.
+
+    Returns:
+        Arrays (B,) by name: "success"; "clean" (collision-free success); "time" (s, the time limit
+        without success); "touches" (robot steps with a contact); "risen" (robot steps in which V
+        increased between merges without any contact in the team); "rise" (sum of increases of V
+        between merges over the initial V); "steps" (robot steps).
     """
     teams, simulator = player.teams, player.teams.unwrapped.simulator
     seen, _ = teams.reset(seed=EVALUATION_SEEDS)

@@ -1,4 +1,4 @@
-"""What an algorithm is; the files in ``algorithms`` have them."""
+"""Interface of an algorithm; the modules in ``algorithms`` provide them."""
 
 import importlib
 import pkgutil
@@ -16,7 +16,7 @@ from .playing import Player
 
 @dataclass(frozen=True)
 class Budget:
-    """How much a learner may learn."""
+    """Training budget."""
 
     decisions: int  # of single robots
     num_teams: int = 64  # environments side by side
@@ -26,8 +26,8 @@ class Budget:
 class Algorithm:
     """One row of the leaderboard.
 
-    A new one is a file in ``train/leaderboard/algorithms`` that ends with ``ALGORITHM`` and has its
-    name, with hyphens; or with ``ALGORITHMS``, several by name.
+    A new algorithm is a module in ``train/leaderboard/algorithms`` that defines ``ALGORITHM``,
+    named as the file with hyphens, or ``ALGORITHMS``, a mapping by name.
     """
 
     about: str  # what it is, in a line
@@ -35,15 +35,15 @@ class Algorithm:
     guarantee: Literal["none", "heading", "tank"]  # proven: nothing, theorem C or theorem D
     given: str  # what it reads: "bearings", or what else
     learn: Callable[[Scenario, int, Budget], tuple[Callable[[int], Player], dict[str, Any]]]
-    """From field, seed and budget: what makes a player of so many teams, and its settings as plain
-    data. What does not learn makes the player at once."""
+    """(scenario, seed, budget) → (factory of a player for a number of environments, settings as
+    plain data). An algorithm without training returns immediately."""
     fits: Callable[[Scenario], bool]  # whether it can be had on a field
     learns: bool = True  # whether its seed and budget matter; else one seed is played
     packages: tuple[str, ...] = ()  # distributions it needs; their versions are on its cards
 
     @property
     def missing(self) -> list[str]:
-        """Those of its packages that are not installed."""
+        """Required packages that are not installed."""
         return [name for name in self.packages if not any(Distribution.discover(name=name))]
 
 
@@ -60,7 +60,7 @@ def known() -> dict[str, Algorithm]:
 
 
 def find(name: str) -> Algorithm:
-    """The algorithm of a name; a UserError for an unknown one, or if a package is missing."""
+    """Algorithm by name; a UserError if it is unknown or a package is missing."""
     if name not in known():
         raise unknown("algorithm", name, known())
     if missing := known()[name].missing:

@@ -1,4 +1,4 @@
-"""Replays: what two starts of a run looked like, small enough to be kept beside its card."""
+"""Replays of two episodes of a run, small enough to be stored beside its record."""
 
 import json
 import re
@@ -24,7 +24,7 @@ from ..recording import Recorder, Recording, state_of
 from .playing import Player, play
 
 BUDGET = 20_000
-"""Characters of a run's recordings; longer ones are thinned out."""
+"""Maximum size of the recordings of a run, in characters; longer ones are subsampled."""
 _TEXT = re.compile(r"[\w+/]+=*", re.ASCII)
 Replay = dict[str, Any]
 """As it lies in OUT/replays: "starts", by number, each an ``Encoded``; and the digest "sha256" of
@@ -34,8 +34,9 @@ them and of the results on its card."""
 def play_and_record(
     player: Player, starts: Sequence[int]
 ) -> tuple[dict[str, list[Any]], list[Recording]]:
-    """As ``play``, with recordings of the teams of these numbers; ``Simulator.step`` is watched,
-    whoever calls it.
+    """As ``play``, with recordings of the environments with these indices.
+
+    It observes ``Simulator.step``, independent of the caller.
     """
     recorders: list[Recorder] = []
 
@@ -61,8 +62,10 @@ def play_and_record(
 
 
 def replay_of(found: dict[str, Any], player: Player) -> Replay | None:
-    """Play once more with a new player, and record the first start, which is the same for all runs,
-    and the first that ended otherwise, clean or not; None if that is not as ``found`` before.
+    """Repeat the evaluation with a new player and record two episodes.
+
+    They are the first initial condition, equal for all runs, and the first one with the opposite
+    result. None if the repetition differs from ``found``.
     """
     clean = found["clean"]
     starts = [0, *[start for start, one in enumerate(clean) if one != clean[0]][:1]]
@@ -79,7 +82,7 @@ def _seal(found: dict[str, Any], kept: dict[str, Any]) -> str:
 
 
 def path_of(card: Path) -> Path:
-    """The replay of a card: OUT/replays mirrors OUT/cells; a UserError for a card elsewhere."""
+    """Path of the replay of a run: OUT/replays mirrors OUT/cells; a UserError elsewhere."""
     folders = card.absolute().parents
     if len(folders) < 3 or folders[1].name != "cells":
         raise UserError(f"{card}: a replay is kept beside a card of OUT/cells/ALGORITHM")
@@ -87,14 +90,16 @@ def path_of(card: Path) -> Path:
 
 
 def write_replay(path: Path, replay: Replay) -> None:
-    """Write what ``read_replay`` reads."""
+    """Write a replay for ``read_replay``."""
     path.parent.mkdir(parents=True, exist_ok=True)
     results.write_text(path, json.dumps(replay, separators=(",", ":")) + "\n")
 
 
 def read_replay(path: Path, found: dict[str, Any]) -> dict[int, Encoded]:
-    """What was kept of each start, given the results on the card; nothing if there is no file, and
-    a UserError if it is of other results.
+    """Recorded episodes by initial condition; empty if there is no file.
+
+    Raises:
+        UserError: if the replay belongs to other results than those of the record.
     """
     try:
         replay = plain_data.read_json(path)

@@ -1,6 +1,4 @@
-"""From cards to tables and figures: interquartile means with intervals, profiles, the price of a
-guarantee.
-"""
+"""Tables and figures of run records: interquartile means, profiles, the cost of a guarantee."""
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
@@ -19,22 +17,24 @@ COLUMNS = (
     "algorithm", "safety", "guarantee", "given", "runs", "clean", "clean_low", "clean_high", "time",
     "time_low", "time_high", "robot_steps", "touches", "risen", "rise",
 )  # fmt: skip
-"""Of leaderboard.csv. Runs are seeds times fields. Over runs: interquartile means, with intervals,
-of the share of starts with collision-free success and of the mean time of rendezvous, s (late is
-the limit). Over all robot steps: how many of a thousand had a contact, and in how many V rose
-between merges with nobody of the team in contact, which theorem C rules out. Over episodes: the sum
-of V's rises, mean, per cent of V at the start."""
+"""Columns of leaderboard.csv. Runs are seeds times scenarios.
+
+Over runs: interquartile means with intervals of collision-free success and of the mean rendezvous
+time, s (the time limit without success). Per thousand robot steps: contacts, and increases of V
+between merges without contact, which theorem C excludes. Over episodes: mean sum of increases of V,
+in per cent of the initial V."""
 IMPROVEMENT = ("algorithm", "against", "probability", "low", "high")
-"""Columns of improvement.csv: chance that a run has more collision-free success."""
+"""Columns of improvement.csv: probability that a run has more collision-free success."""
 WIDTH = 175
-"""Of the table, letters."""
+"""Width of the table, characters."""
 _LEVELS = np.linspace(0.0, 1.0, 101)
 Card = Mapping[str, Any]
 
 
 def scores_of(cards: Sequence[Card], name: str) -> NDArray[np.float64]:
-    """Mean over starts of "clean" or "time", (S, F), of the cards of one algorithm by field and
-    seed: of each field the first S runs, as many as all have, whatever their seeds.
+    """Mean of "clean" or "time" over initial conditions for one algorithm, (S, F).
+
+    Rows are the first S runs of each of F scenarios, with S the number available in all of them.
     """
     fields = grouped(cards, "field").values()
     means = ([float(np.mean(card["results"][name])) for card in own] for own in fields)
@@ -42,7 +42,7 @@ def scores_of(cards: Sequence[Card], name: str) -> NDArray[np.float64]:
 
 
 def rows_of(cards: Sequence[Card]) -> list[dict[str, Any]]:
-    """Rows of leaderboard.csv, the best in collision-free success first."""
+    """Rows of leaderboard.csv, sorted by collision-free success."""
     rows = []
     for name, own in grouped(cards, "algorithm").items():
         about = {key: own[0][key] for key in ("safety", "guarantee", "given")}
@@ -62,7 +62,7 @@ def rows_of(cards: Sequence[Card]) -> list[dict[str, Any]]:
 
 
 def improvements(cards: Sequence[Card]) -> list[dict[str, Any]]:
-    """Rows of improvement.csv, each pair of algorithms once on the fields that both have."""
+    """Rows of improvement.csv: each pair of algorithms once, on their common scenarios."""
     own, rows, chance = grouped(cards, "algorithm"), [], statistics.probability_of_improvement
     for pair in combinations(own, 2):
         both = set.intersection(*({card["field"] for card in own[name]} for name in pair))
@@ -101,7 +101,7 @@ _HEADS = (
 
 
 def text(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """The table for a terminal."""
+    """Table for a terminal."""
     table = Table(*_HEADS, box=None)
     for row in rows:
         table.add_row(*_cells(row))
@@ -109,7 +109,7 @@ def text(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def markdown(rows: Sequence[Mapping[str, Any]], cards: Sequence[Card]) -> str:
-    """The page of the folder: the table, what it counts, how to repeat a cell."""
+    """README of the folder: the table, definitions, and the command that repeats a run."""
     seeds = len({card["seed"] for card in cards})
     fields = ", ".join(sorted({card["field"] for card in cards}))
     most = max(card["decisions"] for card in cards)
@@ -132,8 +132,10 @@ def markdown(rows: Sequence[Mapping[str, Any]], cards: Sequence[Card]) -> str:
 
 @style.styled
 def draw(out: Path, cards: Sequence[Card], rows: Sequence[Mapping[str, Any]]) -> None:
-    """price.png: collision-free success and time, each against how often V rose; profiles.png: the
-    share of runs that reach each level of collision-free success.
+    """Draw price.png and profiles.png.
+
+    price.png shows collision-free success and time against the rate of increases of V; profiles.png
+    shows the fraction of runs above each level of collision-free success.
     """
     from matplotlib import colormaps
 

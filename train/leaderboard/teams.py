@@ -1,4 +1,4 @@
-"""Teams that learners are compared in: all see, decide and are paid alike, under another safety."""
+"""Training environments of the leaderboard: equal observations, actions and rewards per filter."""
 
 from collections.abc import Callable
 from typing import Any
@@ -17,15 +17,15 @@ from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
 BOTTOMLESS = 1e6
-"""Level of a tank, r D̄, that no episode drains: nothing is ever refused, nothing is promised."""
+"""Stored energy, r D̄, that no episode exhausts: nothing is refused and nothing guaranteed."""
 _ROUNDING = 1e-12
 COSTS = ("contact", "rise", "leaderboard_risen", "leaderboard_steps")
-"""Counted of every robot: touches, by how much V rose, steps in which it did, steps."""
+"""Costs per robot: contacts, increase of V, steps with an increase, steps."""
 
 
 @reward_term("leaderboard_risen")
 def _risen(step: RewardStep) -> NDArray[np.bool_]:
-    """(B,), whether V rose between merges while nobody touched anything: ruled out by theorem C."""
+    """(B,), whether V increased between merges without any contact, which theorem C excludes."""
     risen: NDArray[np.bool_] = (step.rise > _ROUNDING) & ~step.contact.any(axis=1)
     return risen
 
@@ -36,13 +36,15 @@ def _steps(step: RewardStep) -> NDArray[np.float64]:
 
 
 def can_learn(field: Scenario) -> bool:
-    """Whether the learners here are for a field: one of the plane."""
+    """Whether the learners support a scenario: planar ones only."""
     return field.dim == 2 and can_steer(field)
 
 
 def guarded(field: Scenario, safety: str) -> dict[str, Any]:
-    """Arguments of ``vector.training_env`` for a way of being safe; without a guarantee a tank that
-    is never empty. All robots have the budget of points.
+    """Arguments of ``vector.training_env`` for a safety filter.
+
+    Without a guarantee it is a tank that is never empty. All robots get the energy of single
+    integrators.
     """
     if safety == "heading":
         return {"guarantee": safety}
@@ -51,7 +53,7 @@ def guarded(field: Scenario, safety: str) -> dict[str, Any]:
 
 
 class Unled(FeatureVectorEnv):
-    """Robots go where they choose: no rule leads them round the obstacles that they see."""
+    """Environments without the base controller: robots move in the chosen direction."""
 
     _pilot = None
 
@@ -62,7 +64,7 @@ class Unled(FeatureVectorEnv):
 
 
 def unled(teams: TrainingTeams) -> TrainingTeams:
-    """The same teams without the rule under their choices."""
+    """The same environments without the base controller."""
     led: Any = teams.env
     return TrainingTeams(Unled(led.env, led.settings), teams.touch_penalty)
 
@@ -76,16 +78,17 @@ def teams_to_learn_in(
     touch_penalty: float | None = None,
     wrap: Callable[[Any], Any] = lambda teams: teams,
 ) -> TrainingTeams:
-    """B teams that see, decide (an angle every 0.6 s) and are paid as the shipped policies.
+    """B environments with the observations, decisions (an angle every 0.6 s) and rewards of the
+    shipped policies.
 
     Args:
-        field: single integrators in the plane.
+        field: scenario with single integrators in the plane.
         num_envs: B.
-        safety: "heading" (theorem C), "tank" (D, with a budget), "rule": the same over
-            a tank that is never empty, or "none": without the rule, too.
-        anew: whether teams begin anew in the step in which they end; else they rest.
-        touch_penalty: None is that of the shipped policies.
-        wrap: a wrapper between the robots and what decides, as a filter of actions.
+        safety: "heading" (theorem C); "tank" (theorem D, with a budget); "rule": the base
+            controller with a tank that is never empty; "none": without base controller.
+        anew: whether an environment resets in the step in which it ends (autoreset).
+        touch_penalty: cost of a first contact; None is that of the shipped policies.
+        wrap: wrapper between robots and policy, such as an action filter.
     """
     learnt, how = ShippedPreset(), guarded(field, safety)
     guarantee = how.pop("guarantee")

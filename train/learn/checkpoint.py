@@ -1,4 +1,4 @@
-"""Checkpoints of a run: its state as named arrays, written whole or not there at all.
+"""Checkpoints of a run: its state as named arrays, written atomically.
 
 ``baselines.learned.checkpoints`` reads them.
 """
@@ -27,17 +27,18 @@ from ..console import Console
 from .settings import CONFIG, Config, check, read_config, resumed, same_run
 
 STATE_FILES = ("network", "optimizer", "state")
-"""Of a checkpoint from which training can go on."""
+"""Files of a checkpoint from which training can resume."""
 _DESCRIPTION = {"step": int, "stage": int, "updates": int, "wall_s": float, "written": str}
 KEPT = 2
-"""Checkpoints of a run that stay on disk."""
+"""Number of checkpoints kept on disk."""
 
 Tables = Mapping[str, Mapping[str, NDArray[Any]]]
 
 
 def write(run: Path, step: int, description: Mapping[str, Any], tables: Tables) -> Path:
-    """Write a checkpoint in a run's folder, as ``step-…``, and remove those no longer needed: a
-    description as plain data, and named arrays for each file, without the suffix.
+    """Write a checkpoint ``step-…`` in the folder of a run and remove outdated ones.
+
+    It consists of a description as plain data and of named arrays per file (name without suffix).
     """
     folder = run / checkpoints.FOLDER
     folder.mkdir(parents=True, exist_ok=True)
@@ -51,7 +52,7 @@ def write(run: Path, step: int, description: Mapping[str, Any], tables: Tables) 
 
 
 def write_folder(place: Path, description: Mapping[str, Any], tables: Tables) -> None:
-    """Write one checkpoint, whole or not at all, in place of an older one there."""
+    """Write one checkpoint atomically, replacing an older one of the same name."""
     from safetensors.numpy import save
 
     for left in place.parent.glob(".*.part"):
@@ -75,7 +76,7 @@ def write_folder(place: Path, description: Mapping[str, Any], tables: Tables) ->
 
 
 def _sync(folder: Path) -> None:
-    """Make the names in a folder outlast a power failure."""
+    """Flush the directory entries of a folder to disk."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -113,8 +114,11 @@ def tensors(arrays: Mapping[str, NDArray[Any]]) -> dict[str, torch.Tensor]:
 
 
 def check_fits(state: Mapping[str, Any], robots: Any, policy: Any) -> None:
-    """Refuse what would only fail later on: with a ValueError for another shape of the robots' last
-    step or of the optimizer's moments, or a weight that is not finite.
+    """Validate a checkpoint before it is used.
+
+    Raises:
+        ValueError: for a wrong shape of the last step or the optimizer state, or a weight that is
+            not finite.
     """
     slots = robots.num_envs
     seen = np.empty((slots, *robots.observation_space.shape), np.float32)
@@ -140,7 +144,7 @@ def random_state() -> dict[str, NDArray[Any]]:
 
 
 def restore_random(state: Mapping[str, NDArray[Any]]) -> None:
-    """Put back what ``random_state`` took out."""
+    """Restore a state of ``random_state``."""
     position, has_gauss = (int(value) for value in state["numpy_position"])
     gauss = float(state["numpy_gauss"][0])
     np.random.set_state(("MT19937", state["numpy_keys"], position, has_gauss, gauss))
@@ -148,7 +152,7 @@ def restore_random(state: Mapping[str, NDArray[Any]]) -> None:
 
 
 def where_to_begin(config: Config, console: Console) -> tuple[Config, Path | None]:
-    """The settings that hold, and the checkpoint to begin with; None begins at step 0."""
+    """Settings in force and the checkpoint to start from; None starts at step 0."""
     if (folder := config.resume) is None:
         return config, None
     config = resumed(config, read_config(folder))
@@ -177,7 +181,7 @@ def where_to_begin(config: Config, console: Console) -> tuple[Config, Path | Non
 
 
 def _newest_good(folder: Path, console: Console) -> Path | None:
-    """The newest readable checkpoint, with a word about those that are not; None without any."""
+    """Newest readable checkpoint, with a message about unreadable ones; None if there is none."""
     wrong = None
     for place in checkpoints.candidates(folder):
         try:
@@ -193,7 +197,7 @@ def _newest_good(folder: Path, console: Console) -> Path | None:
 
 
 def write_failure(folder: Path, error: OSError) -> str:
-    """The message about what cannot be written, with the checkpoint that is left."""
+    """Message about a failed write that names the last valid checkpoint."""
     file = error.filename2 or error.filename or folder  # of a renaming the first is temporary
     said = f"cannot write {file}: {error.strerror or error}"
     try:

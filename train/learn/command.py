@@ -1,4 +1,4 @@
-"""``rendezvous train``: one run, or one for each of several seeds."""
+"""``rendezvous train``: one run, or one run per seed."""
 
 from contextlib import closing, redirect_stdout
 from dataclasses import dataclass, fields, replace
@@ -23,18 +23,16 @@ FLAG_GROUPS = {"Several seeds": ("seeds", "jobs", "on", "address"), **SETTINGS_G
 
 @dataclass(frozen=True)
 class Config(Settings, Workers):
-    """Train a policy; the team keeps its guarantee whatever the network says."""
+    """Train a policy with PPO under a safety filter that holds for any network output."""
 
     seeds: tuple[int, ...] = ()
-    """Trains once for each of these seeds, into OUT/seed-0 and so on; each run takes one thread and
-    repeats bit by bit. Stopped, the same command resumes all of them. The flags of workers belong
-    to this one; a Ray cluster must share OUT with this machine."""
+    """Seeds of several runs, written to OUT/seed-0 and so on. Each run uses one thread and is
+    bitwise reproducible. After an interrupt, the same command resumes all runs. The worker flags
+    apply to this option; a Ray cluster must share OUT with this machine."""
 
 
 def run(config: Config) -> int:
-    """Train, or go on training, see ``ppo.run``; a UserError also for seeds that cannot be trained
-    together.
-    """
+    """Start or resume training, see ``ppo.run``; a UserError also for inconsistent seeds."""
     settings = Settings(**{field.name: getattr(config, field.name) for field in fields(Settings)})
     if not config.seeds:
         return ppo.run(settings).status
@@ -55,8 +53,10 @@ def run(config: Config) -> int:
 
 
 def runs_of(settings: Settings, seeds: tuple[int, ...]) -> list[Settings]:
-    """The runs of several seeds; those that have begun are resumed. A UserError for a seed named
-    twice, a flag that only a single run has, or a folder with a run of other settings.
+    """Settings of one run per seed; runs that exist are resumed.
+
+    Raises:
+        UserError: for a repeated seed, a flag of single runs, or a folder with other settings.
     """
     if len(set(seeds)) < len(seeds):
         raise UserError(f"--seeds {written(seeds)}: name each once")
@@ -75,18 +75,18 @@ def runs_of(settings: Settings, seeds: tuple[int, ...]) -> list[Settings]:
 
 
 def _log_of(settings: Settings) -> Path:
-    """The file for the output of a run."""
+    """Path of the text output of a run."""
     return settings.out.with_name(f"{settings.out.name}.txt")
 
 
 def _stays_here(settings: Settings) -> bool:
-    """Whether only this process can do a run."""
+    """Whether a run needs objects registered in this process."""
     others = map(policies.resolve_scenario, settings.eval_scenarios)
     return any(map(policies.registered, (settings.base_scenario(), *others)))
 
 
 def _train(settings: Settings) -> int:
-    """Train one run, with its output in a file; its exit status."""
+    """Train one run with its output redirected to a file; returns the exit status."""
     scenario = settings.base_scenario()
     with _log_of(settings).open("a", encoding="utf-8") as log, redirect_stdout(log):
         for name in policies.fitting(scenario, shipped.NAMES):  # they need the same kernels

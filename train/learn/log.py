@@ -1,4 +1,4 @@
-"""What a training run reports: CSV files, and a result."""
+"""Log of a training run: CSV files and the result object."""
 
 import csv
 import math
@@ -18,14 +18,16 @@ METRICS = (
     "alignment", "policy_loss", "value_loss", "explained_variance", "approx_kl", "clip_fraction",
     "entropy", "learning_rate", "wall_s", "steps_per_s", "environment_share",
 )  # fmt: skip
-"""Columns of metrics.csv, a row for each update: fractions 0–1, s; empty where nothing applies."""
+"""Columns of metrics.csv, one row per update: fractions in 0–1, times in s; empty if undefined."""
 EVALUATION = ("step", *results.RESULT_COLUMNS)
-"""Columns of evaluation.csv, a row for each evaluation and scenario."""
+"""Columns of evaluation.csv, one row per evaluation and scenario."""
 
 
 class Table:
-    """A CSV file that grows by rows, first cut back to a step: later rows go, and whatever a kill
-    left of a last row. A damaged file is a UserError; nothing is written before ``begin``.
+    """Append-only CSV file, truncated to a step when a run resumes.
+
+    Rows after the step and an incomplete last row are removed by ``begin``. A damaged file is a
+    UserError.
     """
 
     def __init__(self, path: Path, columns: Sequence[str], step: int) -> None:
@@ -55,7 +57,7 @@ class Table:
         )
 
     def begin(self) -> None:
-        """Write the rows that stay."""
+        """Write the rows that are kept."""
         results.write_csv(self._path, self._kept, self._columns)
 
     def add(self, row: Mapping[str, Any]) -> None:
@@ -66,15 +68,16 @@ class Table:
 
 Row = Mapping[str, Any]
 OnUpdate = Callable[[int, Row], bool | None]
-"""Called after each update with its number and its metrics; True ends the run."""
+"""Callback after each update with its number and metrics; True ends the run."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """A run at its end, or where it was stopped."""
+    """Result of a finished or interrupted run."""
 
     folder: Path
-    """Of the run; ``learned_policy.load`` reads its policy, ``Config(resume=folder)`` goes on."""
+    """Folder of the run: ``learned_policy.load`` reads its policy, ``Config(resume=folder)``
+    resumes."""
     status: int  # 0, or 128 + the number of the signal that ended it
     stopped: bool  # whether ``on_update`` ended it
     steps: int  # decisions of all robots so far, those before a resumption too

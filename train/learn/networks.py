@@ -1,7 +1,7 @@
-"""Networks that read sets of bearings: any number of neighbours and obstacles, in any order.
+"""Permutation-invariant networks over any number of neighbour and obstacle bearings.
 
-Centralised training, decentralised execution: a critic may also read the global state of the team.
-It has positions and distances that no robot can measure, and no policy that is served sees it.
+For centralised training with decentralised execution, a critic may also read the global state. It
+contains positions and distances, which the policy never observes.
 """
 
 from functools import partial
@@ -27,11 +27,11 @@ from .sets import pooled
 
 Floats = NDArray[np.float64]
 _SMALL = 0.1
-"""Share of the usual weights with which the action layer begins."""
+"""Factor on the initial weights of the action layer."""
 
 
 class SetFeatures(BaseFeaturesExtractor):
-    """Deep Sets: every row through one small network, then mean and largest over the set.
+    """Deep Sets: one small network per row, then mean and maximum over the set.
 
         features = (mean φ(g), max φ(g), mean ψ(s), max ψ(s), context)
 
@@ -46,7 +46,7 @@ class SetFeatures(BaseFeaturesExtractor):
         self.obstacle_net = row_network(OBSTACLE_COLUMNS, width)
 
     def forward(self, observations: Tensor) -> Tensor:
-        """Features (N, features_dim) of what N robots are shown."""
+        """Features, (N, features_dim), of the observations of N robots."""
         seen = self.layout.split(observations)
         neighbours = pooled(self.neighbour_net, seen.neighbours)
         obstacles = pooled(self.obstacle_net, seen.obstacles)
@@ -54,15 +54,15 @@ class SetFeatures(BaseFeaturesExtractor):
 
 
 def row_network(columns: int, width: int) -> nn.Sequential:
-    """Reads one row. Ends in a ReLU: no feature is below the zeros of an empty set."""
+    """Network for one row, with a final ReLU so that an empty set yields the minimum, zero."""
     relu = partial(nn.ReLU, inplace=True)
     return nn.Sequential(nn.Linear(columns, width), relu(), nn.Linear(width, width), relu())
 
 
 class HeadingNetwork(ActorCriticPolicy):
-    """Actor and critic over ``SetFeatures``; the action is one of the choices of ``guide``.
+    """Actor and critic over ``SetFeatures``; the action is one of the base controller's choices.
 
-    Choice 0, the analytic rule, is at first e^prior times as probable as any other.
+    Choice 0, the analytic rule, is initially e^prior times as probable as any other.
     """
 
     def __init__(self, *arguments: Any, prior: float = 0.0, **settings: Any) -> None:
@@ -100,7 +100,7 @@ class HeadingNetwork(ActorCriticPolicy):
 def network_settings(
     layout: FeatureLayout, *, set_width: int, hidden: tuple[int, ...], prior: float = 0.0
 ) -> dict[str, Any]:
-    """Arguments of a HeadingNetwork beside its spaces (``policy_kwargs``)."""
+    """Arguments of a HeadingNetwork apart from its spaces (``policy_kwargs``)."""
     return {
         "features_extractor_class": SetFeatures,
         "features_extractor_kwargs": {"layout": layout, "width": set_width},
@@ -116,13 +116,13 @@ STATE_ROBOT_COLUMNS = 4
 STATE_OBSTACLE_COLUMNS = 3
 """Centre x, y and radius of the bounding ball of an obstacle, in units of FAR."""
 STATE_CONTEXT_COLUMNS = 2
-"""V/V(0), 0 where V(0) is; the share of the time limit that has passed."""
+"""V/V(0), 0 if V(0) = 0; elapsed fraction of the time limit."""
 FAR = 5.0
-"""m."""
+"""Length unit of the global state, m."""
 
 
 class Situation(NamedTuple):
-    """The parts of a global state, as views with columns last; absent rows are zero."""
+    """Parts of a global state as views with columns last; absent rows are zero."""
 
     robots: Any
     obstacles: Any
@@ -130,14 +130,14 @@ class Situation(NamedTuple):
 
 
 class GlobalStateLayout(NamedTuple):
-    """A global state as a flat row of numbers, for n robots and M obstacles."""
+    """Layout of a global state as a flat vector, for n robots and M obstacles."""
 
     n_robots: int
     obstacle_slots: int
 
     @property
     def size(self) -> int:
-        """Numbers for each robot."""
+        """Length of the vector of one robot."""
         rows = self.n_robots * STATE_ROBOT_COLUMNS + self.obstacle_slots * STATE_OBSTACLE_COLUMNS
         return rows + STATE_CONTEXT_COLUMNS
 
@@ -185,13 +185,13 @@ def _axes(frames: Floats, towards: NDArray[Any]) -> Floats:
 
 
 def _seen_from(positions: Floats, axes: Floats, points: Floats) -> Floats:
-    """Points (B, k, 2), m, from robots at positions (B, n, 2): (B, n, k, 2), in units of FAR."""
+    """Points (B, k, 2), m, relative to robots at (B, n, 2): (B, n, k, 2), in units of FAR."""
     apart = points[:, np.newaxis] - positions[:, :, np.newaxis]
     return np.einsum("bnij,bnkj->bnki", axes, apart) / FAR
 
 
 class GlobalFeatures(SetFeatures):
-    """``SetFeatures``, followed by those of the global state at the end of the observation."""
+    """``SetFeatures`` of the observation, followed by features of the appended global state."""
 
     def __init__(
         self, observation_space: Box, layout: FeatureLayout, width: int, state: GlobalStateLayout
@@ -212,7 +212,7 @@ class GlobalFeatures(SetFeatures):
 
 
 class _Split(MlpExtractor):
-    """Layers of an actor, which reads the first features only, and of a critic."""
+    """Layers of an actor that reads the local features only, and of a critic."""
 
     def __init__(self, actor_dim: int, critic_dim: int, **arguments: Any) -> None:
         super().__init__(critic_dim, **arguments)
@@ -227,7 +227,7 @@ class SplitNetwork(HeadingNetwork):
     """A HeadingNetwork whose critic may read more than its actor."""
 
     units = 0
-    """Numbers of a memory, ahead of the features of both."""
+    """Size of the recurrent state that precedes the features of actor and critic."""
     features_extractor: SetFeatures
 
     def _build_mlp_extractor(self) -> None:

@@ -1,4 +1,4 @@
-"""PPO learns headings; a run can be stopped at any moment and resumed."""
+"""PPO for headings; a run can be interrupted at any time and resumed."""
 
 from ..checks import check_installed
 from .log import OnUpdate, Result
@@ -8,16 +8,16 @@ __all__ = ["EVALUATION_SEEDS", "Config", "Result", "check", "run"]
 
 
 def run(config: Config, on_update: OnUpdate | None = None) -> Result:
-    """Train, or go on training.
+    """Start or resume a training run.
 
     Args:
-        config: of the run.
-        on_update: called after each update with its number and its metrics: the row of metrics.csv,
-            and under "evaluation" the rows of evaluation.csv if one was due. If it returns True,
-            the run ends with a checkpoint, as if all steps were done.
+        config: settings of the run.
+        on_update: callback after each update with its number and metrics: the row of metrics.csv
+            and, under "evaluation", the rows of evaluation.csv if one was due. Returning True ends
+            the run with a checkpoint.
 
     Returns:
-        Folder, steps, the last metrics, the last and the best evaluation.
+        Folder, steps, last metrics, last and best evaluation.
 
     Raises:
         UserError: for an impossible setting, a run that cannot be resumed, or a folder or disk that

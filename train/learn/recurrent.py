@@ -1,4 +1,4 @@
-"""PPO for robots that remember: a gated recurrent unit, and whole sequences as samples."""
+"""Recurrent PPO: a gated recurrent unit and whole sequences as samples."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
@@ -20,7 +20,7 @@ from .settings import Config
 
 
 class Sequences(NamedTuple):
-    """Rollouts of S robots over T decisions, which a recurrent network evaluates at once."""
+    """Rollouts of S robots over T decisions, evaluated by a recurrent network in one pass."""
 
     observations: Tensor  # (T, S, size)
     starts: Tensor  # (T, S), 1 where an episode began with this decision, else 0
@@ -29,12 +29,11 @@ class Sequences(NamedTuple):
 
 
 class RecurrentNetwork(SplitNetwork):
-    """A HeadingNetwork over (h, features), with h the memory of a robot (GRU; Cho et al. 2014).
+    """HeadingNetwork over (h, features), with h the recurrent state of a robot (Cho et al. 2014).
 
-        h ← GRU(features shown to the robot, h),   h = 0 where an episode begins, and for a robot
-                                                   that is shown nothing
+        h ← GRU(features, h),   h = 0 at the start of an episode and for an empty observation
 
-    In forward passes the network itself keeps h, of so many ``units``, for all slots.
+    In forward passes the network stores h, of size ``units``, for all slots.
     """
 
     hidden: Tensor  # h of every slot, (slots, units); empty before ``begin``
@@ -49,15 +48,15 @@ class RecurrentNetwork(SplitNetwork):
         self.memory = nn.GRUCell(self.features_extractor.local_dim, self.units)
 
     def begin(self, slots: int) -> None:
-        """Start with empty memories of so many slots."""
+        """Reset the recurrent state for the given number of slots."""
         self.hidden = torch.zeros(slots, self.units, device=self.device)
 
     def forget(self, ended: Tensor) -> None:
-        """Erase the memory of slots whose episodes have ended, (slots,)."""
+        """Reset the recurrent state of slots whose episodes have ended, (slots,)."""
         self.hidden = self.hidden.masked_fill(ended[:, None], 0.0)
 
     def forward(self, obs: Tensor, deterministic: bool = False) -> tuple[Tensor, Tensor, Tensor]:
-        """Choices, values and log-probabilities of all slots; updates their memory."""
+        """Choices, values and log-probabilities of all slots; updates the recurrent state."""
         features: Any = self.extract_features(obs)
         self.hidden = self._next(features, obs, self.hidden)
         return self._chosen(torch.cat((self.hidden, features), dim=-1), deterministic)
@@ -65,7 +64,7 @@ class RecurrentNetwork(SplitNetwork):
     def predict_values(  # type: ignore[override]  # with a memory
         self, obs: Tensor, hidden: Tensor | None = None
     ) -> Tensor:
-        """Values (N, 1), given memories (N, units); None takes those of all slots. Updates none."""
+        """Values (N, 1) from recurrent states (N, units), by default the stored ones; no update."""
         features: Any = self.extract_features(obs)
         after = self._next(features, obs, self.hidden if hidden is None else hidden)
         latent = self.mlp_extractor.forward_critic(torch.cat((after, features), dim=-1))
@@ -73,7 +72,7 @@ class RecurrentNetwork(SplitNetwork):
         return values
 
     def judged(self, obs: Sequences) -> tuple[Tensor, Tensor]:
-        """Preferences and values of the samples that are kept."""
+        """Logits and values of the stored samples."""
         each: Any = self.extract_features(obs.observations.flatten(0, 1))
         features = each.unflatten(0, obs.kept.shape)
         hidden, remembered = obs.hidden, []
@@ -84,7 +83,7 @@ class RecurrentNetwork(SplitNetwork):
         return self._judged(torch.cat((torch.stack(remembered), features), dim=-1)[obs.kept])
 
     def _next(self, features: Tensor, obs: Tensor, hidden: Tensor) -> Tensor:
-        """The memory after these features, of which it reads the local ones."""
+        """Recurrent state after these features; only local features are read."""
         is_shown = obs[..., : self.features_extractor.layout.size].any(dim=-1, keepdim=True)
         local = features[..., : self.features_extractor.local_dim]
         remembered: Tensor = self.memory(local, hidden)
@@ -92,10 +91,10 @@ class RecurrentNetwork(SplitNetwork):
 
 
 class SequenceBuffer(RobotRolloutBuffer):
-    """A rollout buffer whose samples are whole rollouts of slots.
+    """Rollout buffer whose samples are whole rollouts of slots.
 
-    Gradients go back to the beginning of a rollout and no further: the memory at that moment is a
-    constant. A slot that was merged away is valued by its survivor's observation and memory.
+    Backpropagation stops at the start of a rollout, where the recurrent state is a constant. A
+    merged slot is valued by the observation and recurrent state of its surviving agent.
     """
 
     tables = ("mask", "episode_starts", *RobotRolloutBuffer.tables)
@@ -104,12 +103,12 @@ class SequenceBuffer(RobotRolloutBuffer):
     _hidden: Tensor  # memory of every slot before the rollout, (slots, units)
 
     def follow(self, robots: RobotVecEnv, policy: ActorCriticPolicy) -> None:
-        """As ``RobotRolloutBuffer.follow``, at the beginning of a rollout."""
+        """As ``RobotRolloutBuffer.follow``, at the start of a rollout."""
         super().follow(robots, policy)
         self._hidden = self._policy.hidden
 
     def add(self, *step: Any) -> None:
-        """As ``RobotRolloutBuffer.add``; slots whose episode ended forget it."""
+        """As ``RobotRolloutBuffer.add``; resets the recurrent state of slots that ended."""
         super().add(*step)
         self._policy.forget(torch.as_tensor(self._robots.ended, device=self.device))
 
@@ -123,7 +122,7 @@ class SequenceBuffer(RobotRolloutBuffer):
         return np.flatnonzero(self.mask.any(axis=0)), self.buffer_size
 
     def samples(self, which: Tensor) -> RolloutBufferSamples:
-        """The whole rollouts of these slots."""
+        """Whole rollouts of the given slots."""
         chosen = (table.index_select(1, which) for table in self._found.values())
         kept, starts, observations, *numbers = chosen
         sequences = Sequences(observations, starts, self._hidden[which], kept)
@@ -131,7 +130,7 @@ class SequenceBuffer(RobotRolloutBuffer):
 
 
 class RecurrentRobotPPO(HeadingPPO):
-    """``HeadingPPO`` with a ``RecurrentNetwork``, whose memory of running episodes is its state."""
+    """``HeadingPPO`` with a ``RecurrentNetwork``; the recurrent state is part of a checkpoint."""
 
     buffer_class: ClassVar[type[RobotRolloutBuffer]] = SequenceBuffer
     policy: RecurrentNetwork
@@ -141,16 +140,16 @@ class RecurrentRobotPPO(HeadingPPO):
         self.policy.begin(self.n_envs)
 
     def collect_rollouts(self, env: VecEnv, *how: Any, **more: Any) -> bool:
-        """As ``HeadingPPO``; slots whose episodes begin with the rollout forget the last one."""
+        """As ``HeadingPPO``; resets the recurrent state of slots that start an episode."""
         self.policy.forget(torch.as_tensor(self._last_episode_starts, device=self.device))
         return super().collect_rollouts(env, *how, **more)
 
     def get_memory(self) -> dict[str, NDArray[Any]]:
-        """The memory of the robots, "hidden", (slots, units)."""
+        """Recurrent state of the robots, "hidden", (slots, units)."""
         return {"hidden": self.policy.hidden.cpu().numpy()}
 
     def set_memory(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Put back what ``get_memory`` took out; a ValueError if it does not fit."""
+        """Restore a state of ``get_memory``; a ValueError if the shape differs."""
         hidden, shape = state["hidden"], tuple(self.policy.hidden.shape)
         if hidden.shape != shape or not np.isfinite(hidden).all():
             raise ValueError(f"hidden has shape {hidden.shape}; it must be {shape}, and finite")
@@ -160,7 +159,7 @@ class RecurrentRobotPPO(HeadingPPO):
 def learner_of(
     config: Config, teams: FeatureVectorEnv
 ) -> tuple[type[HeadingPPO], type[HeadingNetwork], dict[str, Any]]:
-    """Algorithm, network, and arguments of the network beside its spaces."""
+    """Algorithm class, network class, and arguments of the network apart from its spaces."""
     usual = {"heading": 3.0, "tank": 0.0}[config.guarantee]
     prior = usual if config.prior is None else config.prior
     settings = network_settings(

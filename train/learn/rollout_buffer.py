@@ -1,4 +1,4 @@
-"""PPO over robots that may have merged: an explicit mask, and one value estimate for all time-outs.
+"""PPO with masked samples of merged robots and one batched value estimate at truncation.
 
 An update of a ``HeadingNetwork`` computes its loss in one pass and sums the gradient over parts of
 a batch that fit the processor's cache. Threads compute whole parts: none waits for another within
@@ -35,7 +35,7 @@ _MEASURED = ("policy_gradient_loss", "value_loss", "entropy_loss", "approx_kl", 
 
 
 class RobotRolloutBuffer(RolloutBuffer):
-    """A rollout buffer without samples of merged robots.
+    """Rollout buffer that excludes samples of merged robots.
 
     At a time-out and at a merge it adds γ V(o) to the reward, with o the slot's
     ``bootstrap_observations``; one call of the network values all slots of a step.
@@ -48,18 +48,18 @@ class RobotRolloutBuffer(RolloutBuffer):
     _policy: ActorCriticPolicy
 
     def follow(self, robots: RobotVecEnv, policy: ActorCriticPolicy) -> None:
-        """Take masks and cut-off slots from these robots, and their values from this policy."""
+        """Set the robots that provide masks and truncation, and the policy that values them."""
         self._robots, self._policy = robots, policy
 
     def reset(self) -> None:
-        """Empty the buffer; its tables stay where they are."""
+        """Empty the buffer in place."""
         if not hasattr(self, "mask"):
             super().reset()
             self.mask = np.ones((self.buffer_size, self.n_envs), dtype=np.bool_)
         self.mask[...], self.pos, self.full = True, 0, False
 
     def add(self, obs: Any, action: Any, reward: Any, *others: Any) -> None:
-        """Add the step that the robots have just done; arguments as in stable-baselines3."""
+        """Add the last step of the robots; arguments as in stable-baselines3."""
         robots, future = self._robots, np.zeros(self.n_envs, dtype=np.float32)
         self.mask[self.pos] = robots.acted
         if robots.bootstrapped.size:
@@ -69,11 +69,11 @@ class RobotRolloutBuffer(RolloutBuffer):
         super().add(obs, action, reward + self.gamma * future, *others)
 
     def _value_of(self, seen: Tensor) -> Tensor:
-        """Values (k, 1) of the last observations (k, size) of slots that were cut off."""
+        """Values (k, 1) of the last observations (k, size) of truncated slots."""
         return self._policy.predict_values(seen)
 
     def begin(self, normalise: bool = False) -> None:
-        """Make tensors of the rollout; ``normalise`` its advantages over all samples."""
+        """Convert the rollout to tensors; ``normalise`` its advantages over all samples."""
         found = {name: torch.as_tensor(getattr(self, name)) for name in self.tables}
         if normalise:
             every = found["advantages"][torch.as_tensor(self.mask)]
@@ -84,13 +84,11 @@ class RobotRolloutBuffer(RolloutBuffer):
         return table.flatten(0, 1)
 
     def _samples_of(self) -> tuple[NDArray[np.int64], int]:
-        """Numbers of all samples, and steps in each."""
+        """Indices of all samples, and the number of steps in each."""
         return np.flatnonzero(self.mask), 1
 
     def batches(self, batch_size: int | None = None) -> Iterator[tuple[Tensor, ...]]:
-        """Numbers of samples in random order: batches of nearly equal size near ``batch_size``
-        steps, each in its parts.
-        """
+        """Sample indices in random order, in batches of about ``batch_size`` steps, in parts."""
         samples, length = self._samples_of()
         order = torch.as_tensor(np.random.permutation(samples))
         batches = 1 if batch_size is None else round(length * len(order) / batch_size)
@@ -100,19 +98,21 @@ class RobotRolloutBuffer(RolloutBuffer):
             yield batch.to(self.device).tensor_split(min(max(1, parts), len(batch)))
 
     def samples(self, which: Tensor) -> RolloutBufferSamples:
-        """The samples with these numbers, after ``begin``."""
+        """Samples with the given indices, after ``begin``."""
         return RolloutBufferSamples(*(t.index_select(0, which) for t in self._found.values()))
 
     def get(self, batch_size: int | None = None) -> Iterator[RolloutBufferSamples]:  # type: ignore[override]
-        """The samples in random order, in batches of nearly equal size near ``batch_size``."""
+        """Samples in random order, in batches of about ``batch_size``."""
         self.begin()
         for parts in self.batches(batch_size):
             yield self.samples(torch.cat(parts))
 
 
 class RobotPPO(PPO):
-    """PPO on a RobotVecEnv, which may be wrapped: samples of merged robots are left out, time-outs
-    valued in one call. Rewards may be normalised, observations not.
+    """PPO on a RobotVecEnv, which may be wrapped.
+
+    Samples of merged robots are excluded and truncated slots are valued in one call. Rewards may be
+    normalised, observations may not.
     """
 
     buffer_class: ClassVar[type[RobotRolloutBuffer]] = RobotRolloutBuffer
@@ -128,7 +128,7 @@ class RobotPPO(PPO):
         super()._setup_model()
 
     def collect_rollouts(self, env: VecEnv, *how: Any, **more: Any) -> bool:
-        """As PPO, with the buffer following the robots; a TypeError for another environment."""
+        """As PPO, with masks from the robots; a TypeError for any other environment."""
         robots: Any = env.unwrapped
         if not isinstance(robots, RobotVecEnv):
             raise TypeError(f"RobotPPO needs a RobotVecEnv; it has a {type(robots).__name__}")
@@ -154,14 +154,14 @@ class HeadingPPO(RobotPPO):
     policy: HeadingNetwork
 
     def get_memory(self) -> dict[str, NDArray[Any]]:
-        """The network's memory of running episodes, by name."""
+        """Recurrent state of the network, by name."""
         return {}
 
     def set_memory(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Put back what ``get_memory`` took out."""
+        """Restore a state of ``get_memory``."""
 
     def train(self) -> None:
-        """Learn from the rollout, as PPO does."""
+        """Update the network from the rollout, as PPO does."""
         policy, buffer = self.policy, self.rollout_buffer
         self._update_learning_rate(policy.optimizer)
         clip: float = self.clip_range(self._current_progress_remaining)  # type: ignore[operator]
@@ -180,7 +180,7 @@ class HeadingPPO(RobotPPO):
     def _descend(
         self, parts: Sequence[Tensor], rule: Rule, each: Callable[..., Any]
     ) -> NDArray[np.float64]:
-        """A step of the optimiser; means over the batch, as ``_MEASURED``."""
+        """One optimizer step; returns batch means, in the order of ``_MEASURED``."""
         weights = list(self.policy.parameters())
 
         def slopes_by_weight(which: Tensor) -> tuple[list[Tensor], NDArray[np.float64]]:
@@ -204,7 +204,7 @@ class HeadingPPO(RobotPPO):
 
 @contextmanager
 def side_by_side(device: torch.device) -> Iterator[Callable[..., Iterator[Any]]]:
-    """``map``, on as many threads as torch would take for one operation."""
+    """Parallel ``map`` on as many threads as torch uses for one operation."""
     threads = torch.get_num_threads()
     if device.type != "cpu" or threads == 1:
         yield map
@@ -218,7 +218,7 @@ def side_by_side(device: torch.device) -> Iterator[Callable[..., Iterator[Any]]]
 
 
 class Rule(NamedTuple):
-    """Weights of the loss."""
+    """Coefficients of the PPO loss."""
 
     clip_range: float
     value_weight: float
@@ -228,7 +228,7 @@ class Rule(NamedTuple):
 def slopes_of(
     judged: Sequence[Tensor], samples: RolloutBufferSamples, rule: Rule
 ) -> tuple[list[Tensor], NDArray[np.float64]]:
-    """Gradients of the summed loss by preferences (N, choices) and values (N, 1); N and sums."""
+    """Gradients of the summed loss w.r.t. logits (N, choices) and values (N, 1); N and sums."""
     slopes = [torch.empty(tensor.shape) for tensor in judged]
     sums = np.zeros(1 + len(_MEASURED))
     given = [tensor.detach().cpu().contiguous().numpy() for tensor in (*judged, *samples[1:])]
@@ -238,7 +238,7 @@ def slopes_of(
 
 @kernel
 def _slopes(preferences, values, samples, rule, by_preference, by_value, sums):
-    """Slopes of the loss of N samples, with r the ratio of probabilities and A the advantage.
+    """Gradients of the loss of N samples, with r the probability ratio and A the advantage.
 
     loss = c_v (v − R)² − min(r A, clip(r) A) − c_e H,   H = −Σ p log p
     """

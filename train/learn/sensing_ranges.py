@@ -1,4 +1,4 @@
-"""Domain randomisation over ``Sensing``: a policy learns to trust no single sensor."""
+"""Domain randomisation over the fields of ``Sensing``."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -9,11 +9,11 @@ import numpy as np
 from rendezvous_env.sensors.sensing import Sensing
 
 Ranges = Mapping[str, tuple[Any, ...]]
-"""By field of ``Sensing``: its least and most value, or the words that "occlusion" may have."""
+"""By field of ``Sensing``: its minimum and maximum, or the values that "occlusion" may take."""
 
 
 def check_ranges(ranges: Ranges, chance: float) -> None:
-    """Refuse impossible ranges with a ValueError that names the field."""
+    """Validate ranges; a ValueError names the field."""
     for name, given in ranges.items():
         for value in given:
             Sensing(**{name: value})
@@ -25,10 +25,10 @@ def check_ranges(ranges: Ranges, chance: float) -> None:
 
 
 def draw(sensing: Sensing, ranges: Ranges, chance: float, key: tuple[int, ...]) -> Sensing:
-    """The sensor that belongs to a key of whole numbers from 0 on.
+    """Sensor sampled from a key of non-negative integers.
 
-    With ``chance`` a field departs from the sensor given, each on its own, and is then uniform in
-    its range, both ends included. Fields without a range stay.
+    Each field with a range is sampled independently with probability ``chance``, uniformly over
+    its closed range. Other fields keep their value.
     """
     random, drawn = np.random.default_rng(key), {}
     for name, given in ranges.items():

@@ -1,7 +1,7 @@
-"""Sets of rows on the processor: those that are there, gathered, pooled, and their gradients.
+"""Pooling over sets of rows on the CPU: gather present rows, pool them, and their gradients.
 
-Torch would pass over memory for every operation, and over as many rows as there are slots; of the
-24 obstacles of a field a robot sees two or three.
+Torch would process every slot in every operation, although a robot observes two or three of the 24
+obstacles of a typical scenario.
 """
 
 from typing import Any
@@ -14,9 +14,9 @@ from rendezvous_env.compilation import kernel
 
 
 def pooled(network: nn.Module, rows: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and largest feature over the rows (N, slots, columns) that are there, (N, width) each.
+    """Mean and maximum feature over the present rows of (N, slots, columns), (N, width) each.
 
-    Absent rows are zero. Of an empty set both are zero, and no feature may be below that.
+    Absent rows are zero. Both are zero for an empty set; features must be non-negative.
     """
     if rows.device.type != "cpu":
         return pooled_anywhere(network, rows)
@@ -28,7 +28,7 @@ def pooled(network: nn.Module, rows: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def pooled_anywhere(network: nn.Module, rows: Tensor) -> tuple[Tensor, Tensor]:
-    """The same in torch alone, on any device."""
+    """Pure torch version of ``pooled``, on any device."""
     present = rows.any(dim=-1)
     owner = present.nonzero()[:, 0]
     features = network(rows[present])
@@ -39,7 +39,7 @@ def pooled_anywhere(network: nn.Module, rows: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class _Pool(torch.autograd.Function):
-    """Mean and largest over the rows of each robot, which lie one after the other."""
+    """Mean and maximum over the contiguous rows of each robot."""
 
     @staticmethod
     def forward(context: Any, features: Tensor, counts: Any) -> tuple[Tensor, Tensor]:
@@ -61,9 +61,7 @@ class _Pool(torch.autograd.Function):
 
 @kernel
 def gather(rows, there, counts):
-    """Write the rows that are not zero one after the other, and how many each robot has; their
-    number.
-    """
+    """Write the non-zero rows contiguously, with the count of each robot; returns their number."""
     found = 0
     for i in range(rows.shape[0]):
         before = found
@@ -78,7 +76,7 @@ def gather(rows, there, counts):
 
 @kernel
 def pool(features, counts, mean, largest):
-    """Mean and largest of each robot's features, (N, width) each; zero without any."""
+    """Mean and maximum of each robot's features, (N, width) each; zero for an empty set."""
     mean[:] = 0.0
     largest[:] = 0.0
     first = 0
@@ -95,7 +93,8 @@ def pool(features, counts, mean, largest):
 
 @kernel
 def spread(features, largest, counts, of_mean, of_largest, each, gradient):
-    """Gradients of the features from those of their means and largest, which equal ones share;
+    """Feature gradients from those of means and maxima, split evenly between ties.
+
     ``each`` (width,) is overwritten.
     """
     width = features.shape[1]

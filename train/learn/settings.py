@@ -1,4 +1,4 @@
-"""The settings of a training run, and what follows from them."""
+"""Settings of a training run and quantities derived from them."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from ..policies import resolve_scenario
 from .sensing_ranges import Ranges, check_ranges
 
 TRAINING_SEEDS, EVALUATION_SEEDS, MOST_SEED = 2**62, 2**61, 2**29 - 1
-"""Of first starts: training with seed s has 2⁶² + 2³² s, evaluation 2⁶¹. ``compare`` counts up from
-its --seed, which is far below: no policy is judged on starts that it was trained on. And the most
-that s can be.
+"""First seed of training (2⁶² + 2³² s for run seed s), first seed of evaluation (2⁶¹), largest s.
+
+``compare`` counts up from its --seed, which is far smaller, so both sets are disjoint.
 """
 CONFIG = "config.json"
-"""The settings of a run, in its folder."""
+"""File name of the settings in the folder of a run."""
 _SAMPLED = ("noise", "bias", "dropout", "range", "field_of_view", "occlusion", "delay")
-"""Fields of Sensing that may have a range, in the order in which they are drawn."""
+"""Fields of Sensing that may have a range, in sampling order."""
 _HOW_SAMPLED = ("sensing_chance", "sensing_groups", "sensing_updates")
 _PATHS = ("out", "resume", "start_from")
 
@@ -42,7 +42,7 @@ EXAMPLES = (
 _REWARDS = {
     "progress": 0.5, "time_penalty": 0.1, "collision_penalty": 0.0, "rendezvous_bonus": 1.0
 }  # fmt: skip
-"""What teams are paid where neither flags nor the scenario say it."""
+"""Reward weights used when neither the flags nor the scenario set them."""
 _POLICY = tuple(
     field.name for field in fields(PolicySettings) if field.name not in ("decision_time", "budget")
 )
@@ -63,134 +63,134 @@ FLAG_GROUPS = {
 
 
 class Unsaid(int):
-    """A default that nobody has given, not even as the same number."""
+    """Marker for a default value, distinguishable from the same number given explicitly."""
 
 
 @dataclass(frozen=True)
 class Config(Flags):
-    """Train a policy; the team keeps its guarantee whatever the network says."""
+    """Train a policy with PPO under a safety filter that holds for any network output."""
 
     scenario: Annotated[str, arg(aliases=("--scenarios",))] = "clutter-24"
-    """A scenario's name or TOML file; its robots are anything but double integrators."""
+    """Name or TOML file of the scenario. Double integrators are not supported."""
     curriculum: Annotated[tuple[int, ...], Bounds(0, 2**10)] = ()
-    """The most obstacles of an episode, in stages of equal length; without it the scenario's."""
+    """Maximum number of obstacles per episode, one value per stage of equal length. Default: the
+    scenario's."""
     fewest_obstacles: Annotated[int | None, Bounds(0, 2**10)] = None
-    """The fewest obstacles of an episode with a curriculum; without it always the most."""
+    """Minimum number of obstacles per episode of a curriculum. Default: the maximum."""
     total_steps: Annotated[int, Bounds(1, 2**62)] = Unsaid(3_000_000)
-    """How many decisions of single robots the run takes, in whole updates."""
+    """Number of decisions of single robots in the run, rounded up to whole updates."""
     seed: Annotated[int, Bounds(0, MOST_SEED)] = 0
-    """The seed of weights, exploration and starts, below 2²⁹."""
+    """Seed of weights, exploration and initial conditions, below 2²⁹."""
     out: Path = Path("runs/heading")
-    """The folder of the run."""
+    """Folder of the run."""
     resume: Path | None = None
-    """The folder of a run to resume. Its own settings hold, except total-steps, eval-every,
-    eval-starts, checkpoint-every and num-threads where they are given."""
+    """Folder of a run to resume. Its stored settings apply, except total-steps, eval-every,
+    eval-starts, checkpoint-every and num-threads if given."""
     start_from: Path | None = None
-    """A run or checkpoint whose weights the training begins with."""
+    """Run or checkpoint that provides the initial weights."""
 
     set: tuple[str, ...] = ()
-    """Other values for fields of the scenario, as in n_robots=9 time_limit=60."""
+    """Overrides of scenario fields, for example n_robots=9 time_limit=60."""
 
     num_teams: Annotated[int, Bounds(1)] = 256
-    """How many environments are simulated at once."""
+    """Number of environments simulated in parallel."""
     n_steps: Annotated[int, Bounds(2)] = 16
-    """How many decisions each robot takes between updates."""
+    """Number of decisions of each robot between updates."""
     batch_size: Annotated[int, Bounds(2, 2**31)] = 2048
-    """How many samples a gradient step has."""
+    """Number of samples in a gradient step."""
     epochs: Annotated[int, Bounds(1, 2**31)] = 4
-    """How often an update passes over its samples."""
+    """Number of passes over the samples in an update."""
     learning_rate: Annotated[float, Bounds(0, 1e6, "(]")] = 1e-3
-    """The learning rate at the start; it falls linearly to a twentieth."""
+    """Initial learning rate; it decreases linearly to a twentieth."""
     gamma: Annotated[float, Bounds(0, 1)] = 0.995
-    """The discount for each decision."""
+    """Discount factor per decision."""
     gae_lambda: Annotated[float, Bounds(0, 1)] = 0.95
-    """λ of the generalised advantages."""
+    """λ of generalised advantage estimation."""
     clip_range: Annotated[float, Bounds(0, ends="(]")] = 0.2
-    """By how much the probability ratio may leave 1."""
+    """Clip range of the probability ratio."""
     ent_coef: float = 0.001
-    """The weight of the entropy."""
+    """Weight of the entropy bonus."""
     prior: float | None = None
-    """How much likelier the analytic rule is than any other choice at the start, as a logarithm: 3
-    if nothing is said under headings, where it is hard to beat; with a tank 0."""
+    """Initial log-probability advantage of the analytic rule over every other choice. Default: 3
+    under the heading filter, where the rule is hard to beat, and 0 under the energy tank."""
 
     set_width: Annotated[int, Bounds(1, 2**12)] = 32
-    """The width of the networks that read one neighbour or one obstacle."""
+    """Width of the networks that read one neighbour or one obstacle."""
     hidden: Annotated[tuple[int, ...], Bounds(1, 2**12)] = (64, 64)
-    """The widths of the layers behind them, for actor and critic."""
+    """Widths of the layers that follow, for actor and critic."""
     clearance: Annotated[float, Bounds(0, math.pi, "[)")] = 0.2
-    """The angle by which the guide stays clear of an edge, rad."""
+    """Angle by which the base controller stays clear of an obstacle edge, rad."""
     persistence: Annotated[float, Bounds(0)] = 0.5
-    """How firmly the guide commits to a side."""
+    """Preference of the base controller for the side chosen before."""
 
     decision_period: Annotated[int, Bounds(1, 10**6)] = 12
-    """For how many base steps a choice is held."""
+    """Action repeat: number of environment steps per decision."""
     min_alignment: Annotated[float, Bounds(SMALLEST_MARGIN, 1, "[)")] = 0.05
-    """The alignment margin ε of the certified heading, or of what a tank owes."""
+    """Minimum alignment ε of the certified heading, or of the energy tank's reference."""
     max_turn_rate: Annotated[float, Bounds(0, ends="(]")] = 100.0
-    """The most that the certified heading turns, rad/s."""
+    """Maximum turn rate of the certified heading, rad/s."""
     guarantee: Literal["heading", "tank"] = "heading"
-    """Which guarantee holds: certified headings (theorem C), or an energy tank for each robot
-    (theorem D)."""
+    """Safety filter: certified headings (theorem C) or one energy tank per robot (theorem D)."""
     budget: Annotated[float, Bounds(0, 1e9)] = 0.0
-    """The level of each tank at the start, m²/s; the policy keeps it in units of r D̄."""
+    """Initial stored energy of each tank, m²/s; the policy stores it in units of r D̄."""
     memory: Literal["none", "features", "recurrent"] = "none"
-    """What robots remember beside the last decisions: nothing; with a tank, features of the wall
-    that they are at; whatever a recurrent unit learns to keep."""
+    """Memory besides the last decisions: none, features of the wall being followed (energy tank
+    only), or a recurrent unit."""
     memory_units: Annotated[int, Bounds(1, 2**12)] = 64
-    """How many numbers the recurrent unit keeps for each robot."""
+    """Size of the recurrent state of each robot."""
     critic: Literal["local", "global"] = "local"
-    """What values are estimated from: what the robot is shown, or the state of the whole team too.
-    That is privileged, and for training only: the policy never sees it."""
+    """Input of the value function: the robot's observation, or the global state as well. The
+    global state serves training only; the policy never observes it."""
 
     sensing_noise: tuple[float, float] | None = None
-    """The least and most noise of a sensor that is sampled, rad. This and the other ranges are of
-    the fields of Sensing; without one the scenario's holds."""
+    """Range of the sampled noise, rad. Without a range, a field of Sensing keeps the scenario's
+    value."""
     sensing_bias: tuple[float, float] | None = None
-    """The least and most bias, rad."""
+    """Range of the sampled bias, rad."""
     sensing_dropout: tuple[float, float] | None = None
-    """The least and most chance of dropout."""
+    """Range of the sampled dropout probability."""
     sensing_range: tuple[float, float] | None = None
-    """The least and most range, m."""
+    """Range of the sampled sensor range, m."""
     sensing_field_of_view: tuple[float, float] | None = None
-    """The least and most field of view, rad."""
+    """Range of the sampled field of view, rad."""
     sensing_occlusion: tuple[str, ...] = ()
-    """The kinds of occlusion, all as likely."""
+    """Kinds of occlusion to sample from, uniformly."""
     sensing_delay: tuple[int, int] | None = None
-    """The least and most delay, steps."""
+    """Range of the sampled delay, steps."""
     sensing_chance: float = 0.5
-    """The chance that a sensor departs from the scenario's in a field that has a range."""
+    """Probability that a field with a range is sampled instead of keeping the scenario's value."""
     sensing_groups: Annotated[int, Bounds(1, 2**20)] = 16
-    """How many groups of environments have a sensor each, where sensors are sampled."""
+    """Number of groups of environments; each group shares one sampled sensor."""
     sensing_updates: Annotated[int, Bounds(1, 2**31)] = 8
-    """For how many updates a group keeps its sensor; with the next one it begins new episodes."""
+    """Number of updates for which a group keeps its sensor. A new sensor starts new episodes."""
 
     progress: float | None = None
-    """The reward for V falling from its first value to 0; without this weight, or one of those
-    below, the scenario's if its reward is not the default, else 0.5, 0.1, 0 and 1."""
+    """Reward for a decrease of V from its initial value to 0. Default of this and the weights
+    below: the scenario's if it sets any, else 0.5, 0.1, 0 and 1."""
     time_penalty: float | None = None
-    """What an episode costs that lasts to the time limit, paid evenly."""
+    """Cost of an episode that reaches the time limit, spread evenly over its steps."""
     collision_penalty: float | None = None
-    """What the team pays for each robot in contact, in each base step."""
+    """Team cost per robot in contact and environment step."""
     touch_penalty: Annotated[float, Bounds(0)] = 1.0
-    """What a robot pays for its first contact."""
+    """Cost of a robot's first contact in an episode."""
     rendezvous_bonus: float | None = None
-    """What the team earns when all have met."""
+    """Team reward at rendezvous."""
 
     eval_every: Annotated[int, Bounds(0, 2**62)] = Unsaid(500_000)
-    """How many decisions lie between evaluations; with 0 there is none."""
+    """Number of decisions between evaluations; 0 disables evaluation."""
     eval_starts: Annotated[int, Bounds(1, 2**32)] = Unsaid(200)
-    """How many held-out starts an evaluation has."""
+    """Number of held-out initial conditions in an evaluation."""
     eval_scenarios: tuple[str, ...] = ()
-    """The scenarios to evaluate on; without any it is the one that is trained on."""
+    """Evaluation scenarios. Default: the training scenario."""
     checkpoint_every: Annotated[int, Bounds(1, 2**62)] = Unsaid(500_000)
-    """How many decisions lie between checkpoints."""
+    """Number of decisions between checkpoints."""
     tensorboard: bool = True
-    """Writes events for TensorBoard beside metrics.csv."""
+    """Write TensorBoard events in addition to metrics.csv."""
     num_threads: Annotated[int | None, Bounds(1, 2**10)] = None
-    """The threads of torch and of the simulator: one for each core if nothing is said. On one
-    thread a run repeats bit by bit."""
+    """Threads of torch and of the simulator. Default: one per core. With one thread a run is
+    bitwise reproducible."""
     device: str = "cpu"
-    """Where the network is; small networks are fastest on the CPU."""
+    """Device of the network; small networks are fastest on the CPU."""
 
     def to_plain(self) -> dict[str, Any]:
         """As plain data."""
@@ -199,8 +199,11 @@ class Config(Flags):
 
     @classmethod
     def from_plain(cls, plain: dict[str, Any]) -> Config:
-        """What ``to_plain`` gave, in an older version too; a ValueError or UserError for anything
-        else.
+        """The configuration that ``to_plain`` encoded, also in an older version.
+
+        Raises:
+            ValueError: if an entry is unknown or has the wrong type.
+            UserError: if a value is out of range.
         """
         if not isinstance(plain, dict):
             raise ValueError(f"the configuration is a {type(plain).__name__}, not named fields")
@@ -211,7 +214,7 @@ class Config(Flags):
 
     @property
     def first_seed(self) -> int:
-        """That of team 0."""
+        """Seed of environment 0."""
         return TRAINING_SEEDS + 2**32 * self.seed
 
     @property
@@ -220,8 +223,9 @@ class Config(Flags):
         return self.num_teams * self.base_scenario().n_robots * self.n_steps
 
     def base_scenario(self) -> Scenario:
-        """The scenario with this configuration's rewards: the weights that are given, and its own
-        for the others, or ``_REWARDS`` where nobody said what its own are.
+        """The scenario with this configuration's reward weights.
+
+        Weights that are not given are the scenario's, or ``_REWARDS`` if the scenario has defaults.
         """
         scenario, set_here = self.plain_scenario(), any(x.startswith("reward=") for x in self.set)
         own = set_here or scenario.reward != RewardWeights()
@@ -230,11 +234,11 @@ class Config(Flags):
         return scenario.replace(reward=replace(scenario.reward, **weights))
 
     def plain_scenario(self) -> Scenario:
-        """The scenario as it is named, with what --set says."""
+        """The named scenario with the overrides of --set."""
         return resolve_scenario(self.scenario, self.set)
 
     def sensing_ranges(self) -> Ranges:
-        """What sensors are sampled from; empty if teams have the scenario's."""
+        """Ranges from which sensors are sampled; empty without domain randomisation."""
         given = {name: getattr(self, f"sensing_{name}") for name in _SAMPLED}
         return {name: ends for name, ends in given.items() if ends}
 
@@ -260,7 +264,7 @@ class Config(Flags):
         return max(self.stage_scenario(k).observation_layout.obstacle_slots for k in stages)
 
     def policy_settings(self) -> PolicySettings:
-        """Those of the trained policy."""
+        """Settings of the trained policy."""
         scenario = self.base_scenario()
         return PolicySettings(
             **{name: getattr(self, name) for name in _POLICY},
@@ -275,16 +279,14 @@ MAY_CHANGE = ("total_steps", "eval_every", "eval_starts", "checkpoint_every", "n
 
 
 def check(config: Config) -> None:
-    """Refuse settings that do not go together with a UserError that names the flag and what would
-    be right.
-    """
+    """Validate combinations of settings; a UserError names the flag and the remedy."""
     _check_unused(config)
     with user_error("", ValueError):
         _check_scenarios(config)
 
 
 def _check_unused(config: Config) -> None:
-    """Refuse a flag that means nothing without another one."""
+    """Refuse a flag that has no effect without another one."""
     ranges = config.sensing_ranges()
     with user_error("--sensing-… draws sensors: ", ValueError):
         check_ranges(ranges, config.sensing_chance)
@@ -330,7 +332,7 @@ def _check_scenarios(config: Config) -> None:
 
 
 def read_config(folder: Path) -> Config:
-    """The settings of the run to resume; a UserError if there is none."""
+    """Settings of the run to resume; a UserError if the folder holds none."""
     path = folder / CONFIG
     try:
         return Config.from_plain(read_json(path))

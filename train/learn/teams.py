@@ -1,4 +1,4 @@
-"""The teams that a run trains in: all alike, or groups whose sensors are resampled."""
+"""Training environments of a run: identical ones, or groups with resampled sensors."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -22,12 +22,16 @@ from .settings import Config
 
 
 class SensingGroups(VectorEnv[Any, Any, Any]):
-    """Groups of ``FeatureVectorEnv`` as one vector environment of all their teams.
+    """Several ``FeatureVectorEnv`` groups as one vector environment.
 
-    The sensor of group g follows from its generation, which grows by one every ``period`` updates,
-    for one group after the other. A group with a new sensor begins the next episodes of its teams'
-    seeds. A robot that is shown nothing makes choice 0, as it does when the policy is served.
-    ``make`` gives a group from its number and its generation, ``sizes`` are numbers of teams.
+    The generation of group g determines its sensor and increases every ``period`` updates, with
+    one group after the other. A new sensor starts the next episode of each seed. A robot without
+    any observed row takes choice 0, as in deployment.
+
+    Args:
+        make: (group, generation) → environments of the group.
+        sizes: number of environments of each group.
+        period: updates per generation.
     """
 
     def __init__(
@@ -47,7 +51,7 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
 
     @property
     def simulator(self) -> Simulator:
-        """That of the first group; each has its own."""
+        """Simulator of the first group."""
         simulator: Simulator = self.groups[0].env.simulator
         return simulator
 
@@ -57,7 +61,7 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
         return np.concatenate([teams.alignment for teams in self.groups])
 
     def reset(self, *, seed: Any = None, options: Any = None) -> tuple[NDArray[np.float32], Info]:
-        """Begin a new episode in all teams, with a seed for each of them; there are no options."""
+        """Start a new episode in every environment, one seed each; options are not supported."""
         parts = np.split(np.array(seed), self._bounds)
         begun = [
             teams.reset(seed=own.tolist()) for teams, own in zip(self.groups, parts, strict=True)
@@ -76,10 +80,10 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
         return seen, rewards, ends, cuts, self._joined(infos)
 
     def renew(self, update: int) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-        """Give the groups whose time has come before this update their next sensor.
+        """Assign the next sensor to the groups that are due before this update.
 
         Returns:
-            Which teams have begun new episodes, (B,), and their observations, one after the other.
+            Mask of environments with new episodes, (B,), and the observations of these.
         """
         groups = len(self.groups)
         due = (update + self._period * np.arange(groups) // groups) // self._period
@@ -101,7 +105,7 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
         self._blind[which] = ~observations[..., : self.layout.size].any(axis=-1)
 
     def _joined(self, parts: Sequence[Info]) -> Info:
-        """Infos of all groups as of one; zeros or None for a group that lacks a key."""
+        """Concatenated infos of all groups; zeros or None for a group without the key."""
         joined: Info = {}
         for key in dict.fromkeys(key for part in parts for key in part):
             told = next(part[key] for part in parts if key in part)
@@ -118,14 +122,12 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
         return joined
 
     def get_state(self) -> dict[str, Any]:
-        """The generations, running episodes and memory of all groups, as copies."""
+        """Copies of the generations, running episodes and memory of all groups."""
         groups = {str(g): teams.get_state() for g, teams in enumerate(self.groups)}
         return groups | {"generations": self.generations.copy(), "blind": self._blind.copy()}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Put back what ``get_state`` took out, with the sensors that belong to it; a ValueError
-        names what does not fit, and nothing has changed then.
-        """
+        """Restore a state of ``get_state`` with its sensors; a ValueError leaves all unchanged."""
         memory = {"generations": self.generations, "blind": self._blind}
         check_keys(state, (*map(str, range(len(self.groups))), *memory), exactly=True)
         own = check_entries(memory, state)
@@ -137,8 +139,9 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
 
 
 def make_teams(config: Config, stage: int) -> FeatureVectorEnv | SensingGroups:
-    """The teams of a stage of the curriculum. A robot that merges while its choice is held earns
-    with its team to the end of that decision: its future is valued from there on.
+    """Environments of a curriculum stage.
+
+    A robot that merges during an action repeat earns the team reward until the decision ends.
     """
     scenario = config.stage_scenario(stage).replace(on_merge="follow")
     ranges = config.sensing_ranges()
@@ -167,12 +170,12 @@ def make_teams(config: Config, stage: int) -> FeatureVectorEnv | SensingGroups:
 
 
 class WatchedRobots(RobotVecEnv):
-    """Robots with sums over their steps: time in the environment, s; alignment and its terms."""
+    """``RobotVecEnv`` that also accumulates environment time (s) and alignment."""
 
     seconds, alignment, aligned = 0.0, 0.0, 0
 
     def step_wait(self) -> Any:
-        """As RobotVecEnv, and take the time."""
+        """As ``RobotVecEnv.step_wait``, timed."""
         began = time.perf_counter()
         result = super().step_wait()
         alignment = self.teams.alignment

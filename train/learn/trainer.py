@@ -1,4 +1,4 @@
-"""A training run, from its beginning or from a checkpoint to its end."""
+"""A training run, started anew or from a checkpoint."""
 
 import copy
 import math
@@ -39,25 +39,25 @@ from .teams import WatchedRobots, make_teams
 _DOES_NOT_FIT = (
     KeyError, TypeError, ValueError, RuntimeError, IndexError, AttributeError, OverflowError,
 )  # fmt: skip
-"""What another run's arrays raise where they are put."""
+"""Errors raised when arrays of another run are loaded."""
 _LEAST_RATE = 0.05
-"""Share of the learning rate that is left at the end."""
+"""Fraction of the learning rate at the end of the run."""
 SAME_NAME = (
     "n_steps", "batch_size", "gamma", "gae_lambda", "clip_range", "ent_coef", "seed", "device",
 )  # fmt: skip
-"""Settings that PPO has under the same name."""
+"""Settings with the same name in PPO."""
 _LOSSES = {"policy_loss": "policy_gradient_loss"} | {
     name: name
     for name in ("value_loss", "approx_kl", "explained_variance", "clip_fraction", "learning_rate")
 }
-"""Columns of metrics.csv that stable-baselines3 tells, and what it calls them."""
+"""Columns of metrics.csv logged by stable-baselines3, with its names."""
 
 Snapshot = tuple[dict[str, Any], dict[str, Any]]
-"""Description and tables of a checkpoint."""
+"""Description and arrays of a checkpoint."""
 
 
 class Trainer:
-    """Network, optimiser, environment and log of a run."""
+    """Network, optimizer, environment and log of a run."""
 
     def __init__(self, config: Config) -> None:
         self.config = config
@@ -84,7 +84,7 @@ class Trainer:
         self._began = time.perf_counter()
 
     def begin(self) -> int:
-        """Begin at step 0, with a checkpoint to come back to."""
+        """Start at step 0 and write an initial checkpoint."""
         if (path := self.config.start_from) is not None:
             _, tables = checkpoints.read(checkpoints.find(path), ["network"])
             with user_error(f"--start-from {path}: another network: ", RuntimeError):
@@ -148,12 +148,12 @@ class Trainer:
         return int(about["step"])
 
     def save(self, state: Snapshot) -> Path:
-        """Write a snapshot as a checkpoint; if that fails, older ones remain."""
+        """Write a snapshot as a checkpoint; older checkpoints remain if this fails."""
         description, tables = state
         return checkpoint.write(self.config.out, description["step"], description, tables)
 
     def snapshot(self) -> Snapshot:
-        """All that a checkpoint holds, which no later step changes."""
+        """Contents of a checkpoint, independent of later steps."""
         model = self.model
         state = {
             "robots": self.robots.get_state(),
@@ -181,7 +181,7 @@ class Trainer:
         return description, copy.deepcopy(tables)
 
     def update(self) -> int:
-        """Collect and learn once; the steps done so far."""
+        """Collect one rollout and update; returns the steps done so far."""
         model, config = self.model, self.config
         if (stage := config.stage(model.num_timesteps)) != self.stage:
             self._enter_stage(stage)
@@ -202,7 +202,7 @@ class Trainer:
         return int(model.num_timesteps)
 
     def report(self) -> dict[str, Any]:
-        """The row of metrics.csv that belongs to the last update."""
+        """Row of metrics.csv for the last update."""
         model, robots, took = self.model, self.robots, self._took
         told = {key.removeprefix("train/"): v for key, v in model.logger.name_to_value.items()}
         model.logger.dump(model.num_timesteps)
@@ -225,7 +225,7 @@ class Trainer:
         return row
 
     def evaluate(self) -> list[dict[str, Any]]:
-        """Rows of evaluation.csv: the policy without noise on held-out starts."""
+        """Rows of evaluation.csv: the deterministic policy on held-out initial conditions."""
         config, settings, weights = self.config, self.settings, self._weights()
         scenarios = [resolve_scenario(name) for name in config.eval_scenarios]
         rows = []
@@ -246,7 +246,7 @@ class Trainer:
         return flatten(self.model.policy.state_dict())
 
     def speed(self) -> str:
-        """How much time the environment took since this process began or resumed the run."""
+        """Environment time since this process started or resumed the run."""
         if not self._seconds:
             return "nothing was left to do"
         share = 100.0 * self._environment_seconds / self._seconds
@@ -256,12 +256,12 @@ class Trainer:
         )
 
     def _wall(self) -> float:
-        """Time that the run has taken, s, over all its resumptions."""
+        """Total wall-clock time of the run, s, over all resumptions."""
         return self._wall_before + time.perf_counter() - self._began
 
 
 def run(config: Config, on_update: OnUpdate | None = None) -> Result:
-    """Begin or resume a run and train to its end; see ``ppo.run``."""
+    """Start or resume a run and train to its end; see ``ppo.run``."""
     console = Console(soft_wrap=True)
     threads, numbers = torch.get_num_threads(), torch.get_default_dtype()
     folder = config.resume or config.out
@@ -301,9 +301,7 @@ def _check_device(device: str) -> None:
 
 
 def _loop(training: Trainer, step: int, console: Console, on_update: OnUpdate | None) -> Result:
-    """Train to the end, until a signal, or until ``on_update`` ends it, and save the state after
-    the last update.
-    """
+    """Train until the end, a signal or ``on_update`` stops the run, and save the last state."""
     config, kept = training.config, training.snapshot()
     metrics: dict[str, Any] = {}
     status, stopped, saved = 0, False, True

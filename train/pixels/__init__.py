@@ -1,1 +1,1 @@
-"""Robots that see with cameras: MuJoCo draws, a detector looks, a policy drives."""
+"""Camera-based rendezvous: MuJoCo renders images, a detector extracts bearings for a policy."""

@@ -1,7 +1,7 @@
-"""Bearings and edges in pictures: lamps by their colours, obstacles by being dark.
+"""Detection of bearings and obstacle edges in images: coloured lamps and dark obstacles.
 
-The detector gets nothing but pixels. It knows the cameras (four of 90°, their height above the
-floor), the colours of the lamps, and that a lamp is round.
+The input is pixels only. Known parameters are the cameras (four of 90°, their height above the
+floor), the colours of the lamps, and their round shape.
 """
 
 from __future__ import annotations
@@ -13,22 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 _SATURATED = 90
-"""A lamp's channels differ by more; nothing else has a colour."""
+"""Minimum channel difference of a lamp pixel; everything else is grey."""
 _DARK = 110
-"""An obstacle's brightest channel is below; floor and lamps are brighter."""
+"""Maximum brightness of an obstacle pixel; floor and lamps are brighter."""
 _CUT = 1.5
-"""Pixels by which a whole lamp may be wider than it is high, or less."""
+"""Tolerance between width and height of a complete lamp, pixels."""
 _OVAL = 0.1
-"""The same as a share of its height."""
+"""The same tolerance as a fraction of the height."""
 _STEP, _ROWS = 0.25, 2.5
-"""The nearer of two obstacles that touch in a picture is nearer by this share, and so many pixels
-lower."""
+"""Minimum jump between the lower edges of two overlapping obstacles: fraction, pixels."""
 _WIDEST = 96
-"""Columns of a silhouette; a wider one is given in parts."""
+"""Maximum width of a detected obstacle, columns; wider ones are split."""
 
 
 class Found(NamedTuple):
-    """What one look around shows, in the robot's own frame."""
+    """Detections of one camera sweep, in the robot's frame."""
 
     colours: list[int]  # which lamps are seen whole, by number
     bearings: NDArray[np.float64]  # of their middles, (k,), rad
@@ -36,8 +35,12 @@ class Found(NamedTuple):
 
 
 class Detector:
-    """Finds lamps of these colours, (c, 3), 0 to 255, and obstacles in the pictures of a ring of
-    cameras at this height above the floor, m. Obstacles beyond ``reach``, m, are left out.
+    """Detector of lamps and obstacles in the images of a ring of cameras.
+
+    Args:
+        colours: of the lamps, (c, 3), 0 to 255.
+        height: of the cameras above the floor, m.
+        reach: maximum distance of reported obstacles, m.
     """
 
     def __init__(self, colours: NDArray[np.uint8], height: float, reach: float) -> None:
@@ -47,9 +50,9 @@ class Detector:
         self._height, self._reach = height, reach
 
     def find(self, pictures: NDArray[np.uint8]) -> Found:
-        """What is seen in pictures (cameras, rows, columns, 3); camera k looks along k 2π/cameras.
+        """Detections in images (cameras, rows, columns, 3); camera k faces k 2π/cameras.
 
-        The pictures are laid side by side, counter-clockwise, as one that closes.
+        The images are concatenated counter-clockwise to a closed panorama.
         """
         ring = _Ring(len(pictures), pictures.shape[2])
         around = pictures[:, :, ::-1].swapaxes(0, 1).reshape(pictures.shape[1], -1, 3)
@@ -67,7 +70,7 @@ class Detector:
     def _obstacles(
         self, ring: _Ring, dark: NDArray[np.bool_], behind_lamp: NDArray[np.bool_]
     ) -> NDArray[np.float64]:
-        """Edges (m, 2), rad: a stretch of dark columns ends where the floor's edge jumps."""
+        """Obstacle edges (m, 2), rad: runs of dark columns, split where the floor edge jumps."""
         rows = len(dark)
         lowest = np.where(dark.any(axis=0), rows - np.argmax(dark[::-1], axis=0), 0) - rows // 2
         stands = lowest > 0  # in floor pixels below the horizon
@@ -88,7 +91,7 @@ class Detector:
 
 
 class _Ring:
-    """Pixel columns of cameras side by side, in the order of their azimuths."""
+    """Pixel columns of all cameras, ordered by azimuth."""
 
     def __init__(self, cameras: int, columns: int) -> None:
         half = np.tan(np.pi / cameras)
@@ -101,7 +104,7 @@ class _Ring:
         self.foreshortening = np.tile(np.cos(middles), cameras)
 
     def round_blob(self, blob: NDArray[Any]) -> float | None:
-        """Bearing of the middle of a blob, rad; None if it is cut, as what is not round must be."""
+        """Bearing of the centre of a blob, rad; None if the blob is truncated (not round)."""
         parts = stretches(np.asarray(blob.any(axis=0)))
         if len(parts) != 1:
             return None
@@ -116,7 +119,7 @@ class _Ring:
 
 
 def stretches(there: NDArray[Any]) -> list[NDArray[np.int64]]:
-    """Indices of each run of what is true in a ring, in its order."""
+    """Indices of each run of true values in a ring, in order."""
     start = int(np.argmin(there))  # what is false, if anything
     order = (np.arange(len(there)) + start) % len(there)
     places = np.flatnonzero(there[order])
@@ -125,8 +128,9 @@ def stretches(there: NDArray[Any]) -> list[NDArray[np.int64]]:
 
 
 def _split(depth: NDArray[np.float64]) -> list[slice]:
-    """Where one obstacle ends and another goes on, in rows below the horizon along a stretch; a
-    silhouette is narrower than half a turn, and no single column is one.
+    """Split points between adjacent obstacles, from the floor edge along a run of columns.
+
+    A part is narrower than half a turn and wider than one column.
     """
     jump, near = np.abs(np.diff(depth)), np.maximum(depth[1:], depth[:-1])
     ends = [0]

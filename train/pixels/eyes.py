@@ -1,7 +1,7 @@
-"""What four cameras on every robot see: a team of ours, drawn by MuJoCo.
+"""Images of four cameras on every robot, rendered by MuJoCo.
 
-The simulator moves the robots. MuJoCo knows where they are, and nothing of it leaves this file but
-pictures. A robot is a lamp of radius r/2 on a thin pole; obstacles are dark and higher than lamps.
+The simulator moves the robots and MuJoCo renders their positions; this module returns images only.
+A robot is a lamp of radius r/2 on a thin pole; obstacles are dark and higher than lamps.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ os.environ.setdefault("LP_NUM_THREADS", "1")  # pictures are too small to be sha
 import mujoco
 
 SIZE, CAMERAS = 64, 4
-"""Pixels along an edge of a picture, and pictures, a quarter turn each, of a look around."""
+"""Image width and height, pixels, and number of cameras, a quarter turn each."""
 HEIGHT = 0.5
-"""Of the cameras and the middles of the lamps above the floor, m."""
+"""Height of the cameras and the lamp centres above the floor, m."""
 LAMPS = ((230, 20, 20), (20, 200, 20), (30, 60, 240), (230, 200, 0), (210, 30, 210), (0, 200, 210))
-"""Colours of the robots, and so the most robots that a team may have."""
+"""Colours of the robots; their number limits the number of robots."""
 _FILM = 320
-"""Pixels along an edge of a picture from above."""
+"""Width and height of the overview image, pixels."""
 _GONE = (0.0, 0.0, -50.0)
 _COLUMNS = slice(2, 5)  # of the simulator's table of discs: radius and centre
 _WORLD = f"""
@@ -55,8 +55,12 @@ _WORLD = f"""
 
 
 class Eyes:
-    """The cameras of a simulator's first team, and one above it: single integrators among discs in
-    the plane. A ValueError for more robots than there are colours of lamps.
+    """Cameras of environment 0 of a simulator and an overview camera.
+
+    The scenario has planar single integrators and discs.
+
+    Raises:
+        ValueError: if there are more robots than lamp colours.
     """
 
     def __init__(self, simulator: Simulator) -> None:
@@ -74,7 +78,7 @@ class Eyes:
             self._near.scene.flags[flag] = self._above.scene.flags[flag] = 0
 
     def place(self) -> None:
-        """Put everything where it is now."""
+        """Update the rendered poses from the simulator."""
         simulator, model, data = self._simulator, self._model, self._data
         for m, (radius, x, y) in enumerate(simulator.obstacles[0, :, _COLUMNS]):
             model.geom(f"disc{m}").size[0] = max(radius, 1e-3)
@@ -88,15 +92,14 @@ class Eyes:
         self._near.update_scene(data, "overhead")  # the light comes from there
 
     def yaw(self, robot: int) -> float:
-        """How far a robot's frame is turned against the world's, rad."""
+        """Yaw of a robot's frame in the global frame, rad."""
         x, y = self._simulator.frames[0, robot][:, 0]  # its x axis
         return math.atan2(y, x)
 
     def look(self) -> NDArray[np.uint8]:
-        """Pictures of all robots after ``place``, (n, cameras, rows, columns, 3).
+        """Images of all robots after ``place``, (n, cameras, rows, columns, 3).
 
-        Camera k looks in the direction k π/2 of the robot's own frame; those of robots that have
-        merged away are black.
+        Camera k faces k π/2 in the robot's frame. Images of merged robots are black.
         """
         out = np.zeros((self._model.nmocap, CAMERAS, SIZE, SIZE, 3), np.uint8)
         camera = mujoco.MjvCamera()
@@ -109,19 +112,19 @@ class Eyes:
         return out
 
     def from_above(self) -> NDArray[np.uint8]:
-        """The whole place after ``place``, (edge, edge, 3)."""
+        """Overview image after ``place``, (size, size, 3)."""
         self._above.update_scene(self._data, "overhead")
         picture: NDArray[np.uint8] = self._above.render()
         return picture
 
     def close(self) -> None:
-        """Give back what the pictures took."""
+        """Release the renderers."""
         self._near.close()
         self._above.close()
 
 
 def _world(scenario: Any, discs: int) -> str:
-    """The world as MuJoCo reads it: robots that are placed, their cameras, obstacles, a floor."""
+    """MuJoCo model: robots as mocap bodies, their cameras, obstacles and a floor."""
     half = scenario.spawn_size  # farther off than robots go that seek each other
     lamps = "".join(
         f'<material name="lamp{i}" emission="1" rgba="{r / 255} {g / 255} {b / 255} 1"/>'
@@ -142,7 +145,7 @@ def _world(scenario: Any, discs: int) -> str:
 
 
 def _robot(number: int, radius: float) -> str:
-    """A lamp of this radius, m, on its pole, with cameras that are numbered counter-clockwise."""
+    """A lamp of the given radius, m, on a pole, with cameras numbered counter-clockwise."""
     pole = 0.5 * (HEIGHT - radius)
     cameras = "".join(
         f'<camera name="eye{number}_{k}" pos="0 0 {HEIGHT}" fovy="90" xyaxes="{s} {-c} 0 0 0 1"/>'

@@ -1,4 +1,4 @@
-"""Robots that see no other: where obstacles hide neighbours, policies must remember and search."""
+"""Policies with memory and search for robots whose neighbours are occluded."""
 
 from typing import Any
 
@@ -11,16 +11,16 @@ from rendezvous_env.scenario.scenario import Scenario
 from .. import policies
 
 _PATIENCE = 6.0
-"""s for which a robot that sees nobody goes on as if it saw what it saw last; then it seeks."""
+"""Time for which the last detections are held before the search starts, s."""
 _TURN = np.pi * (3.0 - np.sqrt(5.0))
-"""rad between the ways in which it seeks: the golden angle leads it all around."""
+"""Angle between successive search directions, the golden angle, rad."""
 
 
 class LastSeen:
-    """A policy whose robots go where they saw the others last when all are hidden, and seek them.
+    """Policy wrapper that moves towards the last detections when all neighbours are hidden.
 
-    Law (1) and all that follow it rest when they see nobody; two that are left on both sides of an
-    obstacle would rest for ever.
+    Law (1) and its derivatives stop without a visible neighbour, so two robots on opposite sides of
+    an obstacle would never meet. After a while the robot searches.
     """
 
     def __init__(self, policy: Policy, scenario: Scenario) -> None:
@@ -49,7 +49,7 @@ class LastSeen:
         return self._policy(shown, time)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget what some teams saw, or all."""
+        """Clear the memory of some environments, or of all."""
         self._policy.reset(mask)
         if mask is None:
             self._rows = None
@@ -58,7 +58,7 @@ class LastSeen:
 
 
 def make(name: str, scenario: Scenario) -> Policy:
-    """A policy of that name that remembers where it saw somebody last."""
+    """Named policy with memory of the last detections."""
     return LastSeen(policies.make(name, scenario), scenario)
 
 

@@ -1,4 +1,4 @@
-"""``rendezvous reproduce pixels``: policies that see nothing but pictures."""
+"""``rendezvous reproduce pixels``: policies that act on camera images alone."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ SCENARIO = Scenario(
     obstacles=ObstacleField(8, (0.4, 1.0), region=8.0, keep_out=0.25),
     obstacle_slots=24,
 )
-"""``clutter-8`` at half its size, with robots as large as its lamps: 0.4 m."""
+"""``clutter-8`` at half its size, with lamps of diameter 0.4 m as robots."""
 POLICIES = ("bearing-only", "tangent-joined-tuned", "learned", "learned-tank")
 
 Watcher = Callable[[Simulator, Eyes, NDArray[np.uint8], list[Found | None]], None]
-"""Called in every step before robots move: the team, its eyes, all pictures, the findings."""
+"""Callback before every step: simulator, cameras, images, detections."""
 
 
 @dataclass(frozen=True)
 class Episode:
-    """How one start ended."""
+    """Result of one episode."""
 
     met: bool
     clean: bool
@@ -54,7 +54,7 @@ class Episode:
 
 
 def play(policy: str, seeds: range, watch: Watcher | None = None) -> Iterator[Episode]:
-    """Play starts of these seeds from pixels alone, with a law, a rule or a learned policy."""
+    """Run episodes with the given seeds from images alone."""
     layout, n = SCENARIO.observation_layout, SCENARIO.n_robots
     simulator = Simulator(SCENARIO)
     simulator.reset(seeds[0])
@@ -87,10 +87,10 @@ def play(policy: str, seeds: range, watch: Watcher | None = None) -> Iterator[Ep
 
 
 def compare(policy: str, episodes: int, seed: int) -> dict[str, Any]:
-    """Success from pixels beside that with exact sensors and with ``Sensing.camera()``."""
+    """Success from images, from exact sensors and from ``Sensing.camera()``."""
 
     def simulated(sensing: Sensing) -> float:
-        """Collision-free success on the same starts, without pictures."""
+        """Collision-free success from the same initial conditions, without images."""
         scenario = SCENARIO.replace(sensing=sensing)
         own = partial(make, policy, scenario)
         found, _ = evaluation.play(scenario, own, margin=None, episodes=episodes, seed=seed)

@@ -1,1 +1,1 @@
-"""One page that shows what a comparison found."""
+"""HTML report of a comparison or a leaderboard."""

@@ -1,4 +1,4 @@
-"""The page of a leaderboard's folder: algorithms, replays, figures, and the card of every run."""
+"""Report of a leaderboard folder: algorithms, replays, figures and run records."""
 
 import shlex
 from itertools import chain
@@ -22,12 +22,12 @@ _FIGURES = ("price.png", "profiles.png")
 
 
 def is_one(folder: Path) -> bool:
-    """Whether ``leaderboard`` wrote into a folder."""
+    """Whether a folder was written by ``leaderboard``."""
     return (folder / "leaderboard.csv").is_file()
 
 
 def page(folder: Path) -> str:
-    """The whole page; a UserError if a card, replay or table is missing or not readable."""
+    """The page as HTML; a UserError if a run record, replay or table is missing or unreadable."""
     found, path = cards.read_cards(folder), folder / "leaderboard.csv"
     with user_error(f"{path}: not readable: ", OSError, ValueError):
         rows = results.read_csv(path)
@@ -66,13 +66,13 @@ def page(folder: Path) -> str:
 
 
 def _policy(card: cards.Card) -> str:
-    """The policy of a replay; one that does not learn has no seed."""
+    """Policy name of a replay, with the seed of a learned one."""
     seed = f", seed {card['seed']}" if card["decisions"] else ""
     return f"{card['algorithm']}{seed}"
 
 
 def _replays(folder: Path, card: cards.Card) -> list[Replay]:
-    """What was kept of a run, with what its card says of each start."""
+    """Replays of a run, with the recorded result of each episode."""
     found, kept = card["results"], path_of(cards.path_in(folder, card))
     names = {"success": "success", "clean": "clean", "time": "time", "contacts": "touches"}
     return [
@@ -85,7 +85,7 @@ def _replays(folder: Path, card: cards.Card) -> list[Replay]:
 
 
 def _cell(card: cards.Card, is_replayed: bool) -> dict[str, str]:
-    """A row of the table of runs, its numbers as text."""
+    """Row of the table of runs, with numbers as text."""
     name, found = cards.place_of(card).name, card["results"]
     row: dict[str, Any] = {key: float(np.mean(found[key])) for key in ("clean", "time")}
     row |= {key: 1000.0 * sum(found[key]) / sum(found["steps"]) for key in ("touches", "risen")}

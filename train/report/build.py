@@ -1,4 +1,4 @@
-"""``rendezvous report``: one HTML page of what ``compare`` found, with an interactive replay."""
+"""``rendezvous report``: HTML page of a comparison with an interactive replay."""
 
 import shlex
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ from .skeleton import PLAYER, Replay, elements, figures, part, player_data, term
 _OUTCOME = (
     "success", "clean", "time", "path_length", "contacts", "clearance", "min_alignment",
 )  # fmt: skip
-"""Columns of episodes.csv that are shown beside a replay."""
+"""Columns of episodes.csv shown with a replay."""
 _NOTHING_KEPT = "No start was kept (--keep-trajectories 0), so there is nothing to replay."
 
 EXAMPLES = ("out/compare", "results/leaderboard/smoke")
@@ -34,14 +34,13 @@ EXAMPLES = ("out/compare", "results/leaderboard/smoke")
 
 @dataclass(frozen=True)
 class Config(Flags):
-    """Make OUT/report.html of the results in OUT: tables, figures and an interactive replay; of a
-    leaderboard's folder a page of its tables, figures, cards and replays.
+    """Write OUT/report.html with the tables, figures and replays of a comparison or leaderboard.
 
-    The page needs nothing but itself: no network, no server.
+    The page is self-contained: it needs neither network nor server.
     """
 
     folder: Positional[Path] = Path("out/compare")
-    """The folder that rendezvous compare or leaderboard --out wrote."""
+    """Folder written by rendezvous compare or leaderboard --out."""
 
 
 def run(config: Config) -> int:
@@ -58,7 +57,7 @@ def run(config: Config) -> int:
 
 
 def _page_of(folder: Path) -> tuple[str, str]:
-    """The page of a comparison or a leaderboard, and a note on it."""
+    """Page of a comparison or a leaderboard, and a note for the terminal."""
     command = "leaderboard" if board.is_one(folder) else "compare"
     try:
         if command == "leaderboard":
@@ -73,7 +72,7 @@ def _page_of(folder: Path) -> tuple[str, str]:
 
 
 def page(found: Comparison) -> str:
-    """The whole page."""
+    """The page as HTML."""
     encoded = encode_all(list(found.recordings.values()))
     outcomes = {(row["scenario"], row["policy"], int(row["start"])): row for row in found.episodes}
     shown = [
@@ -113,7 +112,7 @@ def page(found: Comparison) -> str:
 
 
 def rankings(found: Comparison) -> list[Ranking]:
-    """The rankings of ``compare``, from episodes.csv."""
+    """Rankings of ``compare``, from episodes.csv."""
     played = []
     for name, policies in found.run["policies"].items():
         for policy in policies:
@@ -130,7 +129,7 @@ def rankings(found: Comparison) -> list[Ranking]:
 
 
 def _counts(found: Comparison) -> str:
-    """How many scenarios, policies and starts."""
+    """Numbers of scenarios, policies and initial conditions, as text."""
     policies = {name for played in found.run["policies"].values() for name in played}
     first, count, starts = found.run["seed"], found.run["episodes"], found.run["starts"].items()
     seeds = f"seeds {first}–{first + count - 1}" if count > 1 else f"seed {first}"
@@ -157,7 +156,7 @@ def _about(found: Comparison, encoded: Sequence[Encoded]) -> str:
 
 
 def _precision(found: Comparison, encoded: Sequence[Encoded]) -> str:
-    """What the replay leaves out of what was recorded."""
+    """Rounding and subsampling of the replay, as text."""
     if not found.recordings:
         return _NOTHING_KEPT
 

@@ -1,4 +1,4 @@
-"""The result folder of ``compare``, read if its digests are right."""
+"""Reader of the result folder of ``compare``, with verified digests."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,7 @@ from ..compare.out_folder import RUN, is_ours, part_of
 from ..recording import Recording, whole
 
 Key = tuple[str, str, int]
-"""Scenario, policy and start."""
+"""Scenario, policy and number of the initial condition."""
 Row = dict[str, str]
 """Cells of a line of a CSV file, as text."""
 
@@ -24,7 +24,7 @@ _FILES = ("results.csv", "paired.csv", "episodes.csv", "trajectories.npz")
 
 @dataclass(frozen=True)
 class Comparison:
-    """One result folder."""
+    """Contents of a result folder."""
 
     run: dict[str, Any]  # run.json
     scenarios: dict[str, Scenario]  # by name
@@ -36,8 +36,10 @@ class Comparison:
 
 
 def read(folder: Path) -> Comparison:
-    """Read a result folder; a UserError if it is missing, half written, of another format version,
-    or a mixture of two comparisons.
+    """Read a result folder.
+
+    Raises:
+        UserError: if it is missing, incomplete, of another format version, or mixes two runs.
     """
     if not folder.is_dir():
         part = part_of(folder) if folder.name else folder
@@ -62,7 +64,7 @@ def read(folder: Path) -> Comparison:
 
 
 def half_written(path: Path, what: str, command: str = "compare") -> UserError:
-    """The error that a file is not what a command wrote."""
+    """Error for a file that differs from what the command wrote."""
     return UserError(f"{path}: {what}; run rendezvous {command} into this folder again")
 
 
@@ -91,7 +93,7 @@ def _read_run(folder: Path) -> dict[str, Any]:
 
 
 def _check_files(folder: Path, run: dict[str, Any]) -> None:
-    """Refuse a file of a comparison that is missing, was changed, or is of another one."""
+    """Raise a UserError for a missing, modified or foreign file."""
     for name in _FILES:
         if name not in run["files"]:
             raise half_written(folder / RUN, f"names no {name}")

@@ -1,4 +1,4 @@
-"""What all pages share: one file with its data, style, scripts and replays."""
+"""Common structure of report pages: one file with data, style, scripts and replays."""
 
 import base64
 import json
@@ -29,7 +29,7 @@ _CAPTIONS = {
 
 
 def part(name: str) -> str:
-    """A file of the page."""
+    """Contents of a file of the page template."""
     return (_PAGE / name).read_text(encoding="utf-8")
 
 
@@ -41,9 +41,9 @@ def whole(
     scripts: Sequence[str],
     recordings: str,
 ) -> str:
-    """The page, with links to its sections ("About" leads to "run"), the sections as HTML, data
-    that the scripts read as DATA, and elements with recordings; with any, it has the library of
-    plots.
+    """Assemble the page from sections (HTML), their titles, script data (DATA) and recordings.
+
+    The plotting library is included if there are recordings. The section "About" has id "run".
     """
     ids = {"About": "run"}
     own = "\n".join(part(f"{name}.js") for name in scripts)
@@ -61,7 +61,7 @@ def whole(
 
 
 def figures(paths: Sequence[Path]) -> str:
-    """Pictures with what they show."""
+    """Figures with captions, as HTML."""
     return "\n".join(map(_figure, paths)) or (
         '<p class="note">The folder has no figures; compare draws them by default.</p>'
     )
@@ -88,17 +88,17 @@ def _figure(path: Path) -> str:
 
 
 def terms(lines: Mapping[str, str]) -> str:
-    """A list of terms and their meaning here."""
+    """Definition list of terms, as HTML."""
     items = (f"<dt>{escape(name)}</dt><dd>{escape(line)}</dd>" for name, line in lines.items())
     return f"<dl>{''.join(items)}</dl>"
 
 
 PLAYER = ("world", "sight", "plots", "pane")
-"""Scripts that draw; "replay" begins, once the tables are there."""
+"""Scripts of the player; "replay" is last, since it uses the tables."""
 
 
 class Replay(NamedTuple):
-    """An episode that can be shown."""
+    """A replayable episode."""
 
     scenario: str
     policy: str
@@ -108,7 +108,7 @@ class Replay(NamedTuple):
 
 
 def elements(replays: Sequence[Replay]) -> str:
-    """The recordings, in the order of ``player_data``."""
+    """HTML elements with the recordings, in the order of ``player_data``."""
     return "\n".join(
         f'<script id="recording-{number}" type="application/gzip">{replay.shown["text"]}</script>'
         for number, replay in enumerate(replays)
@@ -116,7 +116,7 @@ def elements(replays: Sequence[Replay]) -> str:
 
 
 def player_data(replays: Sequence[Replay], scenarios: Mapping[str, Scenario]) -> dict[str, Any]:
-    """What the player reads besides the recordings themselves; obstacles of a start once."""
+    """Data of the player apart from the recordings; obstacles are stored once per episode."""
     worlds = {(one.scenario, one.start): one.shown["obstacles"] for one in replays}
     places = {world: number for number, world in enumerate(worlds)}
     return {

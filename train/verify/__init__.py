@@ -1,1 +1,1 @@
-"""The theorems as a command: claims, cases, adversaries."""
+"""Falsification of theorems and certificates: claims, random scenarios, adversaries."""

@@ -1,6 +1,4 @@
-"""Adversaries that know where all robots are: of what a policy may choose, and of what robots see,
-where bearings are wrong by a bounded angle.
-"""
+"""Adversaries with full state: of the actions, and of bearings with a bounded error."""
 
 from typing import Any
 
@@ -20,22 +18,22 @@ KINDS = (
     *("flee", "across", "outward", "from_farthest", "from_nearest", "to_nearest"),
     *("frozen", "random", "rest"),
 )
-"""Against V; against its fall; against the hull; against links; to make merges; and blindly; of the
-frozen ones half spin."""
+"""Objectives: increase V, slow its decrease, grow the hull, stretch links, cause merges, random.
+Half of the frozen ones rotate."""
 _REST = KINDS.index("rest")
 _FASTEST_SPIN = 20.0  # rad/s
 _ERRORS = ("against", "to one side", "anyhow", "to changing sides", "outward")
-"""Where bearings are turned: away from f, …, away from the middle of what is seen."""
+"""Directions into which bearings are rotated: away from f, …, away from the mean bearing."""
 _SWITCHING = 7  # steps after which errors turn round
 _ROUNDED = 1.0 - 1e-6  # share of an error that is still none too much after rounding to float32
 _TINY = 1e-12
 
 
 class Adversary:
-    """Makes choices, (B, n, k), for robots that ``by`` stands before; ``max_turn_rate``, rad/s, is
-    of headings, and of robots that turn the unit of choices.
+    """Adversarial actions (B, n, k) for robots behind the safety filter ``by``.
 
-    In half of the teams all robots want the same kind; every fourth team draws anew now and then.
+    ``max_turn_rate``, rad/s, limits headings, and is the unit of actions of nonholonomic robots. In
+    half of the environments all robots share an objective; every fourth environment resamples it.
     """
 
     def __init__(
@@ -58,7 +56,7 @@ class Adversary:
             self.turn_rates = np.minimum(max_turn_rate, self.turn_rates)
 
     def __call__(self, observations: Float32, teams: Moment) -> ArrayLike:
-        """Choices (B, n, k)."""
+        """Actions (B, n, k)."""
         restless = self.kinds[3::4]
         anew = self.random.random(restless.shape) < 0.1
         restless[anew] = self.random.integers(len(KINDS), size=int(anew.sum()))
@@ -71,7 +69,7 @@ class Adversary:
         return self.controls(observations, teams)
 
     def desired(self, teams: Moment) -> Array:
-        """The velocity that each robot desires, in its own frame, (B, n, d)."""
+        """Desired velocity of each robot in its own frame, (B, n, d)."""
         anyhow, angle = self.random.normal(size=self.frozen.shape), self._spun(teams)
         spun = np.cos(angle) * self.frozen + np.sin(angle) * np.roll(self.frozen, 1, axis=-1)
         f, others = teams.net_bearings, (teams.both[..., None] * teams.offsets).sum(axis=2)
@@ -84,8 +82,10 @@ class Adversary:
         return np.asarray((aims[..., None] * teams.frames).sum(axis=2))
 
     def _lean(self, rows: Array, desired: Array, anyhow: Array) -> Array:
-        """Weights (B, n, K) of rows (B, n, K, d): of the one desired most alone, for some robots of
-        all that are desired or ``anyhow``; none for those that rest.
+        """Weights (B, n, K) of rows (B, n, K, d).
+
+        Only the most desired row has weight, for some robots all desired rows (all with
+        ``anyhow``), and none for robots that rest.
         """
         there = lengths(rows)[..., 0] > 0.0
         scores = (unit(rows) * desired[..., None, :]).sum(axis=-1)
@@ -97,12 +97,12 @@ class Adversary:
         return np.where(self.kinds[..., None] == _REST, 0.0, weights)
 
     def _spun(self, teams: Moment) -> Array:
-        """By how much each robot has spun, (B, n, 1), rad."""
+        """Accumulated rotation of each robot, (B, n, 1), rad."""
         return np.asarray(self.spin * teams.time[:, None, None])
 
     def controls(self, observations: Float32, teams: Moment) -> Array:
-        """Inputs of robots that turn, over their bounds: away from f or across it, held, blind, to
-        and fro.
+        """Normalised inputs of nonholonomic robots: away from f, across it, held, random or
+        alternating.
         """
         scenario, layout = self.scenario, self.scenario.observation_layout
         f, gravity = layout.net_bearing(observations), layout.split(observations).gravity
@@ -122,8 +122,11 @@ class Adversary:
 
 
 def orthogonal_rates(f: Array, pitch: Array | None, duration: float) -> Array:
-    """ω = −(f_x/τ) P_h f / ‖P_h f‖², (..., d − 1), rad/s, the yaw rate divided by cos β: rates that
-    bring the heading h = x to h ⟂ f within a step, f in the body frame; β is None in the plane.
+    """Turn rates that make the heading h = x perpendicular to f within a step.
+
+        ω = −(f_x/τ) P_h f / ‖P_h f‖²
+
+    (..., d − 1), rad/s, with f in the body frame; the yaw rate is divided by cos β in 3-D.
     """
     side = f[..., 1:]
     square = np.sum(side**2, axis=-1, keepdims=True)
@@ -135,15 +138,16 @@ def orthogonal_rates(f: Array, pitch: Array | None, duration: float) -> Array:
 
 
 def _offset_of(teams: Moment, others: NDArray[np.int64]) -> Array:
-    """From each robot to another one, (B, n, d), m; zero for a robot without a link."""
+    """Offset from each robot to another one, (B, n, d), m; zero without a link."""
     found = np.take_along_axis(teams.offsets, others[..., None, None], axis=2)[..., 0, :]
     return np.where(teams.linked.any(axis=2, keepdims=True), found, 0.0)
 
 
 class Misled(gymnasium.vector.VectorWrapper):
-    """Teams whose neighbour rows are turned by an error, rad, each robot's in one of _ERRORS' ways,
-    in half of the teams all alike; team b draws from seed + b, so that it errs alone as among
-    others.
+    """Vector environment whose neighbour rows are rotated by a bounded error, rad.
+
+    Each robot uses one of ``_ERRORS``, in half of the environments a common one. Environment b
+    draws from seed + b, independent of the batch.
     """
 
     part_of_world = True
@@ -168,7 +172,7 @@ class Misled(gymnasium.vector.VectorWrapper):
         return self._turned(observations), *others
 
     def _turned(self, observations: Float32) -> Float32:
-        """Observations (B, n, rows, d) with turned rows."""
+        """Observations (B, n, rows, d) with rotated rows."""
         seen, rows = observations.copy(), observations[..., self._rows, :].astype(np.float64)
         anyhow = np.array([random.normal(size=rows.shape[1:]) for random in self._randoms])
         self._step += 1
@@ -181,8 +185,9 @@ class Misled(gymnasium.vector.VectorWrapper):
 
 
 def turned_rows(rows: Array, towards: Array, errors: Array | float) -> Array:
-    """Rows (..., d) turned towards directions (..., d) by errors (..., 1), rad, or across where
-    they are in line; lengths stay.
+    """Rows (..., d) rotated towards directions (..., d) by errors (..., 1), rad.
+
+    Collinear rows rotate sideways; lengths are unchanged.
     """
     ahead, aside = unit(rows), towards
     for _ in range(2):  # so that rounding leaves none of what is ahead

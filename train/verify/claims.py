@@ -1,6 +1,4 @@
-"""The claims of docs/theory.md, each an experiment that can fail: who plays on which random teams,
-and what is looked at in every step (``monitors``).
-"""
+"""Claims of docs/theory.md as experiments: random environments, a policy, monitored quantities."""
 
 import math
 import time
@@ -30,8 +28,7 @@ BATCH = 40  # teams of one batch: they share everything but start, frames, weigh
 SIZES = (2, 3, 5, 8)
 FAMILIES = ("complete", "path", "cycle", "star", "random_tree", "erdos_renyi")
 PATIENCE = 500.0
-"""s after which nonholonomic robots, which have no time bound worth waiting for, are held not to
-meet."""
+"""Time limit for nonholonomic robots, whose time bounds are too large to simulate, s."""
 
 
 def draw_team(
@@ -46,8 +43,10 @@ def draw_team(
     step_factors: tuple[float, float] | None = None,
     turning: bool = False,
 ) -> Trial:
-    """Teams that share all but start, weights and frames; sizes take turns, τ over the certified
-    step is in ``step_factors``. Robots that turn are of the paper's models.
+    """Random environments that differ in initial condition, weights and frames.
+
+    Team sizes alternate; ``step_factors`` are values of τ over the certified step. Nonholonomic
+    robots use the models of the paper.
     """
     n, dim = sizes[batch % len(sizes)], int(random.choice(dims))
     fields: dict[str, Any] = {}
@@ -86,7 +85,7 @@ def draw_team(
 
 
 def _graph(random: Random, family: str, n: int) -> Any:
-    """One of a family, or two trees side by side: a tree, robots in any order, without an edge."""
+    """Graph of a family, or two disjoint trees: a tree in random order without one edge."""
     if family == "two trees":
         order = random.permutation(n).tolist()
         edges = [
@@ -101,17 +100,17 @@ def _graph(random: Random, family: str, n: int) -> Any:
 
 
 def bound_a(trial: Trial, teams: Simulator, margin: float = 1.0) -> Array:
-    """Of theorem A, s."""
+    """Time bound of theorem A, s."""
     return time_bound(trial.scenario, teams.lyapunov(), min_alignment=margin)
 
 
 def bound_c(trial: Trial, teams: Simulator) -> Array:
-    """Of theorems B and C, s."""
+    """Time bound of theorems B and C, s."""
     return bound_a(trial, teams, trial.arguments["min_alignment"])
 
 
 def bound_of_pieces(trial: Trial, teams: Simulator) -> Array:
-    """Time by which each piece of a disconnected graph has met, s: the proof of A holds for it."""
+    """Time bound for each component of a disconnected graph, s, by the proof of theorem A."""
     scenario = trial.scenario
     above = teams.lyapunov() + merge_rise_allowance(scenario)
     slowed = max(1.0, scenario.max_degree / scenario.speed_limit)
@@ -119,7 +118,7 @@ def bound_of_pieces(trial: Trial, teams: Simulator) -> Array:
 
 
 def patience(trial: Trial, teams: Simulator) -> Array:
-    """No theorem's: PATIENCE."""
+    """``PATIENCE``, without a theorem."""
     return np.full(teams.num_envs, PATIENCE)
 
 
@@ -130,7 +129,7 @@ def cosine_or_not(trial: Trial, random: Random) -> Policy:
 
 
 def at_fixed_angle(trial: Trial, random: Random) -> Policy:
-    """Law (4) with hᵀf = ε‖f‖ always, each robot to a side of its own."""
+    """Law (4) with hᵀf = ε‖f‖ throughout, each robot to its own side."""
     scenario, epsilon = trial.scenario, trial.arguments["min_alignment"]
     axis = random.normal(size=(BATCH, scenario.n_robots, scenario.dim))
     side = random.choice([-1.0, 1.0], size=(BATCH, scenario.n_robots, 1))
@@ -150,15 +149,15 @@ class Claim:
     name: str
     statement: str
     draw: Callable[[Random, int, float], Trial]
-    """(random numbers, number of the batch, smallest ε) → what its teams share, and who plays."""
+    """(random generator, batch index, minimum ε) → trial with shared settings and policy."""
     bound: Callable[[Trial, Simulator], Array]
-    """(trial, teams at their start) → time limits (B,), s."""
+    """(trial, environments at reset) → time limits (B,), s."""
     numbers: tuple[str, ...]
-    """As in monitors.NUMBERS; the first one's margin is reported, and a team that breaks any
-    violates the claim. "time" is ``bound``, all others are at most 0."""
+    """Monitored quantities of monitors.NUMBERS; the margin of the first is reported, and any
+    violation counts. The limit of "time" is ``bound``, all others are 0."""
     law: Callable[[Trial, Random], Policy] | None = None
-    """Who plays; None is law (1), or the paper's of robots that turn, and under certified headings
-    adversaries."""
+    """Policy; None is law (1), the paper's law of nonholonomic robots, or adversaries under
+    certified headings."""
 
 
 _law_1 = partial(draw_team, by="law")
@@ -199,8 +198,9 @@ CLAIMS = (
 
 
 def check(claim: Claim, seed: int, batch: int, trials: int, least_margin: float) -> Tally:
-    """Run one batch of a claim, by its number, with margins ε of ``least_margin`` or more, until
-    each team has met, is out of time or has broken a number; and count ``trials`` of its teams.
+    """Run one batch of a claim with margins ε of at least ``least_margin``.
+
+    Each environment runs until rendezvous, its time limit or a violation; ``trials`` of them count.
     """
     began = time.perf_counter()
     random = np.random.default_rng([seed, zlib.crc32(claim.name.encode()), batch])

@@ -1,7 +1,6 @@
-"""One scenario, one certificate: adversaries play, and every number that it gives is checked; what
-is violated is made small and written.
+"""Falsification of one certificate: adversarial episodes, checks of every bound, shrinking.
 
-Everything goes through what any user has: certificates, the vector environment and its wrappers.
+Only the public interface is used: certificates, the vector environment and its wrappers.
 """
 
 from __future__ import annotations
@@ -38,21 +37,21 @@ Array = NDArray[np.float64]
 Policy = Callable[[Any, Moment], Any]
 
 TEAMS = 24
-"""Teams of one trial, side by side: each start has as many, with adversaries of their own."""
+"""Number of environments per trial, divided evenly between initial conditions."""
 MOST_STEPS = 400  # steps for which a time bound is waited for
 PATIENT_STEPS = 1000
 """Steps of a trial of a policy, besides those that a deadlock has to last."""
 FEW_STEPS = 8, 80
-"""Least and most steps of trials whose time bound is out of reach, most of them short."""
+"""Minimum and maximum number of steps of trials whose time bound cannot be reached."""
 _PARENTS = 3  # starts from which those of the next generation are made
 _LAWS = {"unicycle": "unicycle", "nonholonomic_3d": "nonholonomic-3d"}
 _HOW = ("by", "arguments", "frame", "period", "seed", "policy", "numbers")
-"""What of a trial is written besides its scenario."""
+"""Fields of a trial that are written in addition to its scenario."""
 
 
 @dataclass(frozen=True)
 class Violation:
-    """A number of a certificate that does not hold."""
+    """A violated bound of a certificate."""
 
     number: str  # one of NUMBERS
     team: int
@@ -71,7 +70,7 @@ class Violation:
 
 @dataclass
 class Tally:
-    """What some trials say together, of a claim or of all theorems."""
+    """Accumulated results of trials, for a claim or for all theorems."""
 
     trials: int = 0
     seconds: float = 0.0
@@ -80,14 +79,14 @@ class Tally:
     violations: int = 0
     first: int | None = None  # the first batch of a claim with a violation
     counts: Counter[tuple[str, str]] = field(default_factory=Counter)
-    """From how many starts each theorem was "granted", and each of its NUMBERS checked, "time" only
-    if the bound was reached or all met before; and how many trials violated one ("violations")."""
+    """Counts by theorem: initial conditions with a certificate ("granted"), checks of each of
+    NUMBERS ("time" only if the bound was reached or all met before), and "violations"."""
     ratio: dict[str, float] = field(default_factory=dict)  # the worst T/bound of each
     found: list[tuple[int, Trial, Played]] = field(default_factory=list)
-    """Of each violation the number of the trial, the trial as it was drawn, and what came of it."""
+    """Violations: trial index, trial as sampled, and result."""
 
     def join(self, other: Tally) -> None:
-        """Take in what others say."""
+        """Add the counts of another tally."""
         for name in ("trials", "seconds", "steps", "violations", "found"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.margin = min(self.margin, other.margin)
@@ -99,7 +98,7 @@ class Tally:
 
 @dataclass
 class Played(Tally):
-    """What came of a trial."""
+    """Result of a trial."""
 
     violation: Violation | None = None
     closeness: dict[str, Array] = field(default_factory=dict, repr=False)  # see ``Watch``, (B,)
@@ -107,7 +106,7 @@ class Played(Tally):
 
 
 class Promised(NamedTuple):
-    """What a certificate gives, as numbers that can fail."""
+    """Bounds of a certificate as numbers that can be violated."""
 
     limits: dict[str, float]  # by one of NUMBERS; 0 for what each step keeps
     theorems: dict[str, tuple[str, ...]]  # what each theorem that applies has a part in
@@ -116,7 +115,7 @@ class Promised(NamedTuple):
 
 
 def ask(scenario: rv.Scenario, by: str, arguments: Mapping[str, float]) -> Promised:
-    """What is promised; nothing if the arguments are refused."""
+    """Bounds of the certificate; none if the arguments are refused."""
     given = dict(arguments)
     error = given.pop("bearing_error", 0.0)
     try:
@@ -159,12 +158,12 @@ def patience_of(scenario: rv.Scenario) -> float:
 
 
 def start_of(teams: int, starts: int) -> NDArray[np.int64]:
-    """Which start each team has, (B,): they are divided evenly."""
+    """Index of the initial condition of each environment, (B,)."""
     return np.arange(teams) * starts // teams
 
 
 def begin(trial: Trial, bearing_error: float, count: int) -> tuple[Any, Any, Policy]:
-    """So many teams under what keeps the guarantee, what they see first, and who chooses."""
+    """Environments under the safety filter, first observations, and the acting policy."""
     scenario, arguments = trial.scenario, dict[str, Any](trial.arguments)
     env = _teams_of(scenario, count)
     error = arguments.pop("bearing_error", 0.0)
@@ -193,7 +192,7 @@ def begin(trial: Trial, bearing_error: float, count: int) -> tuple[Any, Any, Pol
         return wrapped, start, adversary
 
     def as_seen(seen: Any, now: Moment) -> Array:
-        """The adversary's choices in the frames with x along f."""
+        """Adversarial actions in the frames with x along f."""
         frames = wrapped.filter.get_state()["frames"]
         return np.einsum("bnij,bni->bnj", frames, np.asarray(adversary(seen, now)))
 
@@ -202,19 +201,20 @@ def begin(trial: Trial, bearing_error: float, count: int) -> tuple[Any, Any, Pol
 
 @lru_cache(maxsize=2)
 def _teams_of(scenario: rv.Scenario, count: int) -> Any:
-    """Teams that are reset for each choice and start."""
+    """Simulated environments, reset for each filter and initial condition."""
     return rv.make_vec(scenario, num_envs=count, autoreset_mode="Disabled", num_threads=1)
 
 
 def guarded(env: Any, by: str, arguments: Mapping[str, Any]) -> Any:
-    """A vector environment under what keeps a guarantee; law (1) needs nothing."""
+    """Vector environment under a safety filter; law (1) needs none."""
     return env if by in ("law", "policy") else vector.GuaranteeWrapper(env, by, **arguments)
 
 
 def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> Played:
-    """Ask for the certificates, play with so many teams side by side, and hold every number against
-    what happens, until one is violated, or every team has met or its bound is reached, unless that
-    is too late. ``choices``, (steps, n, k), are of one team, instead of adversaries.
+    """Request the certificates, simulate a batch of environments and check every bound.
+
+    It ends at a violation, or when every environment has met or reached its bound, if that is
+    feasible. ``choices``, (steps, n, k), replace the adversaries for a single environment.
     """
     among = trial.starts or (trial.scenario,)
     if trial.by == "policy":
@@ -262,7 +262,7 @@ def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> P
 
 
 def _last_steps(trial: Trial, limits: Mapping[str, Array]) -> Array:
-    """The step of each team's bound, (B,), 0 if too late; a few, drawn, where it is for all."""
+    """Step of each environment's time bound, (B,), 0 if infeasible; random if all are."""
     if trial.by == "policy":
         patience = max(patience_of(one) for one in trial.starts or (trial.scenario,))
         steps = PATIENT_STEPS + math.ceil(patience / trial.scenario.tau)
@@ -276,9 +276,13 @@ def _last_steps(trial: Trial, limits: Mapping[str, Array]) -> Array:
 
 
 def climb(trial: Trial) -> tuple[Trial, Played]:
-    """Look for a start from which something is violated: play the trial from its own starts, and
-    ``trial.generations`` times from changes of those that came nearest to break one of its numbers.
-    The trial, from the start of what was found, or as it was drawn; and what came of it.
+    """Search for initial conditions that violate a bound.
+
+    Simulate the trial from its initial conditions, then ``trial.generations`` times from variations
+    of those closest to a violation.
+
+    Returns:
+        The trial (with the violating initial condition if found) and its result.
     """
     drawn, played = trial, play(trial)
     first, random = played, np.random.default_rng([trial.seed, 2])
@@ -305,9 +309,7 @@ def climb(trial: Trial) -> tuple[Trial, Played]:
 
 
 def shrink(trial: Trial, played: Played) -> tuple[Trial, Played]:
-    """A trial of fewer robots and plainer fields in which the same number is violated: one thing is
-    made simpler at a time, and kept if adversaries still find a violation.
-    """
+    """Shrink a violation: simplify one property at a time while the same bound is violated."""
     assert played.violation is not None
     number, simpler = played.violation.number, _simpler(trial)
     while (smaller := next(simpler, None)) is not None:
@@ -318,7 +320,7 @@ def shrink(trial: Trial, played: Played) -> tuple[Trial, Played]:
 
 
 def _simpler(trial: Trial) -> Iterator[Trial]:
-    """The trial with one thing less, the largest things first."""
+    """Simplifications of a trial, largest first."""
     scenario, plain, exact = trial.scenario, rv.Scenario(), rv.Sensing()
     given = scenario.obstacles if isinstance(scenario.obstacles, tuple) else ()
     fields = ("max_speed", "time_step", "max_turn_rate", "obstacle_contact", "on_merge")
@@ -376,8 +378,9 @@ def _one_digit(value: float) -> float:
 
 
 def write(folder: Path, name: str, trial: Trial, played: Played) -> Path:
-    """A violation as a scenario in NAME.toml, and how it is played in NAME.json; where one team
-    alone repeats it, with that team's choices and start.
+    """Write a violation: scenario in NAME.toml, settings in NAME.json.
+
+    If a single environment repeats it, its actions and initial condition are included.
     """
     assert played.violation is not None
     violation, choices = played.violation, None
@@ -399,7 +402,7 @@ def write(folder: Path, name: str, trial: Trial, played: Played) -> Path:
 
 
 def repeat(path: Path) -> Played:
-    """Play a violation again from the files of ``write``."""
+    """Repeat a violation from the files of ``write``."""
     how = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
     given = {name: how[name] for name in _HOW if name in how}
     given["numbers"] = tuple(given.get("numbers", ()))

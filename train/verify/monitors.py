@@ -1,4 +1,4 @@
-"""What a certificate promises, held against every step of the teams that are played."""
+"""Monitors that compare every step of simulated environments with the bounds of a certificate."""
 
 import math
 from collections.abc import Mapping
@@ -15,17 +15,23 @@ from rendezvous_env.safety.theorems.theorem import PROMISED
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Found = tuple[str, int, float, float]
-"""The number that is violated, the team, what was found and what was promised."""
+"""Violated quantity, environment, measured value, bound."""
 
 NUMBERS = (*PROMISED, "descent", "ledger", "nested", "links")
-"""All have met in time; V, L and how much longer links are than at the start stay below their
-bounds; the mean time of many teams does. In every step without a merge or a contact V falls, by
-Σ f_i·Δ_i of the displacements (theory 4) where choices are held for one step, and V does not rise
-up to a merge; V + ΣA does not rise; the hull is nested while linked robots are r or more apart; no
-link grows longer, and where choices are held for one step no robot leaves its balls of radius r/4
-(docs/proofs.md, R). Claims have four more: Σ‖f_i‖ ≥ 2 max a ("lemma"); V falls as under law (1), by
-τ Σ‖f_i‖ min(‖f_i‖, v_max) ("law_descent"); it rises at a merge by no more than theory 5 allows
-("merge_rise"); no fewer robots are left than the graph has components ("pieces")."""
+"""Monitored quantities.
+
+Bounds: rendezvous time; V; hull perimeter L; growth of links; mean rendezvous time. Per step:
+
+* "descent": without merge or contact V decreases by Σ f_i·Δ_i of the displacements (theory 4) if
+  actions are held for one step, and V does not increase up to a merge.
+* "ledger": V + ΣA does not increase.
+* "nested": hulls are nested while linked robots are at least r apart.
+* "links": no link grows, and with actions held for one step no robot leaves its balls of radius r/4
+  (docs/proofs.md, R).
+
+Claims also use Σ‖f_i‖ ≥ 2 max a ("lemma"); the decrease τ Σ‖f_i‖ min(‖f_i‖, v_max) of V under law
+(1) ("law_descent"); the bound of theory 5 at merges ("merge_rise"); at least as many robots as
+graph components ("pieces")."""
 SEARCHED = {
     "rise": "V rises in a step without merge or contact (m²/s)",
     "growth": "the convex hull grows in such a step, linked robots r or more apart (m)",
@@ -40,14 +46,12 @@ _FLOAT32 = 2.0**-20
 _CONFIDENCE = 5.0  # standard errors by which a mean may lie above its bound
 _COUNT = 48  # directions in which hulls are measured
 _NEARLY = 0.97
-"""Share of the bound on L from which L is measured exactly in 3-D: so many directions miss no more
-of it than 1.5 %."""
+"""Fraction of the bound on L above which L is computed exactly in 3-D; the sampled directions
+underestimate it by at most 1.5 %."""
 
 
 class Moment:
-    """State of the teams at one moment: attributes of the simulator, each read when it is first
-    asked for, and the geometry of all pairs of robots (i, j).
-    """
+    """State of a batch at one time: lazily read simulator attributes and pairwise geometry."""
 
     def __init__(self, teams: rv.Simulator) -> None:
         self._teams = teams
@@ -61,7 +65,7 @@ class Moment:
 
     @cached_property
     def both(self) -> Mask:
-        """Whether i and j are active, (B, n, n)."""
+        """Whether robots i and j are active, (B, n, n)."""
         return np.asarray(self.active[:, :, None] & self.active[:, None])
 
     @cached_property
@@ -81,7 +85,7 @@ class Moment:
 
     @cached_property
     def tops(self) -> Array:
-        """Support of the team in each of M directions, (B, M), m, see ``extents``."""
+        """Support function of the team in M directions, (B, M), m, see ``extents``."""
         return extents(self.positions, self.active, directions(self.positions.shape[-1]))
 
     @cached_property
@@ -107,22 +111,22 @@ def unit(vectors: Array) -> Array:
 
 
 def _most(values: Array, where: Mask) -> Array:
-    """The largest of each team's, (B,)."""
+    """Maximum per environment, (B,)."""
     return np.asarray(np.where(where, values, -np.inf).max(axis=(1, 2)))
 
 
 def across(ahead: Array, axis: Array) -> Array:
-    """Vectors across others, (..., d): turned by 90° in the plane, ahead × axis in 3-D."""
+    """Perpendicular vectors, (..., d): rotated by 90° in the plane, ahead × axis in 3-D."""
     if ahead.shape[-1] == 2:
         return np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)
     return np.cross(ahead, axis)
 
 
 class Watch:
-    """Looks at teams of ours, at their start, after every step.
+    """Monitor of a batch after reset and after every step.
 
-    ``limits`` is the most that each number may be, (B,); a step is ``period`` base steps; tanks
-    begin with a ``budget``, m²/s.
+    ``limits`` are the bounds (B,) by quantity; a step is ``period`` base steps; energy tanks start
+    with ``budget``, m²/s.
     """
 
     def __init__(self, env: Any, limits: dict[str, Array], period: int, budget: float) -> None:
@@ -154,13 +158,13 @@ class Watch:
 
     @property
     def time_over_bound(self) -> float:
-        """The worst of the teams that have met."""
+        """Largest ratio of rendezvous time to bound."""
         met = np.isfinite(self.met)
         ratio = self.met[met] / np.broadcast_to(self.limits.get("time", np.inf), met.shape)[met]
         return float(ratio.max()) if ratio.any() else math.nan
 
     def checked(self, of: Mask) -> set[str]:
-        """The numbers that were, of these teams, (B,); times only if they were waited for."""
+        """Quantities that were checked in the given environments, (B,)."""
         met, now = np.isfinite(self.met), self.teams.time
         timed = ("time", "expected_time")
         return {
@@ -170,9 +174,7 @@ class Watch:
         }
 
     def look(self, infos: Mapping[str, Any]) -> tuple[Mask, Found | None]:
-        """Which teams break a number in this step, (B,); and the first number that is broken, by
-        the team that does so the most.
-        """
+        """Mask of violating environments in this step, (B,), and the first, largest violation."""
         measured, wrong, worst = self._measure(infos), np.zeros(len(self.met), dtype=bool), None
         for name, limit in self.limits.items():
             if name not in measured:  # of many steps, as a mean is
@@ -190,9 +192,7 @@ class Watch:
         return wrong, worst
 
     def _measure(self, infos: Mapping[str, Any]) -> dict[str, tuple[Array, Any]]:
-        """What numbers are of each team, (B,), all that are limited and some others, and by how
-        much rounding may raise them.
-        """
+        """Monitored values, (B,) each, and their rounding allowances."""
         last, self.now = self.now, Moment(self.teams)
         now, outcome, touched = self.now, self.env.outcome, infos["contact"].any(axis=1)
         alone, left = (last.active == now.active).all(axis=1), now.active.sum(axis=1)
@@ -262,9 +262,7 @@ class Watch:
         return np.where(np.isinf(self.met), now.time - self.fell, -np.inf)
 
     def _size(self) -> Array:
-        """L, (B,), m, in the plane that of a polygon around the hull; where that may be too large
-        it is measured exactly.
-        """
+        """Hull perimeter L, (B,), m: in the plane of a circumscribed polygon, exact if large."""
         now, plane, most = self.now, self.scenario.dim == 2, self.limits["hull"]
         there = now.active[..., None]
         centre = (now.positions * there).sum(axis=1) / there.sum(axis=1)
@@ -275,7 +273,7 @@ class Watch:
         return np.asarray(sizes)
 
     def look_at_mean(self) -> Found | None:
-        """A start from which the mean time is surely too long; who has not met counts as if now."""
+        """Initial condition whose mean time significantly exceeds the bound, if any."""
         if "expected_time" not in self.limits or len(self.met) % REPEATED:
             return None
         times = np.minimum(self.met, self.teams.time).reshape(-1, REPEATED)
@@ -288,13 +286,13 @@ class Watch:
 
 
 def extents(places: Array, active: Mask, along: Array) -> Array:
-    """Support max_i u·p_i of the robots that are there, for each direction u, (B, M), m."""
+    """Support max_i u·p_i of active robots for each direction u, (B, M), m."""
     reach = np.where(active[..., None], places @ along.T, -np.inf)
     return np.asarray(reach.max(axis=1))
 
 
 def directions(dim: int, count: int = _COUNT) -> Array:
-    """Unit vectors all round, (M, d); in 3-D on a spiral."""
+    """Evenly distributed unit vectors, (M, d); in 3-D on a spiral."""
     k = np.arange(count) + 0.5
     if dim == 2:
         return np.stack([np.cos(2 * np.pi * k / count), np.sin(2 * np.pi * k / count)], axis=-1)

@@ -1,8 +1,8 @@
-"""Whole scenarios drawn at random, out of everything that ``Scenario`` and the wrappers can be.
+"""Random scenarios over all fields of ``Scenario`` and all wrappers.
 
-What the draw prefers are the places where promises break: robots within r of each other, nearly
-opposite or nearly coincident; links just short enough; obstacles where robots will merge; weights
-far apart; steps long and robots slow.
+Sampling prefers critical cases: robots within r of each other, nearly opposite or coincident; links
+at their maximum length; obstacles at merge points; very different weights; long steps of slow
+robots.
 """
 
 import math
@@ -25,13 +25,13 @@ Given = dict[str, dict[str, float]]  # arguments for each of CHOICES
 Starts = tuple[rv.Scenario, ...]
 
 STARTS = 6
-"""Of a draw: scenarios that differ in where the robots start, and are played side by side."""
+"""Number of initial conditions per sampled scenario, simulated as one batch."""
 DRAWS = 50  # of a task: they are of one kind and share compiled code
 _KINDS = 10**9  # where the random streams of kinds begin, beyond those of draws
 _TRIES = 40
 _CORNERS = 0.25  # share of scenarios that are drawn where promises would break first
 _TOLERABLE = 0.8
-"""Share of scenarios with a sensor that is wrong in one way, so little that theorems bear it."""
+"""Fraction of scenarios with one sensor imperfection small enough for some theorem."""
 _CLIMBING = 0.15  # share of trials whose starts are improved
 _SIZES = (2, 3, 3, 3, 4, 4, 4, 5, 6)
 _MODELS = (
@@ -53,7 +53,7 @@ GRAPHS = {
 
 @dataclass(frozen=True)
 class Trial:
-    """A scenario, what keeps the guarantee, and how it is played."""
+    """A scenario with its safety filter and simulation settings."""
 
     scenario: rv.Scenario
     by: str
@@ -68,7 +68,7 @@ class Trial:
 
 
 class Kind(NamedTuple):
-    """What compiled code depends on: trials of one kind share it."""
+    """Properties that determine the compiled kernels."""
 
     robot_model: str
     dim: int
@@ -78,7 +78,7 @@ class Kind(NamedTuple):
 
 
 def draw_kind(random: Random) -> Kind:
-    """Mostly single integrators in the plane without obstacles, about which most is promised."""
+    """Sample a kind; mostly planar single integrators without obstacles, which have most bounds."""
     model, dim = pick(random, *_MODELS)
     graphs = pick(random, "fixed", "fixed", "changing", "proximity")
     exact = graphs != "proximity" and random.random() < 0.4
@@ -86,7 +86,7 @@ def draw_kind(random: Random) -> Kind:
 
 
 def trials_of(seed: int, number: int, kind_number: int | None = None) -> list[Trial]:
-    """The scenarios of a draw, under each of CHOICES; of their task's kind if of no other."""
+    """Trials of one sampled scenario under each of CHOICES."""
     kind_number = number // DRAWS if kind_number is None else kind_number
     kind = draw_kind(np.random.default_rng([seed, _KINDS + kind_number]))
     random = np.random.default_rng([seed, number])
@@ -107,7 +107,7 @@ def trials_of(seed: int, number: int, kind_number: int | None = None) -> list[Tr
 
 
 def _draw(random: Random, kind: Kind) -> tuple[rv.Scenario, Given, Starts]:
-    """A scenario that is possible, what is given, and its starts, if it has any."""
+    """Sample a valid scenario, its options and, if any, its initial conditions."""
     for _ in range(_TRIES):
         try:
             scenario = _scenario(random, kind)
@@ -126,9 +126,7 @@ def _draw(random: Random, kind: Kind) -> tuple[rv.Scenario, Given, Starts]:
 
 
 def other_starts(random: Random, scenario: rv.Scenario, places: Array, anew: float = 0.0) -> Starts:
-    """The scenario from STARTS other starts, if as many are possible: changes of places (k, n, d),
-    m, in turn, or with a chance of any kind.
-    """
+    """The scenario with ``STARTS`` variations of initial positions (k, n, d), m."""
     n, dim, r = scenario.n_robots, scenario.dim, scenario.merge_radius
     reach, found = reach_of(scenario.sensing.range, n, r), list[rv.Scenario]()
     for k in range(4 * STARTS):
@@ -148,7 +146,7 @@ def reach_of(sight: float | None, n: int, r: float) -> float:
 
 
 def _arguments(random: Random, scenario: rv.Scenario, by: str) -> dict[str, float]:
-    """What a certificate is asked with besides ``by``, and a wrapper made with."""
+    """Arguments of the certificate apart from ``by``, and of the wrapper."""
     if by in ("heading", "tank"):
         margin = {"min_alignment": float(1.0 - log_uniform(random, 0.02, 0.95))}
         budget = {"budget": float(log_uniform(random, 0.01, 10.0) * random.integers(2))}
@@ -163,8 +161,8 @@ def _arguments(random: Random, scenario: rv.Scenario, by: str) -> dict[str, floa
 
 
 def _tolerable(random: Random, scenario: rv.Scenario, given: Given) -> rv.Scenario:
-    """The same with bearings that err, are noisy or are late by what some theorem bears, and with
-    gains that are the same for all where it needs them.
+    """Variant with bearing errors, noise or delay tolerated by some theorem, and equal gains if
+    that theorem requires them.
     """
     n, step = scenario.n_robots, scenario.certified_step * log_uniform(random, 0.1, 1.0)
     passed = scenario.obstacles if scenario.obstacle_contact == "ignore" else ()
@@ -226,8 +224,8 @@ def _scenario(random: Random, kind: Kind) -> rv.Scenario:
 
 
 def _corner(random: Random, kind: Kind, fields: dict[str, Any], reach: float) -> rv.Scenario:
-    """Where a promise would break first: links at their longest; heavy and light links of robots
-    that hide each other; bearings that nearly cancel, in long steps of slow robots.
+    """Critical scenarios: longest links; heavy and light links of robots that occlude each other;
+    nearly cancelling bearings in long steps of slow robots.
     """
     n, dim, r, at = fields["n_robots"], kind.dim, fields["merge_radius"], places_of
     place = {"fixed": at.on_line, "changing": at.in_wedge, "proximity": at.in_tail}[kind.graphs]
@@ -260,7 +258,7 @@ def _corner(random: Random, kind: Kind, fields: dict[str, Any], reach: float) ->
 
 
 def _clock(random: Random, scenario: rv.Scenario) -> dict[str, Any]:
-    """Step and limits of speed: from a tenth to twenty times what is certified."""
+    """Time step and speed limits: 0.1 to 20 times the certified values."""
     fields: dict[str, Any] = {}
     if random.random() < 0.6:
         longest = pick(random, 20.0, 20.0, 0.3)  # theorem N bears hardly any step
@@ -284,7 +282,7 @@ def _weight(random: Random) -> Any:
 
 
 def _fixed(random: Random, n: int, directed: bool, density: float | None = None) -> Any:
-    """Links whose weights are all the same, heavy or light, or anything over four decades, m/s."""
+    """Fixed links with equal weights, two weights, or weights over four decades, m/s."""
     density = density or pick(random, 1.0, 1.0, 0.6)
     kind, scale = int(random.integers(4)), log_uniform(random, 0.1, 10.0)
     weights = np.ones((n, n))
@@ -324,7 +322,7 @@ def random_graph(random: Random, kind: str, n: int, r: float) -> Any:
 
 
 def _sensing(random: Random, n: int, r: float, sight: float | None) -> rv.Sensing:
-    """One imperfection, seldom several; a range that links need may be all."""
+    """Sensor with one imperfection, rarely several."""
     fields: dict[str, Any] = {} if sight is None else {"range": sight}
     flaws = {
         "error": np.pi / n * log_uniform(random, 0.001, 1.5),

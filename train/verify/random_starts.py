@@ -1,5 +1,7 @@
-"""Starts and obstacles of random scenarios: robots in rows, rings, trees and clusters, within r of
-each other and as far apart as links may be; balls where they will merge.
+"""Initial conditions and obstacles of random scenarios.
+
+Robots form rows, rings, trees and clusters with gaps from r to the maximum link length; balls lie
+at merge points.
 """
 
 import itertools
@@ -23,7 +25,7 @@ def log_uniform(random: Random, low: float, high: float) -> float:
 
 
 def pick(random: Random, *options: Any) -> Any:
-    """One of them."""
+    """Random element."""
     return options[int(random.integers(len(options)))]
 
 
@@ -35,20 +37,20 @@ def _in_box(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
 
 
 def along_x(gaps: Any, dim: int) -> Array:
-    """Robots in order, so far apart."""
+    """Robots on the x axis with the given gaps."""
     places = np.zeros((len(gaps), dim))
     places[:, 0] = np.cumsum(gaps)
     return places
 
 
 def on_line(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
-    """Robots nearly on a line, in order, gaps as they come."""
+    """Robots nearly on a line, in order, with random gaps."""
     places = along_x([_gap(random, r, reach) for _ in range(n)], dim)
     return places + pick(random, 0.0, 1e-9, 1e-3, 0.1) * r * random.normal(size=(n, dim))
 
 
 def _gap(random: Random, r: float, reach: float) -> float:
-    """Between neighbours: within r, hardly more, anything, or as far as a link may be."""
+    """Random gap between neighbours: below r, slightly above, arbitrary, or the longest link."""
     gaps = (
         r * log_uniform(random, 1e-3, 1.0),
         r * (1.0 + log_uniform(random, 1e-5, 0.3)),
@@ -74,7 +76,7 @@ def _on_ring(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
 
 
 def _in_tree(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
-    """Each at a gap from one before it, straight on or to any side."""
+    """Random tree: each robot at a gap from a previous one, straight on or sideways."""
     places, straight = np.zeros((n, dim)), random.normal(size=dim)
     for k in range(1, n):
         towards = pick(random, straight, random.normal(size=dim))
@@ -84,7 +86,7 @@ def _in_tree(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
 
 
 def in_tail(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
-    """Robots in a row about r apart, ever nearer, and the last one as far as it may be."""
+    """Robots in a row about r apart with decreasing gaps, and the last one at maximum distance."""
     near = random.uniform(0.6, 1.0, n - 1)
     gaps = np.sort(pick(random, near, 1.0 + 0.03 * near**3))[::-1] * r
     gaps[-1] = min(reach, 30.0 * r) * (1.0 - log_uniform(random, 1e-7, 0.05))
@@ -93,7 +95,7 @@ def in_tail(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
 
 
 def in_wedge(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
-    """Robot 0 between others in nearly opposite directions, so that its bearings nearly cancel."""
+    """Robot 0 between others in nearly opposite directions, with nearly cancelling bearings."""
     angle, places = log_uniform(random, 0.02, 0.8), np.zeros((n, dim))
     for k in range(1, n):
         distance = r * log_uniform(random, 1.01, 3.0) if n > 3 else r * 1.5
@@ -106,7 +108,7 @@ STARTS = (None, _in_box, on_line, _in_clusters, _in_clusters, _on_ring, _in_tree
 
 
 def starts(random: Random, n: int, dim: int, r: float, reach: float) -> Array | None:
-    """Places of one of STARTS, in any order and orientation; None: every episode draws them."""
+    """Positions of a random kind, permuted and rotated; None samples them per episode."""
     if (place := pick(random, *STARTS)) is None:
         return None
     places = place(random, n, dim, r, reach)
@@ -117,7 +119,7 @@ def starts(random: Random, n: int, dim: int, r: float, reach: float) -> Array | 
 
 
 def changed(random: Random, places: Array, r: float) -> Array:
-    """A start from which one robot has been moved, or all."""
+    """Variation of positions in which one robot or all are moved."""
     stride = r * log_uniform(random, *STRIDES)
     which = np.arange(len(places)) == random.integers(len(places))
     which |= random.random() < 0.5
@@ -127,7 +129,7 @@ def changed(random: Random, places: Array, r: float) -> Array:
 def obstacles(
     random: Random, dim: int, round_only: bool, r: float, places: Array | None, side: float
 ) -> Any:
-    """Where robots will merge, anywhere among them, or drawn for every episode."""
+    """Obstacles at merge points, anywhere between robots, or sampled per episode."""
     if places is None or random.random() < 0.2:
         if dim == 2 and not round_only:
             layout = pick(random, "trap", "corridor", "rooms")
@@ -154,7 +156,7 @@ def _ball(centre: Array, radius: float) -> Any:
 
 
 def angular(random: Random, dim: int, r: float, places: Array) -> Any:
-    """A triangle or a capsule somewhere among the robots."""
+    """A triangle or a capsule at a random place between the robots."""
     size = r * log_uniform(random, 0.1, 5.0)
     at = places[int(random.integers(len(places)))] + 2.0 * size * random.normal(size=dim)
     if dim == 2 and random.random() < 0.5:

@@ -1,4 +1,4 @@
-"""``rendezvous verify``: the theorems of docs/theory.md as a command that can fail."""
+"""``rendezvous verify``: search for violations of theorems and certificates."""
 
 import itertools
 import math
@@ -31,7 +31,7 @@ from .random_scenarios import DRAWS, STARTS, trials_of
 _BAR = TextColumn("{task.description:16}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
 _MOST_TASKS = 256  # of a claim
 _SHOWN = "trials", "worst_margin", "worst_time_over_bound", "violations"
-"""Columns of verify.csv that are printed."""
+"""Printed columns of verify.csv."""
 _DRAWS = 10  # of a task that searches counterexamples of a policy
 _MOST_WRITTEN = 20  # violations of a search that are made small and written
 
@@ -55,23 +55,23 @@ class Config(Workers):
     trials: Annotated[int, Bounds(1, 10**8)] = 1000
     """Teams for each claim, or with --any or --policy scenarios."""
     seed: Annotated[int, Bounds(0)] = 0
-    """Other seeds draw other teams."""
+    """Seed of the random environments."""
     out: Path = Path("out/verify")
-    """Folder for verify.csv. Until it is written what is finished lies in OUT/verify.part, and the
-    same command goes on with it."""
+    """Folder for verify.csv. Finished results are in OUT/verify.part until then, and the same
+    command resumes."""
     min_alignment: Annotated[float, Bounds(0, 1, "()")] = 0.3
-    """Least margin ε that is drawn; waiting times grow with 1/ε²."""
+    """Smallest sampled minimum alignment ε; run time grows with 1/ε²."""
     claims: tuple[str, ...] = ()
-    """Names of the claims to check; all if none is given."""
+    """Names of the claims to check. Default: all."""
     only_batch: Annotated[int | None, Bounds(0)] = None
-    """Repeat one batch of teams, as a violation's report names it."""
+    """Repeat a single batch, as named in the report of a violation."""
     any: bool = False
-    """Try whole scenarios drawn at random instead of claims: ask for every certificate, and hold
-    each of its numbers against what adversaries can do. What is violated is made small and written
-    to OUT as a TOML file with the choices that repeat it."""
+    """Check random scenarios instead of claims: request every certificate and test each of its
+    bounds against adversaries. A violation is shrunk and written to OUT as a TOML file with the
+    actions that repeat it."""
     kinds: Annotated[int | None, Bounds(1)] = None
-    """Most kinds of scenarios for --any: to compile for one takes as long as to play a thousand.
-    Without it one for every 300 scenarios."""
+    """Maximum number of kinds of scenarios for --any, since each kind is compiled. Default: one per
+    300 scenarios."""
     policy: str | None = None
     """Search for counterexamples of this policy instead of claims: its name, learned:PATH, or
     MODULE:FUNCTION. Initial conditions, graphs and weights are varied until V rises, the convex
@@ -87,11 +87,11 @@ class Config(Workers):
     set: tuple[str, ...] = ()
     """With --policy, other values for fields of the scenario, as in n_robots=9 time_limit=60."""
     fresh: Annotated[bool, arg(name="overwrite", aliases=("--fresh",))] = False
-    """Throws away what another command has left unfinished in OUT/verify.part."""
+    """Discard the unfinished results of another command in OUT/verify.part."""
 
 
 class Task(NamedTuple):
-    """Some batches of a claim, or some random scenarios: they depend on nothing else."""
+    """Independent unit of work: batches of a claim, or random scenarios."""
 
     name: str  # of its cell
     group: str  # the claim, or "scenarios"
@@ -99,7 +99,7 @@ class Task(NamedTuple):
 
 
 def check_config(config: Config) -> None:
-    """Refuse what cannot be run in a UserError: the flag, its value and what would be right."""
+    """Validate the settings; a UserError names flag, value and remedy."""
     unused = {"kinds": "add --any"}
     if config.policy is None:
         unused |= dict.fromkeys(("scenario", "search", "set"), "add --policy")
@@ -118,8 +118,13 @@ def check_config(config: Config) -> None:
 
 
 def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | None = None) -> int:
-    """Check the claims, or what certificates promise; print the table, write verify.csv or any.csv;
-    the exit status. A UserError for an impossible flag, or a folder that cannot be written to.
+    """Check claims or certificates, print the table and write verify.csv or any.csv.
+
+    Returns:
+        Exit status: 1 if there is a violation.
+
+    Raises:
+        UserError: for invalid flags or a folder that is not writable.
     """
     check_config(config)
     console = console or Console(width=None if sys.stdout.isatty() else 120)
@@ -233,7 +238,7 @@ def _run_search(config: Config, policy: str, console: Console) -> int:
 
 
 def look(task: Task) -> Tally:
-    """Do a task."""
+    """Run a task."""
     tally = Tally()
     for one in task.looks:
         tally.join(one())
@@ -241,7 +246,7 @@ def look(task: Task) -> Tally:
 
 
 def _tasks_of_claims(config: Config, claims: Sequence[Claim]) -> list[Task]:
-    """The batches of each claim, by their numbers and the teams that count, cut into tasks."""
+    """Tasks of the claims, as batches with the number of environments that count."""
     count = math.ceil(config.trials / BATCH)
     batches = [(k, min(BATCH, config.trials - k * BATCH)) for k in range(count)]
     if config.only_batch is not None:
@@ -257,7 +262,7 @@ def _tasks_of_claims(config: Config, claims: Sequence[Claim]) -> list[Task]:
 
 
 def _tasks_of_any(config: Config) -> list[Task]:
-    """So many scenarios, or a few more, of so many kinds at most, cut into tasks of one kind."""
+    """Tasks of random scenarios, each of one kind, with a maximum number of kinds."""
     draws = math.ceil(config.trials / STARTS)
     parts = [range(k, min(k + DRAWS, draws)) for k in range(0, draws, DRAWS)]
     kinds, tasks = config.kinds or len(parts), []
@@ -268,7 +273,7 @@ def _tasks_of_any(config: Config) -> list[Task]:
 
 
 def _try_all(seed: int, number: int, kind: int) -> Tally:
-    """Play the trials of a draw."""
+    """Run the trials of one sampled scenario."""
     began, tally = time.perf_counter(), Tally(trials=STARTS)
     for drawn in trials_of(seed, number, kind):
         trial, played = climb(drawn)
@@ -280,8 +285,10 @@ def _try_all(seed: int, number: int, kind: int) -> Tally:
 
 
 def claim_row(claim: Claim, config: Config, tally: Tally) -> dict[str, Any]:
-    """What was found of a claim; the margin is a share (of V(0), of the time limit, of 2 max a),
-    and negative means violated, rounding aside.
+    """Result row of a claim.
+
+    The margin is relative (to V(0), the time limit or 2 max a); a negative one is a violation apart
+    from rounding.
     """
     repeat = (
         f"rendezvous verify --claims {claim.name} --seed {config.seed} --only-batch {tally.first} "
@@ -299,7 +306,7 @@ def claim_row(claim: Claim, config: Config, tally: Tally) -> dict[str, Any]:
 
 
 def theorem_rows(tally: Tally) -> list[dict[str, Any]]:
-    """For each theorem how often it was granted, each number checked, and violated."""
+    """Result rows by theorem: counts of certificates, checks and violations."""
     return [
         {
             "theorem": name,
@@ -312,7 +319,7 @@ def theorem_rows(tally: Tally) -> list[dict[str, Any]]:
 
 
 def _write_found(config: Config, tally: Tally) -> Iterator[str]:
-    """Make what is violated small and write it; the words for each."""
+    """Shrink and write violations; returns a message for each."""
     tally.found.sort(key=lambda found: found[0])
     for number, trial, played in tally.found[:_MOST_WRITTEN]:
         small, played = shrink(trial, played)
@@ -321,7 +328,7 @@ def _write_found(config: Config, tally: Tally) -> Iterator[str]:
 
 
 def table_of(title: str, rows: Sequence[dict[str, Any]]) -> Table:
-    """Rows as they are printed, numbers to the right; red where something is violated."""
+    """Table of rows, numbers right-aligned, violations in red."""
     table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for name, value in rows[0].items() if rows else ():
         words = isinstance(value, str) and name in ("claim", "what is checked", "theorem")

@@ -1,1 +1,1 @@
-"""Theorems: assumptions, bounds, certificates."""
+"""Theorems: assumptions, bounds and certificates."""

@@ -1,4 +1,4 @@
-"""What theorems assume of a scenario: one named predicate each, which says in words what fails."""
+"""Assumptions of theorems: one predicate each, with a message if it is not met."""
 
 import math
 
@@ -18,7 +18,7 @@ from .theorem import ROUNDED, Asked, Assumption
 _LEAST_MOVE, _LEAST_GAIN = 2.0**-40, 2.0**-47
 _FAR_OUT_MOVE, _FAR_OUT_GAIN = 2.0**-46, 2.0**-51
 _ROUNDED_OFF = 2.0**-52
-"""Of the largest coordinate: float64 rounds a position by less, by up to 2⁻⁵³ each way."""
+"""Bound on the rounding of a position relative to the largest coordinate (float64: 2⁻⁵³)."""
 _PAID = 2.0**-6  # of r W: so much rounding may pay in an episode
 _WHY_NOT = {
     known.DIRECTED: "V counts links both ways, and here a robot need not be seen by whom it sees",
@@ -31,7 +31,7 @@ _WHY_NOT = {
 
 
 def on_graphs(*kinds: str) -> Assumption:
-    """Links are of one of these kinds."""
+    """Links have one of the given kinds."""
 
     def holds(scenario: Scenario, asked: Asked) -> str:
         kind = known.kind_of_links(scenario.sensing_graph)
@@ -57,7 +57,7 @@ def _any_links(scenario: Scenario) -> bool:
 
 
 def connected(scenario: Scenario, asked: Asked) -> str:
-    """Every robot is linked to every other, directly or through others."""
+    """The graph is connected."""
     if _any_links(scenario):
         return _ANY_LINKS
     if len(scenario.sensing_graph.components(scenario.n_robots)) == 1:
@@ -66,7 +66,7 @@ def connected(scenario: Scenario, asked: Asked) -> str:
 
 
 def one_leader_at_most(scenario: Scenario, asked: Asked) -> str:
-    """Some robot can be reached from all others at any time, along the links of the moment."""
+    """At any time some robot is reachable from all others along the current links."""
     if _any_links(scenario):
         return _ANY_LINKS
     if len(groups := known.leaders(scenario)) == 1:
@@ -79,8 +79,9 @@ def one_leader_at_most(scenario: Scenario, asked: Asked) -> str:
 
 
 def known_bodies(scenario: Scenario, asked: Asked) -> str:
-    """A robot's action is its velocity, or the paper has a theorem on its model; the gate and tanks
-    know how far the package's own robots turn in a step, and no others.
+    """The robot model is a single integrator or covered by a theorem of the paper.
+
+    The gate and the tanks rely on the turn per step of the built-in models.
     """
     model = scenario.model
     if model.bounded or (model.theorem is not None and (asked.by == "law" or not is_custom(model))):
@@ -92,7 +93,7 @@ def known_bodies(scenario: Scenario, asked: Asked) -> str:
 
 
 def velocity_inputs(scenario: Scenario, asked: Asked) -> str:
-    """A robot's action is its velocity."""
+    """The action is the velocity."""
     model = scenario.model
     if model.bounded or model.theorem is None:
         return known_bodies(scenario, asked)
@@ -106,7 +107,7 @@ def velocity_inputs(scenario: Scenario, asked: Asked) -> str:
 
 
 def frames_stay(scenario: Scenario, asked: Asked) -> str:
-    """A robot's frame is fixed: what is seen late is seen in the frame in which it moves."""
+    """Local frames are fixed, so delayed bearings refer to the current frame."""
     if not frame_turns(type(constants_of(scenario))):
         return ""
     return (
@@ -116,12 +117,12 @@ def frames_stay(scenario: Scenario, asked: Asked) -> str:
 
 
 def robots_turn(scenario: Scenario, asked: Asked) -> str:
-    """The robot model is one of the paper's that turn."""
+    """The robot model is one of the paper's nonholonomic ones."""
     return "none: theorems 3 and 4 are for robots that turn" if scenario.model.bounded else ""
 
 
 def nothing_in_the_way(scenario: Scenario, asked: Asked) -> str:
-    """No obstacles, or such as robots pass through."""
+    """There are no obstacles, or robots pass through them."""
     if not scenario.obstacles or scenario.obstacle_contact == "ignore":
         return ""
     if asked.by == "links":
@@ -148,14 +149,14 @@ def merges_everywhere(scenario: Scenario, asked: Asked) -> str:
 
 
 def departs_in(scenario: Scenario, *names: str) -> bool:
-    """Whether the sensor is exact but for these fields."""
+    """Whether the sensor is exact apart from the given fields."""
     exact = vars(Sensing())
     fields = vars(scenario.sensing).items()
     return all(value == exact[name] for name, value in fields if name not in names)
 
 
 def flawed_by(flaw: str, otherwise: str) -> Assumption:
-    """Bearings depart from the exact ones by this field of ``Sensing`` alone."""
+    """The given field of ``Sensing`` is the only imperfection."""
 
     def holds(scenario: Scenario, asked: Asked) -> str:
         alone = getattr(scenario.sensing, flaw) > 0 and departs_in(scenario, flaw)
@@ -167,7 +168,7 @@ def flawed_by(flaw: str, otherwise: str) -> Assumption:
 
 
 def bounded_errors(scenario: Scenario, asked: Asked) -> str:
-    """Bearings are up to date, and wrong by a bounded angle if at all."""
+    """Bearings are current, with a bounded error."""
     sensing = scenario.sensing
     if sensing.custom:
         return f"none: no theorem knows what a custom sensor sees ({sensing.departures()})"
@@ -191,7 +192,7 @@ def bounded_errors(scenario: Scenario, asked: Asked) -> str:
 
 
 def all_neighbours_seen(scenario: Scenario, asked: Asked) -> str:
-    """No row of a neighbour is ever missing."""
+    """No neighbour row is ever missing."""
     if departs_in(scenario, "error", "sectors"):
         return ""
     return (
@@ -201,19 +202,19 @@ def all_neighbours_seen(scenario: Scenario, asked: Asked) -> str:
 
 
 def nearest_hides(scenario: Scenario) -> bool:
-    """Whether robots miss those behind others only: the nearest is always seen (guarantees 13)."""
+    """Whether only occlusion hides robots, so the nearest is always visible (guarantees 13)."""
     hidden = scenario.sensing.occlusion == "robots" and scenario.model.bounded
     alone = hidden and departs_in(scenario, "occlusion", "error")
     return alone and is_complete(scenario)
 
 
 def somebody_seen(scenario: Scenario, asked: Asked) -> str:
-    """All neighbours are seen, or the nearest of all other robots."""
+    """All neighbours are visible, or the nearest of all other robots."""
     return "" if nearest_hides(scenario) else all_neighbours_seen(scenario, asked)
 
 
 def exact_bearings(scenario: Scenario, asked: Asked) -> str:
-    """Bearings are not wrong."""
+    """Bearings are exact."""
     if asked.error == 0.0:
         return ""
     if not scenario.model.bounded:
@@ -238,8 +239,9 @@ def certified_or_scaled(scenario: Scenario, asked: Asked) -> str:
 
 
 def within_neighbours(scenario: Scenario, asked: Asked) -> str:
-    """τ D̄ ≤ r: no robot can go beyond its neighbours in a step, as gains keep it themselves. A
-    speed limit is no help: where bearings nearly cancel it cuts nothing off Σ_j c_ij.
+    """τ D̄ ≤ r: no robot can overshoot its neighbours in a step.
+
+    A speed limit does not help, since it has no effect where bearings nearly cancel.
     """
     beyond = scenario.max_degree * scenario.tau > scenario.merge_radius * (1 + 1e-12)
     if asked.by == "gains" or not beyond or scenario.scales_velocity:
@@ -251,7 +253,7 @@ def within_neighbours(scenario: Scenario, asked: Asked) -> str:
 
 
 def rows_for_all(scenario: Scenario, asked: Asked) -> str:
-    """No robot can come to have more neighbours than rows: the environment stops there."""
+    """The number of neighbours never exceeds the number of rows."""
     slots = scenario.observation_layout.neighbour_slots
     if slots >= scenario.sensing_graph.most_neighbours(scenario.n_robots):
         return ""  # as with rows that no one has given, and without a look at all links
@@ -264,7 +266,7 @@ def rows_for_all(scenario: Scenario, asked: Asked) -> str:
 
 
 def _largest_coordinate(scenario: Scenario) -> float:
-    """Of a start, m."""
+    """Largest coordinate of an initial condition, m."""
     starts = scenario.start_positions
     return scenario.spawn_size / 2.0 if starts is None else float(np.abs(starts).max())
 
@@ -320,15 +322,16 @@ def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> s
 
 
 def errors_outlasted(scenario: Scenario, asked: Asked, tolerated: float) -> str:
-    """As ``outlasts_rounding``, where errors are hardly less than is tolerated, a number, rad."""
+    """As ``outlasts_rounding``, for errors slightly below the tolerated one, rad."""
     spare = tolerated - asked.error
     return outlasts_rounding(scenario, asked, spare) if asked.error and spare > ROUNDED else ""
 
 
 def rounding_pays_little(scenario: Scenario, asked: Asked) -> str:
-    """Tanks of robots that turn owe nothing (no term ε²), so that they are paid for moves that
-    rounding swallows, all together 4 W 2⁻⁵² of the largest coordinate in a step: in all steps of an
-    episode 2⁻⁶ r W at most.
+    """Rounding cannot fill the tanks of nonholonomic robots by more than 2⁻⁶ r W in an episode.
+
+    Their ledger has no term ε², so rounded displacements add up to 4 W 2⁻⁵² of the largest
+    coordinate per step.
     """
     if scenario.model.bounded:
         return ""
@@ -343,7 +346,7 @@ def rounding_pays_little(scenario: Scenario, asked: Asked) -> str:
 
 
 def _even_so(scenario: Scenario, asked: Asked, words: str) -> str:
-    """Words about V under headings or a tank, unless rounding makes V rise, or pays for it."""
+    """Message about V under headings or a tank, unless rounding invalidates its bound."""
     if asked.by not in ("heading", "tank"):
         return words
     if merges_everywhere(scenario, asked):
@@ -353,16 +356,16 @@ def _even_so(scenario: Scenario, asked: Asked, words: str) -> str:
 
 
 IN_STEPS = (rows_for_all, outlasts_rounding)
-"""Whatever promises a rendezvous in the environment."""
+"""Assumptions of every rendezvous guarantee in sampled time."""
 JOINED = (without_range, connected, one_leader_at_most, velocity_inputs, *IN_STEPS)
-"""Robots of which all but a leader always see somebody; the theorems about L."""
+"""Assumptions of theorems about L: all robots but one leader always have a visible neighbour."""
 TEAM = (undirected, connected, velocity_inputs, *IN_STEPS)
-"""Robots that are linked for good, whatever they see."""
+"""Assumptions about permanent links."""
 LASTING_LINKS = (undirected, connected, known_bodies, bounded_errors, all_neighbours_seen)
-"""The theorems about V."""
+"""Assumptions of theorems about V."""
 KEPT = (*LASTING_LINKS, merges_everywhere, outlasts_rounding)
-"""Those of them by which V, or V + ΣA, keeps to a bound: rounding neither raises nor pays."""
+"""Assumptions of bounds on V or V + ΣA, including rounding."""
 UNHINDERED = (*LASTING_LINKS, nothing_in_the_way, velocity_inputs, *IN_STEPS)
-"""Those of them that promise a time."""
+"""Assumptions of time bounds from V."""
 TURNING = (*LASTING_LINKS, nothing_in_the_way, robots_turn, exact_bearings, rows_for_all)
-"""Those of robots that turn."""
+"""Assumptions for nonholonomic robots."""

@@ -1,4 +1,4 @@
-"""The numbers of a scenario that theorems share: of its graph, its first step, its worst start."""
+"""Constants of a scenario shared by theorems: graph, time step, worst initial condition."""
 
 import itertools
 import math
@@ -18,9 +18,9 @@ from ..settings import has_one_weight, is_complete, levels_follow_v
 Array = NDArray[np.float64]
 
 UNDIRECTED, DIRECTED, SWITCHING, PROXIMITY = "undirected", "directed", "switching", "proximity"
-"""Links that last but for merges, mutual or one-way; that take turns; that end with distance."""
+"""Kinds of links: permanent and mutual, permanent and directed, switching, by distance."""
 _of_the_last = lru_cache(maxsize=8)
-"""Several theorems ask the same of a scenario, one after the other."""
+"""Cache of the last scenario, since several theorems use the same constants."""
 
 
 def kind_of_links(graph: Graph) -> str:
@@ -31,8 +31,9 @@ def kind_of_links(graph: Graph) -> str:
 
 
 def leaders(scenario: Scenario) -> list[list[int]]:
-    """Groups of robots that see nobody outside, arrays of indices without unit, in the graph of the
-    moment that has most. One group: some robot can be reached from all at any time (theorem G).
+    """Closed groups of robots, arrays of indices without unit, for the graph with most groups.
+
+    With one group, some robot is reachable from all others at any time (theorem G).
     """
     graph: Any = scenario.sensing_graph
     kind = kind_of_links(graph)
@@ -44,23 +45,24 @@ def leaders(scenario: Scenario) -> list[list[int]]:
 
 
 def led(scenario: Scenario) -> bool:
-    """Whether a robot may rest and see nobody: one group of leaders, and not all (theorem G)."""
+    """Whether there is a stationary root: one closed group that is not the team (theorem G)."""
     return len(leaders(scenario)[0]) < scenario.n_robots
 
 
 def lightest_link(scenario: Scenario) -> float:
-    """The least weight of a link, a number, m/s; a merge keeps the heavier of two (theory 5)."""
+    """Minimum edge weight, m/s; a merge keeps the larger of two (theory 5)."""
     return scenario.sensing_graph.extreme_weights(scenario.n_robots)[0]
 
 
 def robots_left(scenario: Scenario) -> Array:
-    """Robots left, an array (n − 1,) without unit, 2 ≤ m ≤ n: c_m and D̄_m stand in its order."""
+    """Numbers of active robots 2 ≤ m ≤ n, an array (n − 1,) without unit: the order of c_m."""
     return np.arange(2.0, scenario.n_robots + 1.0)
 
 
 def least_degrees(scenario: Scenario) -> Array:
-    """c_m, the least D_i = Σ_j a_ij that a robot can have, an array (n − 1,), m/s: a complete graph
-    stays complete and a cycle a cycle; elsewhere one link is sure, of at least a* (theory 3).
+    """Minimum degrees c_m ≤ D_i = Σ_j a_ij, an array (n − 1,), m/s.
+
+    Complete graphs and cycles keep their structure; otherwise one link of weight a* (theory 3).
     """
     others = robots_left(scenario) - 1.0
     sure = np.inf if is_complete(scenario) else 1.0 + _is_cycle(scenario)
@@ -69,8 +71,9 @@ def least_degrees(scenario: Scenario) -> Array:
 
 
 def most_neighbours(scenario: Scenario) -> int:
-    """How many neighbours a robot can come to have, at most: k robots of a fixed graph that have
-    merged were joined by k − 1 links or more, which no neighbour is left of.
+    """Maximum number of neighbours of a robot, merges included, without unit.
+
+    k merged robots of a fixed graph were joined by at least k − 1 links, so the maximum is
 
         max_k min(n − k, d_1 + … + d_k − 2 (k − 1)),      d_1 ≥ d_2 ≥ … the numbers of neighbours
     """
@@ -85,33 +88,34 @@ def most_neighbours(scenario: Scenario) -> int:
 
 
 def most_degrees(scenario: Scenario) -> Array:
-    """The most that D_i can be: min(D̄, (m − 1) max a_ij), an array (n − 1,), m/s (theory 3)."""
+    """Maximum degrees min(D̄, (m − 1) max a_ij), an array (n − 1,), m/s (theory 3)."""
     heaviest = scenario.sensing_graph.extreme_weights(scenario.n_robots)[1]
     return np.minimum(scenario.max_degree, (robots_left(scenario) - 1.0) * heaviest)
 
 
 def least_bearing_square(scenario: Scenario) -> float:
-    """min_m 4 c_m²/m ≤ Σ‖f_i‖² at any time before all have met, a number, (m/s)² (lemma 2)."""
+    """min_m 4 c_m²/m ≤ Σ‖f_i‖² at any time before rendezvous, (m/s)² (lemma 2)."""
     return float((4.0 * least_degrees(scenario) ** 2 / robots_left(scenario)).min())
 
 
 def degrees_stay_equal(scenario: Scenario) -> bool:
-    """Whether all robots left always have one D_i: complete graphs, cycles, of one weight."""
+    """Whether all active robots have equal D_i: complete graphs and cycles of equal weights."""
     directed = scenario.sensing_graph.kind == "directed_cycle"
     even = directed or is_complete(scenario) or _is_cycle(scenario)
     return even and has_one_weight(scenario)
 
 
 def merges_at_midpoints(scenario: Scenario) -> bool:
-    """Whether V/(m − 1) never rises at a merge: complete graphs of one weight, no obstacles, starts
-    apart (docs/proofs.md, A to C).
+    """Whether V/(m − 1) never increases at a merge (docs/proofs.md, A to C).
+
+    Complete graphs of equal weights without obstacles and with separated initial positions.
     """
     even = is_complete(scenario) and has_one_weight(scenario)
     return even and not scenario.obstacles and starts_apart(scenario)
 
 
 def _is_cycle(scenario: Scenario) -> bool:
-    """Whether everyone has two neighbours; the graph is taken to be connected."""
+    """Whether every robot of a connected graph has two neighbours."""
     graph, n = scenario.sensing_graph, scenario.n_robots
     if not graph.fixed or graph.directed or graph.most_links(n) != n:
         return False
@@ -125,13 +129,13 @@ def long_step(scenario: Scenario) -> bool:
 
 
 def scale_bound(scenario: Scenario) -> float:
-    """s_min = min(1, r/(2D̄τ), v_max/D̄), a number without unit, by which robots slow down."""
+    """Minimum velocity scaling s_min = min(1, r/(2D̄τ), v_max/D̄), without unit."""
     held = scenario.merge_radius / (2.0 * scenario.max_degree * scenario.tau)
     return min(1.0, held, scenario.speed_limit / scenario.max_degree)
 
 
 def merge_rise_allowance(scenario: Scenario) -> float:
-    """(n − 1) r W, a number, m²/s, W = Σ a_ij over the edges: merges raise V by no more."""
+    """Maximum total increase of V at merges, (n − 1) r W, m²/s, W = Σ a_ij over the edges."""
     total = scenario.sensing_graph.weight_sum(scenario.n_robots)
     return (scenario.n_robots - 1) * scenario.merge_radius * total
 
@@ -139,11 +143,11 @@ def merge_rise_allowance(scenario: Scenario) -> float:
 def lyapunov_bound(
     scenario: Scenario, initial_lyapunov: ArrayLike | None = None, *, reach: float | None = None
 ) -> Array:
-    """V0⁺ = V(0) + (n − 1) r W, (...), m²/s: the most that V can be if it never rises between
-    merges (theory 5), V(0) ``largest_lyapunov`` if None; twice the rise at obstacles.
+    """V0⁺ = V(0) + (n − 1) r W, (...), m²/s: bound on V if it never increases between merges.
 
-    Where linked robots start within r of each other, two of them merge at once while others walk
-    on, by r/2 or ``reach``, m: V rises by 4 W of it at most, once.
+    See theory 5. V(0) is ``largest_lyapunov`` if None. The increase is doubled with obstacles. If
+    linked robots start within r, two of them merge at once while others move by r/2 or ``reach``,
+    m, which raises V by at most 4 W of it, once.
     """
     rises = (2.0 if scenario.obstacles else 1.0) * merge_rise_allowance(scenario)
     most = largest_lyapunov(scenario) if initial_lyapunov is None else initial_lyapunov
@@ -171,7 +175,7 @@ def tank_bounds(
 
 @_of_the_last
 def largest_lyapunov(scenario: Scenario) -> float:
-    """V(0) of the given start, or V ≤ 2 W s √d for a spawn area of side s, a number, m²/s."""
+    """V(0) of a given initial condition, or 2 W s √d for a spawn area of side s, m²/s."""
     n, graph = scenario.n_robots, scenario.sensing_graph
     if scenario.start_positions is not None:
         weights = graph.base_weights(n) * graph.weight_range[1]
@@ -181,7 +185,7 @@ def largest_lyapunov(scenario: Scenario) -> float:
 
 @_of_the_last
 def starts_apart(scenario: Scenario) -> bool:
-    """Whether linked robots start r or more apart, as all that are drawn do (theory 5)."""
+    """Whether linked robots start at least r apart, as all sampled ones do (theory 5)."""
     if scenario.start_positions is None:
         return True
     from scipy.spatial import cKDTree
@@ -196,8 +200,9 @@ def starts_apart(scenario: Scenario) -> bool:
 
 @_of_the_last
 def largest_size(scenario: Scenario) -> float:
-    """L(0) of the given start, or of the worst one in the spawn area, a number, m (guarantees,
-    section 9): L = s L(unit cube), s the side of the spawn area, with all robots at corners.
+    """L(0) of a given initial condition, or the maximum over the spawn area, m (guarantees 9).
+
+    The maximum is s L(unit cube) for a spawn area of side s, with all robots at corners.
     """
     if scenario.start_positions is not None:
         return size(np.array(scenario.start_positions))
@@ -213,8 +218,9 @@ def _largest_size_in_unit_cube(n: int, dim: int) -> float:
 
 
 def hull_growth(scenario: Scenario) -> float:
-    """What L can grow by, a number, m, in steps that begin with linked robots closer than r: by r
-    all round, once for a given start, n − 1 times where links change (theorem D1).
+    """Maximum growth of L, m, in steps that begin with linked robots closer than r (theorem D1).
+
+    It happens once for a given initial condition, n − 1 times if links change.
     """
     grown = 2.0 * math.pi * (scenario.dim - 1) * scenario.merge_radius
     if kind_of_links(scenario.sensing_graph) in (SWITCHING, PROXIMITY):
@@ -223,7 +229,7 @@ def hull_growth(scenario: Scenario) -> float:
 
 
 def checked(name: str, given: ArrayLike, unit: str) -> Array:
-    """V(0) ≥ 0, m²/s, or L(0) ≥ 0, m, as an array (...) of numbers; others in a ValueError."""
+    """Validated V(0) ≥ 0, m²/s, or L(0) ≥ 0, m, as an array (...)."""
     initial = floats(name, given)
     if not (np.isfinite(initial) & (initial >= 0)).all():
         refuse(name, given, f"finite and at least 0 {unit}")
@@ -231,14 +237,16 @@ def checked(name: str, given: ArrayLike, unit: str) -> Array:
 
 
 def over_rate(above: ArrayLike, rate: ArrayLike) -> Array:
-    """above/rate, (...), s: when something has vanished; infinite for a rate ≤ 0 (theorem A)."""
+    """above/rate, (...), s: time until a quantity vanishes; infinite for a rate ≤ 0 (theorem A)."""
     below = np.asarray(rate, dtype=np.float64)
     with np.errstate(divide="ignore", over="ignore"):
         return np.where(below > 0.0, above / np.where(below > 0.0, below, 1.0), np.inf)
 
 
 def held_time(scenario: Scenario, most: ArrayLike, rates: ArrayLike) -> Array:
-    """T ≤ most/min_m rate_m + (n − 1) τ, (...), s: what falls by a rate (n − 1,) in every step
-    without a merge has vanished (theorems A, D, G). ``most`` is of V, m²/s, or of L, m.
+    """T ≤ most/min_m rate_m + (n − 1) τ, (...), s (theorems A, D, G).
+
+    Time until a quantity vanishes that decreases at rates (n − 1,) in every step without a merge.
+    ``most`` is its maximum, of V, m²/s, or of L, m.
     """
     return over_rate(most, np.min(rates)) + (scenario.n_robots - 1) * scenario.tau

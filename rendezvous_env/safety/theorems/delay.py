@@ -1,8 +1,7 @@
-"""Theorem E1: law (1) on bearings that are late.
+"""Theorem E1: law (1) with delayed bearings.
 
-**Assumptions.** Fixed, undirected, connected graph; law (1) on exact bearings that are k steps
-late, (k+1) τ ≤ r/(2D̄), at merges too; robots whose action is their velocity, in frames that do not
-turn, nothing in the way.
+**Assumptions.** Fixed, undirected, connected graph; law (1) with exact bearings delayed by k steps,
+(k+1) τ ≤ r/(2D̄), also at merges; single integrators with fixed frames; no obstacles.
 
 **Promise**, s = min(1, v_max/D̄):
 
@@ -18,7 +17,7 @@ from .theorem import Asked, Bounds, Theorem
 
 
 def young(scenario: Scenario, asked: Asked) -> str:
-    """(k+1) τ ≤ r/(2D̄): late and held, bearings are young enough."""
+    """(k+1) τ ≤ r/(2D̄): the age of delayed and held bearings is small enough."""
     age = (scenario.sensing.delay + 1) * scenario.tau
     oldest = scenario.merge_radius / (2.0 * scenario.max_degree)
     if age <= oldest * (1 + 1e-12):
@@ -30,7 +29,7 @@ def young(scenario: Scenario, asked: Asked) -> str:
 
 
 def bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """The time and V."""
+    """Bounds on the time and on V."""
     n, degree, late = scenario.n_robots, scenario.max_degree, scenario.sensing.delay
     meanwhile = (n - 1) * n * scenario.merge_radius * degree / 2.0
     most = float(known.lyapunov_bound(scenario))

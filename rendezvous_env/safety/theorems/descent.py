@@ -30,9 +30,12 @@ Array = NDArray[np.float64]
 def time_bound(
     scenario: Scenario, initial_lyapunov: ArrayLike, *, min_alignment: float = 1.0
 ) -> Array:
-    """Time by which all robots have met, inputs held, (...), s, from V(0), (...), m²/s, on the
-    scenario's own graph (theorems A and C); infinite where nothing is guaranteed. A ValueError for
-    an ε that is not in (0, 1], or a V(0) that is none.
+    """Bound on the rendezvous time with zero-order hold, (...), s (theorems A and C).
+
+    For V(0), (...), m²/s, on the scenario's graph; infinite where nothing is guaranteed.
+
+    Raises:
+        ValueError: for an ε outside (0, 1], or an invalid V(0).
     """
     check_share("min_alignment", min_alignment)
     if not isinstance(scenario, Scenario):
@@ -58,12 +61,12 @@ def time_bound(
 
 
 def lyapunov_bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """V never rises between merges, for any inputs that keep to law (1), a heading or a gate."""
+    """V never increases between merges under law (1), certified headings or the gate."""
     return Bounds(lyapunov=float(known.lyapunov_bound(scenario)))
 
 
 def time_bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """Theorems A and C."""
+    """Time bounds of theorems A and C."""
     long = known.long_step(scenario)
     if asked.by == "law":
         words = "theorem 1: law (1) meets in finite time" + long * (

@@ -1,11 +1,12 @@
-"""Theorem G: robots that weigh the bearings they see, on any graph, in continuous time and held.
+"""Theorem G: weighted sums of bearings on any graph, in continuous and in sampled time.
 
-**Assumptions.** ṗ_i = Σ_j c_ij g_ij, any gains c_ij ≥ 0 with c ≤ Σ_j c_ij ≤ C (law (1) has a_ij);
-robots whose action is their velocity, exact bearings, nothing in the way. The graph may be directed
-and may switch, as long as at every moment all robots but one, the leader, see somebody.
+**Assumptions.** ṗ_i = Σ_j c_ij g_ij, any gains c_ij ≥ 0 with c ≤ Σ_j c_ij ≤ C (law (1): a_ij);
+single integrators, exact bearings, no obstacles. The graph may be directed and may switch, if at
+any time all robots but one, the stationary root, have a visible neighbour.
 
-**Promise**, L0 = L(0) the size of the team (``Simulator.size``): in continuous time T ≤ L0/(2 c
-κ(n)), in 3-D n w0/(2c), w0 = L0/2π; with a leader κ₁, 2(n−1) w0/c. Held over τ, τ C < r (D1):
+**Promise**, L0 = L(0) the hull perimeter (``Simulator.size``): in continuous time T ≤ L0/(2 c
+κ(n)), in 3-D n w0/(2c), w0 = L0/2π; with a stationary root κ₁, 2(n−1) w0/c. With zero-order hold
+over τ, τ C < r (D1):
 
     T ≤ L0 / (c s μ k) + (n − 1) τ,      s = sin(ψ/2),   k = (r − τC)/(r − τC + 2τc),
     ψ = π/n,  with a leader 5π/(12 (n−1)),  in 3-D π (1 − cos 5π/12)/(2 (n−1)),
@@ -41,12 +42,12 @@ def kappa(n: ArrayLike) -> Array:
 
 
 def shrinking(n: ArrayLike, dim: int, gain: ArrayLike, error: ArrayLike = 0.0) -> Array:
-    """Least −L' of n robots that move with gains Σ_j c_ij ≥ c along their bearings, (...), m/s.
+    """Minimum decrease rate −L' of n robots with gains Σ_j c_ij ≥ c, (...), m/s.
 
         2-D:   2 c κ(n) sin(π/n − η)/sin(π/n)                           (theorem G; N for η > 0)
         3-D:   4π c [cos η/n − sin η √(1 − 2/n)]
 
-    With an error η, rad, all Σ_j c_ij must equal c; 0 where it is too large for any promise.
+    With an error η, rad, all Σ_j c_ij must equal c; 0 if the error is too large.
     """
     m, c, eta = np.asarray(n, dtype=np.float64), np.asarray(gain), np.asarray(error)
     if dim == 2:
@@ -57,7 +58,7 @@ def shrinking(n: ArrayLike, dim: int, gain: ArrayLike, error: ArrayLike = 0.0) -
 
 
 def shrinking_to_leader(n: ArrayLike, dim: int, gain: ArrayLike) -> Array:
-    """As ``shrinking`` if one robot may rest and see nobody, (...), m/s.
+    """As ``shrinking`` with a stationary root, (...), m/s.
 
     2-D:   2 c κ₁(n),   κ₁(n) = (n − 1) sin²(π/(2(n − 1)));      3-D:   π c/(n − 1)
     """
@@ -68,7 +69,7 @@ def shrinking_to_leader(n: ArrayLike, dim: int, gain: ArrayLike) -> Array:
 
 
 def _gains(scenario: Scenario, asked: Asked) -> tuple[Array, float]:
-    """c_m, (n − 1,), and C, m/s: of law (1) a_ij, scaled where it scales velocities (theory 4)."""
+    """c_m, (n − 1,), and C, m/s; for law (1) a_ij, scaled as its velocities (theory 4)."""
     gains, most = np.ones(scenario.n_robots - 1), scenario.max_degree
     if asked.by == "gains":
         least, most = gain_range(scenario, asked.min_gain, asked.max_gain)
@@ -87,12 +88,12 @@ def _gains(scenario: Scenario, asked: Asked) -> tuple[Array, float]:
 
 
 def hull_bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """L alone, where nobody need be seen."""
+    """Bound on L alone, without visibility assumptions."""
     return Bounds(hull=known.largest_size(scenario) + known.hull_growth(scenario))
 
 
 def bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """Both times and L."""
+    """Bounds on both times and on L."""
     (gains, most), m, dim = _gains(scenario, asked), known.robots_left(scenario), scenario.dim
     led, hull = known.led(scenario), hull_bounds(scenario, asked).hull
     psi = np.pi / m

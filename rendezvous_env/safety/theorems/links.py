@@ -1,20 +1,20 @@
-"""Theorem R: links that last, for robots that see only so far.
+"""Theorem R: connectivity maintenance with limited sensing range.
 
-**Assumptions.** Sight is mutual up to a range R, on an undirected graph or the one of who is near.
-Robots whose action is their velocity, bearings wrong by η at most, no walls. Links of length
-R − (n−1) r/2 or less connect the team at the start, R − (n−1) r beside obstacles that robots pass
-through; linked robots start r or more apart.
+**Assumptions.** Visibility is mutual up to a range R, on an undirected or proximity graph. Single
+integrators, bearing errors at most η, no walls. Links of length at most R − (n−1) r/2 connect the
+initial positions (R − (n−1) r with obstacles that robots pass through); linked robots start at
+least r apart.
 
     v_i = λ s_i sin(asin‖q̂_i‖ − η)₊ q̂_i/‖q̂_i‖ + (1−λ) P(wanted),      s_i = min(d_i, r/(2τ), v_max)
 
-**Promise.** No link in sight grows longer in a step without a merge, nor does one of those of
-R − (n−1) r/2 or less ever grow by more than (n−1) r/2, R − (n−1) r and (n−1) r beside obstacles;
-for η < π/(2n)
+**Promise.** No visible link grows in a step without a merge. Links of initial length at most
+R − (n−1) r/2 never grow by more than (n−1) r/2 (with obstacles: R − (n−1) r and (n−1) r). For
+η < π/(2n)
 
     T ≤ n V_tot/(4 λ d s (1 − 2nη/π)²) + (n−1) τ,      s = min(d, r/2τ, v_max),
     V_tot = 2aR [n(n−1)/2 + (n−1)²] + (n−1) r a n(n−1)/2,
 
-a the heaviest and d the lightest link; without a limit of range V_tot = V0⁺, d = min_m c_m.
+a the maximum and d the minimum weight; without a range V_tot = V0⁺, d = min_m c_m.
 Proof: docs/proofs.md, R.
 """
 
@@ -31,13 +31,13 @@ from .theorem import Asked, Bounds, Theorem, bounds_with_errors
 
 
 def sight_is_mutual(scenario: Scenario, asked: Asked) -> str:
-    """Two robots that are near see each other."""
+    """Visibility within range is mutual."""
     reason = asymmetric_sight(scenario)
     return f"none: {reason}" if reason else ""
 
 
 def neighbours_apart(scenario: Scenario, asked: Asked) -> str:
-    """Linked robots start r or more apart."""
+    """Linked robots start at least r apart."""
     if known.starts_apart(scenario):
         return ""
     return (
@@ -47,7 +47,7 @@ def neighbours_apart(scenario: Scenario, asked: Asked) -> str:
 
 
 def starts_linked(scenario: Scenario, asked: Asked) -> str:
-    """Links that no n − 1 merges make longer than the range connect every start."""
+    """Every initial graph is connected by links that stay within range after n − 1 merges."""
     if scenario.sensing.range is None:
         return ""
     n, graph = scenario.n_robots, scenario.sensing_graph
@@ -74,14 +74,15 @@ def starts_linked(scenario: Scenario, asked: Asked) -> str:
 
 
 def merge_growth(scenario: Scenario) -> float:
-    """(n − 1) r/2, a number, m (theorem R), by which merges at midpoints lengthen a link; in
-    an obstacle a merge is at one robot's place, and lengthens it by r.
+    """Growth of a link at merges, (n − 1) r/2, m (theorem R).
+
+    Merges at midpoints lengthen a link by r/2; those at a robot's position, in obstacles, by r.
     """
     return (scenario.n_robots - 1) * scenario.merge_radius * (1.0 if scenario.obstacles else 0.5)
 
 
 def bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """The time, V where it counts who is in sight only, and links."""
+    """Bounds on the time, on V for permanent links, and on links."""
     n, reach, radius = scenario.n_robots, scenario.sensing.range, scenario.merge_radius
     if reach is None:
         most = float(known.lyapunov_bound(scenario))

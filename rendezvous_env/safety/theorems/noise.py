@@ -1,27 +1,26 @@
-"""Theorems N, N1, N1' and E[T]: bearings that are wrong, by a bounded angle or at random.
+"""Theorems N, N1, N1' and E[T]: bounded and random bearing errors.
 
-**N.** All Σ_j c_ij equal c, every bearing is within η < π/n of the true one, in 3-D tan η <
-1/√(n(n−2)). On any graph on which all see somebody, in continuous time,
+**N.** All Σ_j c_ij equal c, every bearing error is at most η < π/n, in 3-D tan η < 1/√(n(n−2)). On
+any graph on which every robot has a visible neighbour, in continuous time,
 
     T ≤ L0 sin(π/n)/(2 c κ(n) sin(π/n − η)),      in 3-D  w0/(2c [cos η/n − sin η √(1 − 2/n)]).
 
-Inputs that are held count as errors: η_m = η + asin(2 c_m τ/r), T ≤ L0 / min_m shrinking(m, c_m,
-η_m) + (n−1) τ. L0 holds what the hull grows by in steps with a merge.
+Zero-order hold counts as an error: η_m = η + asin(2 c_m τ/r), T ≤ L0 / min_m shrinking(m, c_m, η_m)
++ (n−1) τ. L0 includes the growth of the hull in steps with a merge.
 
-**N1.** Law (1), undirected connected graph, τ ≤ r/(2D̄), nobody slowed down. With e_i = 2
-sin(η/2) D_i, c_m ≤ D_i ≤ D̄_m while m robots are left, and ρ_m = m D̄_m sin(η/2)/c_m < 1:
+**N1.** Law (1), undirected connected graph, τ ≤ r/(2D̄), no velocity scaling. With e_i = 2
+sin(η/2) D_i, c_m ≤ D_i ≤ D̄_m for m active robots, and ρ_m = m D̄_m sin(η/2)/c_m < 1:
 
     V(t+τ) ≤ V(t) − τ Σ(‖f_i‖² − e_i²) between merges,
     T ≤ (V0⁺ + (n−1) τ Σ e_i²) max_m m/(4c_m²(1 − ρ_m²)) + (n−1) τ.
 
-**N1'.** Under headings certified against f̂, going max(0, h·f̂_i − e_i) along them, V never rises
-between merges, and T ≤ V0⁺ max_m m/(q_m² s_min) + (n−1) τ if all q_m = 2ε c_m − ε β a* m/n − 2
-(1+ε) m D̄_m sin(η/2), β = ½, are positive; where V/(m−1) never rises at merges also with V(0)/(n−1)
-and q_m²/(m−1) in place of V0⁺ and q_m².
+**N1'.** Under headings certified for f̂ with speed max(0, h·f̂_i − e_i), V never increases between
+merges, and T ≤ V0⁺ max_m m/(q_m² s_min) + (n−1) τ if all q_m = 2ε c_m − ε β a* m/n − 2 (1+ε) m D̄_m
+sin(η/2), β = ½, are positive. If V/(m−1) never increases at merges, V(0)/(n−1) and q_m²/(m−1) may
+replace V0⁺ and q_m².
 
-**E[T].** Noise drawn anew for every bearing and step, τ = θ r/(2D̄), γ = exp(−σ²/2) − 2⁻²²σ, as
-float32 draws it: E[T] ≤ (V0⁺ + n(n−1) r θ D̄)/p if p = min_m 4c_m²/m γ(2−θγ) − θ(1−γ²) Σ a_ij² is
-positive.
+**E[T].** Independent noise for every bearing and step, τ = θ r/(2D̄), γ = exp(−σ²/2) − 2⁻²²σ (in
+float32): E[T] ≤ (V0⁺ + n(n−1) r θ D̄)/p if p = min_m 4c_m²/m γ(2−θγ) − θ(1−γ²) Σ a_ij² is positive.
 
 Proofs: docs/proofs.md, N to E[T].
 """
@@ -45,22 +44,22 @@ DEAD_ZONE = 0.5  # β of the dead zone δ = βa*/n of certified headings
 
 
 def largest_error(n: ArrayLike, dim: int) -> Array:
-    """π/n, in 3-D arctan(1/√(n(n − 2))), (...), rad: any less, and n robots meet by theorem N."""
+    """Supremum of errors tolerated by theorem N: π/n, in 3-D arctan(1/√(n(n − 2))), (...), rad."""
     m = np.asarray(n, dtype=np.float64)
     return np.asarray(np.pi / m if dim == 2 else np.arctan2(1.0, np.sqrt(m * (m - 2.0))))
 
 
 def held_error(gain: ArrayLike, duration: ArrayLike, merge_radius: float) -> Array:
-    """The error of a bearing that is held or late for a ``duration``, s, (...), rad: asin(2 c
-    duration/r) (theorem N), π where a neighbour can be passed meanwhile; no robot is faster than c,
-    m/s.
+    """Error of a bearing held or delayed by ``duration``, s: asin(2 c duration/r), (...), rad.
+
+    See theorem N. It is π if a neighbour can be overtaken; c is the maximum speed, m/s.
     """
     sine = 2.0 * np.asarray(gain) * np.asarray(duration) / merge_radius
     return np.where(sine < 1.0, np.arcsin(np.minimum(sine, 1.0)), np.pi)
 
 
 def equal_gains(scenario: Scenario, asked: Asked) -> Array | None:
-    """Σ_j c_ij = c_m, an array (n − 1,), m/s, if that is so of all robots and nobody is slowed."""
+    """Common Σ_j c_ij = c_m, an array (n − 1,), m/s, if all are equal and no velocity is scaled."""
     if asked.by == "gains":
         least, most = gain_range(scenario, asked.min_gain, asked.max_gain)
         gains, even = np.full(scenario.n_robots - 1, least), least == most
@@ -71,7 +70,7 @@ def equal_gains(scenario: Scenario, asked: Asked) -> Array | None:
 
 
 def gains_are_equal(scenario: Scenario, asked: Asked) -> str:
-    """All robots that are left have the same Σ_j c_ij at any time, and all of them see somebody."""
+    """All active robots have equal Σ_j c_ij at any time, and a visible neighbour."""
     if equal_gains(scenario, asked) is not None and not known.led(scenario):
         return ""
     return (
@@ -81,7 +80,7 @@ def gains_are_equal(scenario: Scenario, asked: Asked) -> str:
 
 
 def equal_gain_bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """Theorem N with inputs held."""
+    """Theorem N with zero-order hold."""
     gains = equal_gains(scenario, asked)
     assert gains is not None  # an assumption
     left, dim, error = known.robots_left(scenario), scenario.dim, asked.error
@@ -104,7 +103,7 @@ def equal_gain_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 def tolerated_error(
     scenario: Scenario, margin: float | None = None, dead_zone: float = 0.0
 ) -> float:
-    """The largest η, a number, rad, below which N1, or N1' with a margin ε, promises a time.
+    """Supremum of η, rad, for a time bound by N1, or by N1' with a margin ε.
 
     N1    sin(η/2) < min_m c_m/(m D̄_m)
     N1'   sin(η/2) < min_m ε (2c_m − β a* m/n)/(2 (1+ε) m D̄_m),      β = ``dead_zone``
@@ -118,7 +117,7 @@ def tolerated_error(
 
 
 def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """Theorem N1; without a time for a long step, or if robots can be slowed down."""
+    """Theorem N1; no time bound for a long step or limited speed."""
     n, left, chord = scenario.n_robots, known.robots_left(scenario), error_chord(asked.error)
     as_it_is = scenario.speed_limit >= scenario.max_degree and not known.long_step(scenario)
     most = known.lyapunov_bound(scenario)
@@ -134,10 +133,10 @@ def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 def certified_bounds(
     scenario: Scenario, asked: Asked, most: float, each: float | None, dead_zone: float, *words: str
 ) -> Bounds:
-    """For velocities that are certified against what is seen, if all q_m > 0 (theorems N1', D).
+    """Numbers for velocities certified with measured bearings, if all q_m > 0 (theorems N1', D).
 
-    ``most`` is V0⁺, or what stands for it, m²/s; ``each`` what V/(m − 1) does not exceed, if known;
-    ``words`` are those of ``bounds_with_errors``.
+    ``most`` is V0⁺ or its substitute, m²/s; ``each`` a bound on V/(m − 1), if known; ``words`` are
+    those of ``bounds_with_errors``.
     """
     left, margin = known.robots_left(scenario), asked.min_alignment
     faded = dead_zone * scenario.bottleneck_weight * left / scenario.n_robots
@@ -170,7 +169,7 @@ def heading_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 
 
 def noisy_bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """The mean time, infinite if the step is too long for this noise, or robots slow down."""
+    """Bound on the mean time, infinite for a step too long for the noise or limited speed."""
     n, degree, graph = scenario.n_robots, scenario.max_degree, scenario.sensing_graph
     if scenario.scales_velocity or scenario.speed_limit < degree:
         return Bounds()

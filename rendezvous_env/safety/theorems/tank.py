@@ -1,19 +1,20 @@
-"""Theorem D: the energy tank, any motion at all while each robot's own energy budget lasts.
+"""Theorem D: the energy tank admits any motion while each robot's stored energy lasts.
 
-**Assumptions.** Fixed, undirected, connected graph, bearings of all neighbours, wrong by η at
-most. With s_i = min(1, r/(2 D_i τ), v_max/‖f_i‖) a robot's tank A_i(0) = B_i ≥ 0 earns
+**Assumptions.** Fixed, undirected, connected graph, bearings of all neighbours with errors at most
+η. With s_i = min(1, r/(2 D_i τ), v_max/‖f_i‖), a displacement Δ_i changes the stored energy
+A_i, A_i(0) = B_i ≥ 0, by
 
-    G_i = 2 f_i·Δ_i − (2/r) D_i ‖Δ_i‖² − ε² τ s_i ‖f_i‖²
+    G_i = 2 f_i·Δ_i − (2/r) D_i ‖Δ_i‖² − ε² τ s_i ‖f_i‖².
 
-by a displacement Δ_i; with errors see docs/guarantees.md, 11.
+With errors see docs/guarantees.md, 11.
 
-**Promise.** V + ΣA_i does not rise in a step without merge or contact, so V ≤ V0⁺ + (n−1) r W +
-ΣB_i; and without walls, for robots whose action is their velocity,
+**Promise.** V + ΣA_i does not increase in a step without merge or contact, so V ≤ V0⁺ + (n−1) r W +
+ΣB_i. Without walls, for single integrators,
 
     T ≤ (V0⁺ + (n−1) r W + ΣB_i) max_m m/(q_m² s_min) + (n−1) τ,
 
 q_m = 2ε c_m − 2 (1+ε) m D̄_m sin(η/2) > 0 as in N1' with β = 0, s_min = min(1, r/(2D̄τ), v_max/D̄).
-Where everyone sees everyone, all weights a, no obstacles, levels follow V at merges, and
+On complete graphs of equal weights a without obstacles, stored energy follows V at merges, and
 
     T ≤ ((V(0) + ΣB_i)/(n−1) + (n−1) r a) max_m m (m−1)/(q_m² s_min) + (n−1) τ.
 
@@ -28,12 +29,12 @@ from .theorem import Asked, Bounds, Theorem
 
 
 def lyapunov_bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """V alone: with walls, and for robots that turn."""
+    """Bound on V alone, with walls and for nonholonomic robots."""
     return Bounds(lyapunov=known.tank_bounds(scenario, asked.budget, asked.observes_merges)[0])
 
 
 def bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """The time."""
+    """Time bound."""
     most, each = known.tank_bounds(scenario, asked.budget, asked.observes_merges)
     words = "theorem D: whatever is wanted, all robots meet in finite time while a tank keeps count"
     words += f" and charges errors of {asked.error:.4g} rad" * (asked.error > 0)

@@ -1,4 +1,4 @@
-"""What a theorem is here: assumptions, as predicates that say what fails, and its numbers."""
+"""Representation of a theorem: assumptions as predicates with messages, and bounds."""
 
 import math
 import sys
@@ -16,20 +16,20 @@ CHOICES = {
     "gains": "gains",
     "links": "link-keeping",
 }
-"""What keeps the guarantee, by the name that ``certificate`` knows, in words."""
+"""Description of each value of ``by`` in ``certificate``."""
 ROUNDED = 2.0**-22
-"""By so much, rad, float32 may turn a bearing, and some more."""
+"""Bound on the rotation of a bearing by float32 rounding, rad."""
 PROMISED = ("time", "lyapunov", "hull", "link_growth", "expected_time")
-"""The fields of Bounds that are promised of the environment as it steps."""
+"""Fields of Bounds that hold for the environment in sampled time."""
 
 
 def at_most(bound: float) -> str:
-    """A bound, a number of any unit, in four digits, ≥ bound: it holds as it is read."""
+    """Text of a number of any unit with four digits, ≥ the bound."""
     return _in_digits(bound, 4, ROUND_CEILING)
 
 
 def at_least(tolerated: float, digits: int = 4) -> str:
-    """What is tolerated, a number of any unit, in so many digits: never more (guarantees 11)."""
+    """Text of a tolerated number of any unit, rounded down to the given digits (guarantees 11)."""
     return _in_digits(tolerated, digits, ROUND_FLOOR)
 
 
@@ -40,7 +40,7 @@ def _in_digits(number: float, digits: int, rounding: str) -> str:
 
 
 class Asked(NamedTuple):
-    """The arguments of ``certificate`` besides the scenario; by default law (1), exact bearings."""
+    """Arguments of ``certificate`` apart from the scenario; defaults: law (1), exact bearings."""
 
     by: str = "law"
     min_alignment: float = 1.0  # ε, without unit
@@ -57,7 +57,7 @@ LAW = Asked()
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a theorem promises of a scenario; a number is infinite where it promises none."""
+    """Bounds of a theorem for a scenario; infinite where there is none."""
 
     words: str = ""  # the promise, its theorem first; or why there is none for this error
     meets: bool = False  # whether a rendezvous is promised
@@ -73,9 +73,10 @@ class Bounds:
 def bounds_with_errors(
     asked: Asked, time: Any, tolerated: float, words: str, who: str, even_so: str = "", **rest: Any
 ) -> Bounds:
-    """A rendezvous if its time, s, is finite and rounding cannot make an error η of one that is
-    ``tolerated``, rad; else that the time overflows, or why η is too large for ``who``; of η = 0
-    nothing is to be said (guarantees 11). ``rest`` are numbers that hold all the same.
+    """Numbers with bearing errors: a rendezvous guarantee if the time, s, is finite.
+
+    Otherwise a message that the time overflows, or that η exceeds the ``tolerated`` error, rad, of
+    ``who`` (guarantees 11). ``rest`` are bounds that hold in any case.
     """
     borne = asked.error < tolerated - (ROUNDED if asked.error > 0.0 else 0.0)
     meets = math.isfinite(time) and (borne or asked.error == 0.0)
@@ -96,12 +97,12 @@ def bounds_with_errors(
 
 
 Assumption = Callable[[Scenario, Asked], str]
-"""A named predicate: empty if a scenario meets it, else in words why it does not."""
+"""Predicate of a scenario: an empty string if met, otherwise a message."""
 
 
 @dataclass(frozen=True)
 class Theorem:
-    """A statement with its assumptions and its bounds."""
+    """A theorem with its assumptions and bounds."""
 
     name: str  # as docs/guarantees.md calls it
     by: tuple[str, ...]  # what keeps the guarantee: some of CHOICES
@@ -109,12 +110,12 @@ class Theorem:
     bounds: Callable[[Scenario, Asked], Bounds]  # its promise for a scenario that meets them all
     rendezvous: bool = True  # whether it can promise one, and not only that something is bounded
     every_step: str = ""
-    """What it promises of every step without a merge or a contact: that V does not rise
-    ("descent"), nor V + ΣA ("ledger"), the hull ("nested", while linked robots are r or more
-    apart), any link ("links"); empty where there is no such promise."""
+    """Property of every step without merge or contact, or empty: V does not increase ("descent"),
+    nor V + ΣA ("ledger"), the hull ("nested", while linked robots are at least r apart), or any
+    link ("links")."""
 
     def unmet(self, scenario: Scenario, asked: Asked) -> tuple[int, str]:
-        """How many assumptions hold before the first that fails, and that in words; else none."""
+        """Number of assumptions met before the first failure, and its message, if any."""
         if scenario.meeting == "pack":
             return 0, (
                 "none: theorems end with one robot left, and with meeting='pack' none merges; "

@@ -1,17 +1,18 @@
-"""Theorems T, 3 and 4: robots that turn at a limited rate.
+"""Theorems T, 3 and 4: nonholonomic robots with a limited turn rate.
 
-**T.** Fixed, undirected, connected graph, exact bearings of all neighbours, nothing in the way;
-unicycles or 3-D nonholonomic robots under the gate of ``HeadingVectorWrapper``, inputs held, any
-desired turn rates. With ω the turn limit (at most 3 rad/s, so a wrapper must be given no less),
-F = min_m 2c_m/m, s_min as in theorem D and
+**T.** Fixed, undirected, connected graph, exact bearings of all neighbours, no obstacles; unicycles
+or 3-D nonholonomic robots under the gate of ``HeadingVectorWrapper``, zero-order hold, any desired
+turn rates. With ω the turn limit (at most 3 rad/s; a wrapper must not use less), F = min_m 2c_m/m,
+s_min as in theorem D and
 
     p = min(ωτ, 0.7 τF, π/3),  K = ⌈1.25/p⌉ + 2,  θ = 1/10,
     in 3-D  p = min(ωτ, π/2),  K = ⌈π/(2p)⌉ + 2,  θ = min(1, p²)/10,
     q = min( τ s_min ε²F²/5,  θ²F²r²/(2.5 D̄²Kτ) ),
 
-V falls by q in every K steps without a merge: T ≤ Kτ (V0⁺/q + n). Proof: docs/proofs.md, T.
+V decreases by q in every K steps without a merge: T ≤ Kτ (V0⁺/q + n). Proof: docs/proofs.md, T.
 
-**3 and 4.** The paper's laws (7)(8) and (12)(17) meet in continuous time, by no known time.
+**3 and 4.** Laws (7)(8) and (12)(17) of the paper achieve rendezvous in continuous time, without a
+known time bound.
 """
 
 import math
@@ -26,8 +27,9 @@ _LEAST_TURN = 2.0**-40  # rad
 
 
 def turning_window(dim: int, turned: float) -> tuple[int, float]:
-    """K, a number of steps, and θ, rad: of K steps in each of which a robot may turn by p =
-    ``turned``, rad, one is productive if f turns by less than θ in all (theorem T).
+    """Numbers K (steps) and θ (rad) for a turn per step of p = ``turned``, rad (theorem T).
+
+    One of K steps is productive if f rotates by less than θ in all.
     """
     if dim == 2:
         return math.ceil(1.25 / turned) + 2, 0.1
@@ -42,7 +44,7 @@ def _pull_and_turn(scenario: Scenario) -> tuple[float, float]:
 
 
 def turns_outlast_rounding(scenario: Scenario, asked: Asked) -> str:
-    """A step turns by p ≥ 2⁻⁴⁰ rad: float64 rounds angles by up to 2⁻⁵² rad."""
+    """The turn per step is at least 2⁻⁴⁰ rad, well above float64 rounding (2⁻⁵² rad)."""
     _, turned = _pull_and_turn(scenario)
     if turned >= _LEAST_TURN:
         return ""
@@ -54,7 +56,7 @@ def turns_outlast_rounding(scenario: Scenario, asked: Asked) -> str:
 
 
 def gated_window(scenario: Scenario, min_alignment: float) -> tuple[int, float]:
-    """K, a number of steps, and q, m²/s: V falls by q in K steps without a merge (theorem T)."""
+    """Numbers K (steps) and q, m²/s: V decreases by q in K steps without a merge (theorem T)."""
     step, r = scenario.tau, scenario.merge_radius
     least, turned = _pull_and_turn(scenario)
     count, drift = turning_window(scenario.dim, turned)

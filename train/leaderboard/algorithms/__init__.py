@@ -1,1 +1,1 @@
-"""Every file has an algorithm, or a table of several; see ``registry.Algorithm``."""
+"""One module per algorithm or family of algorithms; see ``registry.Algorithm``."""

@@ -1,9 +1,8 @@
-"""BenchMARL's learners in the teams of ``ppo``, with a network of the same size and budget.
+"""BenchMARL algorithms in the environments of ``ppo``, with the same network size and budget.
 
-IPPO: independent PPO, a critic sees what its robot sees (de Witt et al. 2020). MAPPO: a critic sees
-what all robots see (Yu et al. 2022). MASAC: soft actor-critic, on choices of an angle as all
-learners here. QMIX: a team's value is a monotonic function of its robots' values (Rashid et al.
-2018).
+IPPO: independent PPO with a local critic (de Witt et al. 2020). MAPPO: PPO with a centralised
+critic (Yu et al. 2022). MASAC: soft actor-critic over discrete angles. QMIX: the team value is a
+monotonic function of the robots' values (Rashid et al. 2018).
 """
 
 import io
@@ -27,24 +26,25 @@ from ..teams import can_learn, guarded, teams_to_learn_in, unled
 
 _PPO = {"lmbda": 0.95, "entropy_coef": 0.003}
 LEARNERS: dict[str, dict[str, Any]] = {"Ippo": _PPO, "Mappo": _PPO, "Masac": {}, "Qmix": {}}
-"""BenchMARL's algorithms, with settings other than its own."""
+"""BenchMARL algorithms and the settings that differ from their defaults."""
 STEPS = {"on": 16, "off": 4}
-"""Decisions of a team between updates, on and off policy."""
+"""Decisions of an environment between updates, on and off policy."""
 _EXPERIMENT: dict[str, Any] = {
     "prefer_continuous_actions": False, "gamma": 0.99, "lr": 1e-3, "evaluation": False,
     "evaluation_episodes": 1, "render": False, "loggers": [], "create_json": False,
     "on_policy_n_minibatch_iters": 5, "off_policy_n_optimizer_steps": 40,
     "off_policy_train_batch_size": 128, "off_policy_memory_size": 100_000,
 }  # fmt: skip
-"""Of BenchMARL's ExperimentConfig: as ``ppo.SETTINGS``, and off policy its own ratio of learning to
-playing, 1,000 batches of 128 for 6,000 decisions of a team."""
+"""Entries of BenchMARL's ExperimentConfig: as ``ppo.SETTINGS``; off policy its default ratio of
+1,000 batches of 128 to 6,000 decisions of an environment."""
 
 
 def learn(
     field: Scenario, seed: int, budget: Budget, *, name: str, safety: str
 ) -> tuple[Callable[[int], Player], dict[str, Any]]:
-    """Train one of ``LEARNERS``, see ``Algorithm.learn``, with a ``safety`` of
-    ``teams_to_learn_in``; a first touch costs nothing under "none".
+    """Train one of ``LEARNERS``, see ``Algorithm.learn``.
+
+    ``safety`` is that of ``teams_to_learn_in``; under "none" a first contact has no cost.
     """
     import torch
     from benchmarl import algorithms
@@ -79,7 +79,7 @@ def learn(
 
 
 def task_of(field: Scenario, safety: str) -> Any:
-    """The teams that ``teams_to_learn_in`` makes, as a task of BenchMARL."""
+    """Environments of ``teams_to_learn_in`` as a BenchMARL task."""
     from rendezvous_env.adapters.benchmarl import RendezvousTask
 
     config = {"scenario": field, "num_threads": 1, **guarded(field, safety), **_price(safety)}
@@ -91,7 +91,7 @@ def _price(safety: str) -> dict[str, Any]:
 
 
 def _experiment(n_robots: int, budget: Budget, on_policy: bool, folder: Path) -> Any:
-    """BenchMARL's settings; it counts decisions of teams, the leaderboard those of robots."""
+    """BenchMARL settings. It counts decisions of environments, the leaderboard those of robots."""
     from benchmarl.experiment import ExperimentConfig
 
     config = ExperimentConfig.get_from_yaml()

@@ -1,4 +1,4 @@
-"""PPO with one network for all ways of being safe: parameters shared, every robot a sample."""
+"""PPO with parameter sharing and one network for all safety filters."""
 
 from collections.abc import Callable
 from functools import partial
@@ -19,18 +19,18 @@ SETTINGS: dict[str, Any] = {
     "n_steps": 16, "batch_size": 1024, "n_epochs": 5, "learning_rate": 1e-3, "gamma": 0.99,
     "gae_lambda": 0.95, "ent_coef": 0.003, "policy_kwargs": {"net_arch": [64, 64]},
 }  # fmt: skip
-"""Of stable-baselines3's PPO, the same for all."""
+"""Settings of stable-baselines3's PPO, common to all filters."""
 _RATE, _MOST = 2.0, 20.0
-"""Step of the multiplier for each touch above the limit, and where it ends."""
+"""Step size of the Lagrange multiplier per contact above the limit, and its maximum."""
 
 
 class Paid(VectorWrapper):
-    """Robots pay λ for each touch of the cost channel: the reward of a Lagrangian learner."""
+    """Environment whose reward is reduced by λ per contact, for a Lagrangian learner."""
 
     multiplier = 0.0
 
     def step(self, actions: Any) -> Any:
-        """As the teams, less the cost of touches."""
+        """As the wrapped environment, minus the cost of contacts."""
         seen, _, ends, cuts, infos = self.env.step(actions)
         infos["robot_rewards"] = infos["robot_rewards"] - self.multiplier * infos["cost_contact"]
         return seen, infos["robot_rewards"].mean(axis=1), ends, cuts, infos
@@ -39,10 +39,10 @@ class Paid(VectorWrapper):
 def learn(
     field: Scenario, seed: int, budget: Budget, *, limit: float | None = None, **safety: Any
 ) -> tuple[Callable[[int], Player], dict[str, Any]]:
-    """Train, see ``Algorithm.learn``, in teams that ``safety`` makes.
+    """Train in environments under the filter ``safety``, see ``Algorithm.learn``.
 
-    ``limit`` is the mean number of touches of a team's episode that a Lagrangian learner is to stay
-    below; its multiplier moves after every rollout. None is no Lagrangian.
+    ``limit`` is the maximum mean number of contacts per episode for a Lagrangian learner, whose
+    multiplier changes after every rollout. None disables the Lagrangian.
     """
     import torch
     from stable_baselines3.common.logger import Logger
@@ -74,8 +74,9 @@ def learn(
 
 
 def multiplier_of(paid: Paid, robots: Any, limit: float) -> Any:
-    """A callback that moves λ ← max(0, λ + η (J − limit)) after each rollout, J the touches of its
-    steps for each team and episode of mean length.
+    """Callback that updates λ ← max(0, λ + η (J − limit)) after each rollout.
+
+    J is the number of contacts per environment and episode of mean length.
     """
     from stable_baselines3.common.callbacks import BaseCallback
 
@@ -105,7 +106,7 @@ def algorithm(
     fits: Callable[[Scenario], bool] = can_learn,
     **how: Any,
 ) -> Algorithm:
-    """An ``Algorithm`` that is this PPO; ``safety`` and ``how`` go to ``teams_to_learn_in``."""
+    """This PPO as an ``Algorithm``; ``safety`` and ``how`` are passed to ``teams_to_learn_in``."""
     proven: Literal["none", "heading", "tank"] = "none" if safety == "rule" else safety
     learned = partial(learn, safety=safety, **how)
     packages = ("torch", "stable-baselines3")

@@ -1,12 +1,12 @@
 """PPO whose velocities pass a control-barrier-function filter (Ames et al. 2017).
 
-With d the distance of a robot to a disc and n away from it, a velocity u becomes
+With d the distance of a robot to a disc and n the unit vector away from it, a velocity u becomes
 
-    v = argmin ‖v − u‖²   so that   nᵀv ≥ −α d   for the discs near by,   α = 1/(2τ)
+    v = argmin ‖v − u‖²   subject to   nᵀv ≥ −α d   for all nearby discs,   α = 1/(2τ)
 
-d is convex, so d after the step is at least d + τ nᵀv ≥ d/2: no contact between merges. A merge
-puts robots elsewhere, which it does not see. It is given the distances and directions of discs,
-which a sensor of bearings does not have. Nothing is said of V, so nobody is promised to meet.
+d is convex, so after the step it is at least d + τ nᵀv ≥ d/2: no contact between merges. The filter
+does not account for the displacement at a merge. It uses distances to discs, which a bearing sensor
+does not provide, and does not constrain V, so it does not guarantee rendezvous.
 """
 
 from typing import Any
@@ -29,7 +29,7 @@ _NEAREST = 3
 
 
 def kept_out(wanted: Floats, away: Floats, least: Floats) -> Floats:
-    """The QP in the plane for u (N, 2), n (N, K, 2) and −α d (N, K), never positive: v = 0 fits."""
+    """Solve the planar QP for u (N, 2), n (N, K, 2) and −α d (N, K) ≤ 0; v = 0 is feasible."""
     _keep_out(wanted, -away, -least, kept := np.empty(wanted.shape))
     return kept
 
@@ -42,7 +42,7 @@ def _keep_out(wanted: Any, towards: Any, rooms: Any, kept: Any) -> None:
 
 
 class Barrier(VectorWrapper):
-    """Velocities pass the filter on their way to the robots."""
+    """Vector wrapper that applies the filter to velocities."""
 
     part_of_world = True  # nothing is promised of V
 
@@ -51,7 +51,7 @@ class Barrier(VectorWrapper):
         self.scenario, self.simulator = env.unwrapped.scenario, env.unwrapped.simulator
 
     def step(self, actions: Any) -> Any:
-        """As the teams, with velocities (B, n, 2) filtered in the global frame."""
+        """As the wrapped environment, with velocities (B, n, 2) filtered in the global frame."""
         simulator, scenario = self.simulator, self.scenario
         places, discs = simulator.positions, simulator.obstacles
         offset = places[:, :, None] - discs[:, None, :, CENTRE : CENTRE + 2]

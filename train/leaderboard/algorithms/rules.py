@@ -1,4 +1,4 @@
-"""Laws and rules, which learn nothing."""
+"""Analytic laws and rules, without training."""
 
 from functools import partial
 from typing import Any, Literal
@@ -22,7 +22,7 @@ def _player(name: str, field: Scenario, num_envs: int) -> Player:
 
 
 def _rule(name: str, word: str, guarantee: Literal["none", "heading", "tank"]) -> Algorithm:
-    """The policy of that name, as ``compare`` plays it."""
+    """Named policy, as evaluated by ``compare``."""
 
     def made(field: Scenario, seed: int, budget: Budget) -> Any:
         return partial(_player, name, field), {"policy": name}
