@@ -31,7 +31,7 @@ Predict = Callable[[Float32], NDArray[Any]]
 
 
 class TrainedPolicy(TeamPolicy):
-    """What a model of any library does in the environment that it was trained in, as a policy.
+    """Policy from a model of any library, trained in ``vector.training_env``.
 
         policy = TrainedPolicy("clutter-8", model.predict)          # stable-baselines3
         policy = TrainedPolicy("clutter-8", lambda seen: seen[:, :2], learning_preset=False)

@@ -18,88 +18,88 @@ from .vector_env import RendezvousVectorEnv
 
 
 class RendezvousParallelEnv(TeamByName[Box], ParallelEnv[str, NDArray[np.float32], Any]):
-    """Robots that see only directions must all meet.
+    """Bearing-only multi-robot rendezvous.
 
-    ``n`` robots move in the plane or in 3-D. Each one sees in which direction its neighbours and
-    the edges of near obstacles lie, in its own frame, and never how far. Neighbours that come
-    within ``merge_radius`` become one robot; when one is left, the team has met. After Zhao and
-    Zheng, *Flexible Bearing-Only Rendezvous Control of Mobile Robots* (2017).
+    ``n`` robots move in the plane or in 3-D. Each robot observes bearings to its neighbours and to
+    the edges of nearby obstacles, in its own frame, without distances. Neighbours within
+    ``merge_radius`` merge into one robot. Rendezvous is reached when one robot is left. After Zhao
+    and Zheng, *Flexible Bearing-Only Rendezvous Control of Mobile Robots* (2017).
 
-    Agents are ``robot_0`` … ``robot_{n-1}``. When robots i < j merge, ``robot_i`` goes on and
-    ``robot_j`` ends; with ``on_merge="follow"`` it stays instead, with zero observations and
-    without effect, and earns the team reward.
+    Agents are ``robot_0`` … ``robot_{n-1}``. When robots i < j merge, ``robot_i`` survives and
+    ``robot_j`` terminates. With ``on_merge="follow"`` it stays instead, with zero observations and
+    without effect, and receives the team reward.
 
     ## Action space
 
     ``Box(a,)``, float32, in the robot's own frame; symmetric bounds, the same for all robots.
 
-    | robot model       | numbers        | unit       | bound |
+    | robot model       | action         | unit       | bound |
     |-------------------|----------------|------------|--------------------------------------------|
-    | single integrator | velocity (d,)  | m/s        | v_max; norm limited, direction kept |
-    | double integrator | accel. (d,)    | m/s²       | a_max, direction kept; speed within v_max |
+    | single integrator | velocity (d,)  | m/s        | v_max; norm limited, direction preserved |
+    | double integrator | accel. (d,)    | m/s²       | a_max (norm); speed limited to v_max |
     | unicycle          | v, ω           | m/s, rad/s | v_max, turn limit; each clipped |
     | nonholonomic 3-D  | v, ω_α, ω_β    | m/s, rad/s | v_max, 10× turn limit, turn limit; clipped |
 
-    v_max is ``max_speed``, the turn limit ``max_turn_rate``; None of either is D̄, the largest sum
-    of gains that a robot can have; v_max of 48 single integrators or more on a sparse graph is then
-    ``scenario.step_degree``, which is less. a_max is ``max_acceleration``; None is v_max per
-    0.25 s. Inputs are held over a step τ and integrated exactly.
+    v_max is ``max_speed`` and the turn limit ``max_turn_rate``; the default of both is D̄, the
+    maximum degree of a robot. On sparse graphs of 48 or more single integrators v_max defaults to
+    the smaller ``scenario.step_degree``. a_max is ``max_acceleration``, default v_max per 0.25 s.
+    Actions are held over a step τ (zero-order hold) and integrated exactly.
 
     ## Observation space
 
-    ``Box(rows, d)``, float32, one row a direction in the robot's own frame; an absent row is zero.
+    ``Box(rows, d)``, float32; each row is a direction in the robot's frame, absent rows are zero.
 
-    | rows                   | what                                                    | length |
+    | rows                   | content                                                 | length |
     |------------------------|---------------------------------------------------------|--------|
     | K                      | a_ij g_ij to the neighbours in index order; sum: f_i    | a_ij   |
-    | M × 2 (2-D), × 8 (3-D) | silhouette bearings of obstacles in ``obstacle_range``  | 1      |
+    | M × 2 (2-D), × 8 (3-D) | bearings to edges of obstacles in ``obstacle_range``    | 1      |
     | 1 (3-D nonholonomic)   | direction of gravity, (−sin β, 0, −cos β)               | 1      |
-    | 1 (double integrator)  | its own velocity, m/s                                   | speed  |
+    | 1 (double integrator)  | velocity of the robot, m/s                              | speed  |
 
-    K is the most neighbours that a robot can have in an episode, merges included: 2 on a path or
-    cycle, n − 1 in general, where each other robot has its own row; with fewer the neighbours that
-    are there stand first. A smaller ``neighbour_slots`` may be given. In 2-D an obstacle's rows are
-    its counter-clockwise and clockwise edge; in 3-D the rays of its cone at 8 azimuths. Frames are
-    a random fixed rotation for each single and double integrator, the body frame (x = heading,
-    y = left) for the other models. ``scenario.observation_layout`` names the rows; with ``flatten``
-    they stand one after another, ``Box(rows·d,)``.
+    K is the maximum number of neighbours in an episode, merges included: 2 on a path or cycle, n −
+    1 in general. With K = n − 1 each other robot has its own row; with fewer rows, present
+    neighbours come first. A smaller ``neighbour_slots`` may be given. In 2-D the rows of an
+    obstacle are its counter-clockwise and clockwise edges; in 3-D eight boundary rays of its cone.
+    Frames are random fixed rotations for single and double integrators, and the body frame (x =
+    heading, y = left) for other models. ``scenario.observation_layout`` names the rows. With
+    ``flatten`` the space is ``Box(rows·d,)``.
 
     ## Reward
 
-    Every robot gets the team reward: progress (V_t − V_{t+1})/V_0, which adds up to at most 1,
-    minus ``time_penalty``·τ/time limit, minus ``collision_penalty`` for each robot in contact,
-    minus ``clearance_penalty``·max(0, 1 − clearance/``obstacle_range``) for each robot (its weight
-    is 0 unless given), plus ``rendezvous_bonus`` when all have met. With the default weights an
-    episode earns at most 2. On a graph that stays as it is, with A = Σ_ij a_ij, the weights w₁, w₂,
-    w₃ in the order above and no ``clearance_penalty``, a step with m merges, of N in an episode,
-    earns at least −w₁ (2 v_max τ A + 2 r D̄ m)/V_0 − w₂/N − w₃ n (theory 5), with r A for 2 r D̄ on
-    a directed graph, v_max the ``speed_limit`` of a robot model of one's own. The terms of v_max
-    and w₃ are 0 under ``HeadingVectorWrapper`` on undirected graphs, with exact bearings, linked
-    robots that start r or more apart, and no contacts.
+    Every robot receives the team reward: progress (V_t − V_{t+1})/V_0, whose sum is at most 1,
+    minus ``time_penalty``·τ/time limit, minus ``collision_penalty`` per robot in contact, minus
+    ``clearance_penalty``·max(0, 1 − clearance/``obstacle_range``) per robot (default weight 0),
+    plus ``rendezvous_bonus`` at rendezvous. With the default weights the return is at most 2. On a
+    fixed graph, with A = Σ_ij a_ij, weights w₁, w₂, w₃ in the order above and no
+    ``clearance_penalty``, the reward of a step with m merges, of N in an episode, is at least −w₁
+    (2 v_max τ A + 2 r D̄ m)/V_0 − w₂/N − w₃ n (theory 5). On a directed graph r A replaces 2 r D̄;
+    v_max is the ``speed_limit`` of a custom robot model. The terms with v_max and w₃ are 0 under
+    ``HeadingVectorWrapper`` on undirected graphs with exact bearings, linked robots that start at
+    least r apart, and no contacts.
 
-    ## Start and end
+    ## Initial condition and end
 
-    Drawn from the seed: uniform in a box of edge ``spawn_size``, neighbours at least 2r apart,
-    clear of obstacles; frames and yaw uniform, pitch within ±45°. ``reset(options=…)`` takes any
-    part as given: "positions" (n, d), "headings" (n,) or (n, 2), "frames" (n, d, d), "weights" (n,
-    n), "obstacles". Terminated: all robots have met; a merged-away robot, once, with the team
-    reward and a zero observation. Truncated: the time limit, ``max_cycles`` steps.
+    Sampled from the seed: positions uniform in a box of edge ``spawn_size``, neighbours at least 2r
+    apart, clear of obstacles; frames and yaw uniform, pitch within ±45°. ``reset(options=…)``
+    accepts any part: "positions" (n, d), "headings" (n,) or (n, 2), "frames" (n, d, d), "weights"
+    (n, n), "obstacles". Termination: rendezvous; for a merged robot, once, with the team reward and
+    a zero observation. Truncation: the time limit, ``max_cycles`` steps.
 
     ## Infos
 
-    The same numbers in every step, at the start too:
+    The same keys in every step and after a reset:
 
     | key | |
     |---|---|
-    | merged_into | index of the robot that it is now part of; its own while it is on its own |
-    | contact | whether it touched an obstacle in this step |
-    | clearance | m to the nearest obstacle, inf without any |
-    | success | whether all robots of the team have met |
-    | time | s since the start of the episode |
-    | contacts | of the team so far, one for each robot and step |
-    | path_length | way of all robots of the team together so far, m |
+    | merged_into | index of the surviving robot; its own index while active |
+    | contact | whether the robot had a contact in this step |
+    | clearance | distance to the nearest obstacle, m; inf without obstacles |
+    | success | whether rendezvous is reached |
+    | time | time since the start of the episode, s |
+    | contacts | number of contacts of the team so far, per robot and step |
+    | path_length | total path length of the team so far, m |
     | lyapunov | V, m²/s |
-    | cost, cost_NAME | with ``Scenario.costs``: what the step cost this robot |
+    | cost, cost_NAME | with ``Scenario.costs``: cost of the step for this robot |
 
     ``info["summary"]``, which is none of the keys, reads success to lyapunov once more.
     ``state()`` is the privileged global state for centralised critics; ``simulator`` holds it in SI

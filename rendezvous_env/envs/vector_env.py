@@ -83,11 +83,12 @@ class RendezvousVectorEnv(
     all teams or, but for obstacles, with a leading axis B. ``simulator`` holds the global state for
     analysis.
 
-    ``render()`` in "rgb_array" mode gives a picture for each team, as Gymnasium's ``RecordVideo``
-    for vector environments wants it: parts of one picture (600, 600, 3) uint8 of the first 16 teams
-    side by side, which ``renderer.render()`` gives as a whole. Further teams share one blank part.
+    ``render()`` in "rgb_array" mode returns one image per environment, as Gymnasium's
+    ``RecordVideo`` for vector environments expects. They are tiles of one image (600, 600, 3) uint8
+    of the first 16 environments, which ``renderer.render()`` returns as a whole; further
+    environments share one blank tile.
 
-    ``flatten`` puts a robot's rows one after another, as one vector.
+    ``flatten`` concatenates the rows of a robot to one vector.
     """
 
     observation_space: Space[Any] = of_all_teams("single_observation_space")

@@ -79,7 +79,7 @@ def star(weight: Weight = 1.0) -> Graph:
 
 
 def from_edges(edges: Iterable[Sequence[float]], n_robots: int | None = None) -> Graph:
-    """A graph from (i, j) or (i, j, weight) with robot indices from 0; weight 1 m/s if not given.
+    """Graph from edges (i, j) or (i, j, weight) with indices from 0; default weight 1 m/s.
 
     An undirected networkx graph, or a view of its edges, is taken too; "weight" is a_ij, m/s.
 
@@ -92,7 +92,7 @@ def from_edges(edges: Iterable[Sequence[float]], n_robots: int | None = None) ->
 
 
 def from_matrix(weights: Any) -> Graph:
-    """A graph from its symmetric (n, n) matrix of weights a_ij, m/s; 0 = no edge.
+    """Graph from a symmetric (n, n) matrix of weights a_ij, m/s; 0 = no edge.
 
     The matrix is an array or a sparse matrix of SciPy; a_ij and a_ji may differ by rounding, and
     count as their mean then.

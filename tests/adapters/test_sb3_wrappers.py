@@ -7,7 +7,7 @@ from collections import defaultdict
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from small_world import ROBOTS, SCENARIO, SEED
+from small_scenario import ROBOTS, SCENARIO, SEED
 from stable_baselines3 import SAC
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecMonitor, VecNormalize
 

@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 from conftest import needs_browser
-from page_reading import arrays_of, data_of
+from report_data import arrays_of, data_of
 
 import rendezvous_env as rv
 from rendezvous_env import baselines

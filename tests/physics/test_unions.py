@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 from test_contact import move_one_curved, move_one_straight
-from tuples import triple, world
+from geometry import triple, world
 from union_presses import MODELS, UNIONS, Count, pressed
 
 import baselines

@@ -91,8 +91,9 @@ def play(
     steps: int | None = None,
     promised: float = np.inf,
 ) -> tuple[Episodes, list[Recording]]:
-    """Run one policy from the starts ``seed``, ``seed`` + 1, … of a scenario, the same for every
-    policy. A scenario whose episodes are all the same is played once.
+    """Run one policy from the seeds ``seed``, ``seed`` + 1, …, the same for every policy.
+
+    A scenario without randomness is run once.
 
     Args:
         scenario: the experiment.

@@ -47,7 +47,7 @@ def run(config: Config) -> int:
                     return status
                 console.print(f"{runs[number].out}: done")
     except KeyboardInterrupt as error:
-        error.add_note("the same command goes on from the last checkpoint of each run")
+        error.add_note("the same command resumes from the last checkpoint of each run")
         raise
     return 0
 

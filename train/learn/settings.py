@@ -53,7 +53,7 @@ _LEARNING = (
 FLAG_GROUPS = {
     "PPO": _LEARNING,
     "Policy": (*_POLICY, "decision_period", "budget", "critic"),
-    "Sensors that are sampled": (*(f"sensing_{name}" for name in _SAMPLED), *_HOW_SAMPLED),
+    "Domain randomisation of sensors": (*(f"sensing_{name}" for name in _SAMPLED), *_HOW_SAMPLED),
     "Rewards": (*_REWARDS, "touch_penalty"),
     "Evaluation and machine": (
         "eval_every", "eval_starts", "eval_scenarios", "checkpoint_every", "tensorboard",
@@ -312,14 +312,14 @@ def _check_scenarios(config: Config) -> None:
     base = config.base_scenario()
     if not can_steer(base):
         raise UserError(
-            f"--scenario {config.scenario}: has {base.robot_model} robots; train teaches "
-            "single_integrator, unicycle and nonholonomic_3d. For a learner of your own "
-            "rendezvous_env.training_env(scenario, guarantee=None) makes these"
+            f"--scenario {config.scenario}: has {base.robot_model} robots; train supports "
+            "single_integrator, unicycle and nonholonomic_3d. For a custom learner use "
+            "rendezvous_env.training_env(scenario, guarantee=None)"
         )
     if config.critic == "global" and base.dim == 3:
         raise UserError(
-            f"--critic is global; --scenario {config.scenario} is in space, and the global state "
-            "is written for the plane alone"
+            f"--critic is global; --scenario {config.scenario} is 3-D, and the global state "
+            "supports planar scenarios only"
         )
     if (samples := config.samples_per_update) > _MOST_SAMPLES:
         raise UserError(

@@ -141,7 +141,7 @@ def other_starts(random: Random, scenario: rv.Scenario, places: Array, anew: flo
 
 
 def reach_of(sight: float | None, n: int, r: float) -> float:
-    """How long links may be at the start, m, so that n − 1 merges leave them in sight."""
+    """Maximum initial link length, m, so that links stay visible after n − 1 merges."""
     return math.inf if sight is None else sight - (n - 1) * r / 2.0
 
 
