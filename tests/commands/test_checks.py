@@ -58,68 +58,87 @@ def test_names_that_no_file_can_have(command, name, message, one_line, monkeypat
 
 
 MISTAKES = {
-    "compare --scenarios fig5": "did you mean 'fig4'", "compare --scenarios no-such.toml":
-    "no-such.toml", "compare --scenarios": "names none", "compare --scenarios duo duo": "two
-    scenarios", "compare --policies zero random zero": "policy 'zero' is named twice; name each
-    once", "compare --policies bearing-onyl": "did you mean 'bearing-only'", "compare --scenarios
-    duo --policies unicycle": "no policy of those named fits duo", "compare --episodes 0":
-    "--episodes is 0", f"compare --seed {2**63}": "too large", "compare --oracle-runs -1":
-    "--oracle-runs is -1", "compare --scenario duo --set n_robots": "--set n_robots: write
-    FIELD=VALUE", "compare --scenario duo --set n_robots=3 n_robots=4": "n_robots is named twice",
+    "compare --scenarios fig5": "did you mean 'fig4'",
+    "compare --scenarios no-such.toml": "no-such.toml",
+    "compare --scenarios": "names none",
+    "compare --scenarios duo duo": "two scenarios",
+    "compare --policies zero random zero": "policy 'zero' is named twice; name each once",
+    "compare --policies bearing-onyl": "did you mean 'bearing-only'",
+    "compare --scenarios duo --policies unicycle": "no policy of those named fits duo",
+    "compare --episodes 0": "--episodes is 0",
+    f"compare --seed {2**63}": "too large",
+    "compare --oracle-runs -1": "--oracle-runs is -1",
+    "compare --scenario duo --set n_robots": "--set n_robots: write FIELD=VALUE",
+    "compare --scenario duo --set n_robots=3 n_robots=4": "n_robots is named twice",
     "compare --scenario duo --set robots=9": "--set robots=9: scenario has no field 'robots'; did",
     f"compare --scenario duo --set name={'ε' * 101}": "has 202 bytes; names of figures take 200",
-    "compare --scenario duo --set n_robots=0": "--set n_robots=0: n_robots", f"compare --scenarios
-    {'a' * 300}.toml": "it is too long for a file", f"compare --policies learned:{'a' * 300}": "File
-    name too long", f"compare --out {'a' * 253}": "File name too long", "compare --scenarios duo
-    --out /dev/null/out": "cannot write there", "compare --scenarios duo --set n_robots=30
-    spawn_size=0.5": "no room for the start", "compare --jobs 0": "--jobs is 0; it must be 1 or
-    more", "compare --address auto": "--address is auto; only --backend ray has one", "compare
-    --scenario fig4 --against tangent-joind": "did you mean 'tangent-joined'", "compare --scenario
-    fig4 --against unicycle": "--against 'unicycle' is not compared", "compare --scenario fig4
-    --json out/compare/x.json": "lies in OUT or OUT.part", "compare --scenario fig4 --json
-    out/compare.part/x.json": "lies in OUT or OUT.part", "compare --scenario fig4 --json .": "is a
-    folder", "compare --scenario duo --sensing noice=0,1": "is unknown; did you mean 'noise'",
-    "compare --scenario duo --sensing noise": "name two or more levels, as in noise=0,0.1", "compare
-    --scenario duo --sensing noise=0,1 noise=0,2": "noise is named twice", "compare --scenario duo
-    --sensing noise=0.10001,0.10002": "two scenarios are called 'duo-no", "compare --scenario duo
-    --sensing noise=0,-1": "--sensing noise=-1: sensing.noise is -1", "train --num-threads 0":
-    "--num-threads is 0; it must be 1 or more", f"train --clearance {math.pi}": f"it must be less
-    than {math.pi}", "train --persistence -1": "--persistence is -1.0; it must be 0 or more", "train
-    --num-teams 10000000000": "it must be 2147483648 or less", "train --device abacus": "--device is
-    'abacus'", "train --seeds 1 1": "--seeds 1 1: name each once", "train --seeds 0 3 --seed 2":
-    "--seed is 2; --seeds says which runs there are", "train --seeds 0 -1": "--seed is -1", "train
-    --set robot_model=double_integrator": "training_env(scenario, guarantee=None)", "train
-    --scenario clutter-3d --critic global": "the global state supports planar scenarios only",
-    "train --scenario fig4 --curriculum 3": "fig4 draws no obstacles", "train --gamma 1.5": "--gamma
-    is 1.5; it must be 1 or less", f"train --seed {2**29}": "it must be 536870911 or less", "train
-    --budget 3": "--budget is 3.0; headings have none: add --guarantee tank", "train --memory
-    features": "--memory is features; headings have none: add --guarantee", "train --memory-units
-    9": "--memory-units is 9; there are none without --memory", "train --guarantee tank --budget
-    -1": "--budget is -1.0; it must be 0 or more", "train --start-from nowhere": "nowhere: no such
-    folder", "train --sensing-noise -0.1 0.2": "sensing.noise is -0.1; it must be a finite", "train
-    --sensing-noise 0.2 0.1": "sensing.noise is from 0.2 to 0.1; it must be LOW", "train
-    --sensing-occlusion fog": "sensing.occlusion is 'fog'; it must be one of", "train
-    --sensing-noise 0 1 --sensing-chance 2": "chance is 2.0; it must be", "train --sensing-noise 0 1
-    --num-teams 8 --sensing-groups 9": "it must be 8 or less", "train --sensing-updates 3":
-    "--sensing-updates is 3; no sensors are drawn", f"verify --trials {10**12}": "it must be
-    100000000 or less", "verify --only-batch -2": "--only-batch is -2", "verify --min-alignment 1":
-    "--min-alignment is 1.0; it must be less than 1", "verify --any --only-batch 3": "--only-batch
-    is 3; --any tries no claims: leave it out", "verify --any --claims lemma-1 bound-A": "--claims
-    is lemma-1 bound-A; --any tries no claims", "verify --kinds 3": "--kinds is 3; add --any",
-    "verify --claims bound-D": "claim 'bound-D' is unknown; did you mean 'bound-", "bench --only
-    btached": "btached", "bench --json /dev/null/bench.json": "--json /dev/null/bench.json: cannot
-    write there", "bench --json .": "is a folder; name a file", "bench --robots 3 1": "--robots is
-    1; it must be 2 or more", "bench --seconds 0": "--seconds is 0.0; it must be more than 0",
-    f"reproduce fig3 --seed {2**63}": "it must be 9223372036854775807 or less", "reproduce fig3
-    --page page.md": "--page is page.md; fig3 makes no table for it", "reproduce fig3 --policy
-    unicycle": "does not fit", "export --policy tangent": "--policy tangent: is scripted and has no
-    network", "export --policy learnt": "policy 'learnt' is unknown; did you mean 'learned'?",
-    "export --policy learned:nowhere": "nowhere: no such folder", "export --out policy.pt": "--out
-    policy.pt: unknown ending; it must be .onnx", "render --out a.avi": "unknown ending '.avi';
-    known are .gif, .mp4, .png, .pdf", "render --scenario uav-6 --policy tangent-joined": "does not
-    fit nonholonomic_3d", "render --fps 0": "--fps is 0; it must be 1 or more", "render --size 10":
-    "--size is 10; it must be 120 or more", "render --speed 0": "--speed is 0.0; it must be 0.001 or
-    more", "warmup --scenarios duoo": "scenario 'duoo' is unknown; did you mean 'duo'?",
+    "compare --scenario duo --set n_robots=0": "--set n_robots=0: n_robots",
+    f"compare --scenarios {'a' * 300}.toml": "it is too long for a file",
+    f"compare --policies learned:{'a' * 300}": "File name too long",
+    f"compare --out {'a' * 253}": "File name too long",
+    "compare --scenarios duo --out /dev/null/out": "cannot write there",
+    "compare --scenarios duo --set n_robots=30 spawn_size=0.5": "no room for the start",
+    "compare --jobs 0": "--jobs is 0; it must be 1 or more",
+    "compare --address auto": "--address is auto; only --backend ray has one",
+    "compare --scenario fig4 --against tangent-joind": "did you mean 'tangent-joined'",
+    "compare --scenario fig4 --against unicycle": "--against 'unicycle' is not compared",
+    "compare --scenario fig4 --json out/compare/x.json": "lies in OUT or OUT.part",
+    "compare --scenario fig4 --json out/compare.part/x.json": "lies in OUT or OUT.part",
+    "compare --scenario fig4 --json .": "is a folder",
+    "compare --scenario duo --sensing noice=0,1": "is unknown; did you mean 'noise'",
+    "compare --scenario duo --sensing noise": "name two or more levels, as in noise=0,0.1",
+    "compare --scenario duo --sensing noise=0,1 noise=0,2": "noise is named twice",
+    "compare --scenario duo --sensing noise=0.10001,0.10002": "two scenarios are called 'duo-no",
+    "compare --scenario duo --sensing noise=0,-1": "--sensing noise=-1: sensing.noise is -1",
+    "train --num-threads 0": "--num-threads is 0; it must be 1 or more",
+    f"train --clearance {math.pi}": f"it must be less than {math.pi}",
+    "train --persistence -1": "--persistence is -1.0; it must be 0 or more",
+    "train --num-teams 10000000000": "it must be 2147483648 or less",
+    "train --device abacus": "--device is 'abacus'",
+    "train --seeds 1 1": "--seeds 1 1: name each once",
+    "train --seeds 0 3 --seed 2": "--seed is 2; --seeds says which runs there are",
+    "train --seeds 0 -1": "--seed is -1",
+    "train --set robot_model=double_integrator": "training_env(scenario, guarantee=None)",
+    "train --scenario clutter-3d --critic global": "the global state supports",
+    "train --scenario fig4 --curriculum 3": "fig4 draws no obstacles",
+    "train --gamma 1.5": "--gamma is 1.5; it must be 1 or less",
+    f"train --seed {2**29}": "it must be 536870911 or less",
+    "train --budget 3": "--budget is 3.0; headings have none: add --guarantee tank",
+    "train --memory features": "--memory is features; headings have none: add --guarantee",
+    "train --memory-units 9": "--memory-units is 9; there are none without --memory",
+    "train --guarantee tank --budget -1": "--budget is -1.0; it must be 0 or more",
+    "train --start-from nowhere": "nowhere: no such folder",
+    "train --sensing-noise -0.1 0.2": "sensing.noise is -0.1; it must be a finite",
+    "train --sensing-noise 0.2 0.1": "sensing.noise is from 0.2 to 0.1; it must be LOW",
+    "train --sensing-occlusion fog": "sensing.occlusion is 'fog'; it must be one of",
+    "train --sensing-noise 0 1 --sensing-chance 2": "chance is 2.0; it must be",
+    "train --sensing-noise 0 1 --num-teams 8 --sensing-groups 9": "it must be 8 or less",
+    "train --sensing-updates 3": "--sensing-updates is 3; no sensors are drawn",
+    f"verify --trials {10**12}": "it must be 100000000 or less",
+    "verify --only-batch -2": "--only-batch is -2",
+    "verify --min-alignment 1": "--min-alignment is 1.0; it must be less than 1",
+    "verify --any --only-batch 3": "--only-batch is 3; --any tries no claims: leave it out",
+    "verify --any --claims lemma-1 bound-A": "--claims is lemma-1 bound-A; --any tries no claims",
+    "verify --kinds 3": "--kinds is 3; add --any",
+    "verify --claims bound-D": "claim 'bound-D' is unknown; did you mean 'bound-",
+    "bench --only btached": "btached",
+    "bench --json /dev/null/bench.json": "--json /dev/null/bench.json: cannot write there",
+    "bench --json .": "is a folder; name a file",
+    "bench --robots 3 1": "--robots is 1; it must be 2 or more",
+    "bench --seconds 0": "--seconds is 0.0; it must be more than 0",
+    f"reproduce fig3 --seed {2**63}": "it must be 9223372036854775807 or less",
+    "reproduce fig3 --page page.md": "--page is page.md; fig3 makes no table for it",
+    "reproduce fig3 --policy unicycle": "does not fit",
+    "export --policy tangent": "--policy tangent: is scripted and has no network",
+    "export --policy learnt": "policy 'learnt' is unknown; did you mean 'learned'?",
+    "export --policy learned:nowhere": "nowhere: no such folder",
+    "export --out policy.pt": "--out policy.pt: unknown ending; it must be .onnx",
+    "render --out a.avi": "unknown ending '.avi'; known are .gif, .mp4, .png, .pdf",
+    "render --scenario uav-6 --policy tangent-joined": "does not fit nonholonomic_3d",
+    "render --fps 0": "--fps is 0; it must be 1 or more",
+    "render --size 10": "--size is 10; it must be 120 or more",
+    "render --speed 0": "--speed is 0.0; it must be 0.001 or more",
+    "warmup --scenarios duoo": "scenario 'duoo' is unknown; did you mean 'duo'?",
 }
 
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 import shapely
-from test_contact import move_one_curved, move_one_straight
 from geometry import triple, world
+from test_contact import move_one_curved, move_one_straight
 from union_presses import MODELS, UNIONS, Count, pressed
 
 import baselines
