@@ -163,10 +163,10 @@ def _writable(kind: Any) -> Any:
     """
     if isinstance(kind, types.Array):
         return kind.copy(readonly=False)
-    if isinstance(kind, types.BaseTuple) and any(map(_holds_array, kind.types)):
-        parts = tuple(map(_writable, kind.types))
-        return types.BaseTuple.from_types(parts, getattr(kind, "instance_class", None))
-    return kind
+    if not (_holds_array(kind) and isinstance(kind, types.BaseTuple)):
+        return kind
+    parts = tuple(map(_writable, getattr(kind, "types", ())))
+    return types.BaseTuple.from_types(parts, getattr(kind, "instance_class", None))
 
 
 @contextmanager
