@@ -25,8 +25,8 @@ def empty_links(place: MemoryLayout) -> Links:
         none = np.zeros((1, 0), np.int64)
         return Links(ARCS, none, none, np.zeros((batch, n * n, 1)))
     if place.sparse:
-        ends = (np.zeros((batch, place.n_links), np.int64) for _ in range(2))
-        return Links(LISTED, *ends, np.zeros((batch, place.n_links, 1)))
+        first, second = (np.zeros((batch, place.n_links), np.int64) for _ in range(2))
+        return Links(LISTED, first, second, np.zeros((batch, place.n_links, 1)))
     first, second = (pairs.astype(np.int64)[None] for pairs in np.triu_indices(n, 1))
     return Links(DENSE, first, second, aligned(place.blocks, place.n_links, place.lanes))
 

@@ -57,7 +57,7 @@ class Episodes:
         state, robot, work, lanes = self._state, self._robot, self._scratch, self._state.lanes
         streams, lists = (state.seed, state.number), (work.listed, work.numbers[0])
         if rules.graph is not None and rules.draw_weights:
-            given = *streams, rules.graph, state.links, *lists, work.counts
+            given: tuple[Any, ...] = *streams, rules.graph, state.links, *lists, work.counts
             failed = self._run(reset.draw_graphs, lanes, which, *given)
             if failed >= 0:
                 raise RuntimeError(
@@ -89,11 +89,10 @@ class Episodes:
         """
         state, work, field, lanes = self._state, self._scratch, rules.field, self._state.lanes
         streams, world, positions = (state.seed, state.number), state.obstacles, work.vectors[0]
-        draws_field = field is not None and rules.draw_obstacles
-        if draws_field:
+        if field is not None and rules.draw_obstacles:
             # obstacles keep clear of given positions; positions that are drawn of obstacles
             n_given = 0 if rules.draw_positions else state.scenario.n_robots
-            given = field, n_given, state.robots, world, positions
+            given: tuple[Any, ...] = field, n_given, state.robots, world, positions
             failed = self._run(reset.draw_fields, lanes, which, trial, *streams, *given)
             if failed >= 0:
                 raise RuntimeError(self._no_room(failed))
@@ -103,7 +102,7 @@ class Episodes:
             further += 1
         if len(pending):
             raise RuntimeError(self._no_room(int(pending[0])))
-        if not draws_field or field.passage == 0.0:
+        if field is None or not rules.draw_obstacles or field.passage == 0.0:
             return which[:0]
         walled_in = np.zeros(len(which), np.bool_)
         given = field.passage, state.robots, world, positions, work.chains, walled_in
@@ -119,7 +118,14 @@ class Episodes:
         state, work, lanes = self._state, self._scratch, self._state.lanes
         lengths = rules.spawn_size, rules.least_distance, rules.keep_out
         world = state.obstacles if state.obstacles.kinds.shape[1] else None
-        given = lengths, rules.reach is not None, state.seed, state.number, state.links, world
+        given: tuple[Any, ...] = (
+            lengths,
+            rules.reach is not None,
+            state.seed,
+            state.number,
+            state.links,
+            world,
+        )
         memory = state.robots, work.vectors[0]
         failed = self._run(reset.draw_positions, lanes, which, trials, *given, *memory)
         if failed >= 0:

@@ -8,7 +8,7 @@ workers run all slices. So an interrupted job (Ctrl-C) is complete or was never 
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
 from itertools import chain
 from operator import call
@@ -67,10 +67,11 @@ def _run(own: list[Callable[[], Any]], others: list[list[Callable[[], Any]]]) ->
     ended, wake = np.zeros(len(others), np.int64), SimpleQueue()  # type: ignore[var-annotated]
     errors: list[BaseException] = []
     reports = [(ended[k : k + 1], wake, errors) for k in range(len(others))]
-    submit = [partial(_jobs.put, job) for job in zip(others, reports, strict=True)]
+    todo: list[Callable[[], Any]]
+    todo = [*(partial(_jobs.put, job) for job in zip(others, reports, strict=True)), *own]
     wait, spins = _compiled_wait(), _WAIT_SPINS if own else 0
     turns = np.zeros(1, np.int64)
-    left = map(call, chain(submit, own))
+    left: Iterator[Any] = map(call, todo)
     finish = partial(wait, ended, np.zeros(1, np.int64), _FOREVER)
     rest = chain(left, map(call, [finish]))
     _ensure_workers(len(others))

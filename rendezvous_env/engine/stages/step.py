@@ -23,7 +23,7 @@ of a thread. An observation without a step leaves out the first five and the las
 from collections.abc import Callable, Iterator
 from functools import partial
 from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +63,7 @@ class _Late(NamedTuple):
     place: int  # Among the output, the actions, and the rows
 
 
-_OUTPUT = StepOutput(*map(_Late, range(len(StepOutput._fields))))
+_OUTPUT: Any = StepOutput(*map(cast(Any, _Late), range(len(StepOutput._fields))))
 _ACTIONS, _ROWS = _Late(len(_OUTPUT)), _Late(len(_OUTPUT) + 1)
 
 
@@ -115,7 +115,7 @@ class StepStages:
         """A call of a kernel with all arguments but the late ones, and what takes these out of
         those ``given`` in a step; the kernel is compiled here if it has not been.
         """
-        late = [one.place for one in arguments if isinstance(one, _Late)]
+        late: list[Any] = [one.place for one in arguments if isinstance(one, _Late)]
         fixed = arguments[: len(arguments) - len(late)]
         if (entry := self._entries.get(kernel)) is None:
             found = (*fixed, *(_writable(given[place]) for place in late))
@@ -155,7 +155,14 @@ class StepStages:
         if collides:
             blocks, mode = (first, last), rules.contact_mode
             if self._has_contacts:
-                given = *blocks, mode, *now, state.obstacles, work.normals, _OUTPUT.contact
+                given: tuple[Any, ...] = (
+                    *blocks,
+                    mode,
+                    *now,
+                    state.obstacles,
+                    work.normals,
+                    _OUTPUT.contact,
+                )
                 if robot.memories:
                     yield stop_curves_at_obstacles, robot, lanes, *given
                 else:
@@ -176,7 +183,14 @@ class StepStages:
         state, robot, rules, links = self._state, self._robot, self._constants, self._state.links
         shape, blocks, robots = (robot.axes, robot.entries), (first, last), state.robots
         if state.changes is not None:
-            given = moves, rules.duration, state.changes, state.seed, state.number, robots
+            given: tuple[Any, ...] = (
+                moves,
+                rules.duration,
+                state.changes,
+                state.seed,
+                state.number,
+                robots,
+            )
             others = state.merged_into, state.environments, links
             yield update_links, *shape, *blocks, *given, *others
         if self._dense:
@@ -192,7 +206,8 @@ class StepStages:
     def _sense_obstacles(self, first: int, last: int, work: Scratch) -> Iterator[Any]:
         state, robot, rules, place = self._state, self._robot, self._constants, self._state.place
         blocks = first, last, rules.obstacle_range
-        given, late = (state.robots, state.merged_into), (_ROWS, _OUTPUT.clearance)
+        given: tuple[Any, ...] = (state.robots, state.merged_into)
+        late = _ROWS, _OUTPUT.clearance
         if len(robot.axes) == 2:
             own = place.neighbours
             yield sense_discs, place.width, *blocks, own, *given, state.discs, work.disc, *late
@@ -210,7 +225,12 @@ class StepStages:
         blocks, errors = (first, last, moves, sensor.errors), sensor.errors
         memory, streams = (work.keys, work.words), (state.seed, state.number)
         if errors.over_lanes:
-            given = self._constants.neighbour_slots, sensor.listed, state.links, *streams
+            given: tuple[Any, ...] = (
+                self._constants.neighbour_slots,
+                sensor.listed,
+                state.links,
+                *streams,
+            )
             lists = work.listed, work.numbers[0], work.counts
             shape = place.width, robot.axes, robot.entries
             now = state.robots, state.environments
@@ -236,7 +256,13 @@ class StepStages:
         state, robot, rules, lanes = self._state, self._robot, self._constants, self._state.lanes
         slots, merged, seen = rules.neighbour_slots, state.merged_into, _OUTPUT.observations
         if sensor.errors.one_by_one:
-            given = sensor.errors, rules.body_radius, slots, sensor.packed, state.links
+            given: tuple[Any, ...] = (
+                sensor.errors,
+                rules.body_radius,
+                slots,
+                sensor.packed,
+                state.links,
+            )
             memory = work.vectors, work.listed, work.numbers[0], work.counts
             shape = robot.axes, robot.entries, lanes, first, last
             scene = state.robots, merged, state.obstacles
