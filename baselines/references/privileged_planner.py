@@ -85,11 +85,11 @@ class PrivilegedPlanner(PrivilegedPolicy):
         super().watch(simulator)
         self._active = simulator.active
         self._goals: list[WaysTo | None] = [None] * simulator.num_envs
-        self._turns = simulator.positions[:, :, None]  # of each robot's way, (B, n, P, d)
+        self._turns = simulator.positions[:, :, None].copy()  # of each robot's way, (B, n, P, d)
         self._next = np.zeros(self._active.shape, np.int64)
 
     def _velocities(self, simulator: Simulator, active: Mask, begun: Mask) -> Array:
-        positions, scenario = simulator.positions, simulator.scenario
+        positions, scenario = simulator.positions.copy(), simulator.scenario
         self._update_plans(simulator, positions, active, begun)
         distance = np.linalg.norm(self._to_next_turn(positions), axis=-1)
         self._next += distance <= _ARRIVED * scenario.speed_limit * scenario.tau
@@ -110,7 +110,7 @@ class PrivilegedPlanner(PrivilegedPolicy):
         for team in np.flatnonzero((begun | merged) & (active.sum(axis=1) > 1)).tolist():
             here, goal = positions[team], self._goals[team]
             if begun[team] or goal is None:
-                table, radius = simulator.obstacles[team], simulator.scenario.merge_radius
+                table, radius = simulator.obstacles[team].copy(), simulator.scenario.merge_radius
                 goal = self._goals[team] = plan(table, here[active[team]], radius)
             for robot in np.flatnonzero(active[team]).tolist():
                 way = goal.way(here[robot])

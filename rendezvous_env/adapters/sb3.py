@@ -201,8 +201,8 @@ class RobotVecEnv(VecEnv):
         """As ``Simulator.set_state``."""
         check_keys(state, ())
         slots = dict(state)
-        told = {"told": slots.pop("told", np.zeros_like(self._told))}  # older ones have none
-        checked = check_entries({"told": self._told}, told)["told"]
+        checked = check_entries({"told": self._told}, state)["told"]
+        del slots["told"]
         refuse_first("told", checked < 0, checked, "0 or more")
         self.slots.set_state(slots)
         self._told[...] = checked

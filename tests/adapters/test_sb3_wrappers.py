@@ -226,8 +226,6 @@ def test_episode_stands_at_the_same_slot_after_a_state_was_put_back():
     fresh = make_robots(SCENARIO, TEAMS)
     fresh.set_state(state)
     assert slots_told(fresh) == once and len({slot % ROBOTS for _, slot in once}) > 1
-    del state["told"]  # as older versions gave it
-    fresh.set_state(state)
     with pytest.raises(ValueError, match=r"told\[0\] is -1"):
         fresh.set_state(state | {"told": np.full(TEAMS, -1)})
 

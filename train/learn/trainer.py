@@ -134,6 +134,8 @@ class Trainer:
             moments = {int(number): tensors(arrays) for number, arrays in kept.items()}
             optimizer.load_state_dict(optimizer.state_dict() | {"state": moments})
             state = unflatten(tables["state"])
+            if isinstance(state.get("robots"), dict):  # runs of older versions kept none
+                state["robots"].setdefault("told", np.zeros(self.robots.slots.num_teams, np.int64))
             checkpoint.check_fits(state, self.robots, model.policy)
             self.robots.set_state(state["robots"])
             model._last_obs = state["last_observations"]
