@@ -15,7 +15,7 @@ from rendezvous_env.render.scene import ended, facing, in_contact, ways
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..recording import Recording
-from .figures import BLACK, BLUE, ORANGE, ROBOT_COLOURS, VERMILLION, policy_colour
+from .figures import BLACK, BLUE, ORANGE, ROBOT_COLOURS, VERMILLION, policy_colour, shown_name
 from .style import COLUMN, PAGE, SMALL, new_figure, styled
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def trajectories_figure(
         contacts = int(recording["contacts"][-1].sum())
         touched = f"\n{in_contact(contacts)}" if contacts else ""
         colour = policy_colour(name, own)
-        axes.set_title(f"{name}\n{end}{touched}", fontsize=SMALL, color=colour)
+        axes.set_title(f"{shown_name(name)}\n{end}{touched}", fontsize=SMALL, color=colour)
         axes.tick_params(length=2)
     wide, high = (np.ptp(limits) for limits in (axes.get_xlim(), axes.get_ylim()))
     axes.locator_params(axis="x", nbins=4 if wide > _NARROW * high else 2)
