@@ -309,6 +309,12 @@ def test_own_policies_have_distinct_colours_and_markers():
     assert not known & {figures.policy_colour(name, own) for name in own}
 
 
+def test_a_long_path_is_shown_by_its_end():
+    assert figures.shown_name("tangent-blocking-certified") == "tangent-blocking-certified"
+    shown = figures.shown_name("learned:/home/somebody/runs/a-very-long-name/step-1000")
+    assert shown == "learned:…-long-name/step-1000"
+
+
 def test_config_takes_scenario_objects(tmp_path):
     team = rv.Scenario(name="my team", n_robots=3, time_limit=5.0)
     config = compare.Config([team, "duo"], "bearing-only", episodes=2, out=tmp_path / "out")

@@ -66,12 +66,19 @@ _OWN_COLOURS = (BLACK, "#A6761D", "#7B3FE4", "#C51B7D", "#00788A", "#6B6B00", "#
 _OWN_MARKERS = ("o", "v", "<", ">", "p", "h", "*")
 """Of the same; each colour comes back with another one."""
 Names = Sequence[str]
+_LONG, _END = 32, 20
+"""Characters of a name from which on it is shortened in figures, and of its end."""
 
 
 def own_names(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Names of the policies of rows of results.csv that have no colour of their own, in order."""
     names = dict.fromkeys(str(row["policy"]) for row in rows)
     return [name for name in names if _plain(name) not in _POLICY_COLOURS and not _is_shipped(name)]
+
+
+def shown_name(name: str) -> str:
+    """A policy's name in a figure: of a long path its end."""
+    return name if len(name) <= _LONG else f"{name.partition(':')[0]}:…{name[-_END:]}"
 
 
 def _plain(name: str) -> str:
@@ -166,7 +173,7 @@ def _panels(rows: Sequence[Mapping[str, Any]], draw: Any, label: str) -> Figure:
             row["place"] = place
         draw(axes, panel)
         axes.set_title(f"{name}, one start" if panel[0].get("episodes") == 1 else name)
-        axes.set_yticks(range(len(panel)), [row["policy"] for row in panel])
+        axes.set_yticks(range(len(panel)), [shown_name(row["policy"]) for row in panel])
         axes.set_ylim(tallest[number // columns] - 0.5, -0.5)
         axes.tick_params(length=2)
         axes.grid(axis="x")
@@ -277,7 +284,7 @@ def policy_line(
         linestyle="-" if policy in own else broken,
         color=policy_colour(policy, own),
         elinewidth=0.6,
-        label=policy,
+        label=shown_name(policy),
     )
 
 

@@ -16,7 +16,16 @@ from rendezvous_env.safety.theorems.theorem import at_most
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..recording import Recording
-from .figures import BLACK, BLUE, GREEN, ORANGE, ROBOT_COLOURS, VERMILLION, policy_colour
+from .figures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    ORANGE,
+    ROBOT_COLOURS,
+    VERMILLION,
+    policy_colour,
+    shown_name,
+)
 from .style import COLUMN, PAGE, SMALL, new_figure, styled
 
 if TYPE_CHECKING:
@@ -72,7 +81,7 @@ def trajectories_figure(
         contacts = int(recording["contacts"][-1].sum())
         touched = f"\n{in_contact(contacts)}" if contacts else ""
         colour = policy_colour(name, own)
-        axes.set_title(f"{name}\n{end}{touched}", fontsize=SMALL, color=colour)
+        axes.set_title(f"{shown_name(name)}\n{end}{touched}", fontsize=SMALL, color=colour)
         axes.tick_params(length=2, labelleft=column == 0)
         axes.tick_params(labelbottom=number + columns >= len(recordings))
     wide, high = (np.ptp(limits) for limits in (axes.get_xlim(), axes.get_ylim()))
