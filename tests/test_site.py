@@ -85,7 +85,7 @@ def test_pages_fetch_nothing_from_elsewhere(site):
 
 def test_old_addresses_forward_to_pages(site):
     folder, _ = site
-    for old in ("noise", "training", "comparing", "scaling", "peers", "extending", "learners-rllib"):
+    for old in ("noise", "training", "comparing", "scaling", "peers", "extending"):
         text = (folder / f"{old}.html").read_text(encoding="utf-8")
         (target,) = re.findall(r'http-equiv="refresh" content="0; url=([^"]+)"', text)
         assert (folder / target).stat().st_size > 10_000, (old, target)
