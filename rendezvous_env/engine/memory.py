@@ -91,7 +91,7 @@ class Robot(NamedTuple):
 
 def _of_one(kind: type) -> Any:
     parts = ", ".join(f"obstacles.{name}[b]" for name in getattr(kind, "_fields", ()))
-    return eval(f"lambda obstacles, b: kind({parts})", {"kind": kind})
+    return eval(f"lambda obstacles, b: kind({parts})", {"kind": kind, "__name__": __name__})
 
 
 @by_type("obstacles", _of_one)
