@@ -90,9 +90,8 @@ class Robot(NamedTuple):
 
 
 def _of_one(kind: type) -> Any:
-    return lambda obstacles, b: kind(
-        obstacles.kinds[b], obstacles.corners[b], obstacles.shapes[b], obstacles.skins[b]
-    )
+    parts = ", ".join(f"obstacles.{name}[b]" for name in getattr(kind, "_fields", ()))
+    return eval(f"lambda obstacles, b: kind({parts})", {"kind": kind, "__name__": __name__})
 
 
 @by_type("obstacles", _of_one)
