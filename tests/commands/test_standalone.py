@@ -101,7 +101,7 @@ class TestAgreement:
     def test_a_difference_is_refused(self, monkeypatch, tmp_path, one_line):
         written = standalone.text_of
 
-        def wrong(policy, scenario, network):
+        def wrong(policy, scenario, network, build):
             weights, settings = network
             bias = weights["action_net.bias"] + 50.0 * np.arange(len(settings.angles))
             return written(policy, scenario, ({**weights, "action_net.bias": bias}, settings))
