@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..obstacles import parsing
 from ..scenario.scenario import Scenario
+from ..sensors.effects import draws_noise
 from .memory import N_FIELDS, LaneBlock, ScalarBlock
 
 _LINE = 64  # Bytes of a cache line
@@ -51,6 +52,18 @@ class MemoryLayout:
         together = self.lanes * n * (8 * self.moves + 4 * d * self.rows)
         self.group = min(self.blocks, max(1, _NEAR_CACHE // together))
         """Blocks that a stage does before the next stage does them."""
+
+    @property
+    def sensor_memory(self) -> tuple[int, int, int]:
+        """Numbers that sensors keep of a team: of detection, of noise (each of two steps), and rows
+        of a robot that are held between samples.
+        """
+        sensing, n = self.scenario.sensing, self.scenario.n_robots
+        pairs, silhouettes = n * (n - 1), n * self.n_obstacles * self.points
+        remembers = sensing.persistence > 0.0
+        drifts = draws_noise(sensing) and sensing.noise_correlation > 0.0
+        held = self.scenario.observation_layout.obstacles.stop * (sensing.sample_period > 0.0)
+        return pairs * remembers, (pairs + silhouettes) * drifts, held
 
     @property
     def nbytes(self) -> int:
@@ -124,11 +137,13 @@ def needed_bytes(scenario: Scenario, num_envs: int) -> int:
     """Bytes of the state of B teams and its copy in a reset, of observations and their spaces."""
     scenario = scenario.with_all_rows
     place, layout = MemoryLayout(scenario, num_envs), scenario.observation_layout
-    n, delay = scenario.n_robots, scenario.sensing.delay
+    n, delay = scenario.n_robots, scenario.delay_steps
     links = n * n if place.one_way else place.n_links * (3 if place.sparse else 1)
     obstacles = layout.obstacle_slots * parsing.row_width(scenario.obstacles)
     state = place.nbytes + 8 * (place.blocks * place.lanes * links + num_envs * obstacles)
     past = (delay + 1) * n * layout.obstacles.stop * layout.dim if delay else 0
+    *kept_numbers, held = place.sensor_memory
+    past += 2 * sum(kept_numbers) + n * held * layout.dim
     kept = num_envs * _KEPT_OBSERVATIONS + _BOUNDS
     return 2 * state + 4 * (n * layout.rows * layout.dim * kept + num_envs * past)
 

@@ -13,6 +13,7 @@ from ..rewards.terms import CLEARANCE_PENALTY
 from ..robots.motion import init_memory
 from ..robots.robot_models import constants_of
 from ..scenario.scenario import CONTACT_MODES, Scenario
+from ..sensors.effects import Effects, effects_of, kept_share
 from ..sensors.imperfections import Imperfections, imperfections_of
 from .edge_tables import LinkList
 from .memory import Robot
@@ -45,6 +46,11 @@ class Sensor(NamedTuple):
     """Whether the rows of a block are in the order of links, rather than each in its own."""
     packed: bool
     """Whether the rows of neighbours that are seen come first, rather than each in its own."""
+    effects: Effects | None
+    observer_bias: float  # rad
+    detection_kept: float  # of the memory of detection in a step, see ``effects``
+    errors_kept: float  # likewise, of that of noise
+    samples_per_step: float  # 0 without a sample period
 
 
 def robot(scenario: Scenario) -> Robot:
@@ -61,11 +67,22 @@ def robot(scenario: Scenario) -> Robot:
 
 def sensor(state: State) -> Sensor | None:
     """The sensor of a scenario's robots; None is the exact one."""
-    errors, place = imperfections_of(state.scenario.sensing), state.place
+    scenario, place = state.scenario, state.place
+    sensing, tau = scenario.sensing, scenario.tau
+    errors = imperfections_of(sensing)
     if errors is None:
         return None
-    in_order = place.neighbours == state.scenario.observation_layout.neighbour_slots
-    return Sensor(errors, place.packed and in_order, place.packed)
+    in_order = place.neighbours == scenario.observation_layout.neighbour_slots
+    return Sensor(
+        errors=errors,
+        listed=place.packed and in_order,
+        packed=place.packed,
+        effects=effects_of(sensing, scenario.n_robots),
+        observer_bias=sensing.observer_bias,
+        detection_kept=kept_share(sensing.persistence, tau),
+        errors_kept=kept_share(sensing.noise_correlation, tau),
+        samples_per_step=tau / sensing.sample_period if sensing.sample_period > 0.0 else 0.0,
+    )
 
 
 def constants(scenario: Scenario, robot: Robot, max_steps: int) -> Constants:

@@ -57,10 +57,17 @@ class State:
         self.number = np.full(place.batch, -1)
         """(B,), of the environment's episode, −1 before its first."""
         self.links, self.changes = empty_links(place), changes_of(self.scenario)
-        rows, delay = self.scenario.observation_layout, self.scenario.sensing.delay
+        rows, delay = self.scenario.observation_layout, self.scenario.delay_steps
         seen = delay + 1 if delay else 0, n, rows.obstacles.stop, rows.dim
         self.past = np.zeros((place.batch, *seen), np.float32)
         """Observations that a sensor with a delay has yet to show; none without one."""
+        detected, erring, held = place.sensor_memory
+        shape = place.blocks, 2
+        self.detection = aligned(*shape, detected, self.lanes, kind=np.float32)
+        """Memories of detection and of noise, see ``stages.remember``; empty without one."""
+        self.errors = aligned(*shape, erring, self.lanes, kind=np.float32)
+        self.held = np.zeros((place.batch, n if held else 0, held, rows.dim), np.float32)
+        """Observations that are held between samples; none without a sample period."""
         self._all = np.arange(place.batch)
         fields = self.robots.reshape(place.blocks, n, place.fields, self.lanes)
         self._fields = self.environments.reshape(place.blocks, N_FIELDS, self.lanes)
@@ -73,9 +80,12 @@ class State:
             "memory": fields[:, :, d + d * d :],
             "environments": self._fields,
             "discs": self.discs.reshape(place.blocks, place.discs, 3, self.lanes),
+            "detection": self.detection,
+            "errors": self.errors,
         }
         self._arrays: dict[str, NDArray[Any]] = {**in_blocks, "merged_into": self.merged_into}
         self._arrays |= {**links, "seed": self.seed, "episode": self.number, "past": self.past}
+        self._arrays["held"] = self.held
         self._arrays |= self.obstacles._asdict()
         self._in_blocks = set(in_blocks)
         """Of these arrays those that lie in blocks, (blocks, …, L); others are (B, …)."""
@@ -84,8 +94,11 @@ class State:
         self._kept = ["positions", "memory", "merged_into", *links, "seed", "episode"]
         """Of these arrays those that neither are constant nor follow from the rest."""
         self._kept += ["frames"] if self.scenario.model.n_angles == 0 else []
-        self._kept += ["past"] if delay else []
-        self._begun_anew = [k for k, array in self._arrays.items() if k != "past" and array.size]
+        of_sensors = "past", "detection", "errors", "held"
+        self._kept += [name for name in of_sensors if self._arrays[name].size]
+        # the first observation of an episode writes what sensors keep
+        begun = {name: array for name, array in self._arrays.items() if name not in of_sensors}
+        self._begun_anew = [name for name, array in begun.items() if array.size]
 
     @property
     def nbytes(self) -> int:

@@ -17,6 +17,7 @@ from .stages.step import first_not_finite
 
 _ROUNDING = 1e-9
 _FINITE = "positions", "memory", "weights", "path_length", "initial_lyapunov", "frames", "past"
+_FINITE += "detection", "errors", "held"
 _NOT_NEGATIVE = "weights", "steps", "contacts", "path_length", "initial_lyapunov"
 _MOST = {
     "positions": 1e36,
@@ -26,6 +27,9 @@ _MOST = {
     "initial_lyapunov": 1e54,
     "obstacles": 1e9,
     "past": 1e13,
+    "held": 1e13,
+    "detection": 1.0,
+    "errors": 100.0,
 }
 """Absolute values up to which nothing overflows in a step."""
 _FLOAT32 = np.dtype(np.float32)

@@ -232,6 +232,10 @@ def asymmetric_sight(scenario: Scenario) -> str:
         return f"sensing.field_of_view is {sensing.field_of_view:.6g} rad; {needs}: it must be 2π"
     if sensing.dropout > 0.0:
         return f"sensing.dropout is {sensing.dropout:g}; {needs}: it must be 0"
+    if sensing.min_range > 0.0:
+        return f"sensing.min_range is {sensing.min_range:g} m; {needs}: it must be 0"
+    if sensing.detection:
+        return f"sensing.detection is {sensing.detection}; {needs}: it must be empty"
     if sensing.occlusion != "none":
         return f"sensing.occlusion is {sensing.occlusion!r}; {needs}: it must be 'none'"
     return ""

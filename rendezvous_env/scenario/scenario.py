@@ -165,6 +165,7 @@ class Scenario:
         self._check_bodies()
         self._check_starts()
         self._check_time_step()
+        self.sensing.check_fits(self.n_robots, self.tau)
 
     @property
     def sensing_graph(self) -> Graph:
@@ -237,6 +238,11 @@ class Scenario:
     def max_steps(self) -> int:
         """Steps until the time limit."""
         return max(1, math.ceil(self.time_limit / self.tau - 1e-9))
+
+    @property
+    def delay_steps(self) -> int:
+        """Steps by which observations are late."""
+        return self.sensing.delay_steps(self.tau)
 
     @property
     def speed_limit(self) -> float:

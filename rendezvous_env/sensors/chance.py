@@ -125,7 +125,13 @@ def turned_by_chance(row, deviation, small, word, other):
 
     The row and the deviation, rad, are float32; α is made of ``word`` and φ of ``other``, uint32.
     """
-    c, s = cosine_and_sine(deviation * gaussian(word), small)
+    return turned_by_angle(row, deviation * gaussian(word), small, other)
+
+
+@kernel(inline="code")
+def turned_by_angle(row, angle, small, other):
+    """``turned_by_chance`` by a given angle α, rad, float32; ``small`` as ``cosine_and_sine``."""
+    c, s = cosine_and_sine(angle, small)
     if len(row) == 2:
         return c * row[0] - s * row[1], s * row[0] + c * row[1]
     return combine(

@@ -25,6 +25,7 @@ from ..physics.vectors import (
     to_local,
     triple,
 )
+from .effects import draws_detection, draws_noise
 from .sensing import Sensing
 
 _NEARLY_PARALLEL = 1e-9  # sine of an angle between two directions that span no plane
@@ -65,13 +66,14 @@ def imperfections_of(sensing: Sensing) -> Imperfections | None:
     """What kernels need to know of a sensor; None if it is exact but for custom imperfections."""
     if sensing.built_in_exact:
         return None
+    noise, dropout = sensing.noise, sensing.dropout
     return Imperfections(
         reach=math.inf if sensing.range is None else sensing.range,
         half_field=0.5 * sensing.field_of_view,
-        noise=sensing.noise,
+        noise=0.0 if draws_noise(sensing) or isinstance(noise, tuple) else noise,
         bias=sensing.bias,
         error=sensing.error,
-        dropout=sensing.dropout,
+        dropout=0.0 if draws_detection(sensing) else dropout,
         sectors=sensing.sectors or 0,
         obstacles_hide=sensing.occlusion in ("obstacles", "both"),
         robots_hide=sensing.occlusion in ("robots", "both"),

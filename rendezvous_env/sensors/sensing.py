@@ -23,6 +23,35 @@ def _check_view(field: str, value: Any) -> float:
 
 
 _Deviation = Annotated[float, partial(checks.number, least=0.0, most=_FULL_CIRCLE, unit="rad")]
+_Time = Annotated[float, partial(checks.number, least=0.0, unit="s")]
+
+
+def _check_levels(field: str, value: Any) -> float | tuple[float, ...]:
+    """One standard deviation, rad, or one for each robot."""
+    one = partial(checks.number, least=0.0, most=_FULL_CIRCLE, unit="rad")
+    if not checks.is_sequence(value):
+        return one(field, value)
+    if len(value) == 0:
+        checks.refuse(field, value, "a number, or a list of one for each robot, rad")
+    return tuple(one(f"{field}[{robot}]", level) for robot, level in enumerate(value))
+
+
+def _check_table(field: str, value: Any) -> tuple[tuple[float, float], ...]:
+    """Pairs of a distance, m, and a probability, by increasing distance."""
+    wanted = "a list of pairs [distance in m, probability], such as [[1.0, 0.5], [6.0, 0.2]]"
+    if not checks.is_sequence(value):
+        checks.refuse(field, value, wanted)
+    table = []
+    for row, pair in enumerate(value):
+        if not checks.is_sequence(pair) or len(pair) != 2:
+            checks.refuse(f"{field}[{row}]", pair, wanted)
+        distance = checks.number(f"{field}[{row}][0]", pair[0], least=0.0, unit="m")
+        chance = checks.number(f"{field}[{row}][1]", pair[1], least=0.0, most=1.0)
+        if table and distance <= table[-1][0]:
+            beyond = f"more than the distance before it, {checks.exact(table[-1][0])} m"
+            checks.refuse(f"{field}[{row}][0]", distance, beyond)
+        table.append((distance, chance))
+    return tuple(table)
 
 
 @lists_fields
@@ -49,9 +78,10 @@ class Sensing:
     field_of_view: Annotated[float, _check_view] = _FULL_CIRCLE
     """Full angle of the field of view around the body or local x axis, rad. An obstacle is visible
     while one of its edge points is inside."""
-    noise: _Deviation = 0.0
-    """Standard deviation of white angular noise per ordered pair and step, rad; in 3-D about a
-    random axis perpendicular to the bearing."""
+    noise: Annotated[float | tuple[float, ...], _check_levels] = 0.0
+    """Standard deviation of angular noise per ordered pair and step, rad, of all robots or a list
+    with one for each; in 3-D about a random axis perpendicular to the bearing. White unless it has
+    a noise_correlation."""
     bias: _Deviation = 0.0
     """Standard deviation of a constant error of each bearing, drawn once for every ordered pair and
     episode, rad. Pairs differ, so unlike the error of a compass it does not cancel."""
@@ -69,9 +99,50 @@ class Sensing:
     """Occluding objects: none, obstacles, robots (discs or spheres of radius r/2) or both."""
     custom: Annotated[tuple[str, ...], as_custom] = ()
     """Names of custom imperfections (``sensor_imperfection``), applied last in this order."""
+    min_range: Annotated[float, partial(checks.number, least=0.0, unit="m")] = 0.0
+    """Blind zone, m: nearer neighbours are not detected. Links of a proximity graph stay."""
+    sample_period: _Time = 0.0
+    """Time between two samples, s: rows are refreshed at the first step at or after each multiple
+    of it, and held until then; 0 is every step."""
+    delay_time: _Time = 0.0
+    """Delay of observations, s, instead of delay: rounded to whole steps, half a step upwards."""
+    observer_bias: _Deviation = 0.0
+    """Standard deviation of a constant error that a robot's bearings, of obstacles too, share in an
+    episode, rad: of its angle in the plane; in 3-D the sensor is turned about a random axis, and
+    this is the root mean square by which it turns any bearing. Unlike a compass error it does not
+    turn commands."""
+    noise_correlation: _Time = 0.0
+    """Time constant of noise, s: errors at two times t apart have correlation exp(−t/T), and the
+    same distribution as white ones, which 0 gives. In 3-D the axis belongs to pair and episode."""
+    detection: Annotated[tuple[tuple[float, float], ...], _check_table] = ()
+    """Probability of detecting a neighbour by its distance, a list of pairs (m, probability):
+    linear between them, constant beyond the first and the last. Dropout multiplies it by
+    1 − dropout."""
+    view_falloff: _Deviation = 0.0
+    """Width of the border of the field of view, rad, in which the probability of detection falls to
+    zero, linearly in the angle to the edge."""
+    persistence: _Time = 0.0
+    """Time constant of detection, s: a two-state Markov chain for each ordered pair. With a
+    probability p of detection, robots seen are seen again after t with p + (1 − p) exp(−t/T), and
+    robots missed are seen with p (1 − exp(−t/T)); 0 draws each step independently."""
+    outliers: Annotated[float, partial(checks.number, least=0.0, most=1.0)] = 0.0
+    """Probability that a detected neighbour's bearing is replaced in a step by an outlier."""
+    outlier_kind: Literal["uniform", "robot"] = "uniform"
+    """What an outlier is: a uniform direction, or the bearing of another robot than the neighbour,
+    drawn from those that are left; with none, bearings stay."""
 
     def __post_init__(self) -> None:
         checks.check_fields(self, "sensing.{}")
+        if self.delay > 0 and self.delay_time > 0.0:
+            raise ValueError(
+                f"sensing.delay is {self.delay} steps and sensing.delay_time is "
+                f"{checks.exact(self.delay_time)} s; it must be one of the two: leave one out"
+            )
+        if self.view_falloff > 0.0 and self.field_of_view >= _FULL_CIRCLE:
+            raise ValueError(
+                f"sensing.view_falloff is {self.view_falloff} rad and sensing.field_of_view is all "
+                "round, which has no edge; it must be 0, or give a field_of_view below 2π rad"
+            )
 
     @classmethod
     def camera(cls) -> Sensing:
@@ -88,6 +159,20 @@ class Sensing:
         """Whether the sensor has no built-in imperfection."""
         return dataclasses.replace(self, custom=()).exact
 
+    def delay_steps(self, tau: float) -> int:
+        """Delay in whole steps of tau, s."""
+        return self.delay or math.floor(self.delay_time / tau + 0.5)
+
+    def check_fits(self, n_robots: int, tau: float) -> None:
+        """Refuse what fits no team of so many robots and no step of tau, s."""
+        levels = self.noise
+        if isinstance(levels, tuple) and len(levels) != n_robots:
+            remedy = f"{n_robots} numbers, one for each robot, or a single one for all of them"
+            checks.refuse("sensing.noise", list(levels), remedy)
+        if self.delay_steps(tau) > MOST_DELAY:
+            most = f"at most {MOST_DELAY} steps of {checks.exact(tau)} s: make it shorter"
+            checks.refuse("sensing.delay_time", self.delay_time, f"{most}, or time_step longer")
+
     def departures(self) -> str:
         """Names and values of the imperfections, as text."""
         own, ideal = dataclasses.asdict(self), dataclasses.asdict(_EXACT)
@@ -96,7 +181,16 @@ class Sensing:
     def to_plain(self) -> dict[str, Any]:
         """Plain data for TOML or JSON; None is an absent key."""
         plain = {**dataclasses.asdict(self), "custom": list(self.custom) or None}
+        for field in _YOUNGER:
+            plain[field] = None if plain[field] == getattr(_EXACT, field) else plain[field]
+        plain["detection"] = plain["detection"] and [list(pair) for pair in self.detection]
+        plain["noise"] = list(self.noise) if isinstance(self.noise, tuple) else self.noise
         return {field: value for field, value in plain.items() if value is not None}
 
 
 _EXACT = Sensing()
+_YOUNGER = (
+    "min_range", "sample_period", "delay_time", "observer_bias", "noise_correlation", "detection",
+    "view_falloff", "persistence", "outliers", "outlier_kind",
+)  # fmt: skip
+"""Fields that are absent from plain data at their defaults: younger than files of scenarios."""

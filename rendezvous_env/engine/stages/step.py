@@ -11,8 +11,10 @@ From the action to the new observation, over the blocks of one thread after anot
     sense_pairs, sense_links    bearings of neighbours, V, the closest pair
     sense_discs, sense_shapes   silhouettes of obstacles, clearance
     apply_noise                 range, field of view, random errors
+    remember_…                  memories of detection and of noise
+    apply_effects               blind zone, detection, errors with a memory, outliers
     write_observations          from lanes to one array for each environment
-    apply_occlusion             occlusion, rows that close up, delay
+    apply_occlusion             occlusion, rows that close up, samples, delay
     conclude_step               reward, rendezvous, time limit
 
 Each is a kernel of its own with the arrays it uses as arguments, compiled when it is first called
@@ -20,6 +22,7 @@ for; what a scenario does not have is not called. Between stages numbers are in 
 of a thread. An observation without a step leaves out the first five and the last.
 """
 
+import math
 from collections.abc import Callable, Iterator
 from functools import partial
 from operator import itemgetter
@@ -34,10 +37,12 @@ from ...obstacles.contact import IGNORE
 from ...outcome import StepOutput
 from ...physics.random_streams import ignore_overflow
 from ...robots.motion import frame_turns
+from ...sensors.imperfections import Imperfections
 from ..memory import Robot
 from ..memory_layout import Scratch
 from ..preparation import Constants, Sensor
 from ..state import State
+from .apply_effects import apply_effects, turn_observers, turn_silhouettes
 from .apply_noise import apply_noise, apply_noise_to_silhouettes
 from .apply_occlusion import apply_occlusion, close_rows, delay_observations
 from .collide import (
@@ -49,6 +54,7 @@ from .collide import (
 )
 from .conclude import conclude_step
 from .propose import advance_free, propose_motion, refresh_frames, update_robots
+from .remember import hold_observations, remember_detection, remember_errors
 from .sense_neighbours import hide_docked, sense_links, sense_pairs, update_links
 from .sense_obstacles import measure_clearance, sense_discs, sense_shapes
 from .write_observations import sense_oneself, write_observations, write_packed
@@ -235,9 +241,73 @@ class StepStages:
             shape = place.width, robot.axes, robot.entries
             now = state.robots, state.environments
             yield apply_noise, *shape, *blocks, *given, *now, *lists, *memory, _ROWS
-        if self._has_obstacles and errors.changes_silhouettes:
-            given = place.neighbours, place.points, *streams, state.environments, *memory
-            yield apply_noise_to_silhouettes, place.width, robot.axes, *blocks, *given, _ROWS
+        yield from self._apply_effects(first, last, moves, sensor, work)
+        if self._has_obstacles:
+            yield from self._apply_noise_to_silhouettes(first, last, moves, sensor, work)
+
+    def _apply_effects(
+        self, first: int, last: int, moves: bool, sensor: Sensor, work: Scratch
+    ) -> Iterator[Any]:
+        state, robot, effects = self._state, self._robot, sensor.effects
+        blocks, streams = (first, last, moves), (state.seed, state.number, state.environments)
+        memory = work.keys, work.words
+        if effects is not None and effects.remembers:
+            given: tuple[Any, ...] = sensor.detection_kept, *streams, *memory, state.detection
+            yield remember_detection, state.place.width, *blocks, *given
+        if effects is not None and effects.drifts:
+            given = sensor.errors_kept, *streams, *memory, state.errors
+            yield remember_errors, state.place.width, *blocks, *given
+        yield from self._turn_observers((0, state.place.neighbours), blocks, sensor, work)
+        if effects is not None:
+            given = self._constants.neighbour_slots, sensor.listed, state.links
+            now = state.seed, state.number, state.merged_into, state.robots, state.environments
+            kept = state.detection, state.errors
+            lists = work.listed, work.numbers[0], work.counts
+            shape = state.place.width, robot.axes, robot.entries
+            rest = *lists, *memory, work.pair, _ROWS
+            yield apply_effects, *shape, *blocks, effects, *given, *now, *kept, *rest
+
+    def _turn_observers(
+        self, rows: tuple[int, int], blocks: tuple[int, int, bool], sensor: Sensor, work: Scratch
+    ) -> Iterator[Any]:
+        """Turn rows, from one to before another, by what a robot's sensor is askew."""
+        if sensor.observer_bias > 0.0:
+            state = self._state
+            streams = state.seed, state.number, state.environments
+            given = sensor.observer_bias, *rows, *streams, work.keys, work.pair, _ROWS
+            yield turn_observers, state.place.width, self._robot.axes, *blocks, *given
+
+    def _apply_noise_to_silhouettes(
+        self, first: int, last: int, moves: bool, sensor: Sensor, work: Scratch
+    ) -> Iterator[Any]:
+        """What changes silhouettes, in the order of rows of neighbours: sectors come last."""
+        state, place, effects, errors = (
+            self._state,
+            self._state.place,
+            sensor.effects,
+            sensor.errors,
+        )
+        own, points, n = place.neighbours, place.points, place.scenario.n_robots
+        streams, memory = (state.seed, state.number), (work.keys, work.words)
+
+        def noise(errors: Imperfections) -> Iterator[Any]:
+            if errors.changes_silhouettes:
+                given = own, points, *streams, state.environments, *memory, _ROWS
+                blocks = place.width, self._robot.axes, first, last, moves, errors
+                yield apply_noise_to_silhouettes, *blocks, *given
+
+        turns = effects is not None and effects.turns
+        if not turns and sensor.observer_bias == 0.0:
+            yield from noise(errors)
+            return
+        yield from noise(errors._replace(sectors=0))
+        end = own + place.n_obstacles * points
+        yield from self._turn_observers((own, end), (first, last, moves), sensor, work)
+        if turns:
+            given = effects, own, points, n * (n - 1), *streams, state.environments, state.errors
+            blocks = place.width, self._robot.axes, first, last, moves
+            yield turn_silhouettes, *blocks, *given, *memory, _ROWS
+        yield from noise(errors._replace(half_field=math.pi, noise=0.0, bias=0.0))
 
     def _write_observations(self, first: int, last: int, work: Scratch) -> Iterator[Any]:
         state, robot, place = self._state, self._robot, self._state.place
@@ -269,6 +339,9 @@ class StepStages:
             yield apply_occlusion, *shape, *given, *scene, *memory, seen
         if sensor.packed:
             yield close_rows, first * lanes, min(last * lanes, state.batch), slots, seen
+        if sensor.samples_per_step > 0.0:
+            given = moves, sensor.samples_per_step, merged, state.environments, state.held
+            yield hold_observations, lanes, first, last, *given, seen
         if state.past.shape[1] > 1:
             given = moves, merged, state.environments, state.past
             yield delay_observations, lanes, first, last, *given, seen

@@ -156,10 +156,14 @@ def departs_in(scenario: Scenario, *names: str) -> bool:
 
 
 def flawed_by(flaw: str, otherwise: str) -> Assumption:
-    """The given field of ``Sensing`` is the only imperfection."""
+    """The given field of ``Sensing``, a single number, is the only imperfection."""
 
     def holds(scenario: Scenario, asked: Asked) -> str:
-        alone = getattr(scenario.sensing, flaw) > 0 and departs_in(scenario, flaw)
+        sensing = scenario.sensing
+        names = ("delay", "delay_time") if flaw == "delay" else (flaw,)
+        levels = [getattr(sensing, name) for name in names]
+        alone = any(isinstance(level, int | float) and level > 0 for level in levels)
+        alone = alone and departs_in(scenario, *names)
         if alone and asked.error == 0.0:
             return ""
         return f"none: {otherwise} ({scenario.sensing.departures()})"
@@ -172,13 +176,19 @@ def bounded_errors(scenario: Scenario, asked: Asked) -> str:
     sensing = scenario.sensing
     if sensing.custom:
         return f"none: no theorem knows what a custom sensor sees ({sensing.departures()})"
-    if sensing.noise or sensing.bias:
+    if sensing.noise or sensing.bias or sensing.observer_bias or sensing.outliers:
         mean = "; see expected_time_bound for what noise leaves of law (1)"
+        white = isinstance(sensing.noise, float) and departs_in(scenario, "noise")
         return (
             "none: the theorems hold for exact bearings, or errors up to a bound, and this "
             f"sensor's have none ({sensing.departures()})"
-        ) + mean * (asked.by == "law" and not sensing.bias)
-    if sensing.delay:
+        ) + mean * (asked.by == "law" and white)
+    if sensing.sample_period:
+        return (
+            "none: this theorem holds for bearings of the moment, and this sensor's are held "
+            f"between samples ({sensing.departures()}); theorem E1 covers a constant delay"
+        )
+    if sensing.delay or sensing.delay_time:
         return (
             "none: this theorem holds for bearings of the moment, and this sensor's are late "
             f"({sensing.departures()}); theorem E1 covers law (1) on late ones that are exact"

@@ -18,7 +18,7 @@ from .theorem import Asked, Bounds, Theorem
 
 def young(scenario: Scenario, asked: Asked) -> str:
     """(k+1) τ ≤ r/(2D̄): the age of delayed and held bearings is small enough."""
-    age = (scenario.sensing.delay + 1) * scenario.tau
+    age = (scenario.delay_steps + 1) * scenario.tau
     oldest = scenario.merge_radius / (2.0 * scenario.max_degree)
     if age <= oldest * (1 + 1e-12):
         return ""
@@ -30,7 +30,7 @@ def young(scenario: Scenario, asked: Asked) -> str:
 
 def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Bounds on the time and on V."""
-    n, degree, late = scenario.n_robots, scenario.max_degree, scenario.sensing.delay
+    n, degree, late = scenario.n_robots, scenario.max_degree, scenario.delay_steps
     meanwhile = (n - 1) * n * scenario.merge_radius * degree / 2.0
     most = float(known.lyapunov_bound(scenario))
     most += 2.0 * known.merge_rise_allowance(scenario) + meanwhile

@@ -1,0 +1,118 @@
+"""The stages that carry the memories of sensors from step to step, and hold rows between samples.
+
+Memories, (blocks, 2, count, L) float32, keep this step's numbers and those of the step before, each
+at the parity of its step: to sense a step again leaves them as they are.
+"""
+
+import math
+
+import numpy as np
+
+from ...compilation import inner_kernel, kernel
+from ...physics.random_streams import SENSING, mix, stream_key, word_of
+from ...sensors.chance import gaussian, step_key
+from ...sensors.effects import unit_number
+from ..memory import lane_count, sensed_step
+
+DETECTED, DRIFTED, OUTLIER, OBSERVER = range(1, 5)
+"""Parts of the stream of sensing."""
+_PART = np.uint64(0x9E6C63D0876A9A47)
+_UPPER_HALF = np.uint64(32)
+_ROUNDING = 1e-9  # Share of a sample period by which a step may miss a sample
+
+
+@inner_kernel
+def part_key(key, part):
+    """Key of a part of a stream, DETECTED to OBSERVER."""
+    return mix(key ^ (np.uint64(part) * _PART))
+
+
+@inner_kernel
+def part_keys(width, block, moves, part, seeds, episodes, environment, keys):
+    """The keys of a part of the streams of sensing: of the episode, of the step."""
+    lanes = lane_count(width)
+    for lane in range(min(lanes, len(seeds) - block * lanes)):
+        key = stream_key(seeds[block * lanes + lane], episodes[block * lanes + lane], SENSING)
+        key = part_key(key, part)
+        keys[0, lane] = key
+        keys[1, lane] = step_key(key, sensed_step(environment, lane, lanes, moves))
+
+
+@inner_kernel
+def parities(width, moves, environment, words):
+    """Of every lane the parity of its step, and whether that is the first one of an episode."""
+    lanes = lane_count(width)
+    for lane in range(lanes):
+        step = sensed_step(environment, lane, lanes, moves)
+        words[0, lane], words[1, lane] = np.uint32(step & 1), np.uint32(1 if step == 0 else 0)
+
+
+@kernel
+def remember_detection(
+    width, first, last, moves, kept, seeds, episodes, environments, keys, words, memory
+):
+    """The u of every ordered pair: kept with this probability, else drawn anew. Working memory:
+    keys (2, L), words (3, 4, L).
+    """
+    lowest = np.uint32(min(math.ceil(kept * 2.0**32), 2.0**32 - 1.0))
+    for block in range(first, last):
+        part_keys(width, block, moves, DETECTED, seeds, episodes, environments[block], keys)
+        parities(width, moves, environments[block], words[0])
+        odd, begins = words[0, 0], words[0, 1]
+        even_step, odd_step = memory[block, 0], memory[block, 1]
+        for place in range(memory.shape[2]):
+            for lane in range(lane_count(width)):
+                word = word_of(keys[1, lane], place)
+                fresh = unit_number(np.uint32(word))
+                a, b, is_odd = even_step[place, lane], odd_step[place, lane], odd[lane] != 0
+                stays = (np.uint32(word >> _UPPER_HALF) < lowest) & (begins[lane] == 0)
+                now = (a if is_odd else b) if stays else fresh
+                even_step[place, lane] = a if is_odd else now
+                odd_step[place, lane] = now if is_odd else b
+
+
+@kernel
+def remember_errors(
+    width, first, last, moves, kept, seeds, episodes, environments, keys, words, memory
+):
+    """The e of every row: this share of it, and what is drawn; as ``remember_detection``."""
+    share, rest = np.float32(kept), np.float32(math.sqrt(1.0 - kept * kept))
+    for block in range(first, last):
+        part_keys(width, block, moves, DRIFTED, seeds, episodes, environments[block], keys)
+        parities(width, moves, environments[block], words[0])
+        odd, begins = words[0, 0], words[0, 1]
+        even_step, odd_step = memory[block, 0], memory[block, 1]
+        for place in range(memory.shape[2]):
+            for lane in range(lane_count(width)):
+                z = gaussian(np.uint32(word_of(keys[1, lane], place)))
+                a, b, is_odd = even_step[place, lane], odd_step[place, lane], odd[lane] != 0
+                now = share * (a if is_odd else b) + rest * z
+                now = z if begins[lane] != 0 else now
+                even_step[place, lane] = a if is_odd else now
+                odd_step[place, lane] = now if is_odd else b
+
+
+@kernel
+def hold_observations(
+    lanes, first, last, moves, samples_per_step, merged_into, environments, held, observations
+):
+    """Show the rows of the last sample, (B, n, K + M·S, d); inactive robots see nothing. A step
+    with no sample since the step before shows what is held.
+    """
+    n, sensed, d = held.shape[1:]
+    for block in range(first, last):
+        for lane in range(min(lanes, len(merged_into) - block * lanes)):
+            b, step = block * lanes + lane, sensed_step(environments[block], lane, lanes, moves)
+            count = math.floor(step * samples_per_step + _ROUNDING)
+            before = math.floor((step - 1) * samples_per_step + _ROUNDING)
+            fresh = step == 0 or count > before
+            for i in range(n):
+                active = merged_into[b, i] == i
+                for row in range(sensed):
+                    for k in range(d):
+                        if fresh:
+                            held[b, i, row, k] = observations[b, i, row, k]
+                        elif active:
+                            observations[b, i, row, k] = held[b, i, row, k]
+                        else:
+                            observations[b, i, row, k] = 0.0

@@ -1,0 +1,120 @@
+"""What measured sensors add to the imperfections of ``imperfections``: detection by range, errors
+with a memory, errors of an observer, outliers. Constants as kernels take them, and equations.
+
+Memories follow a step of τ by a factor k = exp(−τ/T):
+
+    detection   u ← u with probability k, else uniform in [0, 1);   seen if u < p
+    noise       e ← k e + √(1 − k²) z,   z ~ N(0, 1)
+
+so that u is uniform and e normal at all times, and both have correlation exp(−t/T).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compilation import inner_kernel
+from ..physics.vectors import dot, norm, subtract, to_local, triple
+from .sensing import Sensing
+
+_TO_UNIT_INTERVAL = np.float32(2.0**-24)
+_EIGHT = np.uint32(8)
+
+
+class Effects(NamedTuple):
+    """Those of a team's sensors on the rows of neighbours, as kernels take them."""
+
+    nearest: float  # min_range, m
+    detects: bool  # whether the probability of detection is drawn here, rather than dropout alone
+    remembers: bool  # whether detection has a memory
+    distances: NDArray[np.float64]  # of the table of detection, m
+    chances: NDArray[np.float64]  # likewise, with dropout
+    half_field: float  # rad
+    falloff: float  # rad; 0 is a hard edge
+    turns: bool  # whether noise is drawn here
+    drifts: bool  # whether noise has a memory
+    levels: NDArray[np.float32]  # (n,), of noise, rad
+    outliers: float
+    uniform: bool  # whether outliers are uniform, rather than another robot's bearing
+
+
+def draws_detection(sensing: Sensing) -> bool:
+    """Whether detection is more than a dropout that is drawn independently."""
+    return bool(sensing.detection) or sensing.view_falloff > 0.0 or sensing.persistence > 0.0
+
+
+def draws_noise(sensing: Sensing) -> bool:
+    """Whether noise is more than white noise of one level."""
+    if isinstance(sensing.noise, tuple):
+        return max(sensing.noise) > 0.0
+    return sensing.noise > 0.0 and sensing.noise_correlation > 0.0
+
+
+def effects_of(sensing: Sensing, n_robots: int) -> Effects | None:
+    """What kernels need to know of a sensor's effects; None if it has none of them."""
+    detects, turns = draws_detection(sensing), draws_noise(sensing)
+    if not (detects or turns) and sensing.min_range == 0.0 and sensing.outliers == 0.0:
+        return None
+    table = np.array(sensing.detection or ((0.0, 1.0),), np.float64)
+    levels = np.broadcast_to(np.float32(sensing.noise if turns else 0.0), n_robots)
+    return Effects(
+        nearest=sensing.min_range,
+        detects=detects,
+        remembers=detects and sensing.persistence > 0.0,
+        distances=table[:, 0].copy(),
+        chances=table[:, 1] * (1.0 - sensing.dropout),
+        half_field=0.5 * sensing.field_of_view,
+        falloff=sensing.view_falloff,
+        turns=turns,
+        drifts=turns and sensing.noise_correlation > 0.0,
+        levels=levels.copy(),
+        outliers=sensing.outliers,
+        uniform=sensing.outlier_kind == "uniform",
+    )
+
+
+def kept_share(time_constant: float, tau: float) -> float:
+    """The share k = exp(−τ/T), a number, of a step τ and a time constant T, s; 0 without one."""
+    return math.exp(-tau / time_constant) if time_constant > 0.0 else 0.0
+
+
+@inner_kernel(inline="code")
+def unit_number(word):
+    """A number in [0, 1), float32, from a word, uint32."""
+    return np.float32(np.int32(word >> _EIGHT)) * _TO_UNIT_INTERVAL
+
+
+@inner_kernel(inline="code")
+def share_in_view(offset, frame, half_field, falloff):
+    """By what the edge of the field of view multiplies the probability of detection: the angle to
+    the edge over the width of the border, from 0 to 1.
+    """
+    x, y, z = triple(to_local(frame, offset))
+    angle = math.atan2(math.sqrt(y * y + z * z), x)
+    return min(max((half_field - angle) / falloff, 0.0), 1.0)
+
+
+@inner_kernel(inline="code")
+def distance_of(here, there):
+    """Distance of two places, pairs or triples, m."""
+    return norm(subtract(there, here))
+
+
+@inner_kernel(inline="code")
+def turned_about(row, turn):
+    """A row turned by the rotation of an observer: (cos α, sin α), in 3-D with the unit axis a.
+
+    g cos α + (a × g) sin α + a (aᵀg)(1 − cos α)
+    """
+    c, s = turn[0], turn[1]
+    if len(row) == 2:
+        return c * row[0] - s * row[1], s * row[0] + c * row[1]
+    axis = (turn[2], turn[3], turn[4])
+    along = dot(axis, row) * (np.float32(1.0) - c)
+    return (
+        c * row[0] + s * (axis[1] * row[2] - axis[2] * row[1]) + along * axis[0],
+        c * row[1] + s * (axis[2] * row[0] - axis[0] * row[2]) + along * axis[1],
+        c * row[2] + s * (axis[0] * row[1] - axis[1] * row[0]) + along * axis[2],
+    )
