@@ -10,22 +10,14 @@ from ...compilation import inner_kernel, kernel
 from ...graphs.edges import DENSE, edge_weight, load_links, pair_index
 from ...physics.random_streams import SENSING, stream_key, word_of
 from ...physics.vectors import norm, scaled, subtract, to_local
-from ...sensors.chance import (
-    cosine_and_sine,
-    gaussian,
-    is_small,
-    step_key,
-    turned_by_angle,
-    turned_by_chance,
-)
+from ...sensors.chance import cosine_and_sine, gaussian, step_key, turned_by_angle
 from ...sensors.effects import distance_of, share_in_view, turned_about, unit_number
 from ..memory import lane_count, load_fields, read_row, sensed_step, write_row
+from .apply_noise import DRAWS, draw_turns, halve, keep, turn_row
 from .remember import DETECTED, DRIFTED, OBSERVER, OUTLIER, part_keys
 
 _DETECTS, _TURNS, _REPLACES = range(3)
 """What is done to a row, in this order."""
-_DRAWS = 3
-"""Words of the stream of white noise for one couple, as ``apply_noise`` has them."""
 _UPPER_HALF, _WORDS = np.uint64(32), 2.0**32
 _ZERO, _ONE, _TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 _HALF_SQUARE = np.float32(math.sqrt(0.5))
@@ -56,12 +48,12 @@ def apply_effects(
     counts,
     keys,
     words,
-    chances,
+    buffer,
     rows,
 ):
     """Drop rows of neighbours that are not detected, turn the others, and replace some. Rows are as
     ``apply_noise`` has them; ``latent`` and ``errors`` are the memories of ``remember``. Working
-    memory: listed (2, E), weights (E,), counts (n,), keys (2, L), words (3, 4, L), chances (≥ L,).
+    memory: listed (2, E), weights (E,), counts (n,), keys (2, L), words (3, 4, L), buffer (≥ 2·L,).
     """
     n = robots.shape[1]
     for block in range(first, last):
@@ -75,27 +67,55 @@ def apply_effects(
             if not _is_called_for(effects, purpose):
                 continue
             streams = seeds, episodes, environments[block]
-            _begin(width, block, moves, purpose, effects, streams, keys)
+            _begin(width, block, moves, purpose, effects, streams, keys, words)
             counts[:] = 0
-            for end in range(2 * found):
-                one, other = listed[0, end // 2], listed[1, end // 2]
-                i, j = (other, one) if end % 2 else (one, other)
-                if edge_weight(links, block, n, i, j, 1.0) > 0.0:
-                    slot = counts[i] if in_order else j - (j > i)
-                    counts[i] += 1
-                    if slot < slots or not in_order:
-                        couple, row = pair_index(one, other, n), rows[block - first, i, slot]
-                        pair, place = (robots[block, i], robots[block, j]), (couple, end % 2)
-                        now = moves, environments[block], keys
-                        if purpose == _DETECTS:
-                            _find_chances(width, axes, entries, effects, pair, chances)
-                            _detect(width, axes, effects, place, now, latent[block], chances, row)
-                        elif purpose == _TURNS:
-                            memory = 2 * couple + end % 2, errors[block], words
-                            _turn(width, axes, effects, i, place, now, memory, row)
-                        else:
-                            team = block, merged_into, robots
-                            _replace(width, axes, entries, effects, (i, j), place, team, keys, row)
+            for e in range(found):
+                one, other = listed[0, e], listed[1, e]
+                couple = pair_index(one, other, n)
+                _draw(width, axes, purpose, effects, couple, keys, words)
+                if purpose == _DETECTS:
+                    _find_chances(
+                        width, axes, effects, robots[block, one], robots[block, other], buffer
+                    )
+                for side in range(2):
+                    i, j = (other, one) if side else (one, other)
+                    if edge_weight(links, block, n, i, j, 1.0) > 0.0:
+                        slot = counts[i] if in_order else j - (j > i)
+                        counts[i] += 1
+                        if slot < slots or not in_order:
+                            row, number = rows[block - first, i, slot], 2 * couple + side
+                            if purpose == _DETECTS:
+                                pair = robots[block, i], robots[block, j]
+                                kept = latent[block], number
+                                _detect(
+                                    width,
+                                    axes,
+                                    entries,
+                                    effects,
+                                    pair,
+                                    side,
+                                    kept,
+                                    buffer,
+                                    words,
+                                    row,
+                                )
+                            elif purpose == _TURNS:
+                                kept = errors[block], number
+                                _turn(width, axes, effects, i, side, kept, keys, words, row)
+                            else:
+                                team = block, merged_into, robots
+                                pair = i, j, number
+                                _replace(
+                                    width,
+                                    axes,
+                                    entries,
+                                    effects,
+                                    pair,
+                                    team,
+                                    keys,
+                                    words[2, 1 + side],
+                                    row,
+                                )
 
 
 @inner_kernel
@@ -106,8 +126,10 @@ def _is_called_for(effects, purpose):
 
 
 @inner_kernel
-def _begin(width, block, moves, purpose, effects, streams, keys):
-    """The keys of what is drawn for a purpose; of white noise those of ``apply_noise``."""
+def _begin(width, block, moves, purpose, effects, streams, keys, words):
+    """The keys of what is drawn for a purpose, of white noise those of ``apply_noise``; and to
+    words[2, 0] whether the step is an odd one, where a memory keeps its numbers.
+    """
     lanes, (seeds, episodes, environment) = lane_count(width), streams
     if purpose == _TURNS and not effects.drifts:
         for lane in range(min(lanes, len(seeds) - block * lanes)):
@@ -117,104 +139,97 @@ def _begin(width, block, moves, purpose, effects, streams, keys):
     else:
         part = DETECTED if purpose == _DETECTS else DRIFTED if purpose == _TURNS else OUTLIER
         part_keys(width, block, moves, part, seeds, episodes, environment, keys)
+    for lane in range(lanes):
+        words[2, 0, lane] = np.uint32(sensed_step(environment, lane, lanes, moves) & 1)
 
 
 @inner_kernel
-def _find_chances(width, axes, entries, effects, pair, chances):
-    """The probability of detection of one robot by another in every lane."""
-    lanes, d, (robot, other) = lane_count(width), len(axes), pair
-    distances, table = effects.distances, effects.chances
+def _draw(width, axes, purpose, effects, couple, keys, words):
+    """What is drawn for a couple in a step: words[purpose, …]."""
+    if purpose == _DETECTS and effects.detects and not effects.remembers:
+        halve(width, keys[1], couple, words[0, 0], words[0, 1])
+    elif purpose == _TURNS and not effects.drifts:
+        draw_turns(width, axes, keys[1], couple * DRAWS, words[1])
+    elif purpose == _REPLACES:
+        halve(width, keys[1], couple, words[2, 1], words[2, 2])
+
+
+@inner_kernel
+def _find_chances(width, axes, effects, robot, other, buffer):
+    """The probability of detection of two robots by their distance, in every lane; and this."""
+    lanes, table, points = lane_count(width), effects.chances, effects.distances
     for lane in range(lanes):
         here = load_fields(robot, 0, lane, lanes, axes)
-        distance = distance_of(here, load_fields(other, 0, lane, lanes, axes))
-        chance = table[0]
-        for k in range(len(distances) - 1):
-            share = (distance - distances[k]) / (distances[k + 1] - distances[k])
-            chance = chance + min(max(share, 0.0), 1.0) * (table[k + 1] - table[k])
-        chances[lane] = 0.0 if distance < effects.nearest else chance
+        buffer[lanes + lane] = distance_of(here, load_fields(other, 0, lane, lanes, axes))
+        buffer[lane] = table[0]
+    for k in range(len(points) - 1):
+        span = points[k + 1] - points[k]
+        low, slope = points[k], (table[k + 1] - table[k]) / span
+        for lane in range(lanes):
+            buffer[lane] += slope * min(max(buffer[lanes + lane] - low, 0.0), span)
+    for lane in range(lanes):
+        buffer[lane] = 0.0 if buffer[lanes + lane] < effects.nearest else buffer[lane]
+
+
+@inner_kernel
+def _detect(width, axes, entries, effects, pair, side, kept, buffer, words, row):
+    """Drop a row of the lanes in which the neighbour is not detected."""
+    lanes, (robot, other), (latent, number) = lane_count(width), pair, kept
+    for lane in range(lanes):
+        buffer[lanes + lane] = buffer[lane]
     if effects.falloff > 0.0:
         for lane in range(lanes):
             here = load_fields(robot, 0, lane, lanes, axes)
             offset = subtract(load_fields(other, 0, lane, lanes, axes), here)
-            frame = load_fields(robot, d, lane, lanes, entries)
-            chances[lane] *= share_in_view(offset, frame, effects.half_field, effects.falloff)
-
-
-@inner_kernel
-def _detect(width, axes, effects, place, now, latent, chances, row):
-    """Drop a row of the lanes in which the neighbour is not detected."""
-    lanes, number, (moves, environment, keys) = lane_count(width), 2 * place[0] + place[1], now
-    for lane in range(lanes):
-        seen = chances[lane] > 0.0
-        if effects.remembers:
-            odd = sensed_step(environment, lane, lanes, moves) & 1
-            seen = latent[odd, number, lane] < chances[lane]
-        elif effects.detects:
-            seen = unit_number(np.uint32(word_of(keys[1, lane], number))) < chances[lane]
-        for k in range(len(axes)):
-            value = row[len(axes) * lane + k]
-            row[len(axes) * lane + k] = value if seen else _ZERO
-
-
-@inner_kernel
-def _turn(width, axes, effects, i, place, now, memory, row):
-    """Turn a row by the noise of robot i: white as in ``apply_noise``, or by its memory. ``place``
-    are couple and side; ``memory`` the number of the row, what is kept, and words.
-    """
-    level, (number, errors, words) = effects.levels[i], memory
-    moves, environment, keys = now
-    if level > 0.0 and effects.drifts:
-        lanes = lane_count(width)
+            frame = load_fields(robot, len(axes), lane, lanes, entries)
+            share = share_in_view(offset, frame, effects.half_field, effects.falloff)
+            buffer[lanes + lane] *= share
+    if effects.remembers:
         for lane in range(lanes):
-            odd = sensed_step(environment, lane, lanes, moves) & 1
-            angle = level * errors[odd, number, lane]
+            even, odd = latent[0, number, lane], latent[1, number, lane]
+            u = odd if words[2, 0, lane] != 0 else even
+            keep(u < buffer[lanes + lane], axes, row, lane)
+    elif effects.detects:
+        for lane in range(lanes):
+            keep(unit_number(words[0, side, lane]) < buffer[lanes + lane], axes, row, lane)
+    else:
+        for lane in range(lanes):
+            keep(buffer[lanes + lane] > 0.0, axes, row, lane)
+
+
+@inner_kernel
+def _turn(width, axes, effects, i, side, kept, keys, words, row):
+    """Turn a row by the noise of robot i: white as in ``apply_noise``, or by its memory."""
+    level, (errors, number) = effects.levels[i], kept
+    if level > 0.0 and effects.drifts:
+        for lane in range(lane_count(width)):
+            even, odd = errors[0, number, lane], errors[1, number, lane]
+            angle = level * (odd if words[2, 0, lane] != 0 else even)
             other = np.uint32(word_of(keys[0, lane], number))
             write_row(turned_by_angle(read_row(row, lane, axes), angle, False, other), row, lane)
     elif level > 0.0:
-        _draw_white(width, axes, place, keys, words[1])
-        if is_small(level):
-            _turn_white(width, axes, level, True, words[1], row)
-        else:
-            _turn_white(width, axes, level, False, words[1], row)
+        turn_row(width, axes, level, words[1, side], words[1, 2 + side], row)
 
 
 @inner_kernel
-def _draw_white(width, axes, place, keys, words):
-    """The words of one side of a couple for white noise, as ``apply_noise`` draws them."""
-    couple, side = place
-    for lane in range(lane_count(width)):
-        if len(axes) == 2:
-            word = word_of(keys[1, lane], couple * _DRAWS)
-            half = np.uint32(word) if side else np.uint32(word >> _UPPER_HALF)
-            words[0, lane], words[1, lane] = half, half
-        else:
-            word = word_of(keys[1, lane], couple * _DRAWS + side)
-            words[0, lane], words[1, lane] = np.uint32(word >> _UPPER_HALF), np.uint32(word)
-
-
-@inner_kernel(inline="code")
-def _turn_white(width, axes, level, small, words, row):
-    for lane in range(lane_count(width)):
-        seen = read_row(row, lane, axes)
-        write_row(turned_by_chance(seen, level, small, words[0, lane], words[1, lane]), row, lane)
-
-
-@inner_kernel
-def _replace(width, axes, entries, effects, pair, place, team, keys, row):
+def _replace(width, axes, entries, effects, pair, team, keys, words, row):
     """Replace a row by an outlier as long as it, in the lanes in which one is drawn."""
-    lanes, number, (block, merged_into, robots) = lane_count(width), 2 * place[0] + place[1], team
-    highest = np.uint32(math.ceil(effects.outliers * _WORDS) - 1)
-    for lane in range(min(lanes, len(merged_into) - block * lanes)):
-        if np.uint32(word_of(keys[1, lane], 2 * number) >> _UPPER_HALF) <= highest:
-            seen, word = read_row(row, lane, axes), word_of(keys[1, lane], 2 * number + 1)
+    lanes, (i, j, number), (block, merged_into, robots) = lane_count(width), pair, team
+    highest, drawn = np.uint32(math.ceil(effects.outliers * _WORDS) - 1), 0
+    for lane in range(lanes):
+        drawn += words[lane] <= highest
+    for lane in range(min(lanes, len(merged_into) - block * lanes) if drawn else 0):
+        if words[lane] <= highest:
+            n = robots.shape[1]  # couples have lower numbers in the stream
+            seen, word = read_row(row, lane, axes), word_of(keys[1, lane], n * n + number)
             length = np.float32(norm(seen))
             if length > 0.0 and effects.uniform:
                 write_row(_anywhere(seen, length, word), row, lane)
             elif length > 0.0:
                 into = merged_into[block * lanes + lane]
-                other = _another(pair, into, unit_number(np.uint32(word)))
+                other = _another(i, j, into, unit_number(np.uint32(word)))
                 if other >= 0:
-                    here, there = robots[block, pair[0]], robots[block, other]
+                    here, there = robots[block, i], robots[block, other]
                     _see_instead(axes, entries, here, there, length, lane, lanes, row)
 
 
@@ -249,11 +264,11 @@ def _anywhere(row, length, word):
 
 
 @inner_kernel
-def _another(pair, into, chance):
-    """One of the robots that have not merged, other than those of a pair, by a number in [0, 1); −1
-    if there is none.
+def _another(i, j, into, chance):
+    """One of the robots that have not merged, other than i and j, by a number in [0, 1); −1 if
+    there is none.
     """
-    count, (i, j) = 0, pair
+    count = 0
     for k in range(len(into)):
         count += into[k] == k and k != i and k != j
     chosen = int(chance * count)
@@ -291,15 +306,17 @@ def turn_silhouettes(
     slots = (rows.shape[2] - own) // points  # the remaining row, if any, is of the robot itself
     for block in range(first, last):
         streams = seeds, episodes, environments[block]
-        _begin(width, block, moves, _TURNS, effects, streams, keys)
+        _begin(width, block, moves, _TURNS, effects, streams, keys, words)
         for i in range(n):
             for number in range(slots * points):
                 # as ``apply_noise_to_silhouettes``, in couples
                 m, side = number // points, number % points
-                couple = n * (n - 1) // 2 + ((i * slots + m) * points + side) // 2
-                row, now = rows[block - first, i, own + number], (moves, environments[block], keys)
-                memory = start + i * slots * points + number, errors[block], words
-                _turn(width, axes, effects, i, (couple, side % 2), now, memory, row)
+                if side % 2 == 0:
+                    couple = n * (n - 1) // 2 + ((i * slots + m) * points + side) // 2
+                    _draw(width, axes, _TURNS, effects, couple, keys, words)
+                row = rows[block - first, i, own + number]
+                kept = errors[block], start + i * slots * points + number
+                _turn(width, axes, effects, i, side % 2, kept, keys, words, row)
 
 
 @kernel

@@ -22,7 +22,7 @@ _EPISODE, _STEP = range(2)
 """Keys: of an environment's episode, and of its step."""
 _BIAS, _NOISE, _MISSED = range(3)
 """What is drawn for a couple."""
-_DRAWS = 3
+DRAWS = 3
 """Words of a stream for one couple: two to turn it (one in the plane), one for what is missed."""
 _UPPER_HALF, _WORDS = np.uint64(32), 2.0**32
 _ZERO = np.float32(0.0)
@@ -98,26 +98,26 @@ def _draw(width, axes, couple, errors, keys, words):
     """Random words of a couple, of the two sides alternately: words[purpose, side], and in space
     the other half of the same words, words[purpose, 2 + side].
     """
-    first = couple * _DRAWS
+    first = couple * DRAWS
     if errors.bias > 0.0:
-        _draw_turns(width, axes, keys[_EPISODE], first, words[_BIAS])
+        draw_turns(width, axes, keys[_EPISODE], first, words[_BIAS])
     if errors.noise > 0.0:
-        _draw_turns(width, axes, keys[_STEP], first, words[_NOISE])
+        draw_turns(width, axes, keys[_STEP], first, words[_NOISE])
     if errors.dropout > 0.0:
-        _halve(width, keys[_STEP], first + 2, words[_MISSED, 0], words[_MISSED, 1])
+        halve(width, keys[_STEP], first + 2, words[_MISSED, 0], words[_MISSED, 1])
 
 
 @inner_kernel(inline="code")
-def _draw_turns(width, axes, keys, first, words):
+def draw_turns(width, axes, keys, first, words):
     if len(axes) == 2:
-        _halve(width, keys, first, words[0], words[1])
+        halve(width, keys, first, words[0], words[1])
     else:
-        _halve(width, keys, first, words[0], words[2])
-        _halve(width, keys, first + 1, words[1], words[3])
+        halve(width, keys, first, words[0], words[2])
+        halve(width, keys, first + 1, words[1], words[3])
 
 
 @inner_kernel
-def _halve(width, keys, counter, upper, lower):
+def halve(width, keys, counter, upper, lower):
     """Both halves of a word of every lane's stream."""
     for lane in range(lane_count(width)):
         word = word_of(keys[lane], counter)
@@ -125,7 +125,7 @@ def _halve(width, keys, counter, upper, lower):
 
 
 @inner_kernel
-def _turn(width, axes, deviation, words, others, row):
+def turn_row(width, axes, deviation, words, others, row):
     """Turn a row (L·d,) of every lane by an angle of this standard deviation, rad."""
     deviation = np.float32(deviation)
     if is_small(deviation):
@@ -146,9 +146,9 @@ def _turn_by(width, axes, deviation, small, words, others, row):
 def _turn_side(width, axes, side, errors, words, row):
     """Turn a row of one side of a couple by its bias of the episode and its noise of the step."""
     if errors.bias > 0.0:
-        _turn(width, axes, errors.bias, words[_BIAS, side], words[_BIAS, 2 + side], row)
+        turn_row(width, axes, errors.bias, words[_BIAS, side], words[_BIAS, 2 + side], row)
     if errors.noise > 0.0:
-        _turn(width, axes, errors.noise, words[_NOISE, side], words[_NOISE, 2 + side], row)
+        turn_row(width, axes, errors.noise, words[_NOISE, side], words[_NOISE, 2 + side], row)
 
 
 @inner_kernel(inline="code")
@@ -168,7 +168,7 @@ def _see_within(width, axes, entries, reach, half_field, robot, other, row):
         here = load_fields(robot, 0, lane, lanes, axes)
         offset = subtract(load_fields(other, 0, lane, lanes, axes), here)
         frame = load_fields(robot, len(axes), lane, lanes, entries)
-        _keep(is_seen(offset, frame, reach, half_field), axes, row, lane)
+        keep(is_seen(offset, frame, reach, half_field), axes, row, lane)
 
 
 @inner_kernel(inline="code")
@@ -176,11 +176,11 @@ def _miss(width, axes, chance, words, row):
     """Drop a row of the lanes whose words are among the lowest."""
     highest = np.uint32(math.ceil(chance * _WORDS) - 1)
     for lane in range(lane_count(width)):
-        _keep(words[lane] > highest, axes, row, lane)
+        keep(words[lane] > highest, axes, row, lane)
 
 
 @inner_kernel(inline="code")
-def _keep(there, axes, row, lane):
+def keep(there, axes, row, lane):
     """Make a lane of a row zero unless it is there."""
     for k in range(len(axes)):
         value = row[len(axes) * lane + k]
@@ -238,4 +238,4 @@ def _see_in_view(axes, count, half_field, rows):
             point = exactly(read_row(rows[s], lane, axes))
             seen = seen or (dot(point, point) > 0.0 and is_in_view(point, half_field))
         for s in range(rows.shape[0]):
-            _keep(seen, axes, rows[s], lane)
+            keep(seen, axes, rows[s], lane)

@@ -13,6 +13,7 @@ from ...physics.random_streams import SENSING, mix, stream_key, word_of
 from ...sensors.chance import gaussian, step_key
 from ...sensors.effects import unit_number
 from ..memory import lane_count, sensed_step
+from .apply_noise import halve
 
 DETECTED, DRIFTED, OUTLIER, OBSERVER = range(1, 5)
 """Parts of the stream of sensing."""
@@ -82,14 +83,16 @@ def remember_errors(
         parities(width, moves, environments[block], words[0])
         odd, begins = words[0, 0], words[0, 1]
         even_step, odd_step = memory[block, 0], memory[block, 1]
-        for place in range(memory.shape[2]):
-            for lane in range(lane_count(width)):
-                z = gaussian(np.uint32(word_of(keys[1, lane], place)))
-                a, b, is_odd = even_step[place, lane], odd_step[place, lane], odd[lane] != 0
-                now = share * (a if is_odd else b) + rest * z
-                now = z if begins[lane] != 0 else now
-                even_step[place, lane] = a if is_odd else now
-                odd_step[place, lane] = now if is_odd else b
+        for couple in range((memory.shape[2] + 1) // 2):
+            halve(width, keys[1], couple, words[1, 0], words[1, 1])
+            for side in range(min(2, memory.shape[2] - 2 * couple)):
+                even, odd_one = even_step[2 * couple + side], odd_step[2 * couple + side]
+                for lane in range(lane_count(width)):
+                    z = gaussian(words[1, side, lane])
+                    a, b, is_odd = even[lane], odd_one[lane], odd[lane] != 0
+                    now = share * (a if is_odd else b) + rest * z
+                    now = z if begins[lane] != 0 else now
+                    even[lane], odd_one[lane] = (a if is_odd else now), (now if is_odd else b)
 
 
 @kernel
@@ -99,7 +102,10 @@ def hold_observations(
     """Show the rows of the last sample, (B, n, K + M·S, d); inactive robots see nothing. A step
     with no sample since the step before shows what is held.
     """
-    n, sensed, d = held.shape[1:]
+    n = held.shape[1]
+    kept = held.reshape(held.shape[0], n, held.shape[2] * held.shape[3])
+    batch, _, rows_each, d = observations.shape
+    shown = observations.reshape(batch, n, rows_each * d)
     for block in range(first, last):
         for lane in range(min(lanes, len(merged_into) - block * lanes)):
             b, step = block * lanes + lane, sensed_step(environments[block], lane, lanes, moves)
@@ -107,12 +113,13 @@ def hold_observations(
             before = math.floor((step - 1) * samples_per_step + _ROUNDING)
             fresh = step == 0 or count > before
             for i in range(n):
-                active = merged_into[b, i] == i
-                for row in range(sensed):
-                    for k in range(d):
-                        if fresh:
-                            held[b, i, row, k] = observations[b, i, row, k]
-                        elif active:
-                            observations[b, i, row, k] = held[b, i, row, k]
-                        else:
-                            observations[b, i, row, k] = 0.0
+                own, rows = kept[b, i], shown[b, i]
+                if fresh:
+                    for k in range(len(own)):
+                        own[k] = rows[k]
+                elif merged_into[b, i] == i:
+                    for k in range(len(own)):
+                        rows[k] = own[k]
+                else:
+                    for k in range(len(own)):
+                        rows[k] = 0.0

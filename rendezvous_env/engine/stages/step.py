@@ -228,7 +228,10 @@ class StepStages:
         self, first: int, last: int, moves: bool, sensor: Sensor, work: Scratch
     ) -> Iterator[Any]:
         state, robot, place = self._state, self._robot, self._state.place
-        blocks, errors = (first, last, moves, sensor.errors), sensor.errors
+        errors = sensor.errors
+        if sensor.effects is not None and sensor.effects.falloff > 0.0:
+            errors = errors._replace(half_field=math.pi)  # to fall off to the edge ends there
+        blocks = first, last, moves, errors
         memory, streams = (work.keys, work.words), (state.seed, state.number)
         if errors.over_lanes:
             given: tuple[Any, ...] = (
