@@ -16,9 +16,11 @@ from .memory import AWAITING_RESET, RENDEZVOUS
 from .stages.step import first_not_finite
 
 _ROUNDING = 1e-9
-_FINITE = "positions", "memory", "weights", "path_length", "initial_lyapunov", "frames", "past"
-_FINITE += "detection", "errors", "held"
-_NOT_NEGATIVE = "weights", "steps", "contacts", "path_length", "initial_lyapunov"
+_FINITE = (
+    "positions", "memory", "weights", "path_length", "initial_lyapunov", "frames", "past", "held",
+    "detection", "errors",
+)  # fmt: skip
+_NOT_NEGATIVE = "weights", "steps", "contacts", "path_length", "initial_lyapunov", "detection"
 _MOST = {
     "positions": 1e36,
     "memory": 1e36,
@@ -154,7 +156,8 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
 
     check_finite(state, (name for name in _FINITE if name in state))
     for name in _NOT_NEGATIVE:
-        refuse(name, state[name] < 0, "0 or more")
+        if name in state:
+            refuse(name, state[name] < 0, "0 or more")
     for name, most in _MOST.items():
         if name in state:
             refuse(name, np.abs(state[name]) > most, f"at most {exact(most)}")

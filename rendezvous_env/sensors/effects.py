@@ -64,7 +64,7 @@ def effects_of(sensing: Sensing, n_robots: int) -> Effects | None:
     if not (detects or turns) and sensing.min_range == 0.0 and sensing.outliers == 0.0:
         return None
     table = np.array(sensing.detection or ((0.0, 1.0),), np.float64)
-    levels = np.broadcast_to(np.float32(sensing.noise if turns else 0.0), n_robots)
+    levels = np.broadcast_to(np.asarray(sensing.noise if turns else 0.0, np.float32), n_robots)
     return Effects(
         nearest=sensing.min_range,
         detects=detects,

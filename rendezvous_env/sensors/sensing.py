@@ -41,7 +41,7 @@ def _check_table(field: str, value: Any) -> tuple[tuple[float, float], ...]:
     wanted = "a list of pairs [distance in m, probability], such as [[1.0, 0.5], [6.0, 0.2]]"
     if not checks.is_sequence(value):
         checks.refuse(field, value, wanted)
-    table = []
+    table: list[tuple[float, float]] = []
     for row, pair in enumerate(value):
         if not checks.is_sequence(pair) or len(pair) != 2:
             checks.refuse(f"{field}[{row}]", pair, wanted)

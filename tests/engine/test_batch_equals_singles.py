@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from conftest import ROOT, UNEQUAL, five, run_python
 from parameters import marked
+from test_measured_sensors import MEASURED
 from test_sensing_engine import SHAPES, WORST
 
 from rendezvous_env import (
@@ -40,6 +41,7 @@ FAST = {
     "unicycles": five("unicycle", graph=DRAWN, obstacles=SHAPES[:1], **TIGHT),
     "two rows": Scenario(n_robots=6, graph="cycle", **TIGHT),
     "errors in the open": five("single_integrator-2d", sensing=WORST, spawn_size=3.0),
+    "measured": five("unicycle", obstacles=SHAPES[:1], sensing=MEASURED, **TIGHT),
     "packing": scenarios.get("robotarium-4"),
 }
 SLOW = {
@@ -54,6 +56,8 @@ SLOW = {
     "errors": five("single_integrator-2d", obstacles=SHAPES, sensing=WORST, **TIGHT),
     "drawn graphs": Scenario(n_robots=6, graph="random_tree", on_merge="follow", **TIGHT),
     "errors in space": five("nonholonomic_3d", obstacles=SOLIDS[:1], sensing=WORST, **TIGHT),
+    "measured in space": five("nonholonomic_3d", sensing=MEASURED, **TIGHT),
+    "measured in two rows": Scenario(n_robots=5, graph="cycle", sensing=MEASURED, **TIGHT),
     "errors in two rows": Scenario(n_robots=6, graph="cycle", sensing=WORST, **TIGHT),
 }
 """Covered by the others together, but for how they are compiled."""

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import actions_shape, assert_same_state
 from scipy import stats
 from test_sensing_engine import (
     BOTH,
@@ -38,6 +39,7 @@ ALL = {
     "dropout": 0.1, "bias": 0.05, "sectors": 720, "range": 30.0,
 }  # fmt: skip
 """Every effect at once."""
+MEASURED = rv.Sensing(**ALL)
 
 
 def distances(sim: rv.Simulator) -> np.ndarray:
@@ -356,6 +358,60 @@ def test_an_episode_with_memories_starts_anew_with_each_reset():
     for step in range(4):
         assert (first.observe() == second.observe()).all(), step
         act(first, step), act(second, step)
+
+
+def test_to_reset_some_teams_leaves_what_others_remember():
+    """Others in the block are looked at anew, in the same step."""
+    sim, alone = simulator(sensing(PLANE, **ALL), 40), simulator(sensing(PLANE, **ALL), 40)
+    mask = np.arange(40) % 3 == 0
+    for step in range(6):
+        if step == 3:
+            sim.reset(mask=mask)
+        assert (sim.observe()[~mask] == alone.observe()[~mask]).all(), step
+        assert_same_state(*({k: v[~mask] for k, v in s.get_state().items()} for s in (sim, alone)))
+        actions = np.random.default_rng(step).normal(size=actions_shape(sim))
+        sim.step(actions), alone.step(actions)
+
+
+def test_vector_and_parallel_environments_show_the_same_measured_episode():
+    scenario = sensing(PLANE, **ALL)
+    teams = rv.make_vec(scenario, 33)
+    env = rv.parallel_env(scenario)
+    found, _ = teams.reset(seed=5)
+    one, _ = env.reset(seed=5)
+    robots, space = list(one), teams.action_space
+    space.seed(1)
+    for _ in range(6):
+        rows = np.array([one[robot] for robot in robots]).reshape(5, -1)
+        assert (rows == found[0].reshape(5, -1)).all()
+        actions = space.sample()
+        found, *_ = teams.step(actions)
+        own = np.asarray(actions)[0].reshape(5, -1)
+        one, *_ = env.step(dict(zip(robots, own, strict=True)))
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "value", "message"),
+    [
+        ("detection", (0, 0, 0), 1.5, "it must be at most 1"),
+        ("detection", (0, 0, 0), -0.5, "it must be 0 or more"),
+        ("errors", (0, 1, 0), np.nan, "it must be finite"),
+        ("errors", (0, 1, 0), 1e9, "it must be at most 100"),
+        ("held", (0, 0, 0, 0), np.inf, "it must be finite"),
+    ],
+)
+def test_a_memory_that_no_episode_has_is_refused(name, place, value, message):
+    sim = simulator(sensing(PLANE, **ALL), 2)
+    state = sim.get_state()
+    assert set(state) - set(simulator(PLANE, 2).get_state()) == {
+        "detection",
+        "errors",
+        "held",
+        "past",
+    }
+    state[name][place] = value
+    with pytest.raises(ValueError, match=message):
+        sim.set_state(state)
 
 
 def test_fields_are_absent_from_plain_data_at_their_defaults():

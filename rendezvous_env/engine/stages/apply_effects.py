@@ -74,48 +74,37 @@ def apply_effects(
                 couple = pair_index(one, other, n)
                 _draw(width, axes, purpose, effects, couple, keys, words)
                 if purpose == _DETECTS:
-                    _find_chances(
-                        width, axes, effects, robots[block, one], robots[block, other], buffer
-                    )
+                    pair = robots[block, one], robots[block, other]
+                    _find_chances(width, axes, effects, pair, buffer)
                 for side in range(2):
                     i, j = (other, one) if side else (one, other)
                     if edge_weight(links, block, n, i, j, 1.0) > 0.0:
                         slot = counts[i] if in_order else j - (j > i)
                         counts[i] += 1
                         if slot < slots or not in_order:
-                            row, number = rows[block - first, i, slot], 2 * couple + side
-                            if purpose == _DETECTS:
-                                pair = robots[block, i], robots[block, j]
-                                kept = latent[block], number
-                                _detect(
-                                    width,
-                                    axes,
-                                    entries,
-                                    effects,
-                                    pair,
-                                    side,
-                                    kept,
-                                    buffer,
-                                    words,
-                                    row,
-                                )
-                            elif purpose == _TURNS:
-                                kept = errors[block], number
-                                _turn(width, axes, effects, i, side, kept, keys, words, row)
-                            else:
-                                team = block, merged_into, robots
-                                pair = i, j, number
-                                _replace(
-                                    width,
-                                    axes,
-                                    entries,
-                                    effects,
-                                    pair,
-                                    team,
-                                    keys,
-                                    words[2, 1 + side],
-                                    row,
-                                )
+                            ends, row = (i, j, 2 * couple + side, side), rows[block - first, i]
+                            team = block, merged_into, robots, latent[block], errors[block]
+                            work = keys, words, buffer
+                            _apply(
+                                width, axes, entries, purpose, effects, ends, team, work, row[slot]
+                            )
+
+
+@inner_kernel(inline="code")
+def _apply(width, axes, entries, purpose, effects, ends, team, work, row):
+    """What a purpose does to a row. ``ends`` are the robots i and j, the number of the ordered pair
+    and the side of the couple that it is.
+    """
+    (i, j, number, side), (block, merged_into, robots, latent, errors) = ends, team
+    keys, words, buffer = work
+    if purpose == _DETECTS:
+        robots_of, kept = (robots[block, i], robots[block, j]), (latent, number)
+        _detect(width, axes, entries, effects, robots_of, side, kept, buffer, words, row)
+    elif purpose == _TURNS:
+        _turn(width, axes, effects, i, side, (errors, number), keys, words, row)
+    else:
+        pair, team_now = (i, j, number), (block, merged_into, robots)
+        _replace(width, axes, entries, effects, pair, team_now, keys, words[2, 1 + side], row)
 
 
 @inner_kernel
@@ -155,9 +144,10 @@ def _draw(width, axes, purpose, effects, couple, keys, words):
 
 
 @inner_kernel
-def _find_chances(width, axes, effects, robot, other, buffer):
+def _find_chances(width, axes, effects, pair, buffer):
     """The probability of detection of two robots by their distance, in every lane; and this."""
     lanes, table, points = lane_count(width), effects.chances, effects.distances
+    robot, other = pair
     for lane in range(lanes):
         here = load_fields(robot, 0, lane, lanes, axes)
         buffer[lanes + lane] = distance_of(here, load_fields(other, 0, lane, lanes, axes))

@@ -109,6 +109,7 @@ def _draw(width, axes, couple, errors, keys, words):
 
 @inner_kernel(inline="code")
 def draw_turns(width, axes, keys, first, words):
+    """The words that turn a couple's two rows, one in the plane, two in space."""
     if len(axes) == 2:
         halve(width, keys, first, words[0], words[1])
     else:

@@ -175,6 +175,7 @@ def noisy_bounds(scenario: Scenario, asked: Asked) -> Bounds:
         return Bounds()
     theta = 2.0 * degree * scenario.tau / scenario.merge_radius
     noise, weights = scenario.sensing.noise, graph.links(n)[2] * graph.weight_range[1]
+    assert isinstance(noise, float)  # of all robots, by the assumption ``_noise``
     gamma = math.exp(-0.5 * noise**2) - ROUNDED * noise
     scattered = theta * (1.0 - gamma**2) * 2.0 * float(weights @ weights)
     fall = known.least_bearing_square(scenario) * gamma * (2.0 - theta * gamma) - scattered
