@@ -98,8 +98,8 @@ def share_in_view(offset, frame, half_field, falloff):
     the edge over the width of the border, from 0 to 1.
     """
     x, y, z = triple(to_local(frame, offset))
-    share = (half_field - _angle(np.float32(x), np.float32(math.sqrt(y * y + z * z)))) / falloff
-    return min(max(share, 0.0), 1.0)
+    angle = np.float64(_angle(np.float32(x), np.float32(math.sqrt(y * y + z * z))))
+    return min(max((half_field - angle) / falloff, 0.0), 1.0)
 
 
 @inner_kernel(inline="code")

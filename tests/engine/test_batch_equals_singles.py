@@ -68,7 +68,7 @@ KERNELS = (
 """Together they call every kernel of a step."""
 MEETS_NOTHING = (
     "nothing in the way", "two rows", "drawn graphs", "errors in the open", "errors in two rows",
-    "packing",
+    "measured in space", "measured in two rows", "packing",
 )  # fmt: skip
 
 
@@ -147,7 +147,7 @@ def test_a_team_among_many_moves_as_it_does_alone(name, shared, monkeypatch):
         assert together["contact"].any() == (name not in MEETS_NOTHING)
 
 
-LANES = ("shapes", "spheres", "unicycles among shapes", "flying", "errors")
+LANES = ("shapes", "spheres", "unicycles among shapes", "flying", "errors", "measured")
 BRIEFLY = {
     **dict(zip([(name, 1) for name in LANES[:4]], (40, 40, 12, 8), strict=True)),
     **{(name, 5): 3 for name in LANES},

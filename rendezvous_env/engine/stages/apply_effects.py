@@ -231,7 +231,7 @@ def _see_instead(axes, entries, robot, other, length, lane, lanes, row):
     distance = distance_of(here, there)
     if distance > 0.0:
         frame = load_fields(robot, len(axes), lane, lanes, entries)
-        bearing = scaled(to_local(frame, subtract(there, here)), length / distance)
+        bearing = scaled(to_local(frame, subtract(there, here)), np.float64(length) / distance)
         write_row(_as_float32(bearing), row, lane)
 
 
