@@ -19,7 +19,7 @@ def _shown(level: Level) -> str:
     """A level as text."""
     if isinstance(level, float | int):
         return f"{level:.4g}"
-    return _EXACT if level is None else level
+    return level if isinstance(level, str) else _EXACT
 
 
 @dataclass(frozen=True)

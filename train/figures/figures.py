@@ -296,7 +296,8 @@ def columns_of(rows: Sequence[Mapping[str, Any]], value: str, interval: str) -> 
 
 _UNITS = {
     "range": "m", "field_of_view": "rad", "noise": "rad", "bias": "rad", "error": "rad",
-    "delay": "steps",
+    "delay": "steps", "min_range": "m", "sample_period": "s", "delay_time": "s",
+    "observer_bias": "rad", "noise_correlation": "s", "view_falloff": "rad", "persistence": "s",
 }  # fmt: skip
 
 

@@ -334,9 +334,34 @@ def _sensing(random: Random, n: int, r: float, sight: float | None) -> rv.Sensin
         "sectors": int(random.integers(2, 200)),
         "range": r * log_uniform(random, 3.0, 100.0),
         "field_of_view": random.uniform(0.5, 2.0 * np.pi),
+        "min_range": r * log_uniform(random, 0.3, 30.0),
+        "sample_period": log_uniform(random, 0.001, 1.0),
+        "delay_time": log_uniform(random, 0.001, 0.1),
+        "observer_bias": log_uniform(random, 0.001, 1.0),
+        "noise_correlation": log_uniform(random, 0.01, 10.0),
+        "detection": [[r, random.random()], [20.0 * r, random.random()]],
+        "persistence": log_uniform(random, 0.01, 10.0),
+        "outliers": log_uniform(random, 0.001, 0.5),
     }
     names = [*flaws, *["error", "occlusion"] * 4]
     while (not fields or random.random() < 0.2) and (sight is None or random.random() < 0.4):
         name = str(pick(random, *names))
         fields.setdefault(name, flaws[name])
-    return rv.Sensing(**fields)
+    return rv.Sensing(**_completed(fields, random, n))
+
+
+def _completed(fields: dict[str, Any], random: Random, n: int) -> dict[str, Any]:
+    """Fields with those that are of use only beside others."""
+    if "delay" in fields:
+        fields.pop("delay_time", None)
+    if "noise_correlation" in fields:
+        fields.setdefault("noise", log_uniform(random, 0.001, 1.0))
+    if "persistence" in fields:
+        fields.setdefault("dropout", random.uniform(0.0, 0.9))
+    if "noise" in fields and random.random() < 0.2:
+        fields["noise"] = [float(share) * fields["noise"] for share in random.random(n)]
+    if fields.get("field_of_view", 2.0 * np.pi) < 2.0 * np.pi and random.random() < 0.3:
+        fields["view_falloff"] = random.uniform(0.0, 0.5) * fields["field_of_view"]
+    if "outliers" in fields:
+        fields["outlier_kind"] = str(pick(random, "uniform", "robot"))
+    return fields
