@@ -3,12 +3,13 @@
 import math
 
 import numpy as np
+import pytest
 from training_runs import UPDATE, assert_goes_on, config
 
 from baselines.learned import checkpoints
 from rendezvous_env.sensors.sensing import Sensing
 from train.learn import ppo, trainer
-from train.learn.sensing_ranges import draw
+from train.learn.sensing_ranges import check_ranges, draw
 from train.learn.teams import make_teams
 
 RANGES = {
@@ -46,6 +47,25 @@ class TestRanges:
         expected = Sensing(noise=0.2, bias=0.1, occlusion="robots")
         assert draw(given, ranges, 1.0, (0,)) == expected
         assert draw(given, ranges, 0.0, (0,)) == given
+
+    def test_effects_of_measured_sensors_are_drawn_from_their_ranges(self):
+        ranges = {
+            "min_range": (0.5, 1.0), "sample_period": (0.1, 0.3), "observer_bias": (0.01, 0.02),
+            "noise_correlation": (0.2, 0.4), "persistence": (1.0, 2.0), "outliers": (0.001, 0.01),
+        }  # fmt: skip
+        drawn = [draw(Sensing(delay=2), ranges, 1.0, (key,)) for key in range(200)]
+        for name, (low, high) in ranges.items():
+            found = np.array([getattr(sensing, name) for sensing in drawn])
+            assert low <= found.min() and found.max() <= high, name
+            assert np.ptp(found) > 0.9 * (high - low), name
+
+    def test_a_delay_that_is_drawn_replaces_the_other_kind(self):
+        drawn = draw(Sensing(delay=2), {"delay_time": (0.1, 0.2)}, 1.0, (0,))
+        assert drawn.delay == 0 and 0.1 <= drawn.delay_time <= 0.2
+        drawn = draw(Sensing(delay_time=0.3), {"delay": (1, 3)}, 1.0, (0,))
+        assert drawn.delay_time == 0.0 and 1 <= drawn.delay <= 3
+        with pytest.raises(ValueError, match="delay and sensing.delay_time have a range; leave"):
+            check_ranges({"delay": (1, 2), "delay_time": (0.1, 0.2)}, 0.5)
 
 
 class TestGroups:

@@ -20,6 +20,8 @@ def check_ranges(ranges: Ranges, chance: float) -> None:
         if name != "occlusion" and not given[0] <= given[1]:
             low, high = given
             raise ValueError(f"sensing.{name} is from {low} to {high}; it must be LOW ≤ HIGH")
+    if "delay" in ranges and "delay_time" in ranges:
+        raise ValueError("sensing.delay and sensing.delay_time have a range; leave one of them out")
     if not 0.0 <= chance <= 1.0:
         raise ValueError(f"chance is {chance}; it must be in [0, 1]")
 
@@ -41,4 +43,8 @@ def draw(sensing: Sensing, ranges: Ranges, chance: float, key: tuple[int, ...]) 
             drawn[name] = given[0] + int(share * (given[1] - given[0] + 1))
         else:
             drawn[name] = given[0] + share * (given[1] - given[0])
+    if "delay_time" in drawn:  # instead of the scenario's own
+        drawn["delay"] = 0
+    elif "delay" in drawn:
+        drawn["delay_time"] = 0.0
     return replace(sensing, **drawn)

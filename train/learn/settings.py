@@ -29,7 +29,10 @@ TRAINING_SEEDS, EVALUATION_SEEDS, MOST_SEED = 2**62, 2**61, 2**29 - 1
 """
 CONFIG = "config.json"
 """File name of the settings in the folder of a run."""
-_SAMPLED = ("noise", "bias", "dropout", "range", "field_of_view", "occlusion", "delay")
+_SAMPLED = (
+    "noise", "bias", "dropout", "range", "field_of_view", "occlusion", "delay", "min_range",
+    "sample_period", "delay_time", "observer_bias", "noise_correlation", "persistence", "outliers",
+)  # fmt: skip
 """Fields of Sensing that may have a range, in sampling order."""
 _HOW_SAMPLED = ("sensing_chance", "sensing_groups", "sensing_updates")
 _PATHS = ("out", "resume", "start_from")
@@ -157,6 +160,20 @@ class Config(Flags):
     """Kinds of occlusion to sample from, uniformly."""
     sensing_delay: tuple[int, int] | None = None
     """Range of the sampled delay, steps."""
+    sensing_min_range: tuple[float, float] | None = None
+    """Range of the sampled blind zone, m."""
+    sensing_sample_period: tuple[float, float] | None = None
+    """Range of the sampled time between two samples, s."""
+    sensing_delay_time: tuple[float, float] | None = None
+    """Range of the sampled delay, s."""
+    sensing_observer_bias: tuple[float, float] | None = None
+    """Range of the sampled bias of each observer, rad."""
+    sensing_noise_correlation: tuple[float, float] | None = None
+    """Range of the sampled time constant of noise, s."""
+    sensing_persistence: tuple[float, float] | None = None
+    """Range of the sampled time constant of detection, s."""
+    sensing_outliers: tuple[float, float] | None = None
+    """Range of the sampled probability of outliers."""
     sensing_chance: float = 0.5
     """Probability that a field with a range is sampled instead of keeping the scenario's value."""
     sensing_groups: Annotated[int, Bounds(1, 2**20)] = 16
