@@ -205,10 +205,12 @@ def _turn(width, axes, effects, i, side, kept, keys, words, row):
 def _replace(width, axes, entries, effects, pair, team, keys, words, row):
     """Replace a row by an outlier as long as it, in the lanes in which one is drawn."""
     lanes, (i, j, number), (block, merged_into, robots) = lane_count(width), pair, team
-    highest, drawn = np.uint32(math.ceil(effects.outliers * _WORDS) - 1), 0
+    highest, lowest = np.uint32(math.ceil(effects.outliers * _WORDS) - 1), words[0]
     for lane in range(lanes):
-        drawn += words[lane] <= highest
-    for lane in range(min(lanes, len(merged_into) - block * lanes) if drawn else 0):
+        lowest = min(lowest, words[lane])
+    if lowest > highest:
+        return
+    for lane in range(min(lanes, len(merged_into) - block * lanes)):
         if words[lane] <= highest:
             n = robots.shape[1]  # couples have lower numbers in the stream
             seen, word = read_row(row, lane, axes), word_of(keys[1, lane], n * n + number)

@@ -91,16 +91,18 @@ def delay_observations(lanes, first, last, moves, merged_into, environments, pas
     see nothing. ``past`` is (B, delay + 1, n, K + M·S, d): step t is at t mod (delay + 1).
     """
     length, n, sensed, d = past.shape[1:]
+    kept = past.reshape(past.shape[0], length, n, sensed * d)
+    shown = observations.reshape(observations.shape[0], n, observations.shape[2] * d)
     for block in range(first, last):
         for lane in range(min(lanes, len(merged_into) - block * lanes)):
             b, step = block * lanes + lane, sensed_step(environments[block], lane, lanes, moves)
-            now, due, rows = past[b, step % length], past[b, (step + 1) % length], observations[b]
             for i in range(n):
-                active = merged_into[b, i] == i
-                for row in range(sensed):
-                    for k in range(d):
-                        if step == 0:  # nothing else has been seen
-                            for t in range(length):
-                                past[b, t, i, row, k] = rows[i, row, k]
-                        now[i, row, k] = rows[i, row, k]
-                        rows[i, row, k] = due[i, row, k] if active else 0.0
+                rows, now = shown[b, i], kept[b, step % length, i]
+                for k in range(len(now)):
+                    now[k] = rows[k]
+                for t in range(length if step == 0 else 0):  # nothing else has been seen
+                    for k in range(len(now)):
+                        kept[b, t, i, k] = rows[k]
+                due, active = kept[b, (step + 1) % length, i], merged_into[b, i] == i
+                for k in range(len(due)):
+                    rows[k] = due[k] if active else 0.0

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from ...compilation import inner_kernel, kernel
-from ...physics.random_streams import SENSING, mix, stream_key, word_of
+from ...physics.random_streams import SENSING, mix, stream_key
 from ...sensors.chance import gaussian, step_key
 from ...sensors.effects import unit_number
 from ..memory import lane_count, sensed_step
@@ -18,7 +18,7 @@ from .apply_noise import halve
 DETECTED, DRIFTED, OUTLIER, OBSERVER = range(1, 5)
 """Parts of the stream of sensing."""
 _PART = np.uint64(0x9E6C63D0876A9A47)
-_UPPER_HALF = np.uint64(32)
+_ONE_BIT, _MOST = np.uint32(1), np.float32(1.0 - 2.0**-24)
 _ROUNDING = 1e-9  # Share of a sample period by which a step may miss a sample
 
 
@@ -55,21 +55,26 @@ def remember_detection(
     """The u of every ordered pair: kept with this probability, else drawn anew. Working memory:
     keys (2, L), words (3, 4, L).
     """
-    lowest = np.uint32(min(math.ceil(kept * 2.0**32), 2.0**32 - 1.0))
+    # of the words that draw anew, those from ``low`` on, u is the rank
+    low = np.uint32(min(math.ceil(kept * 2.0**32), 2.0**32 - 2.0**10))
+    scale = np.float32(2.0 / (2.0**32 - float(low)))
     for block in range(first, last):
         part_keys(width, block, moves, DETECTED, seeds, episodes, environments[block], keys)
         parities(width, moves, environments[block], words[0])
         odd, begins = words[0, 0], words[0, 1]
-        even_step, odd_step = memory[block, 0], memory[block, 1]
-        for place in range(memory.shape[2]):
-            for lane in range(lane_count(width)):
-                word = word_of(keys[1, lane], place)
-                fresh = unit_number(np.uint32(word))
-                a, b, is_odd = even_step[place, lane], odd_step[place, lane], odd[lane] != 0
-                stays = (np.uint32(word >> _UPPER_HALF) < lowest) & (begins[lane] == 0)
-                now = (a if is_odd else b) if stays else fresh
-                even_step[place, lane] = a if is_odd else now
-                odd_step[place, lane] = now if is_odd else b
+        for couple in range(memory.shape[2] // 2):
+            halve(width, keys[1], couple, words[1, 0], words[1, 1])
+            for side in range(2):
+                even_step = memory[block, 0, 2 * couple + side]
+                odd_step = memory[block, 1, 2 * couple + side]
+                for lane in range(lane_count(width)):
+                    word, is_odd = words[1, side, lane], odd[lane] != 0
+                    a, b = even_step[lane], odd_step[lane]
+                    rank = np.float32(np.int32(np.uint32(word - low) >> _ONE_BIT)) * scale
+                    now = (a if is_odd else b) if word < low else min(rank, _MOST)
+                    now = unit_number(word) if begins[lane] != 0 else now
+                    even_step[lane] = a if is_odd else now
+                    odd_step[lane] = now if is_odd else b
 
 
 @kernel
