@@ -31,7 +31,7 @@ _MOST = {
     "past": 1e13,
     "held": 1e13,
     "detection": 1.0,
-    "errors": 100.0,
+    "errors": 6.5,
 }
 """Absolute values up to which nothing overflows in a step."""
 _FLOAT32 = np.dtype(np.float32)

@@ -20,7 +20,7 @@ from ..physics.vectors import dot, norm, subtract, to_local, triple
 from .sensing import Sensing
 
 _TO_UNIT_INTERVAL = np.float32(2.0**-24)
-_EIGHT, _ONE = np.uint32(8), np.float32(1.0)
+_EIGHT, _ZERO, _ONE = np.uint32(8), np.float32(0.0), np.float32(1.0)
 _QUARTER, _HALF_TURN = np.float32(0.5 * math.pi), np.float32(math.pi)
 _ARCTAN = tuple(
     np.float32(factor)
@@ -97,9 +97,24 @@ def share_in_view(offset, frame, half_field, falloff):
     """By what the edge of the field of view multiplies the probability of detection: the angle to
     the edge over the width of the border, from 0 to 1.
     """
-    x, y, z = triple(to_local(frame, offset))
-    angle = np.float64(_angle(np.float32(x), np.float32(math.sqrt(y * y + z * z))))
-    return min(max((half_field - angle) / falloff, 0.0), 1.0)
+    x, y, z = triple(to_local(_short(frame), _short(offset)))
+    angle = _angle(x, np.float32(math.sqrt(y * y + z * z)))
+    share = (np.float32(half_field) - angle) / np.float32(falloff)
+    return min(max(share, _ZERO), _ONE)
+
+
+@inner_kernel(inline="code")
+def _short(v):
+    """A vector or a frame in float32, of which a register holds twice as many."""
+    if len(v) == 2:
+        return np.float32(v[0]), np.float32(v[1])
+    first = np.float32(v[0]), np.float32(v[1]), np.float32(v[2])
+    if len(v) == 3:
+        return first
+    if len(v) == 4:
+        return (*first, np.float32(v[3]))
+    second = np.float32(v[3]), np.float32(v[4]), np.float32(v[5])
+    return (*first, *second, np.float32(v[6]), np.float32(v[7]), np.float32(v[8]))
 
 
 @inner_kernel(inline="code")

@@ -10,7 +10,7 @@ from ...compilation import inner_kernel, kernel
 from ...graphs.edges import DENSE, edge_weight, load_links, pair_index
 from ...physics.random_streams import SENSING, stream_key, word_of
 from ...physics.vectors import norm, scaled, subtract, to_local
-from ...sensors.chance import cosine_and_sine, gaussian, step_key, turned_by_angle
+from ...sensors.chance import cosine_and_sine, gaussian, is_small, step_key, turned_by_angle
 from ...sensors.effects import distance_of, share_in_view, turned_about, unit_number
 from ..memory import lane_count, load_fields, read_row, sensed_step, write_row
 from .apply_noise import DRAWS, draw_turns, halve, keep, turn_row
@@ -190,15 +190,25 @@ def _detect(width, axes, entries, effects, pair, side, kept, buffer, words, row)
 @inner_kernel
 def _turn(width, axes, effects, i, side, kept, keys, words, row):
     """Turn a row by the noise of robot i: white as in ``apply_noise``, or by its memory."""
-    level, (errors, number) = effects.levels[i], kept
+    level = effects.levels[i]
     if level > 0.0 and effects.drifts:
-        for lane in range(lane_count(width)):
-            even, odd = errors[0, number, lane], errors[1, number, lane]
-            angle = level * (odd if words[2, 0, lane] != 0 else even)
-            other = np.uint32(word_of(keys[0, lane], number))
-            write_row(turned_by_angle(read_row(row, lane, axes), angle, False, other), row, lane)
+        if is_small(level):
+            _turn_by(width, axes, level, True, kept, keys, words[2, 0], row)
+        else:
+            _turn_by(width, axes, level, False, kept, keys, words[2, 0], row)
     elif level > 0.0:
         turn_row(width, axes, level, words[1, side], words[1, 2 + side], row)
+
+
+@inner_kernel(inline="code")
+def _turn_by(width, axes, level, small, kept, keys, odd, row):
+    """Turn a row by what a memory keeps of it in every lane, times a level."""
+    errors, number = kept
+    for lane in range(lane_count(width)):
+        even_step, odd_step = errors[0, number, lane], errors[1, number, lane]
+        angle = level * (odd_step if odd[lane] != 0 else even_step)
+        other = np.uint32(word_of(keys[0, lane], number))
+        write_row(turned_by_angle(read_row(row, lane, axes), angle, small, other), row, lane)
 
 
 @inner_kernel

@@ -18,6 +18,7 @@ from .apply_noise import halve
 DETECTED, DRIFTED, OUTLIER, OBSERVER = range(1, 5)
 """Parts of the stream of sensing."""
 _PART = np.uint64(0x9E6C63D0876A9A47)
+_FARTHEST = np.float32(6.34)  # of ``gaussian``; once in 4·10⁹ numbers beyond it
 _ONE_BIT, _MOST = np.uint32(1), np.float32(1.0 - 2.0**-24)
 _ROUNDING = 1e-9  # Share of a sample period by which a step may miss a sample
 
@@ -96,6 +97,7 @@ def remember_errors(
                     z = gaussian(words[1, side, lane])
                     a, b, is_odd = even[lane], odd_one[lane], odd[lane] != 0
                     now = share * (a if is_odd else b) + rest * z
+                    now = min(max(now, -_FARTHEST), _FARTHEST)
                     now = z if begins[lane] != 0 else now
                     even[lane], odd_one[lane] = (a if is_odd else now), (now if is_odd else b)
 
