@@ -414,6 +414,27 @@ def test_a_memory_that_no_episode_has_is_refused(name, place, value, message):
         sim.set_state(state)
 
 
+@pytest.mark.parametrize(
+    ("fields", "stages"),
+    [
+        ({}, set()),
+        ({"noise": 0.1, "bias": 0.1, "dropout": 0.2, "range": 9.0}, set()),
+        ({"delay_time": 2.0 * STEP}, set()),
+        ({"min_range": 1.0}, {"apply_effects"}),
+        ({"sample_period": 1.0}, {"hold_observations"}),
+        ({"observer_bias": 0.1}, {"turn_observers"}),
+        ({"persistence": 1.0, "dropout": 0.2}, {"remember_detection", "apply_effects"}),
+        ({"noise": 0.1, "noise_correlation": 1.0}, {"remember_errors", "apply_effects"}),
+    ],
+)
+def test_only_stages_that_are_used_are_compiled(fields, stages):
+    known = {"apply_effects", "hold_observations", "turn_observers", "remember_detection"}
+    known |= {"remember_errors", "turn_silhouettes"}
+    sim = simulator(sensing(PLANE, **fields))
+    rest(sim)
+    assert {kernel.__name__ for kernel in sim._runner._stages._entries} & known == stages
+
+
 def test_fields_are_absent_from_plain_data_at_their_defaults():
     old = {"field_of_view", "noise", "bias", "error", "dropout", "delay", "occlusion"}
     assert set(rv.Sensing(noise=0.1).to_plain()) == old
