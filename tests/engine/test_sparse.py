@@ -35,6 +35,20 @@ FAST = {
         neighbour_slots=59,
         sensing=rv.Sensing(noise=0.1, dropout=0.2, occlusion="both"),
     ),
+    "measured": RING.replace(
+        neighbour_slots=59,
+        sensing=rv.Sensing(
+            min_range=0.5,
+            detection=((0.5, 1.0), (9.0, 0.3)),
+            persistence=1.0,
+            outliers=0.1,
+            noise=tuple(0.01 * robot for robot in range(60)),
+            noise_correlation=1.0,
+            observer_bias=0.1,
+            sample_period=0.05,
+            outlier_kind="robot",
+        ),
+    ),
     "drawn weights": RING.replace(graph=graphs.path((0.5, 2.0))),
     "tree": RING.replace(
         graph=graphs.random_tree(), max_speed=3.0, time_step=0.02, allow_long_step=True
