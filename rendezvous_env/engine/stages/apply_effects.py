@@ -14,7 +14,7 @@ from ...sensors.chance import cosine_and_sine, gaussian, is_small, step_key, tur
 from ...sensors.effects import distance_of, share_in_view, turned_about, unit_number
 from ..memory import lane_count, load_fields, read_row, sensed_step, write_row
 from .apply_noise import DRAWS, draw_turns, halve, keep, turn_row
-from .remember import DETECTED, DRIFTED, OBSERVER, OUTLIER, part_keys
+from .remember import DETECTED, DRIFTED, OBSERVER, OUTLIER, is_due, part_keys
 
 _DETECTS, _TURNS, _REPLACES = range(3)
 """What is done to a row, in this order."""
@@ -32,6 +32,7 @@ def apply_effects(
     first,
     last,
     moves,
+    samples_per_step,
     effects,
     slots,
     in_order,
@@ -52,11 +53,16 @@ def apply_effects(
     rows,
 ):
     """Drop rows of neighbours that are not detected, turn the others, and replace some. Rows are as
-    ``apply_noise`` has them; ``latent`` and ``errors`` are the memories of ``remember``. Working
-    memory: listed (2, E), weights (E,), counts (n,), keys (2, L), words (3, 4, L), buffer (≥ 2·L,).
+    ``apply_noise`` has them; ``latent`` and ``errors`` are the memories of ``remember``. Nothing is
+    done in blocks in which no sample is due, as in all that follows.
+
+    Working memory: listed (2, E), weights (E,), counts (n,), keys (2, L), words (3, 4, L), buffer
+    (≥ 2·L,).
     """
     n = robots.shape[1]
     for block in range(first, last):
+        if not is_due(width, moves, samples_per_step, environments[block]):
+            continue
         found = links.first.shape[1]
         if links.form == DENSE:
             for e in range(found):
@@ -289,6 +295,7 @@ def turn_silhouettes(
     first,
     last,
     moves,
+    samples_per_step,
     effects,
     own,
     points,
@@ -307,6 +314,8 @@ def turn_silhouettes(
     n = rows.shape[1]
     slots = (rows.shape[2] - own) // points  # the remaining row, if any, is of the robot itself
     for block in range(first, last):
+        if not is_due(width, moves, samples_per_step, environments[block]):
+            continue
         streams = seeds, episodes, environments[block]
         _begin(width, block, moves, _TURNS, effects, streams, keys, words)
         for i in range(n):
@@ -328,6 +337,7 @@ def turn_observers(
     first,
     last,
     moves,
+    samples_per_step,
     deviation,
     begin,
     end,
@@ -342,6 +352,8 @@ def turn_observers(
     this standard deviation, rad. Working memory: keys (2, L), turns (≥ 5·L,).
     """
     for block in range(first, last):
+        if not is_due(width, moves, samples_per_step, environments[block]):
+            continue
         part_keys(width, block, moves, OBSERVER, seeds, episodes, environments[block], keys)
         for i in range(rows.shape[1]):
             _draw_turns(width, axes, np.float32(deviation), i, keys, turns)

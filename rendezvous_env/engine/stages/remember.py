@@ -49,6 +49,25 @@ def parities(width, moves, environment, words):
         words[0, lane], words[1, lane] = np.uint32(step & 1), np.uint32(1 if step == 0 else 0)
 
 
+@inner_kernel(inline="code")
+def is_sampled(step, samples_per_step):
+    """Whether a sample has come since the step before; always without a sample period, 0."""
+    count = math.floor(step * samples_per_step + _ROUNDING)
+    before = math.floor((step - 1) * samples_per_step + _ROUNDING)
+    return step == 0 or samples_per_step == 0.0 or count > before
+
+
+@inner_kernel
+def is_due(width, moves, samples_per_step, environment):
+    """Whether a sample is due in any lane: the rows of others are what they hold, whatever is
+    done to these.
+    """
+    lanes, due = lane_count(width), samples_per_step == 0.0
+    for lane in range(0 if due else lanes):
+        due = due or is_sampled(sensed_step(environment, lane, lanes, moves), samples_per_step)
+    return due
+
+
 @kernel
 def remember_detection(
     width, first, last, moves, kept, seeds, episodes, environments, keys, words, memory
@@ -116,9 +135,7 @@ def hold_observations(
     for block in range(first, last):
         for lane in range(min(lanes, len(merged_into) - block * lanes)):
             b, step = block * lanes + lane, sensed_step(environments[block], lane, lanes, moves)
-            count = math.floor(step * samples_per_step + _ROUNDING)
-            before = math.floor((step - 1) * samples_per_step + _ROUNDING)
-            fresh = step == 0 or count > before
+            fresh = is_sampled(step, samples_per_step)
             for i in range(n):
                 own, rows = kept[b, i], shown[b, i]
                 if fresh:

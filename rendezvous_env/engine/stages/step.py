@@ -268,7 +268,17 @@ class StepStages:
             lists = work.listed, work.numbers[0], work.counts
             shape = state.place.width, robot.axes, robot.entries
             rest = *lists, *memory, work.pair, _ROWS
-            yield apply_effects, *shape, *blocks, effects, *given, *now, *kept, *rest
+            yield (
+                apply_effects,
+                *shape,
+                *blocks,
+                sensor.samples_per_step,
+                effects,
+                *given,
+                *now,
+                *kept,
+                *rest,
+            )
 
     def _turn_observers(
         self, rows: tuple[int, int], blocks: tuple[int, int, bool], sensor: Sensor, work: Scratch
@@ -277,7 +287,15 @@ class StepStages:
         if sensor.observer_bias > 0.0:
             state = self._state
             streams = state.seed, state.number, state.environments
-            given = sensor.observer_bias, *rows, *streams, work.keys, work.pair, _ROWS
+            given = (
+                sensor.samples_per_step,
+                sensor.observer_bias,
+                *rows,
+                *streams,
+                work.keys,
+                work.pair,
+                _ROWS,
+            )
             yield turn_observers, state.place.width, self._robot.axes, *blocks, *given
 
     def _apply_noise_to_silhouettes(
@@ -308,7 +326,7 @@ class StepStages:
         yield from self._turn_observers((own, end), (first, last, moves), sensor, work)
         if turns:
             given = effects, own, points, n * (n - 1), *streams, state.environments, state.errors
-            blocks = place.width, self._robot.axes, first, last, moves
+            blocks = place.width, self._robot.axes, first, last, moves, sensor.samples_per_step
             yield turn_silhouettes, *blocks, *given, *memory, _ROWS
         yield from noise(errors._replace(half_field=math.pi, noise=0.0, bias=0.0))
 
