@@ -237,6 +237,23 @@ def test_range_and_field_of_view(scenario):
     assert 30 < seen < 300
 
 
+@pytest.mark.parametrize("batch", [1, 40])
+@pytest.mark.parametrize("view", [0.5 * math.pi, math.pi, 1.9 * math.pi])
+def test_the_edge_of_the_field_of_view_is_where_the_angle_is(view, batch):
+    """Robots at the edge to the last bit are seen as their angles say."""
+    scenario = sensing(PLANE.replace(local_frames="global"), field_of_view=view)
+    seen, expected, half = [], [], 0.5 * view
+    for shift in range(-40, 41):
+        angle = half * (1.0 + shift * 2.0**-52)
+        edge = np.array([math.cos(angle), math.sin(angle)])
+        places = np.array([(0.0, 0.0), 3.0 * edge, -7.0 * edge, (5.0, 0.1), (-9.0, 0.1)])
+        places[2] *= (-1.0, 1.0) if shift % 2 else (-1.0, -1.0)
+        sim = started(scenario, batch, positions=places)
+        seen.append(neighbours(sim)[-1, 0, :2].any(axis=-1))
+        expected.append(np.abs(np.arctan2(*places[1:3].T[::-1])) <= half)
+    assert (np.array(seen) == expected).all() and 0 < np.sum(expected) < 162
+
+
 def test_an_obstacle_is_seen_whole_while_a_point_of_it_is_in_the_field_of_view():
     partly = 0
     for scenario in (WALLED, SPACE):

@@ -13,7 +13,7 @@ import numpy as np
 from ...compilation import inner_kernel, kernel
 from ...graphs.edges import DENSE, edge_weight, load_links, pair_index
 from ...physics.random_streams import SENSING, stream_key, word_of
-from ...physics.vectors import dot, exactly, subtract
+from ...physics.vectors import dot, exactly, norm, subtract, to_local
 from ...sensors.chance import is_small, step_key, turned_by_chance
 from ...sensors.imperfections import in_sectors, is_in_view, is_seen
 from ..memory import lane_count, load_fields, read_row, sensed_step, write_row
@@ -26,6 +26,7 @@ DRAWS = 3
 """Words of a stream for one couple: two to turn it (one in the plane), one for what is missed."""
 _UPPER_HALF, _WORDS = np.uint64(32), 2.0**32
 _ZERO = np.float32(0.0)
+_NEAR_EDGE = 1e-9  # difference of cosines within which angles are compared
 
 
 @kernel
@@ -164,12 +165,39 @@ def _hide(width, axes, entries, errors, robot, other, row):
 
 @inner_kernel(inline="code")
 def _see_within(width, axes, entries, reach, half_field, robot, other, row):
+    """``is_seen`` in every lane; angles only if one of them may be at the edge of the view."""
     lanes = lane_count(width)
+    if half_field < math.pi and _none_at_edge(width, axes, entries, half_field, robot, other):
+        cosine = math.cos(half_field)
+        for lane in range(lanes):
+            here = load_fields(robot, 0, lane, lanes, axes)
+            offset = subtract(load_fields(other, 0, lane, lanes, axes), here)
+            frame = load_fields(robot, len(axes), lane, lanes, entries)
+            square, x = dot(offset, offset), to_local(frame, offset)[0]
+            keep((square <= reach * reach) & (x >= cosine * math.sqrt(square)), axes, row, lane)
+    else:
+        for lane in range(lanes):
+            here = load_fields(robot, 0, lane, lanes, axes)
+            offset = subtract(load_fields(other, 0, lane, lanes, axes), here)
+            frame = load_fields(robot, len(axes), lane, lanes, entries)
+            keep(is_seen(offset, frame, reach, half_field), axes, row, lane)
+
+
+@inner_kernel(inline="code")
+def _none_at_edge(width, axes, entries, half_field, robot, other):
+    """Whether all lanes have the other robot clear of the edge of the view, so that rounding cannot
+    change whether it is inside: angles are at least as far apart as their cosines.
+    """
+    lanes, cosine, close = lane_count(width), math.cos(half_field), 0.0
     for lane in range(lanes):
         here = load_fields(robot, 0, lane, lanes, axes)
         offset = subtract(load_fields(other, 0, lane, lanes, axes), here)
         frame = load_fields(robot, len(axes), lane, lanes, entries)
-        keep(is_seen(offset, frame, reach, half_field), axes, row, lane)
+        length = norm(offset)
+        gap = abs(to_local(frame, offset)[0] - cosine * length)
+        clear = (gap > _NEAR_EDGE * length) | (length == 0.0)  # lanes without a team have zeros
+        close = max(close, 0.0 if clear else 1.0)
+    return close == 0.0
 
 
 @inner_kernel(inline="code")
