@@ -168,7 +168,9 @@ def save_brief(path: str) -> None:
 def test_plain_python_gives_the_same_numbers(tmp_path):
     paths = [str(Path(__file__).parent), str(ROOT / "tests"), str(ROOT)]
     plain = {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(paths)}
-    script = f"import test_widths; test_widths.save_brief({str(tmp_path / 'plain.npz')!r})"
+    script = (
+        f"import test_batch_equals_singles as it; it.save_brief({str(tmp_path / 'plain.npz')!r})"
+    )
     run_python(tmp_path, "-c", script, **plain)
     save_brief(str(tmp_path / "compiled.npz"))
     with np.load(tmp_path / "plain.npz") as plain, np.load(tmp_path / "compiled.npz") as compiled:
