@@ -161,8 +161,9 @@ def test_the_fields_and_defaults_of_the_design():
     fields = {field.name: field.default for field in dataclasses.fields(rv.Sensing)}
     assert fields == {
         "range": None, "field_of_view": 2 * math.pi, "noise": 0.0, "bias": 0.0, "error": 0.0,
-        "dropout": 0.0, "delay": 0, "sectors": None, "occlusion": "none", "custom": (), "min_range": 0.0,
-        "sample_period": 0.0, "delay_time": 0.0, "observer_bias": 0.0, "noise_correlation": 0.0,
+        "dropout": 0.0, "delay": 0, "sectors": None, "occlusion": "none", "custom": (),
+        "min_range": 0.0, "sample_period": 0.0, "delay_time": 0.0, "observer_bias": 0.0,
+        "noise_correlation": 0.0,
         "detection": (), "view_falloff": 0.0, "persistence": 0.0, "outliers": 0.0,
         "outlier_kind": "uniform",
     }  # fmt: skip
