@@ -14,8 +14,8 @@ from . import threads
 from .memory import RUNNING
 from .memory_layout import scratch
 from .preparation import constants, robot, sensor
-from .stages.step import StepStages
 from .state import State
+from .step import StepStages
 from .thread_tuner import ThreadTuner
 from .threads import Calls, Slice
 
