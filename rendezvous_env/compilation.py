@@ -14,6 +14,7 @@ import numba
 from numba.core import sigutils, types
 from numba.core.compiler import Compiler
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.dispatcher import OmittedArg
 from numba.core.errors import TypingError
 from numba.core.options import DefaultOptions
 from numba.core.registry import CPUDispatcher
@@ -151,7 +152,8 @@ class _Kernel(_DISPATCHER):
 
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
         if self._inner:  # calling what has no entry would end the process
-            return self.py_func
+            given = [arg.value if isinstance(arg, OmittedArg) else arg for arg in args]
+            return lambda *_, **__: self.py_func(*given, **kws)
         return super()._compile_for_args(*args, **kws)
 
 

@@ -98,8 +98,8 @@ def test_kernel_without_reference_counts_refuses_to_return_arrays():
 
 def test_inner_kernel_is_plain_python_for_python():
     @compilation.inner_kernel
-    def halved(x):
-        return 0.5 * x
+    def halved(x, share=0.5):
+        return share * x
 
     @compilation.inner_kernel(inline="code")
     def doubled(x):
@@ -115,6 +115,7 @@ def test_inner_kernel_is_plain_python_for_python():
 
     for _ in range(2):  # before any is compiled and after, when there is still no entry
         assert (halved(3.0), doubled(x=3.0), squared(3.0)) == (1.5, 6.0, 9.0)
+        assert halved(share=2.0, x=3.0) == halved(3.0, 2.0) == 6.0
         assert through_all(3.0) == 16.0
     assert not compilation.compiled() or not squared.overloads
 
