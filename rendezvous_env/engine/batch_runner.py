@@ -225,6 +225,10 @@ class BatchRunner:
         self._last = output
         return RolloutResult(output, rewards, robot_rewards, touched)
 
+    def compile(self) -> None:
+        """Compile all stages, as ``Simulator.compile``."""
+        self._step_calls(self._actions, self.new_output())
+
     def observe(self) -> StepOutput:
         """All environments as they are."""
         output = self.new_output()

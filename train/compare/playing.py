@@ -12,6 +12,7 @@ from rendezvous_env.baselines.learned import checkpoints
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.simulator import Simulator
 
 from .. import policies
 from ..checks import UserError
@@ -174,8 +175,11 @@ def play_block(
 
 @cache
 def make_ready(job: Job, starts: int) -> None:
-    """Play two steps, so that the kernels of a job are loaded, or compiled."""
+    """Play two steps, so that the kernels of a job are loaded, or compiled; those of contacts and
+    merges too, which two steps may not need.
+    """
     play_job(job, episodes=starts, seed=0, steps=2)
+    Simulator(job.scenario, starts).compile()
 
 
 def joined(blocks: Sequence[Played]) -> Played:
