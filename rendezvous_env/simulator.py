@@ -199,6 +199,12 @@ class Simulator(StateView):
         self._refuse_crowds(output)
         return output
 
+    def compile(self) -> None:
+        """Compile all stages of a step, those of contacts and merges too, which a small batch
+        otherwise compiles when for the first time something can meet.
+        """
+        self._runner.compile()
+
     def _check_ready(self) -> None:
         if not self._ready:
             never = np.flatnonzero(self._state.number < 0)

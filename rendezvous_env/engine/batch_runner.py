@@ -14,8 +14,8 @@ from . import threads
 from .memory import RUNNING
 from .memory_layout import scratch
 from .preparation import constants, robot, sensor
-from .stages.step import StepStages
 from .state import State
+from .step import StepStages
 from .thread_tuner import ThreadTuner
 from .threads import Calls, Slice
 
@@ -112,6 +112,8 @@ class BatchRunner:
         self._all, self._far = np.ones(robots, np.bool_), np.full(robots, np.inf)
         self._overflow = np.full(place.batch, -1)
         self._last: StepOutput | None = None
+        self._near = False
+        """Whether something could meet in the last step."""
         self._may_overflow = place.scenario.observation_layout.neighbour_slots < n - 1
         self._actions = np.zeros((place.batch, n, place.scenario.action_size), np.float32)
         self.limit(max_steps)
@@ -223,6 +225,10 @@ class BatchRunner:
         self._last = output
         return RolloutResult(output, rewards, robot_rewards, touched)
 
+    def compile(self) -> None:
+        """Compile all stages, as ``Simulator.compile``."""
+        self._step_calls(self._actions, self.new_output())
+
     def observe(self) -> StepOutput:
         """All environments as they are."""
         output = self.new_output()
@@ -285,7 +291,9 @@ class BatchRunner:
             return self._step_calls(actions, output)((0, blocks, 0))
         if self._may_overflow:
             output.crowded.fill(-1)
-        propose, *others = stages.calls(0, blocks, actions, output, self.scratch, False)
-        if propose():
-            _, *others = stages.calls(0, blocks, actions, output, self.scratch, True)
-        return others
+        calls = stages.calls(0, blocks, actions, output, self.scratch, self._near)
+        near = calls[0]() > 0.0
+        if near and not self._near:
+            calls = stages.calls(0, blocks, actions, output, self.scratch, True)
+        self._near = near
+        return calls[1:]

@@ -13,7 +13,7 @@ from ..outcome import StepOutput
 from ..robots.robot_models import constants_of
 from ..scenario.scenario import Scenario
 from .memory import AWAITING_RESET, RENDEZVOUS
-from .stages.step import first_not_finite
+from .step import first_not_finite
 
 _ROUNDING = 1e-9
 _FINITE = "positions", "memory", "weights", "path_length", "initial_lyapunov", "frames", "past"

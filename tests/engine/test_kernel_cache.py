@@ -158,6 +158,7 @@ def test_cache_key_of_the_step_covers_all_that_is_compiled(tmp_path):
         from numba.core.bytecode import FunctionIdentity
         import rendezvous_env as rv
         from rendezvous_env import kernel_cache
+        from rendezvous_env.engine.step import first_not_finite
         compiled, identify = set(), FunctionIdentity.from_function.__func__
 
         def noted(kind, function):

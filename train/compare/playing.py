@@ -12,6 +12,7 @@ from rendezvous_env.baselines.learned import checkpoints
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.simulator import Simulator
 
 from .. import policies
 from ..checks import UserError
@@ -183,8 +184,9 @@ def play_block(
 
 @cache
 def make_ready(job: Job, starts: int) -> None:
-    """Compile or load the kernels of a job by running two steps."""
+    """Compile or load all kernels of a job, those of contacts and merges included."""
     play_job(job, episodes=starts, seed=0, steps=2)
+    Simulator(job.scenario, starts).compile()
 
 
 def joined(blocks: Sequence[Played]) -> Played:

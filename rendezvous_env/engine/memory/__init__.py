@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import by_type, inner_kernel
+from ...compilation import by_type, inner_kernel
 
 RUNNING, RENDEZVOUS, TIME_OUT, AWAITING_RESET = range(4)
 """Status of an environment. AWAITING_RESET: reset in this very step, in which it does not move."""

@@ -28,30 +28,30 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ...compilation import entry_point, kernel
-from ...graphs.edges import DENSE
-from ...obstacles.contact import IGNORE
-from ...outcome import StepOutput
-from ...physics.random_streams import ignore_overflow
-from ...robots.motion import frame_turns
-from ..memory import Robot
-from ..memory_layout import Scratch
-from ..preparation import Constants, Sensor
-from ..state import State
-from .apply_noise import apply_noise, apply_noise_to_silhouettes
-from .apply_occlusion import apply_occlusion, close_rows, delay_observations
-from .collide import (
+from ..compilation import entry_point, kernel
+from ..graphs.edges import DENSE
+from ..obstacles.contact import IGNORE
+from ..outcome import StepOutput
+from ..physics.random_streams import ignore_overflow
+from ..robots.motion import frame_turns
+from .memory import Robot
+from .memory_layout import Scratch
+from .preparation import Constants, Sensor
+from .stages.apply_noise import apply_noise, apply_noise_to_silhouettes
+from .stages.apply_occlusion import apply_occlusion, close_rows, delay_observations
+from .stages.collide import (
     merge_robots,
     pack_robots,
     reaches,
     stop_at_obstacles,
     stop_curves_at_obstacles,
 )
-from .conclude import conclude_step
-from .propose import advance_free, propose_motion, refresh_frames, update_robots
-from .sense_neighbours import hide_docked, sense_links, sense_pairs, update_links
-from .sense_obstacles import measure_clearance, sense_discs, sense_shapes
-from .write_observations import sense_oneself, write_observations, write_packed
+from .stages.conclude import conclude_step
+from .stages.propose import advance_free, propose_motion, refresh_frames, update_robots
+from .stages.sense_neighbours import hide_docked, sense_links, sense_pairs, update_links
+from .stages.sense_obstacles import measure_clearance, sense_discs, sense_shapes
+from .stages.write_observations import sense_oneself, write_observations, write_packed
+from .state import State
 
 _LARGEST = np.finfo(np.float32).max
 Call = Callable[[], Any]
