@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import check_shape, refuse
+from rendezvous_env.checks import check_shape, raise_invalid
 from rendezvous_env.envs.guarantee import check_period
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.safety.safety_filter import SafetyFilter
@@ -17,7 +17,7 @@ from rendezvous_env.safety.tank import EnergyTank
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
-from .policy import Float32, Mask, RememberingPolicy, within_limits
+from .policy import Float32, Mask, StatefulPolicy, within_limits
 
 Choose = Callable[[Float32], ArrayLike]
 """Observations (..., n, rows, d) → actions of the filter (..., n, k), in [−1, 1]."""
@@ -42,7 +42,7 @@ def guarantee_with(by: Any, settings: Mapping[str, Any]) -> dict[str, Any] | Non
     return {"by": by} | {name: settings.get(name, value) for name, value in usual.items()}
 
 
-class DecidingPolicy(RememberingPolicy):
+class DecidingPolicy(StatefulPolicy):
     """Policy with action repeat: a new decision every ``decision_period`` steps."""
 
     def __init__(self, scenario: Scenario, decision_period: int) -> None:
@@ -100,7 +100,7 @@ class FilteredPolicy(DecidingPolicy):
         decision_period: int = 1,
     ) -> None:
         if not callable(choose):
-            refuse("choose", choose, "a function of observations (..., n, rows, d)")
+            raise_invalid("choose", choose, "a function of observations (..., n, rows, d)")
         super().__init__(resolve(scenario), check_period(decision_period))
         self.choose, self._make_filter = choose, make_filter
         self._begin(())

@@ -11,7 +11,15 @@ from typing import Any, NamedTuple, Protocol, TypeVar, overload, runtime_checkab
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import Registry, bools, choice, known_fields, meant, refuse, shown
+from rendezvous_env.checks import (
+    Registry,
+    bools,
+    choice,
+    closest_match,
+    known_fields,
+    raise_invalid,
+    short_repr,
+)
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
@@ -89,7 +97,7 @@ class TeamPolicy(ABC):
         for name, seen in observations.items():
             if name not in robots:
                 known = f"they are robot_0 to robot_{n - 1}"
-                raise KeyError(f"no robot is called {shown(name)}; {known}")
+                raise KeyError(f"no robot is called {short_repr(name)}; {known}")
             given = np.asarray(seen)
             if given.shape not in (layout.shape, (table[0].size,)):
                 raise ValueError(
@@ -103,7 +111,7 @@ class TeamPolicy(ABC):
         """Forget the state of the teams where ``mask`` (...) is true, of all if it is None."""
 
 
-class RememberingPolicy(TeamPolicy):
+class StatefulPolicy(TeamPolicy):
     """Base class of policies with memory, one per environment of the observations' leading axes."""
 
     _leading: tuple[int, ...] | None = None  # None before the first call
@@ -193,11 +201,11 @@ def register(
     choice("kind", kind, KINDS)
     checked = _builders.add(name, None)
     if ":" in name:
-        refuse("name of a policy", name, "without a colon, as commands read MODULE:FUNCTION")
+        raise_invalid("name of a policy", name, "without a colon, as commands read MODULE:FUNCTION")
     if name in _registry and kind_of(name) != kind:
-        refuse("name of a policy", name, f"another: it is one of the {KINDS[kind_of(name)]}")
+        raise_invalid("name of a policy", name, f"another: it is one of the {KINDS[kind_of(name)]}")
     if not callable(fits):
-        refuse(f"fits of policy {name!r}", fits, "a function of a scenario")
+        raise_invalid(f"fits of policy {name!r}", fits, "a function of a scenario")
 
     def enter(build: _Builder) -> _Builder:
         _registry[name] = _Entry(checked(build), fits, kind, on_request)
@@ -254,7 +262,7 @@ def make(name: str | os.PathLike[str], scenario: ScenarioLike, **options: Any) -
         name = f"{AT_PATH}{os.fspath(name)}"
     for prefix, read in _readers.items():
         if isinstance(name, str) and name.startswith(prefix):
-            known_fields(options, (), f"policy {shown(name)}", "option")
+            known_fields(options, (), f"policy {short_repr(name)}", "option")
             return read(name.removeprefix(prefix), scenario)
     fitting = names(scenario)
     if not isinstance(name, str) or name not in fitting:
@@ -268,8 +276,8 @@ def make(name: str | os.PathLike[str], scenario: ScenarioLike, **options: Any) -
         elif isinstance(name, str) and ":" in name:
             module, _, function = name.partition(":")
             known += f" (commands read MODULE:FUNCTION; in Python call {module}.{function} itself)"
-        right = f"those that fit are {', '.join(fitting)}{meant(name, fitting, '; ')}"
-        raise ValueError(f"policy {shown(name)} {known}; {right}")
+        right = f"those that fit are {', '.join(fitting)}{closest_match(name, fitting, '; ')}"
+        raise ValueError(f"policy {short_repr(name)} {known}; {right}")
     build = _registry[name].build
     allowed = [option for option in inspect.signature(build).parameters if option != "scenario"]
     known_fields(options, allowed, f"policy {name!r}", "option")

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import positive, refuse
+from rendezvous_env.checks import positive, raise_invalid
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
@@ -123,7 +123,9 @@ class RobotPolicy(OneRobot):
             name, policy = policy, registry.make(policy, scenario, **options)
             check_kind(name)
         elif not callable(policy):
-            refuse("policy", policy, "a name, a Path, or a function of observations and time")
+            raise_invalid(
+                "policy", policy, "a name, a Path, or a function of observations and time"
+            )
         super().__init__(scenario, policy, common_gain(scenario))
 
 

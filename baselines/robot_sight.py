@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import check_shape, floats, refuse
+from rendezvous_env.checks import check_shape, floats, raise_invalid
 from rendezvous_env.scenario.observation_layout import ObservationLayout
 
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ class RobotSight:
         along = np.einsum("mid,sid->msi", marks, self._marks)
         turns = np.arccos(np.clip(along, -1.0, 1.0)).sum(axis=-1)
         vacant = _AWAY + 1e-3 / (1.0 + self._unseen)
-        slots = least_cost_slots(np.where(self._unseen == 0.0, turns, vacant))
+        slots = min_cost_slots(np.where(self._unseen == 0.0, turns, vacant))
         rows[layout.obstacles].reshape(-1, *points)[slots] = ordered
         self._unseen += 1.0
         self._unseen[slots] = 0.0
@@ -75,7 +75,7 @@ class RobotSight:
         return rows
 
 
-def least_cost_slots(cost: Array) -> NDArray[np.int64]:
+def min_cost_slots(cost: Array) -> NDArray[np.int64]:
     """Slots (m,) that minimise the total of finite costs (m, s), m ≤ s; each slot at most once.
 
     Shortest augmenting paths (Jonker & Volgenant 1987), so that robots need no SciPy.
@@ -127,7 +127,7 @@ def _unit_vectors(
     lengths = np.linalg.norm(vectors, axis=-1)
     for index in np.argwhere(~(np.abs(lengths - 1.0) <= _ROUNDING)):  # NaN, too
         place = tuple(index.tolist())
-        refuse(f"{name}{list(place)}", vectors[place].tolist(), "a unit vector")
+        raise_invalid(f"{name}{list(place)}", vectors[place].tolist(), "a unit vector")
     return vectors
 
 
@@ -135,11 +135,11 @@ def _direction_of_gravity(gravity: ArrayLike | None, sensed: bool) -> Array:
     """Gravity row, (1, 3), or an empty array for robots that do not sense it."""
     if not sensed:
         if gravity is not None:
-            refuse("gravity", gravity, "left out: these robots do not sense it")
+            raise_invalid("gravity", gravity, "left out: these robots do not sense it")
         return np.zeros((0, 1))
     down = np.zeros(0) if gravity is None else floats("gravity", gravity)
     if down.shape != (3,) or not abs(np.linalg.norm(down) - 1.0) <= _ROUNDING:
-        refuse("gravity", gravity, "its direction in the body frame, a unit vector (3,)")
+        raise_invalid("gravity", gravity, "its direction in the body frame, a unit vector (3,)")
     return down[np.newaxis]
 
 
@@ -148,7 +148,7 @@ def _gains(weights: ArrayLike, count: int, most: float) -> Array:
     gains = floats("weights", weights)
     check_shape("weights", gains, (count,), axes="(k,)")
     for index in np.flatnonzero(~((gains > 0.0) & np.isfinite(gains))):
-        refuse(f"weights[{index}]", float(gains[index]), "positive and finite (m/s)")
+        raise_invalid(f"weights[{index}]", float(gains[index]), "positive and finite (m/s)")
     if (total := float(gains.sum())) > (1.0 + _ROUNDING) * most:
         raise ValueError(
             f"weights sum to {total:g} m/s; this scenario's come to D̄ = {most:g} m/s at most. "
@@ -168,7 +168,7 @@ def _round_their_middles(rays: Array, net_bearing: Array) -> tuple[Array, Array]
     middles = total + np.where(backwards, -area, area)
     lengths = np.linalg.norm(middles, axis=-1, keepdims=True)
     for index in np.flatnonzero(lengths <= _FLAT):
-        refuse(f"obstacles[{index}]", rays[index].tolist(), "rays round a cone")
+        raise_invalid(f"obstacles[{index}]", rays[index].tolist(), "rays round a cone")
     middles /= lengths
     rays = np.where(backwards[..., np.newaxis], rays[:, ::-1], rays)
     across = net_bearing - (middles @ net_bearing)[:, np.newaxis] * middles

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import check_shape, flag, refuse
+from rendezvous_env.checks import check_shape, flag, raise_invalid
 from rendezvous_env.envs.vector_wrappers import GuaranteeWrapper
 from rendezvous_env.safety.safety_filter import SafetyFilter
 from rendezvous_env.scenario.scenario import Scenario
@@ -67,7 +67,9 @@ class TrainedPolicy(TeamPolicy):
         """The model, or a function of it."""
         predict = getattr(predict, "predict", predict)
         if not callable(predict):
-            refuse("predict", predict, "a function of observations, or a model with predict()")
+            raise_invalid(
+                "predict", predict, "a function of observations, or a model with predict()"
+            )
         if hasattr(predict, "parameters") and hasattr(predict, "forward"):
             predict = partial(_run_module, predict)
         self._predict, self.by_team = predict, flag("by_team", by_team)

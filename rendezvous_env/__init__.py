@@ -10,7 +10,7 @@ from typing import Any as _Any
 from . import graphs, rendezvous_v0, vector
 from .compilation import kernel
 from .envs.gymnasium_env import make_vec, register
-from .envs.training import hand_in_preset as _hand_in_preset
+from .envs.training import register_preset as _hand_in_preset
 from .envs.training_parallel_env import training_env
 from .envs.wrappers import (
     EnergyTankWrapper,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import bools, exact, whole
+from .checks import bools, check_int, format_limit
 from .engine.batch_runner import (
     BatchController,
     BatchRunner,
@@ -25,7 +25,7 @@ from .rewards.costs import costs_of, no_costs
 from .rewards.custom_terms import RewardStep, add_custom_terms
 from .robots.robot_models import is_custom
 from .scenario.scenarios import ScenarioLike, resolve
-from .scenario.start_options import StartOptions, parse_options, seeds_of_teams
+from .scenario.start_options import StartOptions, parse_options, seeds_of_environments
 from .sensors.custom_sensors import Seen, apply_custom
 from .state_view import StateView, read_only
 
@@ -50,9 +50,9 @@ class Simulator(StateView):
         self, scenario: ScenarioLike, num_envs: int = 1, *, num_threads: int | None = None
     ) -> None:
         self.scenario = scenario = resolve(scenario)
-        self.num_envs = whole("num_envs", num_envs, 1, MOST_TEAMS)
+        self.num_envs = check_int("num_envs", num_envs, 1, MOST_TEAMS)
         given = num_threads is not None
-        self.num_threads = whole("num_threads", num_threads, 1, MOST_TEAMS) if given else None
+        self.num_threads = check_int("num_threads", num_threads, 1, MOST_TEAMS) if given else None
         check_memory(scenario, self.num_envs)
         self.max_steps = scenario.max_steps
         self.changes = 0
@@ -111,7 +111,7 @@ class Simulator(StateView):
                 Or if the graph drawn gives a robot more neighbours than the observation has rows.
         """
         given = parse_options(self._sensed, self.num_envs, options)
-        self._begin(self._which(mask), seeds_of_teams(seed, self.num_envs), given)
+        self._begin(self._which(mask), seeds_of_environments(seed, self.num_envs), given)
         return self.observe()
 
     def restart(self, mask: NDArray[np.bool_], outcome: StepOutput | None = None) -> None:
@@ -265,8 +265,8 @@ class Simulator(StateView):
             self._ready = self._observed = False
             raise RuntimeError(
                 f"robot model {scenario.robot_model!r} moved robot {robot} of environment {team} "
-                f"by {moved[team, robot]:.6g} m in a step of {exact(scenario.tau)} s; "
-                f"its speed_limit is {exact(limit)} m/s"
+                f"by {moved[team, robot]:.6g} m in a step of {format_limit(scenario.tau)} s; "
+                f"its speed_limit is {format_limit(limit)} m/s"
             )
 
     def _custom_step(self, actions: NDArray[np.float32]) -> StepOutput:
@@ -407,7 +407,7 @@ class Simulator(StateView):
         Raises:
             ValueError: if it is not a positive whole number.
         """
-        self.max_steps = whole("max_cycles", max_steps, 1, MOST_STEPS)
+        self.max_steps = check_int("max_cycles", max_steps, 1, MOST_STEPS)
         self._runner.limit(self.max_steps)
 
     def __getstate__(self) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import trajectory_formats
-from .checks import floats, refuse, shown
+from .checks import floats, raise_invalid, short_repr
 from .engine.memory import RENDEZVOUS, RUNNING
 from .field_docs import lists_fields
 from .outcome import StepOutput
@@ -189,7 +189,9 @@ def rollout(
     A ValueError or TypeError names the argument, or the action, that is wrong.
     """
     if not callable(policy):
-        raise TypeError(f"policy is {shown(policy)}; it must be callable: baselines.make makes one")
+        raise TypeError(
+            f"policy is {short_repr(policy)}; it must be callable: baselines.make makes one"
+        )
     asked = _requested(record)
     simulator = Simulator(resolve(scenario), num_envs)
     kept: defaultdict[str, list[NDArray[Any]]] = defaultdict(list)
@@ -246,7 +248,7 @@ def _requested(record: Any) -> tuple[str, ...]:
         return ON_REQUEST
     names = (record,) if isinstance(record, str) else record
     if not isinstance(names, Sequence) or not all(name in ON_REQUEST for name in names):
-        refuse("record", record, f'of {", ".join(map(repr, ON_REQUEST))}, or "all"')
+        raise_invalid("record", record, f'of {", ".join(map(repr, ON_REQUEST))}, or "all"')
     return tuple(name for name in ON_REQUEST if name in names)
 
 

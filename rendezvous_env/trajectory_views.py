@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import load, refuse, whole
+from .checks import check_int, load, raise_invalid
 from .scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -193,7 +193,9 @@ class TrajectoryViews:
             ValueError: for the certificate of another scenario.
         """
         if certificate is not None and certificate.scenario != self.scenario.name:
-            refuse("certificate", certificate.scenario, f"of scenario {self.scenario.name!r}")
+            raise_invalid(
+                "certificate", certificate.scenario, f"of scenario {self.scenario.name!r}"
+            )
         return import_module(_FIGURES).lyapunov_figure(self, certificate)
 
     def to_report(self, path: str | os.PathLike[str] = "replay.html", envs: int = 8) -> Path:
@@ -213,10 +215,10 @@ class TrajectoryViews:
             ValueError: if the rollout does not repeat itself, or its policy is not known, as after
                 ``load``, and no actions were recorded: ``rollout(…, record="actions")``.
         """
-        return import_module(_PAGES).write(self, Path(path), whole("envs", envs, 1, 10**6))
+        return import_module(_PAGES).write(self, Path(path), check_int("envs", envs, 1, 10**6))
 
     def _env(self, env: int) -> int:
-        return whole("env", env, 0, self.num_envs - 1)
+        return check_int("env", env, 0, self.num_envs - 1)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write everything but the policy to a compressed NumPy archive (.npz), whole or not at

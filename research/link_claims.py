@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from time_bounds import gains_time, links_time
 
 from rendezvous_env import Scenario
-from rendezvous_env.safety.links import LinkKeeping, least_norm_points, link_keeping_law
+from rendezvous_env.safety.links import LinkKeeping, link_keeping_law, min_norm_points
 from train.verify.claims import BATCH
 from train.verify.monitors import unit
 
@@ -78,7 +78,7 @@ def draw_link_keeping(random: Random, batch: int, least_margin: float) -> Trial:
         rows = rows_in_sight(sights, sights.bearings, weight)
         degree = np.linalg.norm(rows, axis=-1).sum(axis=-1)
         return link_keeping_law(
-            least_norm_points(rows), degree, merge_radius=teams.merge_radius, duration=step
+            min_norm_points(rows), degree, merge_radius=teams.merge_radius, duration=step
         )
 
     limit = gains_time(n, teams.dim, teams.size(), weight)

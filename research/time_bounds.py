@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from baselines.references.enclosing_ball import smallest_enclosing_ball
 from rendezvous_env import Scenario
-from rendezvous_env.checks import refuse
+from rendezvous_env.checks import raise_invalid
 from rendezvous_env.safety.theorems import constants as known
 from rendezvous_env.safety.theorems.gains import shrinking, shrinking_to_leader
 
@@ -104,7 +104,7 @@ def pursuit_bound(scenario: Scenario, initial_size: ArrayLike, speed: float) -> 
     """
     n, fastest = scenario.n_robots, scenario.turn_limit * scenario.merge_radius / 2.0
     if not 0 < speed < fastest:
-        refuse("speed", speed, f"positive and less than ω_max r/2 = {fastest:.6g} m/s")
+        raise_invalid("speed", speed, f"positive and less than ω_max r/2 = {fastest:.6g} m/s")
     spare = scenario.turn_limit - 2.0 * speed / scenario.merge_radius
     driving = known.checked("initial_size", initial_size, "m") / shrinking(n, scenario.dim, speed)
     lasting = known.kind_of_links(scenario.sensing_graph) in (known.UNDIRECTED, known.DIRECTED)

@@ -85,7 +85,7 @@ def missing(text: str) -> list[str]:
         ("A row (x, y) is a = b.", ["kind", "unit"]),
     ],
 )
-def test_the_vocabulary_tells_what_is_missing(text, expected):
+def test_checker_reports_missing_parts(text, expected):
     assert missing(text) == expected
 
 

@@ -89,7 +89,7 @@ print(baselines.__name__, rv.__file__)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("hidden", [False, True])
-def test_names_of_a_users_own_files_hide_nothing(scripts, hidden, tmp_path):
+def test_user_files_do_not_shadow_modules(scripts, hidden, tmp_path):
     python = scripts / "python"
     script = tmp_path / "main.py"
     script.write_text(USE)
@@ -108,7 +108,7 @@ def test_names_of_a_users_own_files_hide_nothing(scripts, hidden, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_wheel_in_an_empty_environment_compares_without_the_train_extra(scripts, tmp_path):
+def test_wheel_compares_without_train_extra(scripts, tmp_path):
     installed = call(scripts / "python", "-m", "pip", "list", cwd=tmp_path).lower()
     assert "rendezvous-env" in installed
     assert not any(line.startswith(("torch ", "stable")) for line in installed.splitlines())

@@ -123,7 +123,7 @@ def check_unused(flags: Flags, reasons: Mapping[str, str]) -> None:
     """Raise a UserError for flags without effect, with the given reasons, unless at default."""
     for name, why in reasons.items():
         if (value := getattr(flags, name)) != getattr(type(flags), name):
-            raise UserError(f"{flag(name)} is {written(value)}; {why}")
+            raise UserError(f"{flag(name)} is {format_argument(value)}; {why}")
 
 
 def _check_value(name: str, value: Any) -> None:
@@ -139,12 +139,12 @@ def _check_value(name: str, value: Any) -> None:
             )
 
 
-def unknown(what: str, word: str, known: Iterable[str]) -> UserError:
+def unknown_name(what: str, word: str, known: Iterable[str]) -> UserError:
     """Error for an unknown name, with the known names and the closest match."""
-    from rendezvous_env.checks import meant  # not for --help
+    from rendezvous_env.checks import closest_match  # not for --help
 
     listed = list(known)
-    near = meant(word, listed, after=" ")
+    near = closest_match(word, listed, after=" ")
     return UserError(f"{what} {word!r} is unknown; {near}known are {', '.join(listed)}")
 
 
@@ -158,7 +158,7 @@ def check_text(name: str, text: str) -> None:
         raise UserError(f"{name} is {text!r}; it must not hold the character NUL")
 
 
-def written(value: Any) -> str:
+def format_argument(value: Any) -> str:
     """Value as written on the command line."""
     return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 

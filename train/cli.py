@@ -19,7 +19,7 @@ from itertools import chain, pairwise
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from . import interrupts
-from .checks import UserError, flag, written
+from .checks import UserError, flag, format_argument
 
 COMMANDS = {
     "compare": ("compare.compare", "compare policies on the same starts: table, files, figures"),
@@ -167,7 +167,7 @@ def help_of(command: str, module: Any) -> str:
             lines.append(f"  {_flag_of(own[name], hints[name])}")
             said = told[name]
             if not isinstance(default, bool) and default not in (None, (), dataclasses.MISSING):
-                said += f" Default: {written(default)}."
+                said += f" Default: {format_argument(default)}."
             indent = " " * 6
             lines += textwrap.wrap(said, _WIDTH, initial_indent=indent, subsequent_indent=indent)
     return "\n".join(lines)

@@ -24,7 +24,7 @@ from rendezvous_env.baselines.policy import AT_PATH, builder_of, file_of
 from rendezvous_env.baselines.steering import can_steer
 
 from rendezvous_env import baselines
-from rendezvous_env.checks import meant, shown
+from rendezvous_env.checks import closest_match, short_repr
 from rendezvous_env.graphs.random_graphs import FAMILIES, CustomFamily
 from rendezvous_env.rewards.custom_terms import COSTS, TERMS
 from rendezvous_env.robots.robot_models import is_custom
@@ -35,7 +35,7 @@ from rendezvous_env.sensors.custom_sensors import IMPERFECTIONS
 from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, begin
 
-from .checks import GivenScenario, UserError, unknown, user_error
+from .checks import GivenScenario, UserError, unknown_name, user_error
 
 _BEST = ("learned-tank", "tank-joined", "learned", "tangent-joined-tuned", "tangent-joined")
 """Policies for obstacles, in order of decreasing collision-free success."""
@@ -172,7 +172,7 @@ def check_names(wanted: Sequence[str]) -> None:
             with user_error(f"policy {name!r}: ", ValueError):
                 make(name, Scenario(n_robots=2))
         elif name not in known:
-            raise unknown("policy", name, (*known, f"{AT_PATH}PATH", "MODULE:FUNCTION"))
+            raise unknown_name("policy", name, (*known, f"{AT_PATH}PATH", "MODULE:FUNCTION"))
 
 
 def promised_margin(name: str, policy: Policy) -> float | None:
@@ -270,11 +270,14 @@ def find_function(name: str) -> Callable[[Scenario], Policy | None]:
         module = _imported(name, module_name)
     if (function := getattr(module, function_name, None)) is None:
         place = getattr(module, "__file__", None) or "built in"
-        hint = meant(function_name, (key for key in vars(module) if key[0] != "_"), before="; ")
+        hint = closest_match(
+            function_name, (key for key in vars(module) if key[0] != "_"), before="; "
+        )
         raise UserError(f"policy {name!r}: {module_name} ({place}) has no {function_name!r}{hint}")
     if not callable(function):
         raise UserError(
-            f"policy {name!r}: {function_name} in {module_name} is {shown(function)}; it must be a "
+            f"policy {name!r}: {function_name} in {module_name} is {short_repr(function)}; it "
+            "must be a "
             "function of a scenario that gives a policy"
         )
     if name not in _found or _found[name][0] is not function:
@@ -309,8 +312,9 @@ def _make_own(name: str, scenario: Scenario) -> Policy | None:
         policy = function(scenario)
     if policy is not None and (not callable(policy) or inspect.isclass(policy)):
         raise UserError(
-            f"policy {name!r} gave {shown(policy)} for scenario {scenario.name!r}; it must give a "
-            "function of observations (..., n, rows, d) and time, or None where it does not fit"
+            f"policy {name!r} gave {short_repr(policy)} for scenario {scenario.name!r}; "
+            "it must give a function of observations (..., n, rows, d) and time, or None where it "
+            "does not fit"
         )
     return policy
 

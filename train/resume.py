@@ -90,7 +90,7 @@ def claimed(folder: Path, lock: str, what: str) -> Iterator[None]:
                 made.rmdir()
 
 
-class Part:
+class RunCheckpoint:
     """Checkpoint folder of a resumable command.
 
     It stores a plan as plain data; ``what`` names the work in one word. Results may be assembled in

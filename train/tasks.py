@@ -68,7 +68,7 @@ class Workers(Flags):
         return self.jobs or available_cores()
 
 
-def each(
+def parallel_map(
     work: Callable[[Task], Result],
     tasks: Sequence[Task],
     workers: Workers,

@@ -13,7 +13,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from rendezvous_env.checks import refuse
+from rendezvous_env.checks import raise_invalid
 
 from .plain_data import check_types, digest_of_rest, entry, read_json
 
@@ -47,7 +47,7 @@ def refusing(
 def as_path(path: Any) -> Path:
     """A path, or the text of one; a ValueError for anything else."""
     if not isinstance(path, str | os.PathLike):
-        refuse("path", path, "the path of a run, a checkpoint or an exported network")
+        raise_invalid("path", path, "the path of a run, a checkpoint or an exported network")
     return Path(path)
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rendezvous_env.checks import check_fields, is_sequence, number, refuse, whole
+from rendezvous_env.checks import check_fields, check_int, is_sequence, number, raise_invalid
 from rendezvous_env.limits import LARGEST
 from rendezvous_env.safety.settings import check_margin
 from rendezvous_env.safety.tank import unit_of_tanks
@@ -25,7 +25,7 @@ ANGLES = np.array([0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0, 1.4, -1.4])
 ALL_ROUND = np.array([*ANGLES, 1.9, -1.9, 2.5, -2.5, np.pi])
 """Choices where a tank pays for going away from f, rad."""
 CHOICES = len(ANGLES)
-_Width = Annotated[int, partial(whole, least=1, most=2**12)]
+_Width = Annotated[int, partial(check_int, least=1, most=2**12)]
 _Positive = Annotated[float, partial(number, least=1e-9, most=1e9)]
 _NotNegative = Annotated[float, partial(number, least=0.0, most=1e9)]
 
@@ -38,8 +38,8 @@ def memory_of(written: Any) -> Any:
 def _widths(field: str, value: Any) -> tuple[int, ...]:
     """Those of layers; JSON has a list of them."""
     if not is_sequence(value):
-        refuse(field, value, "whole numbers")
-    return tuple(whole(field, width, 1, 2**12) for width in value)
+        raise_invalid(field, value, "whole numbers")
+    return tuple(check_int(field, width, 1, 2**12) for width in value)
 
 
 def _margin(_: str, value: Any) -> float:

@@ -8,11 +8,11 @@ import numpy as np
 from gymnasium.spaces import Box, MultiDiscrete
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import number, refuse, whole
+from rendezvous_env.checks import check_int, number, raise_invalid
 from rendezvous_env.engine.batch_runner import BatchController
 from rendezvous_env.engine.state_checks import check_keys
 from rendezvous_env.envs.spaces import team_box
-from rendezvous_env.envs.training import charge_first_touches
+from rendezvous_env.envs.training import charge_first_contacts
 from rendezvous_env.envs.vector_env import Info, RendezvousVectorEnv
 from rendezvous_env.envs.vector_wrappers import GuaranteeWrapper
 from rendezvous_env.limits import MOST_HELD_STEPS
@@ -91,7 +91,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
         """As ``GuaranteeWrapper._drive``, with first contacts paid for."""
         shown, rewards, ends, cuts, infos = super()._drive()
         contact, price = infos["contact"], self.touch_penalty
-        rewards = charge_first_touches(price, contact, self._touched, rewards, infos)
+        rewards = charge_first_contacts(price, contact, self._touched, rewards, infos)
         return shown, rewards, ends, cuts, infos
 
     def _take(self, actions: ArrayLike) -> None:
@@ -175,12 +175,14 @@ class ShippedPreset:
         changes: dict[str, Any] = {}
         for key, value in arguments.items():
             if key == "decision_period":
-                changes["decision_time"] = whole(key, value, 1, MOST_HELD_STEPS) * scenario.tau
+                changes["decision_time"] = check_int(key, value, 1, MOST_HELD_STEPS) * scenario.tau
             elif key == "budget" and key == own:
                 changes[key] = number(key, value, 0.0) / unit_of_tanks(scenario)
             elif key in ("min_alignment", own):
                 changes[key] = number(key, value)
             else:
-                refuse(key, value, "left to the learning preset; learning_preset=False takes it")
+                raise_invalid(
+                    key, value, "left to the learning preset; learning_preset=False takes it"
+                )
         settings = replace(preset(guarantee, scenario).settings, **changes)
         return FeatureVectorEnv(env, settings, discrete=discrete)

@@ -15,7 +15,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from ..checks import check_shape, floats, mapping, whole
+from ..checks import check_int, check_shape, floats, mapping
 from ..engine.state_checks import check_entries, check_keys, refuse_first
 from ..envs.guarantee import layers_of
 from ..envs.gymnasium_env import make_vec
@@ -246,7 +246,7 @@ class RobotVecEnv(VecEnv):
         """The slots that are meant, refused where there are none."""
         given = range(self.num_envs) if indices is None else indices
         listed = list(given) if isinstance(given, Iterable) else [given]
-        return [whole("indices", slot, 0, self.num_envs - 1) for slot in listed]
+        return [check_int("indices", slot, 0, self.num_envs - 1) for slot in listed]
 
     def _owner(self, name: str, default: Any = None) -> Any:
         layers = *layers_of(self.teams), self.simulator

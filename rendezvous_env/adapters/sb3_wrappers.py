@@ -24,7 +24,7 @@ from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, VecMonitor, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from ..checks import refuse
+from ..checks import raise_invalid
 from .sb3 import RobotVecEnv
 
 __all__ = ["RobotFrameStack", "RobotMonitor", "RobotNormalize", "RobotReplayBuffer"]
@@ -153,7 +153,9 @@ class RobotReplayBuffer(ReplayBuffer):
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
         if self.optimize_memory_usage:
-            refuse("optimize_memory_usage", True, "False: a merge is valued by the survivor's rows")
+            raise_invalid(
+                "optimize_memory_usage", True, "False: a merge is valued by the survivor's rows"
+            )
         self.mask = np.zeros((self.buffer_size, self.n_envs), dtype=np.bool_)
 
     def add(self, obs: Any, next_obs: Any, action: Any, reward: Any, done: Any, infos: Any) -> None:

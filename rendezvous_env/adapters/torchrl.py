@@ -16,7 +16,7 @@ from torchrl.envs import EnvBase
 
 from ..engine.memory import RENDEZVOUS, TIME_OUT
 from ..envs.agents import names_of
-from ..scenario.start_options import seeds_of_teams
+from ..scenario.start_options import seeds_of_environments
 from ..simulator import Simulator
 from ..vector import training_env
 from .slots import RewardShaping
@@ -131,7 +131,7 @@ class RendezvousEnv(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         teams = self.batch_size[0]
-        self._seeds = seeds_of_teams(seed, teams) or [None] * teams
+        self._seeds = seeds_of_environments(seed, teams) or [None] * teams
 
     def _reset(
         self,

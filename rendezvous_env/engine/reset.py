@@ -15,7 +15,7 @@ from ..graphs.edges import are_linked, store_links
 from ..graphs.random_graphs import draw_links, join
 from ..obstacles.fields import draw_obstacles
 from ..obstacles.obstacle_set import clear_of_obstacles
-from ..obstacles.reachability import none_walled_in
+from ..obstacles.reachability import all_reachable
 from ..physics.potential import distance_squared
 from ..physics.random_streams import (
     FRAMES,
@@ -86,7 +86,7 @@ def check_passages(lanes, which, passage, robots, obstacles, positions, chains, 
         b = which[k]
         world = obstacles_of(obstacles, b)
         load_positions(robots[b // lanes], b % lanes, lanes, positions)
-        walled_in[k] = not none_walled_in(world, positions, passage, chains)
+        walled_in[k] = not all_reachable(world, positions, passage, chains)
 
 
 @kernel

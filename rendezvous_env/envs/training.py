@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import choice, flag, number, real, refuse
+from ..checks import choice, flag, number, raise_invalid, to_float
 from ..engine.state_checks import check_entries, check_keys
 from ..rewards.terms import RewardWeights
 from ..safety.safety_filter import FILTERS
@@ -25,7 +25,7 @@ from ..scenario.start_options import as_options
 from .guarantee import settings_of
 from .gymnasium_env import make_vec
 from .overrides import sorted_overrides
-from .vector_env import Info, RendezvousVectorEnv, Transition, at_the_end, leave_out_summary
+from .vector_env import Info, RendezvousVectorEnv, Transition, drop_summary, final_value
 from .vector_wrappers import (
     EnergyTankWrapper,
     GainWrapper,
@@ -47,7 +47,7 @@ _logged: set[tuple[RewardWeights, float]] = set()
 _presets: list[Callable[[], Any]] = []
 
 
-def hand_in_preset(load: Callable[[], Any]) -> None:
+def register_preset(load: Callable[[], Any]) -> None:
     """Register the loader of ``learning_preset``, an object like ``ShippedPreset``.
 
     The environment itself does not depend on any policy.
@@ -118,7 +118,7 @@ def training_env(
         own = ["decision_period", *settings_of(FILTERS[choice("guarantee", guarantee, FILTERS)])]
     arguments, changes = sorted_overrides(training_env, own, overrides)
     if changes.setdefault("on_merge", "follow") != "follow":
-        refuse("on_merge", changes["on_merge"], "'follow' in a training environment")
+        raise_invalid("on_merge", changes["on_merge"], "'follow' in a training environment")
     chosen = resolve(scenario, **changes)
     preset, shown, price = None, False, 0.0
     if flag("learning_preset", learning_preset) and _presets:
@@ -130,9 +130,11 @@ def training_env(
         if guarantee is not None and not shown:
             arguments = preset.held_arguments(chosen, guarantee) | arguments
     if not flag("flatten", flatten) and shown:
-        refuse("flatten", flatten, "True, or learning_preset False: what Features shows is flat")
+        raise_invalid(
+            "flatten", flatten, "True, or learning_preset False: what Features shows is flat"
+        )
     if flag("discrete", discrete) and not shown:
-        refuse(
+        raise_invalid(
             "discrete",
             discrete,
             "False: the shipped policy's choices are for robots but double integrators with "
@@ -177,7 +179,7 @@ def _say_what_is_not_covered(
         return
     settings = inspect.signature(FILTERS[guarantee]).parameters
     own, told = bounded_error(scenario.sensing, scenario.dim), arguments.get("bearing_error", 0.0)
-    untold = "bearing_error" in settings and real(told) < own
+    untold = "bearing_error" in settings and to_float(told) < own
     if (scenario, guarantee, untold) in _said:
         return
     _said.add((scenario, guarantee, untold))
@@ -235,20 +237,20 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         observations, infos = self.env.reset(seed=seed, options=options)
         mask = as_options(options).get("reset_mask")
         self._touched[slice(None) if mask is None else np.asarray(mask)] = False
-        leave_out_summary(infos)
+        drop_summary(infos)
         return observations, infos
 
     def step(self, actions: ArrayLike) -> Transition:
         """Step with actions of all robots; errors as the guarantee wrapper."""
         seen, rewards, ends, cuts, infos = self.env.step(actions)  # type: ignore[arg-type]
         over = ends | cuts
-        contact = at_the_end(infos, over, "contact")
-        rewards = charge_first_touches(self.touch_penalty, contact, self._touched, rewards, infos)
+        contact = final_value(infos, over, "contact")
+        rewards = charge_first_contacts(self.touch_penalty, contact, self._touched, rewards, infos)
         self._touched[over] = False
         if "final_info" in infos:
             infos["final_info"]["robot_rewards"] = infos["robot_rewards"].copy()
-            leave_out_summary(infos["final_info"])
-        leave_out_summary(infos)
+            drop_summary(infos["final_info"])
+        drop_summary(infos)
         return seen, rewards, ends, cuts, infos
 
     def state(self) -> NDArray[np.float32]:
@@ -267,7 +269,7 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         self._touched[...] = touched
 
 
-def charge_first_touches(
+def charge_first_contacts(
     price: float,
     contact: NDArray[np.bool_],
     touched: NDArray[np.bool_],

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import floats, is_sequence, is_whole, refuse
+from ..checks import floats, is_int, is_sequence, raise_invalid
 
 GIVEN = "a Graph, a name, an (n, n) matrix of weights, a list of edges or a networkx graph"
 REMEDY = "graphs.from_edges takes lists of (i, j) or (i, j, weight)"
@@ -33,7 +33,7 @@ def networkx_edges(graph: Any) -> list[tuple[int, int, float]]:
     ``graph.nodes``, as ``networkx.to_numpy_array`` numbers them.
     """
     nodes = list(graph.nodes)
-    own = all(is_whole(node) for node in nodes) and set(nodes) == set(range(len(nodes)))
+    own = all(is_int(node) for node in nodes) and set(nodes) == set(range(len(nodes)))
     index = {node: node if own else k for k, node in enumerate(nodes)}
     links = graph.edges(data=True)
     return [(int(index[i]), int(index[j]), weight_of(about)) for i, j, about in links]
@@ -95,7 +95,7 @@ def as_matrix(field: str, value: Any) -> Any:
     if not is_sparse(value):
         return floats(field, value)
     if value.dtype.kind not in "fiub":
-        refuse(field, value, "a matrix of real numbers")
+        raise_invalid(field, value, "a matrix of real numbers")
     matrix = value.tocsr(copy=True).astype(np.float64)
     matrix.sum_duplicates()
     return matrix

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import is_sequence, refuse
+from ..checks import is_sequence, raise_invalid
 from ..compilation import kernel
 from ..physics.crossings import capsule_crossing
 from ..physics.vectors import combine, dot, norm, perpendicular, split, store, subtract, without
@@ -59,7 +59,7 @@ def _check_ends(field: str, value: Any) -> tuple[tuple[float, ...], ...]:
     """Both ends of a capsule's segment, points of the plane or of space."""
     pair = tuple(value) if is_sequence(value) else ()
     if len(pair) != 2:
-        refuse(field, value, "two points, m")
+        raise_invalid(field, value, "two points, m")
     dim = 3 if is_sequence(pair[0]) and len(pair[0]) == 3 else 2
     return tuple(shape.check_point(f"{field}[{k}]", end, dim) for k, end in enumerate(pair))
 

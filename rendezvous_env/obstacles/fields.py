@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
-from ..checks import exact, is_sequence, is_whole, refuse
+from ..checks import format_limit, is_int, is_sequence, raise_invalid
 from ..compilation import by_type, inner_kernel, kernel
 from ..field_docs import lists_fields
 from ..limits import MOST_OBSTACLES
@@ -13,7 +13,7 @@ from ..physics.random_streams import uniform
 from ..physics.vectors import load
 from .disc import BALL
 from .obstacle_set import clear, close_seams, distance_to
-from .reachability import none_walled_in
+from .reachability import all_reachable
 from .shape import ABSENT, BOUND, MIDDLE, Drawn, Length, Range
 from .walls import WallField, WallRules, draw_walls
 
@@ -22,11 +22,11 @@ _TRIES_PER_OBSTACLE = 1000
 
 def _check_count(field: str, value: Any) -> int | tuple[int, int]:
     pair = tuple(value) if is_sequence(value) else (value, value)
-    whole = len(pair) == 2 and all(map(is_whole, pair))
+    whole = len(pair) == 2 and all(map(is_int, pair))
     if not whole or not 0 <= pair[0] <= pair[1] <= MOST_OBSTACLES:
         most = f"a pair (low, high) with 0 <= low <= high <= {MOST_OBSTACLES}"
-        refuse(field, value, f"a whole number, or {most}")
-    return int(value) if is_whole(value) else (int(pair[0]), int(pair[1]))
+        raise_invalid(field, value, f"a whole number, or {most}")
+    return int(value) if is_int(value) else (int(pair[0]), int(pair[1]))
 
 
 @lists_fields
@@ -59,14 +59,16 @@ class ObstacleField(Drawn):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.passage > (widest := 2 * self.keep_out):
-            wanted = f"at most twice keep_out, {exact(widest)} m, or a start may lie in a gap"
-            refuse("obstacles: ObstacleField.passage", self.passage, wanted)
+            wanted = (
+                f"at most twice keep_out, {format_limit(widest)} m, or a start may lie in a gap"
+            )
+            raise_invalid("obstacles: ObstacleField.passage", self.passage, wanted)
 
     def check_dim(self, dim: int) -> None:
         """Refuse a space that it is not for."""
         if dim == 3 and self.passage > 0:
             wanted = "0 in 3-D; who is walled in is known in the plane only"
-            refuse("obstacles: ObstacleField.passage", self.passage, wanted)
+            raise_invalid("obstacles: ObstacleField.passage", self.passage, wanted)
 
     @property
     def count_range(self) -> tuple[int, int]:
@@ -159,4 +161,4 @@ def is_possible(rules, world, positions, chains):
     """Whether the robots, at positions (n, d), m, can reach one another, if the field promises
     that; ``chains`` is (M, 2) int64 working memory.
     """
-    return rules.passage == 0.0 or none_walled_in(world, positions, rules.passage, chains)
+    return rules.passage == 0.0 or all_reachable(world, positions, rules.passage, chains)

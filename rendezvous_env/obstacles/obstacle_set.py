@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import shown
+from ..checks import short_repr
 from ..compilation import by_type, inner_kernel, kernel
 from ..physics.ellipsoids import along, ball, cut
 from ..physics.vectors import X_AXIS, add, combine, load, norm, store, subtract
@@ -338,7 +338,8 @@ def pack(
     if width is not None and needed > width:
         large = next(k for k, row in enumerate(rows) if len(row) > width)
         raise ValueError(
-            f"obstacles[{large}] is {shown(obstacles[large])}, which needs a longer row than the "
+            f"obstacles[{large}] is {short_repr(obstacles[large])}, which needs a longer row "
+            "than the "
             "scenario's own obstacles; it must be of their kinds, a polygon of no more corners"
         )
     table = np.full((slots, width or needed), float(ABSENT))
@@ -429,7 +430,7 @@ def check_outside(field: str, positions: NDArray[np.float64], value: Sequence[Ob
             continue
         for m, obstacle in enumerate(value):
             if (distance := distance_to(world, m, point)) < 0:
-                depth = f"{-distance:.6g} m inside {shown(obstacle)}; it must be outside"
+                depth = f"{-distance:.6g} m inside {short_repr(obstacle)}; it must be outside"
                 raise ValueError(f"{field}: robot_{i} at {position.tolist()} is {depth}")
         if not push_out(point, world, -CONTACT_DEPTH)[0]:
             raise ValueError(

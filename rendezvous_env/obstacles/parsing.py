@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields
 from typing import Any, get_args
 
-from ..checks import choice, known_fields, refuse, shown
+from ..checks import choice, known_fields, raise_invalid, short_repr
 from . import obstacle_set
 from .disc import Disc, Sphere
 from .fields import Field, ObstacleField
@@ -31,7 +31,7 @@ def parse(value: Any, dim: int) -> Obstacles:
         return value
     listed = [value] if isinstance(value, Obstacle) else value
     if not isinstance(listed, Sequence) or isinstance(listed, str | bytes):
-        refuse("obstacles", value, "a sequence of obstacles, or an ObstacleField")
+        raise_invalid("obstacles", value, "a sequence of obstacles, or an ObstacleField")
     return tuple(_parse_entry(f"obstacles[{k}]", entry, dim) for k, entry in enumerate(listed))
 
 
@@ -42,10 +42,10 @@ def _parse_entry(field: str, entry: Any, dim: int) -> Obstacle:
         raise ValueError(f"{field}: a random field stands alone, not in a list")
     if not isinstance(entry, Obstacle):
         wanted = "a Disc, Polygon, Capsule or Sphere, such as rv.Disc((0.0, 0.0), 1.0), or a dict"
-        refuse(field, entry, f"{wanted} of its fields")
+        raise_invalid(field, entry, f"{wanted} of its fields")
     if entry.dim != dim:
         fitting = "Disc, Polygon or Capsule" if dim == 2 else "Sphere or Capsule"
-        raise ValueError(f"{field}: {shown(entry)} is {entry.dim}-D; in {dim}-D use {fitting}")
+        raise ValueError(f"{field}: {short_repr(entry)} is {entry.dim}-D; in {dim}-D use {fitting}")
     return entry
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import is_sequence, refuse, shown
+from ..checks import is_sequence, raise_invalid, short_repr
 from ..compilation import inner_kernel, kernel
 from ..limits import MOST_VERTICES
 from ..physics.crossings import capsule_crossing
@@ -67,7 +67,7 @@ def _check_vertices(field: str, value: Any) -> tuple[tuple[float, ...], ...]:
     import shapely  # slow to import, and only polygons need it
 
     if not is_sequence(value) or not 3 <= len(value) <= MOST_VERTICES:
-        refuse(field, value, f"at least 3 points, at most {MOST_VERTICES}")
+        raise_invalid(field, value, f"at least 3 points, at most {MOST_VERTICES}")
     vertices = tuple(shape.check_point(f"{field}[{k}]", one, 2) for k, one in enumerate(value))
     points = shapely.points(vertices)
     near = shapely.STRtree(points).query(points, predicate="dwithin", distance=LEAST_THICKNESS)
@@ -85,7 +85,7 @@ def _check_vertices(field: str, value: Any) -> tuple[tuple[float, ...], ...]:
         fault = "are not convex; compose it of convex ones"
     else:
         return vertices if _twice_area(vertices) > 0 else (vertices[0], *reversed(vertices[1:]))
-    raise ValueError(f"{field}: {shown(vertices)} {fault}")
+    raise ValueError(f"{field}: {short_repr(vertices)} {fault}")
 
 
 @kernel

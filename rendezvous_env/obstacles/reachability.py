@@ -18,7 +18,7 @@ _BEFORE, _SIDE = 0, 1
 
 
 @kernel
-def none_walled_in(world, positions, passage, chains):
+def all_reachable(world, positions, passage, chains):
     """Whether every robot can reach every other through gaps at least ``passage``, m, wide.
 
     Positions, (n, 2), m, are at least half a passage from every disc; ``chains`` is (M, 2) int64

@@ -15,7 +15,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import check_fields, is_sequence, number, number_range, real, refuse
+from ..checks import check_fields, is_sequence, number, number_range, raise_invalid, to_float
 from ..compilation import kernel
 from ..limits import LARGEST
 from ..physics.vectors import X_AXIS, combine, cross, dot, norm, subtract
@@ -43,9 +43,9 @@ Range = Annotated[tuple[float, float], partial(number_range, least=LEAST_THICKNE
 def check_point(field: str, value: Any, dim: int) -> tuple[float, ...]:
     """A point of d finite numbers, as a tuple."""
     point = tuple(value) if is_sequence(value) else ()
-    if len(point) != dim or not all(abs(real(x)) <= LARGEST for x in point):
-        refuse(field, value, f"{dim} finite numbers, from {-LARGEST:g} to {LARGEST:g} m")
-    return tuple(real(x) for x in point)
+    if len(point) != dim or not all(abs(to_float(x)) <= LARGEST for x in point):
+        raise_invalid(field, value, f"{dim} finite numbers, from {-LARGEST:g} to {LARGEST:g} m")
+    return tuple(to_float(x) for x in point)
 
 
 class Drawn:

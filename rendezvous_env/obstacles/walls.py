@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from ..checks import exact, refuse
+from ..checks import format_limit, raise_invalid
 from ..compilation import inner_kernel, kernel
 from ..field_docs import lists_fields
 from ..physics.random_streams import uniform
@@ -63,13 +63,15 @@ class WallField(Drawn):
         super().__post_init__()
         least = self.opening[1] + _LEAST_PIECES * self.thickness
         if self.layout == "rooms" and self.size[0] < least:
-            wanted = f"at least {exact(least)} m, so that a wall is left on both sides of a door"
-            refuse("obstacles: WallField.size", self.size, wanted)
+            wanted = (
+                f"at least {format_limit(least)} m, so that a wall is left on both sides of a door"
+            )
+            raise_invalid("obstacles: WallField.size", self.size, wanted)
 
     def check_dim(self, dim: int) -> None:
         """Refuse a space that it is not for."""
         if dim == 3:
-            refuse("obstacles", self, "an ObstacleField in 3-D: walls are 2-D")
+            raise_invalid("obstacles", self, "an ObstacleField in 3-D: walls are 2-D")
 
     @property
     def most(self) -> int:

@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from ..checks import refuse, shown
+from ..checks import raise_invalid, short_repr
 from ..compilation import by_type, kernel
 from ..kernel_cache import depends_on
 from ..physics.vectors import scaled
@@ -118,7 +118,7 @@ _MOTIONS: dict[type, Motion] = {}
 def check_function(field: str, value: Any) -> Any:
     """Refuse what cannot be called, with a TypeError."""
     if not callable(value):
-        raise TypeError(f"{field} is {shown(value)}; it must be a function")
+        raise TypeError(f"{field} is {short_repr(value)}; it must be a function")
     return value
 
 
@@ -130,9 +130,9 @@ def describe(model: type, motion: Motion) -> None:
         TypeError: if one of the equations is no function.
     """
     if not isinstance(motion, Motion):
-        raise TypeError(f"motion is {shown(motion)}; it must be a Motion")
+        raise TypeError(f"motion is {short_repr(motion)}; it must be a Motion")
     if not (isinstance(model, type) and issubclass(model, tuple) and hasattr(model, "_fields")):
-        refuse("model", model, "a NamedTuple class, of its constants")
+        raise_invalid("model", model, "a NamedTuple class, of its constants")
     if _MOTIONS.get(model, motion) != motion:
         raise ValueError(f"how a {model.__name__} moves has been described before")
     for name, equation in zip(Motion._fields[:-1], motion, strict=False):

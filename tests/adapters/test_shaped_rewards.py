@@ -58,7 +58,7 @@ def played(teams, steps=25):
 
 
 @pytest.mark.parametrize("make", FORMS)
-def test_what_a_wrapper_of_gymnasium_adds_is_paid_and_no_more(make):
+def test_gymnasium_reward_wrapper_changes_rewards_once(make):
     usual = played(make())
     np.testing.assert_array_equal(played(RecordEpisodeStatistics(make())), usual)
     added = played(TransformReward(make(), lambda rewards: rewards + 1000.0)) - usual
@@ -66,26 +66,26 @@ def test_what_a_wrapper_of_gymnasium_adds_is_paid_and_no_more(make):
     assert np.isclose(added[:, :, 0], 1000.0, rtol=1e-4).all()  # robot 0 lives to the end
 
 
-def test_who_pays_robots_one_by_one_has_the_last_word():
+def test_per_robot_shaping_overrides_team_reward():
     added = played(RobotByRobot(plain())) - played(plain())
     np.testing.assert_allclose(added, np.broadcast_to([0.0, 1.0], added.shape), atol=1e-6)
 
 
-def test_shaping_may_stand_on_shaping_and_adapters_on_one_environment():
+def test_shaping_wrappers_stack_under_adapters():
     twice = TransformReward(TransformReward(plain(), lambda r: r + 1.0), lambda r: 2.0 * r)
     RobotVecEnv(twice)  # another adapter looked at it before
     expected = 2.0 * (played(plain())[:, :, 0] + 1.0)
     np.testing.assert_allclose(played(twice)[:, :, 0], expected, rtol=1e-5)
 
 
-def test_shaping_may_stand_under_a_guarantee():
+def test_shaping_works_under_guarantee():
     under = TransformReward(plain(), lambda rewards: rewards + 1.0)
     shaped = played(HeadingVectorWrapper(under, decision_period=3))
     added = (shaped - played(certified()))[:, :, 0]
     assert (added > 0.99).all() and np.isclose(added, 3.0, rtol=1e-4).mean() > 0.5
 
 
-def test_robots_that_are_gone_are_paid_nothing_more():
+def test_merged_robots_get_no_shaped_reward():
     shaping = RewardShaping(teams := TransformReward(plain(), lambda rewards: rewards + 1.0))
     teams.reset(seed=0)
     _, rewards, _, _, infos = teams.step(np.zeros(teams.action_space.shape, np.float32))
@@ -95,7 +95,7 @@ def test_robots_that_are_gone_are_paid_nothing_more():
     np.testing.assert_allclose(found - usual, acted.astype(float))
 
 
-def test_a_wrapper_between_does_not_hide_the_state():
+def test_intermediate_wrapper_keeps_state_access():
     robots = RobotVecEnv(TransformReward(training_env("duo", 3), lambda paid: 2.0 * paid))
     robots.seed(0)
     robots.reset()

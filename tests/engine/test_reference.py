@@ -107,7 +107,7 @@ def integrate(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> SimpleNamespa
 
 
 @pytest.mark.parametrize("graph", GRAPHS)
-def test_positions_order_of_convergence_and_rendezvous_time(kind, graph):
+def test_simulator_converges_to_ode_reference(kind, graph):
     scenario = five(kind, graph=GRAPHS[graph], merge_radius=RADIUS, time_limit=200.0)
     flatter = 0.2 if scenario.model.nonholonomic else 1.0  # near a pitch of ±π/2 their law is stiff
     places = (POSITIONS * [1.0, 1.0, flatter])[:, : scenario.dim]
@@ -128,7 +128,7 @@ def test_positions_order_of_convergence_and_rendezvous_time(kind, graph):
     assert found.rendezvous_time == pytest.approx(expected.rendezvous, rel=late)
 
 
-def test_the_reference_itself_on_a_case_in_closed_form():
+def test_reference_matches_closed_form():
     """Two robots, gain a: they meet after (L − r)/(2a)."""
     pair = np.array([[0.0, 0.0], [3.0, 4.0]])
     solved = integrate(pair, np.zeros((2, 0)), np.array([[0, 0.8], [0.8, 0]]))

@@ -52,7 +52,7 @@ def assert_same_where(rows, ours, theirs):
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_a_tape_gives_what_gymnasium_makes_of_single_environments(scenario, mode):
+def test_vector_env_equals_gymnasium_sync_vector_env(scenario, mode):
     ours = rv.make_vec(scenario, TEAMS, autoreset_mode=mode, num_threads=2)
     theirs = SyncVectorEnv([lambda: make_env(scenario)] * TEAMS, autoreset_mode=mode)
     for space in ("single_observation_space", "observation_space", "action_space"):
@@ -86,7 +86,7 @@ def test_a_tape_gives_what_gymnasium_makes_of_single_environments(scenario, mode
     assert time_outs >= TEAMS and (scenario.dim == 3 or meetings >= 2)
 
 
-def test_gymnasium_makes_teams():
+def test_gymnasium_make_creates_environment():
     venv = gymnasium.make_vec(
         NAME, num_envs=3, scenario="duo", max_cycles=5, autoreset_mode=AutoresetMode.SAME_STEP
     )
@@ -115,6 +115,6 @@ def one_agent(scenario, **given):
 
 @pytest.mark.parametrize("make", [make_env, make_heading_env, rv.training_env, one_agent])
 @pytest.mark.parametrize("given", [{"num_envs": 2}, {"autoreset_mode": "SAME_STEP"}])
-def test_one_agent_is_one_team_that_does_not_begin_anew(make, given):
+def test_single_agent_env_does_not_autoreset(make, given):
     with pytest.raises(ValueError, match=r"it must be one team, and AutoresetMode\.DISABLED"):
         make("duo", **given)

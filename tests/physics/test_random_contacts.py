@@ -167,7 +167,7 @@ of_both = pytest.mark.parametrize("motions", [straight, curved])
 
 @in_both
 @of_both
-def test_none_ends_inside(motions, dim):
+def test_motion_never_ends_inside(motions, dim):
     scenes, starts, _, _, moved = motions(dim)
     for outs, _ in moved.values():
         for scene, start, out in zip(scenes, starts, outs, strict=True):
@@ -176,7 +176,7 @@ def test_none_ends_inside(motions, dim):
 
 @in_both
 @of_both
-def test_free_motion_is_exactly_what_was_asked(motions, dim):
+def test_free_motion_equals_request(motions, dim):
     _, _, _, free, moved = motions(dim)
     for out, contact in moved.values():
         exact = np.all(out == free, axis=2)
@@ -185,7 +185,7 @@ def test_free_motion_is_exactly_what_was_asked(motions, dim):
 
 
 @in_both
-def test_contact_is_a_path_deeper_than_a_micron(dim):
+def test_contact_requires_depth_of_one_micron(dim):
     scenes, starts, ways, _, moved = straight(dim)
     for s, scene in enumerate(scenes):
         ends = starts[s] + ways[s]
@@ -197,7 +197,7 @@ def test_contact_is_a_path_deeper_than_a_micron(dim):
 
 
 @in_both
-def test_a_robot_that_stops_stops_at_the_first_surface(dim):
+def test_stop_mode_stops_at_first_surface(dim):
     scenes, starts, _, _, moved = straight(dim)
     stopped, contact = moved[STOP]
     for s, scene in enumerate(scenes):
@@ -208,7 +208,7 @@ def test_a_robot_that_stops_stops_at_the_first_surface(dim):
 
 
 @in_both
-def test_contact_and_stop_agree_with_a_dense_sample_of_the_arc(dim):
+def test_curved_contact_matches_dense_sampling(dim):
     scenes, starts, inputs, _, moved = curved(dim)
     stopped, contact = moved[STOP]
     for s, scene in enumerate(scenes):

@@ -9,7 +9,7 @@ from conftest import five
 from scipy.optimize import nnls
 
 from rendezvous_env import Scenario, Sensing, rollout
-from rendezvous_env.safety.links import least_norm_points
+from rendezvous_env.safety.links import min_norm_points
 from research.cone_heading import cone_heading, cone_velocity
 from train.verify.monitors import unit
 
@@ -18,7 +18,7 @@ ROUNDING = 1e-6
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_it_is_the_projection_onto_the_cone_and_the_cap(dim):
+def test_cone_heading_is_projection_onto_cone_and_cap(dim):
     random, kept, turned = np.random.default_rng(dim), 0, 0
     for _ in range(200):
         count, spread = random.integers(1, 7), random.choice([0.2, 1.0, 3.0])
@@ -44,7 +44,7 @@ def test_it_is_the_projection_onto_the_cone_and_the_cap(dim):
     assert kept > 30 and turned > 3
 
 
-def test_headings_by_hand():
+def test_headings_match_hand_computation():
     rows = np.array([[2.0, 0.0], [0.0, 2.0], [0.0, 0.0]])
     half = math.sqrt(0.5)
     for raw, expected in (
@@ -76,19 +76,19 @@ def headed(scenario, *, projected=True):
         if not projected:
             return unit(raw) * np.sum(unit(raw) * f, axis=-1, keepdims=True)
         h = cone_heading(raw, rows, min_alignment=0.1)
-        return cone_velocity(h, f, least_norm_points(rows), **limits)
+        return cone_velocity(h, f, min_norm_points(rows), **limits)
 
     found = rollout(scenario, law, num_envs=6)
     growth = np.diff((found.positions @ u.T).max(axis=2), axis=0)
     return growth[found.running].max(), found.success
 
 
-def test_the_hull_is_nested_and_all_meet():
+def test_hull_is_nested_and_team_meets():
     growth, met = headed(five("single_integrator-3d", spawn_size=3.0, time_limit=300.0))
     assert growth < 10 * ROUNDING and met.all()
 
 
-def test_the_hull_is_nested_whoever_is_seen():
+def test_hull_is_nested_with_any_visibility():
     sensing = Sensing(range=2.5, field_of_view=2.0, dropout=0.3, occlusion="robots")
     scenario = Scenario(n_robots=7, spawn_size=4.0, time_limit=20.0, sensing=sensing)
     assert headed(scenario)[0] < 10 * ROUNDING

@@ -46,7 +46,7 @@ def test_help_shows_defaults_and_bounds():
 @pytest.mark.parametrize(
     ("hint", "words"),
     [
-        (Annotated[int, partial(checks.whole, least=2, most=9)], "a whole number from 2 to 9"),
+        (Annotated[int, partial(checks.check_int, least=2, most=9)], "a whole number from 2 to 9"),
         (
             Annotated[float, partial(checks.positive, unit="s")] | None,
             "None, or a number from 1e-09",

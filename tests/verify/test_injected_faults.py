@@ -77,7 +77,7 @@ EVERYBODY_IS_SEEN = {"graph": graphs.complete(13.0), "sensing": Sensing()}
         (a_speed_limit_bounds_gains, "law", 1101, {}, "nested"),
     ],
 )
-def test_a_mistake_that_is_put_back_is_found(mistake, by, number, changes, broken, monkeypatch):
+def test_planted_mistake_is_found(mistake, by, number, changes, broken, monkeypatch):
     drawn = next(one for one in trials_of(0, number) if one.by == by)
     scenario, *starts = (one.replace(**changes) for one in (drawn.scenario, *drawn.starts))
     trial = replace(drawn, scenario=scenario, starts=tuple(starts))

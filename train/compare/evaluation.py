@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rendezvous_env.compilation import kernel
 from rendezvous_env.engine.memory import RENDEZVOUS
-from rendezvous_env.engine.preparation import begins_alike
+from rendezvous_env.engine.preparation import has_fixed_start
 from rendezvous_env.engine.state_checks import check_mask, check_numbers, check_observations
 from rendezvous_env.physics.neighbour_rows import net_bearing_of
 from rendezvous_env.physics.vectors import X_AXIS, dot, load
@@ -22,7 +22,7 @@ from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, Step, run
 
 from ..checks import user_error
-from ..recording import Recorder, Recording, seen_again, state_of
+from ..recording import Recorder, Recording, is_recomputable, state_of
 
 CHUNK = 1024
 """Maximum batch size; further initial conditions are simulated in later chunks."""
@@ -117,7 +117,7 @@ def play(
         with user_error(f"{scenario.name}: ", RuntimeError):  # no room for a start
             observations = simulator.reset(seed + first)
         kept = range(min(keep, episodes)) if first == 0 else ()
-        exact = seen_again(scenario)
+        exact = is_recomputable(scenario)
         recorders = [Recorder(simulator, team, observations, exact) for team in kept]
         meter = _Meter(simulator)
         for step in islice(run(simulator, make_policy(), observations), steps):
@@ -131,7 +131,7 @@ def play(
 
 def starts_of(scenario: Scenario, asked: int) -> int:
     """Number of distinct initial conditions, at most the requested number."""
-    return 1 if begins_alike(scenario) else asked
+    return 1 if has_fixed_start(scenario) else asked
 
 
 def counts_contacts(scenario: Scenario) -> bool:

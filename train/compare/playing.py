@@ -19,8 +19,8 @@ from ..checks import UserError
 from ..console import Console
 from ..recording import Recording
 from ..results import entry
-from ..resume import Part, program
-from ..tasks import Workers, each
+from ..resume import RunCheckpoint, program
+from ..tasks import Workers, parallel_map
 from . import statistics
 from .evaluation import Episodes, play
 from .settings import Config, Job
@@ -196,7 +196,7 @@ def joined(blocks: Sequence[Played]) -> Played:
 
 
 def play_all(
-    tasks: Sequence[Task], workers: Workers, part: Part, console: Console
+    tasks: Sequence[Task], workers: Workers, part: RunCheckpoint, console: Console
 ) -> tuple[dict[str, Any], float]:
     """Run all unfinished tasks with a progress bar.
 
@@ -206,7 +206,7 @@ def play_all(
 
     def do(left: Sequence[Task]) -> Generator[tuple[int, Any], None, None]:
         long = len(left) >= _MANY
-        return each(methodcaller("work"), left, workers, attrgetter("stays"), long=long)
+        return parallel_map(methodcaller("work"), left, workers, attrgetter("stays"), long=long)
 
     found, ready = {}, 0.0
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())

@@ -8,7 +8,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from rendezvous_env import baselines
-from rendezvous_env.checks import meant
+from rendezvous_env.checks import closest_match
 from rendezvous_env.scenario import scenarios as named_scenarios
 from rendezvous_env.scenario.scenario import Scenario
 
@@ -151,7 +151,7 @@ def plan(config: Config) -> list[Job]:
         jobs += [Job(scenario, name, labels.get(name, "")) for name in fitting]
     played = list(dict.fromkeys(job.name for job in jobs))
     if config.against is not None and config.against not in played:
-        near = meant(config.against, played, after=" ")
+        near = closest_match(config.against, played, after=" ")
         raise UserError(
             f"--against {config.against!r} is not compared; {near}these are: {', '.join(played)}"
         )

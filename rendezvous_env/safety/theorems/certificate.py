@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from ...checks import choice, real, refuse
+from ...checks import choice, raise_invalid, to_float
 from ...field_docs import lists_fields
 from ...scenario.scenario import Scenario
 from ...scenario.scenarios import resolve
@@ -200,7 +200,7 @@ def certificate(
         return answer(scenario, question(scenario, by, given, bearing_error))[0]
     for name, value in (given | {"by": by, "bearing_error": bearing_error}).items():
         if value != (usual := getattr(LAW, name) if name in given else _UNASKED[name]):
-            refuse(name, value, f"{usual} with a policy, which has settings of its own")
+            raise_invalid(name, value, f"{usual} with a policy, which has settings of its own")
     return of_policy(scenario, policy)
 
 
@@ -238,23 +238,23 @@ def question(scenario: Scenario, by: Any, given: Mapping[str, Any], bearing_erro
     margin = check_share("min_alignment", given.get("min_alignment", LAW.min_alignment))
     by = choice("by", ("law" if margin == 1 else "heading") if by is None else by, CHOICES)
     if by in ("law", "gains", "links") and margin != 1:
-        refuse("min_alignment", margin, f'exactly 1 with by="{by}"')
+        raise_invalid("min_alignment", margin, f'exactly 1 with by="{by}"')
     if by == "tank" and margin == 1:
         margin = TANK_MARGIN  # no tank has 1
     if by == "heading" and margin == 1:
-        refuse("min_alignment", margin, 'less than 1 with by="heading"')
+        raise_invalid("min_alignment", margin, 'less than 1 with by="heading"')
     asked = LAW._replace(by=by, **given)
-    if not 0 <= (budget := real(asked.budget)) < math.inf:
-        refuse("budget", asked.budget, "finite and at least 0 m²/s")
+    if not 0 <= (budget := to_float(asked.budget)) < math.inf:
+        raise_invalid("budget", asked.budget, "finite and at least 0 m²/s")
     share, own = check_share("share", asked.share), bounded_error(scenario.sensing, scenario.dim)
     error = max(check_bearing_error(bearing_error), own)
     asked = asked._replace(min_alignment=margin, budget=budget, share=share, error=error)
     if by != "tank" and budget != 0:
-        refuse("budget", asked.budget, f'0 with by="{by}": only a tank has one')
+        raise_invalid("budget", asked.budget, f'0 with by="{by}": only a tank has one')
     for name, only in (("min_gain", "gains"), ("max_gain", "gains"), ("share", "links")):
         value, usual = getattr(asked, name), getattr(LAW, name)
         if by != only and value != usual:
-            refuse(name, value, f'{usual} with by="{by}": only {only} have one')
+            raise_invalid(name, value, f'{usual} with by="{by}": only {only} have one')
     if by == "gains":
         gain_range(scenario, asked.min_gain, asked.max_gain)
     return asked

@@ -50,7 +50,7 @@ def look(made, bearings, edges=()):
 
 
 @pytest.mark.parametrize("topic", ["imu", "bearings", "edges"])
-def test_who_has_not_heard_a_topic_rests(node, topic):
+def test_node_rests_without_topics(node, topic):
     made, sent = node
     made.tick()
     look(made, [0.5])
@@ -110,7 +110,7 @@ ON_WHEELS = ["--ros-args", "-p", "differential_drive:=true"]
 
 
 @pytest.mark.parametrize("node", [ON_WHEELS], indirect=True)
-def test_wheels_turn_towards_what_is_seen_and_stop_when_nothing_is(node):
+def test_node_turns_wheels_towards_bearing_and_stops_without(node):
     made, sent = node
     machine, wheels = made.drive.machine, []
     most = machine.wheel_acceleration * machine.timeout  # by which wheels change in a tick
@@ -146,7 +146,7 @@ def handlers():
         signal.signal(number, handler)
 
 
-def test_a_ctrl_c_that_raises_nothing_ends_the_node(alone, handlers):
+def test_node_ends_on_sigint(alone, handlers):
     names, ticks = node_of(), []
 
     @ctypes.CFUNCTYPE(None)  # as kernels call back: what is raised within is printed and lost

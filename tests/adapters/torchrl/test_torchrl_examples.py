@@ -19,7 +19,7 @@ def judged(told):
 
 
 @pytest.mark.slow
-def test_torchrl_learns():
+def test_torchrl_example_learns():
     (before, _), after = judged(told := run("06_torchrl_ppo.py", *SMALL))
     assert after[0] > max(before, 90.0)
     (played,) = re.findall(r"^as a policy: (\S+)% met, (\S+)% cleanly$", told, re.M)
@@ -28,7 +28,7 @@ def test_torchrl_learns():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["mappo", "vdn"])
-def test_benchmarl_learns(algorithm, tmp_path):
+def test_benchmarl_example_learns(algorithm, tmp_path):
     choices = ("--algorithm", algorithm, "--out", str(tmp_path))
     (before, _), (after, _) = judged(run("07_benchmarl.py", *choices, *SMALL))
     assert after > max(before, 90.0)
