@@ -172,8 +172,8 @@ def certificate(
 
     Args:
         scenario: a Scenario, the name of one or the path of a TOML file.
-        min_alignment: ε, without unit. 1 for the paper's laws, gains and links; in [10⁻⁶, 1) for
-            certified headings and tanks. For a tank, 1 is replaced by the default of 0.05.
+        min_alignment: ε, a number without unit. 1 for the paper's laws, gains and links; in [10⁻⁶,
+            1) for certified headings and tanks. For a tank, 1 is replaced by the default of 0.05.
         by: "law", "heading", "tank", "gains" or "links"; None is "law" if ``min_alignment`` is 1,
             else "heading".
         budget: initial stored energy B_i of each robot's tank, m²/s.
