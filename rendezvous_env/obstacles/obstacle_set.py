@@ -240,7 +240,7 @@ def _close(world, group, dim):
 
 @inner_kernel
 def _only_just_meet(world, group, dim):
-    """Whether −1.1 µm < ρ < 0.9 µm, ρ the minimum of the largest signed distance to a few shapes.
+    """Whether −1.1 µm < ρ < 0.9 µm, ρ the least maximum of signed distances to a few shapes.
 
     True also if ρ cannot be determined.
     """

@@ -171,9 +171,7 @@ def _entry(row, corners, point, way, depth, skin=0.0):
 
 @inner_kernel
 def _nears(row, corners, point, way, reach):
-    """Least s at which a path comes within reach, m, of a polygon's edge, unless it starts
-    inside.
-    """
+    """Least s at which a path comes within reach, m, of an edge, unless it starts inside."""
     distance, _ = _surface(row, corners, point)
     if distance <= reach:
         return 0.0

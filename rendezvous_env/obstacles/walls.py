@@ -163,9 +163,7 @@ def _draw_corridor(key, counter, rules, pose, world):
 
 @inner_kernel
 def _draw_wall_with_door(key, counter, rules, pose, world, m):
-    """Wall from the middle along x in two pieces, obstacles m and m + 1, with a door between
-    them.
-    """
+    """Wall from the middle along x as two obstacles, m and m + 1, with a door between them."""
     size = _between(rules.size, key, counter)
     door = _between(rules.opening, key, counter + 1)
     thick = rules.thickness
