@@ -1,8 +1,8 @@
-"""The largest and smallest numbers that make sense, in one place.
+"""Numeric limits of all fields.
 
-Lengths, times, speeds, rates and weights keep within ``SMALLEST`` and ``LARGEST``: a second spent
-at the wildest of them leaves all squares and sums finite in float64, and all that is observed or
-done in float32. Whole numbers of steps are exact in float64.
+Lengths, times, speeds, rates and weights are between ``SMALLEST`` and ``LARGEST``. A second at the
+extreme values then keeps all squares and sums finite in float64, and all observations and actions
+finite in float32. Integer step counts are exact in float64.
 """
 
 SMALLEST = 1e-9  # of what must be positive: m, s, m/s, rad/s

@@ -1,4 +1,4 @@
-"""Links of B environments for NumPy: allocation, matrices, and conversion between storage forms."""
+"""Links of B environments for NumPy: allocation, matrices, and storage conversion."""
 
 import math
 from collections.abc import Iterable

@@ -230,7 +230,7 @@ class Episodes:
     ) -> dict[str, NDArray[Any]]:
         """Links that are given, fixed, or sampled by a custom family, see ``as_kept``.
 
-        None where kernels sample them.
+        Empty where kernels sample them.
         """
         state, scenario = self._state, self._state.scenario
         graph, connected, n = scenario.sensing_graph, scenario.require_connected, scenario.n_robots

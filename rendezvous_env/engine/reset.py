@@ -1,6 +1,7 @@
-"""Initial conditions: links, obstacles, positions and attitudes, each from its own random stream.
+"""Initial conditions: links, obstacles, positions and attitudes.
 
-Separate kernels, called in this order for all environments of a reset:
+Each is sampled from its own random stream by a separate kernel. The kernels are called in this
+order for all environments of a reset:
 
     draw_graphs, draw_fields, draw_positions, check_connected, check_passages, draw_frames,
     draw_memories, multiply_arcs
@@ -170,7 +171,7 @@ def _is_apart(i, positions, apart, links, b, lanes, least_distance):
 
 @kernel
 def check_connected(lanes, which, reach, robots, positions, places, parted):
-    """Write to ``parted``, (count,), whether links leave the robots of an environment unconnected.
+    """Write to ``parted``, (count,), whether links leave robots of an environment unconnected.
 
     Links are at most ``reach`` long, m. Working memory: positions (n, d), places (n,).
     """

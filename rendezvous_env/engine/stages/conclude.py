@@ -1,4 +1,4 @@
-"""The last stage: reward, rendezvous, time limit, and the output of the step."""
+"""Last stage: reward, rendezvous, time limit, and the output of the step."""
 
 from ...compilation import inner_kernel, kernel
 from ...rewards.terms import team_reward
@@ -52,8 +52,9 @@ def conclude_step(
     robot_rewards,
     contacts,
 ):
-    """Bring environments up to date and write all output but observations, contacts and
-    clearances, of which ``active`` is true where nothing has merged.
+    """Update environments and write all output except observations, contacts and clearances.
+
+    ``active`` is initialised to True, which stays where nothing has merged.
     """
     lanes, n = lane_count(width), merged_into.shape[1]
     for block in range(first, last):
@@ -85,7 +86,7 @@ def conclude_step(
 
 @inner_kernel(inline="code")
 def _conclude(width, duration, max_steps, reward_weights, environment):
-    """Reward, rendezvous and time limit over lanes: the one place where an episode ends."""
+    """Reward, rendezvous and time limit over lanes: the only code that ends episodes."""
     lanes, time_share = lane_count(width), 1.0 / max_steps
     for lane in range(lanes):
         status = environment[STATUS * lanes + lane]

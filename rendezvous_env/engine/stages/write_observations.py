@@ -1,4 +1,4 @@
-"""The stages that write observations: rows of all lanes, and the row of oneself."""
+"""Stages that write observations: rows of all lanes, and the proprioceptive row."""
 
 import numpy as np
 
@@ -35,7 +35,7 @@ def _copy_rows(width, parts, first, last, rows, observations):
 
 @inner_kernel(inline="code")
 def _copy_together(source, target, parts, count):
-    """So many rows of a lane at a time, which lie side by side, and the last few one by one."""
+    """Copy several adjacent rows of a lane at a time, and the remaining ones individually."""
     whole = len(source) - len(source) % count
     for k in range(0, whole, count):
         for lane in range(len(target)):
@@ -50,9 +50,10 @@ def _copy_together(source, target, parts, count):
 
 @kernel
 def write_packed(lanes, first, last, slots, links, rows, counts, observations, over):
-    """The same where there are fewer neighbour rows, ``slots``, than other robots: those present
-    come first, in index order, and the other rows behind them. A robot with more neighbours is left
-    in ``over``, (B,); ``counts``, (n,), is working memory.
+    """Copy rows if there are fewer neighbour rows, ``slots``, than other robots.
+
+    Rows of present neighbours come first, in index order, followed by the other rows. ``over``,
+    (B,), receives a robot with more neighbours; ``counts``, (n,), is working memory.
     """
     n, d, others = rows.shape[1], observations.shape[3], observations.shape[2] - slots
     for block in range(first, last):
@@ -83,7 +84,7 @@ def write_packed(lanes, first, last, slots, links, rows, counts, observations, o
 
 @kernel
 def sense_oneself(robot, lanes, first, last, robots, merged_into, observations):
-    """The last row of models that sense something of themselves; zero for inactive robots."""
+    """Last row of models with proprioception; zero for inactive robots."""
     d = len(robot.axes)
     for block in range(first, last):
         for lane in range(min(lanes, len(merged_into) - block * lanes)):
