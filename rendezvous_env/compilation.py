@@ -24,7 +24,7 @@ from .kernel_cache import KernelCache, digest_of
 _CONFIG: Any = numba.config
 _DISPATCHER: Any = CPUDispatcher  # numba's types leave out what is overridden here
 _COMPILER: Any = Compiler
-_PATIENCE = 2.0  # s; a compilation that takes longer is announced
+_PATIENCE = 2.0  # s; a longer compilation is logged
 
 Inline = Literal["never", "code", "text"]
 """Inlining of a kernel into its callers.
@@ -153,7 +153,7 @@ class _Kernel(_DISPATCHER):
         return _writable(super().typeof_pyval(val))
 
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
-        if self._inner:  # calling what has no entry would end the process
+        if self._inner:  # a call without an entry would crash the process
             return self.py_func
         return super()._compile_for_args(*args, **kws)
 
@@ -185,7 +185,7 @@ def _compiling(slp: bool) -> Iterator[None]:
         yield
     finally:
         _CONFIG.SLP_VECTORIZE = before
-        if collects:  # not within the compilation of another kernel
+        if collects:  # not within another compilation
             gc.enable()
 
 
@@ -227,7 +227,7 @@ def by_type(argument: str, choose: Callable[[type], Any]) -> Any:
     def decorate(described: Callable[..., Any]) -> Callable[..., Any]:
         names = list(inspect.signature(described).parameters)
         place, listed = names.index(argument), ", ".join(names)
-        # numba compares the names of arguments, so each kernel has to be called by its own
+        # numba compares argument names, so each kernel must be called with its own
         calling = eval(f"lambda chosen: lambda {listed}: chosen({listed})")
         giving = eval(f"lambda chosen: lambda {listed}: chosen")
 

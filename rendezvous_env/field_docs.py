@@ -17,7 +17,7 @@ from .limits import LARGEST, SMALLEST
 
 _Class = TypeVar("_Class", bound=type)
 _WIDTH = 84
-_LONGEST_LIST = 12  # words that a field may be, up to which all are listed
+_LONGEST_LIST = 12  # maximum number of choices listed in full
 
 
 def lists_fields(cls: _Class) -> _Class:

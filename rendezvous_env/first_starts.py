@@ -11,7 +11,7 @@ from .simulator import Simulator
 
 STARTS = 1000
 """Number of seeds in the digest, from 0."""
-_DECIMALS = 9  # That count; the last bits of a cosine are the machine's
+_DECIMALS = 9  # significant decimals; the last bits of a cosine depend on the machine
 _NOT_OF_THE_FIELD = ("name", "reward", "costs")
 
 
@@ -35,6 +35,6 @@ def digest(scenario: ScenarioLike) -> str:
     simulator = Simulator(scenario, STARTS, num_threads=1)
     simulator.reset(0)
     for name in ("positions", "headings", "frames", "weights", "obstacles"):
-        rounded = np.round(getattr(simulator, name), _DECIMALS) + 0.0  # no minus sign on a zero
+        rounded = np.round(getattr(simulator, name), _DECIMALS) + 0.0  # no negative zero
         found.update(f"{name} {rounded.shape} ".encode() + rounded.astype("<f8").tobytes())
     return found.hexdigest()

@@ -39,8 +39,8 @@ _COMPILING = [Path(__file__).with_name(name) for name in ("compilation.py", "ker
 _LIBRARIES = {"numba", "numpy", *sys.stdlib_module_names}
 """Libraries identified by version; the code of all other modules is followed."""
 _DIGEST_SIZE = 32
-_SIGNATURE = 3  # position of the signature in what numba makes of a compiled function for pickle
-_MAX_AGE = 14 * 24 * 3600.0  # s; kernels that were not used for so long are removed
+_SIGNATURE = 3  # index of the signature in numba's pickle of a compiled function
+_MAX_AGE = 14 * 24 * 3600.0  # s; kernels unused for longer are deleted
 
 
 class KernelCache:
@@ -48,7 +48,7 @@ class KernelCache:
 
     def __init__(self, kernel: Any) -> None:
         self._kernel = kernel
-        self._paths: dict[Any, Path | None] = {}  # of signatures that are being compiled
+        self._paths: dict[Any, Path | None] = {}  # by signature in compilation
 
     @property
     def cache_path(self) -> str:
@@ -66,11 +66,11 @@ class KernelCache:
             if hashlib.sha256(code).digest() != digest:
                 return None
             parts = pickle.loads(code)
-            if parts[_SIGNATURE].args != sig:  # of a class of the same name
+            if parts[_SIGNATURE].args != sig:  # from another class of the same name
                 return None
             os.utime(path)
             return CompileResult._rebuild(target_context, *parts)
-        except Exception:  # there is no file, or it names a class that no longer exists
+        except Exception:  # no file, or it references a class that no longer exists
             return None
 
     def save_overload(self, sig: Any, compiled: Any) -> None:
@@ -168,7 +168,7 @@ def content(*values: Any) -> Iterator[str]:
 def _content(values: Iterable[Any], names: frozenset[str], seen: set[int]) -> Iterator[str]:
     """Content of values; ``names`` are used module attributes, ``seen`` visited functions."""
     for value in values:
-        if hasattr(value, "targetoptions"):  # a kernel; a caller that inlines it has its options
+        if hasattr(value, "targetoptions"):  # a kernel; its options affect inlining callers
             yield f"{sorted(value.targetoptions.items())} {getattr(value, 'slp', False)}"
         value = getattr(value, "py_func", value)
         if not isinstance(value, FunctionType):
@@ -201,12 +201,12 @@ def _described(value: Any, names: frozenset[str]) -> tuple[str, Iterable[Any]]:
     if isinstance(value, ModuleType):
         used = sorted(names & set(vars(value))) if _is_followed(value.__name__) else ()
         return value.__name__, [vars(value)[name] for name in used]
-    if isinstance(value, MethodType | BuiltinMethodType):  # of a table, say
+    if isinstance(value, MethodType | BuiltinMethodType):  # for example of a table
         return value.__name__, (value.__self__, getattr(value, "__func__", None))
     if isinstance(value, type):
         fields = getattr(value, "_fields", None), getattr(value, "_field_defaults", None)
         return f"{value.__module__} {value.__qualname__} {fields}", (_CHOSEN_BY.get(value),)
-    if isinstance(value, dict):  # what a class chooses is followed where the class comes up
+    if isinstance(value, dict):  # entries selected by a class are followed where the class occurs
         return "", [item for item in value.items() if item[0] not in _CHOSEN_BY]
     if isinstance(value, set | frozenset):
         return repr(sorted(map(repr, value))), ()
@@ -261,7 +261,7 @@ def _prepared(place: Path) -> Path | None:
     except OSError:
         return None
     for file in folder.iterdir():
-        with suppress(OSError):  # another process removes them, too
+        with suppress(OSError):  # another process may delete them
             if time.time() - file.stat().st_mtime > _MAX_AGE:
                 file.unlink()
     return folder

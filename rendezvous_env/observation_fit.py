@@ -76,7 +76,7 @@ def _nearest(rows: Float32, distances: Array, count: int) -> NDArray[Any]:
     there = rows.any(axis=-1)
     distances = np.where(there, distances, np.inf)
     order = np.argsort(distances, axis=-1, kind="stable")[..., :count]
-    # those that are there first, in the order of their rows
+    # present rows first, in their order
     absent = np.isinf(np.take_along_axis(distances, order, axis=-1))
     order = np.sort(order + absent * rows.shape[2], axis=-1) % rows.shape[2]
     return np.take_along_axis(rows, order[..., None], axis=2)

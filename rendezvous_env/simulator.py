@@ -163,9 +163,9 @@ class Simulator(StateView):
         given: StartOptions = StartOptions(),  # noqa: B008 - immutable
         resting: bool = False,
     ) -> None:
-        self._all_running = False  # not known, should an interrupt leave from here
+        self._all_running = False  # unknown after an interrupt
         self._episodes.begin(which, seeds, given, resting)
-        self.changes += 2  # so that none is taken for a step
+        self.changes += 2  # a step alone adds 1
         for name, earned in self._earned.items():
             self.earned_before[name][which], earned[which] = earned[which], 0.0
         self._all_running = not (resting and len(which)) and not self.status.any()
@@ -189,7 +189,7 @@ class Simulator(StateView):
         table = self.check_actions(actions)
         before = (self.positions, self.active) if self._own_model else None
         self.changes += 1
-        self._all_running = False  # not known, should an interrupt leave from here
+        self._all_running = False  # unknown after an interrupt
         output = self._custom_step(table) if self._custom else self._runner.step(table)
         self._all_running = not np.count_nonzero(output.status)  # RUNNING is 0
         if before is not None:
@@ -240,7 +240,7 @@ class Simulator(StateView):
         self._check_ready()
         resting = np.zeros(self.num_envs, np.bool_) if self._all_running else self.status != RUNNING
         self.changes += 1
-        self._all_running = False  # not known, should an interrupt leave from here
+        self._all_running = False  # unknown after an interrupt
         result = self._runner.step_n(controller, observations, resting, count, callback)
         self._all_running = not np.count_nonzero(result.output.status)
         return result
@@ -251,12 +251,12 @@ class Simulator(StateView):
         """Reject motion beyond the speed limit, on which contact and merging rely."""
         scenario = self.scenario
         limit = float(self._runner.robot.model.speed_limit)
-        # each merge may put a robot half a merge radius aside
+        # each merge may move a robot by half a merge radius
         merged = (self.active != active).sum(axis=1, keepdims=True)
         rounding = 4.0 * np.spacing(np.abs(before).max())
         most = 1.000001 * limit * scenario.tau + merged * scenario.merge_radius + rounding
         moved = np.linalg.norm(self.positions - before, axis=-1)
-        wrong = np.argwhere(~(moved <= most))  # NaN is wrong, too
+        wrong = np.argwhere(~(moved <= most))  # NaN is also invalid
         if len(wrong):
             team, robot = (int(index) for index in wrong[0])
             self._ready = self._observed = False
@@ -335,7 +335,7 @@ class Simulator(StateView):
             RuntimeError: if a robot has more neighbours than the observation has rows.
         """
         output = self._runner.observe()
-        self._observed = True  # steps go by it
+        self._observed = True  # steps rely on it
         self._ready = not (self._state.number < 0).any()
         self._sense_custom(output, np.arange(self.num_envs))
         self._refuse_crowds(output)
@@ -395,7 +395,7 @@ class Simulator(StateView):
         return entries
 
     def _put_state(self, state: dict[str, NDArray[Any]]) -> None:
-        self._ready = self._observed = False  # should an interrupt leave from here
+        self._ready = self._observed = False  # in case of an interrupt
         self._state.put(state)
         self._all_running = not self.status.any()
         if self.begun:

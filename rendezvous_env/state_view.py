@@ -136,7 +136,7 @@ class StateView:
             so_far = self.time.copy(), self.path_length.copy(), self.lyapunov()
         else:
             status, contacts = outcome.status, outcome.contacts
-            scores = outcome.scores  # by index, which is quicker than to unpack an array
+            scores = outcome.scores  # indexing is faster than unpacking an array
             so_far = scores[ELAPSED], scores[ELAPSED + 1], scores[ELAPSED + 2]
         return _standing(status == RENDEZVOUS, contacts, *so_far)
 

@@ -164,7 +164,7 @@ def run(simulator: Simulator, policy: Policy, observations: NDArray[np.float32])
     """
     begin(policy, simulator)
     while (running := simulator.status == RUNNING).any():
-        chosen = policy(observations.copy(), simulator.time)  # its own, to write to
+        chosen = policy(observations.copy(), simulator.time)  # a writable copy
         actions = floats("actions", chosen, np.float32)
         before = simulator.lyapunov()
         outcome = simulator.step(actions)
@@ -221,17 +221,17 @@ def rollout(
     finished_at = np.full(simulator.num_envs, np.inf)
     for step in run(simulator, policy, observations):
         outcome = step.outcome
-        keep(  # copies of rows, which would keep the whole table alive
+        keep(  # copies, since views would keep the whole table alive
             lyapunov_before_merge=outcome.lyapunov_before_merge.copy(),
             lyapunov_after_merge=outcome.lyapunov_after_merge.copy(),
             rewards=outcome.rewards.copy(),
             contacts=outcome.contact,
-            actions=step.actions.copy(),  # a policy may give the same array again
+            actions=step.actions.copy(),  # a policy may reuse its array
         )
         keep_state(outcome.observations)
         met = step.running & (simulator.status == RENDEZVOUS)
         finished_at[met] = simulator.time[met]
-    # each list is dropped once its array is there, which halves the memory needed
+    # each list is freed once its array exists, which halves the peak memory
     arrays = {name: np.stack(kept.pop(name)) for name in list(kept)}
     return Trajectory(
         scenario=simulator.scenario,

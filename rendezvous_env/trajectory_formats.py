@@ -32,9 +32,9 @@ DIMENSIONS = {
     "actions": (("step", "env", "robot", "action"), ""),
 }
 """Dimensions and unit of every array of a trajectory."""
-_EXTRA = "analysis"  # which libraries of these formats come with
+_EXTRA = "analysis"  # extra that installs the libraries
 _AXES = ("x", "y", "z")
-_ANGLES = ("yaw", "pitch", "roll", "angle_3")  # as many as a robot model may keep
+_ANGLES = ("yaw", "pitch", "roll", "angle_3")  # as many as a robot model may have
 
 
 def xarray_dataset(trajectory: Any) -> xarray.Dataset:
@@ -127,7 +127,7 @@ def minari_dataset(trajectory: Any, name: str, **about: Any) -> MinariDataset:
             f"to_minari() needs {' and '.join(missing)}, which were not kept; ask for them: "
             'rollout(…, record="all")'
         )
-    try:  # before Minari makes a folder of the name
+    try:  # before Minari creates the folder
         minari.dataset.minari_dataset.parse_dataset_id(name)
     except (TypeError, ValueError) as error:
         raise ValueError(

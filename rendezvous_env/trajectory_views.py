@@ -259,7 +259,7 @@ class TrajectoryViews:
             raise ValueError(f"{path} is no trajectory of this version: {error}") from error
 
     def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"played_by": None}  # which may be a function that cannot be pickled
+        return vars(self) | {"played_by": None}  # the policy may not be picklable
 
 
 def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:

@@ -135,7 +135,7 @@ class RobotEnvRunner(SingleAgentEnvRunner):
         """Collect a number of robot steps or of environment episodes."""
         assert self.env is not None
         if force_reset or num_episodes is not None or self._needs_initial_reset:
-            seed = None  # of team 0: runners have consecutive seeds, B teams each
+            seed = None  # of environment 0; runners have consecutive seeds, B environments each
             if self._seed is not None and self._needs_initial_reset:
                 seed = self._seed * self.num_envs
             self._rollout = Rollout(self.env, self.env.reset(seed))

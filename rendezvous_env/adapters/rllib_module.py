@@ -51,7 +51,7 @@ class SetModule(TorchRLModule, ValueFunctionAPI):
         outputs = self.action_space.n if discrete else self.action_space.shape[0]
         self.choice, self.value = nn.Linear(units, int(outputs)), nn.Linear(units, 1)
         self.log_std = None if discrete else nn.Parameter(torch.full((int(outputs),), -0.5))
-        nn.init.zeros_(self.choice.weight)  # begins as noise about no preference
+        nn.init.zeros_(self.choice.weight)  # starts without a preference
 
     def _forward(self, batch: dict[str, Any], **_: Any) -> dict[str, Tensor]:
         embeddings = self._embed(batch)

@@ -56,7 +56,7 @@ class Rollout:
         )
         costs = {key: np.stack([step.costs[key] for step in steps]) for key in steps[0].costs}
         columns = {name: np.stack([each[name] for each in chosen]) for name in chosen[0]}
-        after = seen[1:].copy()  # a step; where it ended an episode, what to bootstrap from
+        after = seen[1:].copy()  # next observations; at an end, those to bootstrap from
         for t, step in enumerate(steps):
             for team in step.finished:
                 after[t, team * n : (team + 1) * n] = step.last[team]

@@ -85,7 +85,7 @@ class RobotVecEnv(VecEnv):
         self.simulator = slots.simulator
         self._started = time.time()
         self._told = np.zeros(slots.num_teams, dtype=np.int64)
-        self._initial = np.zeros(slots.num_teams)  # V of the episodes, m²/s
+        self._initial = np.zeros(slots.num_teams)  # initial V of the episodes, m²/s
         self._forget_step()
         super().__init__(
             slots.active.size, slots.single_observation_space, slots.single_action_space

@@ -50,7 +50,7 @@ class RobotMonitor(VecMonitor):
         self, venv: VecEnv, filename: str | None = None, info_keywords: tuple[str, ...] = ()
     ) -> None:
         _robots_of(venv, self)
-        with warnings.catch_warnings():  # nothing of the environment's own is overwritten
+        with warnings.catch_warnings():  # no attribute of the environment is overwritten
             warnings.filterwarnings("ignore", message="The environment is already wrapped")
             super().__init__(venv, filename, info_keywords)
 

@@ -43,7 +43,7 @@ class SlotStep(NamedTuple):
     observations: NDArray[np.float32]  # (slots, ...), for the next actions; zero if merged
     rewards: NDArray[np.float32]  # (slots,), of the robots
     acted: NDArray[np.bool_]  # (slots,), robots that acted in the step
-    ended: NDArray[np.bool_]  # (slots,), episodes that ended, with all slots of ended teams
+    ended: NDArray[np.bool_]  # (slots,), episodes that ended, with all slots of ended environments
     bootstrapped: NDArray[np.int64]  # (k,), truncated slots: time-out or merge
     survivors: NDArray[np.int64]  # (k,), slots of their survivors, or the same slots
     bootstrap_observations: NDArray[np.float32]  # (k, ...), to bootstrap from
@@ -75,7 +75,7 @@ class RobotSlots:
 
     active: NDArray[np.bool_]
     """Active (not merged) robots, (B, n)."""
-    observation_space = of_all_teams("single_observation_space")  # of all slots, for RLlib
+    observation_space = of_all_teams("single_observation_space")  # space of all slots, for RLlib
     action_space = of_all_teams("single_action_space")
 
     def __init__(self, teams: VectorEnv[Any, Any, Any], *, values_ends: bool = True) -> None:
@@ -86,7 +86,7 @@ class RobotSlots:
         if mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode is {mode}; robots need AutoresetMode.SAME_STEP")
         self._shaping, self._values_ends = RewardShaping(teams), values_ends
-        self.teams: Any = teams  # wrapped or not: the state is not of Gymnasium's interface
+        self.teams: Any = teams  # wrapped or not; Gymnasium's interface has no state
         base: Any = teams.unwrapped
         self.simulator: Simulator = base.simulator
         spaces: tuple[Any, ...] = teams.single_observation_space, teams.single_action_space
@@ -111,7 +111,7 @@ class RobotSlots:
 
         Arguments are those of the vector environment. Returns observations (slots, ...).
         """
-        mask = (given := as_options(options)).get("reset_mask")  # some wrappers take it out
+        mask = (given := as_options(options)).get("reset_mask")  # some wrappers remove it
         observations, infos = self.teams.reset(seed=seeds, options=given)
         self.begin(np.ones(self.num_teams, np.bool_) if mask is None else mask)
         self.active = infos["active"].copy()
@@ -245,7 +245,7 @@ def team_options(options: Sequence[Mapping[str, Any]], dim: int) -> dict[str, An
                 f"set_options: all teams need the same keys and obstacles; one has {first}, "
                 f"another {other}"
             )
-    own_of_each = {*OPTIONS} - {"obstacles"}  # keys that are not ours are ignored, or meant
+    own_of_each = {*OPTIONS} - {"obstacles"}  # unknown keys are ignored, or belong to wrappers
     return {key: stacked(key) if key in own_of_each else first[key] for key in first}
 
 

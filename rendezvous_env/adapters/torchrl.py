@@ -155,7 +155,7 @@ class RendezvousEnv(EnvBase):
         actions = tensordict.get((GROUP, "action")).detach().cpu().numpy()
         observations, rewards, met, cut, infos = self._wrapped.step(actions)
         reward = self._shaping.robot_rewards(rewards, infos, infos["active"]).astype(np.float32)
-        status = self.simulator.status  # teams that stand still stay done
+        status = self.simulator.status  # ended environments stay done
         met, cut = met | (status == RENDEZVOUS), cut | (status == TIME_OUT)
         return self._given(observations, infos, met, cut, reward=reward)
 

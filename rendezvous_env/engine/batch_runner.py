@@ -62,10 +62,10 @@ class BatchController(Protocol):
 class RolloutResult(NamedTuple):
     """Output of several consecutive steps."""
 
-    output: StepOutput  # Of the last one
-    rewards: NDArray[np.float64]  # (B,), of all of them
-    robot_rewards: NDArray[np.float64]  # (B, n), likewise
-    contact: NDArray[np.bool_]  # (B, n), whether the robot touched an obstacle in any of them
+    output: StepOutput  # output of the last step
+    rewards: NDArray[np.float64]  # (B,), sum over the steps
+    robot_rewards: NDArray[np.float64]  # (B, n), sum over the steps
+    contact: NDArray[np.bool_]  # (B, n), robots in contact in any of the steps
 
 
 class DiagnosticsSnapshot:
@@ -103,7 +103,7 @@ class BatchRunner:
         rows *= 1 if place.scenario.sensing.exact else _ERRING
         self._work_of_step = place.batch * n * rows
         self._tuner = self._tuner_of(1)
-        self._tuners: dict[int, ThreadTuner] = {}  # of decisions of so many steps
+        self._tuners: dict[int, ThreadTuner] = {}  # by number of steps per call
         self.robot = robot(place.scenario)
         self._sensor = sensor(state)
         self._scratch = [scratch(place) for _ in range(self._tuner.max_threads)]
@@ -111,7 +111,7 @@ class BatchRunner:
         """Free working memory, between steps."""
         seen, robots = place.scenario.observation_layout.shape, (place.batch, n)
         self._shapes = (*robots, *seen), (SCORES, place.batch), robots, (place.batch,)
-        # to copy these is quicker than to fill
+        # copying these is faster than filling
         self._all, self._far = np.ones(robots, np.bool_), np.full(robots, np.inf)
         self._overflow = np.full(place.batch, -1)
         self._last: StepOutput | None = None
@@ -127,7 +127,7 @@ class BatchRunner:
         """
         work = steps * self._work_of_step
         if (most := min(self._state.place.blocks, work // _WORK_PER_THREAD)) <= 1:
-            return ThreadTuner(1, 0.0)  # to ask how many cores there are takes a while
+            return ThreadTuner(1, 0.0)  # querying the number of cores is slow
         most = min(most, threads.max_threads(self._num_threads))
         return ThreadTuner(most, min(_WORK_AHEAD / work, 1.0))
 
@@ -159,15 +159,15 @@ class BatchRunner:
         """Advance all environments under validated actions (B, n, a)."""
         output, place = self.new_output(), self._state.place
         blocks = place.blocks
-        if (tuner := self._tuner).max_threads == 1:  # one environment would notice what follows
+        if (tuner := self._tuner).max_threads == 1:  # no threading overhead
             calls = self._calls_of_one_thread(actions, output)
-            deque(map(call, calls), 0)  # one instruction: all calls, or none
+            deque(map(call, calls), 0)  # one instruction, so an interrupt leaves all calls or none
         else:
             calls_of = self._step_calls(actions, output)
             threads.share(calls_of, blocks, tuner.begin(), tuner.head_start)
             tuner.end()
-        # the next step's arrays come from other memory: where both steps' were free at once, the
-        # system would take it back, and clear it anew for every step of large batches
+        # keep this output alive until the next step: with both outputs freed at once, the system
+        # would reclaim the memory, and zero it again in every step of large batches
         self._last = output
         return output
 

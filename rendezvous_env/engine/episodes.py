@@ -205,7 +205,7 @@ class Episodes:
             state.give(which, positions=_for_each(positions, which))
         if angles is not None:
             kept = np.zeros((*angles.shape[:-1], scenario.model.memory_size(d)))
-            kept[..., : angles.shape[-1]] = angles  # whatever else it keeps begins at zero
+            kept[..., : angles.shape[-1]] = angles  # other memory starts at zero
             state.give(which, memory=_for_each(kept, which))
         if frames is not None:
             flat = frames.reshape(len(frames), n, d * d)

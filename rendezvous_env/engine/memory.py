@@ -27,15 +27,15 @@ exact geometry; robots merged; all bodies are in one packed cluster."""
 
 EPISODE_FIELDS = (
     "status",  # RUNNING, RENDEZVOUS, TIME_OUT or AWAITING_RESET
-    "steps",  # Done in this episode
-    "active",  # Robots that exist on their own
-    "contacts",  # In this episode, one for each robot and step
-    "path_length",  # Of all robots together in this episode, m
-    "initial_lyapunov",  # V at the start of the episode, m²/s
-    "lyapunov",  # V now, m²/s; follows from positions and weights
-    "min_clearance",  # Least distance to an obstacle in this episode, m
-    "clearance",  # Of the robot nearest to an obstacle as of the last observation, m
-    "square_closest",  # Least square distance of two neighbours as of the last observation, m²
+    "steps",  # in this episode
+    "active",  # number of active (not merged) robots
+    "contacts",  # in this episode, one per robot and step
+    "path_length",  # sum over robots in this episode, m
+    "initial_lyapunov",  # initial V of the episode, m²/s
+    "lyapunov",  # current V, m²/s; derived from positions and weights
+    "min_clearance",  # minimum distance to an obstacle in this episode, m
+    "clearance",  # minimum over robots at the last observation, m
+    "square_closest",  # minimum square distance of neighbours at the last observation, m²
 )
 """Persistent fields of an environment; float64 for computation over lanes."""
 (
@@ -82,11 +82,11 @@ def lane_count(width):
 class Robot(NamedTuple):
     """Robot model of a scenario; loops over its index tuples are unrolled."""
 
-    model: Any  # Its constants; their type names its equations (``robots.motion``)
-    inputs: tuple[int, ...]  # (0, …, a − 1), the numbers of an action
+    model: Any  # its constants; their type selects the equations (``robots.motion``)
+    inputs: tuple[int, ...]  # (0, …, a − 1), indices of action components
     axes: tuple[int, ...]  # (0, 1) or (0, 1, 2)
-    entries: tuple[int, ...]  # (0, …, d² − 1), the numbers of a frame
-    memories: tuple[int, ...]  # (0, …, k − 1), the numbers that the model keeps
+    entries: tuple[int, ...]  # (0, …, d² − 1), indices of frame entries
+    memories: tuple[int, ...]  # (0, …, k − 1), indices of the model's memory
 
 
 def _of_one(kind: type) -> Any:
@@ -208,7 +208,7 @@ def write_row(values, row, lane):
 
     Negative zeros become positive.
     """
-    # by one index: with two, the compiler gives up the SIMD of a store that leaves gaps
+    # one index: with two, the compiler does not vectorise a strided store
     d = len(values)
     row[d * lane], row[d * lane + 1] = values[0] + _ZERO, values[1] + _ZERO
     if len(values) == 3:

@@ -13,13 +13,13 @@ from ..obstacles import parsing
 from ..scenario.scenario import Scenario
 from .memory import N_FIELDS, LaneBlock, ScalarBlock
 
-_LINE = 64  # Bytes of a cache line
+_LINE = 64  # size of a cache line, bytes
 _FEWEST_SIDE_BY_SIDE = 5
 """Minimum number of environments for blocks of 32 lanes; a processor handles four at a time."""
 _SPARSE_FROM = 48
 """Number of robots from which a sequential list of links is faster than all pairs in lanes."""
-_SPARSE_SHARE = 0.25  # Share of all pairs above which it is not
-_NEAR_CACHE = 2**20  # Bytes of scratch memory that stay in the cache from stage to stage
+_SPARSE_SHARE = 0.25  # fraction of all pairs above which the list is slower
+_NEAR_CACHE = 2**20  # scratch memory that stays in the cache between stages, bytes
 Floats = NDArray[np.float64]
 
 
@@ -32,7 +32,7 @@ class MemoryLayout:
         most = scenario.sensing_graph.most_links(n)
         self.one_way = not scenario.sensing_graph.undirected
         few = n >= _SPARSE_FROM and most <= _SPARSE_SHARE * n * (n - 1) / 2
-        few = few and scenario.neighbour_overflow == "error"  # else each row is to be of one robot
+        few = few and scenario.neighbour_overflow == "error"  # else each row belongs to one robot
         self.sparse = few and not self.one_way
         alone = self.sparse or self.one_way
         self.width = ScalarBlock() if alone or batch < _FEWEST_SIDE_BY_SIDE else LaneBlock()
@@ -80,18 +80,18 @@ class Scratch(NamedTuple):
     rows: NDArray[np.float32]
     """Observations, (group, n, rows, L·d), neighbours first; the d numbers of a lane are
     adjacent."""
-    pair: Floats  # ((d + 3)·L,), of ``sense_pairs``
-    disc: Floats  # (6·L,), of ``sense_discs``
-    keys: NDArray[np.uint64]  # (2, L), of ``apply_noise``
-    words: NDArray[np.uint32]  # (3, 4, L), likewise
-    vectors: Floats  # (3, n, d), of one environment, as all that follow
+    pair: Floats  # ((d + 3)·L,), for ``sense_pairs``
+    disc: Floats  # (6·L,), for ``sense_discs``
+    keys: NDArray[np.uint64]  # (2, L), for ``apply_noise``
+    words: NDArray[np.uint32]  # (3, 4, L), for ``apply_noise``
+    vectors: Floats  # (3, n, d), of one environment, as are all below
     numbers: Floats  # (4, max(n, E, 4))
     listed: NDArray[np.int64]  # (2, max(n, E)), its links
     counts: NDArray[np.int64]  # (n,)
     flags: NDArray[np.bool_]  # (n,)
     normals: Floats  # (2M, 3), of the obstacles in contact
     silhouette: Floats  # (S, d), of one obstacle
-    chains: NDArray[np.int64]  # (M, 2), of ``reachability``
+    chains: NDArray[np.int64]  # (M, 2), for ``reachability``
 
 
 def scratch(place: MemoryLayout) -> Scratch:
@@ -116,9 +116,9 @@ def scratch(place: MemoryLayout) -> Scratch:
     )
 
 
-_UNSEEN = 2**28  # Bytes up to which nobody looks up what is free, which takes longer than a step
-_KEPT_OBSERVATIONS = 3  # At a time: this step's, the one's before, and the caller's copy
-_BOUNDS = 4  # Arrays in a space: its bounds, and whether each is finite
+_UNSEEN = 2**28  # bytes below which free memory is not queried, which takes longer than a step
+_KEPT_OBSERVATIONS = 3  # those of this step and the previous one, and the caller's copy
+_BOUNDS = 4  # arrays in a space: bounds and their finiteness
 
 
 def needed_bytes(scenario: Scenario, num_envs: int) -> int:

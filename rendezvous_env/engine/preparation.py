@@ -30,11 +30,11 @@ class Constants(NamedTuple):
     obstacle_range: float
     neighbour_slots: int
     reward_weights: tuple[float, ...]
-    weighs_clearance: bool  # Whether the reward has a term of clearance
-    all_earn: bool  # Whether merged-away robots earn the team reward, too
-    body_radius: float  # Of the discs in which robots stand in one another's sight, and way, m
-    packs: bool  # Whether bodies stop where they would touch, instead of merging
-    merges_through: bool  # Whether robots merge where an obstacle is between them
+    weighs_clearance: bool  # whether the reward has a clearance term
+    all_earn: bool  # whether merged robots also receive the team reward
+    body_radius: float  # radius for occlusion and body contact, m
+    packs: bool  # whether bodies stop on contact, instead of merging
+    merges_through: bool  # whether robots merge through obstacles
 
 
 class Sensor(NamedTuple):
@@ -99,13 +99,13 @@ class StartRules(NamedTuple):
     spawn_size: float
     least_distance: float
     keep_out: float
-    factors: tuple[float, float] | None  # The range of what given arcs are multiplied by, or None
+    factors: tuple[float, float] | None  # range of sampled factors of given arcs, or None
     reach: float | None
     """For changing links: length up to which links must connect the initial condition, m; inf
     without this requirement. All robots then keep their distance from each other. None: robots
     keep their distance from neighbours only."""
-    graph: GraphRules | None  # None where no episode draws anything of its graph
-    field: Rules | None  # None where no episode draws obstacles
+    graph: GraphRules | None  # None if no part of the graph is sampled
+    field: Rules | None  # None if obstacles are not sampled
 
 
 def start_rules(scenario: Scenario) -> StartRules:

@@ -112,7 +112,7 @@ def draw_positions(
     for k in range(len(which)):
         b = which[k]
         key = _stream_of_trial(stream_key(seeds[b], episodes[b], START), trials[0])
-        # beside the streams of further trials for passages
+        # distinct from the streams of further trials for passages
         key = _stream_of_trial(key, trials[1] * MAX_TRIALS)
         counter = 0
         for i in range(positions.shape[0]):
@@ -137,7 +137,7 @@ def draw_frames(lanes, which, axes, seeds, episodes, robots):
         b = which[k]
         key = stream_key(seeds[b], episodes[b], FRAMES)
         for i in range(robots.shape[1]):
-            # numbers 3i to 3i + 2 are robot i's own, used or not
+            # numbers 3i to 3i + 2 are reserved for robot i
             frame = draw_rotation(key, 3 * i, axes)
             store_fields(frame, robots[b // lanes, i], len(axes), b % lanes, lanes)
 

@@ -97,7 +97,7 @@ def check_rotations(state: Mapping[str, NDArray[Any]], teams: Any, tolerance: fl
     given = state["frames"]
     d = 3 if given.shape[-1] % 3 == 0 else 2
     frames = given.reshape(*given.shape[:2], d, d)
-    with np.errstate(over="ignore", invalid="ignore"):  # what is huge is refused
+    with np.errstate(over="ignore", invalid="ignore"):  # huge values are rejected
         gap = np.abs(np.swapaxes(frames, -1, -2) @ frames - np.eye(d)).max(axis=(-2, -1))
         wrong = ~((gap <= tolerance) & (np.linalg.det(frames) > 0))
     refuse_first("frames", wrong & np.reshape(teams, (-1, 1)), frames, "a rotation")
@@ -168,9 +168,9 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
     refuse("status", (status < 0) | (status > AWAITING_RESET), f"0 to {AWAITING_RESET}")
     refuse("seed", state["seed"] >= 2**63, "below 2**63")
     refuse("episode", state["episode"] < -1, "-1 (none yet) or more")
-    if "frames" in state:  # those of teams that have not begun are not drawn yet
+    if "frames" in state:  # not sampled yet for environments before their first reset
         check_rotations(state, state["episode"] >= 0, _ROUNDING)
-    if scenario.model.keeps_velocity:  # how far a robot may come in a step stands on its limit
+    if scenario.model.keeps_velocity:  # the maximum motion per step relies on the speed limit
         velocities = state["memory"][..., scenario.model.n_angles :]
         limit = constants_of(scenario).speed_limit
         too_fast = np.linalg.norm(velocities, axis=-1) > limit * (1 + _ROUNDING)

@@ -82,7 +82,7 @@ def _run(own: list[Callable[[], Any]], others: list[list[Callable[[], Any]]]) ->
         while not wait(ended, turns, spins):
             wake.get()
     except BaseException:
-        deque(rest, 0)  # up to here, and in it, no other handler runs
+        deque(rest, 0)  # no other handler runs up to and within this line
         raise
     if errors:
         raise errors[0]
@@ -144,12 +144,12 @@ def _serve(jobs: SimpleQueue[Any]) -> None:
 def _work(calls: list[Callable[[], Any]], report: Any) -> None:
     ended, wake, errors = report
     try:
-        while calls:  # what has been called is released
+        while calls:  # release finished calls
             calls.pop(0)()
     except BaseException as error:
         errors.append(error)
     calls.clear()
-    ended[0] = 1  # the caller polls it, and needs the interpreter lock at once
+    ended[0] = 1  # the caller polls this, and then needs the interpreter lock
     wake.put(None)
 
 

@@ -113,12 +113,12 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
             if self._checks_passage:
                 self._check_passage(table[None], self._observed, acting)
             if self.filter.uses_feedback:
-                touched = self._base.teams.outcome.contact  # a wrapper between may tell another
+                touched = self._base.teams.outcome.contact  # a wrapper may change it
                 self.filter.update(touched, simulator.copy_of_merged())
             self._add_told(told)
             for name, info in told.items():
                 rewards[name] += earned[name]
-                before = infos.get(name, {})  # a wrapper between may tell nothing
+                before = infos.get(name, {})  # a wrapper may omit it
                 info["contact"] = info.get("contact", False) or before.get("contact", False)
                 for key in simulator.costs:
                     info[key] += before.get(key, 0.0)

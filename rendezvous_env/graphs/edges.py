@@ -23,8 +23,8 @@ class Links(NamedTuple):
     """
 
     form: int  # DENSE, LISTED or ARCS
-    first: NDArray[np.int64]  # (1, pairs) or (B, E), the lower robot of each link, sorted; no arcs
-    second: NDArray[np.int64]  # The other robot
+    first: NDArray[np.int64]  # (1, pairs) or (B, E), lower robot, sorted; empty for arcs
+    second: NDArray[np.int64]  # the other robot
     weights: NDArray[np.float64]
     """Weights, m/s: (blocks, pairs, L); (B, E, 1), 0 for unused entries; or (B, n·n, 1), a_ij of
     robot i for robot j at i·n + j."""
@@ -33,15 +33,15 @@ class Links(NamedTuple):
 class Changes(NamedTuple):
     """Time dependence of arcs: a list of alternating graphs, and visibility."""
 
-    bases: NDArray[np.float64]  # (G, n, n), a_ij of each graph before drawing, m/s
-    # (G,), each arc's weight is multiplied by a number from low to high, drawn for every pair and
+    bases: NDArray[np.float64]  # (G, n, n), nominal a_ij of each graph, m/s
+    # (G,), range of the factor of each arc's weight, sampled for every pair and
     # episode
     lows: NDArray[np.float64]
     highs: NDArray[np.float64]
-    dwell: float  # how long a graph holds, s; inf for ever
-    at_random: bool  # whether the next graph is drawn from the list rather than the next in it
-    by_sight: bool  # whether a robot has arcs only to robots that it sees
-    reach: float  # range of sight, m
+    dwell: float  # dwell time of a graph, s; inf without switching
+    at_random: bool  # whether the next graph is sampled from the list
+    by_sight: bool  # whether a robot has arcs only to visible robots
+    reach: float  # sensing range, m
     half_field: float  # half the field of view, rad
 
 

@@ -59,8 +59,8 @@ def merge_swept(
         e = _earliest(moments, first, second, resting)
         if e < 0:
             break
-        # the moments found at the start stay true: whose links a merge changes rests from then on
-        # V at a merge is that of the places at its moment, when the others are still under way
+        # the times computed at the start stay valid: a robot whose links change rests from then on
+        # V at a merge is that of the positions at its time, while others are still moving
         moment, i, j = moments[e], first[e], second[e]
         for k in range(n):
             share = 0.0 if resting[k] else moment
@@ -73,14 +73,14 @@ def merge_swept(
         merges += 1
         for robot in (i, j):
             resting[robot] = True
-            lengths[robot] *= moment  # as if the way grew evenly; it does but for accelerations
+            lengths[robot] *= moment  # assumes constant speed, which holds except for accelerations
             for axis in range(d):
                 positions[robot, axis] = here[robot, axis]
                 displacements[robot, axis] = 0.0
     for k in range(n):
         for axis in range(d):
             positions[k, axis] += displacements[k, axis]
-    # a place at a midpoint, or a robot at rest, may be nearer than r to others without a crossing
+    # a midpoint or a resting robot may be nearer than r to others without a crossing
     while True:
         e = _nearest_within(positions, links, radius, world, through)
         if e < 0:
@@ -156,7 +156,7 @@ def _merge(e, positions, links, arcs, merged_into, world, radius, is_first, repo
     i, j, gain = first[e], second[e], weight[e]
     before = lyapunov_of_links(positions, links)
     at_midpoint = _place(i, j, positions, world)
-    # the bound speaks of the degrees before the links are contracted
+    # the bound refers to the degrees before contraction
     bound = radius * max(0.0, _pull_at_merge(i, j, links, at_midpoint) - 4.0 * gain)
     contract(i, j, links)
     if arcs is not None:
@@ -181,7 +181,7 @@ def _place(i, j, positions, world):
     """
     d = positions.shape[1]
     at_midpoint = True
-    if world is not None:  # the lower index' own place is free, so nobody lands in an obstacle
+    if world is not None:  # the position of the lower index is collision-free
         a, b = load(positions[i]), load(positions[j])
         midpoint = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
         at_midpoint = clear_of_obstacles(midpoint, world, 0.0)
@@ -221,8 +221,8 @@ def contract(i, j, links):
             low, high = min(i, k), max(i, k)
             twin = _link_between(low, high, links)
             if twin >= 0:
-                # the heavier, not the sum: no D_i outgrows the D̄ that the certified step is for,
-                # and a* never falls (theory 3 and 4)
+                # the heavier, not the sum: no D_i exceeds the D̄ of the certified step,
+                # and a* never decreases (theory 3 and 4)
                 weight[twin] = max(weight[twin], weight[e])
                 weight[e] = 0.0
             else:

@@ -22,10 +22,10 @@ CAPSULE = 3
 ball."""
 AXIS, THICKNESS = OWN, OWN + 3
 """Columns of half axis and radius in kernel rows."""
-_HALVINGS = 52  # of the interval of a boundary ray: as many as a float64 has digits
-# angles of the corners that stand for the half circle at an end of a capsule
+_HALVINGS = 52  # bisection steps of a boundary ray: the bits of a float64
+# angles of the vertices that approximate the half circle at an end
 _ROUND_END = np.linspace(-math.pi / 2, math.pi / 2, 17)
-_MOST_BEADS = 99  # balls drawn for a capsule; a very thin one is dotted
+_MOST_BEADS = 99  # maximum number of balls drawn for a capsule; a very thin one is dotted
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def _is_hit(ray, offset, half, radius):
     across, half_across = without(offset, ray), without(half, ray)
     share = _nearest_share(combine(-1.0, across, 0.0, across), half_across)
     if dot(combine(1.0, offset, share, half), ray) < 0.0:
-        return False  # the nearest point lies behind, and the origin is outside the capsule
+        return False  # the nearest point is behind, and the origin is outside
     return norm(combine(1.0, across, share, half_across)) <= radius
 
 

@@ -31,14 +31,14 @@ from .shape import CONTACT_DEPTH
 
 SLIDE, STOP, IGNORE = range(3)
 """Contact modes: slide along the surface, stop on it, or pass through."""
-_TOUCHING = -1e-13  # m; how far from a surface rounding may leave a resting robot
-_TOUCHED_SKIN = 1e-8  # m; a skin nearer than this is touched
-_CHORD_TOLERANCE = 1e-7  # m; how far a chord may be from its arc when a contact is decided
+_TOUCHING = -1e-13  # m; rounding error of the distance of a resting robot
+_TOUCHED_SKIN = 1e-8  # m; contact distance of a skin
+_CHORD_TOLERANCE = 1e-7  # m; maximum distance of a chord from its arc at a contact
 _MAX_LEGS = 16
-# pieces that a curve is followed by, so many that all obstacles with their corners, each looked at
-# for every piece, keep within the work
+# number of chords of a curve; limited so that all obstacles with their corners, visited for every
+# chord, stay within the work limit
 _MOST_CHORDS, _LEAST_CHORDS, _MOST_WORK = 20_000, 500, 400_000
-_NEARLY_PARALLEL = 1e-24  # square sine of the angle between two planes that meet in no line
+_NEARLY_PARALLEL = 1e-24  # squared sine of the angle below which two planes are parallel
 
 
 @kernel
@@ -259,7 +259,7 @@ def _is_free(velocity, touched, count):
 @kernel
 def _onto_face(velocity, m, n):
     """Project a velocity onto the plane with normal n = m, or else onto the line m × n."""
-    line = cross(m, n)  # in the plane it is the vertical, across every velocity: 0 is left
+    line = cross(m, n)  # in 2-D it is vertical, perpendicular to every velocity: the result is 0
     squared = dot(line, line)
     if squared < _NEARLY_PARALLEL:
         return add(velocity, -dot(velocity, n), n)

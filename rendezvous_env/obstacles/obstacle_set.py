@@ -58,7 +58,7 @@ class RoundObstacles(NamedTuple):
     kinds: NDArray[np.int64]  # (M,), ABSENT or BALL
     corners: NDArray[np.int64]  # (M,), zeros
     shapes: NDArray[np.float64]  # (M, width)
-    skins: NDArray[np.float64]  # (M,), m, 0 or SKIN; they follow from the shapes
+    skins: NDArray[np.float64]  # (M,), m, 0 or SKIN; derived from the shapes
 
 
 class AnyObstacles(NamedTuple):
@@ -67,7 +67,7 @@ class AnyObstacles(NamedTuple):
     kinds: NDArray[np.int64]  # (M,), ABSENT or one of the ``KINDS``
     corners: NDArray[np.int64]  # (M,), vertices of a polygon; 0 for other kinds
     shapes: NDArray[np.float64]  # (M, width)
-    skins: NDArray[np.float64]  # (M,), m, 0 or SKIN; they follow from the shapes
+    skins: NDArray[np.float64]  # (M,), m, 0 or SKIN; derived from the shapes
 
 
 ObstacleSet = RoundObstacles | AnyObstacles

@@ -54,7 +54,7 @@ def _parse_entry(field: str, entry: Any, dim: int) -> Obstacle:
 def _from_plain(plain: Mapping[str, Any], dim: int) -> Obstacle | Field:
     values = dict(plain)
     kind = values.pop("kind", None)
-    if kind is None:  # the one that has most of the keys
+    if kind is None:  # the kind with the most matching keys
         kinds = (kind for kind in _KINDS if kind != ("sphere" if dim == 2 else "disc"))
         kind = max(kinds, key=lambda kind: len(values.keys() & _keys(kind).keys()))
     keys = _keys(choice("obstacles: kind", kind, _KINDS))

@@ -22,9 +22,9 @@ from .shape import BOUND, LEAST_THICKNESS, MIDDLE, NEARLY_ZERO, OWN, centre_dire
 POLYGON = 2
 """Kind number of polygons. Their row has the vertices x0, y0, x1, y1, … in counterclockwise
 order after the bounding ball."""
-# of coordinates that were computed, as a share of the largest; so deep is no vertex a dent
+# relative to the largest coordinate; a dent of this depth is no concave vertex
 _ROUNDING = 1e-12
-_VERTEX_TOLERANCE = 1e-9  # m; on a vertex are points that are no deeper behind either edge
+_VERTEX_TOLERANCE = 1e-9  # m; points on a vertex are no deeper behind either edge
 
 
 @dataclass(frozen=True)
@@ -193,7 +193,7 @@ def _edges(row, corners, point):
     for k in range(corners):
         x, y = row[OWN + 2 * k] - point[0], row[OWN + 2 * k + 1] - point[1]
         if x * x + y * y < NEARLY_ZERO * NEARLY_ZERO:
-            continue  # the robot stands on this vertex: its neighbours are the silhouette
+            continue  # the robot is on this vertex: its neighbours are the edges
         if towards[0] * y - towards[1] * x > 0.0:
             if left_x * y - left_y * x > 0.0:
                 left_x, left_y = x, y

@@ -12,8 +12,8 @@ from ..compilation import inner_kernel, kernel
 from ..physics.vectors import load
 from .shape import ABSENT, BOUND, centre_of_row
 
-# columns of a disc's row: an earlier disc of its chain, itself if it is the first; and whether it
-# is on the other side than that one
+# columns of a disc's row: an earlier disc of its chain, itself for the first; and whether it is
+# on the other side of that one
 _BEFORE, _SIDE = 0, 1
 
 

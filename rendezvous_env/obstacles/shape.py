@@ -26,10 +26,10 @@ KIND, CORNERS, RADIUS, CENTRE, DETAILS = 0, 1, 2, 3, 6
 AHEAD = 2  # columns of a table before those of the rows that kernels take: kind and corners
 BOUND, MIDDLE, OWN = RADIUS - AHEAD, CENTRE - AHEAD, DETAILS - AHEAD
 """Columns of a kernel row: radius and centre of the bounding ball, and the numbers of the shape."""
-CONTACT_DEPTH = 1e-6  # m; how deep a path goes before it is a contact
-SKIN = 2 * CONTACT_DEPTH  # m; the distance robots keep to shapes that only just meet
-LEAST_THICKNESS = 1e-5  # m; ten times as deep as a contact, which cannot pass through
-NEARLY_ZERO = 1e-9  # m, or m/s: a shorter vector has no direction worth the name
+CONTACT_DEPTH = 1e-6  # m; depth from which a path is a contact
+SKIN = 2 * CONTACT_DEPTH  # m; distance of robots to shapes that only just meet
+LEAST_THICKNESS = 1e-5  # m; ten times the contact depth, so no path passes through
+NEARLY_ZERO = 1e-9  # m, or m/s; a shorter vector has no meaningful direction
 _AZIMUTHS = 0.25 * math.pi * np.arange(8)
 COS_AZIMUTH = tuple(np.cos(_AZIMUTHS).tolist())
 SIN_AZIMUTH = tuple(np.sin(_AZIMUTHS).tolist())
@@ -73,7 +73,7 @@ class Outline(NamedTuple):
 
     centre: NDArray[np.float64]  # (d,), of the bounding ball
     radius: float  # of the bounding ball
-    vertices: NDArray[np.float64]  # (k, d); none where it is its bounding ball
+    vertices: NDArray[np.float64]  # (k, d); empty for a ball
 
 
 def round_outlines(centres: Iterable[NDArray[np.float64]], radius: float) -> list[Outline]:
@@ -150,7 +150,7 @@ def azimuth_axes(towards, net_bearing, axis_x, axis_y):
     """
     for vector in (net_bearing, axis_x, axis_y):
         across = combine(1.0, vector, -dot(vector, towards), towards)
-        if norm(across) > NEARLY_ZERO * max(1.0, norm(vector)):  # and more than rounding leaves
+        if norm(across) > NEARLY_ZERO * max(1.0, norm(vector)):  # above rounding errors
             break
     length = norm(across)
     e = (across[0] / length, across[1] / length, across[2] / length)

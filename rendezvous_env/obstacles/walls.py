@@ -26,10 +26,10 @@ LAYOUTS = {"trap": 3, "corridor": 2, "rooms": 8}
 TRAP, CORRIDOR, ROOMS = range(3)
 """Layout indices, in that order."""
 BOX = 8  # numbers of the four vertices of a wall
-# thicknesses that a wall of rooms is longer than its door: both pieces beside it are walls
+# excess length of a wall over its door, in thicknesses: both pieces beside the door are walls
 _LEAST_PIECES = 3.0
 _TRIES = 1000
-_NUMBERS = 15  # of the stream that each try uses: 3 for the pose, at most 3 for each of four walls
+_NUMBERS = 15  # random numbers per trial: 3 for the pose, at most 3 for each of four walls
 
 
 @lists_fields
@@ -91,7 +91,7 @@ class WallRules(NamedTuple):
     thickness: float
     region: float
     keep_out: float
-    passage: float = 0.0  # they close nothing in
+    passage: float = 0.0  # no layout encloses an area
 
 
 @kernel
@@ -133,7 +133,7 @@ def _draw_layout(key, counter, rules, world):
     else:
         for k in range(4):
             _draw_wall_with_door(key, counter + 3 * k, rules, pose, world, 2 * k)
-            pose = (x, y, -pose[3], pose[2])  # a quarter turn on
+            pose = (x, y, -pose[3], pose[2])  # rotated by 90°
 
 
 @inner_kernel
@@ -144,7 +144,7 @@ def _draw_trap(key, counter, rules, pose, world):
     other = _between(rules.size, key, counter + 2)
     thick = rules.thickness
     bottom = -0.5 * max(one, other)
-    # the arms run through the bottom, so that there is no seam to slip through
+    # the arms extend through the bottom, so that there is no seam
     _put_box(world, 0, pose, (bottom - thick, bottom), (-half - thick, half + thick))
     _put_box(world, 1, pose, (bottom - thick, bottom + one), (half, half + thick))
     _put_box(world, 2, pose, (bottom - thick, bottom + other), (-half - thick, -half))

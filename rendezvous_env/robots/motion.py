@@ -158,7 +158,7 @@ def drifts(model):
     """Whether a robot may move under zero action, ‖Δ‖ > 0 m: ``Motion.drifts``."""
 
 
-# Equations of the model that the constants are of, as ``Motion`` says of each.
+# Equations of the model with these constants; see ``Motion``.
 
 
 def _equation(name: str) -> Any:

@@ -243,7 +243,7 @@ class Scenario:
     @property
     def merges_through(self) -> bool:
         """Whether any two neighbours within r merge, obstacles or not."""
-        nothing = not self.obstacles and not self.obstacle_slots  # nor given to any reset
+        nothing = not self.obstacles and not self.obstacle_slots  # nor passed to any reset
         return self.merge_through_obstacles or nothing or self.obstacle_contact == "ignore"
 
     @property
@@ -347,7 +347,7 @@ class Scenario:
         plain["sensing"] = None if self.sensing.exact else self.sensing.to_plain()
         plain["costs"] = list(self.costs) or None
         plain["merge_through_obstacles"] = False if not self.merge_through_obstacles else None
-        for key in ("neighbour_overflow", "obstacle_overflow"):  # younger than files of scenarios
+        for key in ("neighbour_overflow", "obstacle_overflow"):  # newer than the file format
             plain[key] = None if plain[key] == "error" else plain[key]
         for key in ("start_positions", "start_headings"):
             plain[key] = plain[key] and [list(row) for row in plain[key]]

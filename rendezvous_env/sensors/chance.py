@@ -43,9 +43,9 @@ _LOWER = _float32(
 """Coefficients of Φ⁻¹((1 + x)/2)/x, in ascending powers of w = −log(1 − x²) ∈ [0, 21.5]: a
 minimax rational function, with relative error 1.2·10⁻⁷."""
 
-_ROUNDS = np.float32(1.5 * 2.0**23)  # to add it leaves the nearest whole number, in the last bits
+_ROUNDS = np.float32(1.5 * 2.0**23)  # adding it leaves the nearest integer in the last bits
 _QUARTERS = np.float32(2.0 / math.pi)
-# π/2 as a short number, of which multiples are exact, and the rest
+# π/2 as a short number with exact multiples, and the remainder
 _QUARTER = (np.float32(1.5703125), np.float32(0.5 * math.pi - 1.5703125))
 _SMALL = np.float32(0.123)  # rad; 6.34 times as much is still below π/4
 _SINE = _float32(-1.6666654611e-1, 8.3321608736e-3, -1.9515295891e-4)

@@ -27,7 +27,7 @@ from ..physics.vectors import (
 )
 from .sensing import Sensing
 
-_NEARLY_PARALLEL = 1e-9  # sine of an angle between two directions that span no plane
+_NEARLY_PARALLEL = 1e-9  # sine of the angle below which two directions are parallel
 
 
 class Imperfections(NamedTuple):
@@ -78,7 +78,7 @@ def imperfections_of(sensing: Sensing) -> Imperfections | None:
     )
 
 
-@inner_kernel(inline="code")  # to hand all its arguments over would take longer than what it does
+@inner_kernel(inline="code")  # passing all its arguments would take longer than its work
 def neighbour_seen(pair, row, frame, sensor, places, scene):
     """Row of neighbour j as observed by robot i, zero if j is hidden.
 
@@ -142,7 +142,7 @@ def is_in_view(direction, half_field):
     A half angle of π is the full circle.
     """
     x, y, z = triple(direction)
-    # to find the angle takes as long as a step of a robot with an exact sensor
+    # computing the angle takes as long as a step of a robot with an exact sensor
     return half_field >= math.pi or math.atan2(math.sqrt(y * y + z * z), x) <= half_field
 
 
@@ -183,7 +183,7 @@ def _across(axis, row):
         length = norm(part)
         if length > _NEARLY_PARALLEL * norm(candidate) * dot(row, row):
             return part[0] / length, part[1] / length, part[2] / length
-    return 0.0, 0.0, 1.0  # the row is zero: nothing is turned
+    return 0.0, 0.0, 1.0  # the row is zero: no rotation
 
 
 @kernel(inline="code")

@@ -210,7 +210,7 @@ def apply_noise_to_silhouettes(
     They have ``points`` rows each from the row ``own`` on. Working memory as ``apply_noise``.
     """
     lanes, n = lane_count(width), rows.shape[1]
-    slots = (rows.shape[2] - own) // points  # the remaining row, if any, is of the robot itself
+    slots = (rows.shape[2] - own) // points  # a remaining row is proprioception
     turns = errors.bias > 0.0 or errors.noise > 0.0
     for block in range(first, last):
         count = min(lanes, len(seeds) - block * lanes)

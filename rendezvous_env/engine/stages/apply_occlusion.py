@@ -103,7 +103,7 @@ def delay_observations(lanes, first, last, moves, merged_into, environments, pas
                 active = merged_into[b, i] == i
                 for row in range(sensed):
                     for k in range(d):
-                        if step == 0:  # nothing else has been seen
+                        if step == 0:  # there is no earlier observation
                             for t in range(length):
                                 past[b, t, i, row, k] = rows[i, row, k]
                         now[i, row, k] = rows[i, row, k]

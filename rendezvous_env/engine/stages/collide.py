@@ -30,7 +30,7 @@ from ..memory import (
 )
 
 _ROUNDING = 1.0 + 1e-9
-_NEAREST = 3e-6  # m, more than a skin; nearer to what it could reach, a robot is moved exactly
+_NEAREST = 3e-6  # m, more than a skin; margin of reachable distances for exact motion
 
 
 @kernel

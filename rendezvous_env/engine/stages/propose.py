@@ -128,7 +128,7 @@ def _advance_robot(width, d, move, environment, state):
     lanes = lane_count(width)
     for k in range(d):
         for lane in range(lanes):
-            # others are at their ends already; a choice, not a branch, keeps it SIMD
+            # others have moved already; selection instead of a branch keeps it SIMD
             free = environment[PROXIMITY * lanes + lane] == FREE
             state[k * lanes + lane] += move[k * lanes + lane] if free else 0.0
 

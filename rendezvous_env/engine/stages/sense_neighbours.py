@@ -22,7 +22,7 @@ from ..memory import (
     write_row,
 )
 
-_ROUNDING = 1e-9  # Share of a dwell time by which a step may miss its end
+_ROUNDING = 1e-9  # fraction of a dwell time by which a step may miss its end
 
 
 @kernel
@@ -57,7 +57,7 @@ def _begin_pairs(width, d, pair):
 def _end_pairs(width, d, pair, environment):
     lanes = lane_count(width)
     for lane in range(lanes):
-        # each pair was seen once, and V counts each edge twice
+        # each pair is visited once, and V counts each edge twice
         environment[SENSED_LYAPUNOV * lanes + lane] = 2.0 * pair[(d + 1) * lanes + lane]
         environment[SQUARE_CLOSEST * lanes + lane] = pair[(d + 2) * lanes + lane]
 

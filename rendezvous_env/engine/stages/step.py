@@ -60,7 +60,7 @@ Call = Callable[[], Any]
 class _Late(NamedTuple):
     """Trailing argument of a stage that changes in each step."""
 
-    place: int  # Among the output, the actions, and the rows
+    place: int  # index among outputs, actions and rows
 
 
 _OUTPUT: Any = StepOutput(*map(cast(Any, _Late), range(len(StepOutput._fields))))
@@ -83,7 +83,7 @@ class StepStages:
         self._has_obstacles = state.obstacles.kinds.shape[1] > 0
         self._has_contacts = constants.contact_mode != IGNORE and self._has_obstacles
         self._dense = state.links.form == DENSE
-        # where blocks have one lane, and rows are in their order, they are sensed in the output
+        # with one lane and ordered rows, sensing writes directly to the output
         self._direct = place.lanes == 1 and not (self._dense and place.packed)
 
     def calls(
@@ -109,7 +109,7 @@ class StepStages:
         if (plan := self._plans.get(key)) is None:
             stages = self._stages_of(first, last, actions is not None, collides, scratch)
             plan = self._plans[key] = [self._bound(given, *stage) for stage in stages]
-        # of a partial call a further one is as quick, and to make one takes 0.2 µs
+        # a nested partial call is as fast, and creating one takes 0.2 µs
         return [call if late is None else partial(call, *late(given)) for call, late in plan]
 
     def _bound(self, given: tuple[Any, ...], kernel: Any, *arguments: Any) -> tuple[Call, Any]:
@@ -293,7 +293,7 @@ def _writable(value: Any) -> Any:
 @kernel
 def first_not_finite(values):
     """Index of the first number that is infinite or NaN, or −1."""
-    # to count has no branch and becomes SIMD; the place is looked for only if there is one
+    # counting has no branch and becomes SIMD; the index is searched only if there is one
     finite = 0
     for k in range(len(values)):
         finite += abs(values[k]) <= _LARGEST

@@ -6,13 +6,13 @@ from ...compilation import inner_kernel, kernel
 from ...robots.motion import proprioception
 from ..memory import lane_count, load_fields
 
-_MANY_ROWS = 256  # which with those of the other lanes no longer fit into the nearest cache
+_MANY_ROWS = 256  # rows that, with those of the other lanes, exceed the L1 cache
 
 
 @kernel
 def write_observations(width, axes, first, last, rows, observations):
     """Copy rows, (blocks, n, rows, L·d), to observations, (B, n, rows, d)."""
-    if len(axes) == 2:  # both numbers of a row in one piece: half as many to copy
+    if len(axes) == 2:  # copy both numbers of a row at once
         _copy_rows(width, 1, first, last, rows.view(np.float64), observations.view(np.float64))
     else:
         _copy_rows(width, 3, first, last, rows, observations)

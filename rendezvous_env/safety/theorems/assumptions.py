@@ -19,7 +19,7 @@ _LEAST_MOVE, _LEAST_GAIN = 2.0**-40, 2.0**-47
 _FAR_OUT_MOVE, _FAR_OUT_GAIN = 2.0**-46, 2.0**-51
 _ROUNDED_OFF = 2.0**-52
 """Bound on the rounding of a position relative to the largest coordinate (float64: 2⁻⁵³)."""
-_PAID = 2.0**-6  # of r W: so much rounding may pay in an episode
+_PAID = 2.0**-6  # fraction of r W that rounding may add in an episode
 _WHY_NOT = {
     known.DIRECTED: "V counts links both ways, and here a robot need not be seen by whom it sees",
     known.SWITCHING: (
@@ -46,7 +46,7 @@ def on_graphs(*kinds: str) -> Assumption:
     return holds
 
 
-undirected = on_graphs(known.UNDIRECTED)  # links are mutual and last but for merges
+undirected = on_graphs(known.UNDIRECTED)  # links are mutual and permanent, except for merges
 without_range = on_graphs(known.UNDIRECTED, known.DIRECTED, known.SWITCHING)
 """Links do not end with distance."""
 _ANY_LINKS = "none: with require_connected=False a family of one's own need not connect its robots"
@@ -256,7 +256,7 @@ def rows_for_all(scenario: Scenario, asked: Asked) -> str:
     """The number of neighbours never exceeds the number of rows."""
     slots = scenario.observation_layout.neighbour_slots
     if slots >= scenario.sensing_graph.most_neighbours(scenario.n_robots):
-        return ""  # as with rows that no one has given, and without a look at all links
+        return ""  # as with default rows, without examining all links
     if slots >= (most := known.most_neighbours(scenario)):
         return ""
     return (
@@ -300,7 +300,7 @@ def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> s
     if asked.by == "gains":
         speed = gain_range(scenario, asked.min_gain, asked.max_gain)[0]
     unhurried = scenario.merge_radius / (2.0 * scenario.tau)
-    if asked.by in ("law", "heading", "tank"):  # who sees most goes slowest (theory 4)
+    if asked.by in ("law", "heading", "tank"):  # the largest degree is slowest (theory 4)
         speed *= unhurried / max(unhurried, scenario.max_degree)
     speed = min(speed, scenario.speed_limit, unhurried)
     moved = scenario.tau * speed * asked.min_alignment

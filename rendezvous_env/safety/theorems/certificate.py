@@ -227,7 +227,7 @@ def _time_bound(scenario: Scenario, by: str) -> float | None:
     margin = {"min_alignment": 0.1 if by == "heading" else LAW.min_alignment}
     try:
         found, _ = answer(scenario, question(scenario, by, margin, 0.0))
-    except ValueError:  # such a filter has no settings here
+    except ValueError:  # no settings are valid for this filter
         return None
     return found.time_bound if found.guaranteed else None
 
@@ -239,7 +239,7 @@ def question(scenario: Scenario, by: Any, given: Mapping[str, Any], bearing_erro
     if by in ("law", "gains", "links") and margin != 1:
         refuse("min_alignment", margin, f'exactly 1 with by="{by}"')
     if by == "tank" and margin == 1:
-        margin = TANK_MARGIN  # no tank has 1
+        margin = TANK_MARGIN  # 1 is invalid for a tank
     if by == "heading" and margin == 1:
         refuse("min_alignment", margin, 'less than 1 with by="heading"')
     asked = LAW._replace(by=by, **given)
