@@ -257,7 +257,7 @@ def _requested(record: Any) -> tuple[str, ...]:
 
 
 def _warn_of_size(simulator: Simulator, a_state: int, asked: tuple[str, ...]) -> None:
-    """Warn if an episode of maximum length, with so many bytes per state, exceeds _MUCH."""
+    """Warn if an episode of maximum length, given the bytes per state, exceeds _MUCH."""
     n, size = simulator.scenario.n_robots, simulator.scenario.action_size
     actions = 4 * n * size if "actions" in asked else 0
     a_step = a_state + simulator.num_envs * (3 * 8 + n + actions)  # V twice, reward, contacts

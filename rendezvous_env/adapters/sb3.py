@@ -61,8 +61,8 @@ class RobotVecEnv(VecEnv):
     share for, counts each episode once.
 
     ``seed(s)`` gives environment b the seed s + b at the next reset. ``set_options`` sets reset
-    options: one dict for all, or one per slot, of which an environment uses that of robot 0. A
-    reset that rejects its options starts nothing and discards them; seeds stay for the next one.
+    options: one dict for all, or one per slot; an environment uses the dict of its robot 0. A reset
+    that rejects its options starts nothing and discards them; seeds stay for the next one.
 
     Args:
         teams: as of ``RobotSlots``. A wrapper that changes team rewards also changes robot rewards,

@@ -171,8 +171,8 @@ class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
     r/(2 D_i τ) if the step is longer than certified (theory 4). Nonholonomic robots choose turn
     rates, limited by the gate of theory 3, and drive with v = mᵀf.
 
-    * Actions: ``Box(−1, 1, (d,))``, a raw vector in the observed frame, of which only the direction
-      is used. For nonholonomic robots ``Box(−1, 1, (1,))`` or ``(2,)``: turn rates in units of
+    * Actions: ``Box(−1, 1, (d,))``, a raw vector in the observed frame; only its direction is
+      used. For nonholonomic robots ``Box(−1, 1, (1,))`` or ``(2,)``: turn rates in units of
       ``max_turn_rate``.
     * Observations: the base environment's rows. With ``frame="net_bearing"`` (single integrators) x
       is along f_i, so that any network is rotation-equivariant: exactly in 2-D; in 3-D the second

@@ -111,7 +111,7 @@ class Scenario:
     larger, see nonholonomic_3d."""
     max_acceleration: Annotated[float, partial(positive, unit="m/s²")] | None = None
     """Acceleration limit a_max of double integrators, m/s²; limiting preserves the direction.
-    None is v_max per 0.25 s."""
+    None, the default, is v_max per 0.25 s."""
     obstacles: Obstacles = ()
     """Discs, convex polygons, capsules or spheres, or a random field sampled in each episode."""
     obstacle_range: Metres = 2.0

@@ -79,7 +79,7 @@ class Certificate:
     """η, rad: largest bearing error covered by the guarantee. Pass the same value to the
     wrapper."""
     tolerated_bearing_error: float = 0.0
-    """Bearing error below which a theorem still guarantees rendezvous with zero-order hold, rad.
+    """Bearing error below which a theorem still guarantees rendezvous in discrete time, rad.
     Rounding reduces it by 2⁻²² rad, more for short steps."""
     expected_time_bound: float = math.inf
     """Bound on the mean rendezvous time under noise sampled independently in each step, s."""
