@@ -1,6 +1,7 @@
-"""Features that a learned policy is shown, made from what a robot observes and remembers.
+"""Features of learned policies, computed from observations and memory.
 
-They are in the frame with x along f, so a policy that reads them is invariant to rotations.
+They are expressed in the frame with x along f, so a policy that reads them is invariant to
+rotations.
 """
 
 from dataclasses import replace
@@ -33,38 +34,38 @@ from .feature_kernels import (
     show,
 )
 
-VERSION = 2  # of what the columns mean; a network reads the version that it was trained with
-_WEIGHT = 8  # a robot that is shown something costs as much as so many that a filter steers
+VERSION = 2  # version of the columns; a network reads the version of its training
+_WEIGHT = 8  # cost of a robot's features in units of the cost of a safety filter
 
 
 class FeatureParts(NamedTuple):
-    """What one robot is shown, taken apart; every part is a view, zero rows are absent."""
+    """Features of one robot by set; each part is a view, and absent rows are zero."""
 
     neighbours: Any  # (..., K, NEIGHBOUR_COLUMNS)
     obstacles: Any  # (..., M, OBSTACLE_COLUMNS)
-    context: Any  # (..., CONTEXT_COLUMNS and what a tank adds)
+    context: Any  # (..., CONTEXT_COLUMNS and the columns of a tank)
 
 
 class FeatureLayout(NamedTuple):
-    """Which part of a flat row of numbers is what."""
+    """Layout of a flat feature row."""
 
     neighbour_slots: int  # K
     obstacle_slots: int  # M
-    tank_columns: int = 0  # what a tank adds to the context
+    tank_columns: int = 0  # columns that a tank adds to the context
 
     @property
     def context_columns(self) -> int:
-        """Numbers that belong to no set."""
+        """Number of columns that belong to no set."""
         return CONTEXT_COLUMNS + self.tank_columns
 
     @property
     def size(self) -> int:
-        """Numbers for each robot."""
+        """Number of features of each robot."""
         sets = self.neighbour_slots * NEIGHBOUR_COLUMNS + self.obstacle_slots * OBSTACLE_COLUMNS
         return sets + self.context_columns
 
     def split(self, shown: Any) -> FeatureParts:
-        """The parts of (..., size), an array or a tensor."""
+        """Split an array or tensor (..., size) into its parts."""
         leading, K, M = shown.shape[:-1], self.neighbour_slots, self.obstacle_slots
         stop, context = K * NEIGHBOUR_COLUMNS, shown.shape[-1] - self.context_columns
         return FeatureParts(
@@ -75,18 +76,18 @@ class FeatureLayout(NamedTuple):
 
 
 class Features(Remembering):
-    """Shows B teams of n robots to a network, once for each decision.
+    """Features of B environments of n robots, computed once per decision.
 
     Args:
-        scenario: whose robots see; those of space see planes (``SteadyPlanes``).
+        scenario: defines the sensors; 3-D robots observe planes (``SteadyPlanes``).
         num_envs: B.
-        decision_time: s between two decisions of a team, unless ``see`` is told otherwise.
-        obstacle_slots: M; further rows than the scenario's are absent. None is the scenario's.
+        decision_time: default time between two decisions of an environment, s.
+        obstacle_slots: M; rows beyond those of the scenario are absent. None uses the scenario's.
         tank_columns: 0, LEVEL_COLUMNS, or LEVEL_COLUMNS + WALL_COLUMNS with a memory of walls.
-        num_threads: most threads that may be used; None is one for each core.
+        num_threads: maximum number of threads; None is one per core.
 
     Raises:
-        ValueError: for robots that it cannot show, or too few obstacle slots.
+        ValueError: for an unsupported robot model, or too few obstacle slots.
     """
 
     def __init__(
@@ -134,19 +135,19 @@ class Features(Remembering):
         elapsed: Array | None = None,
         shown: Float32 | None = None,
     ) -> Float32:
-        """What the robots are shown, (B, n, layout.size), or zeros; updates the memory.
+        """Compute features (B, n, layout.size) and update the memory.
 
         Args:
             observations: (B, n, rows, 2), in the robots' own frames.
-            headings: those carried, (B, n, 2), in the same frames; zero where there is none.
-            which: (B,), whose memory moves on; None is all teams.
-            velocities: of the robots, (B, n, 2), m/s; None is those of law (4).
-            levels: A/(r D̄) of their tanks, (B, n); None without.
-            elapsed: since the previous decision, (B,), s; None is ``decision_time``.
-            shown: what to write to and return, other teams' rows stay; None is zeros.
+            headings: carried headings, (B, n, 2), in the same frames; zero where undefined.
+            which: (B,), the environments whose memory is updated; None is all.
+            velocities: velocities of the robots, (B, n, 2), m/s; None is those of law (4).
+            levels: stored energies A/(r D̄), (B, n); None without tanks.
+            elapsed: time since the previous decision, (B,), s; None is ``decision_time``.
+            shown: output array, returned, with rows of other environments unchanged; None is zeros.
 
         Raises:
-            ValueError: for arrays of another shape or type; nothing has changed then.
+            ValueError: for arrays of another shape or type; the state is then unchanged.
         """
         robots, slots = self._records.shape[:2], self._rows.obstacle_slots
         observations = check_observations(observations, (*robots, *self._rows.shape))
@@ -173,6 +174,6 @@ class Features(Remembering):
         return shown
 
     def note(self, angles: Array) -> None:
-        """Remember the angles (B, n) that were chosen, rad."""
+        """Store the chosen angles (B, n), rad."""
         if self._of_walls:
             self._of_walls["angle"][...] = angles
