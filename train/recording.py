@@ -40,11 +40,10 @@ ARRAYS = {
 """Shape and meaning of the arrays of a recording; their key in trajectories.npz is
 scenario/policy/start/name."""
 Recording = dict[str, NDArray[Any]]
-"""One episode in T frames: the start, some of the steps, every merge and the end.
+"""Recording of an episode in T frames: the initial state, some steps, every merge, the end.
 
 Arrays are as in ``ARRAYS``. Observations are stored if they cannot be recomputed (``seen_again``),
-otherwise links.
-"""
+otherwise links."""
 
 LINKS = ("weights", "first", "second")
 """Entries of a simulator's state that merging changes; the last two are optional."""
@@ -170,7 +169,7 @@ def observations(recording: Recording, scenario: Scenario) -> NDArray[np.float32
     """
     into = recording["merged_into"]
     frames = len(into)
-    simulator = Simulator(scenario, frames)  # a team for each frame
+    simulator = Simulator(scenario, frames)  # one environment per frame
     state = simulator.get_state()
     merged = (into[1:] != into[:-1]).any(axis=-1)
     row = np.concatenate([[0], np.cumsum(merged)])

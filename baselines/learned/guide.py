@@ -149,7 +149,7 @@ def _aim(teams, observations, directions, rule, headings, raw, intervals):
 class GuidedTeams:
     """Base controller of B environments: features, choices, and certified actions.
 
-            show → (a network chooses) → choose, or head → apply:  raw = rule(R(φ) f)
+        show → (a network chooses) → choose, or head → apply:  raw = rule(R(φ) f)
 
     The robots follow the rule of ``tangent-joined-tuned`` with f rotated by their choices. The raw
     vector becomes a certified heading, or with tanks any heading that they can pay for. Unicycles

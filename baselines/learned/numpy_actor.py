@@ -125,8 +125,8 @@ def through(layers: list[Layer], values: Array) -> Array:
 class RecurrentUnit:
     """Recurrent unit, as ``torch.nn.GRUCell`` (Cho et al. 2014).
 
-            r = σ(W_r x + U_r h),   z = σ(W_z x + U_z h),   m = tanh(W_m x + r ⊙ (U_m h))
-            h ← (1 − z) ⊙ m + z ⊙ h
+        r = σ(W_r x + U_r h),   z = σ(W_z x + U_z h),   m = tanh(W_m x + r ⊙ (U_m h))
+        h ← (1 − z) ⊙ m + z ⊙ h
 
     Each W and U has a bias.
     """

@@ -147,7 +147,7 @@ class BareHeadingPolicy(TeamPolicy):
 class CertifiedHeadingPolicy(RememberingPolicy):
     """Heading rule certified by theorem C, with velocities scaled for long steps.
 
-            vᵢ = min(1, r/(2 Dᵢ τ)) hᵢ hᵢᵀ fᵢ                             (theory 3 and 4)
+        vᵢ = min(1, r/(2 Dᵢ τ)) hᵢ hᵢᵀ fᵢ                             (theory 3 and 4)
 
     The rule defines a line, so its heading is flipped to the side of f before certification.
     Nonholonomic robots lag behind their headings, and no theorem covers them.

@@ -235,7 +235,7 @@ def _draw(part: Part, found: Found, config: Config, console: Console) -> list[st
     """Draw all figures; returns the names of their files."""
     pictures, endings = list(_pictures(found, config)), ("png", "pdf") if config.pdf else ("png",)
     work = partial(_draw_one, folder=part.whole, run=part.run, endings=endings)
-    # on this machine, wherever was played: its files are wanted here
+    # always on this machine, where its files are needed
     drawn = each(work, pictures, Workers(jobs=config.jobs))
     with console.status("drawing …"), closing(drawn):
         list(drawn)

@@ -26,7 +26,7 @@ class Ranking:
     scenario: str
     starts: int
     share: dict[str, float]  # collision-free success, 0 to 1; NaN where contacts do not count
-    best: str | None  # of those that know no map
+    best: str | None  # among policies that are not oracles
     tied: tuple[str, ...]
     """Policies whose paired difference from the best has an interval that contains 0."""
     references: tuple[str, ...]
@@ -36,7 +36,7 @@ class Ranking:
 
     @property
     def is_contest(self) -> bool:
-        """Whether there was something to win."""
+        """Whether policies compete on the scenario."""
         return self.best is not None and len(self.share) - len(self.references) > 1
 
     @property
@@ -55,7 +55,7 @@ def rank(played: Sequence[Played]) -> list[Ranking]:
 def _rank_one(
     scenario: Scenario, episodes: dict[str, Episodes], kinds: Mapping[str, str]
 ) -> Ranking:
-    """The ranking of the policies on one scenario; ``kinds`` by name."""
+    """Ranking of the policies on one scenario; ``kinds`` by name."""
     share = {name: float(own.clean.mean()) for name, own in episodes.items()}
     references = tuple(name for name in episodes if kinds[name] == "privileged")
     competing = {name: own for name, own in episodes.items() if name not in references}
@@ -73,11 +73,11 @@ def _rank_one(
 
 
 def _tied(best: str, competing: dict[str, Episodes]) -> tuple[str, ...]:
-    """Those whose paired interval of the difference from the best contains 0."""
+    """Policies whose paired interval of the difference from the best contains 0."""
     found = []
     for name in (name for name in competing if name != best):
         difference, (low, high) = clean_difference(competing[name], competing[best])
-        if difference == 0 or low <= 0 <= high:  # the only start of a scenario has no interval
+        if difference == 0 or low <= 0 <= high:  # no interval for one episode
             found.append(name)
     return tuple(found)
 
