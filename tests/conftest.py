@@ -1,4 +1,4 @@
-"""What several test modules share: the four kinds of team, and one way to run a law to its end."""
+"""Common fixtures: the four robot models, and a full run of a law."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Filters with a mistake, which tests of promises must notice."""
+"""Filters with injected faults, which tests of guarantees must detect."""
 
 from collections.abc import Callable
 from functools import wraps

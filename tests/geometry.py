@@ -1,4 +1,4 @@
-"""How tests call the equations: vectors as triples, obstacles as worlds, results as arrays."""
+"""Helpers for equations: vectors as triples, obstacles as worlds, results as arrays."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""A network on its own, for inference, with the weights that it begins with."""
+"""Separate network for inference, with its initial weights."""
 
 import torch
 from gymnasium.spaces import Discrete

@@ -1,12 +1,12 @@
-"""Which kernels a test run has executed: ``pytest -m kernels --every-kernel``.
+"""Coverage of kernels in a test run: ``pytest -m kernels --every-kernel``.
 
-With this option compiled kernels record that they run, and the test run fails unless every kernel
-of the packages has run at least once. ``make test-kernels`` combines it with
-``NUMBA_BOUNDSCHECK=1``, so that every index of every kernel is checked.
+With this option compiled kernels record that they run. The test run fails unless every kernel of
+the packages has run at least once. ``make test-kernels`` combines it with ``NUMBA_BOUNDSCHECK=1``,
+which checks every index of every kernel.
 
-While a kernel is lowered to LLVM, a store of 1 into a table of bytes is put at its beginning. The
-table is an external symbol, so compiled code that is kept on disk finds it in any process of this
-test run. The run keeps its kernels in a folder of its own: other processes lack the symbol.
+When a kernel is lowered to LLVM, a store of 1 into a table of bytes is inserted at its beginning.
+The table is an external symbol, so compiled code from the disk finds it in any process of the test
+run. The run has a separate kernel cache, since other processes lack the symbol.
 """
 
 import ctypes

@@ -1,4 +1,4 @@
-"""What a page of ``rendezvous report`` carries: an independent reading of ``train.encoding``."""
+"""Independent decoder of the data in a page of ``rendezvous report``."""
 
 import base64
 import gzip

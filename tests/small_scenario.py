@@ -1,4 +1,4 @@
-"""What tests of learners share: a small world, and what its robots live through one by one."""
+"""Common parts of learner tests: a small scenario, and the experience of its robots."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""Values for fuzzing: right ones, nearly right ones, and some that no one would send on purpose."""
+"""Values for fuzzing: valid, nearly valid, and invalid ones."""
 
 import datetime
 import math

@@ -1,4 +1,4 @@
-"""What README and docs show is true: code runs, commands parse, names and links exist."""
+"""README and docs: code runs, commands parse, names and links exist."""
 
 import re
 import shlex

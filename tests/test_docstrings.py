@@ -1,7 +1,7 @@
-"""Docstrings of equations and guarantees: what kind of thing, in which unit, by what formula.
+"""Docstrings of equations and guarantees: kind of value, unit, formula.
 
-The three are looked for by their vocabulary. That a word stands there does not make it right; that
-none does shows that something has been left out.
+The test searches for their vocabulary. A matching word does not prove correctness; a missing one
+reveals an omission.
 """
 
 import ast

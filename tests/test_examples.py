@@ -1,4 +1,4 @@
-"""The examples run, and show what they say."""
+"""Examples: they run with the stated results."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""The package as a user installs it: a wheel, not the folder that it is written in."""
+"""Installed package: a wheel, independent of the source folder."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""The house: who imports whom, what an import costs, what is public, and the wheel."""
+"""Package structure: import layers, import costs, public names, and the wheel."""
 
 import ast
 import inspect

@@ -1,4 +1,4 @@
-"""The theorems of the paper and of theory.md section 3, each over many random teams."""
+"""Theorems of the paper and of theory.md section 3, over many random teams."""
 
 import math
 from itertools import pairwise

@@ -1,4 +1,4 @@
-"""Files around the code: the list of promises, continuous integration, containers."""
+"""Project files: the list of guarantees, continuous integration, containers."""
 
 import json
 import re

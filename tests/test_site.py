@@ -1,4 +1,4 @@
-"""The site and its tutorial: both are made without a complaint, and pages fetch nothing."""
+"""Site and tutorial: built without warnings, and pages without external resources."""
 
 import http.server
 import json

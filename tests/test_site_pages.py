@@ -1,4 +1,4 @@
-"""Pages of the site that are made from the code name everything that the code has."""
+"""Generated pages of the site: complete with respect to the code."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs that are short, and what there is to say of two of them."""
+"""Short training runs, and their comparison."""
 
 import os
 import signal

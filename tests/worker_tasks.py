@@ -1,4 +1,4 @@
-"""Tasks of tests of workers, in a module that is loaded soon: each worker loads it."""
+"""Tasks for tests of workers, in a module that loads quickly in each worker."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""One network learns in teams and maps of different size, one after the other."""
+"""Training of one network on teams and maps of different sizes in sequence."""
 
 import numpy as np
 import pytest

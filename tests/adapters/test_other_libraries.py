@@ -1,4 +1,4 @@
-"""Which wrappers of other libraries fit, and which are refused: a table, and each line tried.
+"""Supported and rejected wrappers of other libraries: a table, with a test for each row.
 
 | library | over | fits |
 |---|---|---|

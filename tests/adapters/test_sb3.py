@@ -1,4 +1,4 @@
-"""Slots, ends and advantages, recomputed from single environments in plain Python."""
+"""Slots, episode ends and advantages, recomputed from single environments in plain Python."""
 
 import sys
 from collections import Counter

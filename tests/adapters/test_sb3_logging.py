@@ -1,4 +1,4 @@
-"""What stable-baselines3 logs of episodes, against the episodes themselves."""
+"""Episode statistics logged by stable-baselines3, compared with the episodes."""
 
 import sys
 from types import SimpleNamespace

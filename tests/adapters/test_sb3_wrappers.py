@@ -1,4 +1,4 @@
-"""Wrappers and a buffer of stable-baselines3 over slots whose robots merge."""
+"""Wrappers and a buffer of stable-baselines3 over slots of merging robots."""
 
 import csv
 import warnings

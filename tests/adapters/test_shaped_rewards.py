@@ -1,4 +1,4 @@
-"""A wrapper that changes the rewards of teams changes what a learner is paid."""
+"""Reward wrappers: changed team rewards reach the learner."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,4 @@
-"""The benchmark's cases do what their names say, and its files hold what was measured; what is
-said of compilation.
-"""
+"""Benchmark cases, their files, and messages about compilation."""
 
 import json
 

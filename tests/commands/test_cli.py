@@ -1,4 +1,4 @@
-"""The command line, as a user meets it."""
+"""Command line interface."""
 
 import importlib
 import re

@@ -1,4 +1,4 @@
-"""``rendezvous export``: the file does what the policy does, for any number of rows."""
+"""``rendezvous export``: equality of file and policy for any number of rows."""
 
 import json
 import pickle

@@ -1,7 +1,7 @@
-"""Damaged result folders and runs, and senseless command lines: one line each, nothing changed.
+"""Fuzzing of damaged folders and command lines: one-line errors without side effects.
 
-The damage is drawn anew for every case, the same in every run of the tests. Some of it is sealed
-again, as if ``compare`` or ``train`` had written it, so that what lies behind the digests is tried.
+The damage is random but equal in every test run. Some damaged files get valid digests, as if
+``compare`` or ``train`` had written them, which tests the checks behind the digests.
 """
 
 import dataclasses

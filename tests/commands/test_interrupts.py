@@ -1,5 +1,6 @@
-"""Ctrl-C and SIGTERM end every command soon, with one line; what was finished is kept, after a
-kill as well.
+"""Ctrl-C and SIGTERM: commands end soon with one line, and finished work is kept.
+
+Finished work is also kept after SIGKILL.
 """
 
 import random

@@ -1,4 +1,4 @@
-"""``rendezvous export --standalone``: one file, NumPy alone, the same robot."""
+"""``rendezvous export --standalone``: one NumPy-only file with equal actions."""
 
 import ast
 import json

@@ -1,4 +1,4 @@
-"""Tasks done by other processes: the same results, whoever does them and whatever is lost."""
+"""Tasks in worker processes: results do not depend on workers or on losses."""
 
 import os
 import signal

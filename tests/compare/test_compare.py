@@ -1,4 +1,4 @@
-"""``rendezvous compare``: what it measures, and what it writes."""
+"""``rendezvous compare``: metrics and files."""
 
 import json
 import math

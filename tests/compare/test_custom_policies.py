@@ -1,4 +1,4 @@
-"""A user's own policies by ``module:function``, out of the folder in which the command runs."""
+"""Custom policies as ``module:function`` from the current folder."""
 
 import importlib
 import linecache

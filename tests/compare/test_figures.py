@@ -1,4 +1,4 @@
-"""Figures of compare and reproduce: a policy has one colour, axes are equal, data are right."""
+"""Figures of compare and reproduce: consistent colours, equal axes, correct data."""
 
 import re
 from functools import cache

@@ -1,4 +1,4 @@
-"""How many starts a scenario has: one, where an episode draws nothing that matters."""
+"""Number of initial conditions of a scenario: one without relevant randomness."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Algorithms × fields × seeds: statistics by hand, cells that repeat, the filter's promise."""
+"""Leaderboard: statistics by hand, reproducible runs, guarantee of the filter."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""OUT is whole or not there; what was finished is gone on with; one process at a time writes."""
+"""Output folder: atomic, resumable, and with one writing process at a time."""
 
 import json
 import os

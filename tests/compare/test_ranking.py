@@ -1,4 +1,4 @@
-"""The answer of ``compare``: who wins, who is tied with the winner, and how it is shown."""
+"""Ranking of ``compare``: winners, ties, and their display."""
 
 import io
 import json

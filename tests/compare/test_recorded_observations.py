@@ -1,4 +1,4 @@
-"""What robots saw is found again, bit for bit, where their sensors are exact."""
+"""Bitwise recomputation of observations of exact sensors from recordings."""
 
 import numpy as np
 import pytest

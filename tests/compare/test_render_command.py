@@ -1,4 +1,4 @@
-"""``rendezvous render``: films and figures of one episode."""
+"""``rendezvous render``: videos and figures of one episode."""
 
 import numpy as np
 import pytest

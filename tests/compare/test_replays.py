@@ -1,4 +1,4 @@
-"""Replays of the leaderboard: what is kept of a run is what its card says, and nothing else."""
+"""Replays of the leaderboard, compared with the run records."""
 
 import json
 from dataclasses import replace

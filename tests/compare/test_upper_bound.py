@@ -1,4 +1,4 @@
-"""What law (4) can reach: randomised runs, each of which keeps theorem C."""
+"""Upper bounds of law (4): randomised runs, each of which satisfies theorem C."""
 
 from types import SimpleNamespace
 

@@ -1,6 +1,4 @@
-"""Both compiled forms of the step, one team a block and 32, and the plain Python they are made of:
-the same numbers, bit for bit.
-"""
+"""Bitwise equality of the compiled step for single and batched environments with plain Python."""
 
 import os
 from pathlib import Path

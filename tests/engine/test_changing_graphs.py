@@ -1,5 +1,6 @@
-"""Episodes on graphs that are directed or change: against NumPy, against undirected ones, and as
-state that can be taken out, put back and begun again.
+"""Directed and changing graphs: compared with NumPy and undirected graphs, and as state.
+
+The state can be read, restored and reset.
 """
 
 import itertools

@@ -1,4 +1,4 @@
-"""How kernels are compiled: what they may do, and who may call them."""
+"""Compilation of kernels: permitted operations and callers."""
 
 import gc
 import importlib

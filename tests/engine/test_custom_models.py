@@ -1,4 +1,4 @@
-"""Robot models of a user's own, in files outside the package, and the code compiled from them."""
+"""Custom robot models in files outside the package, and their compiled code."""
 
 import dataclasses
 import importlib

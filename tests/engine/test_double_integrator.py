@@ -1,4 +1,4 @@
-"""Teams of robots with inertia, step by step: contacts, merges, rest, state."""
+"""Double integrators, step by step: contacts, merges, rest, state."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept, and when they are compiled anew."""
+"""Kernel cache: location and invalidation."""
 
 import os
 import shutil

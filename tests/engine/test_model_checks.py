@@ -1,4 +1,4 @@
-"""What is wrong with a robot model of one's own is said when it is registered."""
+"""Validation of custom robot models at registration."""
 
 import dataclasses
 import math

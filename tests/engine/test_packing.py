@@ -1,4 +1,4 @@
-"""Robots with bodies: they stop where they would touch, and have met in one packed cluster."""
+"""Robots with bodies: no overlap, and rendezvous as one packed cluster."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""The simulator against an independent integrator: DOP853, global positions, own merging."""
+"""Simulator compared with an independent integrator: DOP853, global positions, own merging."""
 
 import math
 from types import SimpleNamespace

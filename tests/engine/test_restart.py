@@ -1,6 +1,4 @@
-"""Teams that begin anew beside others that go on, or go on from a copy; and teams that have ended,
-and rest.
-"""
+"""Partial resets, restored states, and finished environments, which rest."""
 
 import copy
 import pickle

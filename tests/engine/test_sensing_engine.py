@@ -1,6 +1,7 @@
-"""Sensors that err: against NumPy and SciPy, as part of a step, and as state.
+"""Imperfect sensors: compared with NumPy and SciPy, in a step, and as state.
 
-Teams are looked at many at a time: each kind of team that is stepped has to be compiled first.
+Many environments are observed at a time, since each kind of environment that is stepped has to be
+compiled first.
 """
 
 import itertools

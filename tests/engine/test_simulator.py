@@ -1,4 +1,4 @@
-"""The simulator: symmetries, episodes, state; starts and actions, and what of them is refused."""
+"""Simulator: symmetries, episodes, state, and validation of initial conditions and actions."""
 
 import copy
 

@@ -1,6 +1,4 @@
-"""Large teams with few links keep lists of them: the same motions, in memory that follows the
-links.
-"""
+"""Large sparse graphs as lists of links: equal motion, memory proportional to the links."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The motions of version 0.1, kept as numbers."""
+"""Stored trajectories of version 0.1, reproduced."""
 
 import numpy as np
 import pytest

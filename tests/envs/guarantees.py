@@ -1,4 +1,4 @@
-"""What tests of environments share: the four guarantees, ways to drive either API, comparisons."""
+"""Common parts of environment tests: the four guarantees, both APIs, comparisons."""
 
 from typing import Any, NamedTuple
 

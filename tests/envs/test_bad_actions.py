@@ -1,4 +1,4 @@
-"""Bad actions: refused by the name of their robot, and nothing has changed."""
+"""Invalid actions: errors name the robot, and the state is unchanged."""
 
 import copy
 

@@ -1,6 +1,6 @@
-"""Costs beside rewards: known numbers.
+"""Costs next to rewards: known values.
 
-test_gymnasium_env compares environments, test_guarantee_wrappers decisions and their base steps.
+test_gymnasium_env compares environments, test_guarantee_wrappers decisions and their steps.
 """
 
 import pickle

@@ -1,4 +1,4 @@
-"""A safety filter of a user's own, from outside the package, and wrappers under a guarantee."""
+"""Custom safety filters from outside the package, and wrappers beneath a guarantee."""
 
 import copy
 import gc

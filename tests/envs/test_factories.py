@@ -1,4 +1,4 @@
-"""What all factories have in common: flat observations, unknown words, tensors, state."""
+"""Common properties of all factories: flat observations, unknown arguments, tensors, state."""
 
 import gymnasium
 import numpy as np

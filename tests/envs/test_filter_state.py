@@ -1,4 +1,4 @@
-"""What environments of every kind remember: in states, pickles and copies, and over resets."""
+"""State of environments of every kind: in states, pickles, copies, and over resets."""
 
 import copy
 import pickle

@@ -1,4 +1,4 @@
-"""All guarantee wrappers alike: spaces, one API as the other, periods, refusals."""
+"""Common properties of guarantee wrappers: spaces, equal APIs, periods, errors."""
 
 import copy
 import itertools

@@ -1,4 +1,4 @@
-"""Each guarantee on its own: headings, tanks, gains, links; and graphs that change."""
+"""Guarantees one by one: headings, tanks, gains, links; and changing graphs."""
 
 from functools import partial
 

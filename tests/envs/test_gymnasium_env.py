@@ -1,4 +1,4 @@
-"""One action tape: teams side by side live through what single environments do."""
+"""Batched environments compared with single ones under equal actions."""
 
 import gymnasium
 import numpy as np

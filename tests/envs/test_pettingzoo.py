@@ -1,4 +1,4 @@
-"""The PettingZoo environment: whole-episode determinism, what a step returns."""
+"""PettingZoo environment: determinism of whole episodes, results of a step."""
 
 import hashlib
 import pickle

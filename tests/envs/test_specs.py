@@ -1,4 +1,4 @@
-"""Specs of Gymnasium: what made an environment survives JSON, pickle and Minari."""
+"""Gymnasium specs: arguments survive JSON, pickle and Minari."""
 
 import copy
 import pickle

@@ -1,4 +1,4 @@
-"""Teams to train in: what generic learners see, do, earn and are told."""
+"""Training environments: observations, actions, rewards and infos of generic learners."""
 
 import dataclasses
 

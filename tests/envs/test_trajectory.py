@@ -1,4 +1,4 @@
-"""Rollouts: what a trajectory holds, what is kept on request, what is announced."""
+"""Rollouts: contents of a trajectory, optional recordings, callbacks."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Trajectories as pandas, xarray and Minari have them, against the arrays they are made of."""
+"""Trajectories in pandas, xarray and Minari, compared with their arrays."""
 
 import dataclasses
 import json

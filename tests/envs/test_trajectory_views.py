@@ -1,4 +1,4 @@
-"""Trajectories for people: a line, a table, figures, a page, files."""
+"""Displays of trajectories: a line, a table, figures, a page, files."""
 
 import dataclasses
 import pickle

@@ -1,4 +1,4 @@
-"""Wrappers of others beneath a guarantee: refused where they void it, counted right where not."""
+"""Foreign wrappers beneath a guarantee: rejected if they void it, otherwise correct."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A critic that reads the global state: what it is told, and that nobody else is."""
+"""Critic with the global state, and absence of that state elsewhere."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""A set network: order, absent rows and the world's orientation do not matter."""
+"""Set network: invariance to order, absent rows and orientation."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Robots that remember: trained is what was done, and served is what was trained."""
+"""Recurrent policies: equality of rollout, update and inference."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""A run can be stopped, killed and hurt at any moment: it goes on, or says what is wrong."""
+"""Resumption of stopped, killed and damaged training runs."""
 
 import errno
 import json

@@ -1,4 +1,4 @@
-"""Training under sensors that are drawn: their ranges, their groups, and going on bit by bit."""
+"""Training with randomised sensors: ranges, groups, and bitwise resumption."""
 
 import math
 

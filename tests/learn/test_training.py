@@ -1,4 +1,4 @@
-"""``rendezvous train``: it learns, repeats, and tells how it goes."""
+"""``rendezvous train``: learning, reproducibility and logs."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""An update is that of stable-baselines3, however it is shared out."""
+"""PPO updates: equality with stable-baselines3, for any partition of the work."""
 
 import copy
 from functools import partial

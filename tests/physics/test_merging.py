@@ -1,4 +1,4 @@
-"""Merging (theory 5), by hand and against its bound; f and contraction where a_ij is not a_ji."""
+"""Merging (theory 5), by hand and against its bound; also for asymmetric weights."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Distances, normals, silhouettes and crossings against shapely, trigonometry and brute force."""
+"""Obstacle geometry compared with shapely, trigonometry and brute force."""
 
 import math
 

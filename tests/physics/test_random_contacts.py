@@ -1,4 +1,4 @@
-"""Motion among obstacles: properties of very many random contacts."""
+"""Properties of many random motions among obstacles."""
 
 import math
 from functools import cache

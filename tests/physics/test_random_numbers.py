@@ -1,4 +1,4 @@
-"""Turns by chance: the inverse of the normal distribution, and small rotations."""
+"""Random rotations: inverse normal distribution, and small rotations."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What a sensor does not see, and how it turns bearings: as equations."""
+"""Equations of imperfect sensing: missed detections and bearing errors."""
 
 import math
 

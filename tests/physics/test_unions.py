@@ -1,4 +1,4 @@
-"""Obstacles that only just meet act as their union: nothing passes, and no stop goes unreported."""
+"""Unions of touching obstacles: no penetration, and no unreported stop."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The paper's laws, by hand and on large sparse graphs, and the registry of scripted policies."""
+"""Laws of the paper, by hand and on large sparse graphs; registry of scripted policies."""
 
 import math
 

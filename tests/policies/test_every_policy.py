@@ -1,6 +1,4 @@
-"""What every policy keeps to: taken elsewhere it goes on, a batch is its teams, it forgets the
-teams that it is told to, and it meets where nothing is in the way.
-"""
+"""Common properties of all policies: resumption, batching, resets, and rendezvous."""
 
 import copy
 import pickle

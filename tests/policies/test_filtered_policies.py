@@ -1,4 +1,4 @@
-"""Functions and models as policies: they do and keep what wrappers and training environments do."""
+"""Functions and models as policies, compared with wrappers and training environments."""
 
 from functools import partial
 from operator import itemgetter

@@ -1,4 +1,4 @@
-"""Laws of others from bearings: against a few lines of NumPy, to the end, and where they fit."""
+"""Laws from the literature: compared with NumPy, full episodes, supported scenarios."""
 
 import math
 

@@ -1,6 +1,4 @@
-"""Robots that turn: inputs that follow velocities, memory that turns with the frame, and obstacles
-that they see and do not hit.
-"""
+"""Nonholonomic robots: inputs for velocities, rotated memory, and obstacle avoidance."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Headings at the edges of obstacles, by hand and against a brute-force oracle over angles."""
+"""Headings at obstacle edges, by hand and against a brute-force oracle over angles."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Cones of space as intervals of a plane, and the tuned rule that goes by them."""
+"""Cones in 3-D as intervals of a plane, and the tuned rule for them."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Privileged references: equations by hand, what they keep, and that nobody is sooner."""
+"""Oracle laws: equations by hand, invariants, and lower bounds on the time."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The planner that knows the map: what it reads, which ways it takes, and that it passes."""
+"""Oracle planner with the map: inputs, paths, and success."""
 
 import math
 

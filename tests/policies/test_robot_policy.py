@@ -1,4 +1,4 @@
-"""One robot that ticks by itself: against the same robot in a batch, and in a team out of step."""
+"""Single-robot policy: compared with a batch, and in asynchronous teams."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What messages of a robot's sensors may hold, and what a robot does with those that may not be."""
+"""Validation of sensor messages of a robot, and reactions to invalid ones."""
 
 import math
 

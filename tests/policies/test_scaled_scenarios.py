@@ -1,4 +1,4 @@
-"""Policies in worlds whose lengths and speeds are all so many times those of a shipped field."""
+"""Invariance of policies to a common scale of lengths and speeds."""
 
 from dataclasses import replace
 

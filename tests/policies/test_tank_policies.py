@@ -1,4 +1,4 @@
-"""The joined rule under a tank: its ledger, its memory, and walls that law (4) cannot round."""
+"""Wall following under a tank: stored energy, memory, and walls too long for law (4)."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What the tests of pictures share: an environment that is drawn, and colours at places."""
+"""Helpers for images: a rendered environment, and colours of pixels."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""Pictures show what the data say: colours stand where the robots and the obstacles are."""
+"""Images compared with data: colours at the positions of robots and obstacles."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""One interface of pictures for every kind of environment; tiles of teams; the drawing library."""
+"""Renderer interface for every kind of environment; tiles of environments; drawing library."""
 
 import copy
 import pickle

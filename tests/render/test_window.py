@@ -1,4 +1,4 @@
-"""The window that plays an episode: keys, closing, copies."""
+"""Window that plays an episode: keys, closing, copies."""
 
 import copy
 

@@ -1,4 +1,4 @@
-"""The page of ``rendezvous report`` in headless Chromium: fixtures and what a reader does."""
+"""Page of ``rendezvous report`` in headless Chromium: fixtures and user actions."""
 
 import base64
 import io

@@ -1,4 +1,4 @@
-"""The page of a leaderboard's folder, made of the results in the repository."""
+"""Page of the leaderboard, from the results in the repository."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Tables and looks of the page of ``rendezvous report``, and what it says of a sensor that errs."""
+"""Page of ``rendezvous report``: tables, layout, and imperfect sensors."""
 
 import re
 

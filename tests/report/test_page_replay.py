@@ -1,4 +1,4 @@
-"""The replay of ``rendezvous report`` in headless Chromium, used as a reader uses it."""
+"""Replay of ``rendezvous report`` in headless Chromium."""
 
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit

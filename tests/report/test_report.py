@@ -1,4 +1,4 @@
-"""``rendezvous report``: what the page holds, and what it says of folders that are not whole."""
+"""``rendezvous report``: contents of the page, and incomplete folders."""
 
 import base64
 import json

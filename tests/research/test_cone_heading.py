@@ -1,4 +1,4 @@
-"""Headings among the bearings: the projection, the margin, and the hull under law (4)."""
+"""Headings in the cone of bearings: projection, minimum alignment, hull under law (4)."""
 
 import math
 from itertools import count

@@ -1,4 +1,4 @@
-"""Claims tried in the free integrator hold, and are violated where something is made wrong."""
+"""Claims for the continuous-time integrator: satisfied, and violated by injected faults."""
 
 import dataclasses
 

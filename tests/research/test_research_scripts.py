@@ -1,4 +1,4 @@
-"""Scripts: figures of learning, tables of the field's own measures, wrong arguments, Ctrl-C."""
+"""Research scripts: learning figures, tables of the literature, invalid arguments, Ctrl-C."""
 
 import math
 import runpy

@@ -1,4 +1,4 @@
-"""A machine under a policy: wheels of a differential drive, and velocities that keep apart."""
+"""Differential drive under a policy: wheel speeds, and velocities that avoid collisions."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""One exact step of each robot model: against formulas by hand and fine numerical integration."""
+"""Exact step of each robot model: compared with formulas and numerical integration."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""V, and theorems A, C and G by hand, and the facts that they rest on."""
+"""V, and theorems A, C and G by hand, with their lemmas."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What a certificate says: which theorem, which numbers, or in words why none."""
+"""Certificates: theorem, numbers, or the reason why there is none."""
 
 import math
 import re

@@ -1,5 +1,6 @@
-"""Corners in which certificates promise less: numbers without size, too few rows, starts and graphs
-that are not the scenario's own.
+"""Corner cases with weaker certificates.
+
+These are extreme numbers, too few rows, and initial positions and graphs other than the scenario's.
 """
 
 import inspect

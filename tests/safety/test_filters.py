@@ -1,4 +1,4 @@
-"""What all safety filters have in common: batches, memory, robots alone, refusals."""
+"""Common properties of all safety filters: batches, memory, single robots, errors."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,6 @@
-"""The point of least norm against another solver, on random and on degenerate bearings; law R b;
-the projection on velocities that keep links.
+"""Point of least norm compared with another solver; law R b, and projections that keep links.
+
+The bearings are random or degenerate.
 """
 
 import math

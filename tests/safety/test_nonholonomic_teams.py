@@ -1,4 +1,4 @@
-"""Teams of robots that turn: none stays across its net bearing, for any desired turn rates."""
+"""Nonholonomic teams: no robot stays across its net bearing, for any desired turn rates."""
 
 import itertools
 import math

@@ -1,5 +1,6 @@
-"""Every number that a certificate gives, held against adversaries step by step, filter by filter;
-and filters with a mistake in them, which that finds.
+"""Certified numbers under adversaries, step by step and filter by filter.
+
+Filters with injected faults must violate them.
 """
 
 import math

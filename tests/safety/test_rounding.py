@@ -1,5 +1,7 @@
-"""What rounding of positions makes of V, the hull, the last of a tolerated error and steps that are
-too short, and that certificates promise nothing there.
+"""Rounding of positions: its effect on V and the hull, and withheld certificates.
+
+The cases are positions far from the origin, bearing errors near the tolerance, and very short
+steps.
 """
 
 import math

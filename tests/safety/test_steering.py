@@ -1,4 +1,4 @@
-"""HeadingFilter: V beside obstacles under any raw vectors; frames, arcs, limits, own robots."""
+"""HeadingFilter: V near obstacles for any raw vectors; frames, arcs, limits, custom robots."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The energy tank: its equations by hand, how the ledger is kept, what is seen of it, refusals."""
+"""Energy tank: equations by hand, tank updates, observed stored energy, errors."""
 
 import math
 

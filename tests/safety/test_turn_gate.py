@@ -1,4 +1,4 @@
-"""Means of the body axis over an arc, and the gate around turn rates."""
+"""Mean of the body axis over an arc, and the gate of turn rates."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""``help`` of scenarios, certificates and their parts lists every field."""
+"""``help`` of scenarios, certificates and their parts: complete lists of fields."""
 
 import dataclasses
 import inspect

@@ -1,4 +1,4 @@
-"""Observations of one size for any team and map: rows are added, or the nearest are shown."""
+"""Observations of fixed size for any team and map: padding, or nearest rows."""
 
 import numpy as np
 import pytest

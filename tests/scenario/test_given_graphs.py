@@ -1,4 +1,4 @@
-"""Graphs and files as other packages write them."""
+"""Graphs and files in the formats of other packages."""
 
 import networkx as nx
 import numpy as np

@@ -1,4 +1,4 @@
-"""Sensing graphs: weights, worst cases and families; graphs that are directed or change."""
+"""Sensing graphs: weights, worst cases and families; directed and changing graphs."""
 
 import tracemalloc
 

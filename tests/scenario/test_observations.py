@@ -1,4 +1,4 @@
-"""The table of vectors seen, by hand, and its layout."""
+"""Observation rows, by hand, and their layout."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Obstacles as data: what is accepted, what is refused, and random fields of them."""
+"""Obstacles as data: accepted and rejected values, and random scenarios."""
 
 import math
 

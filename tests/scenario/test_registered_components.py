@@ -1,4 +1,4 @@
-"""A family of graphs, an imperfection and a reward term from a user's own file."""
+"""Custom graph family, sensor imperfection and reward term from a user's file."""
 
 from itertools import islice
 

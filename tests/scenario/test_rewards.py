@@ -1,4 +1,4 @@
-"""The team reward, by hand and over whole episodes."""
+"""Team reward, by hand and over whole episodes."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Law (4) does not survive a graph that switches; what restores it (guarantees, section 10)."""
+"""Growth under law (4) on a switching graph, and its remedies (guarantees, section 10)."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Scenario: what follows from its fields, its sensor, its TOML form; the named ones."""
+"""Scenario: derived quantities, sensor, TOML form; named scenarios."""
 
 import dataclasses
 import json

@@ -1,4 +1,4 @@
-"""What scenarios, graphs and obstacles say to what they refuse: field, value and remedy."""
+"""Error messages of scenarios, graphs and obstacles: field, value and remedy."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""Walls that are drawn, and fields of discs in which nobody is walled in."""
+"""Random walls and discs without enclosed robots."""
 
 import numpy as np
 import pytest

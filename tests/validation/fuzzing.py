@@ -1,10 +1,9 @@
-"""How borders are fuzzed: whatever comes in, it is refused in words or gives finite numbers.
+"""Fuzzing of public interfaces: inputs are rejected with a message or give finite numbers.
 
-Every case asserts the same rule. A refusal is an exception of the kinds that the interface names,
-raised by a ``raise`` of this project and not by what happens to fail inside, with a message of
-readable length, and nothing has changed; what is accepted then runs without a number that is not
-finite; and neither takes longer than a few seconds, compiling aside. A few cases run by default,
-thousands under the ``slow`` marker.
+Every case asserts the same rule. A rejection is an exception of the documented kinds, raised by a
+``raise`` of this project, with a message of readable length, and leaves the state unchanged. An
+accepted input runs with finite numbers. Neither takes longer than a few seconds, except for
+compilation. A few cases run by default, thousands under the ``slow`` marker.
 """
 
 import time

@@ -1,4 +1,4 @@
-"""What the borders of the core say to values of the wrong kind: field, value and remedy."""
+"""Error messages for values of the wrong kind: field, value and remedy."""
 
 import math
 import re

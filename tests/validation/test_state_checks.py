@@ -1,4 +1,4 @@
-"""States from outside: every entry is checked, and all of them before any is taken."""
+"""Restored states: all entries are validated before any is applied."""
 
 import re
 

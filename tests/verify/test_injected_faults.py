@@ -1,7 +1,6 @@
-"""Mistakes that certificates once made, put back one at a time: ``verify --any`` finds each in a
-scenario as it draws them.
+"""Former errors of certificates, injected again: ``verify --any`` finds each of them.
 
-A search over some thousand numbers found those below; if what is drawn changes they are others.
+The seeds below were found by a search over some thousand; they change with the sampled scenarios.
 """
 
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""``rendezvous verify --policy``: counterexamples of a policy, found, made small and repeated."""
+"""``rendezvous verify --policy``: counterexamples of a policy, minimised and reproduced."""
 
 import io
 import json

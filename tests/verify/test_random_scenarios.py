@@ -1,4 +1,4 @@
-"""``rendezvous verify --any``: random scenarios find what a certificate promises in vain."""
+"""``rendezvous verify --any``: random scenarios reveal wrong certificates."""
 
 import dataclasses
 import json

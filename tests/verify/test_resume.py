@@ -1,4 +1,4 @@
-"""What an interrupted ``rendezvous verify`` has finished is kept, and not done again."""
+"""Interrupted ``rendezvous verify``: finished work is kept and not repeated."""
 
 import io
 import math

@@ -1,4 +1,4 @@
-"""``rendezvous verify`` finds nothing wrong with the theory, and finds what is made wrong."""
+"""``rendezvous verify``: no violation of the theory, and detection of injected faults."""
 
 import dataclasses
 import io

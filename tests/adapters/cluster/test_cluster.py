@@ -1,6 +1,7 @@
-"""Commands on a Ray cluster of two machines, both here: the results of ``--jobs 1``, whoever dies.
+"""Commands on a local Ray cluster of two nodes: results equal those of ``--jobs 1``.
 
-They run in an environment of their own, which ``make test-adapters`` sets up.
+The results also hold if workers are lost. The tests run in a separate environment, created by
+``make test-adapters``.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""AgileRL: IPPO, whose network the robots of a group share, over many teams at once."""
+"""AgileRL: IPPO with one network per group of robots, over many environments."""
 
 import numpy as np
 import torch

@@ -1,4 +1,4 @@
-"""What the scripts of all frameworks share: how speed and success are measured."""
+"""Common measurement of speed and success for the framework scripts."""
 
 import argparse
 import json

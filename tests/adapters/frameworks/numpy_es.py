@@ -1,4 +1,4 @@
-"""Gymnasium's vector API and NumPy alone: evolution strategies on a linear policy."""
+"""NumPy with Gymnasium's vector API: evolution strategies on a linear policy."""
 
 import numpy as np
 from held_out import SCENARIO, measure, settings

@@ -1,9 +1,9 @@
-"""The table of frameworks: each script of this folder, run in an environment of its own.
+"""Table of frameworks: runs each script of this folder in a separate environment.
 
     python tests/adapters/frameworks/run_table.py [--only JAX Tianshou] [--venvs FOLDER]
 
-Prints a row of docs/results.md for each; a frame is a decision of one robot. Of a framework that
-does not install or run the row has the last line of its output.
+Prints a row of docs/results.md for each; a frame is one decision of one robot. If a framework
+cannot be installed or run, the row holds the last line of its output.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""skrl: PPO over the robots of many teams, each of which is one of its environments."""
+"""skrl: PPO over the robots of many environments, each robot as a separate environment."""
 
 import gymnasium
 import numpy as np

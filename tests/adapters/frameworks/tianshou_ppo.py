@@ -1,4 +1,4 @@
-"""Tianshou: PPO over the robots of many teams, each of which is one of its environments."""
+"""Tianshou: PPO over the robots of many environments, each as a separate environment."""
 
 import numpy as np
 import torch

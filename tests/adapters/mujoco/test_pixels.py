@@ -1,4 +1,4 @@
-"""Robots that see with cameras: what the detector finds, what it throws away, and who meets."""
+"""Robots with cameras: detections, rejected detections, and rendezvous."""
 
 import re
 from importlib import util

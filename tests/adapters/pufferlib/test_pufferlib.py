@@ -1,4 +1,4 @@
-"""What stands in PufferLib's buffers, beside the teams themselves."""
+"""PufferLib buffers, compared with the environments."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Episodes that RLlib is given, beside each team played on its own; and the set network."""
+"""RLlib episodes, compared with separately simulated environments; and the set network."""
 
 import numpy as np
 import pytest

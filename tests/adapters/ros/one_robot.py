@@ -1,4 +1,4 @@
-"""One robot's process: examples/14_ros_node.py, with a watch at its ticks.
+"""Process of one robot: examples/14_ros_node.py with measured ticks.
 
 python one_robot.py WRITTEN --ros-args -r __ns:=/robot0
 """

@@ -1,8 +1,8 @@
-"""Four robots and a world, a process each: runs, counted.
+"""Repeated runs of four robots and a world, each in a separate process.
 
     python team.py [RUNS] [differential_drive]
 
-prints how many met, how many met without a contact, and what a tick took.
+Prints the numbers of rendezvous and of collision-free rendezvous, and the duration of a tick.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""The node of examples/14_ros_node.py, run: four of them and a world, each its own process."""
+"""Node of examples/14_ros_node.py: four nodes and a world in separate processes."""
 
 import ctypes
 import signal

@@ -1,11 +1,10 @@
-"""The world of four nodes: moves the robots as ``cmd_vel`` says, and tells them what they see.
+"""World of four nodes: moves the robots by ``cmd_vel`` and publishes their measurements.
 
     python world.py SEED SECONDS
 
-It runs by the clock on the wall, and prints how the run ended as JSON; if not all topics have two
-ends by READY, it says which. Which way a robot's body
-points is its own affair: it turns on the spot at random, and the node has to undo that. Bearings
-are those from LEAD ahead of the axle, about which a base on wheels turns.
+The world runs in real time and prints the result of the run as JSON. If a topic has only one end at
+READY, it prints the topic. The yaw of each body is random and changes at random, which the node has
+to compensate. Bearings are measured LEAD ahead of the axle, about which a wheeled base turns.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""BenchMARL's algorithms run on scenarios as tasks, and are judged on held-out starts."""
+"""BenchMARL algorithms on scenarios as tasks, evaluated on held-out initial conditions."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The TorchRL environment keeps its contract and is the vector environment, number by number."""
+"""TorchRL environment: its contract, and equality with the vector environment."""
 
 import json
 

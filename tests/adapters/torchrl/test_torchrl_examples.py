@@ -1,4 +1,4 @@
-"""The examples with TorchRL and BenchMARL learn, judged on starts they were not trained on."""
+"""TorchRL and BenchMARL examples: learning, evaluated on held-out initial conditions."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""What a learned policy is shown, with a tank and without, against observations by hand."""
+"""Features of learned policies, with and without a tank, computed by hand."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A trained network as a policy: what it does, where it runs, what it refuses."""
+"""Policies from trained networks: actions, supported scenarios, errors."""
 
 import pickle
 from dataclasses import replace

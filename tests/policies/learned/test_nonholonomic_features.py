@@ -1,5 +1,6 @@
-"""Learned policies of robots that turn and of space: frames and planes that do not turn with the
-body, and tanks on arcs.
+"""Learned policies of nonholonomic and 3-D robots.
+
+The tests cover frames and planes that do not turn with the body, and tanks on arcs.
 """
 
 from dataclasses import replace

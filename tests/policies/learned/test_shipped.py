@@ -1,4 +1,4 @@
-"""The policies that are shipped: there, light, and as good as the documentation says."""
+"""Shipped policies: presence, size, and documented success."""
 
 from functools import partial
 

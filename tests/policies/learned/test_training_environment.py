@@ -1,4 +1,4 @@
-"""The environment of a heading policy, recomputed from its parts."""
+"""Training environment of a heading policy, recomputed from its parts."""
 
 from dataclasses import replace
 
