@@ -264,7 +264,7 @@ def test_vector_environments_of_supersuit_fit_training_environments():
 
 
 def test_frame_skip_draws_from_the_seed():
-    """What SuperSuit asks of an environment, without it."""
+    """SuperSuit's requirement, without SuperSuit."""
     for make in (rv.parallel_env, rv.training_env):
         env = make("duo")
         env.reset(seed=3)

@@ -83,7 +83,7 @@ class TestHelp:
 
 
 def test_names_and_paths_are_no_markup(tmp_path, monkeypatch, capsys):
-    """They are printed as they are, by every command that names one."""
+    """Every command prints names unchanged."""
     monkeypatch.chdir(tmp_path)
     policy, scenario, out = "runs/[s1]", "m[red]:cat:", "o[/b]"
     shutil.copytree(Path(baselines.__file__).parent / "learned" / "pretrained", policy)
@@ -118,7 +118,7 @@ def test_set_changes_fields_of_a_scenario():
 
 @pytest.mark.parametrize("step", [1e-9, 6e8])
 def test_steps_of_any_length_are_compared(step, tmp_path):
-    """Kernels are made ready on two steps of the scenario itself, whose times no limit refuses."""
+    """Kernels are compiled in two steps of the scenario itself, for any step length."""
     limit = min(3 * step, 1e9)  # the longest time that a scenario takes
     words = ["--policy", "zero", "--episodes", "1", "--no-figures", "--out", str(tmp_path / "out")]
     words += ["--set", f"time_step={step}", f"time_limit={limit}", "allow_long_step=true"]
@@ -179,7 +179,7 @@ def test_completion_knows_every_command_and_flag(tmp_path, capsys):
 
 @pytest.mark.parametrize(("figure", "through"), [("fig3", True), ("fig4", False)])
 def test_reproduce_writes_picture_and_data(figure, through, tmp_path):
-    """Figure 3 goes through obstacles, figure 4 round them."""
+    """Robots pass through obstacles in figure 3, and around them in figure 4."""
     assert run("reproduce", figure, "--out", str(tmp_path)) == 0
     written = {path.name for path in tmp_path.iterdir()}
     assert written == {f"{figure}.{suffix}" for suffix in ("png", "pdf", "npz", "csv")}

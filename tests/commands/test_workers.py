@@ -23,7 +23,7 @@ from train.verify.claims import CLAIMS
 
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch):
-    """Workers begin at once."""
+    """Start workers immediately."""
     monkeypatch.setattr(tasks, "_ALONE", 0.0)
 
 
@@ -42,7 +42,7 @@ class TestEach:
         assert os.getpid() not in processes and 1 <= len(processes) <= 2
 
     def test_matrices_are_multiplied_by_one_thread_whoever_does_it(self, set_threads):
-        """OpenBLAS and torch round otherwise on several, as many as cores unless told."""
+        """OpenBLAS and torch round differently on several threads, by default one per core."""
         set_threads(3)
         with threadpool_limits(3, "blas"):
             found = [result for n in (1, 2) for _, result in each(threads, "abcd", Workers(jobs=n))]
@@ -82,7 +82,7 @@ class TestEach:
                 os.kill(process, 0)
 
     def test_tasks_left_undone_are_forgotten(self):
-        """Of many that are short: nothing looks for them any more."""
+        """Many short tasks: discarded ones are not searched for."""
         with closing(each(abs, range(-3000, 0), Workers(jobs=2))) as found:
             assert len(list(islice(found, 5))) == 5
 
@@ -93,7 +93,7 @@ class TestEach:
 
 
 def test_a_comparison_by_two_is_that_of_one(tmp_path, monkeypatch):
-    """Of three blocks of starts for each policy and scenario."""
+    """Three blocks of initial conditions for each policy and scenario."""
     monkeypatch.setattr(playing, "BLOCK", 8)
     given = {"scenarios": ("duo", "clutter-8"), "policies": ("bearing-only", "learned")}
     given |= {"episodes": 20, "keep": 2, "ceiling": 1, "set": ("time_limit=10",), "figures": False}
@@ -142,9 +142,7 @@ class TestSeeds:
 
 
 def test_many_tasks_are_done_elsewhere_from_the_first_on(tmp_path, monkeypatch):
-    """Where nothing is compiled yet, the first task takes as long as many, and the other cores
-    would wait for it.
-    """
+    """The first task compiles kernels and may take as long as many tasks, with idle cores."""
     monkeypatch.setattr(tasks, "_ALONE", 60.0)
     monkeypatch.setattr(playing, "make_ready", lambda *_: 1 / 0)  # where the one that asked plays
     given = {"scenarios": ("duo",), "policies": ("bearing-only", "unit-mean"), "episodes": 2}

@@ -107,7 +107,7 @@ def test_headings_never_raise_v_the_rule_touches_nothing_and_without_both_robots
 
 
 def test_a_multiplier_grows_while_teams_touch_and_ends_where_it_may():
-    """λ ← λ + 2 (J − 0.1)/16 after a rollout, with J touches an episode."""
+    """λ ← λ + 2 (J − 0.1)/16 after a rollout with J contacts per episode."""
     paid, robots = SimpleNamespace(multiplier=0.0), SimpleNamespace(costs={})
     rule = multiplier_of(paid, robots, 0.1)
     for touches, ended, expected in ((3, 2, 0.175), (0, 0, 0.175), (0, 1, 0.1625), (900, 1, 20.0)):
@@ -148,7 +148,7 @@ def test_a_board_has_a_card_for_each_cell_and_its_tables(board):
 
 
 def test_the_law_is_played_as_compare_plays_it(board):
-    """The same starts and policy give the same times, by another loop."""
+    """Another loop gives the same times for the same initial conditions and policy."""
     job = Job(scenarios.get("clutter-8"), "bearing-only")
     played = play_job(job, episodes=8, seed=EVALUATION_SEEDS).episodes
     law = cards_of.read_cards(board)[0]["results"]
@@ -240,7 +240,7 @@ def test_cells_without_a_replay_are_done_again_for_one(board, tmp_path):
 
 
 def test_no_file_of_the_user_is_written_over(board, tmp_path, monkeypatch):
-    """And nothing is played for a folder that cannot be written to."""
+    """A folder that is not writable is reported before any episode."""
     monkeypatch.setattr(command, "play_all", lambda *given: 1 / 0)
     (tmp_path / "README.md").write_text("mine")
     with pytest.raises(UserError, match=r"holds 'README\.md', which leaderboard has not written"):
@@ -253,7 +253,7 @@ def test_no_file_of_the_user_is_written_over(board, tmp_path, monkeypatch):
 
 
 def test_what_is_not_installed_is_left_out_or_said(monkeypatch, capsys, tmp_path):
-    """None of it where all names are meant; asked for by name it is an error."""
+    """Missing packages are skipped by default, and an error for explicit names."""
     monkeypatch.setattr(registry.Algorithm, "missing", property(lambda own: list(own.packages)))
     named = {place.algorithm for place in command.plan(command.Config())}
     assert named == {"bearing-only", "tangent-joined-tuned", "tank-joined"}

@@ -37,7 +37,7 @@ def test_what_was_seen(team):
 
 
 def shown(scenario, law, count):
-    """What robots of the same teams are shown, (T, B, n, rows, d)."""
+    """Observations of the same environments, (T, B, n, rows, d)."""
     policy = policies.make(law, scenario)
     return rv.rollout(scenario, policy, 5, num_envs=count, record="observations").observations
 

@@ -27,7 +27,7 @@ RULES = command.Config(
 
 
 def check_agreement(card, kept):
-    """What is shown of a run ends as its card says, on the starts that the docs promise."""
+    """Replays end as in the run record, on the documented initial conditions."""
     found = card["results"]
     other = [start for start, one in enumerate(found["clean"]) if one != found["clean"][0]]
     assert sorted(kept) == [0, *other[:1]]
@@ -73,7 +73,7 @@ def test_what_is_kept_ends_as_the_card_says_and_begins_where_the_start_does(boar
 
 
 def led(field, count, safety, choose):
-    """Teams of which every robot does what is chosen from the shape of what it may choose."""
+    """Policy whose choices depend on the action space only."""
     teams = teams_to_learn_in(scenarios.get(field), count, safety=safety, anew=False)
     return Player(teams, lambda seen, time: choose(seen.shape[:2]))
 

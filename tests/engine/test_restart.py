@@ -35,7 +35,7 @@ def scenario(request) -> Scenario:
 
 
 def halfway(scenario: Scenario, merges: bool = True) -> tuple[Simulator, np.ndarray]:
-    """Teams that move, in some of which robots have merged."""
+    """Moving environments, some of them with merged robots."""
     sim = Simulator(scenario, TEAMS)
     observations = sim.reset(0)
     while sim.steps.max() < 10 or (merges and sim.active.all()):
@@ -49,7 +49,7 @@ def halfway(scenario: Scenario, merges: bool = True) -> tuple[Simulator, np.ndar
     indirect=True,
 )
 def test_all_ways_to_restart_show_the_same_start_and_leave_the_others_alone(scenario):
-    """At once in what the last step gave out, in a step in which these teams rest, by a reset."""
+    """Immediately in the last step's outputs, in a step of rest, or by a reset."""
     (sim, seen), (other, _), (alone, _), (anew, _) = (halfway(scenario) for _ in range(4))
     actions = towards_neighbours(scenario, seen)
     for simulator in (sim, other, alone, anew):
@@ -85,7 +85,7 @@ def test_all_ways_to_restart_show_the_same_start_and_leave_the_others_alone(scen
 
 
 def test_a_team_that_has_ended_rests(scenario):
-    """Whatever it is told, and with whatever velocity it ended."""
+    """For any actions and any final velocity."""
     sim, _ = halfway(scenario)
     sim.set_max_steps(int(sim.steps.max()) + 1)
     actions = np.ones((TEAMS, 5, scenario.action_size))
@@ -100,7 +100,7 @@ def test_a_team_that_has_ended_rests(scenario):
 
 
 def test_the_way_is_that_of_the_robots_that_are_left(scenario):
-    """A robot that has merged away adds nothing, though it may have been moving."""
+    """A merged robot adds nothing, even if it was moving."""
     sim, observations = halfway(scenario)
     assert not sim.active.all()
     for _ in range(20):
@@ -115,7 +115,7 @@ def test_the_way_is_that_of_the_robots_that_are_left(scenario):
 
 
 def test_every_team_sees_the_obstacles_of_its_own_episode():
-    """Those that stand anew in some teams, and those that a state brings back."""
+    """After a partial reset, and after restoring a state."""
     field = ObstacleField((1, 3), (0.2, 0.5), 6.0, 0.05, True)
     team = Scenario(n_robots=3, obstacles=field)
     sim, other = started(team, TEAMS), started(team, TEAMS, seed=100)
@@ -151,7 +151,7 @@ CASES = {
 
 
 def onwards(sim: Simulator, steps: int = 30) -> list[np.ndarray]:
-    """Everything that some steps give out, and the start of the next episodes."""
+    """All outputs of some steps, and the initial state of the next episodes."""
     found = [sim.observe()]
     for _ in range(steps):
         outcome = sim.step(towards_neighbours(sim.scenario, found[-1]))

@@ -69,7 +69,7 @@ def test_other_factories_take_flatten_too():
 
 
 def test_the_heading_environment_is_the_wrapped_one():
-    """Whatever the robots choose, the alignment is kept; numbers are those of the vector one."""
+    """The alignment holds for any choices, and numbers equal those of the vector environment."""
     settings = {"scenario": SCENARIO, "min_alignment": 0.3, "decision_period": 2}
     one, mode = gymnasium.make(HEADING, **settings), AutoresetMode.DISABLED
     entry = {"vectorization_mode": "vector_entry_point", "autoreset_mode": mode}
@@ -187,7 +187,7 @@ def test_the_state_of_a_batch_is_the_states_of_its_teams():
 
 @pytest.mark.parametrize("name", ["duo", "swarm-20", "clutter-8", "unicycle-6"])
 def test_no_step_and_no_episode_earns_less_than_the_bound(name):
-    """Robots flee along −f at full speed; of two that face away from each other it is attained."""
+    """Robots move along −f at full speed; two opposite ones attain the bound."""
     scenario = rv.scenarios.get(name).replace(time_limit=3.0)
     teams = rv.make_vec(scenario, 4, autoreset_mode=AutoresetMode.DISABLED)
     rows, _ = teams.reset(seed=0)
@@ -218,7 +218,7 @@ def test_no_step_and_no_episode_earns_less_than_the_bound(name):
 
 @pytest.mark.parametrize("teams", [1, 2, 40])
 def test_how_teams_stand_is_what_their_simulator_reads(teams):
-    """Read at once or one by one; more teams than lanes in a block, or one."""
+    """Read together or separately; more environments than lanes in a block, or one."""
     simulator = rv.Simulator(rv.scenarios.get("clutter-8").replace(merge_radius=2.0), teams)
     law = baselines.make("bearing-only", simulator.scenario)
     rows = simulator.reset(0)

@@ -246,7 +246,7 @@ def test_a_guarantee_is_not_put_upon_another(upper, lower):
 
 
 def test_what_happens_before_or_beneath_a_wrapper_needs_a_reset_of_the_wrapper(which):
-    """Its robots would act on what they saw before it."""
+    """Its robots would otherwise act on earlier observations."""
     for around, base in zip(
         GUARANTEES[which].both, (rv.parallel_env("fig3"), rv.make_vec("fig3", 2)), strict=True
     ):
@@ -296,7 +296,7 @@ def test_a_reset_of_some_teams_does_not_excuse_what_happened_to_the_others(which
 
 @pytest.mark.parametrize("around", [rv.vector.HeadingVectorWrapper, rv.vector.EnergyTankWrapper])
 def test_turning_robots_rest_in_each_base_step_in_which_they_see_nobody(around):
-    """Whether a thread leads its teams through a decision, or a wrapper between hears of steps."""
+    """With multi-step execution in threads, or with an intermediate wrapper that observes steps."""
     sphere = rv.Sphere((9.0, 9.0, 9.0), 0.1)  # robots among spheres are of a kind with other tests'
     scenario = five("nonholonomic_3d", sensing=rv.Sensing(dropout=0.7), obstacles=sphere)
     ends = []
@@ -321,7 +321,7 @@ def anew(wrapper, actions):
 
 
 def anew_instead(wrapper, actions):
-    """As wrappers of other libraries have it at the end."""
+    """As wrappers of other libraries return it at the end."""
     seen, infos = wrapper.env.reset()
     nothing = np.zeros(wrapper.num_envs)
     return seen, nothing, nothing > 0, nothing > 0, infos
@@ -338,7 +338,7 @@ def restart(wrapper, actions):
     [(False, twice), (True, twice), (True, anew), (True, anew_instead), (True, restart)],
 )
 def test_a_wrapper_between_that_steps_twice_or_resets_is_refused(which, teams, step):
-    """The filter would not see it: with frames skipped V rose above its bound."""
+    """The filter would not observe the step: with skipped frames V exceeded its bound."""
     wrapper = gymnasium.vector.VectorWrapper if teams else BaseParallelWrapper
     between = type("Between", (wrapper,), {"step": step})
     base = rv.make_vec("duo", 1) if teams else rv.parallel_env("duo")

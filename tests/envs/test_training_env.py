@@ -99,7 +99,7 @@ def test_each_robot_model_has_the_budget_of_the_policy_that_is_shipped_for_it(fi
 
 @pytest.mark.parametrize(("guarantee", "angles"), [("heading", ANGLES), ("tank", ALL_ROUND)])
 def test_a_direction_is_the_choice_of_its_angle(guarantee, angles):
-    """Of any length; and none at all is the rule itself."""
+    """Directions of any length; zero is the unmodified rule."""
     mode = {"guarantee": guarantee, "autoreset_mode": AutoresetMode.DISABLED}
     chosen = rv.vector.training_env(SCENARIO, 6, discrete=True, **mode)
     headed = rv.vector.training_env(SCENARIO, 6, **mode)

@@ -65,7 +65,7 @@ def test_a_team_that_has_finished_stays_as_it_is():
 
 
 def test_the_largest_rise_is_that_of_each_team_while_it_runs():
-    """Law (1) lets V fall in every step; a team that has finished no longer counts."""
+    """V decreases in every step under law (1); finished environments do not count."""
     found = rollout(DUO, law_of(DUO), num_envs=2, options=STARTS)
     assert found.running.sum(axis=0).tolist() == [2, len(found.running)]
     rise = found.largest_rise_between_merges
@@ -76,7 +76,7 @@ def test_the_largest_rise_is_that_of_each_team_while_it_runs():
 
 
 def test_packed_teams_take_part_until_they_have_met():
-    """None of their robots merges."""
+    """Packed robots do not merge."""
     packing = rv.Scenario(n_robots=3, body_radius=0.1, meeting="pack", merge_radius=0.4)
     found = rollout(packing, law_of(packing), num_envs=3)
     steps = np.rint(found.rendezvous_time / packing.tau)
@@ -85,7 +85,7 @@ def test_packed_teams_take_part_until_they_have_met():
 
 
 class Still:
-    """A policy with memory, which says what it was shown since it was reset."""
+    """Stateful policy that returns its observations since the last reset."""
 
     def reset(self, mask=None):
         self.seen = []

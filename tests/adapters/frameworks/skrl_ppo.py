@@ -18,7 +18,7 @@ HORIZON = 32
 
 
 class Robots(Wrapper):
-    """Slot = team · n + robot; a team begins anew in the step in which it ends."""
+    """Slot = environment · n + robot; environments reset in the step in which they end."""
 
     def __init__(self, teams):
         super().__init__(teams)

@@ -19,7 +19,7 @@ given = settings(__doc__, epochs=12, teams=64)
 
 
 class Robots(BaseVectorEnv):
-    """Slot = team · n + robot. The robots of a team end together, and begin anew together."""
+    """Slot = environment · n + robot. The robots of an environment end and reset together."""
 
     is_async = False
     is_closed = False

@@ -103,7 +103,7 @@ def test_seeds_and_what_is_refused():
 
 @pytest.mark.slow
 def test_the_example_learns():
-    """Judged on starts that it never saw."""
+    """Evaluated on held-out initial conditions."""
     told = run("09_pufferlib_ppo.py", "--updates", "15", "--teams", "64", "--held-out", "100")
     (_, met, clean), (_, met_after, clean_after) = JUDGED.findall(told)
     assert float(met_after) > float(met) + 20

@@ -190,7 +190,7 @@ def test_a_remote_runner_samples(local_ray):
 
 @pytest.mark.slow
 def test_the_example_learns():
-    """Judged on starts that it never saw."""
+    """Evaluated on held-out initial conditions."""
     told = run("08_rllib_ppo.py", "--updates", "28", "--held-out", "100")
     (_, met, clean), (_, met_after, clean_after) = JUDGED.findall(told)
     assert float(met_after) > float(met)

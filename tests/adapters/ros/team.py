@@ -75,7 +75,7 @@ def run(seed, folder, *parameters):
 
 
 def percentile(values, share):
-    """The value below which this share lies; NaN of none, where every run hung."""
+    """Quantile of the values for this fraction; NaN without values, if every run hung."""
     return sorted(values)[min(int(share * len(values)), len(values) - 1)] if values else math.nan
 
 

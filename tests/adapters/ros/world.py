@@ -44,7 +44,7 @@ SCENARIO = rv.Scenario(
 
 
 class World(Node):
-    """Simulator in, angles out."""
+    """Node that publishes the simulator's bearings as angles."""
 
     def __init__(self, seed, seconds):
         super().__init__("world")
@@ -77,13 +77,13 @@ class World(Node):
         self.heard_at[robot] = time.monotonic()
 
     def missing(self):
-        """Topics of which one end has not been found yet."""
+        """Topics with an end that has not been found yet."""
         told = [one for sent in self.sent for one in sent.values()]
         unheard = [one.topic_name for one in told if not one.get_subscription_count()]
         return unheard + [f"/robot{i}/cmd_vel" for i in np.flatnonzero(np.isinf(self.heard_at))]
 
     def go_on(self):
-        """Steps as time has passed; it begins once all robots are there."""
+        """Step in real time, after all robots are present."""
         now = time.monotonic()
         if self.began is None:
             self.tell()
