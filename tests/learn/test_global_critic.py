@@ -49,7 +49,7 @@ def test_the_state_by_hand():
 
 
 def test_a_team_in_which_nobody_sees_anybody_at_first_has_a_state():
-    """V(0) is 0, and later V need not be."""
+    """V(0) is 0, and V may be positive later."""
     scenario = rv.Scenario(
         n_robots=2, graph=rv.graphs.proximity(), require_connected=False, max_speed=4.0,
         sensing=rv.Sensing(range=1.0), local_frames="global", time_step=0.1,
@@ -83,7 +83,7 @@ def test_who_is_gone_is_not_there_and_the_last_state_is_of_the_episode_that_ende
 
 
 def judged(made, seen):
-    """Preferences and values, without a memory where there could be one."""
+    """Preferences and values, without an optional hidden state."""
     if made.units:
         starts, kept = torch.ones(1, len(seen)), torch.ones(1, len(seen), dtype=torch.bool)
         seen = Sequences(seen[None], starts, torch.zeros(len(seen), made.units), kept)

@@ -94,8 +94,10 @@ def before_edges(obstacles):
 
 
 def before_spheres(obstacles):
-    """A sphere seen under half an angle θ about c is before an axis h with ∠(h, c) < θ: cos ∠ >
-    cos θ = ‖Σ rays‖/8."""
+    """A sphere of half angle θ about c blocks an axis h with ∠(h, c) < θ.
+
+    That is, cos ∠ > cos θ = ‖Σ rays‖/8.
+    """
     middles = obstacles.sum(axis=-2)
     lengths = np.linalg.norm(middles, axis=-1)
     within = middles[..., 0] > lengths**2 / 8 * (1 + 1e-4)
@@ -129,8 +131,9 @@ def test_no_rule_drives_into_what_it_sees(name, field, is_before, least):
 
 
 def test_what_it_remembers_stands_still_while_the_robot_turns():
-    """Beside a wall from −0.5 to 0.5 rad about f it means to go at 0.7 rad, however it has turned;
-    it turns on the spot, then drives.
+    """With a wall from −0.5 to 0.5 rad about f, the desired direction is 0.7 rad.
+
+    It does not depend on the robot's rotation: the robot turns on the spot, then drives.
     """
     scenario = rv.scenarios.get("unicycle-clutter-24-slower")
     policy = baselines.make("tank-joined", scenario, clearance=0.2)
@@ -153,7 +156,7 @@ def test_what_it_remembers_stands_still_while_the_robot_turns():
 
 @pytest.mark.parametrize("name", ["tangent-joined", "tank-joined"])
 def test_a_robot_that_touches_an_obstacle_drives_away_from_it(name):
-    """It starts on the surface, looking away from it; silhouettes are half of all directions."""
+    """It starts on the surface, facing away; silhouettes are half of all directions."""
     for dim, model, obstacle in (
         (2, "unicycle", rv.Disc((0.0, 0.0), 1.0)),
         (3, "nonholonomic_3d", rv.Sphere((0.0, 0.0, 0.0), 1.0)),

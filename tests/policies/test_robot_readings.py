@@ -18,7 +18,7 @@ NAN = math.nan
 
 
 def facing(yaw):
-    """The quaternion of a yaw, rad."""
+    """Quaternion of a yaw, rad."""
     return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)
 
 

@@ -17,7 +17,7 @@ BAY = {
     "start_positions": ((-1.0, 0.3), (1.0, 0.0)),
     "obstacles": tuple(rv.Capsule(ends=ends, radius=0.2) for ends in WALLS),
 }
-"""Two bays back to back: the only way out of either leads away from the robot in the other."""
+"""Two bays back to back: the only exit of each leads away from the other robot."""
 
 
 def made(scenario=CLUTTER, **options):
@@ -36,7 +36,7 @@ def made(scenario=CLUTTER, **options):
     ],
 )
 def test_v_and_the_ledger_fall_together_where_nothing_is_touched(name, budget, teams, least):
-    """V + ΣA, although what robots remember turns with their bodies and is never told."""
+    """V + ΣA decreases, although memory rotates with the bodies without feedback."""
     scenario = rv.scenarios.get(name).replace(time_limit=45.0)
     policy, simulator = made(scenario, budget=budget), Simulator(scenario, teams)
     steering, checked, away = Steering(scenario), 0, 0
@@ -59,7 +59,7 @@ def test_v_and_the_ledger_fall_together_where_nothing_is_touched(name, budget, t
 
 @pytest.mark.parametrize("field", ["clutter-8", "unicycle-clutter-24-slow"])
 def test_a_bay_is_left_by_the_tank_and_not_by_a_heading(field):
-    """A heading rests there for ever: V would have to rise."""
+    """A heading policy rests there for ever, as leaving would increase V."""
     bay = rv.scenarios.get(field).replace(name="bay", time_limit=60.0, **BAY)
     for name, meets in (("tangent-joined-tuned", False), ("tank-joined", True)):
         simulator, policy = Simulator(bay, 5), baselines.make(name, bay)
@@ -81,7 +81,7 @@ def test_without_anything_in_the_way_it_goes_along_f():
 
 
 def in_a_corner():
-    """A scenario and what its first robot sees: f along x, and a wall from −2.5 to 2.4 rad."""
+    """A scenario and observations of its first robot: f along x, wall from −2.5 to 2.4 rad."""
     scenario = Scenario(n_robots=2, obstacle_slots=2, time_step=0.05, max_speed=1.0)
     layout = scenario.observation_layout
     free = np.zeros((2, *layout.shape), np.float32)
@@ -93,7 +93,7 @@ def in_a_corner():
 
 
 def test_it_turns_back_once_it_has_lost_enough():
-    """A wall that never ends: 0.2 rad outside either end, first 1 m back from f, then 2 m."""
+    """Infinite wall: 0.2 rad outside either end, first 1 m against f, then 2 m."""
     scenario, _, walled = in_a_corner()
     policy = made(scenario, patience=1.0)
     sides = [float(np.sign(policy(walled, 0.0)[0, 1])) for _ in range(60)]

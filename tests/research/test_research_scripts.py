@@ -81,7 +81,7 @@ def test_spending_and_earning():
 
 
 def test_the_reward_and_the_diameter_by_hand():
-    """Three robots, r_c = 4: distances 3, 4 and 5, the last capped."""
+    """Three robots, r_c = 4: distances 3, 4 and 5, the last clipped."""
     positions = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 4.0]])
     actions = np.array([[1.0, 0.0], [0.5, -0.5], [0.0, 0.0]])
     wanted = -(3 / 4 + 1 + 1) / 3 - 0.001 * (1 + 0.25 + 0.25) / 6
@@ -102,7 +102,7 @@ def test_rest_earns_what_the_start_is_worth_all_the_time():
 
 
 def test_who_has_met_earns_nothing_more():
-    """Two that stand still once they have met, step by step in the simulator."""
+    """Two robots at rest after rendezvous, step by step in the simulator."""
     team = rv.scenarios.get("duo")
     simulator = rv.Simulator(team, 2)
     observations, total = simulator.reset(0), np.zeros(2)
@@ -164,7 +164,7 @@ def test_a_wrong_argument_is_one_line(words, said, monkeypatch, capsys):
 
 
 def test_a_search_that_is_stopped_goes_on_with_no_other_run(tmp_path):
-    """Nor tells a row of the run that was stopped."""
+    """The interrupted run has no row either."""
     words = "research/training_search.py --tried small-batch --seeds 0 1".split()
     command = [sys.executable, ROOT / words[0], *words[1:], "--out", tmp_path / "runs"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as search:

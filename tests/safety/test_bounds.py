@@ -21,14 +21,14 @@ from rendezvous_env.safety.theorems.gains import kappa, shrinking_to_leader
 from research.time_bounds import pursuit_bound, rendezvous_time_lower_bound
 
 ALLOWANCE = 4 * 0.2 * 6.5
-"""(n − 1) r W of UNEQUAL, whose a* is 0.9 and D̄ 6.5."""
+"""(n − 1) r W of UNEQUAL, which has a* = 0.9 and D̄ = 6.5."""
 SQUARE = ((0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0))
 """L0 = 16 m, κ(4) = 1 + 3 sin²(π/6) = 1.75."""
 close = pytest.approx
 
 
 def started(scenario):
-    """The scenario from one start, robots 1 m or more apart, and its V(0), m²/s, and L(0), m."""
+    """The scenario with given positions at least 1 m apart, V(0), m²/s, and L(0), m."""
     n, graph = scenario.n_robots, scenario.sensing_graph
     start = np.random.default_rng(0).permuted(np.arange(n * scenario.dim, dtype=float))
     start = start.reshape(n, scenario.dim)
@@ -114,7 +114,7 @@ def test_complete_graphs_of_one_weight_by_hand():
 
 
 def contracted(weights, random):
-    """The weights after one random link is contracted, by the max rule."""
+    """Weights after contraction of one random link, by the max rule."""
     i, j = random.permutation(np.argwhere(weights > 0))[0]
     union = np.maximum(weights[i], weights[j])
     union[[i, j]] = 0
@@ -223,7 +223,7 @@ def test_law_1_is_certified_by_g_and_a_and_held_by_d1_too():
 
 
 def test_a_pair_is_certified_by_the_closed_form_and_a_step():
-    """Two robots close at 2a: T = d/(2a), held or not."""
+    """Two robots approach at 2a: T = d/(2a), also with held inputs."""
     pair = Scenario(n_robots=2, start_positions=[[0, 0], [3, 4]], graph=graphs.path(0.5))
     found = certificate(pair)
     assert found.continuous_time_bound == close(5 / (2 * 0.5))
@@ -231,7 +231,7 @@ def test_a_pair_is_certified_by_the_closed_form_and_a_step():
 
 
 def test_g_is_never_above_a():
-    """Of clusters, lines and clouds, on all graphs, with and without a speed limit."""
+    """Clusters, lines and clouds, on all graphs, with and without a speed limit."""
     random = np.random.default_rng(0)
     for trial in range(300):
         n, dim = int(random.integers(2, 9)), 2 + trial % 2

@@ -21,7 +21,7 @@ from rendezvous_env.vector import EnergyTankWrapper
 
 
 def test_a_tank_that_is_given_no_margin_has_that_of_its_wrapper():
-    """1 is the margin of the paper's laws, which no tank can have."""
+    """The paper's laws have a minimum alignment of 1, which a tank cannot have."""
     scenario = Scenario(n_robots=3)
     usual = inspect.signature(EnergyTankWrapper).parameters["min_alignment"].default
     found = certificate(scenario, by="tank")
@@ -43,7 +43,7 @@ HUBS = Scenario(
     n_robots=6, graph=graphs.from_edges([(0, 1), (0, 2), (0, 3), (1, 4), (1, 5)]),
     start_positions=((0.0, 0.0), (0.5, 0.0), (0.0, 3.0), (0.0, -3.0), (0.5, 3.0), (0.5, -3.0)),
 )  # fmt: skip
-"""Two hubs of two leaves each, which merge first and then have four neighbours."""
+"""Two hubs of two leaves each; the hubs merge first and then have four neighbours."""
 
 
 @pytest.mark.parametrize("by", list(CHOICES))
@@ -60,7 +60,7 @@ def test_merged_robots_need_a_row_for_each_neighbour(by):
 
 
 def test_how_many_neighbours_merged_robots_can_have():
-    """Against all connected groups of a few drawn trees and webs."""
+    """Compared with all connected groups of some random trees and graphs."""
     random = np.random.default_rng(0)
     for n, extra in itertools.product((2, 4, 6, 7), (0, 2)):
         links = [(random.integers(i), i) for i in range(1, n)]
@@ -81,7 +81,7 @@ def test_how_many_neighbours_merged_robots_can_have():
 
 
 def test_starts_of_options_are_asked_for_in_a_scenario():
-    """Far outside of the spawn area V and the time are beyond what the scenario is promised."""
+    """Far outside the spawn area, V and the time exceed the scenario's bounds."""
     scenario, far = Scenario(n_robots=2), ((0.0, 0.0), (90.0, 0.0))
     own, given = certificate(scenario), certificate(scenario.replace(start_positions=far))
     simulator = Simulator(scenario)
@@ -92,7 +92,7 @@ def test_starts_of_options_are_asked_for_in_a_scenario():
 
 
 def test_weights_of_options_are_asked_for_in_an_environment_of_their_own():
-    """The wrapper's least gain is a* of its own scenario, a hundred times less than theirs."""
+    """The wrapper's minimum gain is a* of its own scenario, a hundred times smaller."""
     light = Scenario(n_robots=2, graph=graphs.complete((0.01, 1.0)), spawn_size=2.0)
     heavy = light.replace(graph=graphs.complete(1.0))
     found, met = certificate(heavy, by="gains"), []
@@ -108,7 +108,7 @@ def test_weights_of_options_are_asked_for_in_an_environment_of_their_own():
 
 
 def test_obstacles_of_options_are_asked_for_in_an_environment_of_their_own():
-    """Tanks of a scenario with obstacles do not shrink at merges: the last two may spend all."""
+    """With obstacles, tanks are not reduced at merges: the last two may use all energy."""
     places = 4.0 * np.random.default_rng(5).normal(size=(8, 2))
     free = Scenario(n_robots=8, start_positions=places, local_frames="global", time_limit=500.0)
     other = free.replace(obstacles=Disc((100.0, 0.0), 1.0))
@@ -128,7 +128,7 @@ def test_obstacles_of_options_are_asked_for_in_an_environment_of_their_own():
 
 
 def test_links_that_may_be_drawn_must_all_be_in_sight():
-    """Of given starts: the tree that is drawn may hold any pair."""
+    """Given initial positions: the random tree may contain any pair."""
     places = ((0.0, 0.0), (2.0, 0.0), (4.0, 0.0))
     for graph, far, near in (("path", True, True), (graphs.random_tree(), False, True)):
         for reach, granted in ((3.0, far), (5.0, near)):

@@ -177,7 +177,7 @@ def test_no_bearing_is_rounded_by_more(sectors, dim):
 
 
 def tank(scenario, **given):
-    """Its certificate, ε = 0.3, from the start of ``started``."""
+    """Certificate with ε = 0.3 for the initial positions of ``started``."""
     return certificate(started(scenario)[0], 0.3, by="tank", **given)
 
 

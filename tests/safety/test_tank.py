@@ -65,7 +65,7 @@ class TestEquations:
         np.testing.assert_allclose(velocity, (*expected, 0.0), atol=1e-15)
 
     def test_an_empty_tank_is_never_overdrawn(self):
-        """G ≥ τ s ((hᵀf)² − ε²‖f‖²) ≥ 0 for law (4) along whatever is wanted."""
+        """G ≥ τ s ((hᵀf)² − ε²‖f‖²) ≥ 0 for law (4) along any desired direction."""
         random = np.random.default_rng(0)
         for _ in range(500):
             f, wanted = random.normal(size=3), random.normal(size=3)
@@ -91,7 +91,7 @@ class TestEquations:
 
 @pytest.mark.parametrize("factor", [1.0, 3.0])
 def test_deposits_are_those_of_the_motion_that_the_simulator_executes(kind, factor):
-    """Computed anew from positions, before and after."""
+    """Recomputed from positions before and after."""
     scenario = longer(five(kind, spawn_size=8.0), factor)
     simulator = Simulator(scenario, TEAMS)
     tank = EnergyTank(scenario, TEAMS, frame="local", budget=0.05, min_alignment=0.2)
@@ -153,7 +153,7 @@ def test_with_an_empty_tank_a_body_turns_through_the_gate_and_drives_with_m(mode
 
 
 def test_in_a_step_with_contact_only_a_loss_is_booked():
-    """A robot pressed against a wall along f earns nothing; one that is thrust away from f pays."""
+    """A robot pressed against a wall along f gains nothing; one pushed away from f pays."""
     scenario = Scenario(n_robots=2, local_frames="global")
     tank = EnergyTank(scenario, 1, frame="local", budget=1.0)
     start = {"positions": [[-2.0, 0.0], [2.0, 0.0]]}
@@ -168,7 +168,7 @@ def test_in_a_step_with_contact_only_a_loss_is_booked():
 
 
 def test_levels_at_a_merge_by_hand():
-    """Five robots become four, then two: levels ¾ of what they were, then ⅓ of that."""
+    """Five robots become four, then two: energies are multiplied by ¾, then by ⅓."""
     tank, twin = (EnergyTank(Scenario(n_robots=5), 1, budget=2.0) for _ in range(2))
     observations = Simulator(tank.scenario).reset(0)
     for each in (tank, twin):

@@ -18,7 +18,7 @@ SPARSE = [f"{kind}_{what}" for kind in KINDS for what in ("array", "matrix")]
 
 
 def graph_of(value, n=4):
-    """The graph that a scenario of n robots makes of a value."""
+    """Graph of a scenario of n robots for a value."""
     return Scenario(n_robots=n, graph=value).sensing_graph
 
 

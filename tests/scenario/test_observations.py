@@ -65,7 +65,7 @@ def test_merged_away_robots_are_not_seen_and_see_nothing(kind):
 
 @pytest.mark.parametrize(("graph", "slots"), [(UNEQUAL, 3), ("path", 2), ("path", 3)])
 def test_few_rows_hold_the_neighbours_in_index_order(graph, slots):
-    """Those of the same robots with a row for everybody, the empty ones left out; then zeros."""
+    """Rows of complete observations without the empty ones, then zeros."""
     few = five("single_integrator-2d", graph=graph, neighbour_slots=slots, local_frames="global")
     wide = few.replace(neighbour_slots=4)
     seen, by_index = (Simulator(s).reset(0, {"positions": START})[0] for s in (few, wide))

@@ -167,7 +167,7 @@ def test_the_fields_and_defaults_of_the_design():
 
 
 def test_the_camera_is_a_sensor_like_any_other():
-    """Its numbers are those of docs/worlds.md, and what is hidden has no row."""
+    """Its parameters are those of docs/worlds.md, and hidden robots have no row."""
     camera = rv.Sensing.camera()
     assert camera.occlusion == "both" and not camera.exact
     assert math.degrees(camera.noise) == pytest.approx(0.43, abs=0.01)

@@ -25,7 +25,7 @@ WALLS = rv.WallField("trap", (7.0, 8.0), (2.0, 3.0), 0.5, region=2.0, keep_out=1
 
 
 def matrix(**entries: float) -> np.ndarray:
-    """UNEQUAL with some entries a_ij changed, given as a01=…, on one side only."""
+    """UNEQUAL with some entries a_ij changed on one side only, given as a01=…."""
     weights = UNEQUAL.copy()
     for name, value in entries.items():
         weights[int(name[1]), int(name[2])] = value
@@ -326,7 +326,7 @@ def test_names_and_paths_that_no_file_can_have(tmp_path):
 
 
 def test_what_cannot_be_written_leaves_what_was_there(tmp_path):
-    """A disk is full; a folder has the name."""
+    """Causes: a full disk; a folder of the same name."""
     (tmp_path / "taken.toml").mkdir()
     Scenario(n_robots=2).to_toml(tmp_path / "x.toml")
     free = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -354,7 +354,7 @@ def test_simulators_and_certificates_take_names_and_files(tmp_path):
 
 
 def test_a_limit_that_is_named_is_taken():
-    """Rounded to six digits, it was refused in its turn where that rounds it up."""
+    """A limit rounded up to six digits was itself rejected."""
 
     def named(message: str) -> float:
         found = re.search(r"(?:certified step|half the merge_radius,|r/τ =) ([\d.]+)", message)
