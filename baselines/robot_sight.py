@@ -9,11 +9,12 @@ from rendezvous_env.scenario.observation_layout import ObservationLayout
 Array = NDArray[np.float64]
 _ROUNDING = 1e-3  # tolerance of the length of a unit vector, for rounded directions
 _AWAY = 1.0
-"""Maximum summed rotation of both edges of an obstacle between ticks, rad; above it, the obstacle
-counts as another one."""
+"""Maximum summed rotation of both edges of an obstacle between ticks, rad.
+
+Above it, the obstacle counts as another one."""
 _OPPOSITE = 1e-6  # edges with a smaller sine of the angle between them are opposite
 _FLAT = 1e-4
-"""Rays lie in a plane, or all in one direction, below this product of their sum and vector area."""
+"""Product of the rays' sum and vector area below which they count as coplanar or parallel."""
 
 
 class RobotSight:

@@ -140,8 +140,9 @@ def _law_speed(rows, robot):
 
 
 _IN_FRAMES = {"angles": (1,), "turns": (1,), "bends": (1,)}
-"""Memory of a unicycle's body: its rotation, rad, and that of the previous step; |v ω| τ² of that
-step, m."""
+"""Memory of a unicycle's body.
+
+Its rotation, rad, and that of the previous step; |v ω| τ² of that step, m."""
 
 
 @kernel
@@ -205,10 +206,11 @@ _IN_PLANES = {
     **{"towards": (3,), "aside": (3,)},
     **{name: (1,) for name in ("angles", "blocked", "yaws", "pitches", "turns", "bends")},
 }
-"""Memory of a robot's plane, with triples in the level frame of the body's initial yaw: f/‖f‖, zero
-before the first step; the unit vector of the plane across f; rotation of f in the plane, rad;
-whether an obstacle there blocks f; yaw of the body, from the initial one, and pitch, rad; yaw of
-the previous step, rad, and |v| ‖ω‖ τ² of that step, m."""
+"""Memory of a robot's plane, with triples in the level frame of the body's initial yaw.
+
+f/‖f‖, zero before the first step; the unit vector of the plane across f; rotation of f in the
+plane, rad. Whether an obstacle there blocks f. Yaw of the body, from the initial one, and pitch,
+rad. Yaw of the previous step, rad, and |v| ‖ω‖ τ² of that step, m."""
 _ASIDE, _ANGLE, _BLOCKED, _YAW, _PITCH, _TURNED, _BEND = 3, *range(6, 12)
 
 

@@ -30,8 +30,9 @@ Rows = NDArray[Any]
 ALIGNED = 0.5  # rad; nonholonomic robots drive within this angle of the desired direction
 ALIGNED_IN_SPACE = 1.0  # larger, as pitch turns slowly, and driving with a clear axis is safe
 WITHIN = 1.0 - 1e-6
-"""Fraction of the speed limit in use, so that rounding to float32 exceeds no limit and commands
-equal the values booked by an energy tank."""
+"""Fraction of the speed limit in use.
+
+Rounding to float32 then exceeds no limit, and commands equal the values booked by a tank."""
 
 
 turns = of_model("unicycle", "nonholonomic_3d")

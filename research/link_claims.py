@@ -21,8 +21,9 @@ _SIGHT = 1.0
 _FINE = 0.2
 """Step over r/(2D̄) that represents continuous time."""
 _FLOAT32 = 1e-6
-"""Fraction of R by which rounding of velocities may lengthen a link in a step; actual rounding is
-smaller."""
+"""Fraction of R by which rounding of velocities may lengthen a link in a step.
+
+Actual rounding is smaller."""
 
 
 def draw_sighted(random: Random, batch: int) -> Teams:

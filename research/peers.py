@@ -25,7 +25,7 @@ _TAPE, STEPS = 8, 100
 
 
 def vmas(n: int, num_envs: int) -> Running:
-    """VMAS's simple_spread: n agents, each of which observes all others' relative positions."""
+    """VMAS's simple_spread: n agents that observe the relative positions of all others."""
     import torch
     from vmas import make_env
 

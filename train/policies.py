@@ -112,7 +112,7 @@ def learned_path(name: str, scenario: Scenario | None = None) -> Path | None:
 
 
 def fitting(scenario: Scenario, wanted: Sequence[str], *, brief: bool = False) -> list[str]:
-    """Those of the wanted policies that fit a scenario; by default all that compete in it.
+    """Policies among the wanted ones that fit a scenario; by default all that compete in it.
 
     By default, policies on request are excluded. Policies without observations and oracles are
     included only if nothing else fits. ``brief`` excludes policies without a chance, see

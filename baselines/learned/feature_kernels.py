@@ -12,20 +12,28 @@ from rendezvous_env.safety.heading import scale_of_step
 from ..obstacle_rules.merged_silhouettes_2d import TWO_PI, joined_interval_2d
 
 NEIGHBOUR_COLUMNS = 3
-"""Unit bearing x, y; edge weight a_ij, m/s."""
+"""Number of features of a neighbour: unit bearing x, y; edge weight a_ij, m/s."""
 OBSTACLE_COLUMNS = 6
-"""Counter-clockwise edge x, y; clockwise edge x, y; rotation rate of each edge, rad/s."""
+"""Number of features of an obstacle.
+
+Counter-clockwise edge x, y; clockwise edge x, y; rotation rate of each edge, rad/s."""
 CONTEXT_COLUMNS = 22
-"""‖f‖/D; ‖f‖, m/s, at most 2; 1/number of neighbours; time since the first decision, min, and its
-recency; own velocity and direction of f, each averaged over a short and a long time, x, y each;
-turn rate of f, rad/s; carried heading, x, y; of the merged interval in the direction of f: whether
+"""Number of context features.
+
+‖f‖/D; ‖f‖, m/s, at most 2; 1/number of neighbours. Time since the first decision, min, and its
+recency. Own velocity and direction of f, each averaged over a short and a long time, x, y each.
+Turn rate of f, rad/s; carried heading, x, y. Of the merged interval in the direction of f: whether
 it covers all directions, whether it exists, both edges and the gaps beyond them, rad."""
 LEVEL_COLUMNS = 1
-"""With a tank, after the context: log(1 + A/(r D̄)). With a memory of walls, WALL_COLUMNS follow."""
+"""Number of features with a tank, after the context: log(1 + A/(r D̄)).
+
+With a memory of walls, WALL_COLUMNS follow."""
 WALL_COLUMNS = 12
-"""Whether at a wall; log(1 + A/(r D̄)) on reaching it; time at it, and its recency; rotation of f
-and of the heading since, half turns; cos and sin of the angle chosen last; velocity and direction
-of f, averaged over a long time, each along and across f."""
+"""Number of features of the memory of walls.
+
+Whether at a wall; log(1 + A/(r D̄)) on reaching it; time at it, and its recency. Rotation of f and
+of the heading since, half turns; cos and sin of the angle chosen last. Velocity and direction of f,
+averaged over a long time, each along and across f."""
 _FASTEST = 3.0  # rad/s; bound of rotation rates
 _SHORT, _LONG, _LONG_AT_WALLS = 1.0, 5.0, 20.0  # averaging times, s
 _FRESH = 8.0  # s
@@ -36,18 +44,20 @@ _BLOCKED = 16
 
 
 MEMORY = {"time": (1,), "towards": (2,), "averages": (4, 2)}
-"""Memory of a robot between decisions, in its local frame: time since its first decision, s;
-direction of f at the last one, zero before the first; averages over a short and a long time of its
-velocity and of the direction of f."""
+"""Memory of a robot between decisions, in its local frame.
+
+Time since its first decision, s; direction of f at the last one, zero before the first. Averages
+over a short and a long time of its velocity and of the direction of f."""
 _TOWARDS, _AVERAGES = 1, 3
 WALLS = {
     **{name: (1,) for name in ("since", "clear", "level", "turned", "wound", "angle")},
     **{"towards": (2,), "heading": (2,), "averages": (2, 2)},
 }
-"""Memory of a robot with a tank about the current wall: time at it, s, 0 without a wall; time
-without an obstacle in the direction of f, s; log(1 + A/(r D̄)) on reaching it; rotation of f and of
-the heading since, rad; the angle chosen last, rad; f/‖f‖, zero before the first decision, and the
-heading; averages of velocity and direction of f."""
+"""Memory of a robot with a tank about the current wall.
+
+Time at it, s, 0 without a wall; time without an obstacle in the direction of f, s; log(1 + A/(r
+D̄)) on reaching it. Rotation of f and of the heading since, rad; the angle chosen last, rad. f/‖f‖,
+zero before the first decision, and the heading; averages of velocity and direction of f."""
 _SINCE, _CLEAR, _LEVEL, _TURNED, _WOUND, _ANGLE, _WALL_F, _HEADING, _WALL_AVERAGES = (
     *range(7), 8, 10,
 )  # fmt: skip

@@ -39,8 +39,10 @@ from .silhouettes import tangent_headings
 FLAT = 0.04  # rad; maximum depth of the flat sides between eight rays in a round cone
 Array = NDArray[np.float64]
 HeadingRule = Callable[[Array, NDArray[Any]], Array]
-"""Net bearings fᵢ, (..., d), m/s, and silhouettes, (..., M, S, d), unit vectors, zero where not
-visible → headings hᵢ, (..., d), unit vectors."""
+"""Heading rule: net bearings and silhouettes → headings hᵢ, (..., d), unit vectors.
+
+Net bearings fᵢ are (..., d), m/s; silhouettes are (..., M, S, d), unit vectors, zero where not
+visible."""
 
 
 def tangent_heading(net_bearing: Array, silhouettes: NDArray[Any]) -> Array:

@@ -43,10 +43,12 @@ from .obstacle_avoidance import Array, can_pass_obstacles, check_clearance
 from .planes_in_space import axis_is_clear_3d, kept_azimuth, widened_rays
 
 SIDE, WORK, PATIENCE, SHORT, HEADING, ASIDE, MEMORY = 0, 1, 2, 3, 4, 7, 10
-"""Indices in a robot's memory, and its size: the side of passing (1 counter-clockwise, −1
-clockwise, 0 if f is free); ∫ f·v dt since the robot reached the wall, m²/s; its maximum decrease
-before the robot turns back, over ‖f‖, m; whether the tank was too low in the previous step; the
-heading (3); in 3-D the unit vector across f of the kept plane (3)."""
+"""Indices in a robot's memory, and its size.
+
+The side of passing (1 counter-clockwise, −1 clockwise, 0 if f is free). ∫ f·v dt since the robot
+reached the wall, m²/s; its maximum decrease before the robot turns back, over ‖f‖, m. Whether the
+tank was too low in the previous step; the heading (3); in 3-D the unit vector across f of the kept
+plane (3)."""
 
 _JUMP = 1.5  # rad; an edge this far from the heading belongs to another wall
 _LOST = 2.4  # rad; maximum angle from f at which a wall is followed
@@ -55,11 +57,12 @@ _LARGEST_PATIENCE = 1e3  # in units of the first attempt's
 _BUDGET = 250.0  # in units of r max a_ij: 50 m²/s where r is 0.2 m and weights are 1 m/s
 _PATIENCE = 5.0  # in units of r
 _ROUNDING = 5e-6
-"""In units of r max a_ij; reserve of a tank for rounding, as actions are float32."""
+"""Reserve of a tank for rounding of actions to float32, in units of r max a_ij."""
 _REST_TIME = 30.0  # s for which the tank must suffice at rest after any step with a cost
 _TOIL = 0.15
-"""Fraction of ‖f‖ times path length that counts as lost for nonholonomic robots; otherwise two
-opposite robots could circle one obstacle for ever."""
+"""Fraction of ‖f‖ times path length that counts as lost for nonholonomic robots.
+
+Otherwise two opposite robots could circle one obstacle for ever."""
 
 
 class _Settings(NamedTuple):

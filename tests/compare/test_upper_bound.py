@@ -1,4 +1,4 @@
-"""Upper bounds of law (4): randomised runs, each of which satisfies theorem C."""
+"""Upper bounds of law (4): randomised runs that satisfy theorem C."""
 
 from types import SimpleNamespace
 

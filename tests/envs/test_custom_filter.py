@@ -153,7 +153,7 @@ def test_wrappers_of_gymnasium_stand_under_a_guarantee(mode, period):
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 @pytest.mark.parametrize("period", [1, 3])
 def test_a_recorder_of_statistics_beneath_hears_of_each_end_once(mode, period):
-    """Including ends within a decision, for the rest of which the team rests."""
+    """Including ends within a decision; the team rests for the remaining steps."""
     if gymnasium.__version__ < "1.3" and mode is AutoresetMode.SAME_STEP:
         pytest.skip("the recorder of Gymnasium 1.2 leaves out the first step of such episodes")
 

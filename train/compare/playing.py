@@ -25,13 +25,15 @@ from .evaluation import Episodes, play
 from .settings import Config, Job
 
 BLOCK = 128
-"""Maximum number of initial conditions per task, independent of the number of workers: rounding of
-matrix products may depend on their size."""
+"""Maximum number of initial conditions per task, independent of the number of workers.
+
+Rounding of matrix products may depend on their size."""
 TOGETHER = 8
 """Batch size that uses the SIMD code path."""
 _MANY = 32
-"""Number of tasks from which worker processes start at once. With fewer, this process starts alone,
-since compiling may dominate the first task."""
+"""Number of tasks from which worker processes start at once.
+
+With fewer, this process starts alone, since compiling may dominate the first task."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from .statistics import best_policy, clean_difference
 _MOST_NAMED = 4
 """Maximum number of tied policies named in the summary."""
 ONE_START, NONE_MET = "one start decides nothing", "no policy met without a collision"
-"""Why a scenario has no best policy."""
+"""Reasons why a scenario has no best policy."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Ranking:
     references: tuple[str, ...]
     """Oracles, which are shown but not ranked."""
     undecided: str = ""
-    """Why there is no best, where policies compete: ONE_START or NONE_MET."""
+    """Reason why there is no best policy, where policies compete: ONE_START or NONE_MET."""
 
     @property
     def is_contest(self) -> bool:
