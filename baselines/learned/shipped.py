@@ -16,15 +16,15 @@ from .policy_settings import PolicySettings
 _SHIPPED = {
     "learned": (
         "pretrained",
-        "Chooses how far aside of f the joined rule aims; certified, shipped with its weights.",
+        "Network that rotates f for the rule tangent-joined-tuned, under certified headings.",
     ),
     "learned-tank": (
         "pretrained_tank",
-        "Chooses where to go, all round, under an energy tank; shipped with its weights.",
+        "Network that chooses any direction, under an energy tank.",
     ),
     "learned-tank-noise": (
         "pretrained_tank_noise",
-        "The same, trained on with sensors that err, farther from edges; shipped.",
+        "As learned-tank, trained further with imperfect sensors and a larger clearance.",
     ),
 }
 """Folder of the weights and one-line description, by name."""

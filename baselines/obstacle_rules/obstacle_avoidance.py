@@ -226,19 +226,19 @@ def _among_obstacles(scenario: Scenario) -> bool:
 
 @register("tangent", fits=_among_obstacles, kind="rule")
 def _tangent(scenario: Scenario) -> Policy:
-    """Along the nearer edge of the most prominent obstacle (section IV-C, literally)."""
+    """Along the nearer edge of the widest visible obstacle (section IV-C)."""
     return BareHeadingPolicy(scenario, tangent_heading)
 
 
 @register("tangent-blocking", fits=_among_obstacles, kind="rule")
 def _tangent_blocking(scenario: Scenario) -> Policy:
-    """As tangent, only for an obstacle that blocks f."""
+    """As tangent, but only for obstacles that block f."""
     return BareHeadingPolicy(scenario, tangent_blocking_heading)
 
 
 @register("tangent-joined", fits=can_pass_obstacles, kind="rule")
 def _tangent_joined(scenario: Scenario, clearance: float = 0.05) -> Policy:
-    """As tangent-blocking, with overlapping silhouettes merged into one obstacle."""
+    """As tangent-blocking, with overlapping obstacles merged."""
     check_clearance(clearance)
     return BareHeadingPolicy(scenario, partial(tangent_joined_heading, clearance=clearance))
 
@@ -247,7 +247,7 @@ def _tangent_joined(scenario: Scenario, clearance: float = 0.05) -> Policy:
 def _tangent_certified(
     scenario: Scenario, min_alignment: float = 0.1, max_turn_rate: float = 3.0
 ) -> Policy:
-    """Rule tangent with the certified heading of theorem C."""
+    """As tangent, with the certified heading of theorem C."""
     return CertifiedHeadingPolicy(scenario, tangent_heading, min_alignment, max_turn_rate)
 
 
@@ -255,7 +255,7 @@ def _tangent_certified(
 def _tangent_blocking_certified(
     scenario: Scenario, min_alignment: float = 0.1, max_turn_rate: float = 3.0
 ) -> Policy:
-    """Rule tangent-blocking with the certified heading of theorem C."""
+    """As tangent-blocking, with the certified heading of theorem C."""
     return CertifiedHeadingPolicy(scenario, tangent_blocking_heading, min_alignment, max_turn_rate)
 
 
@@ -266,7 +266,7 @@ def _tangent_joined_certified(
     min_alignment: float = 0.1,
     max_turn_rate: float = 3.0,
 ) -> Policy:
-    """Rule tangent-joined with the certified heading of theorem C."""
+    """As tangent-joined, with the certified heading of theorem C."""
     check_clearance(clearance)
     rule = partial(tangent_joined_heading, clearance=clearance)
     return CertifiedHeadingPolicy(scenario, rule, min_alignment, max_turn_rate)
@@ -274,7 +274,7 @@ def _tangent_joined_certified(
 
 @register("tangent-joined-tuned", fits=can_pass_obstacles, kind="rule")
 class TunedJoinedPolicy(CertifiedHeadingPolicy):
-    """Rule tangent-joined, certified and tuned: persistent in its choice of side.
+    """As tangent-joined-certified, tuned and persistent in its choice of side.
 
     The persistence is λ of ``joined_headings_2d``; in 3-D a robot keeps its plane as well
     (``headings_in_planes``). An edge beyond the cap is used unmodified. The robot then slows down

@@ -235,7 +235,7 @@ def _inputs(f, account, heading, free, pitch, settings, memory):
 
 @register("tank-joined", fits=can_pass_obstacles, kind="tank")
 class TankJoinedPolicy(RememberingPolicy):
-    """Wall following under an energy tank, on alternating sides with growing distance.
+    """Wall following under an energy tank, on alternating sides and ever farther.
 
     An obstacle that blocks f is passed on one side, along the wall, until f is free. The path may
     lead away from f while the tank suffices. In 3-D the path has one azimuth, the one with the

@@ -54,8 +54,8 @@ class Config(Workers):
     policies: Annotated[tuple[str, ...], arg(aliases=("--policy",))] = ()
     """Names of policies, learned:PATH of a run, or module:function of a custom one: a function of a
     scenario that returns a policy, or None where it does not fit. With LABEL=NAME, tables, figures
-    and the report use LABEL. Default: every policy that fits, except those without observations and
-    oracles. If scenarios are not named either, policies without a chance are skipped: laws of the
+    and the report use LABEL. Default: every policy that fits, except oracles and those without
+    observations. If scenarios are not named either, policies without a chance are skipped: laws of the
     literature in scenarios with obstacles, which they do not sense, and policies for imperfect
     sensors in scenarios with exact ones."""
     episodes: Annotated[int | None, Bounds(1)] = None
