@@ -55,9 +55,9 @@ class Config(Workers):
     """Names of policies, learned:PATH of a run, or module:function of a custom one: a function of a
     scenario that returns a policy, or None where it does not fit. With LABEL=NAME, tables, figures
     and the report use LABEL. Default: every policy that fits, except oracles and those without
-    observations. If scenarios are not named either, policies without a chance are skipped: laws of the
-    literature in scenarios with obstacles, which they do not sense, and policies for imperfect
-    sensors in scenarios with exact ones."""
+    observations. If scenarios are not named either, policies without a chance are skipped: laws
+    of the literature in scenarios with obstacles, which they do not sense, and policies for
+    imperfect sensors in scenarios with exact ones."""
     episodes: Annotated[int | None, Bounds(1)] = None
     """Number of initial conditions per scenario. Default: 100; with obstacles and more than eight
     robots, 800 divided by their number. A scenario with given initial positions is run once."""
