@@ -107,8 +107,8 @@ class TeamPolicy(ABC):
         actions = self.act(table, time)
         return {name: actions[robots[name]] for name in observations}
 
-    def reset(self, mask: Mask | None = None) -> None:  # noqa: B027 - most have none
-        """Forget the state of the teams where ``mask`` (...) is true, of all if it is None."""
+    def reset(self, mask: Mask | None = None) -> None:  # noqa: B027 - most policies have no state
+        """Reset the state of environments where ``mask`` (...) is true; None resets all."""
 
 
 class StatefulPolicy(TeamPolicy):
@@ -176,9 +176,9 @@ class _Entry(NamedTuple):
 
 _registry: dict[str, _Entry] = {}
 AT_PATH = "learned:"
-"""What stands before the path of a learned policy, in a name."""
+"""Prefix of the path of a learned policy in a name."""
 _readers: dict[str, Callable[[str, Scenario], Policy]] = {}
-"""What reads a policy whose name has a prefix, such as AT_PATH, from what follows it."""
+"""Readers of policies by prefix of their names, such as AT_PATH."""
 _builders = Registry("policy", "baselines.policy.register")
 _Builder = TypeVar("_Builder", bound=Callable[..., Policy])
 
@@ -222,7 +222,7 @@ def names(scenario: ScenarioLike | None = None) -> list[str]:
 
 
 def register_reader(prefix: str, read: Callable[[str, Scenario], Policy]) -> None:
-    """Let ``make`` take names that begin with a prefix; ``read`` gets what follows it."""
+    """Register a reader of names with a prefix for ``make``; ``read`` gets the rest of the name."""
     _readers[prefix] = read
 
 
@@ -250,12 +250,15 @@ def about(name: str) -> str:
 
 
 def make(name: str | os.PathLike[str], scenario: ScenarioLike, **options: Any) -> Policy:
-    """A new policy for a scenario: a Scenario, the name of one or a TOML file.
+    """Create a policy for a scenario: a Scenario, the name of one or a TOML file.
 
     ``name`` is one of ``names(scenario)``, or "learned:PATH" of a training run, a checkpoint or an
-    exported network, which a Path stands for, too. ``options`` are that policy's, e.g.
-    ``clearance`` of "tangent-joined". A ValueError for an unknown name or option, or a policy that
-    does not fit the scenario, lists the right ones.
+    exported network; a Path is equivalent. ``options`` are those of the policy, for example
+    ``clearance`` of "tangent-joined".
+
+    Raises:
+        ValueError: for an unknown name or option, or a policy that does not fit the scenario; the
+            message lists the valid ones.
     """
     scenario = resolve(scenario)
     if isinstance(name, os.PathLike):
@@ -288,7 +291,7 @@ def file_of(build: Callable[..., Any]) -> Path | None:
     """Source file of a function; None for an interactive definition."""
     try:
         found = inspect.getsourcefile(build)
-    except TypeError:  # an object that can be called
+    except TypeError:  # a callable object
         return None
     return Path(found) if found is not None and Path(found).is_file() else None
 

@@ -7,13 +7,14 @@ from rendezvous_env.checks import check_shape, floats, raise_invalid
 from rendezvous_env.scenario.observation_layout import ObservationLayout
 
 Array = NDArray[np.float64]
-_ROUNDING = 1e-3  # so far from 1 may the length of a unit vector be: directions come rounded, too
+_ROUNDING = 1e-3  # tolerance of the length of a unit vector, for rounded directions
 _AWAY = 1.0
-"""Maximum summed rotation of both edges of an obstacle between ticks, rad; above it, the obstacle
-counts as another one."""
-_OPPOSITE = 1e-6  # edges are opposite below this sine of the angle between them
+"""Maximum summed rotation of both edges of an obstacle between ticks, rad.
+
+Above it, the obstacle counts as another one."""
+_OPPOSITE = 1e-6  # edges with a smaller sine of the angle between them are opposite
 _FLAT = 1e-4
-"""Rays lie in a plane, or all in one direction, below this product of their sum and vector area."""
+"""Product of the rays' sum and vector area below which they count as coplanar or parallel."""
 
 
 class RobotSight:
@@ -63,7 +64,7 @@ class RobotSight:
             ordered = marks = np.where(turned[:, np.newaxis, np.newaxis], edges[:, ::-1], edges)
         else:
             ordered, marks = _round_their_middles(edges, layout.net_bearing(rows))
-        # the same slots as at the last tick for those seen then, the longest vacant for others
+        # visible obstacles keep their slots; others get the slots that are vacant longest
         along = np.einsum("mid,sid->msi", marks, self._marks)
         turns = np.arccos(np.clip(along, -1.0, 1.0)).sum(axis=-1)
         vacant = _AWAY + 1e-3 / (1.0 + self._unseen)
@@ -125,7 +126,7 @@ def _unit_vectors(
             f"{'neighbour_slots' if name == 'bearings' else 'obstacle_slots'}"
         )
     lengths = np.linalg.norm(vectors, axis=-1)
-    for index in np.argwhere(~(np.abs(lengths - 1.0) <= _ROUNDING)):  # NaN, too
+    for index in np.argwhere(~(np.abs(lengths - 1.0) <= _ROUNDING)):  # also NaN
         place = tuple(index.tolist())
         raise_invalid(f"{name}{list(place)}", vectors[place].tolist(), "a unit vector")
     return vectors

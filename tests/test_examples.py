@@ -1,4 +1,4 @@
-"""The examples run, and show what they say."""
+"""Examples: they run with the stated results."""
 
 import re
 
@@ -43,7 +43,7 @@ def test_stable_baselines3_example_runs(tmp_path):
 JUDGED = re.compile(
     r"(before|after [\d,]+ (?:decisions|steps) of robots): (\S+)% met, (\S+)% without a touch"
 )
-"""What an example that learns says of the held-out starts, before and after."""
+"""Printed success on held-out initial conditions, before and after."""
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The theorems of the paper and of theory.md section 3, each over many random teams."""
+"""Theorems of the paper and of theory.md section 3, over many random teams."""
 
 import math
 from itertools import pairwise
@@ -32,8 +32,10 @@ TEAMS = 16
 
 
 def run_to_end(scenario, num_envs, *, seed=0, policy=None, options=None):
-    """Teams at the end of a law's run, when each of them met, s, and the largest rise of V between
-    merges, m²/s; it is negative if V fell in every step of every running team.
+    """Teams after a run of a law, rendezvous times, s, and the largest increase of V, m²/s.
+
+    The increase is between merges; it is negative if V decreased in every step of every running
+    team.
     """
     chosen = law_of(scenario) if policy is None else baselines.make(policy, scenario)
     simulator = Simulator(scenario, num_envs, num_threads=1)
@@ -48,7 +50,7 @@ def run_to_end(scenario, num_envs, *, seed=0, policy=None, options=None):
 
 @st.composite
 def teams(draw):
-    """Positions (n, d), no two closer than 5 cm, and symmetric weights, not all zero."""
+    """Positions (n, d) at least 5 cm apart, and symmetric weights, not all zero."""
     n, d = draw(st.integers(2, 7)), draw(st.integers(2, 3))
     random = np.random.default_rng(draw(st.integers(0, 2**32)))
     lattice = np.zeros((n, d))
@@ -63,8 +65,10 @@ def teams(draw):
 
 
 def check_law_1(scenario, num_envs, seed):
-    """Theorems 1 and A: V falls in every step, and all meet in time. By how much V falls, and rises
-    at merges, ``verify`` looks at."""
+    """Theorems 1 and A: V decreases in every step, and all meet in time.
+
+    ``verify`` checks the amount of the decrease, and increases at merges.
+    """
     simulator, times, rise = run_to_end(scenario, num_envs, seed=seed)
     assert rise < 0
     assert (times <= time_bound(scenario, simulator.initial_lyapunov)).all()
@@ -72,7 +76,7 @@ def check_law_1(scenario, num_envs, seed):
 
 
 class TestTheorem1:
-    """Law (1) meets if and only if the graph is connected."""
+    """Law (1) achieves rendezvous if and only if the graph is connected."""
 
     @pytest.mark.parametrize("dim", [2, 3])
     @pytest.mark.parametrize("n", [2, slow(3), 5, slow(8), 12])

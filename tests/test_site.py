@@ -1,4 +1,4 @@
-"""The site and its tutorial: both are made without a complaint, and pages fetch nothing."""
+"""Site and tutorial: built without warnings, and pages without external resources."""
 
 import http.server
 import json
@@ -23,14 +23,14 @@ ELSEWHERE = re.compile(r"^\s*(?:https?:)?//")
 
 
 def run(*words: object, **environment: str) -> str:
-    """What a Python program says, on both streams."""
+    """Output of a Python program, both streams."""
     done = run_python(ROOT, *words, PYTHONPATH=str(ROOT), **environment)
     return done.stdout + done.stderr
 
 
 @pytest.fixture(scope="module", params=["mkdocs", "zensical"])
 def site(request):
-    """The site by each generator, and what was said while it was built."""
+    """Site by each generator, and the build output."""
     pytest.importorskip(request.param)
     folder = ROOT / "out" / f"site-by-{request.param}"  # one of them builds within the project only
     environment = {"SITE_DIR": str(folder.relative_to(ROOT)), "NO_MKDOCS_2_WARNING": "1"}
@@ -39,21 +39,21 @@ def site(request):
 
 
 class Fetched(HTMLParser):
-    """Collects what a page makes a browser fetch."""
+    """Parser that collects the resources that a page loads."""
 
     def __init__(self) -> None:
         super().__init__()
         self.found: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """See what a tag fetches, and what the style that stands in it does."""
+        """Collect the resources of a tag, and of its style."""
         given = dict(attrs)
         self.found.append(given.get(LOADS.get(tag, "")) or "")
         self.found += re.findall(r"url\(['\"]?([^)'\"]+)", given.get("style") or "")
 
 
 def fetched(text: str) -> list[str]:
-    """What a page fetches from elsewhere."""
+    """External resources of a page."""
     reader = Fetched()
     reader.feed(text)
     return [address for address in reader.found if ELSEWHERE.match(address)]
@@ -107,10 +107,10 @@ def test_equations_are_rendered_at_build_time(site):
 
 
 class Silent(http.server.SimpleHTTPRequestHandler):
-    """Serves files and keeps no log."""
+    """File server without a log."""
 
     def log_message(self, *_: object) -> None:
-        """Say nothing."""
+        """Suppress log messages."""
 
 
 @needs_browser

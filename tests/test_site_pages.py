@@ -1,4 +1,4 @@
-"""Pages of the site that are made from the code name everything that the code has."""
+"""Generated pages of the site: complete with respect to the code."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from train.cli import COMMANDS
 
 @pytest.fixture(scope="module")
 def pages():
-    """The module that makes pages."""
+    """Module that generates pages."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(ROOT / "docs" / "building")
         yield import_module("pages")
 
 
 def section(page: str, title: str) -> str:
-    """What stands under a heading."""
+    """Text below a heading."""
     (found,) = re.findall(rf"^## `{re.escape(title)}`\n(.*?)(?=^## |\Z)", page, re.DOTALL | re.M)
     return found
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple, Self, get_args, get_origin, get_type_hints
 
-_LONGEST_NAME = 255  # bytes of one part of a path, on every common file system
+_LONGEST_NAME = 255  # bytes of one part of a path, on all common file systems
 
 
 class UserError(Exception):
@@ -60,12 +60,12 @@ class Bounds(NamedTuple):
 
 
 class GivenScenario(str):
-    """The name of a Scenario that was given to a command in Python, which it carries."""
+    """Name of a Scenario that was passed to a command in Python; it carries the Scenario."""
 
     scenario: Any
 
     def __new__(cls, scenario: Any) -> Self:
-        """The name of a scenario."""
+        """Name of a scenario."""
         made = super().__new__(cls, scenario.name)
         made.scenario = scenario
         return made
@@ -76,9 +76,11 @@ class GivenScenario(str):
 
 @dataclass(frozen=True)
 class Flags:
-    """The flags of a command, a field each. Once made they are what they can be, or a UserError:
-    of their types and within their ``Bounds``, numbers finite, text the name of a file. In Python
-    lists and text may stand for tuples and paths, and a Scenario for its name.
+    """Base class of command settings, with one field per flag, validated on creation.
+
+    A UserError reports a wrong type, a value outside its ``Bounds``, a number that is not finite,
+    or text that is no file name. In Python, lists and text may replace tuples and paths, and a
+    Scenario its name.
     """
 
     def __post_init__(self) -> None:
@@ -108,12 +110,12 @@ class Flags:
 
 
 def _is_one(value: Any) -> bool:
-    """Whether it is one name where several may stand: a text or a Scenario."""
+    """Whether a value is a single name, a text or a Scenario, for a field of several."""
     return isinstance(value, str) or _named(value) is not value
 
 
 def _named(value: Any) -> Any:
-    """A Scenario as its name, which carries it; anything else as it is."""
+    """Replace a Scenario by a name that carries it; other values are unchanged."""
     from rendezvous_env.scenario.scenario import Scenario  # not for --help
 
     return GivenScenario(value) if isinstance(value, Scenario) else value

@@ -49,11 +49,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         after Ctrl-C; 143 after SIGTERM.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before anything loads torch
-    # what a small network computes must not depend on the number of cores, nor wait for them
+    # results must not depend on the number of cores, and small networks need no waiting threads
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # it may know no ε
+            stream.reconfigure(errors="backslashreplace")  # its encoding may lack ε
     words = list(sys.argv[1:] if argv is None else argv)
     parser = _parser()
     own = parser.parse_args(words[: 2 if words[:1] == [_COMPLETION] else 1])

@@ -28,7 +28,7 @@ class Config(Flags):
     """List scenarios and policies, one line each, with the scenarios that each policy fits."""
 
     what: Positional[Literal["all", "scenarios", "policies"]] = "all"
-    """What to list."""
+    """Kind of entries to list."""
 
 
 def run(config: Config) -> int:

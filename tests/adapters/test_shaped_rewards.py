@@ -1,4 +1,4 @@
-"""A wrapper that changes the rewards of teams changes what a learner is paid."""
+"""Reward wrappers: changed team rewards reach the learner."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ TEAMS = 4
 
 
 class RobotByRobot(VectorWrapper):
-    """Pays robots one by one, and says so itself."""
+    """Wrapper with individual robot rewards, which it reports."""
 
     def step(self, actions):
         seen, rewards, ends, cuts, infos = super().step(actions)
@@ -46,7 +46,7 @@ FORMS = [plain, certified, preset]
 
 
 def played(teams, steps=25):
-    """Rewards (steps, B, n) of random actions."""
+    """Rewards (steps, B, n) under random actions."""
     robots = RobotVecEnv(teams)
     robots.seed(0)
     robots.reset()
@@ -107,7 +107,7 @@ def test_intermediate_wrapper_keeps_state_access():
 
 
 class OwnScale(VectorRewardWrapper):
-    """A wrapper of a user's own that scales, and counts how often it is asked."""
+    """Custom wrapper that scales rewards and counts its calls."""
 
     count = 0
 
@@ -117,7 +117,7 @@ class OwnScale(VectorRewardWrapper):
 
 
 class PaysAsTold(VectorWrapper):
-    """The teams' reward is the mean of what robots are told here, whatever happened."""
+    """Team rewards are always the mean of the robot rewards here."""
 
     def __init__(self, env, told):
         super().__init__(env)
@@ -148,7 +148,7 @@ SCALING = {
 @pytest.mark.parametrize("how", SCALING)
 @pytest.mark.parametrize("under", [False, True])
 def test_robots_are_scaled_where_a_wrapper_scales(how, under):
-    """Directly under the adapter, and under a guarantee that sums over two base steps."""
+    """Directly beneath the adapter, and beneath a guarantee that sums over two steps."""
     wrap, expected = SCALING[how]
     base = PaysAsTold(training_env("clutter-4", TEAMS, guarantee=None, learning_preset=False), RAW)
     robots = RobotVecEnv(RecordEpisodeStatistics(wrapped := wrap(base)))
@@ -184,7 +184,7 @@ def test_chain_of_scaling_and_adding_wrappers_is_followed_in_order():
 
 
 class Observed(VectorWrapper):
-    """Scales observations, and those at the ends of episodes or not."""
+    """Wrapper that scales observations, optionally also final ones."""
 
     def __init__(self, env, last):
         super().__init__(env)
@@ -206,7 +206,7 @@ class Observed(VectorWrapper):
 @pytest.mark.parametrize("make", FORMS)
 @pytest.mark.parametrize("outside", [False, True])
 def test_last_observations_are_changed_like_the_others_or_refused(make, outside):
-    """At the ends of episodes by time-out: robots apart still see one another."""
+    """Episodes end by time-out, where separate robots still have neighbours."""
 
     def ends(teams):
         robots = RobotVecEnv(RecordEpisodeStatistics(teams) if outside else teams)
@@ -224,7 +224,7 @@ def test_last_observations_are_changed_like_the_others_or_refused(make, outside)
 
 
 class Multiplied(VectorWrapper):
-    """Scales in a step of its own."""
+    """Wrapper with its own ``step`` that scales rewards."""
 
     def step(self, actions):
         seen, rewards, *others = self.env.step(actions)
@@ -232,7 +232,7 @@ class Multiplied(VectorWrapper):
 
 
 class Drawn(VectorWrapper):
-    """Robots earn numbers drawn at random, and their team the mean."""
+    """Wrapper with random robot rewards, and their mean as team reward."""
 
     def __init__(self, env):
         super().__init__(env)

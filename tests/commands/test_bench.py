@@ -1,6 +1,4 @@
-"""The benchmark's cases do what their names say, and its files hold what was measured; what is
-said of compilation.
-"""
+"""Benchmark cases, their files, and messages about compilation."""
 
 import json
 
@@ -19,7 +17,7 @@ QUICK = {"robots": (3,), "num_envs": 48, "repeats": 2, "seconds": 0.004, "num_th
 
 
 def measured(folder, **choices):
-    """Rows of a quick run, read from its file, and all of that file."""
+    """Rows of a quick run, read from its file, and the file's content."""
     path = folder / "bench.json"
     run(Config(json=path, **choices, **QUICK))
     written = json.loads(path.read_text())

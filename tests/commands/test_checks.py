@@ -1,4 +1,4 @@
-"""No setting of any command takes what means nothing, and what is refused changes nothing."""
+"""Validation of command settings: invalid values are rejected without side effects."""
 
 import dataclasses
 import math

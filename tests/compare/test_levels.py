@@ -1,4 +1,4 @@
-"""``compare --sensing``: the same starts at every level of a sensor's field."""
+"""``compare --sensing``: equal initial conditions at every level of a sensor field."""
 
 import pytest
 from matplotlib.image import imread

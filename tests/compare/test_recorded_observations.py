@@ -1,4 +1,4 @@
-"""What robots saw is found again, bit for bit, where their sensors are exact."""
+"""Bitwise recomputation of observations of exact sensors from recordings."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def test_exact_observations_are_recomputed_bitwise(team):
 
 
 def shown(scenario, law, count):
-    """What robots of the same teams are shown, (T, B, n, rows, d)."""
+    """Observations of the same environments, (T, B, n, rows, d)."""
     policy = policies.make(law, scenario)
     return rv.rollout(scenario, policy, 5, num_envs=count, record="observations").observations
 

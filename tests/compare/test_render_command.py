@@ -1,4 +1,4 @@
-"""``rendezvous render``: films and figures of one episode."""
+"""``rendezvous render``: videos and figures of one episode."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from train.figures import render
 
 
 def make(path, **options):
-    """Run the command for a film of few pictures; its exit status."""
+    """Run the command for a short video; returns its exit status."""
     chosen = {"scenario": "fig4", "policy": "tangent-joined", "size": 300, "fps": 10, "speed": 1.0}
     return render.run(render.Config(out=path, **(chosen | options)))
 
@@ -25,7 +25,7 @@ def gif(tmp_path_factory):
 
 
 def pictures(path):
-    """Pictures of a GIF and how long each stays, ms."""
+    """Frames of a GIF and their durations, ms."""
     with Image.open(path) as film:
         found = []
         for number in range(film.n_frames):
@@ -44,7 +44,7 @@ def length_of(name, policy):
 
 
 def count(picture, colour):
-    """Pixels that nearly have a colour."""
+    """Pixels with approximately a colour."""
     return int((np.abs(picture.astype(int) - colour).max(axis=-1) < 25).sum())
 
 

@@ -1,4 +1,4 @@
-"""What is wrong with a robot model of one's own is said when it is registered."""
+"""Validation of custom robot models at registration."""
 
 import dataclasses
 import math
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.usefixtures("registry")
 
 
 class Still(NamedTuple):
-    """Constants of a robot that is described only in part."""
+    """Constants of an incompletely defined robot model."""
 
     duration: float
     speed_limit: float
@@ -43,7 +43,7 @@ def test_invalid_model_is_rejected_with_reason():
 
 
 def walker(equations=None, fastest=1.5, **fields):
-    """Register a good robot model with some of its equations and fields replaced."""
+    """Register a valid robot model with some equations and fields replaced."""
 
     def propose(model, action, frame, memory):
         way = model.duration * action[0], model.duration * action[1]
@@ -82,7 +82,7 @@ def evenly(model, action, frame, memory, time):
 
 
 def bent(model, action, frame, memory, time):
-    """A way that leaves its chord by more than it says."""
+    """A path with a larger deviation from its chord than declared."""
     return time * action[0] + time * (model.duration - time) * 9.0, time * action[1]
 
 
@@ -154,7 +154,7 @@ def test_unusable_model_is_rejected_at_registration(case):
 
 
 def bounded(share=1, turned=1, least=0, **fields):
-    """One that moves by its action, turned into the global frame and bounded, or nearly so."""
+    """A model that moves by its action, rotated into the global frame and bounded, or nearly so."""
 
     def propose(model, action, frame, memory):
         speed = math.hypot(*action)

@@ -1,4 +1,4 @@
-"""The suites of PettingZoo and Gymnasium, on every kind of environment."""
+"""PettingZoo and Gymnasium API test suites on every kind of environment."""
 
 import itertools
 import warnings

@@ -1,4 +1,4 @@
-"""Bad actions: refused by the name of their robot, and nothing has changed."""
+"""Invalid actions: errors name the robot, and the state is unchanged."""
 
 import copy
 
@@ -34,7 +34,7 @@ BAD_ACTIONS = {
     scope="module", params=[*((None, kind) for kind in MODELS), *((w, None) for w in GUARANTEES)]
 )
 def after_a_merge(request):
-    """An environment, bare or under a guarantee, and a robot that has just merged away."""
+    """An environment with or without a guarantee, and a newly merged robot."""
     which, kind = request.param
     env = make(which, kind or "single_integrator-2d", changes={"spawn_size": 3.0})
     if which is None:

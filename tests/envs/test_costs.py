@@ -1,6 +1,6 @@
-"""Costs beside rewards: known numbers.
+"""Costs next to rewards: known values.
 
-test_gymnasium_env compares environments, test_guarantee_wrappers decisions and their base steps.
+test_gymnasium_env compares environments, test_guarantee_wrappers decisions and their steps.
 """
 
 import pickle
@@ -15,11 +15,11 @@ from rendezvous_env.vector import training_env
 
 ALL = tuple(COSTS)
 APART = np.array([[[-1.0, 0.0], [1.0, 0.0]]], np.float32)
-"""Away from each other, at 1 m/s."""
+"""Actions away from each other, at 1 m/s."""
 
 
 def pair(**fields):
-    """Two robots, 2 m apart, whose frames are the world's."""
+    """Two robots, 2 m apart, with global frames."""
     starts = ((-1.0, 0.0), (1.0, 0.0))
     given = {"n_robots": 2, "start_positions": starts, "local_frames": "global", "time_step": 0.05}
     return rv.Scenario(**{**given, "max_speed": 1.0, "costs": ALL, **fields})

@@ -1,4 +1,4 @@
-"""One action tape: teams side by side live through what single environments do."""
+"""Batched environments compared with single ones under equal actions."""
 
 import gymnasium
 import numpy as np
@@ -21,11 +21,11 @@ SCENARIOS = {
     "unicycle": {"n_robots": 2, "robot_model": "unicycle"},
     "uav": {"n_robots": 2, "robot_model": "nonholonomic_3d", "dim": 3},
 }
-"""Small worlds in which teams meet, or not, within some steps of a random tape."""
+"""Small scenarios with and without rendezvous within some random steps."""
 
 
 def small(name):
-    """One of them."""
+    """One of the environments."""
     common = {"merge_radius": 0.25, "spawn_size": 1.3, "time_limit": 3.4}
     return rv.Scenario(**SCENARIOS[name], **common, time_step=0.2, allow_long_step=True)
 
@@ -42,7 +42,7 @@ def tape_of(scenario):
 
 
 def assert_same_where(rows, ours, theirs):
-    """Of nested infos; theirs hold zeros, or None, where the mask is False."""
+    """Entries of nested infos, which are zeros or None where the mask is False."""
     for key, values in theirs.items():
         if isinstance(values, dict):
             assert_same_where(rows, ours[key], values)

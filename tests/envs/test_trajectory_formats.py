@@ -1,4 +1,4 @@
-"""Trajectories as pandas, xarray and Minari have them, against the arrays they are made of."""
+"""Trajectories in pandas, xarray and Minari, compared with their arrays."""
 
 import dataclasses
 import json
@@ -24,14 +24,14 @@ ABOUT = {
 
 @pytest.fixture(autouse=True)
 def own_store(tmp_path, monkeypatch):
-    """Minari writes into the user's home if it is not told otherwise."""
+    """Redirect Minari, which writes into the home folder by default."""
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     return tmp_path
 
 
 @pytest.fixture(scope="module")
 def fig4():
-    """Two teams among obstacles, one of which is out of time, with all that can be kept."""
+    """Two environments with obstacles, one of them timed out, with all optional recordings."""
     scenario = rv.scenarios.get("fig4").replace(start_positions=None, time_limit=5.5)
     law = baselines.make("bearing-only", scenario)
     found = rv.rollout(scenario, law, seed=3, num_envs=2, record="all")

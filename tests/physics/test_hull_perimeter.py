@@ -1,4 +1,4 @@
-"""The size L of a team: hulls against the integral that defines them, flat ones too."""
+"""Hull perimeter L, compared with its defining integral, also for flat hulls."""
 
 import itertools
 import math

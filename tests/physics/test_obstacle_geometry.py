@@ -1,4 +1,4 @@
-"""Distances, normals, silhouettes and crossings against shapely, trigonometry and brute force."""
+"""Obstacle geometry compared with shapely, trigonometry and brute force."""
 
 import math
 
@@ -32,8 +32,9 @@ SQUARE = Polygon(((0, 0), (2, 0), (2, 2), (0, 2)))
 
 
 def views(obstacles, positions):
-    """Distances (V,), normals (V, d) and silhouettes (V, 2, d) from position k of obstacle k of a
-    world, and so on round and round.
+    """Distances (V,), normals (V, d) and silhouettes (V, 2, d) for positions and obstacles.
+
+    Position k belongs to obstacle k of a world, cyclically.
     """
     count, d = positions.shape
     distances, normals = np.empty(count), np.empty((count, 3))
@@ -47,7 +48,7 @@ def views(obstacles, positions):
 
 
 def random_polygon(rng):
-    """Vertices on an ellipse, so always convex; 3 to 8 of them, at least 0.2 rad apart."""
+    """Vertices on an ellipse, hence convex; 3 to 8 of them, at least 0.2 rad apart."""
     gaps = rng.uniform(0.2, 1.0, rng.integers(3, 9))
     angles = np.cumsum(gaps) / gaps.sum() * 2 * math.pi + rng.uniform(0, 7)
     axes, centre = rng.uniform(0.3, 3.0, 2), rng.uniform(-10, 10, 2)
@@ -249,14 +250,14 @@ class TestFirstCrossing:
 
 ZERO = (0.0, 0.0, 0.0)
 HALF = (2.0, 0.0, 0.0)
-"""Of a capsule from (−2, 0) to (2, 0)."""
+"""End points of a capsule from (−2, 0) to (2, 0)."""
 numbers = st.floats(-4, 4).map(lambda x: round(x, 3))
 points = arrays(np.float64, 3, elements=numbers)
 radii = st.floats(0.05, 1.5)
 
 
 def row(half, radius) -> np.ndarray:
-    """Of a capsule about the origin, as kernels take it."""
+    """Capsule about the origin, as kernel argument."""
     return np.array([np.linalg.norm(half) + radius, *ZERO, *half, radius])
 
 

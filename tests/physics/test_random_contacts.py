@@ -1,4 +1,4 @@
-"""Motion among obstacles: properties of very many random contacts."""
+"""Properties of many random motions among obstacles."""
 
 import math
 from functools import cache
@@ -27,8 +27,9 @@ def move_all(move_one, worlds, starts, inputs, mode):
 
 
 def depths(obstacles, points):
-    """How deep inside the deepest obstacle points are, (P,), without this project's code; outside
-    of all minus the distance to the nearest, or less beyond a corner.
+    """Penetration depths of points, (P,), without this project's code.
+
+    Outside of all obstacles, it is minus the distance to the nearest one, or less beyond a corner.
     """
     deepest = np.full(len(points), -np.inf)
     for obstacle in obstacles:
@@ -132,8 +133,9 @@ def sample_arc(start, inputs, count):
 
 @cache
 def straight(dim):
-    """2 · 10⁵ motions in all: scenes, starts (S, N, d), inputs, displacements if nothing is in the
-    way, and by contact mode the displacements and contacts (S, N).
+    """2 · 10⁵ motions: scenes, starts (S, N, d), inputs, and unobstructed displacements.
+
+    For each contact mode, also the displacements and contacts (S, N).
     """
     rng, scenes, worlds, starts = many(dim, N_STRAIGHT)
     directions = rng.normal(size=starts.shape)
@@ -145,7 +147,7 @@ def straight(dim):
 
 @cache
 def curved(dim):
-    """2 · 10⁴ motions, likewise."""
+    """As above with 2 · 10⁴ motions."""
     rng, scenes, worlds, starts = many(dim, N_CURVED)
     shape = starts.shape[:2]
     inputs = np.zeros((*shape, 6))

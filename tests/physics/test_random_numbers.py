@@ -1,4 +1,4 @@
-"""Turns by chance: the inverse of the normal distribution, and small rotations."""
+"""Random rotations: inverse normal distribution, and small rotations."""
 
 import math
 
@@ -48,13 +48,13 @@ def fill_turned(rows, deviation, small, words, others, out):
 
 
 def halves(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of the words of a step, uint32."""
+    """Index of the words of a step, uint32."""
     fill_words(words := np.empty(count, np.uint64))
     return (words >> np.uint64(32)).astype(np.uint32), words.astype(np.uint32)
 
 
 def gaussians(words: np.ndarray) -> np.ndarray:
-    """As many numbers as there are words of 32 bits, float64."""
+    """Number for each word of 32 bits, float64."""
     fill_gaussians(words, numbers := np.empty(words.size, np.float32))
     return numbers.astype(np.float64)
 

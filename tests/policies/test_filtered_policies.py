@@ -1,4 +1,4 @@
-"""Functions and models as policies: they do and keep what wrappers and training environments do."""
+"""Functions and models as policies, compared with wrappers and training environments."""
 
 from functools import partial
 from operator import itemgetter
@@ -20,13 +20,13 @@ TEAMS = 4
 
 
 def mixed(numbers, size):
-    """So many choices, from −1 to 1, that depend on every number."""
+    """Choices from −1 to 1 that depend on every number."""
     weights = np.cos(np.arange(numbers.shape[-1] * size)).reshape(-1, size)
     return np.tanh(numbers @ weights)
 
 
 class Sideways:
-    """Depends on every row, so that whoever is shown anything else chooses otherwise."""
+    """Choices that depend on every row, so that any difference changes them."""
 
     def __init__(self, size):
         self.size, self.asked = size, 0
@@ -47,7 +47,7 @@ def places_of(wrapper, choose, periods):
 
 
 def places_under(policy, scenario, steps, period):
-    """The same of a policy."""
+    """Positions of a policy after each period."""
     simulator = rv.Simulator(scenario, TEAMS)
     seen, places = simulator.reset(3), []
     for step in range(1, steps + 1):
@@ -185,7 +185,7 @@ class TestModels:
         dims = 2 if arguments.get("flatten", True) else 3
 
         def predict(observation, state=None, episode_start=None, deterministic=False):
-            """Gives a state, too, as stable-baselines3 does."""
+            """Model that also returns a state, as in stable-baselines3."""
             assert deterministic and observation.ndim == dims
             rows = observation.reshape(len(observation), -1)
             chosen = mixed(rows, 1 if discrete else space.shape[-1])

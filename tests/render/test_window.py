@@ -1,4 +1,4 @@
-"""The window that plays an episode: keys, closing, copies."""
+"""Window that plays an episode: keys, closing, copies."""
 
 import copy
 
@@ -19,7 +19,7 @@ def press(*keys):
 
 @pytest.fixture
 def shown():
-    """An environment with a window, whose steps are short; keys of other tests are forgotten."""
+    """An environment with a window and short steps; keys of other tests are cleared."""
     env, nothing = drawn("duo", mode="human", time_step=1e-3, allow_long_step=True)
     assert nothing is None
     pygame.event.clear()

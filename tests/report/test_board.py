@@ -1,4 +1,4 @@
-"""The page of a leaderboard's folder, made of the results in the repository."""
+"""Page of the leaderboard, from the results in the repository."""
 
 import json
 import os
@@ -21,7 +21,7 @@ from train.results import read_csv
 SMOKE = ROOT / "results" / "leaderboard" / "smoke"
 TABLE = "leaderboard.csv"
 BARE = "replays/ppo-none/clutter-8-v1-seed-0.json"
-"""The one that this folder has not."""
+"""Entry that is missing in this folder."""
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def page(browser, board):
 
 
 def read(folder):
-    """The page of a folder, what its scripts read, and its recordings."""
+    """Page of a folder, its data, and its recordings."""
     text = (folder / "report.html").read_text(encoding="utf-8")
     return text, *data_of(text)
 
@@ -135,7 +135,7 @@ def test_table_sorts_and_filters_by_scenario(page, board):
 
 
 def cell(page, algorithm, column):
-    """The cell of an algorithm in the table of fields."""
+    """Entry of an algorithm in the table of scenarios."""
     row = page.locator("#fields-table tbody tr").filter(has=page.get_by_text(algorithm, exact=True))
     return row.locator("td").nth(column)
 

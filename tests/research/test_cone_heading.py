@@ -1,4 +1,4 @@
-"""Headings among the bearings: the projection, the margin, and the hull under law (4)."""
+"""Headings in the cone of bearings: projection, minimum alignment, hull under law (4)."""
 
 import math
 from itertools import count
@@ -14,7 +14,7 @@ from research.cone_heading import cone_heading, cone_velocity
 from train.verify.monitors import unit
 
 ROUNDING = 1e-6
-"""Of float32 actions, m."""
+"""Rounding of float32 actions, m."""
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -64,7 +64,7 @@ def test_headings_match_hand_computation():
 
 
 def headed(scenario, *, projected=True):
-    """How far the hull grows at most in a step under adversarial raw vectors, m; who has met."""
+    """Largest growth of the hull in a step under adversarial raw vectors, m; and rendezvous."""
     random, layout, calls = np.random.default_rng(0), scenario.observation_layout, count()
     u = random.normal(size=(60, scenario.dim))
     frozen = random.normal(size=(6, scenario.n_robots, scenario.dim))

@@ -1,4 +1,4 @@
-"""The free integrator does by hand what it should, and what the environment does."""
+"""Continuous-time integrator: by hand and compared with the environment."""
 
 from itertools import product
 

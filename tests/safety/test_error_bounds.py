@@ -177,7 +177,7 @@ def test_bearing_rounding_is_bounded(sectors, dim):
 
 
 def tank(scenario, **given):
-    """Its certificate, ε = 0.3, from the start of ``started``."""
+    """Certificate with ε = 0.3 for the initial positions of ``started``."""
     return certificate(started(scenario)[0], 0.3, by="tank", **given)
 
 

@@ -1,4 +1,4 @@
-"""How weights become gains, and which are refused."""
+"""Conversion of weights to gains, and rejected weights."""
 
 import numpy as np
 import pytest

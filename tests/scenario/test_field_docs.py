@@ -1,4 +1,4 @@
-"""``help`` of scenarios, certificates and their parts lists every field."""
+"""``help`` of scenarios, certificates and their parts: complete lists of fields."""
 
 import dataclasses
 import inspect
@@ -109,7 +109,7 @@ def test_obstacle_field_needs_a_number_only():
 
 
 def test_a_constant_compass_error_cancels_for_laws_without_memory():
-    """It turns the frame in which a robot measures and moves, which starts may give."""
+    """The error rotates the frame of measurements and actions, which may be given initially."""
     scenario = rv.Scenario(n_robots=4)
     turned = np.random.default_rng(0).uniform(-np.pi, np.pi, 4)
     cos, sin = np.cos(turned), np.sin(turned)

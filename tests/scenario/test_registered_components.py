@@ -1,4 +1,4 @@
-"""A family of graphs, an imperfection and a reward term from a user's own file."""
+"""Custom graph family, sensor imperfection and reward term from a user's file."""
 
 from itertools import islice
 
@@ -15,26 +15,26 @@ from rendezvous_env.trajectory import run
 
 @graphs.family("hexagon-and-chords")
 def ring_with_chords(n, random):
-    """A ring, and one chord from robot 0."""
+    """Ring graph with one chord from robot 0."""
     ring = [(i, (i + 1) % n) for i in range(n)]
     return [*ring, (0, int(random.integers(2, n - 1)))]
 
 
 @rv.sensor_imperfection("blind-behind")
 def blind_behind(seen):
-    """Misses robots behind the y axis of the robot's frame."""
+    """Sensor that misses robots behind the y axis of the robot's frame."""
     seen.neighbours[seen.neighbours[..., 0] < 0.0] = 0.0
 
 
 @rv.sensor_imperfection("half-lost")
 def half_lost(seen):
-    """Loses every second row, by chance."""
+    """Sensor that loses half of the rows at random."""
     seen.neighbours[seen.uniform(*seen.neighbours.shape[1:3]) < 0.5] = 0.0
 
 
 @rv.reward_term("effort")
 def effort(step):
-    """What each robot asks for, m/s."""
+    """Commanded speed of each robot, m/s."""
     return np.linalg.norm(step.actions, axis=-1)
 
 
@@ -59,7 +59,7 @@ def towards(scenario):
 
 
 def walk(scenario, seed, num_envs):
-    """Observations, rewards and rewards of robots of 12 steps, (12, B, …)."""
+    """Observations, team rewards and robot rewards of 12 steps, (12, B, …)."""
     simulator, found = started(scenario, num_envs, seed), []
     for step in islice(run(simulator, towards(scenario), simulator.observe()), 12):
         given = step.outcome
@@ -192,7 +192,7 @@ def family_of(draw):
 
 
 def stepped(role, term):
-    """A step of a team that is paid by a term, or told its cost."""
+    """A step of a team with a custom reward term or cost."""
     rv.reward_term("mine", term)
     paid = {"reward": {"custom": {"mine": 1.0}}, "costs": ("mine",)}
     simulator = started(Scenario(**{role: paid[role]}))

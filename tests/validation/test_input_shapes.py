@@ -1,4 +1,4 @@
-"""What reaches compiled code has been checked: outcomes, masks, actions, and what robots see."""
+"""Validation of inputs of compiled code: outcomes, masks, actions, and observations."""
 
 import re
 

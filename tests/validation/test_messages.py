@@ -1,4 +1,4 @@
-"""What the borders of the core say to values of the wrong kind: field, value and remedy."""
+"""Error messages for values of the wrong kind: field, value and remedy."""
 
 import math
 import re
@@ -100,7 +100,7 @@ WRONG_SEEDS = [5.0, True, "5", b"5", -1, -HUGE, [], [1, 2, 3], {}, [0.5], [True]
 
 
 def state_of(env):
-    """The running episode behind any door."""
+    """Running episode of any environment."""
     return (env if hasattr(env, "get_state") else env.unwrapped).get_state()
 
 
@@ -131,7 +131,7 @@ LARGE_SEEDS = [2**63, 2**63 + 1, 2**64 - 1, 2**64, 2**130, HUGE, UNWRITABLE]
 
 @pytest.mark.parametrize("seed", LARGE_SEEDS, ids=range(7))
 def test_every_reset_folds_large_seeds_as_seed_sequence_does(door, seed):
-    """Bitwise the episode of the folded seed, which is in use."""
+    """Bitwise equal to the episode of the folded seed, which is in use."""
     used = int(np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]) >> 1
     door.reset(seed=used)
     wanted = state_of(door)
@@ -142,7 +142,7 @@ def test_every_reset_folds_large_seeds_as_seed_sequence_does(door, seed):
 
 
 def test_seeds_in_use_are_those_of_np_random():
-    """Of seeds that were given, drawn, or put back, in every form that has random numbers."""
+    """Given, random, and restored seeds, in every form with random numbers."""
     from rendezvous_env.envs.gymnasium_env import make_env
 
     for env in (rv.parallel_env("duo"), make_env("duo"), rv.training_env("duo")):

@@ -1,4 +1,4 @@
-"""``rendezvous reproduce bounds``: certified times over those that teams take, in docs."""
+"""``rendezvous reproduce bounds``: certified over simulated times, in docs."""
 
 import pytest
 from conftest import ROOT

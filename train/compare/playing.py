@@ -26,13 +26,15 @@ from .evaluation import Episodes, play
 from .settings import Config, Job
 
 BLOCK = 128
-"""Maximum number of initial conditions per task, independent of the number of workers: rounding of
-matrix products may depend on their size."""
+"""Maximum number of initial conditions per task, independent of the number of workers.
+
+Rounding of matrix products may depend on their size."""
 TOGETHER = 8
 """Batch size that uses the SIMD code path."""
 _MANY = 32
-"""Number of tasks from which worker processes start at once. With fewer, this process starts alone,
-since compiling may dominate the first task."""
+"""Number of tasks from which worker processes start at once.
+
+With fewer, this process starts alone, since compiling may dominate the first task."""
 
 
 @dataclass(frozen=True)
@@ -121,18 +123,18 @@ def _weights(policy: str, scenarios: Sequence[Scenario]) -> str | None:
 class Task:
     """Part of a comparison that can run in any process."""
 
-    name: str  # of the file in OUT.part that keeps its result
-    label: str  # for the progress bar, once it is done
+    name: str  # of the file in OUT.part with its result
+    label: str  # for the progress bar when it is done
     scenario: Scenario
-    count: int  # of starts
+    count: int  # number of initial conditions
     work: Callable[[], Any]  # pickled, as its result
-    stays: bool = False  # whether only this process can do it
+    stays: bool = False  # whether it must run in this process
 
 
 def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
     """Tasks of a job, one per block of initial conditions; ``number`` is the job's index."""
     starts, kept = config.starts(job.scenario), config.kept(job.scenario)
-    # what was registered from outside is known to this process alone
+    # external registrations exist in this process only
     has_file = ":" in job.policy and not job.policy.startswith("__main__:")
     stays = policies.kind_of(job.policy) == "own" and not has_file
     stays |= bool(policies.registered(job.scenario))
@@ -171,7 +173,7 @@ def play_block(
     if first == 0 and keep > 0 and failed.size and failed[0] >= keep:
         start = int(failed[0])
         again = play_job(job, episodes=1, seed=seed + start, keep=1)
-        # played alone, a network may round otherwise: a replay that differs is not shown
+        # a network may round differently with one environment; a differing replay is discarded
         if again.episodes.time[0] == done.episodes.time[start] and not again.episodes.good[0]:
             kept[start] = again.recordings[0]
     if weights is not None and _weights(job.policy, [job.scenario]) != weights:

@@ -28,7 +28,7 @@ class Sweep:
 
     base: Scenario
     field: str  # of ``rv.Sensing``
-    levels: tuple[Level, ...]  # in the order in which they were named
+    levels: tuple[Level, ...]  # in the order given
     scenarios: tuple[Scenario, ...]  # the base at each level
 
     @property

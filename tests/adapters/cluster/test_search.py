@@ -1,4 +1,4 @@
-"""The search with Ray Tune, in a small setting."""
+"""Hyperparameter search with Ray Tune, in a small setting."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The scripts of the table of frameworks run, those of frameworks that are installed."""
+"""Smoke tests of the framework scripts, for installed frameworks."""
 
 import json
 from importlib.util import find_spec

@@ -1,4 +1,4 @@
-"""Four differential drives meet in ir-sim, without a touch, by what their lidars return."""
+"""Collision-free rendezvous of four differential drives with lidars in ir-sim."""
 
 import re
 from importlib import util

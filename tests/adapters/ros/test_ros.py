@@ -1,4 +1,4 @@
-"""The node of examples/14_ros_node.py, run: four of them and a world, each its own process."""
+"""Node of examples/14_ros_node.py: four nodes and a world in separate processes."""
 
 import ctypes
 import signal
@@ -18,7 +18,7 @@ from one_robot import node_of
 from team import percentile, run
 
 TICK = 5e-3
-"""s that 99 of 100 ticks keep within, of the processor: what else runs here is not the node's."""
+"""Limit of 99 % of the ticks, s of processor time, independent of other processes."""
 
 
 @pytest.fixture
@@ -29,7 +29,7 @@ def alone(monkeypatch):
 
 @pytest.fixture
 def node(alone, request):
-    """A node that hears what it is told, and what it publishes; its parameters may be given."""
+    """A node with messages and its published commands; parameters are optional."""
     import rclpy
 
     with rclpy.init(args=getattr(request, "param", [])):
@@ -40,7 +40,7 @@ def node(alone, request):
 
 
 def look(made, bearings, edges=()):
-    """Tell a node, whose body points along x, all that it waits for."""
+    """Publish all required topics to a node whose body points along x."""
     from sensor_msgs.msg import Imu
     from std_msgs.msg import Float64MultiArray
 
@@ -139,7 +139,7 @@ def test_node_turns_wheels_towards_bearing_and_stops_without(node):
 
 @pytest.fixture
 def handlers():
-    """Of signals, as they were before."""
+    """Restore the previous signal handlers."""
     kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     yield
     for number, handler in kept.items():

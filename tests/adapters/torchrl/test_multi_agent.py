@@ -1,4 +1,4 @@
-"""BenchMARL's learners on the leaderboard: the teams of all others, and runs that repeat."""
+"""BenchMARL algorithms on the leaderboard: common initial conditions, reproducible runs."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The examples with TorchRL and BenchMARL learn, judged on starts they were not trained on."""
+"""TorchRL and BenchMARL examples: learning, evaluated on held-out initial conditions."""
 
 import re
 
@@ -12,7 +12,7 @@ SMALL = ("--updates", "14", "--teams", "64", "--held-out", "50")
 
 
 def judged(told):
-    """Shares of the held-out teams that met, and cleanly, before and after."""
+    """Fractions of held-out teams with (collision-free) rendezvous, before and after."""
     found = re.findall(r"^(.+): (\S+)% met, (\S+)% cleanly, median \S+ s$", told, re.M)
     assert [moment for moment, *_ in found] == ["before", "after"]
     return [tuple(map(float, shares)) for _, *shares in found]

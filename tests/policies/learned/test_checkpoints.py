@@ -1,4 +1,4 @@
-"""Checkpoints are whole or not there; nothing that was changed is read."""
+"""Checkpoints: atomic, and protected against modification."""
 
 import errno
 import json
