@@ -17,9 +17,11 @@ _FULL_CIRCLE = 2.0 * math.pi
 
 
 def _check_view(field: str, value: Any) -> float:
-    if not 0.0 < checks.real(value) <= _FULL_CIRCLE:
-        checks.refuse(field, value, "a positive number of at most 2π = 6.283185307179586 rad")
-    return checks.real(value)
+    if not 0.0 < checks.to_float(value) <= _FULL_CIRCLE:
+        checks.raise_invalid(
+            field, value, "a positive number of at most 2π = 6.283185307179586 rad"
+        )
+    return checks.to_float(value)
 
 
 _Deviation = Annotated[float, partial(checks.number, least=0.0, most=_FULL_CIRCLE, unit="rad")]
@@ -32,7 +34,7 @@ def _check_levels(field: str, value: Any) -> float | tuple[float, ...]:
     if not checks.is_sequence(value):
         return one(field, value)
     if len(value) == 0:
-        checks.refuse(field, value, "a number, or a list of one for each robot, rad")
+        checks.raise_invalid(field, value, "a number, or a list of one for each robot, rad")
     return tuple(one(f"{field}[{robot}]", level) for robot, level in enumerate(value))
 
 
@@ -40,16 +42,16 @@ def _check_table(field: str, value: Any) -> tuple[tuple[float, float], ...]:
     """Pairs of a distance, m, and a probability, by increasing distance."""
     wanted = "a list of pairs [distance in m, probability], such as [[1.0, 0.5], [6.0, 0.2]]"
     if not checks.is_sequence(value):
-        checks.refuse(field, value, wanted)
+        checks.raise_invalid(field, value, wanted)
     table: list[tuple[float, float]] = []
     for row, pair in enumerate(value):
         if not checks.is_sequence(pair) or len(pair) != 2:
-            checks.refuse(f"{field}[{row}]", pair, wanted)
+            checks.raise_invalid(f"{field}[{row}]", pair, wanted)
         distance = checks.number(f"{field}[{row}][0]", pair[0], least=0.0, unit="m")
         chance = checks.number(f"{field}[{row}][1]", pair[1], least=0.0, most=1.0)
         if table and distance <= table[-1][0]:
-            beyond = f"more than the distance before it, {checks.exact(table[-1][0])} m"
-            checks.refuse(f"{field}[{row}][0]", distance, beyond)
+            beyond = f"more than the distance before it, {checks.format_limit(table[-1][0])} m"
+            checks.raise_invalid(f"{field}[{row}][0]", distance, beyond)
         table.append((distance, chance))
     return tuple(table)
 
@@ -90,9 +92,9 @@ class Sensing:
     rad (theorem N; guarantees, section 11)."""
     dropout: Annotated[float, partial(checks.number, least=0.0, most=1.0)] = 0.0
     """Probability that a neighbour is not detected in a step."""
-    delay: Annotated[int, partial(checks.whole, least=0, most=MOST_DELAY)] = 0
+    delay: Annotated[int, partial(checks.check_int, least=0, most=MOST_DELAY)] = 0
     """Delay of observations, steps; the first observation is held until then."""
-    sectors: Annotated[int, partial(checks.whole, least=2, most=MOST_SECTORS)] | None = None
+    sectors: Annotated[int, partial(checks.check_int, least=2, most=MOST_SECTORS)] | None = None
     """Number of sectors to which bearings are quantised, in 3-D in yaw and elevation (± π/2); None
     disables quantisation."""
     occlusion: Literal["none", "obstacles", "robots", "both"] = "none"
@@ -134,9 +136,10 @@ class Sensing:
     def __post_init__(self) -> None:
         checks.check_fields(self, "sensing.{}")
         if self.delay > 0 and self.delay_time > 0.0:
+            seconds = checks.format_limit(self.delay_time)
             raise ValueError(
-                f"sensing.delay is {self.delay} steps and sensing.delay_time is "
-                f"{checks.exact(self.delay_time)} s; it must be one of the two: leave one out"
+                f"sensing.delay is {self.delay} steps and sensing.delay_time is {seconds} s; "
+                "it must be one of the two: leave one out"
             )
         if self.view_falloff > 0.0 and self.field_of_view >= _FULL_CIRCLE:
             raise ValueError(
@@ -168,10 +171,12 @@ class Sensing:
         levels = self.noise
         if isinstance(levels, tuple) and len(levels) != n_robots:
             remedy = f"{n_robots} numbers, one for each robot, or a single one for all of them"
-            checks.refuse("sensing.noise", list(levels), remedy)
+            checks.raise_invalid("sensing.noise", list(levels), remedy)
         if self.delay_steps(tau) > MOST_DELAY:
-            most = f"at most {MOST_DELAY} steps of {checks.exact(tau)} s: make it shorter"
-            checks.refuse("sensing.delay_time", self.delay_time, f"{most}, or time_step longer")
+            most = f"at most {MOST_DELAY} steps of {checks.format_limit(tau)} s: make it shorter"
+            checks.raise_invalid(
+                "sensing.delay_time", self.delay_time, f"{most}, or time_step longer"
+            )
 
     def departures(self) -> str:
         """Names and values of the imperfections, as text."""
