@@ -213,7 +213,7 @@ class Simulator(StateView):
 
     @property
     def supports_step_n(self) -> bool:
-        """Whether ``step_n`` is available.
+        """True if ``step_n`` is available.
 
         It requires that no user code runs in a step, that observations are those of the engine, and
         that no robot can exceed its neighbour rows.
@@ -363,12 +363,12 @@ class Simulator(StateView):
 
     @property
     def begun(self) -> bool:
-        """Whether a reset has taken place."""
+        """True if a reset has taken place."""
         return self._ready or bool((self._state.number >= 0).any())
 
     @property
     def all_running(self) -> bool:
-        """Whether the episodes of all environments are running; faster than ``ended``."""
+        """True if the episodes of all environments are running; faster than ``ended``."""
         return self._all_running
 
     @property

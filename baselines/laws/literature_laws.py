@@ -157,7 +157,7 @@ class _Quantised(Law):
 
 
 def _tells_robots_apart(scenario: Scenario) -> bool:
-    """Whether there is a row for each other robot, or a single row."""
+    """True if there is a row for each other robot, or a single row."""
     slots = scenario.observation_layout.neighbour_slots
     return is_single_integrator(scenario) and slots in (1, scenario.n_robots - 1)
 

@@ -146,7 +146,7 @@ class ShippedPreset:
         return preset(guarantee).reward, preset(guarantee).touch_penalty
 
     def shows(self, scenario: Scenario, guarantee: str | None) -> bool:
-        """Whether observations and actions are those of this guarantee's shipped policy."""
+        """True if observations and actions are those of this guarantee's shipped policy."""
         return guarantee in POLICIES and can_steer(scenario)
 
     def held_arguments(self, scenario: Scenario, guarantee: str) -> dict[str, Any]:

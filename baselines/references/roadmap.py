@@ -199,7 +199,7 @@ def _margins_at(world, around, points, most, out):
 
 @inner_kernel
 def _in_the_way(world, spikes, order, here, way, margin):
-    """Whether a path violates the clearance to an obstacle, with sharp polygon corners."""
+    """True if a path violates the clearance to an obstacle, with sharp polygon corners."""
     length = dot(way, way)
     for m in order:
         if world.kinds[m] == ABSENT:

@@ -37,7 +37,7 @@ class BatchController(Protocol):
     """Controller that maps observations to actions by slices of the batch, as safety filters do."""
 
     uses_feedback: bool
-    """Whether ``update_calls`` follow every step."""
+    """True if ``update_calls`` follow every step."""
 
     @property
     def action_diagnostics(self) -> Sequence[NDArray[Any]]:
@@ -116,7 +116,7 @@ class BatchRunner:
         self._overflow = np.full(place.batch, -1)
         self._last: StepOutput | None = None
         self._near = False
-        """Whether something could meet in the last step."""
+        """True if something could meet in the last step."""
         self._may_overflow = place.scenario.observation_layout.neighbour_slots < n - 1
         self._actions = np.zeros((place.batch, n, place.scenario.action_size), np.float32)
         self.limit(max_steps)

@@ -75,7 +75,7 @@ class StepStages:
     ) -> None:
         self._state, self._robot, self._constants, self._sensor = state, robot, constants, sensor
         self.all_compiled = False
-        """Whether the stages of contacts and merges are also compiled."""
+        """True if the stages of contacts and merges are also compiled."""
         self._entries: dict[Any, Callable[..., Any]] = {}
         self._plans: dict[Any, list[tuple[Call, Any]]] = {}
         place = state.place

@@ -115,7 +115,7 @@ class FilterWrapperMixin:
         self._checks_passage = env is not base and not any(
             getattr(type(layer), "part_of_world", False) for layer in layers_of(env)
         )
-        """Whether wrappers beneath may change nothing that passes through them."""
+        """True if wrappers beneath may change nothing that passes through them."""
         if self._checks_passage:
             self._teams_of(base).records_passage = True
         super().__init__(env)  # type: ignore[call-arg]  # the wrapper of the API

@@ -107,11 +107,11 @@ class RendezvousVectorEnv(
         self.renderer, self.render_mode = Renderer(simulator, render_mode), render_mode
         self.metadata = render_metadata(simulator) | {"autoreset_mode": autoreset_mode}
         self.begins_anew = True
-        """Whether this environment performs autoresets itself, not a wrapper (``begin_anew``)."""
+        """True if this environment performs autoresets itself, not a wrapper (``begin_anew``)."""
         self.outcome: StepOutput | None = None
         """Output of the last step; None before the first."""
         self.records_passage = False
-        """Whether ``passage`` is kept, for guarantees with wrappers beneath them."""
+        """True if ``passage`` is kept, for guarantees with wrappers beneath them."""
         self.passage: tuple[NDArray[np.float32] | None, NDArray[np.float32]] | None = None
         """Copies of the actions (None at a reset) and observations that passed here last."""
         self.flatten, n = flag("flatten", flatten), self.scenario.n_robots
@@ -191,7 +191,7 @@ class RendezvousVectorEnv(
 
     @property
     def can_drive(self) -> bool:
-        """Whether no renderer sees every step, and ``Simulator.supports_step_n``."""
+        """True if no renderer sees every step, and ``Simulator.supports_step_n``."""
         return self.render_mode is None and self.simulator.supports_step_n
 
     def drive(

@@ -105,11 +105,11 @@ class Graph:
     listed: ClassVar[str] = ""
     """Kind with listed edges, if any."""
     fixed: ClassVar[bool] = True
-    """Whether all episodes have the same edges."""
+    """True if all episodes have the same edges."""
     directed: ClassVar[bool] = False
-    """Whether visibility may be one-way."""
+    """True if visibility may be one-way."""
     changes: ClassVar[bool] = False
-    """Whether edges change within an episode other than by merging."""
+    """True if edges change within an episode other than by merging."""
     keys: ClassVar[tuple[str, ...]] = ("edges", "kind", "n_nodes", "probability", "weight_range")
     """Keys of plain data."""
 
@@ -143,7 +143,7 @@ class Graph:
 
     @property
     def undirected(self) -> bool:
-        """Whether it is neither directed nor time-varying, as theorems A, C and D require."""
+        """True if it is neither directed nor time-varying, as theorems A, C and D require."""
         return not (self.directed or self.changes)
 
     def links(self, n: int) -> LinkArrays:

@@ -111,7 +111,7 @@ def _out_of_skins(point, world):
 
 @kernel
 def _is_held(point, executed, way, world):
-    """Whether obstacles block a displacement.
+    """True if obstacles block a displacement.
 
     They leave less than a thousandth of it, or less than half where touched obstacles meet others.
     """
@@ -127,7 +127,7 @@ def _is_held(point, executed, way, world):
 
 @kernel
 def _first_contact(point, way, world, depth):
-    """Whether a straight path comes near any obstacle, and its fraction before contact, or inf."""
+    """True if a straight path comes near any obstacle, and its fraction before contact, or inf."""
     near, first = False, np.inf
     reach = norm(way) + max(0.0, -depth)
     for m in range(world.kinds.shape[0]):
@@ -247,7 +247,7 @@ def free_part(velocity, point, world, touched):
 
 @kernel
 def _is_free(velocity, touched, count):
-    """Whether a velocity enters no touched obstacle: one of its two half-spaces contains it."""
+    """True if a velocity enters no touched obstacle: one of its two half-spaces contains it."""
     rounding = 1e-12 * math.sqrt(dot(velocity, velocity))
     for i in range(0, count, 2):
         one, other = load(touched[i]), load(touched[i + 1])

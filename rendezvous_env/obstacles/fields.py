@@ -48,7 +48,7 @@ class ObstacleField(Drawn):
     keep_out: Length = 0.5
     """Minimum distance of initial positions to a surface, m."""
     overlap: bool = True
-    """Whether obstacles may overlap."""
+    """True if obstacles may overlap."""
     passage: Length = 0.0
     """Minimum passage width, m: initial conditions in which some robots cannot reach each other
     through such gaps are sampled again. 0 disables the check; 3-D requires 0."""
@@ -135,7 +135,7 @@ def draw_field(key, rules, starts, n_starts, world):
 
 @inner_kernel
 def _fits(world, m, rules, starts, n_starts):
-    """Whether ball m is clear of initial positions and, if required, of earlier balls."""
+    """True if ball m is clear of initial positions and, if required, of earlier balls."""
     for i in range(n_starts):
         if distance_to(world, m, load(starts[i])) < rules.keep_out:
             return False
@@ -160,7 +160,7 @@ def draw_obstacles(key, rules, starts, n_starts, world):
 
 @kernel
 def is_possible(rules, world, positions, chains):
-    """Whether robots at positions (n, d), m, can reach each other, if the field guarantees that.
+    """True if robots at positions (n, d), m, can reach each other, if the field guarantees that.
 
     ``chains`` is (M, 2) int64 working memory.
     """

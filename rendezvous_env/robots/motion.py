@@ -86,7 +86,7 @@ class _Equations(NamedTuple):
     """(model, action, memory) → period of the path, s, inf if it never closes; the contact
     search is limited to it."""
     drifts: bool = True
-    """Whether a robot may move under zero action; False allows skipping resting robots."""
+    """True if a robot may move under zero action; False allows skipping resting robots."""
 
 
 _RENAMED = {  # names of equations in version 0.2
@@ -149,13 +149,13 @@ def motion_of(model: type) -> Motion | None:
 
 
 def frame_turns(model: type) -> bool:
-    """Whether frames of robots whose constants are of this type may rotate: ``Motion.frame``."""
+    """True if frames of robots whose constants are of this type may rotate: ``Motion.frame``."""
     return _MOTIONS[model].frame is not _fixed
 
 
 @by_type("model", lambda kind: _MOTIONS[kind].drifts)
 def drifts(model):
-    """Whether a robot may move under zero action, ‖Δ‖ > 0 m: ``Motion.drifts``."""
+    """True if a robot may move under zero action, ‖Δ‖ > 0 m: ``Motion.drifts``."""
 
 
 # Equations of the model with these constants; see ``Motion``.

@@ -60,7 +60,7 @@ class RobotModel:
     n_kept: Annotated[Callable[[int], int], check_function] | None = None
     """Dimension → size of the memory; None is ``n_angles``."""
     keeps_velocity: bool = False
-    """Whether the memory after the angles is the velocity in the global frame, m/s, within the
+    """True if the memory after the angles is the velocity in the global frame, m/s, within the
     speed limit."""
     senses: Literal["gravity", "velocity"] | None = None
     """Last row of an observation: "gravity", "velocity", or nothing."""
@@ -69,7 +69,7 @@ class RobotModel:
     theorem: str | None = None
     """Theorem that covers its law in continuous time, for example "theorem 3"."""
     bounded: bool = False
-    """Whether the action is the velocity with bounds v_max, as assumed by theorems 1, 2, A and C
+    """True if the action is the velocity with bounds v_max, as assumed by theorems 1, 2, A and C
     and the bounds of theory 3."""
 
     def __post_init__(self) -> None:
@@ -92,7 +92,7 @@ class RobotModel:
 
     @property
     def nonholonomic(self) -> bool:
-        """Whether the robot moves along its body axis only; a ``bounded`` one is holonomic."""
+        """True if the robot moves along its body axis only; a ``bounded`` one is holonomic."""
         return self.n_angles > 0 and not self.bounded
 
 
@@ -133,7 +133,7 @@ def register_robot_model(model: RobotModel, *, replace: bool = False) -> None:
 
 
 def is_custom(model: RobotModel) -> bool:
-    """Whether a robot model is custom."""
+    """True if a robot model is custom."""
     return not getattr(model.constants, "__module__", "").startswith(__package__)
 
 

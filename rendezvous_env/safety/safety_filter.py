@@ -131,9 +131,9 @@ class SafetyFilter(StatefulMixin):
 
     Choices are held until the next ones; ``apply`` without choices uses them again. A subclass
     writes ``compute``, in NumPy, or ``apply_calls``, compiled; and adds to ``_memory`` and
-    ``diagnostics``. Its constructor takes ``(scenario, num_envs, *, num_threads=None, …)``, the
-    rest being its settings by name, of which a ValueError names the one that is wrong;
-    ``register_filter`` gives it a name.
+    ``diagnostics``. Its constructor takes ``(scenario, num_envs, *, num_threads=None, …)`` and
+    settings by name. A ValueError names an invalid setting. ``register_filter`` gives the class a
+    name.
 
     The methods ``observe_calls``, ``apply_calls`` and ``update_calls`` are those of the same name
     for the environments of one slice, unchecked: calls of compiled code, which threads make.
@@ -326,7 +326,7 @@ class SafetyFilter(StatefulMixin):
 
     @cached_property
     def supports_multi_step(self) -> bool:
-        """Whether ``apply``, ``compute``, ``observe`` and ``update`` are those above, so that a
+        """True if ``apply``, ``compute``, ``observe`` and ``update`` are those above, so that a
         thread can take its slice through many steps without waiting (``Simulator.drive``).
         """
         own, names = type(self), ("apply", "compute", "observe", "update")

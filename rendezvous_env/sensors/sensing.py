@@ -31,18 +31,18 @@ _Deviation = Annotated[float, partial(checks.number, least=0.0, most=_FULL_CIRCL
 @checks.names_unknown_fields("sensing")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Sensing:
-    """How the robots' sensors differ from exact ones, which see every neighbour and turn nothing.
+    """Sensor model: differences from exact sensors, which measure the bearing of every neighbour.
 
-    Links, merges and V follow the graph, not what a sensor misses. A missing row is zero, any other
-    keeps its length. What is drawn belongs to seed, episode, step and ordered pair, so that an
-    episode is the same in any batch.
+    Links, merges and V follow the graph, regardless of missed detections. A missing row is zero;
+    all others keep their length. Random numbers depend on seed, episode, step and ordered pair, so
+    an episode is the same in any batch.
 
     There is no constant error of a robot's compass: it turns what the robot measures and the
     velocity that it commands alike, and cancels for laws without memory of directions. With such a
     compass robots move as with random ``Scenario.local_frames``.
 
     Raises:
-        ValueError: naming the field, its value and what would be right.
+        ValueError: naming the field, its value and the allowed values.
         UnknownFieldError: for an unknown field, naming the nearest one.
     """
 
@@ -82,12 +82,12 @@ class Sensing:
 
     @property
     def exact(self) -> bool:
-        """Whether the sensor has no imperfection."""
+        """True if the sensor has no imperfection."""
         return self == _EXACT
 
     @property
     def built_in_exact(self) -> bool:
-        """Whether the sensor has no built-in imperfection."""
+        """True if the sensor has no built-in imperfection."""
         return dataclasses.replace(self, custom=()).exact
 
     def departures(self) -> str:

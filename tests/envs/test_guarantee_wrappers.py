@@ -1,4 +1,4 @@
-"""All guarantee wrappers alike: spaces, one API as the other, periods, refusals."""
+"""Common properties of guarantee wrappers: spaces, equal APIs, periods, errors."""
 
 import copy
 import itertools
@@ -248,7 +248,7 @@ def test_nested_guarantees_are_rejected(upper, lower):
 
 
 def test_activity_beneath_wrapper_requires_reset(which):
-    """Its robots would act on what they saw before it."""
+    """Its robots would otherwise act on earlier observations."""
     for around, base in zip(
         GUARANTEES[which].both, (rv.parallel_env("fig3"), rv.make_vec("fig3", 2)), strict=True
     ):
@@ -298,7 +298,7 @@ def test_partial_reset_does_not_excuse_other_environments(which):
 
 @pytest.mark.parametrize("around", [rv.vector.HeadingVectorWrapper, rv.vector.EnergyTankWrapper])
 def test_unicycles_rest_without_visible_neighbour(around):
-    """Whether a thread leads its teams through a decision, or a wrapper between hears of steps."""
+    """With multi-step execution in threads, or with an intermediate wrapper that observes steps."""
     sphere = rv.Sphere((9.0, 9.0, 9.0), 0.1)  # robots among spheres are of a kind with other tests'
     scenario = five("nonholonomic_3d", sensing=rv.Sensing(dropout=0.7), obstacles=sphere)
     ends = []
@@ -323,7 +323,7 @@ def anew(wrapper, actions):
 
 
 def anew_instead(wrapper, actions):
-    """As wrappers of other libraries have it at the end."""
+    """As wrappers of other libraries return it at the end."""
     seen, infos = wrapper.env.reset()
     nothing = np.zeros(wrapper.num_envs)
     return seen, nothing, nothing > 0, nothing > 0, infos
@@ -340,7 +340,7 @@ def restart(wrapper, actions):
     [(False, twice), (True, twice), (True, anew), (True, anew_instead), (True, restart)],
 )
 def test_multi_step_wrapper_between_is_rejected(which, teams, step):
-    """The filter would not see it: with frames skipped V rose above its bound."""
+    """The filter would not observe the step: with skipped frames V exceeded its bound."""
     wrapper = gymnasium.vector.VectorWrapper if teams else BaseParallelWrapper
     between = type("Between", (wrapper,), {"step": step})
     base = rv.make_vec("duo", 1) if teams else rv.parallel_env("duo")

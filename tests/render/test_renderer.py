@@ -1,4 +1,4 @@
-"""One interface of pictures for every kind of environment; tiles of teams; the drawing library."""
+"""Renderer interface for every kind of environment; tiles of environments; drawing library."""
 
 import copy
 import pickle
@@ -93,7 +93,7 @@ class TestPicture:
 
     @pytest.mark.parametrize("dim", [2, 3])
     def test_finished_environment_is_drawn(self, dim):
-        """All robots in one place, and no obstacle: nothing says how large the scene is."""
+        """All robots at one position without obstacles: the extent of the scene is undefined."""
         start, ahead = np.zeros((2, dim)), np.eye(dim, dtype=np.float32)[0]
         start[1, 0] = 0.3
         options = {"positions": start, "frames": np.tile(np.eye(dim), (2, 1, 1))}
@@ -172,7 +172,7 @@ class TestTile:
 
     @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
     def test_autoreset_clears_old_path(self, mode):
-        """As if the renderer had looked for the first time after the last beginning."""
+        """As if the renderer had first observed the environment after the last reset."""
         scenario = rv.scenarios.get("clutter-4").replace(time_limit=0.2)
         venv = rv.make_vec(scenario, num_envs=4, autoreset_mode=mode, render_mode="rgb_array")
         venv.reset(seed=0)
@@ -194,7 +194,7 @@ class TestTile:
 
     @pytest.mark.parametrize("first_only", [False, True])
     def test_gymnasium_records_videos(self, first_only, tmp_path, monkeypatch):
-        """``moviepy`` only writes what was recorded."""
+        """``moviepy`` only writes the recording."""
         monkeypatch.setitem(sys.modules, "moviepy", ModuleType("moviepy"))
         venv = rv.make_vec("duo", num_envs=4, render_mode="rgb_array")
         options = {"episode_trigger": lambda episode: True, "record_first_only": first_only}
@@ -228,7 +228,7 @@ def test_missing_pygame_names_extra(monkeypatch):
 
 
 def test_tile_reports_packed_rendezvous():
-    """All its robots are left, and they were counted."""
+    """All its robots remain, and the tile counted them."""
     env = rv.make_vec("robotarium-4", 2, render_mode="rgb_array", autoreset_mode="Disabled")
     env.reset(seed=0)
     before, state = env.render(), env.get_state()

@@ -105,7 +105,7 @@ def path_in(folder: Path, card: Card) -> Path:
 
 
 def has_replay(folder: Path, card: Card) -> bool:
-    """Whether a leaderboard folder holds a replay of a run."""
+    """True if a leaderboard folder holds a replay of a run."""
     return path_of(path_in(folder, card)).exists()
 
 

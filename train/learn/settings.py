@@ -360,7 +360,7 @@ def resumed(config: Config, stored: Config) -> Config:
 
 
 def same_run(one: Config, other: Config) -> bool:
-    """Whether two settings differ in nothing but ``MAY_CHANGE`` and folders."""
+    """True if two settings differ in nothing but ``MAY_CHANGE`` and folders."""
     default = Config()
     free = {name: getattr(default, name) for name in (*MAY_CHANGE, "out", "resume")}
     return replace(one, **free) == replace(other, **free)
