@@ -54,7 +54,7 @@ ROOMS = (
 )
 """Folders and files of the environment in order; each imports earlier ones only."""
 LEVEL = {room: level for level, rooms in enumerate(ROOMS) for room in rooms}
-MOST_MODULES = 12
+MAX_MODULES = 12
 
 
 def source_of(module: str) -> Path:
@@ -191,7 +191,7 @@ def test_environment_packages_are_layered():
 
 def test_no_package_is_crowded():
     rooms = [room_of(name) for name in MODULES if source_of(name).name != "__init__.py"]
-    crowded = {room: rooms.count(room) for room in set(rooms) if rooms.count(room) > MOST_MODULES}
+    crowded = {room: rooms.count(room) for room in set(rooms) if rooms.count(room) > MAX_MODULES}
     assert crowded == {}
 
 

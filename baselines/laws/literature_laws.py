@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import check_int
 from rendezvous_env.compilation import kernel
-from rendezvous_env.limits import MOST_SECTORS
+from rendezvous_env.limits import MAX_SECTORS
 from rendezvous_env.scenario.observation_layout import ObservedRows
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.sensors.imperfections import in_sectors
@@ -149,7 +149,7 @@ class _Quantised(Law):
     sectors: int = 8
 
     def __post_init__(self) -> None:
-        check_int("sectors", self.sectors, 2, MOST_SECTORS)
+        check_int("sectors", self.sectors, 2, MAX_SECTORS)
 
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         rows = rounded_bearings(seen.neighbours, self.sectors)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from .. import checks
 from ..checks import short_repr
-from ..limits import MOST_ROBOTS
+from ..limits import MAX_ROBOTS
 from . import reading
 from . import weights as matrices
 from .weights import Edges, checked_edges, weighted_links
@@ -128,7 +128,7 @@ class Graph:
         if self.kind == self.listed:
             edges = self.edges if isinstance(self.edges, Edges) else matrices.read_edges(self.edges)
             count = self.n_nodes or (1 + max(max(0, i, j) for i, j, _ in edges) if edges else None)
-            n = checks.check_int("graph: n_nodes", count, 1, MOST_ROBOTS)
+            n = checks.check_int("graph: n_nodes", count, 1, MAX_ROBOTS)
             object.__setattr__(self, "n_nodes", n)
             kept = checked_edges(edges, n, directed=self.directed)
             object.__setattr__(self, "edges", kept)
@@ -176,7 +176,7 @@ class Graph:
         """Groups of robots without edges to other robots, see ``weights.closed_groups``."""
         return [list(group) for group in _groups(self, n, matrices.closed_groups)]
 
-    def why_not_joined(self, n: int) -> str | None:
+    def connectivity_error(self, n: int) -> str | None:
         """Reason why rendezvous is impossible on this graph (theorem 1), or not guaranteed if it is
         directed or time-varying (guarantees, section 10); None if there is none.
         """

@@ -97,7 +97,7 @@ class CustomFamily(DrawnGraph):
         except ValueError as error:
             raise ValueError(f"family {self.kind!r} drew for {n} robots: {error}") from error
         low, high = self.weight_range
-        why = Graph("edges", edges=edges, n_nodes=n).why_not_joined(n) if connected else None
+        why = Graph("edges", edges=edges, n_nodes=n).connectivity_error(n) if connected else None
         if why is not None:
             raise ValueError(f"family {self.kind!r} drew a graph that is not connected: {why}")
         return edges.first, edges.second, low + (high - low) * random.random(len(edges))

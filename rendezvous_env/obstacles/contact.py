@@ -18,7 +18,7 @@ import numpy as np
 
 from ..compilation import kernel
 from ..physics.vectors import ORIGIN, add, cross, dot, load, norm, store, subtract, triple
-from ..robots.motion import chord_error_bound, closes, displacement_at
+from ..robots.motion import chord_error_bound, displacement_at, period
 from .obstacle_set import (
     clear_of_obstacles,
     distance_to,
@@ -195,7 +195,7 @@ def _first_contact_on_curve(point, curve, world):
     """
     model, action, _, memory = curve
     bent = chord_error_bound(model, action, memory)
-    duration = min(model.duration, closes(model, action, memory))
+    duration = min(model.duration, period(model, action, memory))
     here, time, piece = point, 0.0, duration
     work = 1
     for m in range(world.kinds.shape[0]):

@@ -8,7 +8,7 @@ from typing import Annotated, Any, NamedTuple
 from ..checks import format_limit, is_int, is_sequence, raise_invalid
 from ..compilation import by_type, inner_kernel, kernel
 from ..field_docs import lists_fields
-from ..limits import MOST_OBSTACLES
+from ..limits import MAX_OBSTACLES
 from ..physics.random_streams import uniform
 from ..physics.vectors import load
 from .disc import BALL
@@ -23,8 +23,8 @@ _TRIES_PER_OBSTACLE = 1000
 def _check_count(field: str, value: Any) -> int | tuple[int, int]:
     pair = tuple(value) if is_sequence(value) else (value, value)
     whole = len(pair) == 2 and all(map(is_int, pair))
-    if not whole or not 0 <= pair[0] <= pair[1] <= MOST_OBSTACLES:
-        most = f"a pair (low, high) with 0 <= low <= high <= {MOST_OBSTACLES}"
+    if not whole or not 0 <= pair[0] <= pair[1] <= MAX_OBSTACLES:
+        most = f"a pair (low, high) with 0 <= low <= high <= {MAX_OBSTACLES}"
         raise_invalid(field, value, f"a whole number, or {most}")
     return int(value) if is_int(value) else (int(pair[0]), int(pair[1]))
 

@@ -18,7 +18,7 @@ from ..compilation import entry_point, kernel
 from ..engine import threads
 from ..engine.state_checks import StatefulMixin, check_actions, check_observations, check_rotations
 from ..engine.threads import Calls, Slice
-from ..limits import MOST_TEAMS
+from ..limits import MAX_TEAMS
 from ..physics.vectors import dot, load
 from ..scenario.scenario import Scenario
 from .frames import FRAMES, look_along_net_bearing
@@ -164,7 +164,7 @@ class SafetyFilter(StatefulMixin):
         choice("frame", frame, FRAMES)
         check_sees_all_neighbours(scenario)
         if num_threads is not None:
-            num_threads = check_int("num_threads", num_threads, 1, MOST_TEAMS)
+            num_threads = check_int("num_threads", num_threads, 1, MAX_TEAMS)
         n, d, layout = scenario.n_robots, scenario.dim, scenario.observation_layout
         self.scenario, self.action_size = scenario, action_size
         self.turns_body = scenario.model.nonholonomic

@@ -20,7 +20,7 @@ from .. import checks, graphs
 from ..checks import Metres, Seconds, check_int, positive
 from ..field_docs import lists_fields
 from ..graphs import Graph, GraphLike
-from ..limits import LONGEST_NAME, MOST_OBSTACLES, MOST_ROBOTS, MOST_STEPS
+from ..limits import LONGEST_NAME, MAX_OBSTACLES, MAX_ROBOTS, MAX_STEPS
 from ..obstacles import parsing as obstacles
 from ..obstacles.parsing import Obstacles
 from ..rewards.costs import as_costs
@@ -69,7 +69,7 @@ class Scenario:
 
     name: Annotated[str, _check_name] = "custom"
     """Name in tables and files."""
-    n_robots: Annotated[int, partial(check_int, least=2, most=MOST_ROBOTS)] = 5
+    n_robots: Annotated[int, partial(check_int, least=2, most=MAX_ROBOTS)] = 5
     """Number of robots n, at least 2."""
     dim: Annotated[int, _check_dim] = 2
     """Dimension d of the workspace, 2 or 3."""
@@ -360,10 +360,10 @@ class Scenario:
     def _check_graph(self) -> None:
         graph = graphs.parse(self.graph, self.n_robots)
         object.__setattr__(self, "graph", graph)
-        why = graph.why_not_joined(self.n_robots)
+        why = graph.connectivity_error(self.n_robots)
         if why is not None and self.require_connected:
             raise ValueError(f"graph is not connected: {why}, or pass require_connected=False")
-        self._check_slots("neighbour_slots", 1, MOST_ROBOTS, "a whole number from 1 to")
+        self._check_slots("neighbour_slots", 1, MAX_ROBOTS, "a whole number from 1 to")
 
     def _check_slots(self, field: str, least: int, most: int, wanted: str) -> None:
         slots = getattr(self, field)
@@ -374,14 +374,14 @@ class Scenario:
         parsed = obstacles.parse(self.obstacles, self.dim)
         object.__setattr__(self, "obstacles", parsed)
         count = obstacles.max_count(parsed)
-        if count > MOST_OBSTACLES:
-            raise ValueError(f"obstacles: {count} were given; at most {MOST_OBSTACLES} may be")
+        if count > MAX_OBSTACLES:
+            raise ValueError(f"obstacles: {count} were given; at most {MAX_OBSTACLES} may be")
         wanted = (
             f"at least the number of obstacles, {count}, unless obstacle_overflow is 'nearest', "
             "and at most"
         )
         least = 0 if self.obstacle_overflow == "nearest" else count
-        self._check_slots("obstacle_slots", least, MOST_OBSTACLES, wanted)
+        self._check_slots("obstacle_slots", least, MAX_OBSTACLES, wanted)
 
     def _check_bodies(self) -> None:
         """Check that bodies cannot overlap: every pair docks at r, or bodies stop (guarantees
@@ -426,10 +426,10 @@ class Scenario:
             wanted = "given where the graph has no edge: no step is certified"
             checks.raise_invalid("time_step", None, wanted)
         self.sensing_graph.check_fits(self)
-        if self.max_steps > MOST_STEPS:
+        if self.max_steps > MAX_STEPS:
             raise ValueError(
                 f"time_limit is {self.time_limit:g} s: {self.max_steps:.3g} steps of {self.tau:g} "
-                f"s; it must be at most {MOST_STEPS:.3g} steps"
+                f"s; it must be at most {MAX_STEPS:.3g} steps"
             )
         allowed = self.allow_long_step or self.scales_velocity
         if not allowed and self.tau > self.certified_step * (1 + 1e-12):

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from .. import checks
 from ..checks import Metres
 from ..field_docs import lists_fields
-from ..limits import MOST_DELAY, MOST_SECTORS
+from ..limits import MAX_DELAY, MAX_SECTORS
 from .custom_sensors import as_custom
 
 _FULL_CIRCLE = 2.0 * math.pi
@@ -62,9 +62,9 @@ class Sensing:
     rad (theorem N; guarantees, section 11)."""
     dropout: Annotated[float, partial(checks.number, least=0.0, most=1.0)] = 0.0
     """Probability that a neighbour is not detected in a step."""
-    delay: Annotated[int, partial(checks.check_int, least=0, most=MOST_DELAY)] = 0
+    delay: Annotated[int, partial(checks.check_int, least=0, most=MAX_DELAY)] = 0
     """Delay of observations, steps; the first observation is held until then."""
-    sectors: Annotated[int, partial(checks.check_int, least=2, most=MOST_SECTORS)] | None = None
+    sectors: Annotated[int, partial(checks.check_int, least=2, most=MAX_SECTORS)] | None = None
     """Number of sectors to which bearings are quantised, in 3-D in yaw and elevation (± π/2); None
     disables quantisation."""
     occlusion: Literal["none", "obstacles", "robots", "both"] = "none"

@@ -18,7 +18,7 @@ from strategies import HUGE
 import rendezvous_env as rv
 from rendezvous_env.checks import short_repr
 from rendezvous_env.envs.gymnasium_env import make_env
-from rendezvous_env.limits import MOST_HELD_STEPS
+from rendezvous_env.limits import MAX_HELD_STEPS
 
 NUM_ENVS = 6
 CLUTTER = rv.scenarios.get("clutter-8").replace(time_limit=4.0)
@@ -191,7 +191,7 @@ def test_decision_period_repeats_action(which, kind):
         ("heading", "min_alignment", (0.0, 5e-324, 9e-7, 1.0, np.nan, "1", None, [1], True, HUGE)),
         ("heading", "min_alignment", (np.ones(2), 1j)),
         ("heading", "certified", ("no", 1, np.ones(2, bool))),
-        ("heading", "decision_period", (np.inf, True, MOST_HELD_STEPS + 1, HUGE)),
+        ("heading", "decision_period", (np.inf, True, MAX_HELD_STEPS + 1, HUGE)),
         ("heading", "max_turn_rate", (0.0, np.inf, np.nan)),
         ("tank", "budget", (-1.0, np.nan, "1", None)),
         ("tank", "min_alignment", (0.0, 9e-7, 1.0)),

@@ -18,7 +18,7 @@ from rendezvous_env import rendezvous_v0
 from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.envs.gymnasium_env import make_env
 from rendezvous_env.render.palette import OBSTACLE, ROBOTS
-from rendezvous_env.render.renderer import MOST_TEAMS, Renderer
+from rendezvous_env.render.renderer import MAX_TEAMS, Renderer
 from rendezvous_env.vector import HeadingVectorWrapper
 
 
@@ -161,13 +161,13 @@ class TestTile:
     def test_tile_shows_first_environments(self):
         few, many = (
             rv.make_vec("duo", num_envs=count, render_mode="rgb_array")
-            for count in (MOST_TEAMS, 3 * MOST_TEAMS)
+            for count in (MAX_TEAMS, 3 * MAX_TEAMS)
         )
         for venv in (few, many):
             venv.reset(seed=5)
         assert np.array_equal(few.renderer.render(), many.renderer.render())
-        first, rest = many.render()[:MOST_TEAMS], many.render()[MOST_TEAMS:]
-        assert np.array_equal(first, few.render()) and len(rest) == 2 * MOST_TEAMS
+        first, rest = many.render()[:MAX_TEAMS], many.render()[MAX_TEAMS:]
+        assert np.array_equal(first, few.render()) and len(rest) == 2 * MAX_TEAMS
         assert all(part.min() == 255 and part.shape == first[0].shape for part in rest)
 
     @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])

@@ -14,7 +14,7 @@ import rendezvous_env as rv
 from rendezvous_env import Capsule, Disc, ObstacleField, Polygon, Scenario, Sphere, checks
 from rendezvous_env import graphs as g
 from rendezvous_env.checks import UnknownFieldError
-from rendezvous_env.limits import MOST_OBSTACLES, MOST_ROBOTS
+from rendezvous_env.limits import MAX_OBSTACLES, MAX_ROBOTS
 from rendezvous_env.obstacles.parsing import parse
 from rendezvous_env.scenario import scenarios
 
@@ -40,7 +40,7 @@ REFUSED = [
     ({"n_robots": 1}, r"n_robots is 1; it must be a whole number, 2 or more"),
     ({"n_robots": True}, r"n_robots is True"),
     ({"n_robots": HUGE}, "n_robots is a whole number of about 401 digits"),
-    ({"n_robots": 10**9}, f"n_robots is 1000000000; .* at most {MOST_ROBOTS}"),
+    ({"n_robots": 10**9}, f"n_robots is 1000000000; .* at most {MAX_ROBOTS}"),
     ({"dim": 4}, r"dim is 4; it must be 2 or 3"),
     ({"dim": [2]}, r"dim is \[2\]; it must be 2 or 3"),
     *[
@@ -77,7 +77,7 @@ REFUSED = [
     ({"neighbour_overflow": "drop"}, "neighbour_overflow is 'drop'; .*'error', 'nearest'"),
     ({"obstacle_slots": 1, "obstacles": [TRIANGLE, TRIANGLE]},
         r"obstacle_slots is 1; .* obstacles, 2"),
-    ({"obstacle_slots": 10**9}, f"obstacle_slots is 1000000000; .* at most {MOST_OBSTACLES}"),
+    ({"obstacle_slots": 10**9}, f"obstacle_slots is 1000000000; .* at most {MAX_OBSTACLES}"),
     ({"start_positions": ROW[:4]}, r"start_positions have shape \(4, 2\); .* \(5, 2\)"),
     ({"start_positions": [*ROW[:4], [math.inf, 0]]},
         r"start_positions of robot_4 is \[inf, 0\.0\]; it must be finite, and from -1e\+09"),

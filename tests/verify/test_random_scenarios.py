@@ -1,4 +1,4 @@
-"""``rendezvous verify --any``: random scenarios reveal wrong certificates."""
+"""``rendezvous verify --random-scenarios``: random scenarios reveal wrong certificates."""
 
 import dataclasses
 import json

@@ -13,7 +13,7 @@ from rendezvous_env.scenario import scenarios
 
 from .. import results
 from ..checks import UserError
-from ..learn.settings import MOST_SEED
+from ..learn.settings import MAX_SEED
 from . import registry
 from .playing import play
 from .replays import Replay, path_of, replay_of, write_replay
@@ -29,7 +29,7 @@ _TYPES = {
     "results": dict[str, list[float]],
 }
 """Types of the entries of a run record that tables and pages read."""
-_BOUNDS = ("seed", 0, MOST_SEED), ("decisions", 0, 2**62), ("starts", 1, 2**62)
+_BOUNDS = ("seed", 0, MAX_SEED), ("decisions", 0, 2**62), ("starts", 1, 2**62)
 _RESULTS = ("success", "clean", "time", "touches", "risen", "rise", "steps")
 
 

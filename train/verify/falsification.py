@@ -38,7 +38,7 @@ Policy = Callable[[Any, Moment], Any]
 
 TEAMS = 24
 """Number of environments per trial, divided evenly between initial conditions."""
-MOST_STEPS = 400  # steps for which a time bound is waited for
+MAX_STEPS = 400  # steps for which a time bound is waited for
 PATIENT_STEPS = 1000
 """Steps of a trial of a policy, besides those that a deadlock has to last."""
 FEW_STEPS = 8, 80
@@ -274,7 +274,7 @@ def _last_steps(trial: Trial, limits: Mapping[str, Array]) -> Array:
     last = np.full_like(next(iter(limits.values())), math.inf)
     for name in {"time", "expected_time"} & set(limits):
         last = np.minimum(last, np.ceil(limits[name] / (trial.scenario.tau * trial.period)) + 1)
-    late = last > MOST_STEPS
+    late = last > MAX_STEPS
     return np.where(late, few * late.all(), last)
 
 
