@@ -108,10 +108,9 @@ class RendezvousJaxEnv:
         assert motion is not None  # robot models are described before they are registered
         self._motion = {name: array_form(getattr(motion, name)) for name in _EQUATIONS}
         self._starts = Starts(scenario, self._dtype)
-        self._one_way = scenario.sensing_graph.directed
         radius, reach = scenario.merge_radius, self._model.speed_limit * scenario.tau
         self._reach = ((radius + 2.0 * reach) * _ROUNDING) ** 2
-        self._merge = Merging(n, radius, self._one_way, differentiable)
+        self._merge = Merging(n, radius, scenario.sensing_graph.directed, differentiable)
         self._begin, self._go = jax.jit(self._begin_all), jax.jit(self._step_all)
 
     @property
@@ -248,7 +247,9 @@ class RendezvousJaxEnv:
         """Frames as tuples of arrays (n, *batch)."""
         fixed = tuple(state.frames[:, k] for k in range(state.frames.shape[1]))
         memory = tuple(state.memory[:, k] for k in range(state.memory.shape[1]))
-        return self._motion["frame"](self._model, fixed, memory)
+        frame = self._motion["frame"](self._model, fixed, memory)
+        shape = state.merged_into.shape  # an entry may be a constant
+        return tuple(jnp.broadcast_to(jnp.asarray(entry, self._dtype), shape) for entry in frame)
 
     def _move(self, state: State, action: Array, acting: Array) -> State:
         """Motion, merges and memory of the robots that act."""
@@ -320,13 +321,13 @@ class RendezvousJaxEnv:
         """What all robots see, (n, rows, d, *batch), and the state with V of it."""
         layout, n = self.scenario.observation_layout, self.scenario.n_robots
         frame = self._frames_of(state)
-        frames = [tuple(entry[i] for entry in frame) for i in range(n)]
-        slots = layout.neighbour_slots
-        sight = sense(state.positions, frames, state.weights, slots, self._one_way)
+        frames = jnp.stack(frame, axis=1)
+        sight = sense(state.positions, frames, state.weights, layout.neighbour_slots)
         rows = sight.rows
         if self.scenario.model.senses:
             kept = tuple(state.memory[:, k] for k in range(state.memory.shape[1]))
-            own = jnp.stack(self._motion["sense"](self._model, frame, kept), axis=1)
+            told = self._motion["sense"](self._model, frame, kept)
+            own = jnp.stack([jnp.broadcast_to(part, frame[0].shape) for part in told], axis=1)
             robots = jnp.arange(n).reshape(n, *[1] * (state.merged_into.ndim - 1))
             own = jnp.where((state.merged_into == robots)[:, None], own, 0.0)
             rows = jnp.concatenate([rows, own[:, None]], axis=1)

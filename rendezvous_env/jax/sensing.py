@@ -1,17 +1,19 @@
 """What robots see: rows of bearings, V, and the closest pair.
 
-Positions are (n, d, *batch), frames n lists of d² arrays, weights (n, n, *batch). Small teams are
-written out by pairs, as the engine's lanes are; of larger ones each robot looks at all at once.
+Positions are (n, d, *batch), frames (n, d·d, *batch), weights (n, n, *batch). Each robot looks at
+all others at once: written out for a small team, in a loop for a large one, whose compiled code
+would grow with n.
 """
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from ..physics.potential import observed, sighting
 from .array_form import Array, array_form
 
-_MOST_BY_PAIRS = 12  # robots; the compiled code of pairs grows with n²
+_MOST_WRITTEN_OUT = 16  # robots
 
 
 class Sight(NamedTuple):
@@ -22,66 +24,42 @@ class Sight(NamedTuple):
     closest: Array  # (*batch), the least square distance of neighbours, m²; inf without any
 
 
-def sense(positions: Array, frames: Any, weights: Array, slots: int, one_way: bool) -> Sight:
+def sense(positions: Array, frames: Array, weights: Array, slots: int) -> Sight:
     """Sense all neighbours; with ``slots`` < n − 1 rows those present stand first."""
-    n = len(positions)
-    by_pairs = n <= _MOST_BY_PAIRS
-    rows, lyapunov, closest = (_by_pairs if by_pairs else _by_robots)(
-        positions, frames, weights, one_way
-    )
-    if slots < n - 1:
-        rows = _packed(rows, weights, slots)
-    return Sight(rows, lyapunov, closest)
-
-
-def _by_pairs(positions: Array, frames: Any, weights: Array, one_way: bool) -> Any:
     n, d = positions.shape[:2]
-    sight, observe = array_form(sighting), array_form(observed)
-    places = [tuple(positions[i, k] for k in range(d)) for i in range(n)]
-    rows: list[list[Any]] = [[None] * (n - 1) for _ in range(n)]
-    half_lyapunov, closest = 0.0, jnp.full(positions.shape[2:], jnp.inf, positions.dtype)
-    for i in range(n):
-        for j in range(i + 1, n):
-            gain = weights[i, j]
-            offset, square, distance, factor = sight(places[i], places[j], gain)
-            back, weight = factor, gain
-            if one_way:
-                other = weights[j, i]
-                back, weight = sight(places[i], places[j], other)[3], 0.5 * (gain + other)
-            rows[i][j - 1] = observe(frames[i], offset, factor)
-            rows[j][i] = observe(frames[j], offset, -back)
-            half_lyapunov += weight * distance
-            closest = jnp.where((weight > 0.0) & (square < closest), square, closest)
-    numbers = [part for row in rows for seen in row for part in seen]
-    shape = n, n - 1, d, *positions.shape[2:]
-    return jnp.stack(numbers).reshape(shape), 2.0 * half_lyapunov, closest
-
-
-def _by_robots(positions: Array, frames: Any, weights: Array, one_way: bool) -> Any:
-    n, d = positions.shape[:2]
-    rows, lyapunov = [], 0.0
-    closest = jnp.full(positions.shape[2:], jnp.inf, positions.dtype)
     everyone = tuple(positions[:, k] for k in range(d))
-    for i in range(n):
-        here = tuple(positions[i, k] for k in range(d))
-        offset, square, distance, factor = array_form(sighting)(here, everyone, weights[i])
-        seen = jnp.stack(array_form(observed)(frames[i], offset, factor), axis=1)
-        rows.append(jnp.concatenate([seen[:i], seen[i + 1 :]]))
-        lyapunov += jnp.sum(weights[i] * distance, axis=0)
-        near = jnp.min(jnp.where(weights[i] > 0.0, square, jnp.inf), axis=0)
-        closest = jnp.minimum(closest, near)
-    return jnp.stack(rows), lyapunov, closest
+
+    def look(robot: Any) -> tuple[Array, Array, Array]:
+        i, place, frame, gains = robot
+        offset, square, distance, factor = array_form(sighting)(tuple(place), everyone, gains)
+        seen = jnp.stack(array_form(observed)(tuple(frame), offset, factor), axis=1)
+        others = _without(i, seen)
+        if slots < n - 1:
+            others = _packed(others, _without(i, gains) > 0.0, slots)
+        near = jnp.where(gains > 0.0, square, jnp.inf)
+        return others, jnp.sum(gains * distance, axis=0), jnp.min(near, axis=0)
+
+    if n <= _MOST_WRITTEN_OUT:
+        looks = [look((i, positions[i], frames[i], weights[i])) for i in range(n)]
+        rows, shares, nearest = (jnp.stack(parts) for parts in zip(*looks, strict=True))
+    else:
+        robots = jnp.arange(n), positions, frames, weights
+        rows, shares, nearest = jax.lax.map(look, robots)
+    return Sight(rows, jnp.sum(shares, axis=0), jnp.min(nearest, axis=0))
 
 
-def _packed(rows: Array, weights: Array, slots: int) -> Array:
-    """Rows of robots that are seen, in the order of their indices."""
-    n = len(rows)
-    packed = []
-    for i in range(n):
-        seen = jnp.concatenate([weights[i, :i], weights[i, i + 1 :]]) > 0.0
-        place = jnp.cumsum(seen, axis=0) - 1
-        packed.append([
-            jnp.sum(jnp.where((seen & (place == slot))[:, None], rows[i], 0.0), axis=0)
-            for slot in range(slots)
-        ])
-    return jnp.stack([jnp.stack(row) for row in packed])
+def _without(i: Any, values: Array) -> Array:
+    """Values (n, …) of all robots but i."""
+    if isinstance(i, int):
+        return jnp.concatenate([values[:i], values[i + 1 :]])
+    before = jnp.arange(len(values) - 1) < i
+    return jnp.where(before.reshape(-1, *[1] * (values.ndim - 1)), values[:-1], values[1:])
+
+
+def _packed(rows: Array, seen: Array, slots: int) -> Array:
+    """Rows (n − 1, d, *batch) of robots that are seen, in the order of their indices."""
+    place = jnp.cumsum(seen, axis=0) - 1
+    return jnp.stack([
+        jnp.sum(jnp.where((seen & (place == slot))[:, None], rows, 0.0), axis=0)
+        for slot in range(slots)
+    ])

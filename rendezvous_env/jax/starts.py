@@ -3,6 +3,8 @@
 Arrays have the teams last. Random numbers are those of the engine, so that starts are, too.
 """
 
+from functools import partial
+from types import FunctionType
 from typing import Any, NamedTuple
 
 import jax
@@ -93,11 +95,13 @@ class Starts:
             return jnp.zeros((n, 0, *batch), self._dtype)
         if not self._rules.draw_frames:
             return self._given(np.tile(np.eye(d).ravel(), (n, 1)), batch)
-        draws = [
-            [uniform(key, jnp.full(batch, 3 * i + k), self._dtype) for k in range(3)]
-            for i in range(n)
-        ]
-        return jnp.stack([jnp.stack(_rotation(*numbers, d)) for numbers in draws])
+        first = self._counters(batch)
+        draws = [uniform(key, first + k, self._dtype) for k in range(3 if d == 3 else 1)]
+        return jnp.stack(_rotation(*draws), axis=1)
+
+    def _counters(self, batch: tuple[int, ...]) -> Array:
+        """3i of each robot i, (n, *batch)."""
+        return self._given(3 * np.arange(self._scenario.n_robots), batch).astype(jnp.uint32)
 
     def _memory(self, key: Word, batch: tuple[int, ...]) -> Array:
         """Angles and velocities."""
@@ -107,8 +111,8 @@ class Starts:
             return jnp.zeros((n, 0, *batch), self._dtype)
         if scenario.start_headings is not None:
             return self._given(scenario.start_headings, batch)
-        rows = [_memory(constants_of(scenario), key, 3 * i, batch, self._dtype) for i in range(n)]
-        return jnp.stack([jnp.stack(row) for row in rows])
+        drawn = _memory(constants_of(scenario), key, self._counters(batch), self._dtype)
+        return jnp.stack(drawn, axis=1)
 
     def _weights(self, key: Word, batch: tuple[int, ...]) -> Array:
         """a_ij, drawn from their range: those of a pair are one number of the stream."""
@@ -125,25 +129,24 @@ class Starts:
         return self._given(self._base, batch) * (low + (high - low) * share)
 
 
-def _memory(model: Any, key: Word, counter: int, batch: tuple[int, ...], dtype: Any) -> Any:
+def _memory(model: Any, key: Word, counter: Array, dtype: Any) -> Any:
     """``init_memory`` by the equations of the model, whose random numbers are taken from here."""
     motion = motion_of(type(model))
     assert motion is not None  # robot models are described before they are registered
     plain = getattr(motion.init, "py_func", motion.init)
     form = array_form(plain)
-    scope = form.__globals__ | {
-        "uniform": lambda key, place: uniform(key, jnp.full(batch, place), dtype)
-    }
-    drawn = type(form)(form.__code__, scope)(model, key, counter)
-    return [jnp.broadcast_to(jnp.asarray(value, dtype), batch) for value in drawn]
+    scope = form.__globals__ | {"uniform": partial(uniform, dtype=dtype)}
+    drawn = FunctionType(form.__code__, scope)(model, key, counter)
+    return [jnp.broadcast_to(jnp.asarray(value, dtype), counter.shape) for value in drawn]
 
 
-def _rotation(first: Any, second: Any, third: Any, d: int) -> Any:
-    """``physics.random_streams.draw_rotation`` of three numbers in [0, 1)."""
+def _rotation(first: Any, *others: Any) -> Any:
+    """``physics.random_streams.draw_rotation`` of one or three numbers in [0, 1)."""
     turn = 2.0 * np.pi * first
-    if d == 2:
+    if not others:
         c, s = jnp.cos(turn), jnp.sin(turn)
         return c, -s, s, c
+    second, third = others
     other, small, large = 2.0 * np.pi * second, jnp.sqrt(1.0 - third), jnp.sqrt(third)
     x, y = small * jnp.sin(turn), small * jnp.cos(turn)
     z, w = large * jnp.sin(other), large * jnp.cos(other)
