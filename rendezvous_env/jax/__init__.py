@@ -11,9 +11,7 @@ merges, observations, rewards and ends. What is not covered ``make`` refuses by 
 try:
     import jax as _jax  # noqa: F401
 except ImportError as error:
-    raise ImportError(
-        "rendezvous_env.jax needs JAX: pip install 'rendezvous-env[jax]'"
-    ) from error
+    raise ImportError("rendezvous_env.jax needs JAX: pip install 'rendezvous-env[jax]'") from error
 
 from .environment import RendezvousJaxEnv, State, make
 from .laws import bearing_only_law, flexible_velocity, net_bearing

@@ -12,8 +12,8 @@ from gymnasium.vector.utils import batch_space
 
 from ..checks import choice, flag, whole
 from ..engine.memory import RENDEZVOUS, RUNNING, TIME_OUT
-from ..envs.gymnasium_env import _autoreset_mode
 from ..envs.guarantee import settings_of
+from ..envs.gymnasium_env import _autoreset_mode
 from ..envs.overrides import sorted_overrides
 from ..envs.spaces import action_box, choice_box, observation_box, team_box
 from ..limits import MOST_TEAMS
@@ -107,6 +107,7 @@ class RendezvousJaxEnv:
         motion = motion_of(type(self._model))
         assert motion is not None  # robot models are described before they are registered
         self._motion = {name: array_form(getattr(motion, name)) for name in _EQUATIONS}
+        self._row_shape = scenario.observation_layout.shape
         self._starts = Starts(scenario, self._dtype)
         radius, reach = scenario.merge_radius, self._model.speed_limit * scenario.tau
         self._reach = ((radius + 2.0 * reach) * _ROUNDING) ** 2
@@ -148,7 +149,10 @@ class RendezvousJaxEnv:
         ):
             return jax.random.bits(seed, (2, *self._batch), jnp.uint32)
         teams = 1 if self.num_envs is None else self.num_envs
-        seeds = np.array(seeds_of_teams(np.asarray(seed) if isinstance(seed, jax.Array) else seed, teams), np.uint64)
+        seeds = np.array(
+            seeds_of_teams(np.asarray(seed) if isinstance(seed, jax.Array) else seed, teams),
+            np.uint64,
+        )
         words = np.stack([seeds >> np.uint64(32), seeds & np.uint64(0xFFFFFFFF)])
         return jnp.asarray(words.astype(np.uint32).reshape(2, *self._batch))
 
@@ -184,7 +188,9 @@ class RendezvousJaxEnv:
         robots = jnp.broadcast_to(self._robots, (n, *self._batch))
         counts = {"episode": zero, "status": zero + RUNNING, "steps": zero}
         totals = dict.fromkeys(("path_length", "lyapunov", "initial_lyapunov", "closest"), number)
-        begun = State(**start._asdict(), merged_into=robots, seed=seed, **counts, **totals, guarantee=())
+        begun = State(
+            **start._asdict(), merged_into=robots, seed=seed, **counts, **totals, guarantee=()
+        )
         if self._filter is not None:
             begun = begun.replace(guarantee=self._forgotten())
         seen, state = self._look(begun)
@@ -291,7 +297,7 @@ class RendezvousJaxEnv:
         given = {"team": state, "episode": state.episode + 1}
         zero, seen = jnp.zeros_like(state.lyapunov), {}
         if self.final_obs:
-            shape = (self.scenario.n_robots, *self.single_observation_space.shape[1:], *self._batch)
+            shape = (self.scenario.n_robots, *self._row_shape, *self._batch)
             seen = {"final_obs": jnp.zeros(shape, self._seen_as)}
 
         def renew(given: Any) -> Any:
@@ -334,9 +340,7 @@ class RendezvousJaxEnv:
         rows, memory = rows.astype(self._seen_as), state.guarantee
         if self._filter is not None:
             rows, memory = self._filter.observe(rows, memory)
-        return rows, state.replace(
-            lyapunov=sight.lyapunov, closest=sight.closest, guarantee=memory
-        )
+        return rows, state.replace(lyapunov=sight.lyapunov, closest=sight.closest, guarantee=memory)
 
 
 _EQUATIONS = ("propose", "update", "frame", "sense")

@@ -6,12 +6,9 @@ Arrays have the teams last. Vectors are tuples of arrays (n, *batch): all robots
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 
-from ..physics.vectors import combine, dot, perpendicular, without
-from ..robots.nonholonomic_3d import arc_3d
-from ..robots.unicycle import clip, mean_cos_sin
+from ..physics.vectors import combine, dot, split, split_across, without
 from ..safety.heading import (
     _NEARLY_ANTIPODAL,
     NO_CAP,
@@ -19,8 +16,7 @@ from ..safety.heading import (
     into_cap,
     without_error,
 )
-from .array_form import Array, array_form, select, square_root, replaces
-from ..physics.vectors import split, split_across
+from .array_form import Array, array_form, select, square_root
 
 
 class Memory(NamedTuple):
@@ -80,7 +76,9 @@ class Heading:
         else:
             columns = [jnp.stack(axis, 1) for axis in _axes_in_space(rows, towards)]
         aimed = jnp.stack(columns, axis=2)
-        return jnp.where((strength >= self._constants.robot.gate.dead_zone)[:, None, None], aimed, frames)
+        return jnp.where(
+            (strength >= self._constants.robot.gate.dead_zone)[:, None, None], aimed, frames
+        )
 
     def apply(self, choices: Array, memory: Memory) -> tuple[Array, Memory]:
         """Actions (n, d, *batch), m/s, of choices (n, d, *batch), by law (4)."""
@@ -170,6 +168,4 @@ def _perpendicular(h: Any) -> Any:
         return -h[1], h[0]
     level = (-h[1], h[0], jnp.zeros_like(h[0]))
     one, zero = jnp.ones_like(h[0]), jnp.zeros_like(h[0])
-    return select(
-        h[0] * h[0] + h[1] * h[1] >= 1e-12, level, _without((one, zero, zero), h)
-    )
+    return select(h[0] * h[0] + h[1] * h[1] >= 1e-12, level, _without((one, zero, zero), h))

@@ -46,18 +46,12 @@ class Merging:
         return moving
 
     def _repeat(self, merge: Callable[[Any, Array], Any], begun: Any) -> Any:
-        """Merge until no pair is due: (moving, keys of pairs) with keys up to a limit that falls."""
+        """Merge until no pair is due, that is, until the keys of all pairs are inf."""
         if self._bounded:
             return jax.lax.fori_loop(0, self._n - 1, lambda _, now: merge(*now), begun)
-        limit = 1.0 if merge == self._merge_first else self._largest_square
         return jax.lax.while_loop(
-            lambda now: jnp.any(now[1] <= limit), lambda now: merge(*now), begun
+            lambda now: jnp.any(now[1] < jnp.inf), lambda now: merge(*now), begun
         )
-
-    @property
-    def _largest_square(self) -> float:
-        """The largest number below r², m²: links that short merge, those of r do not."""
-        return self._radius * self._radius
 
     def _links(self, weights: Array) -> Array:
         """Whether either robot of each pair sees the other, (E, *batch)."""
@@ -70,7 +64,8 @@ class Merging:
         offset = tuple(places[self._second, k] - places[self._first, k] for k in range(d))
         velocity = tuple(ways[self._second, k] - ways[self._first, k] for k in range(d))
         moments = array_form(first_crossing)(offset, velocity, self._radius)
-        return jnp.where(self._links(moving.weights), moments, jnp.inf)
+        due = self._links(moving.weights) & (moments < jnp.inf)  # of what is not a number, never
+        return jnp.where(due, moments, jnp.inf)
 
     def _squares(self, moving: Moving) -> Array:
         """Square lengths of links shorter than r, m²; inf of others."""
@@ -84,7 +79,7 @@ class Merging:
     def _merge_first(self, moving: Moving, moments: Array) -> tuple[Moving, Array]:
         """Merge the pair that meets first; both rest for what is left of the step."""
         pair, moment = jnp.argmin(moments, axis=0), jnp.min(moments, axis=0)
-        due = moment <= 1.0
+        due = moment < jnp.inf
         moment = jnp.where(due, moment, 0.0)
         here = moving.positions + moment * moving.displacements
         moving, merging = self._merge(moving, here, pair, due)
@@ -101,9 +96,7 @@ class Merging:
         moving, _ = self._merge(moving, moving.positions, jnp.argmin(squares, axis=0), due)
         return moving, self._squares(moving)
 
-    def _merge(
-        self, moving: Moving, here: Array, pair: Array, due: Array
-    ) -> tuple[Moving, Array]:
+    def _merge(self, moving: Moving, here: Array, pair: Array, due: Array) -> tuple[Moving, Array]:
         """Put both robots of a pair at their midpoint, and make the second part of the first;
         also whether each robot is one of the two.
         """

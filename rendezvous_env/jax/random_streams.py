@@ -20,23 +20,23 @@ _FACTOR_1, _FACTOR_2 = 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
 
 
 def add(a: Word, b: Word) -> Word:
-    """a + b modulo 2⁶⁴."""
+    """A + b modulo 2⁶⁴."""
     low = a[1] + b[1]
     return a[0] + b[0] + (low < a[1]).astype(jnp.uint32), low
 
 
 def exclusive_or(a: Word, b: Word) -> Word:
-    """a ⊕ b."""
+    """A ⊕ b."""
     return a[0] ^ b[0], a[1] ^ b[1]
 
 
 def shifted(a: Word, bits: int) -> Word:
-    """a ≫ bits, 0 < bits < 32."""
+    """A ≫ bits, 0 < bits < 32."""
     return a[0] >> bits, (a[1] >> bits) | (a[0] << (32 - bits))
 
 
 def times(a: Word, b: Word) -> Word:
-    """a b modulo 2⁶⁴."""
+    """A b modulo 2⁶⁴."""
     high, low = _wide_product(a[1], b[1])
     return high + a[0] * b[1] + a[1] * b[0], low
 

@@ -59,7 +59,9 @@ def _without(i: Any, values: Array) -> Array:
 def _packed(rows: Array, seen: Array, slots: int) -> Array:
     """Rows (n − 1, d, *batch) of robots that are seen, in the order of their indices."""
     place = jnp.cumsum(seen, axis=0) - 1
-    return jnp.stack([
-        jnp.sum(jnp.where((seen & (place == slot))[:, None], rows, 0.0), axis=0)
-        for slot in range(slots)
-    ])
+    return jnp.stack(
+        [
+            jnp.sum(jnp.where((seen & (place == slot))[:, None], rows, 0.0), axis=0)
+            for slot in range(slots)
+        ]
+    )

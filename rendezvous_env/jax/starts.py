@@ -71,10 +71,12 @@ class Starts:
         def draw(drawn: Any) -> Any:
             positions, robot, counter, tries = drawn
             busy = (robot < n) & (tries < _MAX_DRAWS)
-            place = jnp.stack([
-                rules.spawn_size * (uniform(key, counter + axis, self._dtype) - 0.5)
-                for axis in range(d)
-            ])
+            place = jnp.stack(
+                [
+                    rules.spawn_size * (uniform(key, counter + axis, self._dtype) - 0.5)
+                    for axis in range(d)
+                ]
+            )
             square = sum((positions[:, axis] - place[axis]) ** 2 for axis in range(d))
             others = jnp.moveaxis(linked[jnp.minimum(robot, n - 1)], -1, 0) & (robots < robot)
             kept = busy & ~jnp.any(others & (square < near), axis=0)
@@ -120,10 +122,12 @@ class Starts:
         if low == high:
             return self._given(self._base * low, batch)
         n = self._scenario.n_robots
-        pairs = np.array([
-            [pair_index(min(i, j), max(i, j), n) if i != j else 0 for j in range(n)]
-            for i in range(n)
-        ])
+        pairs = np.array(
+            [
+                [pair_index(min(i, j), max(i, j), n) if i != j else 0 for j in range(n)]
+                for i in range(n)
+            ]
+        )
         counters = jnp.asarray(pairs.reshape(n, n, *[1] * len(batch)))
         share = uniform(key, jnp.broadcast_to(counters, (n, n, *batch)), self._dtype)
         return self._given(self._base, batch) * (low + (high - low) * share)
@@ -155,5 +159,3 @@ def _rotation(first: Any, *others: Any) -> Any:
         2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
         2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y),
     )  # fmt: skip
-
-

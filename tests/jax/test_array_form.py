@@ -33,8 +33,7 @@ def test_forms_that_select_equal_kernels_that_branch(kernel, rj):
     rng = np.random.default_rng(0)
     a, b = rng.uniform(-1.0, 1.0, (2, 400, 3))
     b[::3] *= 1e-4
-    b[::7] = a[::11][: len(b[::7])] if len(a[::11]) >= len(b[::7]) else 0.0
-    b[::13] = 0.0
+    b[::5], b[::13] = -a[::5], 0.0  # head-on, and at rest
     if kernel is mean_cos_sin:
         swept = np.where(rng.random(400) < 0.3, 1e-9 * b[:, 0], 4.0 * b[:, 0])
         given = [(x, y) for x, y in zip(a[:, 0], swept, strict=True)]
@@ -47,7 +46,7 @@ def test_forms_that_select_equal_kernels_that_branch(kernel, rj):
     expected = np.array([kernel(*one) for one in given])
     found = np.asarray(array_form(kernel)(*arrays))
     np.testing.assert_allclose(found if found.ndim == 1 else found.T, expected, rtol=1e-9)
-    assert len(np.unique(expected)) > 100
+    assert len(np.unique(expected)) > 50
 
 
 @pytest.mark.parametrize("dim", [2, 3])

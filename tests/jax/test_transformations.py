@@ -130,5 +130,19 @@ def test_a_team_that_has_ended_stands_still_without_autoreset(rj):
         told.append((float(reward) != 0.0, bool(terminated), bool(truncated), float(info["time"])))
     ends = [end for _, _, end, _ in told]
     assert ends.count(True) == 1
-    assert [earned for earned, *_ in told][ends.index(True) + 1 :] == [False] * (3 - ends.index(True))
+    assert [earned for earned, *_ in told][ends.index(True) + 1 :] == [False] * (
+        3 - ends.index(True)
+    )
     assert told[-1][3] == told[ends.index(True)][3]
+
+
+def test_what_is_not_a_number_stays_in_its_team(rj):
+    env = rj.make("cloud-8", num_envs=2, **SMALL)
+    observations, state = env.reset(0)
+    for _ in range(40):
+        action = np.array(observations.sum(axis=2))
+        action[0, 0] = np.nan
+        observations, state, *_ = env.step(None, state, action)
+    assert np.isnan(state.positions[0, :, 0]).all()
+    assert np.isfinite(state.positions[..., 1]).all()
+    assert (state.merged_into[:, 1] != np.arange(3)).any()
