@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import check_shape, refuse
+from rendezvous_env.checks import check_shape, raise_invalid
 from rendezvous_env.envs.guarantee import check_period
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.safety.safety_filter import SafetyFilter
@@ -17,7 +17,7 @@ from rendezvous_env.safety.tank import EnergyTank
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
-from .policy import Float32, Mask, RememberingPolicy, within_limits
+from .policy import Float32, Mask, StatefulPolicy, within_limits
 
 Choose = Callable[[Float32], ArrayLike]
 """Observations (..., n, rows, d) → actions of the filter (..., n, k), in [−1, 1]."""
@@ -33,8 +33,9 @@ _CERTIFIED: dict[str, dict[str, Any]] = {
 
 
 def guarantee_with(by: Any, settings: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Arguments of ``certificate`` for the filter of a policy, by its name, with these settings;
-    None for a filter that no theorem covers. A policy's tank is told of no merge.
+    """Arguments of ``certificate`` for a policy's filter, by its name, with these settings.
+
+    None for a filter that no theorem covers. A policy's tank does not observe merges.
     """
     if by not in _CERTIFIED or not settings.get("certified", True):
         return None
@@ -42,13 +43,13 @@ def guarantee_with(by: Any, settings: Mapping[str, Any]) -> dict[str, Any] | Non
     return {"by": by} | {name: settings.get(name, value) for name, value in usual.items()}
 
 
-class DecidingPolicy(RememberingPolicy):
+class DecidingPolicy(StatefulPolicy):
     """Policy with action repeat: a new decision every ``decision_period`` steps."""
 
     def __init__(self, scenario: Scenario, decision_period: int) -> None:
         self.scenario, self.decision_period = scenario, decision_period
         self._steps: NDArray[np.float64] = np.zeros(0)
-        """Since the last decision, (B,), in units of τ; inf before the first."""
+        """Steps since the last decision, (B,), in units of τ; inf before the first."""
 
     @abstractmethod
     def _decide(self, teams: Float32, due: Mask) -> None:
@@ -70,7 +71,7 @@ class DecidingPolicy(RememberingPolicy):
         share = elapsed / self.scenario.tau
         self._settle(share)
         self._steps += share
-        due = self._steps + 0.5 * share >= self.decision_period  # now rather than at the next call
+        due = self._steps + 0.5 * share >= self.decision_period  # now instead of at the next call
         if due.any():
             self._decide(teams, due)
             self._steps[due] = 0.0
@@ -100,7 +101,7 @@ class FilteredPolicy(DecidingPolicy):
         decision_period: int = 1,
     ) -> None:
         if not callable(choose):
-            refuse("choose", choose, "a function of observations (..., n, rows, d)")
+            raise_invalid("choose", choose, "a function of observations (..., n, rows, d)")
         super().__init__(resolve(scenario), check_period(decision_period))
         self.choose, self._make_filter = choose, make_filter
         self._begin(())
@@ -120,7 +121,7 @@ class FilteredPolicy(DecidingPolicy):
 
     def _decide(self, teams: Float32, due: Mask) -> None:
         before = None if due.all() else self._filter.get_state()
-        seen = self._as_given(self._filter.observe(teams)).copy()  # not what the filter acts on
+        seen = self._as_given(self._filter.observe(teams)).copy()  # the filter keeps its own
         choices = np.asarray(self.choose(seen))
         wanted = *seen.shape[:-2], self._filter.action_size
         check_shape("what choose gave", choices, wanted, axes="(..., n, k)")
@@ -178,7 +179,7 @@ class HeadingPolicy(FilteredPolicy):
 
     @property
     def guarantee(self) -> dict[str, Any] | None:
-        """As ``TeamPolicy``: its settings; None with ``certified=False``."""
+        """As ``TeamPolicy``: the settings; None with ``certified=False``."""
         return self._guarantee
 
     def after(self, elapsed: float, observations: NDArray[Any], time: ArrayLike) -> Float32:
@@ -211,7 +212,7 @@ class TankPolicy(FilteredPolicy):
 
     @property
     def guarantee(self) -> dict[str, Any] | None:
-        """As ``TeamPolicy``: its settings, of a tank that is told of no merge."""
+        """As ``TeamPolicy``: the settings, of a tank that does not observe merges."""
         return self._guarantee
 
     @property

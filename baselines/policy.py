@@ -11,7 +11,15 @@ from typing import Any, NamedTuple, Protocol, TypeVar, overload, runtime_checkab
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import Registry, bools, choice, known_fields, meant, refuse, shown
+from rendezvous_env.checks import (
+    Registry,
+    bools,
+    choice,
+    closest_match,
+    known_fields,
+    raise_invalid,
+    short_repr,
+)
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
@@ -89,7 +97,7 @@ class TeamPolicy(ABC):
         for name, seen in observations.items():
             if name not in robots:
                 known = f"they are robot_0 to robot_{n - 1}"
-                raise KeyError(f"no robot is called {shown(name)}; {known}")
+                raise KeyError(f"no robot is called {short_repr(name)}; {known}")
             given = np.asarray(seen)
             if given.shape not in (layout.shape, (table[0].size,)):
                 raise ValueError(
@@ -99,11 +107,11 @@ class TeamPolicy(ABC):
         actions = self.act(table, time)
         return {name: actions[robots[name]] for name in observations}
 
-    def reset(self, mask: Mask | None = None) -> None:  # noqa: B027 - most have none
-        """Forget the state of the teams where ``mask`` (...) is true, of all if it is None."""
+    def reset(self, mask: Mask | None = None) -> None:  # noqa: B027 - most policies have no state
+        """Reset the state of environments where ``mask`` (...) is true; None resets all."""
 
 
-class RememberingPolicy(TeamPolicy):
+class StatefulPolicy(TeamPolicy):
     """Base class of policies with memory, one per environment of the observations' leading axes."""
 
     _leading: tuple[int, ...] | None = None  # None before the first call
@@ -168,9 +176,9 @@ class _Entry(NamedTuple):
 
 _registry: dict[str, _Entry] = {}
 AT_PATH = "learned:"
-"""What stands before the path of a learned policy, in a name."""
+"""Prefix of the path of a learned policy in a name."""
 _readers: dict[str, Callable[[str, Scenario], Policy]] = {}
-"""What reads a policy whose name has a prefix, such as AT_PATH, from what follows it."""
+"""Readers of policies by prefix of their names, such as AT_PATH."""
 _builders = Registry("policy", "baselines.policy.register")
 _Builder = TypeVar("_Builder", bound=Callable[..., Policy])
 
@@ -193,11 +201,11 @@ def register(
     choice("kind", kind, KINDS)
     checked = _builders.add(name, None)
     if ":" in name:
-        refuse("name of a policy", name, "without a colon, as commands read MODULE:FUNCTION")
+        raise_invalid("name of a policy", name, "without a colon, as commands read MODULE:FUNCTION")
     if name in _registry and kind_of(name) != kind:
-        refuse("name of a policy", name, f"another: it is one of the {KINDS[kind_of(name)]}")
+        raise_invalid("name of a policy", name, f"another: it is one of the {KINDS[kind_of(name)]}")
     if not callable(fits):
-        refuse(f"fits of policy {name!r}", fits, "a function of a scenario")
+        raise_invalid(f"fits of policy {name!r}", fits, "a function of a scenario")
 
     def enter(build: _Builder) -> _Builder:
         _registry[name] = _Entry(checked(build), fits, kind, on_request)
@@ -214,7 +222,7 @@ def names(scenario: ScenarioLike | None = None) -> list[str]:
 
 
 def register_reader(prefix: str, read: Callable[[str, Scenario], Policy]) -> None:
-    """Let ``make`` take names that begin with a prefix; ``read`` gets what follows it."""
+    """Register a reader of names with a prefix for ``make``; ``read`` gets the rest of the name."""
     _readers[prefix] = read
 
 
@@ -242,19 +250,22 @@ def about(name: str) -> str:
 
 
 def make(name: str | os.PathLike[str], scenario: ScenarioLike, **options: Any) -> Policy:
-    """A new policy for a scenario: a Scenario, the name of one or a TOML file.
+    """Create a policy for a scenario: a Scenario, the name of one or a TOML file.
 
     ``name`` is one of ``names(scenario)``, or "learned:PATH" of a training run, a checkpoint or an
-    exported network, which a Path stands for, too. ``options`` are that policy's, e.g.
-    ``clearance`` of "tangent-joined". A ValueError for an unknown name or option, or a policy that
-    does not fit the scenario, lists the right ones.
+    exported network; a Path is equivalent. ``options`` are those of the policy, for example
+    ``clearance`` of "tangent-joined".
+
+    Raises:
+        ValueError: for an unknown name or option, or a policy that does not fit the scenario; the
+            message lists the valid ones.
     """
     scenario = resolve(scenario)
     if isinstance(name, os.PathLike):
         name = f"{AT_PATH}{os.fspath(name)}"
     for prefix, read in _readers.items():
         if isinstance(name, str) and name.startswith(prefix):
-            known_fields(options, (), f"policy {shown(name)}", "option")
+            known_fields(options, (), f"policy {short_repr(name)}", "option")
             return read(name.removeprefix(prefix), scenario)
     fitting = names(scenario)
     if not isinstance(name, str) or name not in fitting:
@@ -268,8 +279,8 @@ def make(name: str | os.PathLike[str], scenario: ScenarioLike, **options: Any) -
         elif isinstance(name, str) and ":" in name:
             module, _, function = name.partition(":")
             known += f" (commands read MODULE:FUNCTION; in Python call {module}.{function} itself)"
-        right = f"those that fit are {', '.join(fitting)}{meant(name, fitting, '; ')}"
-        raise ValueError(f"policy {shown(name)} {known}; {right}")
+        right = f"those that fit are {', '.join(fitting)}{closest_match(name, fitting, '; ')}"
+        raise ValueError(f"policy {short_repr(name)} {known}; {right}")
     build = _registry[name].build
     allowed = [option for option in inspect.signature(build).parameters if option != "scenario"]
     known_fields(options, allowed, f"policy {name!r}", "option")
@@ -280,7 +291,7 @@ def file_of(build: Callable[..., Any]) -> Path | None:
     """Source file of a function; None for an interactive definition."""
     try:
         found = inspect.getsourcefile(build)
-    except TypeError:  # an object that can be called
+    except TypeError:  # a callable object
         return None
     return Path(found) if found is not None and Path(found).is_file() else None
 

@@ -1,4 +1,4 @@
-"""Memory of robots in one array, so that kernels take one argument for all of it."""
+"""Memory of robots in one array, passed to kernels as one argument."""
 
 import math
 from collections.abc import Mapping
@@ -12,8 +12,9 @@ Array = NDArray[np.float64]
 def make_records(
     robots: tuple[int, int], fields: Mapping[str, tuple[int, ...]]
 ) -> tuple[Array, dict[str, Array]]:
-    """Zeros (B, n, size) for fields of these shapes, one after the other, and a view of each; of a
-    field of one number (B, n).
+    """Zeros (B, n, size) for consecutive fields of these shapes, and a view of each.
+
+    The view of a field of one number is (B, n).
     """
     sizes = [math.prod(shape) for shape in fields.values()]
     memory, views = np.zeros((*robots, sum(sizes))), {}

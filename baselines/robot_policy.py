@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import positive, refuse
+from rendezvous_env.checks import positive, raise_invalid
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
@@ -19,11 +19,11 @@ _KINDS = ("law", "rule", "learned")
 """Kinds whose policies are independent of robot indices and of the number of calls."""
 
 
-_BELOW = 1.0 - 1e-15  # of a limit, so that rounding exceeds none
+_BELOW = 1.0 - 1e-15  # fraction of a limit, so that rounding exceeds none
 
 
 def _within_limits(action: NDArray[np.float64], scenario: Scenario) -> NDArray[np.float64]:
-    """An action, (a,), that no limit is exceeded by: rounded to float32 it may have been."""
+    """Action, (a,), reduced to the limits, which rounding to float32 may have exceeded."""
     most = _BELOW * scenario.action_bounds
     if scenario.model.nonholonomic:
         return np.clip(action, -most, most)
@@ -59,25 +59,27 @@ class OneRobot:
         weights: ArrayLike | None = None,
         gravity: ArrayLike | None = None,
     ) -> NDArray[np.float64]:
-        """What to do until the next tick: the velocity, (d,), m/s; of a unicycle (v, ω), of a
-        nonholonomic robot of space (v, ω_α, ω_β), m/s and rad/s; float64, as messages of robots
-        have it. Zeros if no neighbour is seen.
+        """Velocity command until the next tick; zeros if no neighbour is visible.
+
+        The command is the velocity, (d,), m/s; for a unicycle (v, ω), for a 3-D nonholonomic robot
+        (v, ω_α, ω_β), m/s and rad/s. It is float64, as in robot messages.
 
         Args:
-            bearings: unit vectors to the neighbours that are seen now, (k, d), in any order, in the
-                robot's own frame: one that does not turn, for a single integrator; the body's, for
-                robots that turn. Velocities are in the same one.
-            obstacles: both edges of each obstacle that is near, (m, 2, 2), unit vectors in the same
-                frame, obstacles and edges in any order; in space eight boundary rays of its cone,
-                (m, 8, 3), every 45° about its middle, one after another, either way round. Each
-                silhouette is narrower than π.
-            dt: s since the previous tick, ignored in the first; None is the scenario's time step.
-            weights: gains a_ij of the neighbours, (k,), m/s; None is what all links of the
-                scenario weigh, or 1 where they differ.
-            gravity: its unit direction in the same frame, (3,), of a nonholonomic robot of space.
+            bearings: unit vectors to the neighbours visible now, (k, d), in any order, in the
+                robot's own frame. The frame does not turn for a single integrator; it is the body
+                frame for nonholonomic robots. Commands are in the same frame.
+            obstacles: both edges of each sensed obstacle, (m, 2, 2), unit vectors in the same
+                frame, obstacles and edges in any order. In 3-D eight boundary rays of its cone, (m,
+                8, 3), every 45° about its axis, consecutive in either direction. Each angular
+                extent is below π.
+            dt: time since the previous tick, s, ignored in the first; None is the scenario's time
+                step.
+            weights: edge weights a_ij of the neighbours, (k,), m/s; None is the common weight of
+                the scenario, or 1 if weights differ.
+            gravity: unit direction of gravity in the same frame, (3,), of a 3-D nonholonomic robot.
 
         Raises:
-            ValueError: naming the argument, its value and what would be right; nothing has changed.
+            ValueError: naming the argument, its value and the remedy; the state is then unchanged.
         """
         elapsed = self.scenario.tau if dt is None else positive("dt", dt, "s")
         self._team[0, 0] = self._sight.rows(bearings, obstacles, weights, gravity)
@@ -97,19 +99,20 @@ class OneRobot:
 
 
 class RobotPolicy(OneRobot):
-    """One robot that ticks in its own time, and knows nothing but its own bearings.
+    """Policy of one robot, called at its own rate with its own measurements.
 
-    Where every tick comes one time step after the previous one, it does what a robot of a batch
-    does. The scenario describes the team: how many robots, which gains, which merge radius. Its
-    ``time_step`` is the longest that a velocity may be held; see to it that the next tick, or a
-    watchdog that stops the robot, comes by then (docs/robot.md).
+    If every tick comes one time step after the previous one, the robot behaves as one of a batch.
+    The scenario describes the team: number of robots, edge weights and merge radius. Its
+    ``time_step`` is the longest hold of a velocity. Ensure that the next tick, or a watchdog that
+    stops the robot, comes by then (docs/robot.md).
 
     Args:
-        scenario: whose robot this is, any but a double integrator; a Scenario, a name or a file.
+        scenario: scenario of the robot, with any robot model but the double integrator; a Scenario,
+            a name or a file.
         policy: a name of ``baselines.names(scenario)`` of the kinds law, rule or learned; the path
-            of a run, of a checkpoint or of an exported network, as a Path or as "learned:PATH"; or
-            a policy.
-        options: of a policy that is named. Errors are as of ``act``.
+            of a run, a checkpoint or an exported network, as a Path or as "learned:PATH"; or a
+            policy.
+        options: options of a named policy. Errors are those of ``act``.
     """
 
     def __init__(
@@ -123,7 +126,9 @@ class RobotPolicy(OneRobot):
             name, policy = policy, registry.make(policy, scenario, **options)
             check_kind(name)
         elif not callable(policy):
-            refuse("policy", policy, "a name, a Path, or a function of observations and time")
+            raise_invalid(
+                "policy", policy, "a name, a Path, or a function of observations and time"
+            )
         super().__init__(scenario, policy, common_gain(scenario))
 
 

@@ -3,17 +3,18 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import check_shape, floats, refuse
+from rendezvous_env.checks import check_shape, floats, raise_invalid
 from rendezvous_env.scenario.observation_layout import ObservationLayout
 
 Array = NDArray[np.float64]
-_ROUNDING = 1e-3  # so far from 1 may the length of a unit vector be: directions come rounded, too
+_ROUNDING = 1e-3  # tolerance of the length of a unit vector, for rounded directions
 _AWAY = 1.0
-"""Maximum summed rotation of both edges of an obstacle between ticks, rad; above it, the obstacle
-counts as another one."""
-_OPPOSITE = 1e-6  # edges are opposite below this sine of the angle between them
+"""Maximum summed rotation of both edges of an obstacle between ticks, rad.
+
+Above it, the obstacle counts as another one."""
+_OPPOSITE = 1e-6  # edges with a smaller sine of the angle between them are opposite
 _FLAT = 1e-4
-"""Rays lie in a plane, or all in one direction, below this product of their sum and vector area."""
+"""Product of the rays' sum and vector area below which they count as coplanar or parallel."""
 
 
 class RobotSight:
@@ -63,11 +64,11 @@ class RobotSight:
             ordered = marks = np.where(turned[:, np.newaxis, np.newaxis], edges[:, ::-1], edges)
         else:
             ordered, marks = _round_their_middles(edges, layout.net_bearing(rows))
-        # the same slots as at the last tick for those seen then, the longest vacant for others
+        # visible obstacles keep their slots; others get the slots that are vacant longest
         along = np.einsum("mid,sid->msi", marks, self._marks)
         turns = np.arccos(np.clip(along, -1.0, 1.0)).sum(axis=-1)
         vacant = _AWAY + 1e-3 / (1.0 + self._unseen)
-        slots = least_cost_slots(np.where(self._unseen == 0.0, turns, vacant))
+        slots = min_cost_slots(np.where(self._unseen == 0.0, turns, vacant))
         rows[layout.obstacles].reshape(-1, *points)[slots] = ordered
         self._unseen += 1.0
         self._unseen[slots] = 0.0
@@ -75,7 +76,7 @@ class RobotSight:
         return rows
 
 
-def least_cost_slots(cost: Array) -> NDArray[np.int64]:
+def min_cost_slots(cost: Array) -> NDArray[np.int64]:
     """Slots (m,) that minimise the total of finite costs (m, s), m ≤ s; each slot at most once.
 
     Shortest augmenting paths (Jonker & Volgenant 1987), so that robots need no SciPy.
@@ -125,9 +126,9 @@ def _unit_vectors(
             f"{'neighbour_slots' if name == 'bearings' else 'obstacle_slots'}"
         )
     lengths = np.linalg.norm(vectors, axis=-1)
-    for index in np.argwhere(~(np.abs(lengths - 1.0) <= _ROUNDING)):  # NaN, too
+    for index in np.argwhere(~(np.abs(lengths - 1.0) <= _ROUNDING)):  # also NaN
         place = tuple(index.tolist())
-        refuse(f"{name}{list(place)}", vectors[place].tolist(), "a unit vector")
+        raise_invalid(f"{name}{list(place)}", vectors[place].tolist(), "a unit vector")
     return vectors
 
 
@@ -135,11 +136,11 @@ def _direction_of_gravity(gravity: ArrayLike | None, sensed: bool) -> Array:
     """Gravity row, (1, 3), or an empty array for robots that do not sense it."""
     if not sensed:
         if gravity is not None:
-            refuse("gravity", gravity, "left out: these robots do not sense it")
+            raise_invalid("gravity", gravity, "left out: these robots do not sense it")
         return np.zeros((0, 1))
     down = np.zeros(0) if gravity is None else floats("gravity", gravity)
     if down.shape != (3,) or not abs(np.linalg.norm(down) - 1.0) <= _ROUNDING:
-        refuse("gravity", gravity, "its direction in the body frame, a unit vector (3,)")
+        raise_invalid("gravity", gravity, "its direction in the body frame, a unit vector (3,)")
     return down[np.newaxis]
 
 
@@ -148,7 +149,7 @@ def _gains(weights: ArrayLike, count: int, most: float) -> Array:
     gains = floats("weights", weights)
     check_shape("weights", gains, (count,), axes="(k,)")
     for index in np.flatnonzero(~((gains > 0.0) & np.isfinite(gains))):
-        refuse(f"weights[{index}]", float(gains[index]), "positive and finite (m/s)")
+        raise_invalid(f"weights[{index}]", float(gains[index]), "positive and finite (m/s)")
     if (total := float(gains.sum())) > (1.0 + _ROUNDING) * most:
         raise ValueError(
             f"weights sum to {total:g} m/s; this scenario's come to D̄ = {most:g} m/s at most. "
@@ -168,7 +169,7 @@ def _round_their_middles(rays: Array, net_bearing: Array) -> tuple[Array, Array]
     middles = total + np.where(backwards, -area, area)
     lengths = np.linalg.norm(middles, axis=-1, keepdims=True)
     for index in np.flatnonzero(lengths <= _FLAT):
-        refuse(f"obstacles[{index}]", rays[index].tolist(), "rays round a cone")
+        raise_invalid(f"obstacles[{index}]", rays[index].tolist(), "rays round a cone")
     middles /= lengths
     rays = np.where(backwards[..., np.newaxis], rays[:, ::-1], rays)
     across = net_bearing - (middles @ net_bearing)[:, np.newaxis] * middles

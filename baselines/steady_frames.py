@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env.compilation import inner_kernel, kernel
-from rendezvous_env.engine.state_checks import Remembering
+from rendezvous_env.engine.state_checks import StatefulMixin
 from rendezvous_env.engine.threads import Slice
 from rendezvous_env.physics.neighbour_rows import degree_of, net_bearing_of
 from rendezvous_env.physics.vectors import (
@@ -60,7 +60,7 @@ class _Way(NamedTuple):
     keeps: float  # as ``kept_azimuth``, rad
 
 
-class _Bodies(Remembering):
+class _Bodies(StatefulMixin):
     """What the kernels of a subclass remember of the bodies of B teams.
 
     Within the ``clearance``, rad, of where it is to go a unicycle drives; in space cones are
@@ -184,7 +184,7 @@ def _turn_in_frames(teams, actions, way, memory, velocities):
             kept[0] += turned
 
 
-class SteadyFrames(_Bodies):
+class OdometryFrame(_Bodies):
     """Headings of the unicycles of B teams, in frames that stay as the bodies were at first.
 
     u = R(θ) u_body,   θ ← θ + ω τ
@@ -320,7 +320,7 @@ def _turn_in_planes(teams, actions, way, memory, velocities):
 
 
 class SteadyPlanes(_Bodies):
-    """Planes of the robots of B teams in space; as ``SteadyFrames`` has it for unicycles.
+    """Planes of the robots of B teams in space; as ``OdometryFrame`` has it for unicycles.
 
         (cos θ, sin θ) = f/‖f‖ in the plane,   θ ← θ + ∠ in the plane that f has turned
 

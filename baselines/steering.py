@@ -27,11 +27,12 @@ from .policy import of_model
 
 Array = NDArray[np.float64]
 Rows = NDArray[Any]
-ALIGNED = 0.5  # rad; within this angle of where it is to go a robot that turns drives
-ALIGNED_IN_SPACE = 1.0  # as pitch turns slowly, and driving where the axis is clear is safe
+ALIGNED = 0.5  # rad; nonholonomic robots drive within this angle of the desired direction
+ALIGNED_IN_SPACE = 1.0  # larger, as pitch turns slowly, and driving with a clear axis is safe
 WITHIN = 1.0 - 1e-6
-"""Fraction of the speed limit in use, so that rounding to float32 exceeds no limit and commands
-equal the values booked by an energy tank."""
+"""Fraction of the speed limit in use.
+
+Rounding to float32 then exceeds no limit, and commands equal the values booked by a tank."""
 
 
 turns = of_model("unicycle", "nonholonomic_3d")
@@ -91,7 +92,7 @@ class Steering:
     def _over_robots(
         self, function: Any, values: Rows, observations: Rows, size: int, gate: Any = None
     ) -> Array:
-        if not self.turns:  # they go as they are told
+        if not self.turns:  # single integrators execute the command
             return np.asarray(values, dtype=np.float64)
         given = np.ascontiguousarray(values, np.float64).reshape(-1, values.shape[-1])
         rows = np.ascontiguousarray(observations).reshape(-1, *observations.shape[-2:])

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import check_shape, flag, refuse
+from rendezvous_env.checks import check_shape, flag, raise_invalid
 from rendezvous_env.envs.vector_wrappers import GuaranteeWrapper
 from rendezvous_env.safety.safety_filter import SafetyFilter
 from rendezvous_env.scenario.scenario import Scenario
@@ -36,23 +36,23 @@ class TrainedPolicy(TeamPolicy):
         policy = TrainedPolicy("clutter-8", model.predict)          # stable-baselines3
         policy = TrainedPolicy("clutter-8", lambda seen: seen[:, :2], learning_preset=False)
 
-    ``compare``, ``report``, ``render`` and ``rollout`` take it like any other. It sees what robots
-    of ``vector.training_env`` see with the same arguments, decides as often, and keeps the same
-    guarantee. As on board of a robot, it learns of no contact and no merge: a tank books every step
-    as it was commanded.
+    ``compare``, ``report``, ``render`` and ``rollout`` accept it like any other policy.
+    Observations, decision period and guarantee are those of ``vector.training_env`` with the same
+    arguments. As on a robot, contacts and merges are not observed: a tank books every step as
+    commanded.
 
     Args:
-        scenario: whose robots it steers: any that the model can read, not only that of training;
-            with the fields of it that stand among ``arguments``.
-        predict: observations of robots, (N, size) float32, to their actions, (N, a), or (N,) where
-            they are discrete. A pair is taken for actions and a state that is not used, and an
-            argument ``deterministic`` is True, as stable-baselines3 has it. A model with such a
-            ``predict``, or a torch module of observations, is taken, too.
-        by_team: whether ``predict`` takes (B, n, size) and gives (B, n, a); robots that have merged
-            away observe zeros.
-        arguments: of ``vector.training_env`` in training: ``guarantee="heading"``,
+        scenario: any scenario that the model supports, not only that of training, with the scenario
+            fields among ``arguments``.
+        predict: observations of robots, (N, size) float32 → actions, (N, a), or (N,) if discrete. A
+            pair counts as actions and an unused state. An argument ``deterministic`` is set to
+            True, as in stable-baselines3. A model with such a ``predict``, or a torch module of
+            observations, is also accepted.
+        by_team: whether ``predict`` takes (B, n, size) and returns (B, n, a); observations of
+            merged robots are zero.
+        arguments: arguments of ``vector.training_env`` in training: ``guarantee="heading"``,
             ``learning_preset=True``, ``flatten=True``, ``discrete=False``, those of the guarantee's
-            wrapper, and fields of the scenario. Errors are as there.
+            wrapper, and scenario fields. Errors are the same.
     """
 
     def __init__(
@@ -64,18 +64,20 @@ class TrainedPolicy(TeamPolicy):
         **arguments: Any,
     ) -> None:
         self.model = predict
-        """The model, or a function of it."""
+        """Model, or function of it."""
         predict = getattr(predict, "predict", predict)
         if not callable(predict):
-            refuse("predict", predict, "a function of observations, or a model with predict()")
+            raise_invalid(
+                "predict", predict, "a function of observations, or a model with predict()"
+            )
         if hasattr(predict, "parameters") and hasattr(predict, "forward"):
             predict = partial(_run_module, predict)
         self._predict, self.by_team = predict, flag("by_team", by_team)
         self.arguments = arguments
-        """Of ``vector.training_env`` in training."""
-        # stable-baselines3 draws unless it is told not to
+        """Arguments of ``vector.training_env`` in training."""
+        # stable-baselines3 samples actions by default
         takes: Collection[str] = ()
-        with suppress(TypeError, ValueError):  # what is compiled need not say
+        with suppress(TypeError, ValueError):  # compiled functions may have no signature
             takes = signature(predict).parameters
         self._told = {"deterministic": True} if "deterministic" in takes else {}
         self._arguments = {"on_merge": "follow", **arguments, "autoreset_mode": "Disabled"}
@@ -85,7 +87,7 @@ class TrainedPolicy(TeamPolicy):
         self._chooses: Any = env.single_action_space
         inner: Any = env.env
         self._guarantee: dict[str, Any] | None = None
-        self._policy: DecidingPolicy | None = None  # without a guarantee choices are actions
+        self._policy: DecidingPolicy | None = None  # without a guarantee, choices are actions
         if isinstance(inner, FeatureVectorEnv):
             self._policy = preset = _PresetPolicy(chosen, self._ask, inner)
             self._guarantee = preset.guarantee
@@ -96,7 +98,7 @@ class TrainedPolicy(TeamPolicy):
 
     @property
     def guarantee(self) -> dict[str, Any] | None:
-        """As ``TeamPolicy``: what the filter of training keeps, whatever the model chooses."""
+        """As ``TeamPolicy``: the guarantee of the training filter, for any model."""
         return self._guarantee
 
     def _make_filter(self, teams: int) -> SafetyFilter:
@@ -120,12 +122,12 @@ class TrainedPolicy(TeamPolicy):
 
     @property
     def observation_shape(self) -> tuple[int, ...]:
-        """Of what the model reads at once, without the axis of all robots, or of all teams."""
+        """Shape of the model's input, without the axis of all robots, or of all environments."""
         shape: tuple[int, ...] = self._sees.shape
         return shape if self.by_team else shape[1:]
 
     def choices(self, seen: Float32) -> NDArray[Any]:
-        """What the model gives for observations (N, …)."""
+        """Output of the model for observations (N, …)."""
         found = self._predict(seen, **self._told)
         return np.asarray(found[0] if isinstance(found, tuple) else found)
 
@@ -144,21 +146,23 @@ class TrainedPolicy(TeamPolicy):
 
 
 def _run_module(module: Any, seen: Float32) -> NDArray[Any]:
-    """What a torch module gives for observations, without gradients."""
+    """Output of a torch module for observations, without gradients."""
     like = next(iter(module.parameters()))
     found: NDArray[Any] = module(like.new_tensor(seen)).detach().cpu().numpy()
     return found
 
 
 ARGUMENTS_KEY = "rendezvous_trained"
-"""Of the metadata of an ONNX file: what its policy was trained in, as JSON."""
+"""Key in the metadata of an ONNX file of the training arguments, as JSON."""
 OBSERVATION = "observation"
-"""The input of such a file."""
+"""Name of the input of such a file."""
 
 
 def load(path: str | os.PathLike[str], scenario: ScenarioLike) -> LearnedPolicy | TrainedPolicy:
-    """The policy at a path, see ``learned_policy.load``, or of an ONNX file that ``rendezvous
-    export`` made of a model of stable-baselines3 or torch. Errors are as there.
+    """Load a policy from a path, see ``learned_policy.load``, or from an exported model.
+
+    The model is an ONNX file that ``rendezvous export`` wrote from a stable-baselines3 or torch
+    model. Errors are the same.
     """
     path = checkpoints.as_path(path)
     if path.suffix.lower() == SUFFIX and path.is_file():
@@ -170,7 +174,7 @@ def load(path: str | os.PathLike[str], scenario: ScenarioLike) -> LearnedPolicy 
 
 
 def _load_model(path: Path, content: bytes, scenario: ScenarioLike) -> TrainedPolicy:
-    """The policy of a model in an ONNX file, run by onnxruntime."""
+    """Policy of a model in an ONNX file, run by onnxruntime."""
     session = checked_session(path, content)
     with checkpoints.refusing(path, "is no policy of this version"):
         about = json.loads(session.get_modelmeta().custom_metadata_map[ARGUMENTS_KEY])
@@ -188,7 +192,7 @@ def _load_model(path: Path, content: bytes, scenario: ScenarioLike) -> TrainedPo
     return TrainedPolicy(scenario, predict, by_team=about["by_team"], **arguments)
 
 
-register_reader(AT_PATH, load)  # in place of the reader of learned policies alone
+register_reader(AT_PATH, load)  # replaces the reader of learned policies only
 
 
 class _PresetPolicy(GuidedPolicy):

@@ -23,7 +23,7 @@ from rendezvous_env.robots.differential_drive import DifferentialDrive, Machine,
 from train.pixels.last_seen import make, unit
 
 RADIUS, LEAD, BEAMS, SIGHT = 0.2, 0.1, 720, 12.0  # m: body, lidar ahead of the axle; of the lidar
-ROOM = RADIUS + LEAD + 0.05  # m: least distance of the lidar from obstacles
+ROOM = RADIUS + LEAD + 0.05  # m: minimum distance of the lidar from obstacles
 SCENARIO = rv.Scenario(
     name="ir-sim",
     n_robots=4,
@@ -84,8 +84,10 @@ def middle_of_robot(points):
 
 
 def look(scan):
-    """Bearings of robots (k,), edges (m, 2) of obstacles with room for the body, beams (l,) to what
-    is too near to go on at full speed, all in rad; how fast the lidar may go along those, m/s.
+    """Detections of one scan, all in rad, and a speed limit.
+
+    Returns bearings of robots (k,), edges (m, 2) of obstacles with room for the body, beams (l,)
+    towards nearby surfaces, and the maximum speed of the lidar along those, m/s.
     """
     ranges, angles = scan["ranges"], np.linspace(-math.pi, math.pi, BEAMS)
     bearings, edges, fronts = [], [], [np.zeros(0, int)]
@@ -115,7 +117,7 @@ def close(robots):
 
 
 def start_of(seed, folder):
-    """World of a seed in which all robots start in free space."""
+    """World of a seed with all robots in free space initially."""
     path = Path(folder) / "world.yaml"
     path.write_text(WORLD, encoding="utf-8")
     for again in range(1000):
@@ -128,7 +130,7 @@ def start_of(seed, folder):
 
 
 def play(policy, seed, folder):
-    """Rendezvous, contact, and time in s."""
+    """Run one episode; returns rendezvous, contact, and time in s."""
     env = start_of(seed, folder)
     robots = list(env.robot_list)
     minds = {r.id: RobotPolicy(SCENARIO, make(policy, SCENARIO)) for r in robots}

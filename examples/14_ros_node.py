@@ -1,10 +1,11 @@
-"""One robot of a team of four that meets by bearings alone, as a ROS 2 node.
+"""ROS 2 node of one robot in a team of four that meets from bearings only.
 
     python examples/14_ros_node.py --ros-args -r __ns:=/robot0 [-p differential_drive:=true]
 
-It needs `pip install 'rendezvous-env[ros]'`, or a ROS 2 installation. Topics: `imu`, for the body's
-yaw; `bearings` and `edges`, angles in rad from the body's x axis; `cmd_vel` out. A message that is
-malformed is dropped and counted; without an orientation, or with one topic too old, it rests.
+It needs `pip install 'rendezvous-env[ros]'`, or a ROS 2 installation. Input topics are `imu`, for
+the body's yaw, and `bearings` and `edges`, angles in rad from the body's x axis. The output is
+`cmd_vel`. A malformed message is dropped and counted. Without an orientation, or with one topic too
+old, the robot rests.
 """
 
 import math
@@ -28,25 +29,25 @@ from rendezvous_env.robots.differential_drive import DifferentialDrive, Machine
 SCENARIO = rv.Scenario(
     name="hall", n_robots=4, merge_radius=0.4, max_speed=0.5, time_step=0.05, obstacle_slots=12
 )
-PERIOD = 0.03  # s, between ticks; with what a timer is late by, less than time_step
-TOO_OLD = 0.2  # s: a robot that has not heard one of its topics for so long rests
+PERIOD = 0.03  # s, between ticks; less than time_step by the timer's delay
+TOO_OLD = 0.2  # s: maximum age of a topic; beyond it the robot rests
 MACHINE = Machine(
     wheel_radius=0.05,
     base_length=0.3,
     lead=0.1,
     wheel_speed=20.0,
     wheel_acceleration=60.0,
-    timeout=PERIOD,  # in the first tick for which what was seen is too old
+    timeout=PERIOD,  # the first tick with outdated measurements
 )
 
 
 class RendezvousNode(Node):
-    """Bearings in, Twist out."""
+    """Node that converts bearings to a Twist."""
 
     def __init__(self):
         super().__init__("rendezvous")
         self.robot = RobotPolicy(SCENARIO, "learned-tank")
-        self.robot.act([[1.0, 0.0]], [[[0.8, 0.6], [0.8, -0.6]]])  # compiles, if it must
+        self.robot.act([[1.0, 0.0]], [[[0.8, 0.6], [0.8, -0.6]]])  # compile in advance
         self.robot.reset()
         self.readings = BodyReadings(SCENARIO.observation_layout, TOO_OLD)
         self.ticked_at = None
@@ -56,31 +57,31 @@ class RendezvousNode(Node):
         self.create_subscription(Float64MultiArray, "bearings", self.on_bearings, 1)
         self.create_subscription(Float64MultiArray, "edges", self.on_edges, 1)
         self.commands = self.create_publisher(Twist, "cmd_vel", 1)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)  # the node's own can be set back
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # the node's clock can be set back
         self.create_timer(PERIOD, self.tick, clock=steady)
 
     def on_imu(self, message):
-        """An orientation."""
+        """Store an orientation."""
         q = message.orientation
         covariance = message.orientation_covariance
         self.check(self.readings.see_orientation(now(), (q.x, q.y, q.z, q.w), covariance))
 
     def on_bearings(self, message):
-        """Bearings of neighbours."""
+        """Store bearings of neighbours."""
         self.check(self.readings.see_bearings(now(), message.data))
 
     def on_edges(self, message):
-        """Edges of obstacles."""
+        """Store edges of obstacles."""
         self.check(self.readings.see_edges(now(), message.data))
 
     def check(self, was_used):
-        """Warn of a message that was dropped, once a second at most."""
+        """Log a warning for a dropped message, at most once per second."""
         if not was_used:
             told = f"dropped so far: {self.readings.dropped}"
             self.get_logger().warning(told, throttle_duration_sec=1.0)
 
     def tick(self):
-        """Publish what to do until the next tick."""
+        """Publish the command until the next tick."""
         command, time_now = Twist(), now()
         seen = self.readings.at(time_now)
         if seen is not None:
@@ -98,21 +99,21 @@ class RendezvousNode(Node):
 
 
 def now():
-    """s, by a clock that only goes forward."""
+    """Time of a monotonic clock, s."""
     return time.monotonic()
 
 
 def main():
     """Run until Ctrl-C."""
-    # ROS 2's handler takes the publisher away from a tick, and a KeyboardInterrupt may be lost in
-    # compiled code: signals are noted instead, and read between callbacks
+    # ROS 2's handler would invalidate the publisher in a tick, and compiled code may swallow a
+    # KeyboardInterrupt: signals are recorded instead, and checked between callbacks
     signals = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, _: signals.append(number))
     with rclpy.init(signal_handler_options=SignalHandlerOptions.NO):
         executor = SingleThreadedExecutor()
         executor.add_node(RendezvousNode())
-        while not signals:  # the base stops when no cmd_vel comes
+        while not signals:  # the base stops without cmd_vel
             executor.spin_once(timeout_sec=PERIOD)
 
 

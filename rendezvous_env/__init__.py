@@ -1,7 +1,7 @@
 """Bearing-only multi-robot rendezvous: the environment.
 
-Robots see in which direction their neighbours and the edges of obstacles lie, never how far, and
-must all meet.
+Each robot measures bearings to its neighbours and to obstacle edges, without ranges. All robots
+must meet.
 """
 
 from importlib import import_module as _import_module
@@ -10,7 +10,7 @@ from typing import Any as _Any
 from . import graphs, rendezvous_v0, vector
 from .compilation import kernel
 from .envs.gymnasium_env import make_vec, register
-from .envs.training import hand_in_preset as _hand_in_preset
+from .envs.training import register_preset as _hand_in_preset
 from .envs.training_parallel_env import training_env
 from .envs.wrappers import (
     EnergyTankWrapper,
@@ -56,12 +56,12 @@ __all__ = [
 
 
 def __dir__() -> list[str]:
-    """Public names; the files behind them are importable all the same."""
+    """Public names; submodules are importable but not listed."""
     return [*__all__, "__all__", "__doc__", "__file__", "__name__", "__path__", "__version__"]
 
 
 def _shipped_preset() -> _Any:
-    """The learning preset stands with the shipped policies, in the package above this one."""
+    """Load the learning preset from the package ``baselines``, which has the shipped policies."""
     return _import_module("rendezvous_env.baselines.learned.training_environment").ShippedPreset()
 
 

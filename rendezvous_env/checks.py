@@ -59,22 +59,22 @@ class _Shown(reprlib.Repr):
         return " ".join(super().repr_instance(x, level).split())
 
 
-shown = _Shown().repr
+short_repr = _Shown().repr
 """A value as messages show it: its repr, shortened if long."""
 
 
-def refuse(field: str, value: Any, wanted: str) -> NoReturn:
+def raise_invalid(field: str, value: Any, wanted: str) -> NoReturn:
     """Raise the ValueError that names a field, its wrong value and what would be right."""
-    raise ValueError(f"{field} is {shown(value)}; it must be {wanted}")
+    raise ValueError(f"{field} is {short_repr(value)}; it must be {wanted}")
 
 
-def exact(limit: float) -> str:
+def format_limit(limit: float) -> str:
     """A limit, with all of its digits, so that who copies it is not refused once more."""
     short = f"{limit:g}"
     return short if float(short) == limit else repr(float(limit))
 
 
-def real(value: Any) -> float:
+def to_float(value: Any) -> float:
     """One number of any type as Python's own; infinite beyond float64, NaN for what is no number.
 
     What is compared with bounds goes through this: NumPy would round the bounds to a smaller type.
@@ -88,7 +88,7 @@ def real(value: Any) -> float:
         return math.inf if value > 0 else -math.inf
 
 
-def is_whole(value: Any) -> bool:
+def is_int(value: Any) -> bool:
     """Whether it is one whole number, and no bool."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
@@ -107,31 +107,31 @@ def number(
     field: str, value: Any, least: float = -LARGEST, most: float = LARGEST, unit: str = ""
 ) -> float:
     """A finite number within bounds."""
-    if not least <= real(value) <= most:
-        bounds = f"from {exact(least)} to {exact(most)} {unit}".rstrip()
-        refuse(field, value, f"a finite number {bounds}")
-    return real(value)
+    if not least <= to_float(value) <= most:
+        bounds = f"from {format_limit(least)} to {format_limit(most)} {unit}".rstrip()
+        raise_invalid(field, value, f"a finite number {bounds}")
+    return to_float(value)
 
 
 def positive(field: str, value: Any, unit: str = "") -> float:
     """A positive number within the limits."""
-    if not SMALLEST <= real(value) <= LARGEST:
+    if not SMALLEST <= to_float(value) <= LARGEST:
         bounds = f"from {SMALLEST:g} to {LARGEST:g} {unit}".rstrip()
-        refuse(field, value, f"a positive, finite number, {bounds}")
-    return real(value)
+        raise_invalid(field, value, f"a positive, finite number, {bounds}")
+    return to_float(value)
 
 
-def whole(field: str, value: Any, least: int, most: int) -> int:
+def check_int(field: str, value: Any, least: int, most: int) -> int:
     """A whole number within bounds."""
-    if not is_whole(value) or not least <= value <= most:
-        refuse(field, value, f"a whole number, {least} or more, at most {most}")
+    if not is_int(value) or not least <= value <= most:
+        raise_invalid(field, value, f"a whole number, {least} or more, at most {most}")
     return int(value)
 
 
 def flag(field: str, value: Any) -> bool:
     """True or False."""
     if not isinstance(value, bool | np.bool_):
-        refuse(field, value, "one of True, False")
+        raise_invalid(field, value, "one of True, False")
     return bool(value)
 
 
@@ -139,14 +139,16 @@ def choice(field: str, value: Any, choices: Iterable[str]) -> str:
     """One of some words."""
     known = tuple(choices)
     if not isinstance(value, str) or value not in known:
-        refuse(field, value, f"one of {', '.join(map(repr, known))}{meant(value, known, '; ')}")
+        raise_invalid(
+            field, value, f"one of {', '.join(map(repr, known))}{closest_match(value, known, '; ')}"
+        )
     return value
 
 
 def text(field: str, value: Any) -> str:
     """A text."""
     if not isinstance(value, str):
-        refuse(field, value, "a text")
+        raise_invalid(field, value, "a text")
     return value
 
 
@@ -155,16 +157,16 @@ def number_range(
 ) -> tuple[float, float]:
     """The lowest and highest of a range of positive numbers, from two of them or from one."""
     pair = tuple(value) if is_sequence(value) else (value, value)
-    if len(pair) != 2 or not least <= real(pair[0]) <= real(pair[1]) <= LARGEST:
-        bounds = f"{exact(least)} <= low <= high <= {LARGEST:g} {unit}".rstrip()
-        refuse(field, value, f"a finite number, or a pair of them with {bounds}")
-    return real(pair[0]), real(pair[1])
+    if len(pair) != 2 or not least <= to_float(pair[0]) <= to_float(pair[1]) <= LARGEST:
+        bounds = f"{format_limit(least)} <= low <= high <= {LARGEST:g} {unit}".rstrip()
+        raise_invalid(field, value, f"a finite number, or a pair of them with {bounds}")
+    return to_float(pair[0]), to_float(pair[1])
 
 
 def mapping(field: str, value: Any, wanted: str) -> Mapping[Any, Any]:
     """A mapping."""
     if not isinstance(value, Mapping):
-        refuse(field, value, wanted)
+        raise_invalid(field, value, wanted)
     return value
 
 
@@ -175,10 +177,10 @@ def floats(field: str, value: Any, dtype: type[np.floating[Any]] = np.float64) -
     try:
         array = np.asarray(value)
     except (TypeError, ValueError, OverflowError, RecursionError, RuntimeError) as error:
-        told = f"{shown(value)}; it must be an array of numbers without gaps"
+        told = f"{short_repr(value)}; it must be an array of numbers without gaps"
         raise ValueError(f"{field} is {_unreadable(value) or told}") from error
     if array.dtype.kind not in "fiub":
-        refuse(field, value, "numbers, each of them in the range of float64")
+        raise_invalid(field, value, "numbers, each of them in the range of float64")
     if np.can_cast(array.dtype, dtype):  # nothing to overflow, and warnings take longest to silence
         return array.astype(dtype, copy=False)
     with np.errstate(over="ignore"):
@@ -211,7 +213,7 @@ def check_action(robot: str, value: Any, size: int) -> None:
             raise ValueError(f"action of {robot} is {told}") from None
         action = np.empty(0)
     if action.shape != (size,) or not np.isfinite(action).all():
-        refuse(f"action of {robot}", value, f"{size} finite numbers, in float32")
+        raise_invalid(f"action of {robot}", value, f"{size} finite numbers, in float32")
 
 
 def bools(field: str, value: Any, shape: tuple[int, ...] | None, of_what: str) -> NDArray[np.bool_]:
@@ -222,7 +224,7 @@ def bools(field: str, value: Any, shape: tuple[int, ...] | None, of_what: str) -
         array = np.empty(0, dtype=object)
     if (shape is not None and array.shape != shape) or array.dtype != np.bool_:
         is_array = array.dtype != object
-        found = f"{array.dtype} of shape {array.shape}" if is_array else shown(value)
+        found = f"{array.dtype} of shape {array.shape}" if is_array else short_repr(value)
         count = "the" if shape is None else " × ".join(map(str, shape))
         raise ValueError(f"{field} is {found}; it must be bool, one for each of {count} {of_what}")
     return array
@@ -243,7 +245,7 @@ def nearest_word(word: Any, words: Iterable[str], cutoff: float = 0.65) -> str |
     return close[0] if close else None
 
 
-def meant(word: Any, words: Iterable[str], before: str = "", after: str = "") -> str:
+def closest_match(word: Any, words: Iterable[str], before: str = "", after: str = "") -> str:
     """The question whether the ``nearest_word`` was meant, between two texts; empty without one."""
     near = nearest_word(word, words)
     return f"{before}did you mean {near!r}?{after}" if near else ""
@@ -256,10 +258,10 @@ def known_fields(
     known = list(known)
     for key in given:
         if key not in known:
-            hint = meant(key, known) or f"known are {', '.join(known) or 'none'}"
+            hint = closest_match(key, known) or f"known are {', '.join(known) or 'none'}"
             if key in _STEPS and nearest_word(key, known) == "time_limit":
                 hint += " it is in s, not in steps"
-            raise UnknownFieldError(f"{what} has no {noun} {shown(key)}; {hint}")
+            raise UnknownFieldError(f"{what} has no {noun} {short_repr(key)}; {hint}")
 
 
 def load(library: str, what: str, extra: str) -> Any:
@@ -288,7 +290,7 @@ def of_class(made: Any) -> Callable[[str, Any], Any]:
         if isinstance(value, Mapping):
             return from_plain(made, value, field)
         if not isinstance(value, made):
-            refuse(field, value, f"a {made.__name__}, or a table of its fields")
+            raise_invalid(field, value, f"a {made.__name__}, or a table of its fields")
         return value
 
     return check
@@ -365,16 +367,16 @@ class Registry(dict[str, Any]):
     def add(self, name: Any, function: Any) -> Any:
         """Register a function, which is returned; without one a decorator is."""
         if not isinstance(name, str) or not name or not name.isprintable():
-            refuse(f"name of a {self.what}", name, "a word")
+            raise_invalid(f"name of a {self.what}", name, "a word")
         if function is None:
             return lambda function: self.add(name, function)
         if not callable(function):
-            refuse(f"{self.what} {name!r}", function, "a function")
+            raise_invalid(f"{self.what} {name!r}", function, "a function")
         self[name] = function
         return function
 
     def check(self, field: str, name: Any) -> None:
         """Refuse a name that nobody has registered, with the nearest one or how to register it."""
         if not isinstance(name, str) or name not in self:
-            hint = meant(name, self) or f"register it with {self._register}"
-            raise ValueError(f"{field}: {shown(name)} is unknown; {hint}")
+            hint = closest_match(name, self) or f"register it with {self._register}"
+            raise ValueError(f"{field}: {short_repr(name)} is unknown; {hint}")

@@ -1,7 +1,7 @@
 """Fields of dataclasses in ``help``: meaning, unit, type, default and bounds of each.
 
-Docstrings of fields are in the source only, where ``help`` does not look. ``lists_fields`` adds
-them to the docstring of the class when somebody reads it.
+Docstrings of fields exist only in the source, which ``help`` does not read. ``lists_fields`` adds
+them to the docstring of the class on first access.
 """
 
 import ast
@@ -17,17 +17,17 @@ from .limits import LARGEST, SMALLEST
 
 _Class = TypeVar("_Class", bound=type)
 _WIDTH = 84
-_LONGEST_LIST = 12  # words that a field may be, up to which all are listed
+_LONGEST_LIST = 12  # maximum number of choices listed in full
 
 
 def lists_fields(cls: _Class) -> _Class:
-    """Let the docstring of a dataclass end with a list of its fields."""
+    """Append a list of fields to the docstring of a dataclass."""
     cls.__doc__ = _ListedDoc(cls.__doc__ or "")  # type: ignore[assignment]
     return cls
 
 
 class _ListedDoc:
-    """A class's docstring with the list of fields, made on the first reading."""
+    """Docstring of a class with the list of fields, created on first access."""
 
     def __init__(self, own: str) -> None:
         self.own, self._made = own, dict[type, str]()
@@ -52,8 +52,9 @@ def _entry(name: str, default: str, meaning: str, bounds: str) -> str:
 
 
 def described_fields(cls: type) -> list[tuple[str, str, str, str]]:
-    """Name, default, meaning and bounds of every field of a dataclass, as text; the default is
-    empty where a value must be given, bounds are where none are known.
+    """Name, default, meaning and bounds of every field of a dataclass, as text.
+
+    The default is empty for required fields, and bounds are empty if unknown.
     """
     meanings, hints = field_docstrings(cls), get_type_hints(cls, include_extras=True)
     return [
@@ -63,8 +64,9 @@ def described_fields(cls: type) -> list[tuple[str, str, str, str]]:
 
 
 def field_docstrings(cls: type) -> dict[str, str]:
-    """Docstrings of the fields of a dataclass and of those that it extends, each in one line;
-    nothing where the source is not there.
+    """Docstrings of the fields of a dataclass and its bases, on one line each.
+
+    Empty if the source is unavailable.
     """
     found: dict[str, str] = {}
     for kind in reversed(cls.__mro__):
@@ -91,14 +93,14 @@ def _default(field: dataclasses.Field[Any]) -> str:
 
 
 def bounds_of(hint: Any) -> str:
-    """What a field with an annotation must be, in words, as far as the annotation says it."""
+    """Requirement of an annotated field in words, as far as the annotation gives it."""
     checks = [_words_of(check) for check in _checks_in(hint)]
     words = " or ".join(filter(None, checks))
     return f"None, or {words}" if words and _may_be_none(hint) else words
 
 
 def _checks_in(hint: Any) -> Iterable[Any]:
-    """Checks and literals of an annotation, of each type that it may be."""
+    """Checks and literals of an annotation, for each of its alternatives."""
     if get_origin(hint) is Annotated:
         yield from hint.__metadata__
     elif get_origin(hint) is Literal:
@@ -156,4 +158,4 @@ _DESCRIBED: dict[str, Callable[..., str]] = {
     "flag": lambda: "True or False",
     "number_range": _number_range,
 }
-"""Words for the checks of ``checks``, by their names."""
+"""Descriptions of the checks in ``checks``, by name."""

@@ -1,4 +1,4 @@
-"""What the first starts of a scenario are, as a digest by which results can be told to compare."""
+"""Digest of a scenario's first initial conditions, to decide whether results are comparable."""
 
 import hashlib
 import json
@@ -10,17 +10,19 @@ from .scenario.scenarios import ScenarioLike, resolve
 from .simulator import Simulator
 
 STARTS = 1000
-"""Of the seeds 0 to 999."""
-_DECIMALS = 9  # That count; the last bits of a cosine are the machine's
+"""Number of seeds in the digest, from 0."""
+_DECIMALS = 9  # significant decimals; the last bits of a cosine depend on the machine
 _NOT_OF_THE_FIELD = ("name", "reward", "costs")
 
 
 def digest(scenario: ScenarioLike) -> str:
-    """SHA-256 over what a scenario differs in from the default, rewards and costs aside, and over
-    its first 1,000 initial conditions: positions, headings, frames, weights and obstacles, to 1e-9.
+    """SHA-256 of a scenario's non-default fields and its first 1,000 initial conditions.
+
+    Rewards and costs are excluded. Initial conditions are positions, headings, frames, weights and
+    obstacles, to 1e-9.
 
     Raises:
-        RuntimeError: if no room was found for a start.
+        RuntimeError: if there is no space for an initial condition.
     """
     scenario = resolve(scenario)
     usual = Scenario().to_plain()
@@ -33,6 +35,6 @@ def digest(scenario: ScenarioLike) -> str:
     simulator = Simulator(scenario, STARTS, num_threads=1)
     simulator.reset(0)
     for name in ("positions", "headings", "frames", "weights", "obstacles"):
-        rounded = np.round(getattr(simulator, name), _DECIMALS) + 0.0  # no minus sign on a zero
+        rounded = np.round(getattr(simulator, name), _DECIMALS) + 0.0  # no negative zero
         found.update(f"{name} {rounded.shape} ".encode() + rounded.astype("<f8").tobytes())
     return found.hexdigest()

@@ -1,9 +1,9 @@
-"""Compiled kernels on disk, and when they are compiled anew.
+"""Disk cache of compiled kernels and its invalidation.
 
-The compiled code of a kernel for one signature is a file, named by a digest of all that it was made
-from: its own code and, recursively, what that names, in whatever module; how kernels are compiled;
-the types of the arguments; processor and versions. The file begins with a digest of the rest, since
-damaged machine code would end the process.
+The compiled code of a kernel for one signature is a file, named by a digest of all its inputs.
+These are its own code and, recursively, everything it references in any module; compiler settings;
+argument types; processor and versions. The file begins with a digest of the rest, since damaged
+machine code would crash the process.
 """
 
 import hashlib
@@ -35,28 +35,28 @@ except ImportError:  # not on Windows, where two processes may compile the same 
 _CONFIG: Any = numba.config
 _PACKAGE = Path(__file__).parent / "__pycache__"
 _COMPILING = [Path(__file__).with_name(name) for name in ("compilation.py", "kernel_cache.py")]
-"""An edit of these compiles every kernel anew."""
+"""Modules whose edits recompile every kernel."""
 _LIBRARIES = {"numba", "numpy", *sys.stdlib_module_names}
-"""Identified by their version; the code of all other modules is followed."""
+"""Libraries identified by version; the code of all other modules is followed."""
 _DIGEST_SIZE = 32
-_SIGNATURE = 3  # position of the signature in what numba makes of a compiled function for pickle
-_MAX_AGE = 14 * 24 * 3600.0  # s; kernels that were not used for so long are removed
+_SIGNATURE = 3  # index of the signature in numba's pickle of a compiled function
+_MAX_AGE = 14 * 24 * 3600.0  # s; kernels unused for longer are deleted
 
 
 class KernelCache:
-    """Compiled code of one kernel, by signature; the methods are those that numba calls."""
+    """Compiled code of one kernel, by signature, with the methods that numba calls."""
 
     def __init__(self, kernel: Any) -> None:
         self._kernel = kernel
-        self._paths: dict[Any, Path | None] = {}  # of signatures that are being compiled
+        self._paths: dict[Any, Path | None] = {}  # by signature in compilation
 
     @property
     def cache_path(self) -> str:
-        """The folder."""
+        """Cache folder."""
         return str(_folder())
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The compiled code for a signature; None if there is none or it is damaged."""
+        """Compiled code for a signature; None if absent or damaged."""
         target_context.refresh()
         if (path := self._path(sig)) is None:
             return None
@@ -66,15 +66,15 @@ class KernelCache:
             if hashlib.sha256(code).digest() != digest:
                 return None
             parts = pickle.loads(code)
-            if parts[_SIGNATURE].args != sig:  # of a class of the same name
+            if parts[_SIGNATURE].args != sig:  # from another class of the same name
                 return None
             os.utime(path)
             return CompileResult._rebuild(target_context, *parts)
-        except Exception:  # there is no file, or it names a class that no longer exists
+        except Exception:  # no file, or it references a class that no longer exists
             return None
 
     def save_overload(self, sig: Any, compiled: Any) -> None:
-        """Keep compiled code, unless the disk is full or the folder is gone."""
+        """Store compiled code, unless the disk is full or the folder does not exist."""
         path = self._path(sig)
         if path is None or compiled.lifted or compiled.library.has_dynamic_globals:
             return
@@ -89,7 +89,7 @@ class KernelCache:
 
     @contextmanager
     def exclusive(self, sig: Any) -> Iterator[None]:
-        """Let one process at a time compile for a signature; the others find its code then."""
+        """Let one process at a time compile a signature, so that others find its code."""
         path = self._paths[sig] = self._path(sig)
         try:
             if fcntl is None or path is None or path.exists():
@@ -101,7 +101,7 @@ class KernelCache:
             del self._paths[sig]
 
     def _path(self, sig: Any) -> Path | None:
-        """The file for a signature; None if no later process could find it."""
+        """File for a signature; None if no later process could find it."""
         if sig in self._paths:
             return self._paths[sig]
         kinds = [kind for argument in sig for kind in named_tuples(argument)]
@@ -113,7 +113,7 @@ class KernelCache:
 
 @contextmanager
 def _locked(lock: Path) -> Iterator[None]:
-    """Hold a lock file; where it cannot be made, or locked, nothing is held."""
+    """Hold a lock file; without effect if it cannot be created or locked."""
     with ExitStack() as held:
         with suppress(OSError):
             file = held.enter_context(lock.open("w"))
@@ -123,7 +123,7 @@ def _locked(lock: Path) -> Iterator[None]:
 
 
 def digest_of(function: Any, argument_types: Any) -> str:
-    """Digest, in hexadecimal digits, of all that the code of a function for types is made from."""
+    """Hexadecimal digest of all inputs to the code of a function for given types."""
     kinds = [kind for argument in argument_types for kind in named_tuples(argument)]
     made = hashlib.sha256(f"{_base()} {argument_types}".encode())
     for text in content(function, *kinds):
@@ -135,15 +135,16 @@ _CHOSEN_BY: dict[type, tuple[Any, ...]] = {}
 
 
 def depends_on(kind: type, functions: tuple[Any, ...]) -> None:
-    """Declare that code for a NamedTuple class is made from these functions, plain or compiled,
-    which are chosen by the class.
+    """Declare functions, plain or compiled, that code for a NamedTuple class depends on.
+
+    They are selected by the class.
     """
     _CHOSEN_BY[kind] = functions
 
 
 @cache
 def _base() -> str:
-    """Versions, settings, processor, and how kernels are compiled."""
+    """Versions, settings, processor, and compiler settings."""
     sources = b"".join(path.read_bytes() for path in _COMPILING)
     versions = sys.version, numba.__version__, llvmlite.__version__
     settings = _CONFIG.BOUNDSCHECK, _CONFIG.OPT, _CONFIG.LOOP_VECTORIZE
@@ -152,7 +153,7 @@ def _base() -> str:
 
 
 def named_tuples(kind: Any) -> Iterator[type]:
-    """The NamedTuple classes in a numba type."""
+    """NamedTuple classes in a numba type."""
     if (made := getattr(kind, "instance_class", None)) is not None:
         yield made
     for part in getattr(kind, "types", ()):
@@ -160,14 +161,14 @@ def named_tuples(kind: Any) -> Iterator[type]:
 
 
 def content(*values: Any) -> Iterator[str]:
-    """What numba freezes of values: of a function its code and, recursively, what that names."""
+    """Content that numba freezes: of a function its code and, recursively, its references."""
     return _content(values, frozenset(), set())
 
 
 def _content(values: Iterable[Any], names: frozenset[str], seen: set[int]) -> Iterator[str]:
-    """``names`` are the attributes of modules that are used, ``seen`` functions once followed."""
+    """Content of values; ``names`` are used module attributes, ``seen`` visited functions."""
     for value in values:
-        if hasattr(value, "targetoptions"):  # a kernel; a caller that inlines it has its options
+        if hasattr(value, "targetoptions"):  # a kernel; its options affect inlining callers
             yield f"{sorted(value.targetoptions.items())} {getattr(value, 'slp', False)}"
         value = getattr(value, "py_func", value)
         if not isinstance(value, FunctionType):
@@ -182,7 +183,7 @@ def _content(values: Iterable[Any], names: frozenset[str], seen: set[int]) -> It
 
 
 def _frozen(function: FunctionType) -> Iterable[Any]:
-    """What a function is made from: its code without the docstring, and what that names."""
+    """Inputs of a function: its code without the docstring, and its references."""
     code, known = function.__code__, function.__globals__
     if code.co_consts[:1] == (function.__doc__,):
         code = code.replace(co_consts=(None, *code.co_consts[1:]))
@@ -192,7 +193,7 @@ def _frozen(function: FunctionType) -> Iterable[Any]:
 
 
 def _described(value: Any, names: frozenset[str]) -> tuple[str, Iterable[Any]]:
-    """Text that identifies a value that is no function, and its parts to follow."""
+    """Text that identifies a value other than a function, and its parts to follow."""
     if isinstance(value, CodeType):
         variables = value.co_varnames, value.co_freevars, value.co_cellvars
         code = value.co_code, value.co_exceptiontable
@@ -200,12 +201,12 @@ def _described(value: Any, names: frozenset[str]) -> tuple[str, Iterable[Any]]:
     if isinstance(value, ModuleType):
         used = sorted(names & set(vars(value))) if _is_followed(value.__name__) else ()
         return value.__name__, [vars(value)[name] for name in used]
-    if isinstance(value, MethodType | BuiltinMethodType):  # of a table, say
+    if isinstance(value, MethodType | BuiltinMethodType):  # for example of a table
         return value.__name__, (value.__self__, getattr(value, "__func__", None))
     if isinstance(value, type):
         fields = getattr(value, "_fields", None), getattr(value, "_field_defaults", None)
         return f"{value.__module__} {value.__qualname__} {fields}", (_CHOSEN_BY.get(value),)
-    if isinstance(value, dict):  # what a class chooses is followed where the class comes up
+    if isinstance(value, dict):  # entries selected by a class are followed where the class occurs
         return "", [item for item in value.items() if item[0] not in _CHOSEN_BY]
     if isinstance(value, set | frozenset):
         return repr(sorted(map(repr, value))), ()
@@ -221,15 +222,16 @@ def _is_followed(module: str) -> bool:
 
 
 def _names(code: CodeType) -> frozenset[str]:
-    """The names in a function and in the functions within it."""
+    """Names in a function and in its nested functions."""
     within = [_names(part) for part in code.co_consts if isinstance(part, CodeType)]
     return frozenset(code.co_names).union(*within)
 
 
 @cache
 def _folder() -> Path | None:
-    """The folder of kernels: in NUMBA_CACHE_DIR if that is set, else in the package or the user's
-    cache; if these are not writable in a temporary folder, with a warning; None if there is none.
+    """Cache folder: NUMBA_CACHE_DIR if set, else in the package or the user's cache.
+
+    If these are not writable, a temporary folder with a warning; None if there is none.
     """
     places = [Path(_CONFIG.CACHE_DIR or _PACKAGE)]
     with suppress(RuntimeError):  # no home directory
@@ -248,8 +250,9 @@ def _folder() -> Path | None:
 
 
 def _prepared(place: Path) -> Path | None:
-    """The folder of kernels in a place, created if need be, without kernels that were not used for
-    long; None if it is not writable.
+    """Cache folder in a location, created if necessary; None if it is not writable.
+
+    Kernels unused for long are deleted.
     """
     folder = place / "kernels"
     try:
@@ -258,14 +261,14 @@ def _prepared(place: Path) -> Path | None:
     except OSError:
         return None
     for file in folder.iterdir():
-        with suppress(OSError):  # another process removes them, too
+        with suppress(OSError):  # another process may delete them
             if time.time() - file.stat().st_mtime > _MAX_AGE:
                 file.unlink()
     return folder
 
 
 def _temporary() -> Path | None:
-    """A folder that only this user can write to, the same for all processes."""
+    """Folder that only this user can write to, the same for all processes."""
     user = os.getuid()
     try:
         place = Path(tempfile.gettempdir()) / f"rendezvous-env-{user}"

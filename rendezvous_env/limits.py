@@ -1,19 +1,19 @@
-"""The largest and smallest numbers that make sense, in one place.
+"""Numeric limits of all fields.
 
-Lengths, times, speeds, rates and weights keep within ``SMALLEST`` and ``LARGEST``: a second spent
-at the wildest of them leaves all squares and sums finite in float64, and all that is observed or
-done in float32. Whole numbers of steps are exact in float64.
+Lengths, times, speeds, rates and weights are between ``SMALLEST`` and ``LARGEST``. A second at the
+extreme values then keeps all squares and sums finite in float64, and all observations and actions
+finite in float32. Integer step counts are exact in float64.
 """
 
-SMALLEST = 1e-9  # of what must be positive: m, s, m/s, rad/s
+SMALLEST = 1e-9  # of positive quantities: m, s, m/s, rad/s
 LARGEST = 1e9  # of any length, time, speed, rate, angle, weight or reward
-MOST_STEPS = 10**15  # of an episode
-MOST_ROBOTS = 10_000  # in a team: its graph is a matrix of so many squared
-MOST_OBSTACLES = 10_000  # in a scenario, and slots for them in an observation
-MOST_VERTICES = 1_000  # of a polygon
-MOST_TEAMS = 10**9  # in a batch; memory ends sooner
-MOST_HELD_STEPS = 100_000  # base steps for which a decision may be held
+MOST_STEPS = 10**15  # per episode
+MOST_ROBOTS = 10_000  # per environment; a dense graph has its square as entries
+MOST_OBSTACLES = 10_000  # per scenario, and slots in an observation
+MOST_VERTICES = 1_000  # per polygon
+MOST_TEAMS = 10**9  # environments per batch; memory is exhausted earlier
+MOST_HELD_STEPS = 100_000  # base steps per agent step
 LONGEST_NAME = 255  # characters
-LARGEST_SEED = 2**63 - 1  # of any team
-MOST_DELAY = 10_000  # steps by which a sensor may be late: so many observations are kept
-MOST_SECTORS = 1_000_000  # directions to which bearings may be rounded
+LARGEST_SEED = 2**63 - 1  # of any environment
+MOST_DELAY = 10_000  # sensor delay in steps; as many observations are stored
+MOST_SECTORS = 1_000_000  # sectors of quantised bearings

@@ -1,7 +1,7 @@
-"""Observations of a fixed size: rows are added, or the nearest neighbours and obstacles chosen.
+"""Observations of a fixed size: added rows, or the nearest neighbours and obstacles.
 
-The engine writes a row for every neighbour and obstacle. Robots measure bearings only; which rows
-stay where there is no room for all is decided by distances, which the simulator knows.
+The engine writes a row for every neighbour and obstacle. Robots measure bearings only; with too few
+rows, the simulator selects them by distance.
 """
 
 from typing import Any
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 class ObservationFit:
-    """Turns observations of ``Scenario.with_all_rows`` into those of a scenario's own layout."""
+    """Converts observations of ``Scenario.with_all_rows`` to a scenario's own layout."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.full: ObservationLayout = scenario.with_all_rows.observation_layout
@@ -26,14 +26,14 @@ class ObservationFit:
         n = scenario.n_robots
         others = np.arange(n - 1) + (np.arange(n - 1) >= np.arange(n)[:, None])
         self._others: NDArray[np.int64] = others
-        """Robot that each neighbour row belongs to, (n, n − 1)."""
+        """Robot of each neighbour row, (n, n − 1)."""
 
     def __call__(self, observations: Float32, positions: Array, obstacles: Array) -> Float32:
-        """Rows of the own layout, (B, n, rows, d), of observations with all rows.
+        """Convert observations with all rows to the own layout, (B, n, rows, d).
 
         Args:
             observations: (B, n, rows, d).
-            positions: of the robots, (B, n, d), m.
+            positions: positions of the robots, (B, n, d), m.
             obstacles: tables of the obstacles, (B, M, width), see ``obstacles.obstacle_set``.
         """
         own, full = self.own, self.full
@@ -66,17 +66,17 @@ class ObservationFit:
             kept[...] = chosen.reshape(kept.shape)
 
     def _distances(self, positions: Array) -> Array:
-        """Of every robot to the robots of its rows, (B, n, n − 1), m."""
+        """Distance of every robot to the robots of its rows, (B, n, n − 1), m."""
         offsets = positions[:, self._others] - positions[:, :, None]
         return np.asarray(np.linalg.norm(offsets, axis=-1))
 
 
 def _nearest(rows: Float32, distances: Array, count: int) -> NDArray[Any]:
-    """The ``count`` nearest of the rows (B, n, N, …) that are not zero, in their order."""
+    """Nearest ``count`` nonzero rows of (B, n, N, …), in their order."""
     there = rows.any(axis=-1)
     distances = np.where(there, distances, np.inf)
     order = np.argsort(distances, axis=-1, kind="stable")[..., :count]
-    # those that are there first, in the order of their rows
+    # present rows first, in their order
     absent = np.isinf(np.take_along_axis(distances, order, axis=-1))
     order = np.sort(order + absent * rows.shape[2], axis=-1) % rows.shape[2]
     return np.take_along_axis(rows, order[..., None], axis=2)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from pettingzoo.utils import wrappers
 from pettingzoo.utils.env import AECEnv
 
-from .envs.agents import OneAfterAnother
+from .envs.agents import RendezvousAECEnv
 from .envs.overrides import check_overrides
 from .envs.parallel_env import RendezvousParallelEnv
 from .envs.vector_env import check_one_team
@@ -47,7 +47,7 @@ def env(
     *arguments: Any, **options: Any
 ) -> AECEnv[str, NDArray[np.float32], NDArray[np.float32] | None]:
     """One robot after another (PettingZoo's AEC); arguments and errors as ``parallel_env``."""
-    return wrappers.OrderEnforcingWrapper(OneAfterAnother(parallel_env(*arguments, **options)))
+    return wrappers.OrderEnforcingWrapper(RendezvousAECEnv(parallel_env(*arguments, **options)))
 
 
 raw_env = env

@@ -1,7 +1,7 @@
-"""``rendezvous_env.baselines`` and ``rendezvous_env.train``: names that no file of a user takes.
+"""``rendezvous_env.baselines`` and ``rendezvous_env.train``: aliases safe from shadowing.
 
-A user's own ``train.py`` or folder ``baselines`` hides these packages, but not under these names.
-Where nothing hides them both names mean the same modules, loaded once.
+A user's ``train.py`` or folder ``baselines`` shadows these packages, but not their aliases. Without
+shadowing both names are the same modules, loaded once.
 """
 
 import sys
@@ -18,7 +18,7 @@ _NAMES = ("baselines", "train")
 
 
 class _SameModule(Loader):
-    """Gives out a module that has been loaded under its short name."""
+    """Loader that returns a module loaded under its short name."""
 
     def __init__(self, short: str) -> None:
         self._short = short
@@ -29,11 +29,11 @@ class _SameModule(Loader):
         return module
 
     def exec_module(self, module: ModuleType) -> None:
-        module.__spec__ = self._spec  # importing has put the safe name's there
+        module.__spec__ = self._spec  # the import has set that of the alias
 
 
 class _SafeNames(MetaPathFinder):
-    """Finds the packages beside this one, and their modules, under ``rendezvous_env``."""
+    """Finder of the packages beside this one, and their modules, under ``rendezvous_env``."""
 
     def find_spec(
         self,
@@ -54,7 +54,7 @@ class _SafeNames(MetaPathFinder):
 
 
 def _is_hidden(top: str) -> bool:
-    """Whether the short name means something else here."""
+    """Whether another module shadows the short name."""
     ours = str(_BESIDE / top / "__init__.py")
     if (module := sys.modules.get(top)) is not None:
         return getattr(module, "__file__", None) != ours
@@ -63,6 +63,6 @@ def _is_hidden(top: str) -> bool:
 
 
 def install() -> None:
-    """Let imports find the safe names."""
+    """Install the import finder of the aliases."""
     if not any(isinstance(finder, _SafeNames) for finder in sys.meta_path):
         sys.meta_path.insert(0, _SafeNames())

@@ -1,4 +1,4 @@
-"""Simulator: many teams at once. Every environment of this project is one of these."""
+"""Simulator: batched environments of one scenario, on which all interfaces build."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import bools, exact, whole
+from .checks import bools, check_int, format_limit
 from .engine.batch_runner import (
     BatchController,
     BatchRunner,
@@ -25,46 +25,46 @@ from .rewards.costs import costs_of, no_costs
 from .rewards.custom_terms import RewardStep, add_custom_terms
 from .robots.robot_models import is_custom
 from .scenario.scenarios import ScenarioLike, resolve
-from .scenario.start_options import StartOptions, parse_options, seeds_of_teams
+from .scenario.start_options import StartOptions, parse_options, seeds_of_environments
 from .sensors.custom_sensors import Seen, apply_custom
 from .state_view import StateView, read_only
 
 
 class Simulator(StateView):
-    """B teams of one scenario, advanced together.
+    """B environments of one scenario, advanced together.
 
-    A batch of one and a batch of many give bit-equal trajectories for equal seeds, with any number
-    of threads. Those are its own: one simulator must not be used from several threads at a time.
+    For equal seeds, trajectories are bitwise equal for any batch size and number of threads. The
+    simulator manages its own threads: do not use it from several threads at a time.
 
     Args:
-        scenario: the experiment, the name of a scenario, or the path of a TOML file.
-        num_envs: B, number of teams, at least 1.
-        num_threads: most threads a step may use; None is one for each core.
+        scenario: a Scenario, the name of one, or the path of a TOML file.
+        num_envs: B, number of environments, at least 1.
+        num_threads: maximum number of threads of a step; None is one per core.
 
     Raises:
-        ValueError: if ``num_envs`` or ``num_threads`` is not a positive whole number, or memory
-            does not hold so many teams.
+        ValueError: if ``num_envs`` or ``num_threads`` is not a positive integer, or memory is
+            insufficient.
     """
 
     def __init__(
         self, scenario: ScenarioLike, num_envs: int = 1, *, num_threads: int | None = None
     ) -> None:
         self.scenario = scenario = resolve(scenario)
-        self.num_envs = whole("num_envs", num_envs, 1, MOST_TEAMS)
+        self.num_envs = check_int("num_envs", num_envs, 1, MOST_TEAMS)
         given = num_threads is not None
-        self.num_threads = whole("num_threads", num_threads, 1, MOST_TEAMS) if given else None
+        self.num_threads = check_int("num_threads", num_threads, 1, MOST_TEAMS) if given else None
         check_memory(scenario, self.num_envs)
         self.max_steps = scenario.max_steps
         self.changes = 0
-        """A number that grows with whatever happens to the teams, by 1 in a step alone; wrappers
-        compare it with what they have seen."""
+        """Counter of state changes; a step alone adds 1. Wrappers use it to detect other
+        changes."""
         self._make()
 
     def _make(self) -> None:
-        """Make what follows from the arguments."""
+        """Derive everything that depends on the arguments."""
         scenario = self.scenario
         self._sensed = sensed = scenario.with_all_rows
-        """The scenario as the engine has it: with a row for every neighbour and obstacle."""
+        """Scenario of the engine, with a row for every neighbour and obstacle."""
         self._fit = None if sensed is scenario else ObservationFit(scenario)
         self._acted = (self.num_envs, scenario.n_robots, scenario.action_size)
         self._state = State(MemoryLayout(sensed, self.num_envs))
@@ -75,11 +75,11 @@ class Simulator(StateView):
         self._all_running = True
         self._custom = bool(scenario.reward.custom or scenario.sensing.custom or scenario.costs)
         self.costs = no_costs(scenario.costs, self._acted[:2])
-        """Of the last step, (B, n) each, by key of infos; without keys if the scenario has none."""
+        """Costs of the last step, (B, n) each, by infos key; empty if the scenario has none."""
         custom = list(dict(scenario.reward.custom))
         self._earned = {name: np.zeros(self.num_envs) for name in custom}
         self.earned_before = {name: np.zeros(self.num_envs) for name in custom}
-        """What each custom reward term added in the last episode that a reset ended, (B,)."""
+        """Sum of each custom reward term over the last episode that a reset ended, (B,)."""
         self._own_model = is_custom(scenario.model)
         self._ready = self._observed = False
 
@@ -90,42 +90,42 @@ class Simulator(StateView):
         *,
         mask: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.float32]:
-        """Begin a new episode in all teams, or in those of a mask.
+        """Start a new episode in all environments, or in those of a mask.
 
         Args:
-            seed: s gives team i the seed s + i, a list gives each team its own (None in it keeps
-                that team's); None goes on to the next episode of every team's seed, or draws a seed
-                if it has none yet.
-            options: "positions" (n, d) m, "headings" (n,) rad or (n, 2) yaw and pitch, "frames"
-                (n, d, d) rotations, "weights" (n, n) m/s, each with a leading axis B if teams
-                differ; "obstacles", those of all teams. None is as if it were not given.
-            mask: (B,), which teams; None is all.
+            seed: s gives environment i the seed s + i. A list gives one seed per environment; a
+                None in it keeps that environment's seed. None continues with the next episode of
+                every seed, or samples a seed if there is none.
+            options: "positions" (n, d) m, "headings" (n,) rad or (n, 2) yaw and pitch, "frames" (n,
+                d, d) rotations, "weights" (n, n) m/s, each with a leading axis B if environments
+                differ. "obstacles" apply to all environments. None counts as absent.
+            mask: (B,), environments to reset; None is all.
 
         Returns:
-            Observations of all teams, (B, n, rows, d) float32.
+            Observations of all environments, (B, n, rows, d) float32.
 
         Raises:
-            ValueError: for a bad option, seed or mask; nothing has changed then. Or for what an
-                imperfection of one's own made of the start: the episodes have begun.
-            RuntimeError: if no room was found for a start or an obstacle; nothing has changed then.
-                Or if the graph drawn gives a robot more neighbours than the observation has rows.
+            ValueError: for an invalid option, seed or mask; the state is unchanged. Also for an
+                invalid result of a custom imperfection; the episodes have then started.
+            RuntimeError: if there is no space for a robot or an obstacle; the state is unchanged.
+                Also if the sampled graph exceeds the neighbour rows of a robot.
         """
         given = parse_options(self._sensed, self.num_envs, options)
-        self._begin(self._which(mask), seeds_of_teams(seed, self.num_envs), given)
+        self._begin(self._which(mask), seeds_of_environments(seed, self.num_envs), given)
         return self.observe()
 
     def restart(self, mask: NDArray[np.bool_], outcome: StepOutput | None = None) -> None:
-        """Send the teams of a mask (B,) on to the next episode of their seed, at little cost to the
-        others.
+        """Start the next episode in environments of a mask (B,), at low cost to the others.
 
         Args:
-            mask: which teams.
-            outcome: what the last step gave out; in place of these teams' last observation,
-                contact, clearance and statistics it takes those of their start. If None, they pass
-                the next step without moving and are observed there.
+            mask: environments to restart.
+            outcome: output of the last step, updated in place: last observation, contact, clearance
+                and statistics become those of the initial condition. If None, these environments
+                pass the next step without moving and are then observed.
 
         Raises:
-            ValueError: for a bad mask, or an outcome of other teams; nothing has changed then.
+            ValueError: for an invalid mask, or an outcome of other environments; the state is
+                unchanged.
             RuntimeError: as ``reset``.
         """
         which = self._which(mask)
@@ -141,7 +141,7 @@ class Simulator(StateView):
             self._refuse_crowds(outcome)
 
     def _observe_again(self, which: NDArray[np.int64], outcome: StepOutput) -> None:
-        """Write anew into an outcome what some teams see."""
+        """Update the observations of some environments in an outcome."""
         if self._fit is None:
             self._sense_custom(outcome, self._runner.observe_again(which, outcome))
             return
@@ -151,7 +151,7 @@ class Simulator(StateView):
         outcome.observations[teams] = self._fitted(found.observations, teams)
 
     def _fitted(self, observations: NDArray[np.float32], which: Any) -> NDArray[np.float32]:
-        """What some teams see, in the scenario's own rows."""
+        """Observations of some environments, in the scenario's rows."""
         assert self._fit is not None
         places, obstacles = self.positions[which], self.obstacles[which]
         return self._fit(observations[which], places, obstacles)
@@ -163,33 +163,33 @@ class Simulator(StateView):
         given: StartOptions = StartOptions(),  # noqa: B008 - immutable
         resting: bool = False,
     ) -> None:
-        self._all_running = False  # not known, should an interrupt leave from here
+        self._all_running = False  # unknown after an interrupt
         self._episodes.begin(which, seeds, given, resting)
-        self.changes += 2  # so that none is taken for a step
+        self.changes += 2  # a step alone adds 1
         for name, earned in self._earned.items():
             self.earned_before[name][which], earned[which] = earned[which], 0.0
         self._all_running = not (resting and len(which)) and not self.status.any()
         self._ready = self._observed and not (self._state.number < 0).any()
 
     def step(self, actions: ArrayLike) -> StepOutput:
-        """Advance every running team by one step τ with the inputs held.
+        """Advance every running environment by one step τ with zero-order hold.
 
         Args:
-            actions: (B, n, a) in the robots' own frames, m/s and rad/s; what finished teams and
-                merged-away robots are given is ignored.
+            actions: (B, n, a) in the robots' local frames, m/s and rad/s; ignored for ended
+                environments and merged robots.
 
         Raises:
-            ValueError: for a wrong shape or a number that is not finite, naming the robot; nothing
-                has changed then. Or for what a reward term or imperfection of one's own made of the
-                step, which has been made.
-            RuntimeError: before every team has been reset; or if a custom robot model moved a robot
-                farther than its speed limit allows, naming the robot: these teams need a reset.
+            ValueError: for a wrong shape or a non-finite number, with the robot; the state is
+                unchanged. Also for an invalid result of a custom reward term or imperfection; the
+                step has then been made.
+            RuntimeError: before the first reset of an environment. Also if a custom robot model
+                exceeds its speed limit, with the robot; these environments then need a reset.
         """
         self._check_ready()
         table = self.check_actions(actions)
         before = (self.positions, self.active) if self._own_model else None
         self.changes += 1
-        self._all_running = False  # not known, should an interrupt leave from here
+        self._all_running = False  # unknown after an interrupt
         output = self._custom_step(table) if self._custom else self._runner.step(table)
         self._all_running = not np.count_nonzero(output.status)  # RUNNING is 0
         if before is not None:
@@ -199,6 +199,12 @@ class Simulator(StateView):
         self._refuse_crowds(output)
         return output
 
+    def compile(self) -> None:
+        """Compile all stages of a step, those of contacts and merges too, which a small batch
+        otherwise compiles when for the first time something can meet.
+        """
+        self._runner.compile()
+
     def _check_ready(self) -> None:
         if not self._ready:
             never = np.flatnonzero(self._state.number < 0)
@@ -207,8 +213,10 @@ class Simulator(StateView):
 
     @property
     def supports_step_n(self) -> bool:
-        """Whether nothing of a user is called in every step, observations are those of the engine,
-        and no robot can come to have more neighbours than rows.
+        """Whether ``step_n`` is available.
+
+        It requires that no user code runs in a step, that observations are those of the engine, and
+        that no robot can exceed its neighbour rows.
         """
         slots = self.scenario.observation_layout.neighbour_slots
         crowds = slots < self.scenario.n_robots - 1
@@ -223,13 +231,14 @@ class Simulator(StateView):
         count: int,
         callback: ObservationCallback | None = None,
     ) -> RolloutResult:
-        """Advance every running environment by ``count`` ≥ 1 steps, as ``step`` under the actions
-        of a controller, which are not checked, from observations (B, n, rows, d) of the
-        environments as they are. Only where the simulator ``supports_step_n``.
+        """Advance every running environment by ``count`` ≥ 1 steps under a controller.
+
+        The result equals that of ``step``, but the actions are not validated. Requires
+        ``supports_step_n``.
 
         Args:
-            controller: turns observations into actions.
-            observations: of all environments.
+            controller: maps observations to actions.
+            observations: current observations of all environments, (B, n, rows, d).
             count: number of steps.
             callback: called with slices of the batch and the observations after the last step, by
                 the thread of the slice.
@@ -237,7 +246,7 @@ class Simulator(StateView):
         self._check_ready()
         resting = np.zeros(self.num_envs, np.bool_) if self._all_running else self.status != RUNNING
         self.changes += 1
-        self._all_running = False  # not known, should an interrupt leave from here
+        self._all_running = False  # unknown after an interrupt
         result = self._runner.step_n(controller, observations, resting, count, callback)
         self._all_running = not np.count_nonzero(result.output.status)
         return result
@@ -245,26 +254,26 @@ class Simulator(StateView):
     drive = step_n  # its name in version 0.2
 
     def _refuse_leaps(self, before: NDArray[np.float64], active: NDArray[np.bool_]) -> None:
-        """Contact and merging rest on the speed limit, which a custom model may not keep."""
+        """Reject motion beyond the speed limit, on which contact and merging rely."""
         scenario = self.scenario
         limit = float(self._runner.robot.model.speed_limit)
-        # each merge may put a robot half a merge radius aside
+        # each merge may move a robot by half a merge radius
         merged = (self.active != active).sum(axis=1, keepdims=True)
         rounding = 4.0 * np.spacing(np.abs(before).max())
         most = 1.000001 * limit * scenario.tau + merged * scenario.merge_radius + rounding
         moved = np.linalg.norm(self.positions - before, axis=-1)
-        wrong = np.argwhere(~(moved <= most))  # NaN is wrong, too
+        wrong = np.argwhere(~(moved <= most))  # NaN is also invalid
         if len(wrong):
             team, robot = (int(index) for index in wrong[0])
             self._ready = self._observed = False
             raise RuntimeError(
                 f"robot model {scenario.robot_model!r} moved robot {robot} of environment {team} "
-                f"by {moved[team, robot]:.6g} m in a step of {exact(scenario.tau)} s; "
-                f"its speed_limit is {exact(limit)} m/s"
+                f"by {moved[team, robot]:.6g} m in a step of {format_limit(scenario.tau)} s; "
+                f"its speed_limit is {format_limit(limit)} m/s"
             )
 
     def _custom_step(self, actions: NDArray[np.float32]) -> StepOutput:
-        """A step with reward terms and imperfections of a user's own."""
+        """Step with custom reward terms and imperfections."""
         before, took_part, running = self.positions, self.active, self.status == RUNNING
         lyapunov, start = self.lyapunov(), self.initial_lyapunov
         moving = self.scenario.sensing_graph.kind == "proximity"
@@ -298,7 +307,7 @@ class Simulator(StateView):
         return output
 
     def _sense_custom(self, output: StepOutput, which: NDArray[np.int64]) -> None:
-        """Let imperfections of a user's own change what some teams have just seen."""
+        """Apply custom imperfections to the latest observations of some environments."""
         if self.scenario.sensing.custom:
             rows, steps = output.observations[which], self.steps[which]
             seeds, numbers = self._state.seed[which], self._state.number[which]
@@ -306,16 +315,16 @@ class Simulator(StateView):
             output.observations[which] = rows
 
     def check_actions(self, actions: ArrayLike) -> NDArray[np.float32]:
-        """Actions as an array that ``step`` takes as it is.
+        """Return actions as an array for ``step``.
 
         Raises:
-            ValueError: for a wrong shape, what is no number, or a number that is not finite, naming
-                the robot.
+            ValueError: for a wrong shape, non-numeric input, or a non-finite number, with the
+                robot.
         """
         return check_actions(actions, self._acted, "(B, n, a)")
 
     def _refuse_crowds(self, output: StepOutput) -> None:
-        """Name a robot that has come to have more neighbours than the observation has rows."""
+        """Raise an error for a robot with more neighbours than observation rows."""
         slots = self._sensed.observation_layout.neighbour_slots
         if slots == self.scenario.n_robots - 1 or not (output.crowded >= 0).any():
             return
@@ -326,13 +335,13 @@ class Simulator(StateView):
         )
 
     def observe(self) -> NDArray[np.float32]:
-        """Observations of all teams as they are, (B, n, rows, d) float32.
+        """Current observations of all environments, (B, n, rows, d) float32.
 
         Raises:
             RuntimeError: if a robot has more neighbours than the observation has rows.
         """
         output = self._runner.observe()
-        self._observed = True  # steps go by it
+        self._observed = True  # steps rely on it
         self._ready = not (self._state.number < 0).any()
         self._sense_custom(output, np.arange(self.num_envs))
         self._refuse_crowds(output)
@@ -347,70 +356,73 @@ class Simulator(StateView):
 
     @property
     def clearance(self) -> NDArray[np.float64]:
-        """(B, n), distance of each robot to the nearest obstacle now, m; inf without obstacles."""
+        """Current distance of each robot to the nearest obstacle, (B, n), m; inf without
+        obstacles.
+        """
         return read_only(self._runner.observe().clearance)
 
     @property
     def begun(self) -> bool:
-        """Whether there has been a reset."""
+        """Whether a reset has taken place."""
         return self._ready or bool((self._state.number >= 0).any())
 
     @property
     def all_running(self) -> bool:
-        """Whether every team is in the midst of an episode; quicker than ``ended``."""
+        """Whether the episodes of all environments are running; faster than ``ended``."""
         return self._all_running
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the state of all teams."""
+        """Size of the state of all environments, bytes."""
         return self._state.nbytes
 
     def get_state(self) -> dict[str, NDArray[Any]]:
-        """Everything that the future of the teams depends on, as copies with leading axis B."""
+        """Copies of the complete state, with leading axis B."""
         return self._state.as_dict()
 
     def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Put a state back that ``get_state`` took out of a simulator of the same scenario and
-        batch. What ``check_state`` refuses changes nothing.
+        """Restore a state from ``get_state`` of a simulator of equal scenario and batch.
+
+        An error of ``check_state`` leaves the state unchanged.
         """
         checked = self.check_state(state)
         self.changes += 2
         self._put_state(checked)
 
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
-        """The arrays of a state that ``set_state`` would put back.
+        """Validate a state and return its arrays.
 
         Raises:
-            ValueError: naming an entry that is missing, unknown, of another shape or type, or that
-                the engine cannot go on from, its value and what would be right.
+            ValueError: for an entry that is missing, unknown, of wrong shape or type, or invalid
+                for the engine; the message gives its value and a remedy.
         """
         entries = check_entries(self.get_state(), state, exactly=True)
         check_teams(self._sensed, entries)
         return entries
 
     def _put_state(self, state: dict[str, NDArray[Any]]) -> None:
-        self._ready = self._observed = False  # should an interrupt leave from here
+        self._ready = self._observed = False  # in case of an interrupt
         self._state.put(state)
         self._all_running = not self.status.any()
         if self.begun:
             self.observe()
 
     def set_max_steps(self, max_steps: int) -> None:
-        """Change the time limit to a number of steps.
+        """Change the time limit, in steps.
 
         Raises:
-            ValueError: if it is not a positive whole number.
+            ValueError: if it is not a positive integer.
         """
-        self.max_steps = whole("max_cycles", max_steps, 1, MOST_STEPS)
+        self.max_steps = check_int("max_cycles", max_steps, 1, MOST_STEPS)
         self._runner.limit(self.max_steps)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Pickle and deepcopy keep the running episodes and leave the working memory behind."""
+        """Pickle and deepcopy keep the running episodes, without working memory."""
         arguments = ("scenario", "num_envs", "num_threads", "max_steps", "changes")
         return {name: getattr(self, name) for name in arguments} | {"_state": self.get_state()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take up the episodes where they were."""
+        """Restore the running episodes."""
         kept = state.pop("_state")
         self.__dict__.update(state)
         self._make()

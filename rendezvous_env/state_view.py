@@ -1,4 +1,4 @@
-"""What can be read of the teams of a simulator."""
+"""Read-only view of the simulator state."""
 
 from typing import Any
 
@@ -12,11 +12,11 @@ from .physics.hull_perimeter import size
 from .scenario.scenario import Scenario
 
 STANDING = ("success", "time", "contacts", "path_length", "lyapunov")
-"""What ``StateView.episode_statistics`` tells."""
+"""Keys of ``StateView.episode_statistics``."""
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """An array of its own that refuses to be written to: nothing would follow from it."""
+    """Copy of an array that rejects writes, since they would have no effect."""
     array.flags.writeable = False
     return array
 
@@ -29,9 +29,9 @@ def _statistic(name: str, doc: str, kind: Any = np.float64) -> Any:
 
 
 class StateView:
-    """The global state of B teams and the statistics of their episodes, as copies.
+    """Global state of B environments and their episode statistics, as copies.
 
-    They refuse to be written to: ``reset(options=…)`` and ``set_state`` change the state.
+    The copies are read-only; ``reset(options=…)`` and ``set_state`` change the state.
     """
 
     scenario: Scenario
@@ -55,7 +55,7 @@ class StateView:
 
     @property
     def positions(self) -> NDArray[np.float64]:
-        """p_i, (B, n, d), m; a merged-away robot is where the robot is that it became part of."""
+        """Positions p_i, (B, n, d), m; a merged robot has its survivor's position."""
         places, into = self._state.of_teams("positions"), self._state.merged_into
         return read_only(np.take_along_axis(places, into[..., None], axis=1))
 
@@ -66,8 +66,9 @@ class StateView:
 
     @property
     def velocities(self) -> NDArray[np.float64]:
-        """Velocities in the global frame, (B, n, d), m/s, of robots with inertia; (B, n, 0) for
-        models that keep none.
+        """Velocities of robots with inertia in the global frame, (B, n, d), m/s.
+
+        (B, n, 0) for models without a velocity state.
         """
         model, kept = self.scenario.model, self._state.of_teams("memory")
         return read_only(
@@ -76,15 +77,13 @@ class StateView:
 
     @property
     def frames(self) -> NDArray[np.float64]:
-        """R_i, local → global, (B, n, d, d)."""
+        """Rotations R_i from local to global frame, (B, n, d, d)."""
         d, frames = self.scenario.dim, self._state.of_teams("frames")
         return read_only(frames.reshape(*frames.shape[:2], d, d).copy())
 
     @property
     def weights(self) -> NDArray[np.float64]:
-        """What robot i gives to its neighbour j, a_ij, (B, n, n), m/s, at the moment and as merging
-        has left it.
-        """
+        """Current weights a_ij of robot i for its neighbour j, after merges, (B, n, n), m/s."""
         return read_only(self._state.weights())
 
     @property
@@ -94,59 +93,60 @@ class StateView:
 
     @property
     def merged_into(self) -> NDArray[np.int64]:
-        """(B, n), index of the robot that each one is now part of; its own while it is active."""
+        """Index of the robot that each one has become part of, its own while active, (B, n)."""
         return read_only(self._state.merged_into.copy())
 
     def copy_of_merged(self) -> NDArray[np.int64]:
-        """``merged_into`` as an array that may be written to."""
+        """Writable copy of ``merged_into``."""
         return self._state.merged_into.copy()
 
     @property
     def active(self) -> NDArray[np.bool_]:
-        """(B, n), whether the robot still exists on its own."""
+        """Active (not merged) robots, (B, n)."""
         return read_only(self._state.merged_into == np.arange(self.scenario.n_robots))
 
     @property
     def ended(self) -> NDArray[np.bool_]:
-        """(B,), whether the episode is over."""
+        """Environments whose episode has ended, (B,)."""
         status = self._state.statistic("status")
         return read_only((status == RENDEZVOUS) | (status == TIME_OUT))
 
     @property
     def time(self) -> NDArray[np.float64]:
-        """(B,), s since the start of the episode."""
+        """Time since the start of the episode, (B,), s."""
         return read_only(self._state.statistic("steps") * self.scenario.tau)
 
     @property
     def seeds(self) -> NDArray[np.uint64]:
-        """(B,), seed of each team."""
+        """Seed of each environment, (B,)."""
         return read_only(self._state.seed.copy())
 
     def lyapunov(self) -> NDArray[np.float64]:
-        """V = Σ_i Σ_j a_ij ‖p_i − p_j‖, (B,), m²/s, of the graph of the moment."""
+        """V = Σ_i Σ_j a_ij ‖p_i − p_j‖, (B,), m²/s, of the current graph."""
         return self._state.statistic("lyapunov")
 
     def episode_statistics(self, outcome: StepOutput | None = None) -> dict[str, NDArray[Any]]:
-        """How the teams stand in their episodes, (B,) each, by the names of STANDING: whether all
-        have met, s, contacts, m, V in m²/s; in no time from the ``outcome`` of the last step, if
-        nothing has changed since.
+        """Episode statistics, (B,) each, with the keys of STANDING.
+
+        Rendezvous, time in s, contacts, path length in m, and V in m²/s. It is fastest with the
+        ``outcome`` of the last step, if nothing has changed since.
         """
         if outcome is None:
             status, contacts = self.status, self.contacts.copy()
             so_far = self.time.copy(), self.path_length.copy(), self.lyapunov()
         else:
             status, contacts = outcome.status, outcome.contacts
-            scores = outcome.scores  # by index, which is quicker than to unpack an array
+            scores = outcome.scores  # indexing is faster than unpacking an array
             so_far = scores[ELAPSED], scores[ELAPSED + 1], scores[ELAPSED + 2]
         return _standing(status == RENDEZVOUS, contacts, *so_far)
 
     def first_episode_statistics(self, outcome: StepOutput) -> dict[str, Any]:
-        """``episode_statistics`` of team 0, as Python's own numbers; quicker for one."""
+        """``episode_statistics`` of environment 0, as Python numbers; faster for one."""
         met, contacts = outcome.status.item(0) == RENDEZVOUS, outcome.contacts.item(0)
         return _standing(met, contacts, *outcome.scores[ELAPSED:, 0].tolist())
 
     def size(self) -> NDArray[np.float64]:
-        """L, (B,), m, of the robots that are left: hull perimeter, in 3-D 2π × mean width."""
+        """Hull perimeter L of the active robots, (B,), m; in 3-D 2π × mean width."""
         teams = zip(self._state.of_teams("positions"), self.active, strict=True)
         return np.array([size(places[active]) for places, active in teams])
 
@@ -154,7 +154,7 @@ class StateView:
 def _standing(
     success: Any, contacts: Any, time: Any, path_length: Any, lyapunov: Any
 ) -> dict[str, Any]:
-    """By the names of STANDING; written out, which takes a third as long as to pair them."""
+    """Dict with the keys of STANDING; written out, which takes a third of the time of pairing."""
     return {
         "success": success,
         "time": time,

@@ -1,4 +1,4 @@
-"""Rollouts: run a policy for one episode and keep what happened."""
+"""Rollouts: simulate a policy for one episode and record the trajectory."""
 
 import os
 import warnings
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import trajectory_formats
-from .checks import floats, refuse, shown
+from .checks import floats, raise_invalid, short_repr
 from .engine.memory import RENDEZVOUS, RUNNING
 from .field_docs import lists_fields
 from .outcome import StepOutput
@@ -22,24 +22,24 @@ from .trajectory_views import TrajectoryViews
 
 Policy = Callable[[NDArray[np.float32], NDArray[np.float64]], NDArray[Any]]
 ON_REQUEST = ("observations", "actions")
-"""What a rollout keeps only on request: observations are by far the largest part."""
+"""Quantities recorded only on request; observations dominate the memory."""
 _MUCH = 1e9  # bytes above which a rollout warns before it starts
 
 
 class Merge(NamedTuple):
-    """A step in which robots of a team merged."""
+    """Step in which robots of an environment merged."""
 
-    env: int  # index of the team
+    env: int  # index of the environment
     time: float  # end of the step, s
-    robots: tuple[int, ...]  # that were absorbed
+    robots: tuple[int, ...]  # robots that merged into others
     lyapunov_before: float  # V just before the first merge of the step, m²/s
-    lyapunov_after: float  # V just after the last, m²/s
+    lyapunov_after: float  # V just after the last merge of the step, m²/s
 
 
 @lists_fields
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory(TrajectoryViews):
-    """What B environments did over T steps; one that has finished stays as it is to the end.
+    """Recorded trajectory of B environments over T steps; ended ones keep their final state.
 
     found = rollout("ring-12", policy, num_envs=4)
     print(found, found.summary())    # one line; a table
@@ -51,44 +51,44 @@ class Trajectory(TrajectoryViews):
     times: NDArray[np.float64]
     """Times of the states, (T + 1,), s."""
     positions: NDArray[np.float64]
-    """(T + 1, B, n, d), m; a merged-away robot is where its survivor is."""
+    """Positions, (T + 1, B, n, d), m; a merged robot has its survivor's position."""
     headings: NDArray[np.float64]
-    """(T + 1, B, n, k), rad: none for single integrators, yaw, or yaw and pitch."""
+    """Headings, (T + 1, B, n, k), rad: none for single integrators, yaw, or yaw and pitch."""
     active: NDArray[np.bool_]
-    """(T + 1, B, n), whether the robot still exists on its own."""
+    """Active (not merged) robots, (T + 1, B, n)."""
     lyapunov: NDArray[np.float64]
     """V, (T + 1, B), m²/s."""
     lyapunov_before_merge: NDArray[np.float64]
-    """(T, B), V just before the first merge of a step; V at its end if there was none."""
+    """V just before the first merge of a step, or at its end without a merge, (T, B), m²/s."""
     lyapunov_after_merge: NDArray[np.float64]
-    """(T, B), V just after the last merge of a step; V at its end if there was none."""
+    """V just after the last merge of a step, or at its end without a merge, (T, B), m²/s."""
     rewards: NDArray[np.float64]
-    """Rewards of the team in each step, (T, B)."""
+    """Team reward of each step, (T, B)."""
     contacts: NDArray[np.bool_]
-    """(T, B, n), whether a robot touched an obstacle in the step."""
+    """Robots in contact with an obstacle in the step, (T, B, n)."""
     success: NDArray[np.bool_]
-    """(B,), whether all robots met."""
+    """Environments with rendezvous, (B,)."""
     rendezvous_time: NDArray[np.float64]
-    """(B,), s; inf without rendezvous."""
+    """Rendezvous time, (B,), s; inf without rendezvous."""
     obstacles: NDArray[np.float64]
-    """(B, M, width), tables of ``obstacles.obstacle_set``."""
+    """Obstacles, (B, M, width), as tables of ``obstacles.obstacle_set``."""
     recorded: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
-    """What was kept on request, by name."""
+    """Quantities recorded on request, by name."""
     start: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-    """State after the reset, see ``Simulator.get_state``, from which to repeat the rollout."""
+    """State after the reset, from which to repeat the rollout; see ``Simulator.get_state``."""
     policy: str = ""
     """Name of the policy: of its function or class."""
     played_by: Any = None
-    """The policy itself; None in a copy that was pickled or loaded."""
+    """Policy object; None in a pickled or loaded copy."""
 
     @property
     def observations(self) -> NDArray[np.float32]:
-        """(T + 1, B, n, rows, d), as the robots saw them; an AttributeError if not kept."""
+        """Observations, (T + 1, B, n, rows, d); AttributeError if not recorded."""
         return self._kept("observations")
 
     @property
     def actions(self) -> NDArray[np.float32]:
-        """(T, B, n, a), as the policy chose them; an AttributeError if not kept."""
+        """Actions of the policy, (T, B, n, a); AttributeError if not recorded."""
         return self._kept("actions")
 
     def _kept(self, name: str) -> NDArray[np.float32]:
@@ -98,7 +98,7 @@ class Trajectory(TrajectoryViews):
 
     @property
     def running(self) -> NDArray[np.bool_]:
-        """(T, B), whether the team took part in the step."""
+        """Environments that took part in the step, (T, B)."""
         begun = self.times[:-1, np.newaxis] + 0.5 * self.scenario.tau
         return np.asarray(begun < self.rendezvous_time)
 
@@ -119,7 +119,9 @@ class Trajectory(TrajectoryViews):
 
     @property
     def largest_rise_between_merges(self) -> NDArray[np.float64]:
-        """Largest rise of V in a step before any merge, (B,), m²/s; negative: V fell in each."""
+        """Largest increase of V in a step before any merge, (B,), m²/s; negative if V always
+        fell.
+        """
         rises = self.lyapunov_before_merge - self.lyapunov[:-1]
         return np.max(rises, axis=0, where=self.running, initial=-np.inf)
 
@@ -129,19 +131,20 @@ class Trajectory(TrajectoryViews):
 
 
 class Step(NamedTuple):
-    """One step of an episode as ``run`` yields it."""
+    """One step of an episode, as yielded by ``run``."""
 
-    running: NDArray[np.bool_]  # (B,), which teams took part
-    observations: NDArray[np.float32]  # (B, n, rows, d), what the actions were chosen from
+    running: NDArray[np.bool_]  # (B,), environments that took part
+    observations: NDArray[np.float32]  # (B, n, rows, d), input of the policy
     actions: NDArray[np.float32]  # (B, n, a)
     lyapunov: NDArray[np.float64]  # (B,), V before the step, m²/s
     outcome: StepOutput
 
 
 def begin(policy: Policy, simulator: Simulator) -> None:
-    """Tell a policy that episodes begin in teams that were just reset: call its
-    ``reset(mask=None)`` and ``watch(simulator)``, if it has them. Only privileged policies, which
-    read positions, watch.
+    """Notify a policy of new episodes in environments that were just reset.
+
+    Calls its ``reset(mask=None)`` and ``watch(simulator)``, if present. Only privileged policies,
+    which read positions, have ``watch``.
     """
     for method, arguments in (("reset", ()), ("watch", (simulator,))):
         if callable(found := getattr(policy, method, None)):
@@ -149,17 +152,19 @@ def begin(policy: Policy, simulator: Simulator) -> None:
 
 
 def run(simulator: Simulator, policy: Policy, observations: NDArray[np.float32]) -> Iterator[Step]:
-    """Step until every team has finished; after each step the caller may look at the simulator.
+    """Step until every environment has ended, yielding after each step.
+
+    The simulator may be read between steps.
 
     Args:
-        simulator: the teams, freshly reset.
-        policy: (B, n, rows, d) observations and (B,) times in s → (B, n, a) actions, refused in a
-            ValueError if they have another shape or are not finite; see ``begin``.
-        observations: what the reset returned.
+        simulator: the environments, just reset.
+        policy: maps observations (B, n, rows, d) and times (B,) in s to actions (B, n, a).
+            ValueError for actions of another shape or not finite. See ``begin``.
+        observations: result of the reset.
     """
     begin(policy, simulator)
     while (running := simulator.status == RUNNING).any():
-        chosen = policy(observations.copy(), simulator.time)  # its own, to write to
+        chosen = policy(observations.copy(), simulator.time)  # a writable copy
         actions = floats("actions", chosen, np.float32)
         before = simulator.lyapunov()
         outcome = simulator.step(actions)
@@ -175,21 +180,24 @@ def rollout(
     options: Mapping[str, Any] | None = None,
     record: str | Sequence[str] = (),
 ) -> Trajectory:
-    """Run one episode in each of ``num_envs`` teams and keep what happened.
+    """Simulate one episode in each of ``num_envs`` environments and record the trajectory.
 
     Args:
         scenario: a Scenario, the name of one or the path of a TOML file.
         policy: any callable (observations, time) → actions, see ``run``.
-        seed: team b starts from seed + b.
-        num_envs: B.
-        options: given parts of the start, see ``Simulator.reset``.
-        record: what to keep besides: "observations", "actions", both, or "all". A warning precedes
-            a rollout that may keep more than 1 GB.
+        seed: environment b has the seed ``seed`` + b.
+        num_envs: B, number of environments.
+        options: given parts of the initial condition, see ``Simulator.reset``.
+        record: further quantities: "observations", "actions", both, or "all". A warning precedes a
+            rollout that may record more than 1 GB.
 
-    A ValueError or TypeError names the argument, or the action, that is wrong.
+    Raises:
+        ValueError, TypeError: for an invalid argument or action; the message gives its name.
     """
     if not callable(policy):
-        raise TypeError(f"policy is {shown(policy)}; it must be callable: baselines.make makes one")
+        raise TypeError(
+            f"policy is {short_repr(policy)}; it must be callable: baselines.make makes one"
+        )
     asked = _requested(record)
     simulator = Simulator(resolve(scenario), num_envs)
     kept: defaultdict[str, list[NDArray[Any]]] = defaultdict(list)
@@ -215,17 +223,17 @@ def rollout(
     finished_at = np.full(simulator.num_envs, np.inf)
     for step in run(simulator, policy, observations):
         outcome = step.outcome
-        keep(  # copies of rows, which would keep the whole table alive
+        keep(  # copies, since views would keep the whole table alive
             lyapunov_before_merge=outcome.lyapunov_before_merge.copy(),
             lyapunov_after_merge=outcome.lyapunov_after_merge.copy(),
             rewards=outcome.rewards.copy(),
             contacts=outcome.contact,
-            actions=step.actions.copy(),  # a policy may give the same array again
+            actions=step.actions.copy(),  # a policy may reuse its array
         )
         keep_state(outcome.observations)
         met = step.running & (simulator.status == RENDEZVOUS)
         finished_at[met] = simulator.time[met]
-    # each list is dropped once its array is there, which halves the memory needed
+    # each list is freed once its array exists, which halves the peak memory
     arrays = {name: np.stack(kept.pop(name)) for name in list(kept)}
     return Trajectory(
         scenario=simulator.scenario,
@@ -246,12 +254,12 @@ def _requested(record: Any) -> tuple[str, ...]:
         return ON_REQUEST
     names = (record,) if isinstance(record, str) else record
     if not isinstance(names, Sequence) or not all(name in ON_REQUEST for name in names):
-        refuse("record", record, f'of {", ".join(map(repr, ON_REQUEST))}, or "all"')
+        raise_invalid("record", record, f'of {", ".join(map(repr, ON_REQUEST))}, or "all"')
     return tuple(name for name in ON_REQUEST if name in names)
 
 
 def _warn_of_size(simulator: Simulator, a_state: int, asked: tuple[str, ...]) -> None:
-    """Warn if an episode up to the time limit, of so many bytes a state, fills more than _MUCH."""
+    """Warn if an episode of maximum length, given the bytes per state, exceeds _MUCH."""
     n, size = simulator.scenario.n_robots, simulator.scenario.action_size
     actions = 4 * n * size if "actions" in asked else 0
     a_step = a_state + simulator.num_envs * (3 * 8 + n + actions)  # V twice, reward, contacts

@@ -32,20 +32,22 @@ DIMENSIONS = {
     "actions": (("step", "env", "robot", "action"), ""),
 }
 """Dimensions and unit of every array of a trajectory."""
-_EXTRA = "analysis"  # which libraries of these formats come with
+_EXTRA = "analysis"  # extra that installs the libraries
 _AXES = ("x", "y", "z")
-_ANGLES = ("yaw", "pitch", "roll", "angle_3")  # as many as a robot model may keep
+_ANGLES = ("yaw", "pitch", "roll", "angle_3")  # as many as a robot model may have
 
 
 def xarray_dataset(trajectory: Any) -> xarray.Dataset:
-    """An xarray Dataset with the arrays under their own names, shaped as ``DIMENSIONS`` says.
+    """Convert to an xarray Dataset with the array names, shaped by ``DIMENSIONS``.
 
-    Coordinates ``time`` (T + 1,), s, ``step`` (T,), from 0, and ``step_end`` (T,), s, when each
-    step ended. By the indices of ``time`` and ``step``, ``xarray.concat([one, other], "run",
-    join="outer")`` joins rollouts of different lengths; what the shorter one lacks is NaN. The
-    attribute ``scenario`` holds the scenario as JSON. Arrays without an entry, as headings of
-    robots that have none, are left out: NetCDF 3 cannot hold them. An ImportError says how to get
-    xarray.
+    Coordinates: ``time`` (T + 1,), s; ``step`` (T,), from 0; ``step_end`` (T,), s, the end time of
+    each step. ``xarray.concat([one, other], "run", join="outer")`` joins rollouts of different
+    lengths by the indices of ``time`` and ``step``. Missing values are NaN. The attribute
+    ``scenario`` holds the scenario as JSON. Empty arrays, such as headings of robots without any,
+    are omitted: NetCDF 3 does not support them.
+
+    Raises:
+        ImportError: if xarray is not installed, with the command to install it.
     """
     library = load("xarray", "to_xarray()", _EXTRA)
     scenario, times, arrays = trajectory.scenario, trajectory.times, _arrays(trajectory)
@@ -66,12 +68,15 @@ def xarray_dataset(trajectory: Any) -> xarray.Dataset:
 
 
 def pandas_dataframe(trajectory: Any) -> pandas.DataFrame:
-    """A pandas DataFrame with a row for each moment, team and robot.
+    """Convert to a pandas DataFrame with one row per time, environment and robot.
 
-    Index ``env``, ``robot``, ``step`` (0 is the start). Columns: ``time`` s; ``x``, ``y``, ``z`` m;
-    ``yaw``, ``pitch``, and a custom model's ``roll``, ``angle_3``, rad; ``active``; ``lyapunov``
-    m²/s, of the team; ``reward`` and ``contact`` of the step that led there, NaN and False at the
-    start. An ImportError says how to get pandas.
+    Index ``env``, ``robot``, ``step`` (0 is the initial condition). Columns: ``time`` s; ``x``,
+    ``y``, ``z`` m; ``yaw``, ``pitch``, and a custom model's ``roll``, ``angle_3``, rad; ``active``;
+    ``lyapunov`` m²/s, of the environment. ``reward`` and ``contact`` are those of the preceding
+    step, initially NaN and False.
+
+    Raises:
+        ImportError: if pandas is not installed, with the command to install it.
     """
     library = load("pandas", "to_dataframe()", _EXTRA)
     arrays = _arrays(trajectory)
@@ -94,23 +99,23 @@ def pandas_dataframe(trajectory: Any) -> pandas.DataFrame:
 
 
 def minari_dataset(trajectory: Any, name: str, **about: Any) -> MinariDataset:
-    """Write an episode for each team, as one agent in ``gymnasium_env.RendezvousEnv`` lives it.
+    """Write one episode per environment, for the agent of ``gymnasium_env.RendezvousEnv``.
 
-    Observations (T_b + 1, n, rows, d), actions (T_b, n, a), rewards of the team (T_b,). Terminated:
-    all robots have met; truncated: the time limit. The steps of a team end with its episode. Infos:
-    "active" (T_b + 1, n), which robots still existed on their own. ``recover_environment()`` of
-    the data set makes an environment of the same scenario.
+    Observations (T_b + 1, n, rows, d), actions (T_b, n, a), team rewards (T_b,). Terminated: all
+    robots have met; truncated: the time limit. The steps of an environment end with its episode.
+    Infos: "active" (T_b + 1, n), the active robots. ``recover_environment()`` of the data set
+    creates an environment of the same scenario.
 
     Args:
-        trajectory: one that kept observations and actions.
-        name: of the data set, as Minari writes names: "rendezvous/ring-12-v0".
-        about: further arguments of ``minari.create_dataset_from_buffers``, like ``author`` and
-            ``algorithm_name``; Minari warns of those that it misses.
+        trajectory: one with recorded observations and actions.
+        name: name of the data set in Minari's format: "rendezvous/ring-12-v0".
+        about: further arguments of ``minari.create_dataset_from_buffers``, such as ``author`` and
+            ``algorithm_name``; Minari warns about missing ones.
 
     Raises:
-        ImportError: saying how to get Minari.
-        ValueError: naming what was not recorded, or a name that is malformed or taken; nothing
-            is written then.
+        ImportError: if Minari is not installed, with the command to install it.
+        ValueError: for missing recordings, or a name that is malformed or taken; nothing is
+            written.
     """
     minari = load("minari", "to_minari()", _EXTRA)
     load("h5py", "to_minari()", _EXTRA)
@@ -122,7 +127,7 @@ def minari_dataset(trajectory: Any, name: str, **about: Any) -> MinariDataset:
             f"to_minari() needs {' and '.join(missing)}, which were not kept; ask for them: "
             'rollout(…, record="all")'
         )
-    try:  # before Minari makes a folder of the name
+    try:  # before Minari creates the folder
         minari.dataset.minari_dataset.parse_dataset_id(name)
     except (TypeError, ValueError) as error:
         raise ValueError(
@@ -160,6 +165,6 @@ def minari_dataset(trajectory: Any, name: str, **about: Any) -> MinariDataset:
 
 
 def _arrays(trajectory: Any) -> dict[str, NDArray[Any]]:
-    """What is kept of every trajectory, and what was kept on request."""
+    """Arrays of every trajectory, and those recorded on request."""
     own = {name: array for name, array in vars(trajectory).items() if name in DIMENSIONS}
     return own | trajectory.recorded

@@ -1,4 +1,4 @@
-"""Trajectories for people: one line, a table, figures, a page, files."""
+"""Presentation of trajectories: one line, a table, figures, an HTML page, files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import load, refuse, whole
+from .checks import check_int, load, raise_invalid
 from .scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -25,22 +25,22 @@ if TYPE_CHECKING:
 
 _FIGURES = "rendezvous_env.train.figures.path_figures"
 _PAGES = "rendezvous_env.train.report.rollout_page"
-"""Modules of the package above this one, which draw; imported when something is drawn."""
+"""Modules of the package above this one that draw; imported on use."""
 _SHOWN = 10
-"""Rows of a table that are printed, if it has two more than so many."""
+"""Number of printed table rows, if the table has at least two more."""
 _FORMAT = 1
-"""Of files; read back by versions that know it."""
+"""File format version."""
 _KEPT, _START = "recorded/", "start/"
-"""Prefixes in a file of what was recorded on request, and of the state after the reset."""
+"""Prefixes in a file of recorded quantities, and of the state after the reset."""
 
 
 @dataclass(frozen=True)
 class Summary:
-    """A row for each environment of a rollout; it prints as a table, in notebooks as well."""
+    """Table with one row per environment of a rollout, also for notebooks."""
 
     rows: tuple[dict[str, Any], ...]
     """Columns by name: ``env``; ``outcome``, "met" or "time limit"; ``time`` of rendezvous or of
-    the limit, s; ``merges``; ``contacts``, one for each robot and step; ``collision_free``;
+    the limit, s; ``merges``; ``contacts``, one per robot and step; ``collision_free``;
     ``path_length`` of all robots, m; ``initial_lyapunov`` and ``largest_rise`` of V between
     merges, m²/s; ``return``, the sum of rewards."""
 
@@ -51,7 +51,7 @@ class Summary:
         return len(self.rows)
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """The rows as a pandas DataFrame; an ImportError says how to get pandas."""
+        """Rows as a pandas DataFrame; an ImportError gives the command to install pandas."""
         return load("pandas", "to_dataframe()", "analysis").DataFrame(list(self.rows))
 
     def __str__(self) -> str:
@@ -65,7 +65,7 @@ class Summary:
         return "\n".join([*lines, *self._left_out(), self._in_all()])
 
     def to_html(self) -> str:
-        """The table as HTML, as notebooks show it."""
+        """Table as HTML, for notebooks."""
         head, *rows = ([f"<td>{escape(cell)}</td>" for cell in line] for line in self._cells())
         body = "".join(f"<tr>{''.join(row)}</tr>" for row in rows)
         first = "".join(head).replace("td>", "th>")
@@ -114,7 +114,7 @@ def _cell(value: Any) -> str:
 
 
 class TrajectoryViews:
-    """What a trajectory shows of itself; see ``trajectory.Trajectory`` for the arrays."""
+    """Views of a trajectory; see ``trajectory.Trajectory`` for the arrays."""
 
     scenario: Any
     times: NDArray[np.float64]
@@ -136,11 +136,11 @@ class TrajectoryViews:
 
     @property
     def collision_free(self) -> NDArray[np.bool_]:
-        """(B,), whether no robot touched an obstacle; with ``success`` the usual measure."""
+        """Environments without contact, (B,); with ``success`` the usual metric."""
         return np.asarray(~self.contacts.any(axis=(0, 2)))
 
     def __repr__(self) -> str:
-        """What was run, for how long, and how it ended, in one line."""
+        """Scenario, policy, duration and outcome, on one line."""
         count, met = self.num_envs, int(self.success.sum())
         ended = "met" if met else "did not meet"
         if count > 1:
@@ -158,9 +158,7 @@ class TrajectoryViews:
         )
 
     def summary(self) -> Summary:
-        """A table: for each environment its outcome, time, merges, contacts, path length, V and
-        return.
-        """
+        """Table of outcome, time, merges, contacts, path length, V and return per environment."""
         moved = np.linalg.norm(np.diff(self.positions, axis=0), axis=-1)
         moved = np.where(self.active[:-1], moved, 0.0).sum(axis=(0, 2))
         rises: Any = getattr(self, "largest_rise_between_merges")  # noqa: B009 - of the subclass
@@ -186,41 +184,45 @@ class TrajectoryViews:
         return import_module(_FIGURES).trajectory_figure(self, self._env(env))
 
     def plot_lyapunov(self, certificate: Any = None) -> Figure:
-        """V(t) of all environments, as a matplotlib Figure; with a ``Certificate`` beside its
-        bounds on V and on the time, which no environment exceeds.
+        """V(t) of all environments, as a matplotlib Figure.
+
+        A ``Certificate`` adds its bounds on V and on the time, which no environment exceeds.
 
         Raises:
             ValueError: for the certificate of another scenario.
         """
         if certificate is not None and certificate.scenario != self.scenario.name:
-            refuse("certificate", certificate.scenario, f"of scenario {self.scenario.name!r}")
+            raise_invalid(
+                "certificate", certificate.scenario, f"of scenario {self.scenario.name!r}"
+            )
         return import_module(_FIGURES).lyapunov_figure(self, certificate)
 
     def to_report(self, path: str | os.PathLike[str] = "replay.html", envs: int = 8) -> Path:
         """Write an HTML page with an interactive replay of the first environments.
 
-        The page needs no network. The rollout is played once more, with its recorded actions or by
-        its policy.
+        The page needs no network. The rollout is simulated again, with its recorded actions or its
+        policy.
 
         Args:
             path: file to write.
-            envs: most environments that it shows.
+            envs: maximum number of environments.
 
         Returns:
             The path.
 
         Raises:
-            ValueError: if the rollout does not repeat itself, or its policy is not known, as after
-                ``load``, and no actions were recorded: ``rollout(…, record="actions")``.
+            ValueError: if the rollout is not reproducible, or neither its policy is available, as
+                after ``load``, nor its actions: ``rollout(…, record="actions")``.
         """
-        return import_module(_PAGES).write(self, Path(path), whole("envs", envs, 1, 10**6))
+        return import_module(_PAGES).write(self, Path(path), check_int("envs", envs, 1, 10**6))
 
     def _env(self, env: int) -> int:
-        return whole("env", env, 0, self.num_envs - 1)
+        return check_int("env", env, 0, self.num_envs - 1)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write everything but the policy to a compressed NumPy archive (.npz), whole or not at
-        all; the path.
+        """Write everything except the policy to a compressed NumPy archive (.npz), atomically.
+
+        Returns the path.
         """
         place = Path(path)
         arrays = {
@@ -243,12 +245,12 @@ class TrajectoryViews:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read what ``save`` wrote.
+        """Read a file written by ``save``.
 
         Raises:
-            FileNotFoundError: if there is no such file.
-            ValueError: for another file, or a scenario that cannot be here, as one whose reward
-                term is not registered.
+            FileNotFoundError: if the file does not exist.
+            ValueError: for another file, or a scenario that cannot be created, for example without
+                a registered reward term.
         """
         about, arrays = _read(path)
         own: dict[str, Any] = {"recorded": _taken(arrays, _KEPT), "start": _taken(arrays, _START)}
@@ -259,13 +261,11 @@ class TrajectoryViews:
             raise ValueError(f"{path} is no trajectory of this version: {error}") from error
 
     def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"played_by": None}  # which may be a function that cannot be pickled
+        return vars(self) | {"played_by": None}  # the policy may not be picklable
 
 
 def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """What ``save`` wrote: plain data about the rollout, and its arrays by name; errors as of
-    ``Trajectory.load``.
-    """
+    """Read plain data and arrays by name; errors as of ``Trajectory.load``."""
     try:
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
@@ -278,6 +278,6 @@ def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, NDArr
 
 
 def _taken(arrays: dict[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
-    """Arrays whose names have a prefix, taken out of those of a file."""
+    """Remove arrays with a name prefix from those of a file, and return them."""
     names = [name for name in arrays if name.startswith(prefix)]
     return {name.removeprefix(prefix): arrays.pop(name) for name in names}

@@ -1,4 +1,4 @@
-"""The vector environment's wrappers with a guarantee, and teams to train in."""
+"""Vector environment wrappers with guarantees, and training environments."""
 
 from .envs.spaces import team_box
 from .envs.training import training_env

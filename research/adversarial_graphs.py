@@ -1,5 +1,6 @@
-"""Teams in continuous time: where they start, who is linked to whom, and who looks at whom, as
-adversaries choose it for graphs that are directed and switch.
+"""Adversarial teams in continuous time: initial positions, graphs and weights.
+
+The graphs are directed and switch.
 """
 
 from __future__ import annotations
@@ -13,19 +14,19 @@ from train.verify.monitors import unit
 _EXACT = 1e6
 _SHARPNESS = (0.0, 3.0, 30.0, _EXACT, _EXACT)
 _REDRAWN = (0.0, 0.02, 0.3)
-"""Chances that a team changes its likings at a call: fixed, switching, never the same."""
+"""Probability per call that a team changes its preferences: fixed, switching, always new."""
 
 
 class Attention:
-    """Shares with which each robot looks at the others, softmax of a score.
+    """Weights of each robot's neighbours, as a softmax of scores.
 
-    A robot scores others by one of: how far outward they lie (who looks there makes the hull
-    shrink slowest), how far or how near they are, whom it likes, or chance. Likings make cycles
-    (pursuit in order), pairs (never connected at once), or neither, and change at random moments.
+    Scores are one of: distance outward (which makes the hull shrink slowest), distance, proximity,
+    preference, or random. Preferences form cycles (pursuit in order), pairs (never connected at
+    once), or neither, and change at random times.
 
     Args:
-        teams: who look.
-        random: draws all that.
+        teams: the environments.
+        random: random number generator.
     """
 
     def __init__(self, teams: Teams, random: np.random.Generator) -> None:
@@ -55,7 +56,7 @@ class Attention:
             self._liking[team] = liking
 
     def __call__(self, teams: Teams, sights: Sights) -> Array:
-        """(B, n, n), at least 0; each row that sees anyone sums to 1."""
+        """Weights (B, n, n), at least 0; each row with a visible neighbour sums to 1."""
         self._redraw(self._random.random(self._shape[0]) < self._redrawn)
         far = np.where(sights.present, sights.distances, 0.0)
         away = np.sum(outward(teams, sights)[:, :, None] * sights.bearings, axis=-1)
@@ -71,9 +72,9 @@ class Attention:
 
 SIZES = (2, 3, 5, 7)
 _EXTENT = 2.0
-"""Of the starts, m."""
+"""Extent of the initial positions, m."""
 _RADII = (0.15, 0.3)
-"""r, m."""
+"""Merge radii r, m."""
 
 
 def draw_teams(
@@ -84,13 +85,15 @@ def draw_teams(
     linked: bool = False,
     radii: tuple[float, float] = _RADII,
 ) -> Teams:
-    """Teams in a square or a cube, on a regular polygon or on a line; sizes take turns.
+    """Sample teams in a square or a cube, on a regular polygon or on a line.
+
+    The number of robots alternates between batches.
 
     Args:
-        random: draws them.
-        batch: number of the batch.
+        random: random number generator.
+        batch: index of the batch.
         dims: dimensions to choose from.
-        linked: whether they have a graph, undirected and connected; otherwise all pairs dock.
+        linked: whether only linked pairs of an undirected, connected graph can merge; else all can.
         radii: range of r, m.
     """
     n, dim = SIZES[batch % len(SIZES)], int(random.choice(dims))
@@ -104,7 +107,7 @@ def draw_teams(
 
 
 def draw_polygons(random: np.random.Generator, batch: int) -> Teams:
-    """Regular polygons of 3 to 8 robots."""
+    """Sample regular polygons of 3 to 8 robots."""
     return Teams(_polygons(random, BATCH, 3 + batch % 6, 2), 0.1)
 
 
@@ -118,7 +121,7 @@ def _polygons(random: np.random.Generator, count: int, n: int, dim: int) -> Arra
 
 
 def draw_weights(random: np.random.Generator, n: int) -> Array:
-    """Weights of BATCH connected undirected graphs, (B, n, n), m/s: trees and some links more."""
+    """Sample weights of BATCH connected undirected graphs, (B, n, n), m/s: trees plus links."""
     low, high = random.uniform(0.5, 1.0), random.uniform(1.0, 2.0)
     weights = np.zeros((BATCH, n, n))
     for matrix in weights:

@@ -1,10 +1,10 @@
-"""What is proven in continuous time, of late bearings and of wrong ones, tried on random teams.
+"""Numerical checks of continuous-time theorems on random teams.
 
     python research/claims.py --trials 1000 --seed 0 gains stale links
 
-``rendezvous verify --any`` tries what certificates promise in the environment itself. Here is what
-goes beyond them: gains of an adversary on graphs of an adversary, bearings of any age, headings in
-a cone. Exit status 1 if a claim is violated.
+``rendezvous verify --any`` validates certificates in the environment. This script covers more
+general claims: adversarial edge weights and graphs, delayed bearings, bearing errors, and headings
+in a cone. Exit status 1 if a claim is violated.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ CLAIMS = (*CONTINUOUS_TIME, *DELAY, *LINKS)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Check the claims, a line for each; the exit status."""
+    """Check the claims and print a line for each; returns the exit status."""
     parser = argparse.ArgumentParser(description="Try claims that no certificate makes.")
     parser.add_argument("claims", nargs="*", metavar="CLAIM", help="names; all without any")
     parser.add_argument("--trials", type=int, default=BATCH, help="teams for each claim")

@@ -1,4 +1,4 @@
-"""Headings among the bearings, with which law (4) never lets the hull grow (guarantees 10, C4)."""
+"""Headings in the cone of the bearings: with law (4) the hull never grows (guarantees 10, C4)."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ Array = NDArray[np.float64]
 
 
 def cone_heading(raw: ArrayLike, neighbour_rows: ArrayLike, *, min_alignment: float) -> Array:
-    """The heading nearest to a raw vector among the bearings of neighbours, and near f.
+    """Heading closest to a raw vector within the cone of bearings, with a minimum alignment.
 
         h ∈ cone{g_j},   h·f ≥ ε ‖f‖                                  (guarantees 10, C4)
 
-    The raw vector is projected onto the cone, and the result turned towards f, which lies in the
-    cone, as far as the margin needs; f/‖f‖ if all bearings lie across or away from the raw vector.
+    The raw vector is projected onto the cone. The result is turned towards f, which lies in the
+    cone, as far as the minimum alignment requires. It is f/‖f‖ if no bearing has a positive
+    component along the raw vector.
 
     Args:
         raw: any vectors, (..., d), d = 2 or 3; only the direction counts.
@@ -26,7 +27,7 @@ def cone_heading(raw: ArrayLike, neighbour_rows: ArrayLike, *, min_alignment: fl
         min_alignment: ε, in (0, 1).
 
     Returns:
-        h, (..., d), unit vectors; zero where f is.
+        h, (..., d), unit vectors; zero where f is zero.
 
     Raises:
         ValueError: naming an argument out of range, of the wrong shape, or not finite.
@@ -63,11 +64,11 @@ def cone_velocity(
     merge_radius: float,
     duration: float,
 ) -> Array:
-    """Law (4) along headings of the cone, slow enough for the hull to be nested in a held step.
+    """Law (4) along headings of the cone, at a speed for which the hulls of held steps are nested.
 
         v = h min(hᵀf, r ‖q‖/τ)
 
-    A heading is a sum of bearings with weights of 1/‖q‖ or less in all, so τ v is one of r or less;
+    A heading is a sum of bearings with a total weight of at most 1/‖q‖, so τ v is one of at most r.
     q, (..., d), is from ``least_norm_points``.
     """
     h, f = np.asarray(headings), np.asarray(net_bearing)

@@ -1,9 +1,8 @@
-"""Teams of points that move as they are told: an integrator of its own, which shares no code with
-the environment.
+"""Continuous-time integrator for single integrators, independent of the environment's code.
 
-Velocities are held for as long as is asked, or until two robots dock, whichever is first: then
-the robots of that team are asked anew. So nothing is passed over, and what is proven for inputs
-held over a step, or for bearings of some age, is tried exactly.
+Velocities are held for a given duration, or until the first merge of the team, after which they are
+computed anew. No merge is skipped, so claims for held inputs and delayed bearings are tested
+exactly.
 """
 
 from __future__ import annotations
@@ -22,28 +21,29 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 ROUNDING = 1e-9
-"""Of shares of a length, of which rounding takes far less."""
+"""Tolerance, as a fraction of a length; actual rounding is far smaller."""
 
 
 class Sights(NamedTuple):
-    """What robots could see of one another; index order [team, observer, neighbour]."""
+    """Bearings and distances between robots; index order [team, observer, neighbour]."""
 
     bearings: Array
-    """g_ij, (B, n, n, d); zero where there is nobody."""
+    """g_ij, (B, n, n, d); zero for absent pairs."""
     distances: Array
-    """(B, n, n), m; infinite where there is nobody."""
+    """Distances, (B, n, n), m; infinite for absent pairs."""
     present: Mask
-    """(B, n, n), whether both are there and are two."""
+    """Whether both robots are active and distinct, (B, n, n)."""
 
 
 class Teams:
-    """B teams of n points, each with a clock of its own.
+    """B teams of n single integrators with separate clocks.
 
     Args:
         positions: (B, n, d), m.
         merge_radius: r, m.
-        weights: a_ij, (B, n, n), m/s: who can dock with whom, all pairs without it. The survivor
-            of a merge, the lower index, stands at the midpoint and has the larger weights of both.
+        weights: a_ij, (B, n, n), m/s; linked pairs can merge, by default all pairs. The surviving
+            robot of a merge has the lower index, is placed at the midpoint and takes the larger
+            weights of both.
     """
 
     def __init__(self, positions: Array, merge_radius: float, weights: Array | None = None) -> None:
@@ -53,15 +53,15 @@ class Teams:
         self.weights[:, np.arange(n), np.arange(n)] = 0.0
         self.active = np.ones((count, n), dtype=np.bool_)
         self.into = np.tile(np.arange(n), (count, 1))
-        """Whom each robot is part of, (B, n)."""
+        """Index of the robot into which each robot has merged, (B, n)."""
         self.time = np.zeros(count)
         self.merged = np.zeros((count, n), dtype=np.bool_)
-        """Who has taken someone in at the end of the last advance."""
+        """Robots that absorbed another one at the end of the last advance."""
         self._pairs = np.triu_indices(n, 1)
 
     @property
     def left(self) -> NDArray[np.int64]:
-        """Robots that each team still has, (B,)."""
+        """Number of active robots of each team, (B,)."""
         return np.asarray(self.active.sum(axis=-1))
 
     def look(self) -> Sights:
@@ -74,23 +74,23 @@ class Teams:
         return Sights(offsets / distances[..., None], distances, present)
 
     def size(self) -> Array:
-        """L, (B,), m."""
+        """Hull perimeter L, (B,), m."""
         pairs = zip(self.positions, self.active, strict=True)
         return np.array([size(places[there]) for places, there in pairs])
 
     def lyapunov(self) -> Array:
-        """V of the weights, (B,), m²/s."""
+        """V for the weights, (B,), m²/s."""
         i, j = self._pairs
         distances = np.linalg.norm(self.positions[:, j] - self.positions[:, i], axis=-1)
         both = self.weights[:, i, j] + self.weights[:, j, i]
         return np.asarray(np.sum(both * distances, axis=-1))
 
     def advance(self, velocities: Array, durations: Array) -> None:
-        """Move on straight lines until two robots of a team dock, or its time is up.
+        """Move on straight lines until two robots of a team merge, or the duration has elapsed.
 
         Args:
             velocities: (B, n, d), m/s.
-            durations: (B,), s; 0 leaves a team alone.
+            durations: (B,), s; 0 leaves a team unchanged.
         """
         i, j = self._pairs
         offsets = self.positions[:, j] - self.positions[:, i]
@@ -114,7 +114,7 @@ class Teams:
             self._merge(int(team), int(i[pair]), int(j[pair]))
 
     def _merge(self, team: int, i: int, j: int) -> None:
-        """Make one robot of i < j, then of all that stand within r of one another."""
+        """Merge robots i < j, then all robots within r of one another."""
         places, weights = self.positions[team], self.weights[team]
         places[i] = (places[i] + places[j]) / 2.0
         weights[i] = np.maximum(weights[i], weights[j])
@@ -136,29 +136,29 @@ class Teams:
 Law = Callable[[Teams], Array]
 """Teams → velocities (B, n, d), m/s."""
 Look = Callable[[Teams], Array]
-"""Teams, after every advance → by what share each keeps a promise, (B,); negative: broken."""
+"""Teams → relative margin by which each fulfils a claim after an advance, (B,); negative if
+violated."""
 
 
 @dataclass
 class Trial:
-    """Teams, how they move, and what is claimed of them."""
+    """Teams, their law, and the claims to check."""
 
     teams: Teams
     law: Law
     step: Array | float
-    """For how long velocities are held, at most, (B,) or the same for all, s."""
+    """Maximum duration for which velocities are held, (B,) or common to all, s."""
     limit: Array
-    """Time by which they have met, (B,), s."""
+    """Claimed rendezvous time, (B,), s."""
     look: Look | None = None
-    """What is promised beside it."""
+    """Check of a further claim."""
 
 
 def integrate(trial: Trial) -> tuple[Array, Array]:
-    """Run the teams of a trial until they have met, are out of time, or have broken what is
-    promised beside it.
+    """Run a trial until rendezvous, time-out or violation of its further claim.
 
     Returns:
-        Times of the rendezvous (B,), s, infinite without; and the least that ``look`` found (B,).
+        Rendezvous times (B,), s, infinite without one; and the minimum of ``look``, (B,).
     """
     teams, limit = trial.teams, trial.limit
     times, kept = np.full(limit.shape, np.inf), np.full(limit.shape, np.inf)
@@ -176,8 +176,9 @@ def integrate(trial: Trial) -> tuple[Array, Array]:
 
 
 def outward(teams: Teams, sights: Sights) -> Array:
-    """Unit vectors (B, n, d) along ∂L/∂p_i, exact in the plane and nearly so in 3-D; away from
-    the centroid for robots inside the hull.
+    """Unit vectors (B, n, d) along ∂L/∂p_i, exact in the plane and nearly so in 3-D.
+
+    For robots inside the hull they point away from the centroid.
     """
     there = teams.active[..., None]
     centroid = np.sum(teams.positions * there, axis=1, keepdims=True) / teams.left[:, None, None]
@@ -196,12 +197,12 @@ def outward(teams: Teams, sights: Sights) -> Array:
 
 
 def _widest_gap(sights: Sights) -> tuple[Array, Array]:
-    """The middle and the width of the widest angle in which a robot sees nobody, (B, n) each, rad.
+    """Middle and width of the widest angle without a neighbour, (B, n) each, rad.
 
-    Only of a corner of the hull it is wider than π; then its middle points along ∂L/∂p_i.
+    It is wider than π only at a corner of the hull, where its middle points along ∂L/∂p_i.
     """
     angles = np.arctan2(sights.bearings[..., 1], sights.bearings[..., 0])
-    # who is not there stands where another one does
+    # inactive robots share a position with an active one
     alone = ~sights.present.any(axis=-1)
     someone = np.max(angles, axis=-1, keepdims=True, initial=-np.pi, where=sights.present)
     ordered = np.sort(np.where(sights.present, angles, someone), axis=-1)

@@ -1,5 +1,6 @@
-"""The claims of theorems G, N and C4, on any graph: directed, switching, never connected at once
-(guarantees 10 and 11).
+"""Claims of theorems G, N and C4 on any graph (guarantees 10 and 11).
+
+Graphs may be directed, switching, or never connected at once.
 """
 
 from __future__ import annotations
@@ -22,25 +23,25 @@ from train.verify.falsification import Tally
 from train.verify.monitors import directions, extents
 
 _NOW_AND_THEN = 100
-"""Calls between two looks at what is slow to measure."""
+"""Number of calls between two evaluations of expensive quantities."""
 
 
 @dataclass(frozen=True)
 class ContinuousTimeClaim:
-    """One row of the table, of teams that the free integrator moves."""
+    """Claim about teams of the continuous-time integrator, one row of the table."""
 
     name: str
     statement: str
     draw: Callable[[np.random.Generator, int, float], Trial]
-    """(random numbers, number of the batch, least margin ε) → teams, law, limits."""
+    """(random numbers, batch index, minimum alignment ε) → teams, law, limits."""
     meets: bool = True
-    """Whether it claims that all have met in time."""
+    """Whether it claims rendezvous in time."""
 
 
 def check(
     claim: ContinuousTimeClaim, seed: int, batch: int, trials: int, least_margin: float = 0.3
 ) -> Tally:
-    """Run one batch of a claim, and count as many of its teams as are wanted."""
+    """Run one batch of a claim, and evaluate the requested number of its teams."""
     random = np.random.default_rng([seed, zlib.crc32(claim.name.encode()), batch])
     trial = claim.draw(random, batch, least_margin)
     times, kept = (found[:trials] for found in integrate(trial))
@@ -56,7 +57,7 @@ def check(
 
 
 def hull_is_nested(teams: Teams) -> Look:
-    """By what share of L(0) the hull draws back in every direction."""
+    """Relative amount of L(0) by which the hull recedes in every direction."""
     along, start = directions(teams.dim), teams.size()
     latest = extents(teams.positions, teams.active, along)
 
@@ -69,8 +70,9 @@ def hull_is_nested(teams: Teams) -> Look:
 
 
 def shrinks_by(teams: Teams, rate: float) -> Look:
-    """By what share of L(0) the size is below L(0) − rate·t; with a negative rate, how much more
-    than −rate·t it has grown. Looked at now and then.
+    """Relative amount of L(0) by which the perimeter is below L(0) − rate·t.
+
+    With a negative rate it is the growth beyond −rate·t. It is evaluated at intervals.
     """
     start, calls = teams.size(), 0
 
@@ -86,16 +88,16 @@ def shrinks_by(teams: Teams, rate: float) -> Look:
 
 
 def stays_below(teams: Teams, bound: Array) -> Look:
-    """By what share V is below a bound, (B,), m²/s."""
+    """Relative amount by which V is below a bound, (B,), m²/s."""
     return lambda teams: np.asarray(1.0 - teams.lyapunov() / bound)
 
 
 Random = np.random.Generator
 
 _FINE = 0.2
-"""Step over r/(2C) where continuous time is meant, C the largest gain."""
+"""Step over r/(2C) that represents continuous time, with C the largest gain."""
 _STRONGEST = 2.0
-"""C over c."""
+"""Ratio C/c."""
 
 
 def _gains(random: Random) -> tuple[float, float]:
@@ -104,7 +106,7 @@ def _gains(random: Random) -> tuple[float, float]:
 
 
 def draw_gains(random: Random, batch: int, least_margin: float, led: bool = False) -> Trial:
-    """Any gains, or all but of one robot, which rests."""
+    """Sample arbitrary gains, with or without one stationary robot."""
     teams, gains = draw_teams(random, batch), _gains(random)
     limit = (led_time if led else gains_time)(
         teams.active.shape[1], teams.dim, teams.size(), gains[0]
@@ -115,7 +117,7 @@ def draw_gains(random: Random, batch: int, least_margin: float, led: bool = Fals
 
 
 def draw_windows(random: Random, batch: int, least_margin: float) -> Trial:
-    """Robots that see somebody now and then."""
+    """Sample robots with a visible neighbour at times."""
     teams, gains = draw_teams(random, batch, dims=(2,)), _gains(random)
     step = _FINE * teams.merge_radius / (2.0 * gains[1])
     duration = random.uniform(1.0, 10.0) * step
@@ -129,13 +131,13 @@ def draw_windows(random: Random, batch: int, least_margin: float) -> Trial:
         least_duration=duration,
         merge_radius=teams.merge_radius,
     )
-    # what begins late for being held ends late too
+    # an interval that begins late because of held inputs also ends late
     law = now_and_then(teams, random, gains, window, duration + step)
     return Trial(teams, law, step, limit, hull_is_nested(teams))
 
 
 def draw_misled(random: Random, batch: int, least_margin: float) -> Trial:
-    """Bearings that are off by 0.9 of what N forgives, what is held included."""
+    """Sample bearing errors of 0.9 of the tolerance of theorem N, including that of held inputs."""
     teams, gain = draw_teams(random, batch, radii=(0.25, 0.4)), random.uniform(0.5, 2.0)
     n = teams.active.shape[1]
     total = 0.9 * float(largest_error(n, teams.dim))
@@ -152,10 +154,10 @@ def draw_misled(random: Random, batch: int, least_margin: float) -> Trial:
 
 
 def draw_growing(random: Random, batch: int, least_margin: float, share: float = 1.02) -> Trial:
-    """Regular polygons whose robots are misled by more than N forgives.
+    """Regular polygons with bearing errors above the tolerance of theorem N.
 
-    The sides see each other at π/n from the tangent, so L' = 2 n c sin(π/n) sin(η − π/n); nine
-    tenths of that are claimed.
+    Adjacent robots are at π/n from the tangent, so L' = 2 n c sin(π/n) sin(η − π/n); the claim is
+    nine tenths of that.
     """
     teams, gain = draw_polygons(random, batch), random.uniform(0.5, 2.0)
     n = teams.active.shape[1]
@@ -167,13 +169,13 @@ def draw_growing(random: Random, batch: int, least_margin: float, share: float =
 
 
 def draw_cones(random: Random, batch: int, least_margin: float, most: float = 1.5) -> Trial:
-    """Law (4) with headings in the cones of what is seen."""
+    """Sample law (4) with headings in the cone of the bearings."""
     teams = draw_teams(random, batch)
     margin = random.uniform(least_margin, max(least_margin, 0.9), BATCH)
     return Trial(
         teams,
         in_cones(teams, random, margin, most),
-        teams.merge_radius / (12.0 * most),  # nobody passes those it follows
+        teams.merge_radius / (12.0 * most),  # no robot passes its targets
         cone_time(teams.active.shape[1], teams.dim, teams.size(), 1.0, margin),
         hull_is_nested(teams),
     )

@@ -1,4 +1,4 @@
-"""How the points of the free integrator move: gains, wrong bearings, headings in a cone."""
+"""Laws for the continuous-time integrator: gains, bearing errors, headings in a cone."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ Random = np.random.Generator
 
 
 def turned(bearings: Array, towards: Array, error: Array | float) -> Array:
-    """Bearings (B, n, k, d) turned by an error, rad, of all, each team (B,) or each bearing (B, n,
-    k, 1), towards directions of the same shape.
+    """Bearings (B, n, k, d) rotated by an error, rad, towards directions of the same shape.
+
+    The error is common to all, per team (B,), or per bearing (B, n, k, 1).
     """
     aims = np.broadcast_to(towards, bearings.shape)
     angles = np.reshape(error, (*np.shape(error), *[1] * (4 - np.ndim(error))))
@@ -29,8 +30,9 @@ def followed(bearings: Array, gains: Array) -> Array:
 def with_gains(
     teams: Teams, random: Random, gains: tuple[float, float], *, led: bool = False
 ) -> Law:
-    """ṗ_i = Σ_j c_ij g_ij with Σ_j c_ij between two limits, at any time; robot 0 rests if teams
-    are led. Half of the teams have the least that is allowed (theorem G).
+    """Law ṗ_i = Σ_j c_ij g_ij with Σ_j c_ij between two limits at any time (theorem G).
+
+    Robot 0 rests if teams have a stationary root. Half of the teams have the minimum sum.
     """
     attention = Attention(teams, random)
     steady = random.random((len(teams.time), 1)) < 0.5
@@ -48,7 +50,7 @@ def with_gains(
 def now_and_then(
     teams: Teams, random: Random, gains: tuple[float, float], window: float, duration: float
 ) -> Law:
-    """The same for robots that see somebody once in every window of time, each in its turn."""
+    """As ``with_gains``, with visible neighbours only once per time window and robot."""
     everywhen = with_gains(teams, random, gains)
     turn = random.uniform(0.0, window - duration, teams.active.shape)
 
@@ -60,7 +62,7 @@ def now_and_then(
 
 
 def misled(teams: Teams, random: Random, gain: float, error: float) -> Law:
-    """Σ_j c_ij = c, bearings that are off by η, outward or in any direction (theorem N)."""
+    """Law with Σ_j c_ij = c and bearing errors η, outward or in any direction (theorem N)."""
     attention = Attention(teams, random)
     outwards = random.random((len(teams.time), 1, 1, 1)) < 0.7
 
@@ -74,13 +76,14 @@ def misled(teams: Teams, random: Random, gain: float, error: float) -> Law:
 
 
 def away(teams: Teams, sights: Sights) -> Array:
-    """Outward, for each bearing, (B, n, n, d)."""
+    """Outward directions for each bearing, (B, n, n, d)."""
     return np.broadcast_to(outward(teams, sights)[:, :, None], sights.bearings.shape)
 
 
 def in_polygons(random: Random, gain: float, error: float) -> Law:
-    """Robots of regular polygons who look at the next, the last, or both, all alike, and are misled
-    outward.
+    """Law of regular polygons with the next, the previous or both as neighbours.
+
+    All robots have the same neighbours and outward bearing errors.
     """
 
     def law(teams: Teams) -> Array:
@@ -97,14 +100,14 @@ def in_polygons(random: Random, gain: float, error: float) -> Law:
 
 
 STRAIGHT_BACK = -0.98
-"""Cosine beyond which a bearing is as good as opposite to f."""
+"""Cosine beyond which a bearing counts as opposite to f."""
 
 
 def into_cone(bearing: Array, net_bearing: Array, margin: Array) -> Array:
-    """Headings h of cone{g, f} with h·f ≥ ε‖f‖, as near to a bearing as can be (C4).
+    """Headings h of cone{g, f} with h·f ≥ ε‖f‖, closest to a bearing (C4).
 
     Args:
-        bearing: g of one neighbour, (..., d); as good as none if it points away from f.
+        bearing: g of one neighbour, (..., d); ignored if it points away from f.
         net_bearing: f, (..., d), m/s.
         margin: ε, (..., 1).
 
@@ -119,7 +122,7 @@ def into_cone(bearing: Array, net_bearing: Array, margin: Array) -> Array:
 
 
 def in_cones(teams: Teams, random: Random, margin: Array, most: float) -> Law:
-    """Law (4) with headings of cone{g_ij}, d_i anywhere from 1 m/s to a limit (C4)."""
+    """Law (4) with headings of cone{g_ij}, and d_i between 1 m/s and a limit (C4)."""
     attention, taste = Attention(teams, random), Attention(teams, random)
 
     def law(teams: Teams) -> Array:

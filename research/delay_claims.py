@@ -1,4 +1,4 @@
-"""The claims of E1: bearings of any age, pair by pair (guarantees 11)."""
+"""Claims of theorem E1: bearings with any delay per pair (guarantees 11)."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from rendezvous_env.graphs.weights import bottleneck_weight, max_degree
 from train.verify.monitors import unit
 
 _KEPT = 8
-"""Moments that are remembered; the oldest admissible one is nearly as old as is allowed."""
+"""Number of stored moments; the oldest admissible one is close to the maximum delay."""
 
 _MARGINS = (0.45, 0.9)
-"""ε of law (4): with less there is much to wait for, and little to see."""
+"""Minimum alignments ε of law (4); smaller ones only increase the rendezvous time."""
 
 
 class Stale:
-    """Bearings as they were some time ago, for every pair another time.
+    """Delayed bearings, with a separate delay for each pair.
 
-    Those of robots that have just merged are fresh. A third of the teams see all as late as is
-    allowed, a third each pair at an age of its own, a third another age at every call.
+    Bearings of robots that have just merged are current. A third of the teams have the maximum
+    delay, a third a constant delay for each pair, and a third a new delay at each call.
 
     Args:
-        teams: who look.
-        random: draws the ages.
-        oldest: age that a bearing may have when it is looked at, (B,), s.
+        teams: the environments.
+        random: random number generator.
+        oldest: maximum delay of a bearing, (B,), s.
     """
 
     def __init__(self, teams: Teams, random: Random, oldest: Array) -> None:
@@ -52,18 +52,18 @@ class Stale:
         share = np.choose(self._kind, (np.ones_like(drawn), self._own, drawn))
         since = teams.time[:, None, None] - share * self._oldest[:, None, None]
         when = self._when[:, :, None, None]
-        # the present one is among them
+        # the current one is included
         latest = np.where(when >= since - 1e-12, when, np.inf).argmin(axis=0)
         return np.take_along_axis(self._seen, latest[None, ..., None], axis=0)[0]
 
 
 def largest_age(max_degree: Array, merge_radius: float, *, law_4: bool = False) -> Array:
-    """The age that bearings may have, s: r/(2D̄), under law (4) r/(2√3 D̄)."""
+    """Maximum delay of bearings, s: r/(2D̄), under law (4) r/(2√3 D̄)."""
     return merge_radius / (2.0 * max_degree) / (math.sqrt(3.0) if law_4 else 1.0)
 
 
 def _stale(teams: Teams, random: Random, *, law_4: bool) -> tuple[Stale, Array]:
-    """What the robots see, and for how long they hold it."""
+    """Delayed bearings, and the duration for which inputs are held."""
     degrees = np.array([max_degree(matrix) for matrix in teams.weights])
     age = largest_age(degrees, teams.merge_radius, law_4=law_4)
     step = age / _KEPT
@@ -79,7 +79,7 @@ def _bounds(teams: Teams) -> tuple[Array, Array]:
 
 
 def draw_stale(random: Random, batch: int, least_margin: float) -> Trial:
-    """Law (1), each robot at a speed of its own that may change at any time."""
+    """Sample law (1) with a separate, time-varying speed factor for each robot."""
     teams = draw_teams(random, batch, linked=True)
     seen, step = _stale(teams, random, law_4=False)
     most, weakest = _bounds(teams)
@@ -95,7 +95,7 @@ def draw_stale(random: Random, batch: int, least_margin: float) -> Trial:
 
 
 def draw_stale_headings(random: Random, batch: int, least_margin: float) -> Trial:
-    """Law (4) with hᵀf̂ = ε‖f̂‖ always, to any side."""
+    """Sample law (4) with hᵀf̂ = ε‖f̂‖ always, on any side."""
     teams = draw_teams(random, batch, linked=True)
     seen, step = _stale(teams, random, law_4=True)
     most, weakest = _bounds(teams)

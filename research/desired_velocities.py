@@ -1,4 +1,4 @@
-"""Desired velocities that try to overdraw an energy tank."""
+"""Adversarial desired velocities for energy tanks."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from train.verify.monitors import across, unit
 
 Array = NDArray[np.float64]
 Desired = Callable[[NDArray[Any], int], Array]
-"""Observations (B, n, rows, d) as a policy sees them and the number of the step → raw (B, n, k)."""
+"""Observations (B, n, rows, d) of a policy and step number → raw (B, n, k)."""
 
 KINDS = ("flee", "orthogonal", "spiral", "frozen", "random", "switching", "rest", "mixed")
 _SWITCHING = 7
-"""Steps after which a switching robot turns round."""
+"""Number of steps after which a switching robot reverses."""
 
 
 def desired_velocities(
@@ -26,11 +26,11 @@ def desired_velocities(
     """Velocities in units of v_max; controls in units of their bounds for other models.
 
     Args:
-        scenario: whose robots are misled.
+        scenario: the experiment.
         num_envs: B.
-        random: draws whatever they need.
-        kind: one of KINDS; "mixed" gives every robot a kind of its own. Nonholonomic robots are
-            always mixed.
+        random: random number generator.
+        kind: one of KINDS; "mixed" gives each robot its own kind. Nonholonomic robots are always
+            mixed.
     """
     if scenario.model.nonholonomic:
         return _controls(scenario, num_envs, random)
@@ -59,7 +59,7 @@ def desired_velocities(
 
 
 def _controls(scenario: Scenario, num_envs: int, random: np.random.Generator) -> Desired:
-    """Frozen, drawn anew, or backwards: away from f at full speed."""
+    """Constant controls, random ones, or backwards: away from f at full speed."""
     size = num_envs, scenario.n_robots, scenario.action_size
     frozen, own = random.uniform(-1, 1, size), np.arange(size[1])[:, None] % 3
 

@@ -1,4 +1,4 @@
-"""Tables of docs/scenarios.md: the field's own measures, for the laws that fit.
+"""Tables of docs/scenarios.md: measures from the literature, for the laws that fit.
 
 ``python research/field_tables.py huettenrauch`` or ``rssdoa`` prints one as Markdown.
 """
@@ -23,13 +23,13 @@ from rendezvous_env.trajectory import Trajectory, rollout
 Array = NDArray[np.float64]
 
 _PENALTY = 0.001
-"""Of an action, in the reward of Hüttenrauch et al."""
+"""Action penalty in the reward of Hüttenrauch et al."""
 _WORLD = 100.0
-"""m, edge of their world."""
+"""Edge of their world, m."""
 _NOISES = (0.0, 0.1, 0.35, 1.0)
-"""rad; the second and third stand in versions of RSSDOA's main file."""
+"""Noise levels, rad; the second and third occur in versions of RSSDOA's main file."""
 _SLOW = ("privileged-circumcentre",)
-"""A smallest ball for each robot and step, in Python: left out where it would take minutes."""
+"""Laws that compute a smallest ball per robot and step in Python, which would take minutes."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,15 +37,15 @@ class Config:
     """Print a table of docs/scenarios.md."""
 
     table: Positional[Literal["huettenrauch", "rssdoa"]]
-    """Which."""
+    """Name of the table."""
     episodes: int = 100
-    """Starts of each row."""
+    """Number of initial conditions per row."""
     seed: int = 0
-    """Start k has the seed SEED + k."""
+    """First seed: initial condition k has the seed SEED + k."""
 
 
 def diameter(positions: Array) -> Array:
-    """Largest distance of a team, max_ij ‖p_i − p_j‖.
+    """Largest distance between robots of a team, max_ij ‖p_i − p_j‖.
 
     Args:
         positions: (..., n, d), m.
@@ -58,12 +58,12 @@ def diameter(positions: Array) -> Array:
 
 
 def reward(positions: Array, actions: Array, sight: float) -> Array:
-    """The reward of one step (Hüttenrauch, Šošić & Neumann, 2019, as released).
+    """Reward of one step (Hüttenrauch, Šošić & Neumann, 2019, as released).
 
         −mean over pairs of min(d, r_c)/r_c − 0.001 mean of u²
 
     Args:
-        positions: after the step, (..., n, d), m.
+        positions: positions after the step, (..., n, d), m.
         actions: u, in units of their bounds, (..., n, a).
         sight: r_c, m.
 
@@ -77,12 +77,12 @@ def reward(positions: Array, actions: Array, sight: float) -> Array:
 
 
 def mean_reward(found: Trajectory) -> Array:
-    """The mean reward (B,) over all steps of an episode without an early end.
+    """Mean reward (B,) over all steps of an episode without early termination.
 
-    A team that has met stays where it is, which earns and costs nothing.
+    After rendezvous, a team rests, with zero reward and cost.
 
     Args:
-        found: a rollout that has recorded its actions.
+        found: a rollout with recorded actions.
     """
     scenario = found.scenario
     sight = scenario.sensing.range or _WORLD * math.sqrt(2.0)
@@ -115,12 +115,12 @@ def _rssdoa(config: Config) -> Iterator[Sequence[str]]:
         for law in laws:
             if kind_of(law) not in ("privileged", "blind"):
                 yield f"{noise:g}", *_ends_row(noisy, law, config)
-    for law in references:  # whose bearings have no noise
+    for law in references:  # their bearings have no noise
         yield "any", *_ends_row(scenario, law, config)
 
 
 def _laws(scenario: Scenario) -> list[str]:
-    """Policies that fit, but for those that were trained for something else."""
+    """Policies that fit, except those trained for other tasks."""
     return [name for name in baselines.names(scenario) if kind_of(name) != "learned"]
 
 
@@ -144,7 +144,7 @@ def _shares(found: Trajectory) -> tuple[str, str]:
 
 
 def markdown(rows: Iterator[Sequence[Any]]) -> Iterator[str]:
-    """Lines of a table, the first row its head."""
+    """Lines of a table with a header row."""
     head = next(rows)
     yield f"| {' | '.join(head)} |"
     yield "|---" * len(head) + "|"
@@ -153,7 +153,7 @@ def markdown(rows: Iterator[Sequence[Any]]) -> Iterator[str]:
 
 
 def run_table(config: Config) -> None:
-    """Print the table, row by row."""
+    """Print the table row by row."""
     rows = {"huettenrauch": _huettenrauch, "rssdoa": _rssdoa}[config.table](config)
     for line in markdown(rows):
         print(line, flush=True)

@@ -1,4 +1,4 @@
-"""Figures of docs/results.md: how a training went, and how robots spend what their tanks hold."""
+"""Figures of docs/results.md: learning curves, and the use of stored energy."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from train.figures.style import COLUMN, new_figure, styled
 
 _COLOURS = (VERMILLION, BLUE, BLACK)
 _FIRST_UPDATES = 8
-"""Not drawn: all teams begin together, so that quick episodes end first and the others at once."""
+"""Number of omitted updates: all environments start together, so short episodes end first."""
 
 
 @styled
 def learning_figure(runs: Mapping[str, Path], scenario: str) -> Figure:
-    """Clean success over decisions: held-out starts with 95 % intervals, and training itself.
+    """Collision-free success over decisions: held-out initial conditions, and training itself.
 
-    Dots are what the likeliest choices reach, thin lines what training itself saw while it
-    explored, on other starts.
+    Dots are greedy choices on held-out initial conditions with 95 % intervals. Thin lines are
+    training episodes with exploration, on other initial conditions.
 
     Args:
-        runs: folder with metrics.csv and evaluation.csv, by the name that is shown.
-        scenario: name of the one whose held-out starts are drawn.
+        runs: folder with metrics.csv and evaluation.csv, by label.
+        scenario: name of the scenario of the held-out initial conditions.
 
     Raises:
         OSError: if a file cannot be read.
@@ -77,13 +77,13 @@ def tank_figure(
     levels: NDArray[np.float64],
     active: NDArray[np.bool_],
 ) -> Figure:
-    """V of a team, and the level of each robot's tank, over time.
+    """V of a team, and the stored energy of each robot's tank, over time.
 
     Args:
         times: (T,), s.
         lyapunov: V, (T,), m²/s.
         levels: A, (T, n), m²/s.
-        active: (T, n), which robots are there.
+        active: (T, n), whether robots are active.
     """
     figure = new_figure(COLUMN, 3.6)
     above, below = figure.subplots(2, 1, sharex=True)
@@ -103,12 +103,12 @@ def tank_figure(
 
 
 def watch_tanks(scenario: Any, policy: Any, seed: int) -> dict[str, NDArray[Any]]:
-    """One episode of a policy with tanks: the arguments of ``tank_figure``, and contacts (T,).
+    """Run one episode of a policy with tanks; returns arguments of ``tank_figure``, contacts (T,).
 
     Args:
         scenario: the experiment.
-        policy: with ``levels``, (..., n).
-        seed: of the start.
+        policy: a policy with ``levels``, (..., n).
+        seed: seed of the initial condition.
     """
     simulator = Simulator(scenario, 1)
     observations = simulator.reset(seed)

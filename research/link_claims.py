@@ -1,4 +1,4 @@
-"""The claims of theorem R: robots that see only so far, and lose nobody (guarantees 12)."""
+"""Claims of theorem R: connectivity maintenance with limited sensing range (guarantees 12)."""
 
 from __future__ import annotations
 
@@ -11,21 +11,23 @@ from numpy.typing import ArrayLike
 from time_bounds import gains_time, links_time
 
 from rendezvous_env import Scenario
-from rendezvous_env.safety.links import LinkKeeping, least_norm_points, link_keeping_law
+from rendezvous_env.safety.links import LinkKeeping, link_keeping_law, min_norm_points
 from train.verify.claims import BATCH
 from train.verify.monitors import unit
 
 _SIZES = (2, 3, 4, 5)
 _SIGHT = 1.0
-"""R, m."""
+"""Sensing range R, m."""
 _FINE = 0.2
-"""Step over r/(2D̄) where continuous time is meant."""
+"""Step over r/(2D̄) that represents continuous time."""
 _FLOAT32 = 1e-6
-"""Share of R by which rounding of velocities may lengthen a link in a step; it takes less."""
+"""Fraction of R by which rounding of velocities may lengthen a link in a step.
+
+Actual rounding is smaller."""
 
 
 def draw_sighted(random: Random, batch: int) -> Teams:
-    """Teams in which each robot stands near another one, at most R − (n−1) r/2 away."""
+    """Sample teams in which each robot is at most R − (n−1) r/2 away from another one."""
     n, dim = _SIZES[batch % len(_SIZES)], int(random.choice([2, 3]))
     radius = random.uniform(0.05, 0.15)
     reach = _SIGHT - (n - 1) * radius / 2.0
@@ -45,8 +47,9 @@ def rows_in_sight(sights: Sights, bearings: Array, weight: float) -> Array:
 
 
 def links_last(teams: Teams, tolerance: float = 0.0) -> Look:
-    """What is left of R beside the longest link that must not be lost; and, between merges, how
-    much shorter each link has become: shares of R.
+    """Difference of R and the longest protected link, and the decrease of each link.
+
+    Both are fractions of R; links are compared between merges.
     """
     radius, n = teams.merge_radius, teams.active.shape[1]
     latest = teams.look().distances
@@ -68,7 +71,7 @@ def links_last(teams: Teams, tolerance: float = 0.0) -> Look:
 
 
 def draw_link_keeping(random: Random, batch: int, least_margin: float) -> Trial:
-    """The link-keeping law, R b."""
+    """Sample the law of connectivity maintenance, R b."""
     teams, weight = draw_sighted(random, batch), random.uniform(0.5, 2.0)
     n = teams.active.shape[1]
     step = _FINE * teams.merge_radius / (2.0 * (n - 1) * weight)
@@ -78,7 +81,7 @@ def draw_link_keeping(random: Random, batch: int, least_margin: float) -> Trial:
         rows = rows_in_sight(sights, sights.bearings, weight)
         degree = np.linalg.norm(rows, axis=-1).sum(axis=-1)
         return link_keeping_law(
-            least_norm_points(rows), degree, merge_radius=teams.merge_radius, duration=step
+            min_norm_points(rows), degree, merge_radius=teams.merge_radius, duration=step
         )
 
     limit = gains_time(n, teams.dim, teams.size(), weight)
@@ -86,12 +89,12 @@ def draw_link_keeping(random: Random, batch: int, least_margin: float) -> Trial:
 
 
 def draw_kept_links(random: Random, batch: int, least_margin: float) -> Trial:
-    """Any desired velocities, R c."""
+    """Sample arbitrary desired velocities, R c."""
     return _any_velocities(random, batch, float(random.uniform(0.3, 1.0)), 0.0)
 
 
 def draw_kept_misled(random: Random, batch: int, least_margin: float) -> Trial:
-    """Any desired velocities and wrong bearings, R d."""
+    """Sample arbitrary desired velocities and bearing errors, R d."""
     return _any_velocities(random, batch, float(random.uniform(0.5, 1.0)), random.uniform(0.2, 0.8))
 
 
@@ -104,12 +107,11 @@ def sighted_lyapunov_bound(
     sight: float,
     merge_radius: float,
 ) -> Array:
-    """The most that V can come to where links of weight a, m/s, appear and go with sight, (...),
-    m²/s.
+    """Upper bound on V for links of weight a, m/s, with limited sensing range, (...), m²/s.
 
         V_tot = V0 + 2aR [n(n−1)/2 − |E0| + (n−1)²] + (n−1) r a n(n−1)/2
 
-    ``links`` is |E0|, how many there are at the start; lengths are in m.
+    ``links`` is the initial number of links |E0|; lengths are in m.
     """
     pairs = n * (n - 1) / 2.0
     appear = pairs - np.asarray(links) + (n - 1) ** 2
@@ -118,7 +120,7 @@ def sighted_lyapunov_bound(
 
 
 def _any_velocities(random: Random, batch: int, share: float, error_share: float) -> Trial:
-    """Velocities that are kept to the links; the error is a share of π/(2n)."""
+    """Velocities projected on those that keep links; the error is a fraction of π/(2n)."""
     teams, weight = draw_sighted(random, batch), random.uniform(0.5, 2.0)
     n = teams.active.shape[1]
     error = error_share * np.pi / (2.0 * n)

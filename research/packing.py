@@ -1,7 +1,7 @@
-"""Bodies that pack, with the Robotarium's numbers: ``packing.py [SEEDS]`` plays teams of 2 to 20.
+"""Packing of robot bodies with Robotarium parameters: ``packing.py [SEEDS]``.
 
-Law (1), which knows bearings, beside consensus, which knows distances: how many met, how near two
-robots ever came, and how wide the team is, when it counts as met and once nothing moves any more.
+For teams of 2 to 20 robots, the table compares law (1), from bearings, with consensus, from
+distances: success, smallest distance of two robots, and diameter at rendezvous and at rest.
 """
 
 from __future__ import annotations
@@ -19,35 +19,35 @@ from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
 
 Array = NDArray[np.float64]
 ON = 25.0
-"""s for which teams go on after the last of them has met; nothing moves any more by then."""
+"""Additional time after the last rendezvous, s, after which all robots rest."""
 STILL = 1e-8
-"""m; who moves no more in a step has come to rest."""
+"""Displacement in a step below which a robot counts as resting, m."""
 COMPARED = 300
-"""Seeds of which it is measured how wide teams are."""
+"""Number of seeds for which diameters are measured."""
 
 
 class Played(NamedTuple):
-    """What became of many teams."""
+    """Results of many teams."""
 
     met: int
     closest: float
-    """Least distance of two robots in any step, m."""
+    """Smallest distance of two robots in any step, m."""
     diameter: float
-    """Largest distance of two robots of a team that counts as met, mean, m."""
+    """Mean over teams of the largest distance of two robots at rendezvous, m."""
     at_rest: float
-    """The same once nothing moves."""
+    """As ``diameter``, at rest."""
     seconds: float
-    """Median time."""
+    """Median rendezvous time."""
 
 
 def arena(robots: int) -> rv.Scenario:
-    """``robotarium-4`` with another number of robots."""
+    """Scenario ``robotarium-4`` with another number of robots."""
     scenario, graph = rv.scenarios.get("robotarium-4"), graphs.complete(0.2 / (robots - 1))
     return scenario.replace(name=f"robotarium-{robots}", n_robots=robots, graph=graph)
 
 
 def play(scenario: rv.Scenario, policy: str, seeds: int) -> Played:
-    """The seeds from 0 on."""
+    """Run the seeds from 0 on."""
     simulator, chosen = rv.Simulator(scenario, num_envs=seeds), baselines.make(policy, scenario)
     observations, closest = simulator.reset(list(range(seeds))), np.inf
     if watch := getattr(chosen, "watch", None):
@@ -68,8 +68,9 @@ def play(scenario: rv.Scenario, policy: str, seeds: int) -> Played:
 
 
 def go_on(positions: Array, scenario: rv.Scenario, policy: str) -> tuple[Array, float]:
-    """Where teams (B, n, 2), m, lie at rest, and the least distance on the way: their episodes end
-    when they count as met, robots do not, so each step begins an episode.
+    """Positions at rest of teams (B, n, 2), m, and the smallest distance on the path.
+
+    Episodes end at rendezvous but robots move on, so each step starts an episode.
     """
     simulator = rv.Simulator(scenario, num_envs=len(positions))
     chosen, closest = baselines.make(policy, scenario), np.inf
@@ -87,13 +88,13 @@ def go_on(positions: Array, scenario: rv.Scenario, policy: str) -> tuple[Array, 
 
 
 def distances(positions: Array) -> Array:
-    """Of all pairs of robots, (B, pairs), m."""
+    """Distances of all pairs of robots, (B, pairs), m."""
     first, second = np.triu_indices(positions.shape[1], 1)
     return np.linalg.norm(positions[:, first] - positions[:, second], axis=-1)
 
 
 def main(seeds: int) -> None:
-    """A table, a row for each size of team; ratios are law (1) over consensus."""
+    """Print a table with a row per team size; ratios are law (1) over consensus."""
     print("| n | met | median time, s | closest, m | when met, m | ratio | at rest, m | ratio |")
     print("|---|---|---|---|---|---|---|---|")
     for robots in range(2, 21):

@@ -1,7 +1,7 @@
-"""Speed of the nearest peers beside ours, in turns, as docs/throughput.md shows it: ``peers.py``.
+"""Throughput comparison with similar simulators, in alternating runs, for docs/throughput.md.
 
-Needs ``pip install mpe2 vmas jaxmarl``; what is not installed is left out. Random actions, made
-beforehand but for JaxMARL's, which its scan draws; nothing is rendered.
+Run ``peers.py``. It needs ``pip install mpe2 vmas jaxmarl``; missing packages are skipped. Random
+actions are sampled in advance, except those of JaxMARL, sampled in its scan. Rendering is off.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from train.checks import installed
 ROBOTS, BATCHES = (3, 8), (1, 1024, 4096)
 OURS = "make_vec"
 _TAPE, STEPS = 8, 100
-"""Random actions of VMAS, which come again; steps of JaxMARL in a call."""
+"""Number of random actions of VMAS, which repeat; steps of JaxMARL in a call."""
 
 
 def vmas(n: int, num_envs: int) -> Running:
-    """VMAS's simple_spread: n agents, each of which observes all others' relative positions."""
+    """VMAS's simple_spread: n agents that observe the relative positions of all others."""
     import torch
     from vmas import make_env
 
@@ -36,7 +36,7 @@ def vmas(n: int, num_envs: int) -> Running:
 
 
 def jaxmarl(n: int, num_envs: int) -> Running:
-    """JaxMARL's simple_spread, a jitted scan over vmapped environments: a hundred steps a call."""
+    """JaxMARL's simple_spread, a jitted scan over vectorised environments: 100 steps per call."""
     import jax
     from jaxmarl import make
 
@@ -67,12 +67,12 @@ def jaxmarl(n: int, num_envs: int) -> Running:
 
 
 def ours(n: int, num_envs: int) -> Running:
-    """What a learner steps."""
+    """Training environment of this project."""
     return stepping(rv.make_vec(spread_out(n), num_envs))
 
 
 def cases(n: int) -> Iterator[list[Case]]:
-    """What is measured in turns: one team in dicts, and every number of environments."""
+    """Cases in alternating order: one environment with dicts, and each number of environments."""
     yield one_team("peers", spread_out(n))
     for count in BATCHES:
         own = [Case(OURS, "peers", n, count, count, _UNIT, partial(ours, n, count))]
@@ -84,7 +84,7 @@ def cases(n: int) -> Iterator[list[Case]]:
 
 _UNIT = "team steps"
 _PEERS = {"VMAS": (vmas, 1), "JaxMARL": (jaxmarl, STEPS)}
-"""What steps, and how many steps a call is."""
+"""Step function and number of steps per call."""
 
 
 if __name__ == "__main__":

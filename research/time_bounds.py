@@ -1,23 +1,23 @@
-"""Times that no certificate gives: of teams that no scenario asks for, of pursuit, of any policy.
+"""Rendezvous time bounds beyond certificates: general graphs, pursuit, and a lower bound.
 
-**C4.** Law (4) with headings in the cone of what is seen, h_i ∈ cone{g_ij} and h·f ≥ ε‖f‖, on any
-graph on which all see somebody: the hull is nested, T ≤ n² L0/(16 ε d_min), in 3-D n² w0/(4 ε
-d_min), d_min the least Σ_j a_ij. (Law (4) without the cone lets teams on switching graphs grow
-without end for ε < 0.277.)
+**C4.** Law (4) with headings in the cone of the bearings, h_i ∈ cone{g_ij} and h·f ≥ ε‖f‖. On any
+graph on which every robot has a neighbour, the hull is nested and T ≤ n² L0/(16 ε d_min). In 3-D, T
+≤ n² w0/(4 ε d_min). d_min is the minimum of Σ_j a_ij. (Law (4) without the cone lets teams on
+switching graphs grow without end for ε < 0.277.)
 
-**Windows**, in the plane, all pairs merge. If in every window of time T_w *each robot* has an
-interval of τ_d or more in which it sees somebody, with gains in [c, C] — joint connectivity alone
-is not enough —
+**Windows**, in the plane, all pairs merge. Every window of duration T_w contains, for *each robot*,
+an interval of at least τ_d with a visible neighbour and gains in [c, C]. Joint connectivity alone
+is not sufficient. Then
 
     T ≤ T_w (n + L0/ΔL),      ΔL = (π/n)(c/3) s min(τ_d, r s/(4C)),      s = sin(π/(2n)).
 
-**E2.** A fixed graph, directed or not, on which everybody always sees somebody. Each robot pursues
-one that it sees until a merge: it turns towards it at ω_max and drives at c < ω_max r/2, only while
-it points at it. In continuous time T ≤ L0/(2 c κ(n)) + n π/(ω_max − 2c/r), in 3-D n w0/(2c) in
-the first term. Where links change, or a leader rests, nothing is promised. No wrapper keeps it;
-policy ``pursuit`` does.
+**E2.** A fixed graph, directed or not, on which every robot always has a neighbour. Each robot
+pursues one neighbour until a merge: it turns towards it at ω_max and drives at c < ω_max r/2, only
+while it points at it. In continuous time T ≤ L0/(2 c κ(n)) + n π/(ω_max − 2c/r); in 3-D the first
+term is n w0/(2c). There is no guarantee for switching links or a stationary root. No wrapper
+implements it; the policy ``pursuit`` does.
 
-**Lower bound** (theory 3). No policy meets sooner than its robots can go to one place.
+**Lower bound** (theory 3). No policy meets before its robots can reach a common point.
 
 **Proof.** docs/proofs.md, C4, windows and E2.
 """
@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from baselines.references.enclosing_ball import smallest_enclosing_ball
 from rendezvous_env import Scenario
-from rendezvous_env.checks import refuse
+from rendezvous_env.checks import raise_invalid
 from rendezvous_env.safety.theorems import constants as known
 from rendezvous_env.safety.theorems.gains import shrinking, shrinking_to_leader
 
@@ -39,14 +39,15 @@ Array = NDArray[np.float64]
 
 
 def gains_time(n: int, dim: int, initial_size: ArrayLike, gain: ArrayLike) -> Array:
-    """T for any gains c_ij ≥ 0 with Σ_j c_ij ≥ c, m/s, whoever sees whom, in continuous time,
-    (...), s, from L0, (...), m.
+    """T for any gains c_ij ≥ 0 with Σ_j c_ij ≥ c, m/s, on any graph, (...), s, from L0, (...), m.
+
+    It holds in continuous time.
     """
     return np.asarray(np.asarray(initial_size) / shrinking(n, dim, gain))
 
 
 def led_time(n: int, dim: int, initial_size: ArrayLike, gain: ArrayLike) -> Array:
-    """The same where one robot, a leader, may rest and see nobody, s."""
+    """As ``gains_time`` with one stationary root, which needs no neighbour, s."""
     return np.asarray(np.asarray(initial_size) / shrinking_to_leader(n, dim, gain))
 
 
@@ -59,8 +60,10 @@ def links_time(
     share: float = 1.0,
     error: ArrayLike = 0.0,
 ) -> Array:
-    """T under link-keeping with limited sight, inputs held over τ ≤ r/(2D̄), no limit of speed,
-    (...), s; infinite from η = π/(2n) on. Of V_tot, m²/s, d, m/s, τ, s, λ in (0, 1], and η, rad.
+    """T under connectivity maintenance with limited sensing range, (...), s.
+
+    Inputs are held over τ ≤ r/(2D̄), without a speed limit. Arguments are V_tot, m²/s, d, m/s, τ,
+    s, λ in (0, 1], and η, rad; T is infinite from η = π/(2n) on.
     """
     left = np.maximum(1.0 - 2.0 * n * np.asarray(error) / np.pi, 0.0)
     rate = 4.0 * share * least_degree**2 * left**2
@@ -77,8 +80,9 @@ def windows_time(
     least_duration: float,
     merge_radius: float,
 ) -> Array:
-    """T in the plane where each robot sees somebody in every window of time, (...), s: of L0,
-    (...), m, c and C, m/s, T_w and τ_d, s, and r, m.
+    """T in the plane if each robot has a neighbour in every time window, (...), s.
+
+    Arguments are L0, (...), m, c and C, m/s, T_w and τ_d, s, and r, m.
     """
     s = np.sin(np.pi / (2.0 * n))
     lasting = min(least_duration, merge_radius * s / (4.0 * most_gain))
@@ -89,8 +93,9 @@ def windows_time(
 def cone_time(
     n: int, dim: int, initial_size: ArrayLike, least_degree: ArrayLike, min_alignment: ArrayLike
 ) -> Array:
-    """T of law (4) with headings in the cone of what is seen, (...), s (C4): of L0, m, d_min, m/s,
-    and ε in (0, 1].
+    """T of law (4) with headings in the cone of the bearings, (...), s (C4).
+
+    Arguments are L0, m, d_min, m/s, and ε in (0, 1].
     """
     factor = 16.0 if dim == 2 else 8.0 * np.pi
     rate = factor * np.asarray(min_alignment) * np.asarray(least_degree)
@@ -98,13 +103,15 @@ def cone_time(
 
 
 def pursuit_bound(scenario: Scenario, initial_size: ArrayLike, speed: float) -> Array:
-    """Time by which pursuers of speed c, m/s, with a turn limit have met, (...), s, from L(0), m
-    (theorem E2); infinite on graphs that switch, go with distance, or have a leader. ValueError for
-    a speed at which a target can run out of sight, or a size that is none.
+    """Rendezvous time bound of pursuers of speed c, m/s, with a turn limit, (...), s (theorem E2).
+
+    The bound is computed from L(0), m. It is infinite on graphs that switch, depend on distance, or
+    have a stationary root. A ValueError names a speed at which a target can leave the visible
+    range, or an invalid perimeter.
     """
     n, fastest = scenario.n_robots, scenario.turn_limit * scenario.merge_radius / 2.0
     if not 0 < speed < fastest:
-        refuse("speed", speed, f"positive and less than ω_max r/2 = {fastest:.6g} m/s")
+        raise_invalid("speed", speed, f"positive and less than ω_max r/2 = {fastest:.6g} m/s")
     spare = scenario.turn_limit - 2.0 * speed / scenario.merge_radius
     driving = known.checked("initial_size", initial_size, "m") / shrinking(n, scenario.dim, speed)
     lasting = known.kind_of_links(scenario.sensing_graph) in (known.UNDIRECTED, known.DIRECTED)
@@ -114,8 +121,9 @@ def pursuit_bound(scenario: Scenario, initial_size: ArrayLike, speed: float) -> 
 
 
 def rendezvous_time_lower_bound(scenario: Scenario, positions: ArrayLike) -> float:
-    """No policy meets sooner from a start (n, d), m: T ≥ (R − (n − 1) r/2)/v_max, a number, s; (n −
-    1) r with obstacles (theory 3).
+    """Lower bound on the rendezvous time of any policy from positions (n, d), m, a number, s.
+
+    T ≥ (R − (n − 1) r/2)/v_max; with obstacles (n − 1) r replaces (n − 1) r/2 (theory 3).
     """
     _, radius = smallest_enclosing_ball(positions)
     reach = (scenario.n_robots - 1) * scenario.merge_radius * (1.0 if scenario.obstacles else 0.5)

@@ -1,4 +1,4 @@
-"""Which settings of ``rendezvous train`` need the fewest decisions to meet without a touch.
+"""Search for training settings that need the fewest decisions for collision-free rendezvous.
 
 python research/training_search.py --seeds 0 1 2 --tried default shipped
 """
@@ -33,12 +33,13 @@ TRIED: dict[str, dict[str, Any]] = {
     "heading": {"guarantee": "heading", "budget": 0.0, "memory": "none"},
     "recurrent": {"memory": "recurrent"},
 }
-"""Settings by the name that the table gives them."""
+"""Candidate settings, by their name in the table."""
 
 
 def search(config: ppo.Config, share: float) -> str:
-    """A row of the table: when held-out starts reached the share, and what they ended with. A
-    SystemExit for a run that is refused, or that a signal ends.
+    """Row of the table: decisions until held-out success reached the level, and final success.
+
+    A SystemExit reports a run that is invalid or ended by a signal.
     """
     began, reached = time.process_time(), "never"
 
@@ -62,7 +63,7 @@ def search(config: ppo.Config, share: float) -> str:
 
 
 def main() -> None:
-    """Run the search that the command line asks for, row by row."""
+    """Run the search given on the command line, row by row."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tried", nargs="+", choices=TRIED, default=list(TRIED))
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])

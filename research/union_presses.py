@@ -111,7 +111,7 @@ def tiles(random: np.random.Generator) -> Union:
 
 def fan(random: np.random.Generator) -> Union:
     """A ring of triangles that share edges."""
-    count = int(random.integers(3, 20))
+    count = int(random.integers(6, 20))
     angles = np.sort(random.uniform(0.0, 1.0, count)) / 2.0 + np.arange(count)
     angles *= 2.0 * math.pi / count
     inner = np.c_[np.cos(angles), np.sin(angles)]
@@ -135,7 +135,7 @@ def discs(random: np.random.Generator) -> Union:
     """A ring of discs that touch."""
     spine = _corners(random)
     apart = float(np.linalg.norm(spine[1] - spine[0]))
-    share = random.uniform(0.2, 0.8)
+    share = random.uniform(0.35, 0.65)
     radii = [share * apart, (1.0 - share) * apart + overlap(random)]
     if len(spine) % 2:
         radii = [0.5 * (apart + overlap(random))] * 2

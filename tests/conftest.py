@@ -1,4 +1,4 @@
-"""What several test modules share: the four kinds of team, and one way to run a law to its end."""
+"""Common fixtures: the four robot models, and a full run of a law."""
 
 import json
 import os
@@ -44,7 +44,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Warnings of uncompiled kernels, temporary files, kernels that have to run."""
+    """Configure warnings of uncompiled kernels, temporary files, and kernel coverage."""
     if not compiled():  # numbers of streams wrap around, which compiled code says nothing of
         config.addinivalue_line("filterwarnings", "ignore:overflow encountered:RuntimeWarning")
     if not hasattr(config, "workerinput"):  # a worker has its controller's
@@ -56,7 +56,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def use_own_temporary_folder(config: pytest.Config) -> None:
-    """Let everything that is written to the folder for temporary files go when the run ends."""
+    """Remove all temporary files at the end of the run."""
     for left in Path(tempfile.gettempdir()).glob("rv-*-*"):  # by runs that were killed
         try:
             os.kill(int(left.name.split("-")[1]), 0)
@@ -75,13 +75,12 @@ LONG = (
     "test_fuzz_files", "test_fuzz_core", "test_every_policy", "test_examples", "test_package",
     "test_resuming", "test_interrupts", "test_shipped", "test_site",
 )  # fmt: skip
-"""Files that take longest, fast tests or slow ones, in the order in which two workers are given
-them: files that need the same kernels stand apart, or both workers would compile those.
-"""
+"""Slowest test files in the order of distribution to two workers. Files with the same kernels are
+separated, or both workers would compile those."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Long files first, then those of many tests: no worker is left with a long one at the end."""
+    """Order long files first, then by number of tests, so that no worker ends with a long file."""
     tests = Counter(item.path for item in items)
 
     def rank(item: pytest.Item) -> tuple[int, int]:
@@ -122,7 +121,7 @@ UNEQUAL = np.array(
 
 
 def unequal_matrix(n: int, seed: int = 0, share: float = 0.3) -> np.ndarray:
-    """A connected weight matrix with a random spanning tree, further links and unequal weights."""
+    """Connected weight matrix with a random spanning tree, further links and unequal weights."""
     random = np.random.default_rng(seed)
     links = np.triu(random.random((n, n)) < share, 1)
     for i in range(1, n):
@@ -132,17 +131,17 @@ def unequal_matrix(n: int, seed: int = 0, share: float = 0.3) -> np.ndarray:
 
 
 def five(kind: str, **changes: object) -> Scenario:
-    """The asymmetric team of five robots in one of the MODELS."""
+    """Asymmetric team of five robots of one of the MODELS."""
     return Scenario(**{"n_robots": 5, "graph": UNEQUAL, **MODELS[kind], **changes})
 
 
 def law_of(scenario: Scenario) -> baselines.Policy:
-    """The paper's law for the scenario's robots."""
+    """Law of the paper for the scenario's robots."""
     return baselines.make(LAWS[scenario.robot_model], scenario)
 
 
 def run_python(cwd: Path, *words: object, **environment: str) -> subprocess.CompletedProcess[str]:
-    """A fresh process, which must end well, and what it said."""
+    """Run a new process, which must succeed, and return its output."""
     found = subprocess.run(
         [sys.executable, *map(str, words)],
         capture_output=True, text=True, cwd=cwd, env=os.environ | environment, timeout=900,
@@ -152,7 +151,7 @@ def run_python(cwd: Path, *words: object, **environment: str) -> subprocess.Comp
 
 
 def contents(folder: Path) -> dict[str, bytes | None]:
-    """All files below a folder, by their path in it; None for a folder."""
+    """All files below a folder, by relative path; None for a folder."""
     return {
         str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
         for path in folder.rglob("*")
@@ -160,14 +159,14 @@ def contents(folder: Path) -> dict[str, bytes | None]:
 
 
 def started(scenario: Scenario, teams: int = 1, seed: object = 0, **options: object) -> Simulator:
-    """A simulator that has been reset, with options."""
+    """A simulator after a reset with options."""
     simulator = Simulator(scenario, teams)
     simulator.reset(seed, options)
     return simulator
 
 
 def actions_shape(simulator: Simulator) -> tuple[int, int, int]:
-    """(B, n, a) of a simulator's actions."""
+    """Shape (B, n, a) of a simulator's actions."""
     scenario = simulator.scenario
     return simulator.num_envs, scenario.n_robots, scenario.action_size
 
@@ -179,14 +178,14 @@ def kind(request: pytest.FixtureRequest) -> str:
 
 
 def assert_same_state(state: Simulator | dict, other: Simulator | dict) -> None:
-    """Of simulators, or of what they gave as their states: bit for bit."""
+    """Assert bitwise equality of simulators, or of their states."""
     one, two = (s if isinstance(s, dict) else s.get_state() for s in (state, other))
     np.testing.assert_equal(one, two)
 
 
 @contextmanager
 def refusing(simulator: Simulator, message: str, error: type[Exception] = ValueError) -> Iterator:
-    """What is done here is refused, and leaves the simulator, or a wrapper, as it was."""
+    """Assert that the body is rejected and leaves the simulator or wrapper unchanged."""
     before = simulator.get_state()
     with pytest.raises(error, match=message):
         yield
@@ -195,7 +194,7 @@ def refusing(simulator: Simulator, message: str, error: type[Exception] = ValueE
 
 @pytest.fixture
 def without_rights() -> Callable[[Path], AbstractContextManager[None]]:
-    """A context in which a folder may not be read, not even by a privileged test run."""
+    """Context in which a folder is not readable, even for a privileged test run."""
 
     @contextmanager
     def revoke(folder: Path) -> Iterator[None]:
@@ -215,7 +214,7 @@ def without_rights() -> Callable[[Path], AbstractContextManager[None]]:
 
 @pytest.fixture(autouse=True, scope="session")
 def one_process():
-    """Commands start no workers unless a test asks for them: it could not look into those."""
+    """Disable workers by default, since tests cannot inspect them."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("train.tasks.Workers.worker_count", property(lambda own: own.jobs or 1))
         yield
@@ -223,7 +222,7 @@ def one_process():
 
 @pytest.fixture(scope="session")
 def compared(tmp_path_factory):
-    """What a small comparison writes: obstacles in the plane, and flying robots."""
+    """Files of a small comparison: obstacles in the plane, and 3-D robots."""
     from train.compare import compare
 
     out = tmp_path_factory.mktemp("compared")
@@ -235,7 +234,7 @@ def compared(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def reseal():
-    """Make run.json fit the files beside it again, as if ``compare`` had written them."""
+    """Renew the digests of run.json, as ``compare`` would write them."""
     from train.compare import out_folder
 
     def seal(folder, **changes):
@@ -248,7 +247,7 @@ def reseal():
 
 @pytest.fixture
 def one_line(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """A function: the one line that a command says when it refuses its words."""
+    """Function that returns the one-line message of a command that rejects its input."""
     from train import cli
 
     def refused(*words: object) -> str:
@@ -262,7 +261,7 @@ def one_line(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
 
 @pytest.fixture
 def registry():
-    """All policies by name; those and the models that a test registers are gone after it."""
+    """All policies by name; policies and models registered by a test are removed after it."""
     registries = robot_models.ROBOT_MODELS, policies._registry
     known = [registry.copy() for registry in registries]
     yield registries[1]
@@ -273,7 +272,7 @@ def registry():
 
 @pytest.fixture
 def set_threads():
-    """torch.set_num_threads; afterwards there are as many as before."""
+    """torch.set_num_threads; restores the number afterwards."""
     import torch
 
     before = torch.get_num_threads()
@@ -295,7 +294,7 @@ def browser():
 
 @pytest.fixture(scope="session")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a training run that nothing stopped."""
+    """Folder of an uninterrupted training run."""
     from training_runs import config
 
     from train.learn import ppo

@@ -1,4 +1,4 @@
-"""Filters with a mistake, which tests of promises must notice."""
+"""Filters with injected faults, which tests of guarantees must detect."""
 
 from collections.abc import Callable
 from functools import wraps
@@ -7,7 +7,7 @@ import pytest
 
 
 def mistaken(monkeypatch: pytest.MonkeyPatch, made: type, changes: Callable) -> None:
-    """Let filters of a class be made with other constants, which follow from the right ones."""
+    """Replace the constants of a class of filters, based on the correct ones."""
     begin = made.__init__
 
     @wraps(begin)  # whose arguments the wrappers read

@@ -1,4 +1,4 @@
-"""How tests call the equations: vectors as triples, obstacles as worlds, results as arrays."""
+"""Helpers for equations: vectors as triples, obstacles as worlds, results as arrays."""
 
 from collections.abc import Sequence
 
@@ -23,7 +23,7 @@ def along(*degrees: float) -> np.ndarray:
 
 
 def world(obstacles: Sequence[Obstacle], slots: int | None = None) -> ObstacleSet:
-    """Obstacles as a world, of balls if they are; slots left over are absent."""
+    """Obstacles as a world, of balls if all are balls; unused slots are absent."""
     table = pack(obstacles, len(obstacles) if slots is None else slots)
     return world_of(table, only_balls(tuple(obstacles)))
 
@@ -51,8 +51,9 @@ def body_frame(d: int, yaw: float, pitch: float) -> np.ndarray:
 def mean_body_axis(
     yaw_rate: object, pitch_rate: object, pitch: object, duration: float
 ) -> np.ndarray:
-    """Mean of the body axis over an arc, (..., 3), in the body frame at its start: products of
-    cosines as sums, each of which has the mean sinc(x/2) cos(angle half way).
+    """Mean of the body axis over an arc, (..., 3), in the initial body frame.
+
+    Products of cosines become sums, each with the mean sinc(x/2) cos(angle at half time).
     """
     a, b, beta = (np.asarray(x, float) for x in np.broadcast_arrays(yaw_rate, pitch_rate, pitch))
 

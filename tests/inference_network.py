@@ -1,4 +1,4 @@
-"""A network on its own, for inference, with the weights that it begins with."""
+"""Separate network for inference, with its initial weights."""
 
 import torch
 from gymnasium.spaces import Discrete
@@ -10,13 +10,13 @@ from train.learn.networks import HeadingNetwork, network_settings
 
 
 def make_network(layout, choices=CHOICES, kind=HeadingNetwork, own=None, **settings):
-    """Settings as ``network_settings``, besides those that a kind of network has of its own."""
+    """Settings as ``network_settings``, without those of a particular kind of network."""
     spaces = observation_box(layout.size), Discrete(choices)
     return kind(*spaces, lambda _: 0.0, **network_settings(layout, **settings), **(own or {}))
 
 
 def stirred(made):
-    """With random weights in every layer, the last one included."""
+    """Network with random weights in every layer, including the last one."""
     torch.manual_seed(0)
     with torch.no_grad():
         for weights in made.parameters():

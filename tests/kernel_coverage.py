@@ -1,12 +1,12 @@
-"""Which kernels a test run has executed: ``pytest -m kernels --every-kernel``.
+"""Coverage of kernels in a test run: ``pytest -m kernels --every-kernel``.
 
-With this option compiled kernels record that they run, and the test run fails unless every kernel
-of the packages has run at least once. ``make test-kernels`` combines it with
-``NUMBA_BOUNDSCHECK=1``, so that every index of every kernel is checked.
+With this option compiled kernels record that they run. The test run fails unless every kernel of
+the packages has run at least once. ``make test-kernels`` combines it with ``NUMBA_BOUNDSCHECK=1``,
+which checks every index of every kernel.
 
-While a kernel is lowered to LLVM, a store of 1 into a table of bytes is put at its beginning. The
-table is an external symbol, so compiled code that is kept on disk finds it in any process of this
-test run. The run keeps its kernels in a folder of its own: other processes lack the symbol.
+When a kernel is lowered to LLVM, a store of 1 into a table of bytes is inserted at its beginning.
+The table is an external symbol, so compiled code from the disk finds it in any process of the test
+run. The run has a separate kernel cache, since other processes lack the symbol.
 """
 
 import ctypes
@@ -35,17 +35,17 @@ _table = (ctypes.c_uint8 * SIZE)()
 
 
 def place(name: str) -> int:
-    """Index of a kernel in the table, the same in every process."""
+    """Index of a kernel in the table, equal in every process."""
     return int.from_bytes(hashlib.sha256(name.encode()).digest()[:3])
 
 
 def is_ours(module: str) -> bool:
-    """Whether a module belongs to the packages that are tested."""
+    """Whether a module belongs to the tested packages."""
     return module.partition(".")[0] in PACKAGES
 
 
 def record() -> None:
-    """Let every kernel that is compiled from now on record that it runs."""
+    """Make every kernel compiled from now on record its execution."""
     llvmlite.binding.add_symbol(SYMBOL, ctypes.addressof(_table))
     pre_lower = lowering.Lower.pre_lower
 
@@ -66,7 +66,7 @@ def record() -> None:
 
 
 def kernels() -> dict[str, Dispatcher]:
-    """All kernels that the packages define, by module and name."""
+    """All kernels of the packages, by module and name."""
     for package in map(import_module, PACKAGES):
         for module in walk_packages(package.__path__, f"{package.__name__}."):
             try:
@@ -84,7 +84,7 @@ def _name(kernel: Dispatcher) -> str:
 
 
 def missing(ran: set[str]) -> list[str]:
-    """Kernels that are neither among those that ran nor inlined as text into one that did."""
+    """Kernels that were neither executed nor inlined into an executed one."""
     known = kernels()
     seen, left = set(), [known[name] for name in ran if name in known]
     while left:
@@ -99,7 +99,7 @@ def missing(ran: set[str]) -> list[str]:
 
 
 def _named(kernel: Dispatcher) -> Iterator[Dispatcher]:
-    """Kernels that a kernel names, directly or as attributes of modules."""
+    """Kernels referenced by a kernel, directly or as attributes of modules."""
     function = kernel.py_func
     codes = [
         function.__code__,
@@ -114,7 +114,7 @@ def _named(kernel: Dispatcher) -> Iterator[Dispatcher]:
 
 
 class EveryKernel:
-    """The plugin behind ``--every-kernel``; with xdist it adds up what its workers ran."""
+    """Plugin of ``--every-kernel``; with xdist it combines the records of its workers."""
 
     def __init__(self, config: pytest.Config, folder: Path) -> None:
         numba.config.CACHE_DIR = str(folder)

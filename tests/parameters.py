@@ -1,4 +1,4 @@
-"""Parameters of tests that carry markers, by their names."""
+"""Test parameters with markers, by name."""
 
 from collections.abc import Collection, Iterable
 

@@ -1,4 +1,4 @@
-"""What a page of ``rendezvous report`` carries: an independent reading of ``train.encoding``."""
+"""Independent decoder of the data in a page of ``rendezvous report``."""
 
 import base64
 import gzip
@@ -9,13 +9,13 @@ import numpy as np
 
 
 def data_of(text):
-    """What the scripts of a page read, and its recordings."""
+    """Data of a page, and its recordings."""
     data = json.loads(re.search(r'<script id="data"[^>]*>(.*?)</script>', text, re.DOTALL)[1])
     return data, re.findall(r'<script id="recording-\d+"[^>]*>(.*?)</script>', text)
 
 
 def arrays_of(fields, text):
-    """The arrays of a recording by name."""
+    """Arrays of a recording by name."""
     arrays, raw = {}, gzip.decompress(base64.b64decode(text))
     for name, kind, shape, *scale in fields:
         count, dtype = int(np.prod(shape)), np.dtype(kind).newbyteorder("<")

@@ -1,4 +1,4 @@
-"""What tests of learners share: a small world, and what its robots live through one by one."""
+"""Common parts of learner tests: a small scenario, and the experience of its robots."""
 
 from types import SimpleNamespace
 
@@ -13,12 +13,12 @@ SCENARIO = rv.Scenario(
     allow_long_step=True,
     time_limit=4.4,
 )
-"""A small world in which a random policy merges, meets and runs out of time."""
+"""A small scenario with merges, rendezvous and time-outs under random actions."""
 BARE = {"guarantee": None, "learning_preset": False}
 
 
 class Lives:
-    """What the robots of one team live through, played alone in PettingZoo.
+    """Experience of the robots of one team, simulated separately in PettingZoo.
 
     ``found`` holds of every life that has ended: whose it was, what it saw, did and earned, what
     its future is valued from, and how it ended: "met", "late" or "merged".
@@ -30,7 +30,7 @@ class Lives:
         self.seen, _ = self.env.reset(seed=SEED + team)
 
     def step(self, actions):
-        """Let those who are alive act, of all robots by name."""
+        """Step the active robots with their actions of all robots by name."""
         alive = list(self.env.agents)
         new, rewards, ends, cuts, infos = self.env.step({name: actions[name] for name in alive})
         met = infos[alive[0]]["success"]
@@ -50,6 +50,6 @@ class Lives:
         self._time += 1
 
     def unfinished(self):
-        """Those that go on, likewise."""
+        """Continuing robots, likewise."""
         for name, life in self._open.items():
             yield self.env.index(name), life, self.seen[name], "running"

@@ -1,4 +1,4 @@
-"""Values for fuzzing: right ones, nearly right ones, and some that no one would send on purpose."""
+"""Values for fuzzing: valid, nearly valid, and invalid ones."""
 
 import datetime
 import math
@@ -34,7 +34,7 @@ lengths = st.sampled_from([SMALLEST, 1e-3, 0.2, 1.0, 1e3, LARGEST])
 
 
 def refusal(call: Callable, *args: Any, kind: type[Exception] = ValueError, **kwargs: Any) -> str:
-    """What a call says when it refuses."""
+    """Message of a rejection."""
     with pytest.raises(kind) as caught:
         call(*args, **kwargs)
     assert len(str(caught.value)) < 1200
@@ -42,18 +42,18 @@ def refusal(call: Callable, *args: Any, kind: type[Exception] = ValueError, **kw
 
 
 def mostly(right: st.SearchStrategy, *others: st.SearchStrategy) -> st.SearchStrategy:
-    """Eleven of twelve times the first; Hypothesis itself gives every branch the same chance."""
+    """The first in eleven of twelve cases; Hypothesis itself samples branches uniformly."""
     return st.integers(0, 11).flatmap(lambda k: right if k < 11 else st.one_of(*others))
 
 
 def nearly(right: st.SearchStrategy, *wrong: Any) -> st.SearchStrategy:
-    """Mostly right values, else one of the wrong ones, an edge or something absurd."""
+    """Mostly valid values, otherwise a wrong one, a limit, or an absurd one."""
     near = [st.sampled_from(wrong)] if wrong else []
     return mostly(right, *near, edges, absurd)
 
 
 def table(*shape: int) -> st.SearchStrategy:
-    """Tables of that shape: usual numbers, with an entry or two at the edges."""
+    """Tables of the given shape with usual numbers, and one or two extreme entries."""
 
     def build(seed: int, size: float, spoilt: list[tuple[int, float]]) -> np.ndarray:
         values = size * np.random.default_rng(seed).uniform(-1, 1, shape)
@@ -82,8 +82,10 @@ def any_table(*shape: int) -> st.SearchStrategy:
 
 
 def in_numpy(value: Any, depth: int = 9) -> Any:
-    """Numbers and flags of a value as NumPy's own, where these hold them; lists that are too deep,
-    or hold themselves, stay as they are there."""
+    """Numbers and flags of a value as NumPy scalars, where these are exact.
+
+    Lists that are too deep or recursive are unchanged.
+    """
     if isinstance(value, dict) and depth:
         return {key: in_numpy(entry, depth - 1) for key, entry in value.items()}
     if isinstance(value, list) and depth:
@@ -107,7 +109,7 @@ boxes = st.builds(
 
 
 def obstacles(dim: int) -> st.SearchStrategy:
-    """Plain data of a few obstacles of d-space, or of a field of them."""
+    """Plain data of a few obstacles of dimension d, or of a random obstacle field."""
     ball = st.fixed_dictionaries(
         {"centre": nearly(centres[dim], [0.0]), "radius": nearly(radii, 1e-6)}
     )
@@ -145,7 +147,7 @@ def graphs(n: int) -> st.SearchStrategy:
 
 @st.composite
 def scenario_fields(draw: st.DrawFn) -> dict[Any, Any]:
-    """Fields of a small scenario: mostly right ones, of any size."""
+    """Fields of a small scenario: mostly valid ones, of any size."""
     model, dim = draw(st.sampled_from(MODELS))
     n = draw(st.integers(2, 4))
     fields: dict[Any, Any] = {"n_robots": n, "dim": dim, "robot_model": model}
@@ -198,7 +200,7 @@ SCRAPS = [
 
 @st.composite
 def toml_texts(draw: st.DrawFn, keys: list[str]) -> bytes:
-    """TOML of a few fields with scraps for values; or any text, or any bytes."""
+    """TOML of a few fields with random values; or any text, or any bytes."""
     lines = draw(
         st.lists(
             st.builds(

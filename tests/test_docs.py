@@ -84,7 +84,7 @@ def test_every_python_block_of_the_readme_runs(capsys):
     assert float(printed[1]) == pytest.approx(float(shown[1]), abs=0.5)
 
 
-def test_the_readme_names_every_command_and_scenarios_that_there_are():
+def test_readme_names_every_command_and_existing_scenarios():
     text = PAGES[0].read_text(encoding="utf-8")
     assert set(re.findall(r"`rendezvous (\w+)", text)) == set(COMMANDS)
     shown = set(re.findall(r'"((?:fig|swarm-|ring-|clutter-)\w+)"', text))
@@ -93,7 +93,7 @@ def test_the_readme_names_every_command_and_scenarios_that_there_are():
 
 
 @pytest.mark.parametrize("page", with_blocks("bash"))
-def test_every_command_shown_is_understood(page, monkeypatch):
+def test_every_command_parses(page, monkeypatch):
     """Long ones are not run; their own parser reads them, also where Ray is not installed."""
     monkeypatch.setattr(tasks, "check_installed", lambda *needed: None)
     seen = 0
@@ -131,14 +131,14 @@ def test_every_toml_block_is_a_scenario(tmp_path, monkeypatch):
     assert found["sensing"].sensing == rv.Sensing(field_of_view=2.0, noise=0.05, occlusion="both")
 
 
-def test_no_other_languages_hide_code():
+def test_code_blocks_have_known_languages():
     for page in PAGES:
         shown = set(re.findall(r"^```(\w+)", page.read_text(encoding="utf-8"), flags=re.MULTILINE))
         assert shown <= {"python", "bash", "text", "toml"}, page
 
 
 @pytest.mark.parametrize("page", each(PAGES))
-def test_links_lead_somewhere(page):
+def test_links_resolve(page):
     text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", text):
         if not target.startswith(("http", "mailto:")):
@@ -149,7 +149,7 @@ MODULE = re.compile(r"`((?:train|rendezvous_env|baselines)(?:\.\w+)+)`")
 
 
 @pytest.mark.parametrize("page", each(PAGES))
-def test_modules_and_files_shown_exist(page):
+def test_modules_and_files_exist(page):
     """Of a page about the past the first cells of tables, which name what was, are left out."""
     text = page.read_text(encoding="utf-8")
     for path in re.findall(r"`((?:train|rendezvous_env|baselines)/[\w./]+)`", text):
@@ -161,7 +161,7 @@ def test_modules_and_files_shown_exist(page):
         assert resolve_name(name) is not None, name
 
 
-def test_scenarios_and_policies_shown_exist():
+def test_scenarios_and_policies_exist():
     scenarios = set(rv.scenarios.names())
     policies = set(policy.names())
     for page in PAGES:
@@ -173,12 +173,12 @@ def test_scenarios_and_policies_shown_exist():
                 assert name in policies or ":" in name, (page, name)
 
 
-def test_the_format_of_results_is_that_of_today():
+def test_results_format_version_is_current():
     text = (ROOT / "docs/migration.md").read_text(encoding="utf-8")
     assert f"`format_version` {FORMAT_VERSION} in `run.json`" in text
 
 
-def test_every_page_is_in_the_index():
+def test_every_page_is_in_index():
     index = (ROOT / "docs/README.md").read_text(encoding="utf-8")
     for page in (ROOT / "docs").glob("*.md"):
         assert page.name == "README.md" or f"]({page.name})" in index

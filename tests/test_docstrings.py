@@ -1,7 +1,7 @@
-"""Docstrings of equations and guarantees: what kind of thing, in which unit, by what formula.
+"""Docstrings of equations and guarantees: kind of value, unit, formula.
 
-The three are looked for by their vocabulary. That a word stands there does not make it right; that
-none does shows that something has been left out.
+The test searches for their vocabulary. A matching word does not prove correctness; a missing one
+reveals an omission.
 """
 
 import ast
@@ -30,7 +30,7 @@ REFERENCE = re.compile(r"\b[Aa]s (?:for )?``(\w+)``")
 
 
 def functions() -> dict[str, ast.FunctionDef]:
-    """Every function of a module in the two folders, by its name."""
+    """Functions of the modules in the two folders, by name."""
     return {
         node.name: node
         for folder in FOLDERS
@@ -44,7 +44,7 @@ FUNCTIONS = functions()
 
 
 def handles_numbers(function: ast.FunctionDef) -> bool:
-    """Whether numbers may go in or come out: of kernels, and of those whose annotations say it."""
+    """Whether a function has numeric inputs or outputs: kernels, and by annotation."""
     arguments = [*function.args.args, *function.args.kwonlyargs]
     annotations = [function.returns, *(argument.annotation for argument in arguments)]
     if None in annotations:
@@ -54,14 +54,14 @@ def handles_numbers(function: ast.FunctionDef) -> bool:
 
 
 def told_of(function: ast.FunctionDef) -> str:
-    """Its docstring, and those of the functions that it says its arguments are as."""
+    """Docstring of a function, and those of the functions that it refers to."""
     text = ast.get_docstring(function) or ""
     others = [FUNCTIONS[name] for name in REFERENCE.findall(text) if name in FUNCTIONS]
     return "\n".join([text, *(told_of(other) for other in others if other is not function)])
 
 
 def described(function: ast.FunctionDef) -> str:
-    """What a function's docstring says, and its return annotation where that is a number."""
+    """Docstring of a function, and its return annotation if it is a number."""
     returned = ast.unparse(function.returns) if function.returns else ""
     kind = "\nnumber" if re.fullmatch(r"(float|int|bool)( \| None)?", returned) else ""
     return told_of(function) + kind
@@ -85,7 +85,7 @@ def missing(text: str) -> list[str]:
         ("A row (x, y) is a = b.", ["kind", "unit"]),
     ],
 )
-def test_the_vocabulary_tells_what_is_missing(text, expected):
+def test_checker_reports_missing_parts(text, expected):
     assert missing(text) == expected
 
 

@@ -1,4 +1,4 @@
-"""The examples run, and show what they say."""
+"""Examples: they run with the stated results."""
 
 import re
 
@@ -14,14 +14,14 @@ def run(name, *words):
     return run_python(ROOT, EXAMPLES / name, *words).stdout
 
 
-def test_step_loop_and_own_law():
+def test_step_loop_and_custom_law_run():
     assert re.fullmatch(r"\d+ steps; met: True after \d\.\d\d s\n", run("01_step_loop.py"))
     law, fast = run("02_own_law.py").splitlines()
     assert law.startswith("law (1): 100% met") and fast.startswith("full speed along f:")
 
 
 @pytest.mark.slow
-def test_train_and_compare(tmp_path):
+def test_train_and_compare_run(tmp_path):
     small = ("--steps", "1000", "--teams", "8", "--episodes", "3", "--out", str(tmp_path))
     last = run("03_train_and_compare.py", *small).splitlines()[-3:]
     policies = ["bearing-only", "tangent-joined-tuned", "learned"]
@@ -30,7 +30,7 @@ def test_train_and_compare(tmp_path):
 
 
 @pytest.mark.slow
-def test_stable_baselines3(tmp_path):
+def test_stable_baselines3_example_runs(tmp_path):
     program = (EXAMPLES / "11_sb3_ppo.py").read_text(encoding="utf-8")
     assert len([line for line in program.splitlines() if line.strip()]) <= 30
     small = ("--steps", "512", "--teams", "4", "--episodes", "2", "--out", str(tmp_path / "out"))
@@ -43,11 +43,11 @@ def test_stable_baselines3(tmp_path):
 JUDGED = re.compile(
     r"(before|after [\d,]+ (?:decisions|steps) of robots): (\S+)% met, (\S+)% without a touch"
 )
-"""What an example that learns says of the held-out starts, before and after."""
+"""Printed success on held-out initial conditions, before and after."""
 
 
 @pytest.mark.slow
-def test_ppo_in_one_file():
+def test_cleanrl_example_runs():
     small = ("--scenario", "duo", "--updates", "3", "--teams", "8", "--held-out", "20")
     first, update, last = run("04_cleanrl_ppo.py", *small).splitlines()
     loss = re.fullmatch(r"update 3: loss (\S+), reward \S+, .*", update)[1]
@@ -57,7 +57,7 @@ def test_ppo_in_one_file():
 
 
 @pytest.mark.slow
-def test_ppo_in_one_file_learns():
+def test_cleanrl_example_learns():
     size = ("--updates", "60", "--teams", "64", "--steps", "64", "--held-out", "200")
     text = run("04_cleanrl_ppo.py", *size)
     (_, met, clean), (_, met_after, clean_after) = JUDGED.findall(text)
@@ -66,7 +66,7 @@ def test_ppo_in_one_file_learns():
 
 
 @pytest.mark.slow
-def test_noisy_sensors(tmp_path):
+def test_noisy_sensors_example_runs(tmp_path):
     table, figure = tmp_path / "rows.csv", tmp_path / "clean.png"
     counts = ("--scenarios", "clutter-4", "--episodes", "3", "--sensors", "exact", "noise 0.2")
     policies = ("bearing-only", "learned", "learned@0.6")

@@ -1,4 +1,4 @@
-"""The package as a user installs it: a wheel, not the folder that it is written in."""
+"""Installed package: a wheel, independent of the source folder."""
 
 import os
 import re
@@ -12,12 +12,12 @@ from conftest import ROOT
 
 NO_REGISTRY = re.compile("NewConnectionError|NameResolutionError|ConnectTimeoutError")
 FEWER = {"--total-steps": "4096", "--episodes": "4", "--steps": "4096"}
-"""Flags of the README's commands that are given smaller values here."""
+"""Smaller values for flags of the README's commands."""
 KERNELS = ROOT / "rendezvous_env" / "__pycache__"  # what other tests compiled is the same code
 
 
 def run(*command: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """A command that does not see where the tests run."""
+    """Run a command without access to the test folder."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
     environment.setdefault("NUMBA_CACHE_DIR", str(KERNELS))
     return subprocess.run(
@@ -27,7 +27,7 @@ def run(*command: object, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 
 def call(*command: object, cwd: Path) -> str:
-    """What a command prints, which must end well."""
+    """Output of a command, which must succeed."""
     done = run(*command, cwd=cwd)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     return done.stdout
@@ -43,7 +43,7 @@ def wheel(tmp_path_factory):
 
 
 def environment(folder, *requirements):
-    """Folder of the scripts of a new environment that holds these and what they need, no more.
+    """Scripts folder of a new environment with only these packages and their dependencies.
 
     Everything comes from the package registry; without one the test is skipped.
     """
@@ -60,13 +60,13 @@ def environment(folder, *requirements):
 
 @pytest.fixture(scope="module")
 def scripts(wheel, tmp_path_factory):
-    """Of an environment with the wheel and nothing of where the tests run."""
+    """Scripts folder of an environment with the wheel, without access to the test folder."""
     return environment(tmp_path_factory.mktemp("installed") / "venv", wheel)
 
 
 @pytest.fixture(scope="module")
 def training_scripts(wheel, tmp_path_factory):
-    """Likewise with the extra ``train``."""
+    """The same with the extra ``train``."""
     folder = tmp_path_factory.mktemp("training") / "venv"
     return environment(folder, "torch==2.13.0", f"{wheel}[train]")
 
@@ -89,7 +89,7 @@ print(baselines.__name__, rv.__file__)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("hidden", [False, True])
-def test_names_of_a_users_own_files_hide_nothing(scripts, hidden, tmp_path):
+def test_user_files_do_not_shadow_modules(scripts, hidden, tmp_path):
     python = scripts / "python"
     script = tmp_path / "main.py"
     script.write_text(USE)
@@ -108,7 +108,7 @@ def test_names_of_a_users_own_files_hide_nothing(scripts, hidden, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_wheel_in_an_empty_environment_compares_without_the_train_extra(scripts, tmp_path):
+def test_wheel_compares_without_train_extra(scripts, tmp_path):
     installed = call(scripts / "python", "-m", "pip", "list", cwd=tmp_path).lower()
     assert "rendezvous-env" in installed
     assert not any(line.startswith(("torch ", "stable")) for line in installed.splitlines())

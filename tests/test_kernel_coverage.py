@@ -1,4 +1,4 @@
-"""The record of kernels that ran, on which ``make test-kernels`` relies."""
+"""Record of executed kernels, used by ``make test-kernels``."""
 
 import os
 import subprocess

@@ -114,7 +114,7 @@ def level_of(room: str) -> int:
     return LEVEL.get(room.removeprefix("rendezvous_env."), len(ROOMS))
 
 
-def test_nothing_points_back():
+def test_no_upward_imports():
     wrong = []
     for module in MODULES:
         floor = PACKAGES[module.split(".")[0]]
@@ -125,11 +125,11 @@ def test_nothing_points_back():
     assert wrong == []
 
 
-def test_all_commands_print_to_a_console_without_markup():
+def test_commands_print_without_markup():
     assert {m for m in MODULES if "rich.console.Console" in imported_names(m)} == set()
 
 
-def test_no_file_uses_the_short_names():
+def test_short_names_are_not_used_internally():
     """Which mean files of a user where there are such; the safe names never do."""
     for module in MODULES:
         words = []
@@ -143,7 +143,7 @@ def test_no_file_uses_the_short_names():
         assert not {word.partition(".")[0] for word in words} & {"train", "baselines"}, module
 
 
-def test_a_law_reads_no_position():
+def test_laws_do_not_read_positions():
     """Policies know the scenario and what their robots see, not the simulator; those that do say
     so in their names. What policies are trained in wraps an environment; what plays a model that
     was trained there asks it how, and no other knows it.
@@ -157,7 +157,7 @@ def test_a_law_reads_no_position():
             assert environment not in ours(module) or module == "baselines.trained_policy"
 
 
-def test_the_reader_of_imports_follows_relative_ones():
+def test_import_reader_follows_relative_imports():
     assert "rendezvous_env.physics.vectors" in ours("rendezvous_env.physics.potential")
     assert "rendezvous_env" in imports("baselines.laws.paper_laws")
     assert "train.checks" in ours("train.compare.settings")
@@ -166,19 +166,19 @@ def test_the_reader_of_imports_follows_relative_ones():
     assert "rendezvous_env.graphs" in ours("rendezvous_env")
 
 
-def test_no_file_imports_in_a_circle():
+def test_no_import_cycles_between_files():
     circles = [(a, b) for a in MODULES for b in ours(a) if a in all_imported(b)]
     assert circles == []
 
 
-def test_no_two_rooms_import_each_other():
+def test_no_import_cycles_between_packages():
     pairs = {(room_of(a), room_of(b)) for a in MODULES for b in ours(a)}
     assert ("train.compare", "baselines.learned") in pairs
     both = {(a, b) for a, b in pairs if a < b and (b, a) in pairs}
     assert both == set()
 
 
-def test_rooms_of_the_environment_stand_on_one_another():
+def test_environment_packages_are_layered():
     inside = [name for name in MODULES if name.startswith("rendezvous_env")]
     wrong = [
         f"{module} imports {name}"
@@ -189,7 +189,7 @@ def test_rooms_of_the_environment_stand_on_one_another():
     assert wrong == []
 
 
-def test_no_room_is_crowded():
+def test_no_package_is_crowded():
     rooms = [room_of(name) for name in MODULES if source_of(name).name != "__init__.py"]
     crowded = {room: rooms.count(room) for room in set(rooms) if rooms.count(room) > MOST_MODULES}
     assert crowded == {}
@@ -204,7 +204,7 @@ def test_arrays_need_no_pettingzoo(face):
     assert not [name for name in reached if "pettingzoo" in imports(name)]
 
 
-def test_train_itself_is_light_and_knows_the_short_names(tmp_path):
+def test_train_import_is_light(tmp_path):
     code = (
         "import sys, train; light = not {'torch', 'stable_baselines3', 'rich'} & set(sys.modules);"
         "from train import compare, learned_policy, ppo;"
@@ -218,7 +218,7 @@ def test_train_itself_is_light_and_knows_the_short_names(tmp_path):
         exec("from train import no_such_module")
 
 
-def test_neither_an_import_nor_a_policy_pulls_in_what_is_heavy(tmp_path):
+def test_heavy_libraries_are_not_imported(tmp_path):
     """Not even a learned one, which reads a file of weights."""
     code = (
         "import sys, rendezvous_env as rv, baselines;"
@@ -251,7 +251,7 @@ for policy in (own, baselines.make("learned", scenario), baselines.make("learned
 """
 
 
-def test_a_script_called_train_uses_everything_but_train(tmp_path):
+def test_user_train_script_can_use_the_library(tmp_path):
     """Also where it is imported, and so stands under that name among the modules."""
     for name in ("compare.py", "graphs.py", "kernels.py", "policy.py"):
         (tmp_path / name).write_text("raise RuntimeError('the wrong module was imported')\n")
@@ -260,7 +260,7 @@ def test_a_script_called_train_uses_everything_but_train(tmp_path):
     assert said.split() == ["True"] * 3
 
 
-def test_the_console_script_works_beside_a_train_py(tmp_path):
+def test_console_script_works_beside_train_py(tmp_path):
     """And finds a policy in a file beside it."""
     (tmp_path / "train.py").write_text("raise RuntimeError('the wrong train')\n")
     (tmp_path / "mine.py").write_text(
@@ -276,7 +276,7 @@ def test_the_console_script_works_beside_a_train_py(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("script", ["main.py", "train.py"])
-def test_the_safe_names_work_beside_a_train_py_and_baselines_py(script, tmp_path):
+def test_safe_names_work_beside_user_files(script, tmp_path):
     """Or in a script that is called so; workers load it under another name."""
     for name in ("train.py", "baselines.py"):
         (tmp_path / name).write_text("raise RuntimeError('the wrong module was imported')\n")
@@ -292,7 +292,7 @@ def test_the_safe_names_work_beside_a_train_py_and_baselines_py(script, tmp_path
     run_python(tmp_path, script, **BESIDE)
 
 
-def test_the_public_names_of_the_design():
+def test_public_names_are_stable():
     wanted = {"Scenario", "scenarios", "rollout", "certificate", "rendezvous_v0", "parallel_env"}
     assert wanted | {"Simulator", "Trajectory"} <= set(rv.__all__)
     for home, names in {
@@ -304,7 +304,7 @@ def test_the_public_names_of_the_design():
         assert [name for name in names if not hasattr(home, name)] == []
 
 
-def test_the_signatures_of_the_design():
+def test_signatures_are_stable():
     def names(function):
         return list(inspect.signature(function).parameters)
 
@@ -329,7 +329,7 @@ def test_the_signatures_of_the_design():
     assert rv.Scenario().sensing_graph == rv.graphs.complete()
 
 
-def test_the_project_lists_every_folder():
+def test_project_lists_every_package():
     listed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
     folders = {name for name in MODULES if source_of(name).name == "__init__.py"}
     assert set(listed["setuptools"]["packages"]) == folders

@@ -1,4 +1,4 @@
-"""The theorems of the paper and of theory.md section 3, each over many random teams."""
+"""Theorems of the paper and of theory.md section 3, over many random teams."""
 
 import math
 from itertools import pairwise
@@ -32,8 +32,10 @@ TEAMS = 16
 
 
 def run_to_end(scenario, num_envs, *, seed=0, policy=None, options=None):
-    """Teams at the end of a law's run, when each of them met, s, and the largest rise of V between
-    merges, m²/s; it is negative if V fell in every step of every running team.
+    """Teams after a run of a law, rendezvous times, s, and the largest increase of V, m²/s.
+
+    The increase is between merges; it is negative if V decreased in every step of every running
+    team.
     """
     chosen = law_of(scenario) if policy is None else baselines.make(policy, scenario)
     simulator = Simulator(scenario, num_envs, num_threads=1)
@@ -48,7 +50,7 @@ def run_to_end(scenario, num_envs, *, seed=0, policy=None, options=None):
 
 @st.composite
 def teams(draw):
-    """Positions (n, d), no two closer than 5 cm, and symmetric weights, not all zero."""
+    """Positions (n, d) at least 5 cm apart, and symmetric weights, not all zero."""
     n, d = draw(st.integers(2, 7)), draw(st.integers(2, 3))
     random = np.random.default_rng(draw(st.integers(0, 2**32)))
     lattice = np.zeros((n, d))
@@ -63,8 +65,10 @@ def teams(draw):
 
 
 def check_law_1(scenario, num_envs, seed):
-    """Theorems 1 and A: V falls in every step, and all meet in time. By how much V falls, and rises
-    at merges, ``verify`` looks at."""
+    """Theorems 1 and A: V decreases in every step, and all meet in time.
+
+    ``verify`` checks the amount of the decrease, and increases at merges.
+    """
     simulator, times, rise = run_to_end(scenario, num_envs, seed=seed)
     assert rise < 0
     assert (times <= time_bound(scenario, simulator.initial_lyapunov)).all()
@@ -72,12 +76,12 @@ def check_law_1(scenario, num_envs, seed):
 
 
 class TestTheorem1:
-    """Law (1) meets if and only if the graph is connected."""
+    """Law (1) achieves rendezvous if and only if the graph is connected."""
 
     @pytest.mark.parametrize("dim", [2, 3])
     @pytest.mark.parametrize("n", [2, slow(3), 5, slow(8), 12])
     @pytest.mark.parametrize("family", FAMILIES)
-    def test_connected_graphs_meet_in_bounded_time_and_v_always_falls(self, family, n, dim):
+    def test_connected_graphs_meet_within_bound_and_v_decreases(self, family, n, dim):
         graph = FAMILIES[family](n)
         scenario = Scenario(
             n_robots=n, dim=dim, graph=graph, time_limit=1000.0, neighbour_slots=n - 1
@@ -89,7 +93,7 @@ class TestTheorem1:
     @pytest.mark.slow
     @pytest.mark.parametrize("dim", [2, 3])
     @pytest.mark.parametrize("family", FAMILIES)
-    def test_large_and_crowded_teams(self, family, dim):
+    def test_large_and_crowded_teams_meet(self, family, dim):
         crowd = Scenario(n_robots=20, dim=dim, spawn_size=4.0, merge_radius=0.15, time_limit=1000.0)
         check_law_1(crowd.replace(graph=FAMILIES[family](20)), 100, seed=dim)
 
@@ -98,7 +102,7 @@ class TestTheorem1:
         ("pieces", "n"),
         [([[0, 3], [1, 2, 4]], 5), ([[0], [1, 5, 2], [3, 4]], 6), ([[0, 1, 2, 3, 4, 5], [6]], 7)],
     )
-    def test_a_disconnected_graph_ends_with_one_robot_for_each_component(self, pieces, n, dim):
+    def test_disconnected_graph_ends_with_one_robot_per_component(self, pieces, n, dim):
         edges = [
             (*pair, 0.6 + 0.2 * k) for piece in pieces for k, pair in enumerate(pairwise(piece))
         ]
@@ -116,7 +120,7 @@ class TestTheorem1:
         assert not certificate(scenario).guaranteed
         assert np.isinf(time_bound(scenario, simulator.initial_lyapunov)).all()
 
-    def test_without_any_link_nobody_moves(self):
+    def test_unlinked_robots_do_not_move(self):
         alone = Scenario(n_robots=3, graph=np.zeros((3, 3)), require_connected=False, time_step=0.1)
         simulator, *_ = run_to_end(alone.replace(time_limit=2.0), 4)
         assert simulator.active.all() and (simulator.path_length == 0).all()
@@ -127,7 +131,7 @@ class TestTheoremA:
 
     @pytest.mark.parametrize("dim", [2, 3])
     @pytest.mark.parametrize("weight", [0.4, 1.0, 2.5])
-    def test_two_robots_meet_within_one_step_of_the_closed_form(self, weight, dim):
+    def test_two_robots_meet_within_step_of_closed_form(self, weight, dim):
         pair = Scenario(n_robots=2, dim=dim, graph=graphs.path(weight), merge_radius=0.3)
         starts = np.random.default_rng(3).normal(size=(200, 2, dim)) * 4
         _, times, _ = run_to_end(pair, 200, options={"positions": starts})
@@ -135,7 +139,7 @@ class TestTheoremA:
         expected = np.maximum(length - pair.merge_radius, 0) / (2 * weight)
         assert (np.abs(times - expected) <= pair.tau * (1 + 1e-6)).all()
 
-    def test_no_team_is_faster_than_the_lower_bound(self):
+    def test_no_team_is_faster_than_lower_bound(self):
         for dim in (2, 3):
             scenario = five(f"single_integrator-{dim}d", max_speed=0.8)
             _, times, _ = run_to_end(scenario, 64, seed=4)
@@ -145,13 +149,13 @@ class TestTheoremA:
             assert min(bounds) > 1
 
     @pytest.mark.parametrize("dim", [2, 3])
-    def test_bounds_hold_under_a_speed_limit(self, dim):
+    def test_bounds_hold_under_speed_limit(self, dim):
         scenario = Scenario(n_robots=5, dim=dim, graph=UNEQUAL, max_speed=0.5, time_limit=2000.0)
         assert time_bound(scenario, 1.0) > 5 * time_bound(scenario.replace(max_speed=None), 1.0)
         check_law_1(scenario, 64, seed=5)
 
 
-def test_under_far_too_long_a_step_v_rises():
+def test_too_long_step_raises_v():
     """r/(2D̄) is safe, much longer steps are not (theory 4)."""
     scenario = Scenario(n_robots=8, graph=graphs.path(), allow_long_step=True, time_limit=60.0)
     long = scenario.replace(time_step=20 * scenario.certified_step)
@@ -174,7 +178,7 @@ class TestTheorems3And4:
     )
     @pytest.mark.parametrize("n", [2, slow(3), 5, slow(8)])
     @pytest.mark.parametrize("family", FAMILIES)
-    def test_all_meet(self, theorem, model, policy, family, n):
+    def test_all_nonholonomic_teams_meet(self, theorem, model, policy, family, n):
         scenario = Scenario(
             **MODELS[model], n_robots=n, graph=FAMILIES[family](n), time_limit=600.0,
             neighbour_slots=n - 1,  # all families are one kind to the compiler
@@ -182,27 +186,27 @@ class TestTheorems3And4:
         assert np.isfinite(run_to_end(scenario, 36, seed=n, policy=policy)[1]).all()
         assert certificate(scenario).theorem.startswith(f"theorem {theorem}")
 
-    def test_also_from_attitudes_at_the_singularity(self):
+    def test_teams_meet_from_singular_attitudes(self):
         scenario = five("nonholonomic_3d", time_limit=200.0)
         headings = np.stack([np.linspace(-3, 3, 5), np.full(5, math.pi / 2)], axis=-1)
         assert np.isfinite(run_to_end(scenario, 64, options={"headings": headings})[1]).all()
 
 
 @given(teams())
-def test_total_net_bearing(team):
+def test_lemma_1_bounds_total_net_bearing(team):
     """Lemma 1: Σ‖f_i‖ ≥ 2 max a_ij while no two neighbours coincide."""
     positions, weights = team
     total = np.linalg.norm(net_bearings(positions, weights), axis=-1).sum()
     assert total >= 2 * weights.max() * (1 - 1e-12)
 
 
-def test_lemma_1_is_attained_by_three_robots_on_a_line():
+def test_lemma_1_is_attained_by_three_collinear_robots():
     f = net_bearings([[0.0, 0], [1, 0], [3, 0]], [[0, 0.7, 0], [0.7, 0, 0.7], [0, 0.7, 0]])
     assert np.linalg.norm(f, axis=-1).tolist() == [0.7, 0.0, 0.7]
 
 
 @given(teams(), st.integers(0, 2**32))
-def test_the_rate_of_v_against_central_differences(team, seed):
+def test_rate_of_v_matches_central_differences(team, seed):
     """V̇ = −2 Σ‖f_i‖² under law (1) and −2 Σ (h_iᵀf_i)² under law (4), against differences of V."""
     positions, weights = team
     f = net_bearings(positions, weights)

@@ -1,4 +1,4 @@
-"""Files around the code: the list of promises, continuous integration, containers."""
+"""Project files: the list of guarantees, continuous integration, containers."""
 
 import json
 import re
@@ -10,11 +10,11 @@ CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 DOCKERFILE = (ROOT / "Dockerfile").read_text(encoding="utf-8")
 JOBS = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8"))["jobs"]
 OUTSIDE = {"data", "adapters", "research"}
-"""Folders of tests without a promise of their own: data, other libraries, scripts."""
+"""Test folders without a guarantee: data, other libraries, scripts."""
 
 
 def promised_tests() -> list[str]:
-    """The tests in the table of promises, by file and name."""
+    """Tests in the table of guarantees, by file and name."""
     return re.findall(r"^\|[^|]+\| `(tests/[\w/.:]+)` \|$", CONTRIBUTING, flags=re.MULTILINE)
 
 

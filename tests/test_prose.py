@@ -16,9 +16,9 @@ PAGES = [
 ] + sorted((ROOT / "docs").rglob("*.md"))
 PACKAGES = ("rendezvous_env", "baselines", "train")
 LONGEST = 25
-"""Words of a sentence."""
+"""Maximum number of words of a sentence."""
 LONGEST_CELL = 22
-"""Words of a cell of a table."""
+"""Maximum number of words of a table cell."""
 BANNED = re.compile(
     r"\b(whom|whoever|nobody|everybody|somebody|everyone|someone|of which|whose own|one's own"
     r"|as told|in turns?|so many|what is|by how much|comes? home|goes any way|in the air|turns? up"

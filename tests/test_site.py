@@ -1,4 +1,4 @@
-"""The site and its tutorial: both are made without a complaint, and pages fetch nothing."""
+"""Site and tutorial: built without warnings, and pages without external resources."""
 
 import http.server
 import json
@@ -23,14 +23,14 @@ ELSEWHERE = re.compile(r"^\s*(?:https?:)?//")
 
 
 def run(*words: object, **environment: str) -> str:
-    """What a Python program says, on both streams."""
+    """Output of a Python program, both streams."""
     done = run_python(ROOT, *words, PYTHONPATH=str(ROOT), **environment)
     return done.stdout + done.stderr
 
 
 @pytest.fixture(scope="module", params=["mkdocs", "zensical"])
 def site(request):
-    """The site by each generator, and what was said while it was built."""
+    """Site by each generator, and the build output."""
     pytest.importorskip(request.param)
     folder = ROOT / "out" / f"site-by-{request.param}"  # one of them builds within the project only
     environment = {"SITE_DIR": str(folder.relative_to(ROOT)), "NO_MKDOCS_2_WARNING": "1"}
@@ -39,34 +39,34 @@ def site(request):
 
 
 class Fetched(HTMLParser):
-    """Collects what a page makes a browser fetch."""
+    """Parser that collects the resources that a page loads."""
 
     def __init__(self) -> None:
         super().__init__()
         self.found: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """See what a tag fetches, and what the style that stands in it does."""
+        """Collect the resources of a tag, and of its style."""
         given = dict(attrs)
         self.found.append(given.get(LOADS.get(tag, "")) or "")
         self.found += re.findall(r"url\(['\"]?([^)'\"]+)", given.get("style") or "")
 
 
 def fetched(text: str) -> list[str]:
-    """What a page fetches from elsewhere."""
+    """External resources of a page."""
     reader = Fetched()
     reader.feed(text)
     return [address for address in reader.found if ELSEWHERE.match(address)]
 
 
-def test_the_reader_finds_what_is_fetched():
+def test_fetch_reader_finds_external_resources():
     page = '<a href="https://a.b"><script src="//c.d/e.js"></script><link href="https://f">'
     assert fetched(page + '<img src="x.png" style="background: url(http://g)">') == [
         "//c.d/e.js", "https://f", "http://g",
     ]  # fmt: skip
 
 
-def test_it_is_built_without_a_warning(site):
+def test_site_builds_without_warning(site):
     folder, said = site
     assert not re.search(r"(?<!no )warning|error", said, re.IGNORECASE), said
     assert len(list(folder.rglob("*.html"))) > 30
@@ -74,7 +74,7 @@ def test_it_is_built_without_a_warning(site):
         assert (folder / f"{made}.html").stat().st_size > 10_000, made
 
 
-def test_pages_fetch_nothing_from_elsewhere(site):
+def test_pages_fetch_nothing_external(site):
     folder, _ = site
     for page in folder.rglob("*.html"):
         assert fetched(page.read_text(encoding="utf-8")) == [], page.name
@@ -99,7 +99,7 @@ def test_old_addresses_forward_to_pages(site):
         assert (folder / target).stat().st_size > 10_000, (old, target)
 
 
-def test_equations_are_drawn_while_it_is_built(site):
+def test_equations_are_rendered_at_build_time(site):
     folder, _ = site
     pages = {page: page.read_text(encoding="utf-8") for page in folder.rglob("*.html")}
     assert sum("<math" in text for text in pages.values()) >= 3
@@ -107,14 +107,14 @@ def test_equations_are_drawn_while_it_is_built(site):
 
 
 class Silent(http.server.SimpleHTTPRequestHandler):
-    """Serves files and keeps no log."""
+    """File server without a log."""
 
     def log_message(self, *_: object) -> None:
-        """Say nothing."""
+        """Suppress log messages."""
 
 
 @needs_browser
-def test_a_browser_asks_nobody_else_and_finds_words(site, browser):
+def test_search_works_offline(site, browser):
     handler = partial(Silent, directory=site[0])
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
@@ -144,7 +144,7 @@ nbformat.write(notebook, sys.argv[2])
 """
 
 
-def test_the_tutorial_runs_and_shows_what_it_says(tmp_path):
+def test_tutorial_runs_with_shown_output(tmp_path):
     run("-W", "ignore", "-c", EXECUTE, NOTEBOOK, tmp_path / "run.ipynb")
     kept = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
     new = json.loads((tmp_path / "run.ipynb").read_text(encoding="utf-8"))["cells"]

@@ -1,4 +1,4 @@
-"""Pages of the site that are made from the code name everything that the code has."""
+"""Generated pages of the site: complete with respect to the code."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from train.cli import COMMANDS
 
 @pytest.fixture(scope="module")
 def pages():
-    """The module that makes pages."""
+    """Module that generates pages."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(ROOT / "docs" / "building")
         yield import_module("pages")
 
 
 def section(page: str, title: str) -> str:
-    """What stands under a heading."""
+    """Text below a heading."""
     (found,) = re.findall(rf"^## `{re.escape(title)}`\n(.*?)(?=^## |\Z)", page, re.DOTALL | re.M)
     return found
 
@@ -48,7 +48,7 @@ class Sample:
     """And others."""
 
 
-def test_a_table_of_fields_by_hand(pages):
+def test_field_table_matches_hand_written_sample(pages):
     rows = import_module("attributes").fields_table(Sample).splitlines()
     assert rows[2:] == [
         r"| `least` | `float` | – | Of two \| three values, m; never negative. |",
@@ -58,7 +58,7 @@ def test_a_table_of_fields_by_hand(pages):
     ]
 
 
-def test_every_field_of_an_experiment_is_told(pages):
+def test_every_scenario_field_is_documented(pages):
     page = pages.data()
     for kind, _ in pages.DATA:
         rows = section(page, kind.__name__)
@@ -67,7 +67,7 @@ def test_every_field_of_an_experiment_is_told(pages):
             assert found and found[1], f"{kind.__name__}.{field.name}"
 
 
-def test_every_column_and_array_of_a_file_is_told(pages, compared):
+def test_every_column_and_array_is_documented(pages, compared):
     page = pages.data()
     told = {
         file: re.findall(r"^\| `(\w+)` \| \S", section(page, file), re.MULTILINE)
@@ -84,7 +84,7 @@ def test_every_column_and_array_of_a_file_is_told(pages, compared):
     assert not there & {"observations", "first", "second"}
 
 
-def test_every_flag_of_every_command_is_told_as_its_help_tells_it(pages):
+def test_every_flag_is_documented_as_in_help(pages):
     page = pages.commands()
     for name, (module, _) in COMMANDS.items():
         rows = re.findall(r"^\| (`[^|]*`) \|", section(page, f"rendezvous {name}"), re.MULTILINE)
@@ -93,7 +93,7 @@ def test_every_flag_of_every_command_is_told_as_its_help_tells_it(pages):
         assert sorted(row.replace("`", "") for row in rows) == sorted(flags), name
 
 
-def test_files_of_scenarios_are_shown_as_they_are_read(pages, tmp_path):
+def test_scenario_files_are_shown_as_read(pages, tmp_path):
     shown = re.findall(r"```toml\n(.*?)```", pages.data(), re.DOTALL)
     assert len(shown) == len(pages.SHOWN_AS_FILES)
     for name, text in zip(pages.SHOWN_AS_FILES, shown, strict=True):
@@ -101,7 +101,7 @@ def test_files_of_scenarios_are_shown_as_they_are_read(pages, tmp_path):
         assert rv.Scenario.from_toml(tmp_path / "it.toml") == rv.scenarios.get(name)
 
 
-def test_the_reference_has_every_public_name_and_module(pages):
+def test_reference_has_every_public_name_and_module(pages):
     front = pages.public()
     for alias, package in (("rv", rv), ("baselines", baselines)):
         for name in package.__all__:
@@ -118,7 +118,7 @@ def test_the_reference_has_every_public_name_and_module(pages):
     assert asked <= set(MODULES)
 
 
-def test_a_notebook_becomes_a_page(pages, tmp_path):
+def test_notebook_becomes_page(pages, tmp_path):
     pixel = "aGVsbG8="
     cells = [
         {"cell_type": "markdown", "source": ["# A\n", "b"]},
@@ -140,7 +140,7 @@ def test_a_notebook_becomes_a_page(pages, tmp_path):
     assert pictures == {"note-0.png": b"hello"} and "](note-0.png)" in text
 
 
-def test_the_reference_begins_with_what_is_looked_for_first(pages):
+def test_reference_starts_with_main_entries(pages):
     names = re.findall(r"^\* \[?`(rv|baselines)\.(\w+)`", pages.public(), re.MULTILINE)
     assert [name for package, name in names if package == "rv"][:2] == ["parallel_env", "make_vec"]
     assert next(name for package, name in names if package == "baselines") == "make"
@@ -157,11 +157,11 @@ def test_the_reference_begins_with_what_is_looked_for_first(pages):
         ("[a](#b)", "[a](#b)"),
     ],
 )
-def test_links_hold_in_the_site(pages, link, expected):
+def test_links_hold_in_site(pages, link, expected):
     assert pages.for_site(f"x {link} y") == f"x {expected} y"
 
 
-def test_versions_that_are_tested_are_those_of_the_files():
+def test_tested_versions_match_files():
     files = (*ROOT.glob("constraints*.txt"), *(ROOT / "tests/adapters").glob("*/requirements.txt"))
     pins = {line for file in files for line in file.read_text(encoding="utf-8").split()}
     page = (ROOT / "docs/install.md").read_text(encoding="utf-8")
@@ -176,7 +176,7 @@ def test_versions_that_are_tested_are_those_of_the_files():
     assert [pin for pin in told if pin not in unpinned] == []
 
 
-def test_who_is_cited_and_which_version():
+def test_citation_and_version_are_shown():
     text = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert re.search(rf"^version: {re.escape(rv.__version__)}$", text, re.MULTILINE)
     assert "Flexible Bearing-Only Rendezvous Control of Mobile Robots" in text

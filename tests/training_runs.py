@@ -1,4 +1,4 @@
-"""Runs that are short, and what there is to say of two of them."""
+"""Short training runs, and their comparison."""
 
 import os
 import signal
@@ -27,7 +27,7 @@ def config(out, **changes):
 
 
 def flags(out, **changes):
-    """The same as words of a command line."""
+    """The same as command-line arguments."""
     words = ["--out", str(out)]
     for name, value in (SMALL | changes).items():
         flag = name.replace("_", "-")
@@ -39,7 +39,7 @@ def flags(out, **changes):
 
 
 def metrics(folder):
-    """Rows without the columns that tell of time."""
+    """Rows without time columns."""
     rows = results.read_csv(folder / "metrics.csv")
     return [{key: value for key, value in row.items() if key not in WALL_TIME} for row in rows]
 
@@ -56,7 +56,7 @@ def assert_same_run(one, other):
 
 
 def stopped_after(settings, updates, number=signal.SIGTERM):
-    """Run until a signal comes while an update is being told; the exit status."""
+    """Run until a signal during the log of an update; returns the exit status."""
     real, done = trainer.Trainer.report, 0
 
     def report(self):
@@ -72,14 +72,14 @@ def stopped_after(settings, updates, number=signal.SIGTERM):
 
 
 def resumed(folder, **changes):
-    """Go on with a run to its end."""
+    """Resume a run to its end."""
     result = ppo.run(Config(resume=folder, **changes))
     assert result.status == 0
     return result
 
 
 def assert_goes_on(folder, updates, **changes):
-    """A run that is stopped after so many updates is in the end as one that is not."""
+    """Assert that an interrupted and resumed run equals an uninterrupted one."""
     assert ppo.run(config(folder / "whole", **changes)).status == 0
     assert stopped_after(config(folder / "run", **changes), updates) == 128 + signal.SIGTERM
     resumed(folder / "run")

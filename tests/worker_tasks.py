@@ -1,4 +1,4 @@
-"""Tasks of tests of workers, in a module that is loaded soon: each worker loads it."""
+"""Tasks for tests of workers, in a module that loads quickly in each worker."""
 
 import os
 import signal
@@ -8,7 +8,7 @@ from train.checks import UserError
 
 
 def where(task):
-    """Who does it, with how many threads, and on how many cores."""
+    """Process of the task, its number of threads, and its number of cores."""
     from rendezvous_env.engine.threads import available_cores
 
     time.sleep(0.05)
@@ -16,7 +16,7 @@ def where(task):
 
 
 def dies_once(task):
-    """Ends its process, unless somebody has done so before."""
+    """End the process, unless another one has done so before."""
     number, folder = task
     if number == 3 and not (folder / "died").exists():
         (folder / "died").touch()
@@ -33,7 +33,7 @@ def refuses(task):
 
 
 def threads(task):
-    """By how many threads NumPy and torch multiply matrices where it is done."""
+    """Numbers of threads of matrix products in NumPy and torch in the task's process."""
     import numpy  # noqa: F401, which must be there to be asked
     import torch
     from threadpoolctl import threadpool_info

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple, Self, get_args, get_origin, get_type_hints
 
-_LONGEST_NAME = 255  # bytes of one part of a path, on every common file system
+_LONGEST_NAME = 255  # bytes of one part of a path, on all common file systems
 
 
 class UserError(Exception):
@@ -60,12 +60,12 @@ class Bounds(NamedTuple):
 
 
 class GivenScenario(str):
-    """The name of a Scenario that was given to a command in Python, which it carries."""
+    """Name of a Scenario that was passed to a command in Python; it carries the Scenario."""
 
     scenario: Any
 
     def __new__(cls, scenario: Any) -> Self:
-        """The name of a scenario."""
+        """Name of a scenario."""
         made = super().__new__(cls, scenario.name)
         made.scenario = scenario
         return made
@@ -76,9 +76,11 @@ class GivenScenario(str):
 
 @dataclass(frozen=True)
 class Flags:
-    """The flags of a command, a field each. Once made they are what they can be, or a UserError:
-    of their types and within their ``Bounds``, numbers finite, text the name of a file. In Python
-    lists and text may stand for tuples and paths, and a Scenario for its name.
+    """Base class of command settings, with one field per flag, validated on creation.
+
+    A UserError reports a wrong type, a value outside its ``Bounds``, a number that is not finite,
+    or text that is no file name. In Python, lists and text may replace tuples and paths, and a
+    Scenario its name.
     """
 
     def __post_init__(self) -> None:
@@ -108,12 +110,12 @@ class Flags:
 
 
 def _is_one(value: Any) -> bool:
-    """Whether it is one name where several may stand: a text or a Scenario."""
+    """Whether a value is a single name, a text or a Scenario, for a field of several."""
     return isinstance(value, str) or _named(value) is not value
 
 
 def _named(value: Any) -> Any:
-    """A Scenario as its name, which carries it; anything else as it is."""
+    """Replace a Scenario by a name that carries it; other values are unchanged."""
     from rendezvous_env.scenario.scenario import Scenario  # not for --help
 
     return GivenScenario(value) if isinstance(value, Scenario) else value
@@ -123,7 +125,7 @@ def check_unused(flags: Flags, reasons: Mapping[str, str]) -> None:
     """Raise a UserError for flags without effect, with the given reasons, unless at default."""
     for name, why in reasons.items():
         if (value := getattr(flags, name)) != getattr(type(flags), name):
-            raise UserError(f"{flag(name)} is {written(value)}; {why}")
+            raise UserError(f"{flag(name)} is {format_argument(value)}; {why}")
 
 
 def _check_value(name: str, value: Any) -> None:
@@ -139,12 +141,12 @@ def _check_value(name: str, value: Any) -> None:
             )
 
 
-def unknown(what: str, word: str, known: Iterable[str]) -> UserError:
+def unknown_name(what: str, word: str, known: Iterable[str]) -> UserError:
     """Error for an unknown name, with the known names and the closest match."""
-    from rendezvous_env.checks import meant  # not for --help
+    from rendezvous_env.checks import closest_match  # not for --help
 
     listed = list(known)
-    near = meant(word, listed, after=" ")
+    near = closest_match(word, listed, after=" ")
     return UserError(f"{what} {word!r} is unknown; {near}known are {', '.join(listed)}")
 
 
@@ -158,7 +160,7 @@ def check_text(name: str, text: str) -> None:
         raise UserError(f"{name} is {text!r}; it must not hold the character NUL")
 
 
-def written(value: Any) -> str:
+def format_argument(value: Any) -> str:
     """Value as written on the command line."""
     return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 

@@ -19,7 +19,7 @@ from itertools import chain, pairwise
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from . import interrupts
-from .checks import UserError, flag, written
+from .checks import UserError, flag, format_argument
 
 COMMANDS = {
     "compare": ("compare.compare", "compare policies on the same starts: table, files, figures"),
@@ -49,11 +49,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         after Ctrl-C; 143 after SIGTERM.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before anything loads torch
-    # what a small network computes must not depend on the number of cores, nor wait for them
+    # results must not depend on the number of cores, and small networks need no waiting threads
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # it may know no ε
+            stream.reconfigure(errors="backslashreplace")  # its encoding may lack ε
     words = list(sys.argv[1:] if argv is None else argv)
     parser = _parser()
     own = parser.parse_args(words[: 2 if words[:1] == [_COMPLETION] else 1])
@@ -167,7 +167,7 @@ def help_of(command: str, module: Any) -> str:
             lines.append(f"  {_flag_of(own[name], hints[name])}")
             said = told[name]
             if not isinstance(default, bool) and default not in (None, (), dataclasses.MISSING):
-                said += f" Default: {written(default)}."
+                said += f" Default: {format_argument(default)}."
             indent = " " * 6
             lines += textwrap.wrap(said, _WIDTH, initial_indent=indent, subsequent_indent=indent)
     return "\n".join(lines)

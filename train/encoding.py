@@ -28,7 +28,7 @@ BUDGET = 3_500_000
 
 ANGLE = 2 * np.pi / 2**16
 """Unit of a 16-bit angle, rad; angles wrap around as integers do."""
-_DIGITS = 6  # of lengths, beside the largest one
+_DIGITS = 6  # for lengths, in addition to the largest one
 _COARSE = 4
 """Stored angles are multiples of this number of units, which is finer than visible."""
 
@@ -46,8 +46,8 @@ class Encoded:
     scale · integer). In the plane, "lengths" and "angles" replace the observations."""
     text: str
     """All arrays, little-endian, gzip and base64."""
-    stride: int  # besides merges and the end, every stride-th recorded frame is there
-    extent: list[list[float]]  # of robots and obstacles, least and most of each axis, m
+    stride: int  # recorded frames are thinned to every stride-th, except merges and the end
+    extent: list[list[float]]  # of robots and obstacles, minimum and maximum of each axis, m
     obstacles: list[dict[str, Any]]  # centre, radius, vertices, m
 
 
@@ -58,7 +58,7 @@ def encode_all(recordings: Sequence[Recording], budget: int | None = None) -> li
     sizes = sorted(len(encoded.text) for encoded in found)
     for count, size in zip(range(len(sizes), 0, -1), sizes, strict=True):
         if size * count > left:
-            share = left / count  # the largest size that each may have
+            share = left / count  # maximum size of each
             break
         left -= size
     for number, recording in enumerate(recordings):
@@ -94,7 +94,7 @@ def encode(recording: Recording, stride: int = 1) -> Encoded:
     extent = np.stack([points.min(axis=0), points.max(axis=0)], axis=1).tolist()
     digits = max(5, _DIGITS - math.floor(math.log10(np.ptp(points, axis=0).max() or 1.0)))
     text = base64.b64encode(packed).decode("ascii")
-    plain = [  # to a hundredth of a millimetre, or finer in a small world
+    plain = [  # to 0.01 mm, or finer in a small world
         {name: np.round(value, digits).tolist() for name, value in one._asdict().items()}
         for one in outlines(table, dim)
     ]

@@ -53,14 +53,14 @@ class Config(Flags):
     """Export a learned network as ONNX, or a policy as one NumPy-only Python file, and check it."""
 
     policy: str = "learned"
-    """The name of a shipped policy, or learned:PATH of a run or a checkpoint; with --standalone
-    also of a law or a rule, or module:function of your own that needs NumPy alone; without, of one
-    that gives a TrainedPolicy of a model of stable-baselines3 or torch."""
+    """Name of a policy, learned:PATH of a run or a checkpoint, or module:function of a custom one.
+    An ONNX file needs a shipped policy, a checkpoint, or a custom TrainedPolicy of a model of
+    stable-baselines3 or torch. With --standalone, laws, rules and custom policies that need only
+    NumPy are possible as well."""
     out: Path = Path("out/policy.onnx")
-    """The ONNX file to write. An older one that this command wrote is replaced, any other file is
-    left as it is."""
+    """ONNX file to write. An older one is replaced; any other kind of file is kept."""
     standalone: Path | None = None
-    """The Python file to write, likewise, instead of an ONNX file."""
+    """Python file to write instead of an ONNX file; replaced under the same condition."""
     scenario: str = "clutter-8"
     """Name or TOML file of the scenario that defines the robot. An ONNX file fits all robots of
     that robot model."""
@@ -113,7 +113,7 @@ def _write_onnx(config: Config, path: Path) -> str:
 
 
 def _write_model(config: Config, path: Path, scenario: Scenario) -> str:
-    """The same for a model of a user's policy."""
+    """As ``_write_onnx`` for the model of a custom policy."""
     with user_error(f"--policy {config.policy}: ", ValueError):
         policy = policies.make(config.policy, scenario)
     if not isinstance(policy, TrainedPolicy):
@@ -157,7 +157,7 @@ def _write_python(config: Config, path: Path) -> str:
 
 @contextmanager
 def _on_board(is_own: bool) -> Iterator[None]:
-    """Say of what a user's file does which numbers of its scenario it has."""
+    """Report which scenario quantities a custom policy's file contains."""
     try:
         yield
     except Exception as error:
@@ -201,7 +201,7 @@ def _compare(path: Path, network: standalone.Network, checks: int) -> float:
         written.layout = layout
         shown = drawn_tables(layout, robots, random)
         hidden = [np.zeros((robots, settings.units), dtype=np.float32) for _ in range(2)]
-        for _ in range(2):  # once more, with what is remembered then
+        for _ in range(2):  # a second time with the resulting hidden state
             wanted = ours.preferences(shown, hidden[0])
             found = written.preferences(shown, hidden[1])
             worst = max(worst, float(np.abs(found - wanted).max() / np.abs(wanted).max()))
@@ -232,14 +232,17 @@ _INPUTS = {
 
 
 def model_of(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> Any:
-    """The actor as ``onnx.ModelProto``: any number of robots, neighbours and obstacles.
+    """Actor as ``onnx.ModelProto``, for any number of robots, neighbours and obstacles.
 
         (mean φ(g), max φ(g), mean ψ(s), max ψ(s), context) → preferences
 
     Inputs: neighbours (N, K, 3), obstacles (N, M, 6), context (N, columns) and, with a recurrent
-    unit, hidden (N, units), all float32; N, K and M are free. Outputs: preferences (N, choices)
-    and hidden_next. Its metadata holds the settings, the angles of the choices, rad, and a digest
-    of all of it. A ValueError names an array that is missing, of another shape or not finite.
+    unit, hidden (N, units), all float32; N, K and M are free. Outputs: preferences (N, choices) and
+    hidden_next. The metadata contain the settings, the angles of the choices, rad, and a digest of
+    the whole file.
+
+    Raises:
+        ValueError: naming an array that is missing, of another shape or not finite.
     """
     from onnx import TensorProto, checker, helper
 

@@ -40,7 +40,7 @@ def raised(command: str) -> Iterator[None]:
     signal from a pipe therefore ends the process if the body still runs after GRACE.
     """
     if threading.current_thread() is not threading.main_thread():
-        yield  # signals go to the main thread
+        yield  # signals reach the main thread only
         return
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
@@ -70,7 +70,7 @@ def _interrupt(number: int, frame: Any) -> None:
 
 def _end_late(reader: int, over: threading.Event, command: str) -> None:
     """End the process GRACE after the first signal in the pipe, unless the body has finished."""
-    while content := os.read(reader, 1):  # empty once it is closed
+    while content := os.read(reader, 1):  # empty after closing
         if content[0] in SIGNALS and not over.wait(GRACE):
             error = Interrupted(content[0])
             error.add_note("it did not stop by itself; what it was writing is left out")

@@ -10,7 +10,7 @@ from rich.table import Table
 from tyro.conf import Positional
 
 from rendezvous_env import baselines
-from rendezvous_env.engine.preparation import begins_alike
+from rendezvous_env.engine.preparation import has_fixed_start
 from rendezvous_env.obstacles.fields import ObstacleField
 from rendezvous_env.obstacles.walls import WallField
 from rendezvous_env.scenario import scenarios
@@ -28,7 +28,7 @@ class Config(Flags):
     """List scenarios and policies, one line each, with the scenarios that each policy fits."""
 
     what: Positional[Literal["all", "scenarios", "policies"]] = "all"
-    """What to list."""
+    """Kind of entries to list."""
 
 
 def run(config: Config) -> int:
@@ -93,7 +93,7 @@ def describe(scenario: Scenario) -> str:
         parts.append(f"{_obstacles(scenario)}{passed}")
     if not scenario.sensing.exact:
         parts.append(f"sensing with {scenario.sensing.departures()}")
-    parts += ["one start, which is given"] if begins_alike(scenario) else []
+    parts += ["one start, which is given"] if has_fixed_start(scenario) else []
     return ", ".join(parts)
 
 

@@ -24,7 +24,7 @@ from rendezvous_env.baselines.policy import AT_PATH, builder_of, file_of
 from rendezvous_env.baselines.steering import can_steer
 
 from rendezvous_env import baselines
-from rendezvous_env.checks import meant, shown
+from rendezvous_env.checks import closest_match, short_repr
 from rendezvous_env.graphs.random_graphs import FAMILIES, CustomFamily
 from rendezvous_env.rewards.custom_terms import COSTS, TERMS
 from rendezvous_env.robots.robot_models import is_custom
@@ -35,7 +35,7 @@ from rendezvous_env.sensors.custom_sensors import IMPERFECTIONS
 from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, begin
 
-from .checks import GivenScenario, UserError, unknown, user_error
+from .checks import GivenScenario, UserError, unknown_name, user_error
 
 _BEST = ("learned-tank", "tank-joined", "learned", "tangent-joined-tuned", "tangent-joined")
 """Policies for obstacles, in order of decreasing collision-free success."""
@@ -49,9 +49,7 @@ _found: dict[str, tuple[Any, str | None]] = {}
 
 
 def kind_of(name: str) -> str:
-    """The kind of a policy, one of ``baselines.policy.KINDS``; "own" of a name that is not
-    registered in this process.
-    """
+    """Kind of a policy, one of ``baselines.policy.KINDS``; "own" for an unregistered name."""
     try:
         return registry.kind_of(name)
     except KeyError:
@@ -99,13 +97,11 @@ def tried(name: str, scenario: Scenario) -> Policy:
 
 
 def called(name: str, policy: Policy, observations: Any, now: Any) -> Any:
-    """Actions of a policy at a moment that has ``time``; a UserError names a user's policy that
-    fails.
-    """
+    """Actions of a policy at ``now.time``; a UserError names a custom policy that fails."""
     if not is_user_policy(name):
         return policy(observations, now.time)
     with _code_of(name, f" for {observations.shape[-3]} robots"):
-        return policy(observations.copy(), now.time)  # its own, to write to
+        return policy(observations.copy(), now.time)  # a copy, which the policy may modify
 
 
 def learned_path(name: str, scenario: Scenario | None = None) -> Path | None:
@@ -116,9 +112,11 @@ def learned_path(name: str, scenario: Scenario | None = None) -> Path | None:
 
 
 def fitting(scenario: Scenario, wanted: Sequence[str], *, brief: bool = False) -> list[str]:
-    """Those of the wanted policies that fit a scenario. If none is wanted, all that fit but those
-    on request; those that see nothing or everything only where nothing else fits. ``brief`` leaves
-    out what has little chance there, see ``_is_hopeless``.
+    """Policies among the wanted ones that fit a scenario; by default all that compete in it.
+
+    By default, policies on request are excluded. Policies without observations and oracles are
+    included only if nothing else fits. ``brief`` excludes policies without a chance, see
+    ``_is_hopeless``.
     """
     known = baselines.names(scenario)
     if not wanted:
@@ -135,8 +133,10 @@ def fitting(scenario: Scenario, wanted: Sequence[str], *, brief: bool = False) -
 
 
 def _is_hopeless(name: str, scenario: Scenario) -> bool:
-    """Whether a policy is of the laws from the literature, which see no obstacles, among obstacles,
-    or made for sensors that err where they are exact.
+    """Whether a policy lacks the sensing that a scenario requires, or is made for other sensors.
+
+    These are laws from the literature, which sense no obstacles, among obstacles; and policies for
+    imperfect sensors where sensors are exact.
     """
     blind_to_obstacles = kind_of(name) == "field" or name == _LINK_KEEPING
     exact = scenario.sensing.exact and name in _WHERE_SENSORS_ERR
@@ -172,7 +172,7 @@ def check_names(wanted: Sequence[str]) -> None:
             with user_error(f"policy {name!r}: ", ValueError):
                 make(name, Scenario(n_robots=2))
         elif name not in known:
-            raise unknown("policy", name, (*known, f"{AT_PATH}PATH", "MODULE:FUNCTION"))
+            raise unknown_name("policy", name, (*known, f"{AT_PATH}PATH", "MODULE:FUNCTION"))
 
 
 def promised_margin(name: str, policy: Policy) -> float | None:
@@ -185,8 +185,9 @@ def promised_margin(name: str, policy: Policy) -> float | None:
 
 
 def promised_time(name: str, policy: Policy, scenario: Scenario) -> float:
-    """Time by which a policy has met from any start, s, by the scenario's certificate; infinite
-    where there is none, as of tanks, which learn of no merge here.
+    """Guaranteed rendezvous time of a policy from any initial condition, s, from its certificate.
+
+    It is infinite without a guarantee, for example for tanks, which do not observe merges here.
     """
     asked: dict[str, Any] = {"by": "law"}
     if name == _LINK_KEEPING:
@@ -196,7 +197,7 @@ def promised_time(name: str, policy: Policy, scenario: Scenario) -> float:
             return math.inf
         asked = {"by": "heading", "min_alignment": margin}
     found = certificate(scenario, **asked)
-    # no policy but law (1) meets with errors that it is not told of
+    # only law (1) meets with unknown errors
     told = asked["by"] == "law" or found.bearing_error == 0.0
     return found.time_bound if told else math.inf
 
@@ -217,7 +218,7 @@ def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
             try:
                 given[field] = tomllib.loads(f"value = {value}")["value"]
             except tomllib.TOMLDecodeError:
-                given[field] = value  # a word
+                given[field] = value  # plain text
         scenario = name.scenario if isinstance(name, GivenScenario) else scenarios.resolve(name)
         said = [re.sub(r"[^\w.+-]+", "-", change.replace("_", "-")) for change in changes]
         own_name = {"name": "-".join([scenario.name, *said])}
@@ -270,11 +271,14 @@ def find_function(name: str) -> Callable[[Scenario], Policy | None]:
         module = _imported(name, module_name)
     if (function := getattr(module, function_name, None)) is None:
         place = getattr(module, "__file__", None) or "built in"
-        hint = meant(function_name, (key for key in vars(module) if key[0] != "_"), before="; ")
+        hint = closest_match(
+            function_name, (key for key in vars(module) if key[0] != "_"), before="; "
+        )
         raise UserError(f"policy {name!r}: {module_name} ({place}) has no {function_name!r}{hint}")
     if not callable(function):
         raise UserError(
-            f"policy {name!r}: {function_name} in {module_name} is {shown(function)}; it must be a "
+            f"policy {name!r}: {function_name} in {module_name} is {short_repr(function)}; it "
+            "must be a "
             "function of a scenario that gives a policy"
         )
     if name not in _found or _found[name][0] is not function:
@@ -303,21 +307,22 @@ def _check_fresh(name: str) -> None:
 
 
 def _make_own(name: str, scenario: Scenario) -> Policy | None:
-    """The policy of a function for a scenario; None if it does not fit."""
+    """Create a custom policy for a scenario; None if it does not fit."""
     function = find_function(name)
     with _code_of(name, f" for scenario {scenario.name!r}"):
         policy = function(scenario)
     if policy is not None and (not callable(policy) or inspect.isclass(policy)):
         raise UserError(
-            f"policy {name!r} gave {shown(policy)} for scenario {scenario.name!r}; it must give a "
-            "function of observations (..., n, rows, d) and time, or None where it does not fit"
+            f"policy {name!r} gave {short_repr(policy)} for scenario {scenario.name!r}; "
+            "it must give a function of observations (..., n, rows, d) and time, or None where it "
+            "does not fit"
         )
     return policy
 
 
 def _fits_own(name: str, scenario: Scenario) -> bool:
-    """Whether it steers the robots of a scenario, tried for one step."""
-    if not name.startswith("__main__:"):  # that is played here, and cannot be reloaded
+    """Whether a custom policy can control the robots of a scenario, tested for one step."""
+    if not name.startswith("__main__:"):  # otherwise it runs in this process and cannot be reloaded
         _check_fresh(name)
     if (policy := _make_own(name, scenario)) is None:
         return False
@@ -331,7 +336,7 @@ def _fits_own(name: str, scenario: Scenario) -> bool:
 
 @contextmanager
 def _code_of(name: str, where: str) -> Iterator[None]:
-    """Turn an error of a user's code into a UserError that names the place."""
+    """Convert an error in a user's code to a UserError that names the line."""
     try:
         yield
     except UserError:
@@ -343,7 +348,7 @@ def _code_of(name: str, where: str) -> Iterator[None]:
 
 def _imported(name: str, module: str) -> Any:
     here = os.getcwd()
-    if here not in sys.path:  # at the end: no file there may stand in for a module of others
+    if here not in sys.path:  # last, so that no file there shadows a module of other packages
         sys.path.append(here)
         importlib.invalidate_caches()
     try:

@@ -42,15 +42,15 @@ scenario/policy/start/name."""
 Recording = dict[str, NDArray[Any]]
 """One episode in T frames: the start, some of the steps, every merge and the end.
 
-Arrays are as in ``ARRAYS``. Observations are stored if they cannot be recomputed (``seen_again``),
-otherwise links.
+Arrays are as in ``ARRAYS``. Observations are stored if they cannot be recomputed (see
+``is_recomputable``), otherwise links.
 """
 
 LINKS = ("weights", "first", "second")
 """Entries of a simulator's state that merging changes; the last two are optional."""
 
 
-def seen_again(scenario: Scenario) -> bool:
+def is_recomputable(scenario: Scenario) -> bool:
     """Whether observations can be recomputed from recorded states.
 
     This holds for exact sensors, fixed links and robot models without further state.
@@ -155,7 +155,7 @@ class Recorder:
         return stacked | {"obstacles": self._obstacles}
 
 
-def whole(recording: Recording, scenario: Scenario) -> Recording:
+def with_observations(recording: Recording, scenario: Scenario) -> Recording:
     """Recording with its observations; raises as ``observations``."""
     if "observations" in recording:
         return recording

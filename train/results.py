@@ -112,7 +112,7 @@ def prepare_folder(folder: Path, flag: str | None = None) -> Path:
     """Create a writable folder; a UserError names the flag (default --out) and its value."""
     with user_error(f"{flag or f'--out {folder}'}: cannot write there: ", OSError):
         folder.mkdir(parents=True, exist_ok=True)
-        with TemporaryFile(dir=folder):  # on Linux without a name: a kill leaves nothing behind
+        with TemporaryFile(dir=folder):  # unnamed on Linux: a killed process leaves no file
             pass
     return folder
 
@@ -149,7 +149,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, bool):
         return int(value)
     if isinstance(value, float):
-        value += 0.0  # no minus sign on a zero
+        value += 0.0  # no minus sign for zero
     return "" if value is None or value != value else value
 
 

@@ -85,12 +85,12 @@ def claimed(folder: Path, lock: str, what: str) -> Iterator[None]:
             finally:
                 path.unlink(missing_ok=True)
     finally:
-        with suppress(OSError):  # the first that is not empty ends it
+        with suppress(OSError):  # stops at the first folder that is not empty
             for made in new:
                 made.rmdir()
 
 
-class Part:
+class RunCheckpoint:
     """Checkpoint folder of a resumable command.
 
     It stores a plan as plain data; ``what`` names the work in one word. Results may be assembled in
@@ -151,7 +151,7 @@ class Part:
         except OSError:
             return None
         own, content = content[:_DIGEST], content[_DIGEST:]
-        # nothing is unpickled but what this very plan has written
+        # only results of this very plan are unpickled
         return pickle.loads(content) if own == self._digest(content) else None
 
     def finish(

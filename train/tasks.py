@@ -63,12 +63,12 @@ class Workers(Flags):
     @property
     def worker_count(self) -> int:
         """Number of parallel processes on this machine."""
-        from rendezvous_env.engine.threads import available_cores  # not in each worker
+        from rendezvous_env.engine.threads import available_cores  # not imported by each worker
 
         return self.jobs or available_cores()
 
 
-def each(
+def parallel_map(
     work: Callable[[Task], Result],
     tasks: Sequence[Task],
     workers: Workers,
@@ -150,7 +150,7 @@ def _on_cores(
                     f"be short: try fewer than --jobs {count}"
                 ) from error
         finally:
-            # the executor's thread would look for waiting tasks after it has thrown them away
+            # the executor's thread would otherwise look for discarded tasks
             with suppress(queue.Empty):
                 while True:
                     executor._work_ids.get_nowait()
@@ -164,7 +164,7 @@ def _executor(count: int) -> Any:
     """
     from joblib.externals.loky.process_executor import ProcessPoolExecutor
 
-    # a worker that compiles much takes more and more memory, and joblib starts another one
+    # compilation makes a worker's memory grow, for which joblib would start another one
     warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
     executor = ProcessPoolExecutor(
         count, initializer=_end_with, initargs=(os.getpid(),), env=_ONE_THREAD
@@ -215,7 +215,7 @@ def _on_cluster(
                 result = pickle.loads(ray.get(found))
             except RayTaskError as error:
                 raise error.cause from None
-            except OwnerDiedError as error:  # this process, which lives
+            except OwnerDiedError as error:  # this process, which is alive
                 raise UserError(
                     f"the cluster did not reach this process to fetch a result: {_mode()}, and no "
                     "firewall may stand between"
@@ -235,8 +235,8 @@ def _joined(address: str | None, cores: int) -> Iterator[None]:
     from ray.exceptions import RayError
 
     host, _, port = (address or "").rpartition("://")[2].rpartition(":")
-    if host and port.isdigit():  # else "auto", or one that Ray refuses at once
-        try:  # where nobody listens Ray itself would ask for many minutes
+    if host and port.isdigit():  # otherwise "auto", or an address that Ray rejects at once
+        try:  # without a listener, Ray itself would retry for many minutes
             socket.create_connection((host.strip("[]"), int(port)), timeout=_ANSWER).close()
         except (OSError, OverflowError) as error:
             raise UserError(

@@ -1,4 +1,4 @@
-"""A model of stable-baselines3 or torch as an ONNX file: from observations to choices."""
+"""ONNX export of models of stable-baselines3 or torch, from observations to choices."""
 
 import io
 import json
@@ -17,10 +17,13 @@ _AT_ONCE = 512
 
 
 def content_of(policy: TrainedPolicy) -> bytes:
-    """The file of a policy's model: input "observation" (N, …), output "action" (N, a), N free.
+    """Content of the ONNX file of a policy's model: observation (N, …) → action (N, a), N free.
 
-    Its metadata holds the arguments of ``vector.training_env`` in training, as JSON, and a digest.
-    A UserError for what is no model of these libraries, or arguments that JSON cannot hold.
+    The metadata contain the arguments of ``vector.training_env`` in training, as JSON, and a
+    digest.
+
+    Raises:
+        UserError: for a model of another library, or arguments that JSON does not support.
     """
     import onnx
     import torch
@@ -28,7 +31,7 @@ def content_of(policy: TrainedPolicy) -> bytes:
     actor, shape = actor_of(policy.model), policy.observation_shape
     written = io.BytesIO()
     with warnings.catch_warnings(), torch.no_grad():
-        warnings.simplefilter("ignore")  # that this exporter, which needs no other package, is old
+        warnings.simplefilter("ignore")  # the exporter is old, but self-contained
         torch.onnx.export(
             actor,
             (torch.zeros(2, *shape),),
@@ -52,10 +55,10 @@ def content_of(policy: TrainedPolicy) -> bytes:
 
 
 def actor_of(model: Any) -> Any:
-    """The torch module of a model: observations (N, …) to the actions that it takes greedily."""
+    """Torch module of a model: observations (N, …) → greedy actions."""
     import torch
 
-    model = getattr(model, "__self__", model)  # model.predict is of a model
+    model = getattr(model, "__self__", model)  # model.predict belongs to a model
     if not isinstance(model, torch.nn.Module) and hasattr(model, "policy"):
         model = model.policy
     if not isinstance(model, torch.nn.Module):
@@ -69,13 +72,13 @@ def actor_of(model: Any) -> Any:
 
 
 def _greedy(policy: Any) -> Any:
-    """What ``predict(deterministic=True)`` of a policy of stable-baselines3 does, in torch."""
+    """Torch module of a stable-baselines3 policy's ``predict(deterministic=True)``."""
     import torch
 
     space = policy.action_space
 
     class Greedy(torch.nn.Module):
-        """Observations to actions within their space."""
+        """Module from observations to actions within their space."""
 
         def __init__(self) -> None:
             super().__init__()
@@ -95,8 +98,9 @@ def _greedy(policy: Any) -> Any:
 
 
 def compare(policy: TrainedPolicy, written: TrainedPolicy, checks: int) -> float:
-    """The largest difference between the choices of a policy and of its file, of drawn
-    observations; of discrete ones the share that differs.
+    """Largest difference between the choices of a policy and of its file, on random observations.
+
+    For discrete choices it is the fraction that differs.
     """
     random, worst = np.random.default_rng(0), 0.0
     for first in range(0, checks, _AT_ONCE):

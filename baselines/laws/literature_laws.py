@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import whole
+from rendezvous_env.checks import check_int
 from rendezvous_env.compilation import kernel
 from rendezvous_env.limits import MOST_SECTORS
 from rendezvous_env.scenario.observation_layout import ObservedRows
@@ -149,7 +149,7 @@ class _Quantised(Law):
     sectors: int = 8
 
     def __post_init__(self) -> None:
-        whole("sectors", self.sectors, 2, MOST_SECTORS)
+        check_int("sectors", self.sectors, 2, MOST_SECTORS)
 
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         rows = rounded_bearings(seen.neighbours, self.sectors)

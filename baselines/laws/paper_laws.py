@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import floats, positive, shown
+from rendezvous_env.checks import floats, positive, short_repr
 from rendezvous_env.safety.heading import step_scale
-from rendezvous_env.safety.links import least_norm_points, link_keeping_law
+from rendezvous_env.safety.links import link_keeping_law, min_norm_points
 from rendezvous_env.safety.turning import yaw_rate_law
 from rendezvous_env.scenario.observation_layout import ObservedRows
 from rendezvous_env.scenario.scenario import Scenario
@@ -72,7 +72,8 @@ def unicycle_cosine_law(net_bearing: Array, time: ArrayLike) -> Array:
     v, t = net_bearing[..., 0], floats("time", time)[..., np.newaxis]
     if t.shape[:-1] not in ((), v.shape[:-1]) or not np.isfinite(t).all():
         raise ValueError(
-            f"time is {shown(time)}; it must be one finite number, or {v.shape[:-1]} of them (s)"
+            f"time is {short_repr(time)}; it must be one finite number, or {v.shape[:-1]} of "
+            "them (s)"
         )
     return np.stack([v, np.broadcast_to(np.cos(t), v.shape)], axis=-1)
 
@@ -164,7 +165,7 @@ class _LinkKeeping(Law):
 
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         step = {"merge_radius": self.scenario.merge_radius, "duration": self.scenario.tau}
-        return link_keeping_law(least_norm_points(seen.neighbours), degree_of(seen), **step)
+        return link_keeping_law(min_norm_points(seen.neighbours), degree_of(seen), **step)
 
 
 # The paper's laws are in continuous time. Held over a step, a turn rate may swing the body past the

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import floats, real, refuse
+from rendezvous_env.checks import floats, raise_invalid, to_float
 from rendezvous_env.scenario.observation_layout import ObservedRows
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..policy import Float32, Mask, RememberingPolicy, register, within_limits
+from ..policy import Float32, Mask, StatefulPolicy, register, within_limits
 from ..steering import turns
 from .literature_laws import Order, chosen_rows, first_seen, rows_from_next
 from .paper_laws import Array, is_unicycle, pitch_of
@@ -21,7 +21,7 @@ _SHARE = 0.8  # of ω_max r/2, the speed above which a target can run round its 
 
 
 @dataclass
-class Pursuer(RememberingPolicy):
+class Pursuer(StatefulPolicy):
     """Base class of pursuit laws.
 
     A robot keeps its target while visible, then takes the first visible row in a fixed order.
@@ -35,9 +35,9 @@ class Pursuer(RememberingPolicy):
     def __post_init__(self) -> None:
         limit, given = self.scenario.speed_limit, self.speed
         fastest = self.scenario.turn_limit * self.scenario.merge_radius / 2.0
-        self.speed = min(limit, _SHARE * fastest) if given is None else real(given)
+        self.speed = min(limit, _SHARE * fastest) if given is None else to_float(given)
         if given is not None and not (0.0 < self.speed < fastest and self.speed <= limit):
-            refuse(
+            raise_invalid(
                 "speed",
                 given,
                 f"positive, less than ω_max r/2 = {fastest:.6g} m/s and at most the speed limit, "
@@ -47,7 +47,9 @@ class Pursuer(RememberingPolicy):
             n, rows = self.scenario.n_robots, self.scenario.observation_layout.neighbour_slots
             order = floats("order", self.order)
             if order.shape[-2:] != (n, rows) or not np.isin(order, np.arange(rows)).all():
-                refuse("order", self.order, f"rows below {rows}, ([B,] n, K) = ([B,] {n}, {rows})")
+                raise_invalid(
+                    "order", self.order, f"rows below {rows}, ([B,] n, K) = ([B,] {n}, {rows})"
+                )
             self.order = order.astype(np.int64)
 
     def _start(self, teams: int) -> None:
@@ -110,9 +112,9 @@ class Windshield(Pursuer):
         super().__post_init__()
         n, given = self.scenario.n_robots, self.half_angle
         usual = 0.5 * math.acos((n - 2) / (n - 1))
-        self.half_angle = usual if given is None else real(given)
+        self.half_angle = usual if given is None else to_float(given)
         if not 0.0 < self.half_angle < math.pi / 2:
-            refuse("half_angle", given, "positive and less than π/2 rad")
+            raise_invalid("half_angle", given, "positive and less than π/2 rad")
 
     def _actions(self, bearing: Array, rows: ObservedRows) -> Array:
         angle = np.arctan2(bearing[..., 1], bearing[..., 0])

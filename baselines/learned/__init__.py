@@ -1,4 +1,4 @@
-"""Trained policies: what they perceive, choose and weigh, in NumPy; the shipped ones by name."""
+"""Learned policies in NumPy: features, network, base controller and shipped weights."""
 
 from . import shipped
 

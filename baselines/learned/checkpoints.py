@@ -1,8 +1,8 @@
-"""Checkpoints: a folder of safetensors and one JSON file, whole or not there at all. No pickle.
+"""Checkpoints: folders of safetensors files and one JSON file, written atomically, no pickle.
 
-RUN/checkpoints/step-000001234567 holds checkpoint.json, which describes the checkpoint and has the
-digests of its other files, and network.safetensors, optimizer.safetensors and so on.
-RUN/checkpoints/latest.json names the newest one.
+RUN/checkpoints/step-000001234567 holds checkpoint.json, which describes the checkpoint and lists
+the digests of its other files. These are network.safetensors, optimizer.safetensors and so on.
+RUN/checkpoints/latest.json names the newest checkpoint.
 """
 
 import os
@@ -13,7 +13,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from rendezvous_env.checks import refuse
+from rendezvous_env.checks import raise_invalid
 
 from .plain_data import check_types, digest_of_rest, entry, read_json
 
@@ -21,12 +21,13 @@ PathLike = str | os.PathLike[str]
 FORMAT_VERSION = 1
 DESCRIPTION = "checkpoint.json"
 FOLDER, POINTER = "checkpoints", "latest.json"
-"""Of a run: where its checkpoints are, and the file there that names the newest."""
+"""Folder of a run's checkpoints, and the file in it that names the newest one."""
 
 
 class CheckpointError(ValueError):
-    """A checkpoint is missing, truncated, changed or of another version; the message names the file
-    and what would be right.
+    """Error for a missing, truncated, modified or incompatible checkpoint.
+
+    The message names the file and the remedy.
     """
 
 
@@ -36,7 +37,7 @@ def refusing(
     fault: str = "cannot be read",
     errors: tuple[type[Exception], ...] = (OSError, TypeError, ValueError),
 ) -> Iterator[None]:
-    """Say of errors, in a CheckpointError, which file or folder has which fault."""
+    """Convert errors to a CheckpointError that names the file or folder and the fault."""
     try:
         yield
     except errors as error:
@@ -45,14 +46,14 @@ def refusing(
 
 
 def as_path(path: Any) -> Path:
-    """A path, or the text of one; a ValueError for anything else."""
+    """Convert a path or its text to a Path; ValueError for anything else."""
     if not isinstance(path, str | os.PathLike):
-        refuse("path", path, "the path of a run, a checkpoint or an exported network")
+        raise_invalid("path", path, "the path of a run, a checkpoint or an exported network")
     return Path(path)
 
 
 def find(path: PathLike) -> Path:
-    """The checkpoint that a path means: the folder itself, or the newest one of a run."""
+    """Path of a checkpoint: the folder itself, or the newest checkpoint of a run."""
     path = as_path(path)
     found = [path] if DESCRIPTION in _names(path) else candidates(path)
     if not found:
@@ -64,24 +65,24 @@ def find(path: PathLike) -> Path:
 
 
 def candidates(run: PathLike) -> list[Path]:
-    """All checkpoints of a run, the one that its pointer names first, then the newest."""
+    """All checkpoints of a run: first the one that its pointer names, then newest first."""
     folder = as_path(run) / FOLDER
     found = sorted((name for name in _names(folder) if name.startswith("step-")), reverse=True)
     try:
         named = read_json(folder / POINTER)["checkpoint"]
-    except (OSError, ValueError, LookupError, TypeError):  # the newest one, then
+    except (OSError, ValueError, LookupError, TypeError):  # try the newest one
         named = None
     return [folder / name for name in sorted(found, key=lambda name: name != named)]
 
 
 def _names(folder: Path) -> list[str]:
-    """Names in a folder; none if it does not exist."""
+    """Names in a folder; empty if it does not exist."""
     with refusing(folder):
         return os.listdir(folder) if folder.is_dir() else []
 
 
 def describe(place: PathLike) -> dict[str, Any]:
-    """The description of a checkpoint, which is checked against its own digest."""
+    """Read the description of a checkpoint and verify its digest."""
     path = as_path(place) / DESCRIPTION
     with refusing(path):
         about = read_json(path)
@@ -100,7 +101,7 @@ def describe(place: PathLike) -> dict[str, Any]:
 
 
 def read(place: PathLike, names: Iterable[str]) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """The description of a checkpoint and the arrays of some of its files."""
+    """Read the description of a checkpoint and the arrays of some of its files."""
     place = as_path(place)
     about = describe(place)
     return about, {name: _read_file(place / f"{name}.safetensors", about) for name in names}

@@ -1,4 +1,4 @@
-"""What robots are shown, in the frame with x along f, made from what they see and remember."""
+"""Kernels that compute features from observations and memory, in the frame with x along f."""
 
 import math
 
@@ -12,42 +12,52 @@ from rendezvous_env.safety.heading import scale_of_step
 from ..obstacle_rules.merged_silhouettes_2d import TWO_PI, joined_interval_2d
 
 NEIGHBOUR_COLUMNS = 3
-"""Unit bearing x, y; gain a_ij, m/s."""
+"""Number of features of a neighbour: unit bearing x, y; edge weight a_ij, m/s."""
 OBSTACLE_COLUMNS = 6
-"""Counter-clockwise edge x, y; clockwise edge x, y; how fast each turns, rad/s."""
+"""Number of features of an obstacle.
+
+Counter-clockwise edge x, y; clockwise edge x, y; rotation rate of each edge, rad/s."""
 CONTEXT_COLUMNS = 22
-"""‖f‖/D; ‖f‖, m/s, at most 2; 1/number of neighbours; time since the start, min, and how fresh it
-is; own velocity and direction of f, averaged over a short and a long time, x, y each; how fast f
-turns, rad/s; the carried heading, x, y; of the silhouettes joined before f whether they leave
-nothing free, whether any is seen, both edges and the gaps beyond them, rad."""
+"""Number of context features.
+
+‖f‖/D; ‖f‖, m/s, at most 2; 1/number of neighbours. Time since the first decision, min, and its
+recency. Own velocity and direction of f, each averaged over a short and a long time, x, y each.
+Turn rate of f, rad/s; carried heading, x, y. Of the merged interval in the direction of f: whether
+it covers all directions, whether it exists, both edges and the gaps beyond them, rad."""
 LEVEL_COLUMNS = 1
-"""After the context, with a tank: log(1 + A/(r D̄)). With a memory of walls WALL_COLUMNS follow."""
+"""Number of features with a tank, after the context: log(1 + A/(r D̄)).
+
+With a memory of walls, WALL_COLUMNS follow."""
 WALL_COLUMNS = 12
-"""Whether at a wall; log(1 + A/(r D̄)) when it was met; time at it, and how fresh it is; by how much
-f and the heading have turned since, half turns; cos and sin of the angle last chosen; velocity and
-direction of f, averaged over a long time, along and across f each."""
-_FASTEST = 3.0  # rad/s; turn rates are cut off here
-_SHORT, _LONG, _LONG_AT_WALLS = 1.0, 5.0, 20.0  # s over which is averaged
+"""Number of features of the memory of walls.
+
+Whether at a wall; log(1 + A/(r D̄)) on reaching it; time at it, and its recency. Rotation of f and
+of the heading since, half turns; cos and sin of the angle chosen last. Velocity and direction of f,
+averaged over a long time, each along and across f."""
+_FASTEST = 3.0  # rad/s; bound of rotation rates
+_SHORT, _LONG, _LONG_AT_WALLS = 1.0, 5.0, 20.0  # averaging times, s
 _FRESH = 8.0  # s
 _SLOW = 30.0  # s; unit of the time at a wall
-_LEFT = 2.0  # s without a wall before f after which it is left behind
+_LEFT = 2.0  # s without a wall in the direction of f after which the wall is forgotten
 _BLOCKED = 16
-"""Of the context: whether the joined silhouettes leave nothing free; then, whether any is seen."""
+"""Context columns: whether merged intervals cover all directions; whether one exists."""
 
 
 MEMORY = {"time": (1,), "towards": (2,), "averages": (4, 2)}
-"""What a robot remembers from decision to decision, in its local frame: the time from its first
-decision, s; the direction of f at the last one, zero before the first; the averages of its velocity
-over a short and a long time, and those of the direction of f."""
+"""Memory of a robot between decisions, in its local frame.
+
+Time since its first decision, s; direction of f at the last one, zero before the first. Averages
+over a short and a long time of its velocity and of the direction of f."""
 _TOWARDS, _AVERAGES = 1, 3
 WALLS = {
     **{name: (1,) for name in ("since", "clear", "level", "turned", "wound", "angle")},
     **{"towards": (2,), "heading": (2,), "averages": (2, 2)},
 }
-"""What a robot with a tank remembers of the wall that it is at: the time there, s, 0 at none; the
-time without anything before f, s; log(1 + A/(r D̄)) when it was met; by how much f and the heading
-have turned since, rad; the angle last chosen, rad; f/‖f‖, zero before the first decision, and the
-heading; averages of velocity and direction of f."""
+"""Memory of a robot with a tank about the current wall.
+
+Time at it, s, 0 without a wall; time without an obstacle in the direction of f, s; log(1 + A/(r
+D̄)) on reaching it. Rotation of f and of the heading since, rad; the angle chosen last, rad. f/‖f‖,
+zero before the first decision, and the heading; averages of velocity and direction of f."""
 _SINCE, _CLEAR, _LEVEL, _TURNED, _WOUND, _ANGLE, _WALL_F, _HEADING, _WALL_AVERAGES = (
     *range(7), 8, 10,
 )  # fmt: skip
@@ -55,7 +65,7 @@ _SINCE, _CLEAR, _LEVEL, _TURNED, _WOUND, _ANGLE, _WALL_F, _HEADING, _WALL_AVERAG
 
 @inner_kernel
 def _velocity(given, f, degree, h, robot):
-    """That of a robot, (2,), m/s, or where none is given law (4)'s along its heading (2,)."""
+    """Velocity of a robot, (2,), m/s; by default that of law (4) along its heading (2,)."""
     if len(given) > 0:
         return given[0], given[1]
     speed = h[0] * f[0] + h[1] * f[1]
@@ -66,13 +76,14 @@ def _velocity(given, f, degree, h, robot):
 
 @kernel
 def show(part, which, observations, moving, known, memory, tanks, shown):
-    """Fill the rows of ``shown`` (B, n, size) of some environments, and update their memory.
+    """Fill the feature rows (B, n, size) of some environments, and update their memory.
 
-    ``which`` are environments and the s since they decided, (B,), ``part`` a range of these;
-    ``moving`` headings and velocities, (B, n, 2), or (B, n, 0); ``tanks`` levels (B, n, 1) or
-    (B, n, 0), and what is remembered of walls, (B, n, 14) or (B, n, 0). ``known`` are a Robot and
-    the number of columns before the context. ``memory`` is that of edges at the last decision,
-    (B, n, M, 2, 2), zero where none was seen, of MEMORY, (B, n, 11), and working memory (M, 2).
+    ``which`` are environments and the s since their last decision, (B,); ``part`` is a range of
+    these. ``moving`` are headings and velocities, (B, n, 2), or (B, n, 0). ``tanks`` are stored
+    energies (B, n, 1) or (B, n, 0), and the memory of walls, (B, n, 14) or (B, n, 0). ``known`` are
+    a Robot and the number of columns before the context. ``memory`` consists of the edges at the
+    last decision, (B, n, M, 2, 2), zero if not visible, of MEMORY, (B, n, 11), and of working
+    memory (M, 2).
     """
     (teams, elapsed), (edges, memories, intervals), (headings, velocities) = which, memory, moving
     (robot, before_context), (levels, walls) = known, tanks
@@ -120,7 +131,7 @@ def _along(x, y, u, out):
 
 @inner_kernel
 def _turn(before, now):
-    """From one pair to another, rad counter-clockwise in (−π, π]; 0 where one is zero."""
+    """Angle between two pairs, rad counter-clockwise in (−π, π]; 0 if one is zero."""
     across = before[0] * now[1] - before[1] * now[0]
     ahead = 0.0 + before[0] * now[0] + before[1] * now[1]  # 0.0: never −0.0, half a turn
     return math.atan2(across, ahead)
@@ -128,7 +139,7 @@ def _turn(before, now):
 
 @inner_kernel
 def _turn_rate(before, now, time):
-    """From one direction to another, rad/s counter-clockwise, cut off."""
+    """Rotation rate between two directions, rad/s counter-clockwise, clipped."""
     return min(max(_turn(before, now) / time, -_FASTEST), _FASTEST)
 
 
@@ -144,7 +155,7 @@ def _show_neighbours(rows, u, neighbour_slots, out):
 
 @inner_kernel
 def _show_obstacles(rows, u, before, time, neighbour_slots, out):
-    """Write both edges of each obstacle, and how fast they turned since ``before``, (M, 2, 2)."""
+    """Write both edges of each obstacle, and their rotation rates since ``before``, (M, 2, 2)."""
     for m in range(before.shape[0]):
         row, column = neighbour_slots + 2 * m, m * OBSTACLE_COLUMNS
         column += neighbour_slots * NEIGHBOUR_COLUMNS
@@ -163,7 +174,7 @@ def _show_obstacles(rows, u, before, time, neighbour_slots, out):
 
 @inner_kernel
 def _show_motion(memory, u, heading, velocity, time, kept, out):
-    """Write and remember what only time tells: own motion, turning of f, the carried heading."""
+    """Write and store motion features: own velocity, turn rate of f, carried heading."""
     towards = memory[_TOWARDS], memory[_TOWARDS + 1]
     first = towards[0] == 0.0 and towards[1] == 0.0
     for axis in range(2):
@@ -185,7 +196,7 @@ def _show_motion(memory, u, heading, velocity, time, kept, out):
 
 @inner_kernel
 def _show_joined(joined, out):
-    """Write the interval of silhouettes before f."""
+    """Write the merged interval in the direction of f."""
     low, high, gap_below, gap_above = joined
     if high - low >= TWO_PI:
         out[0] = 1.0
@@ -195,8 +206,9 @@ def _show_joined(joined, out):
 
 @inner_kernel
 def _update_wall(wall, towards, heading, velocity, elapsed, seen):
-    """Update what a robot remembers of a wall, (14,): whether one is ``seen`` before f, and the
-    level of its tank, log(1 + A/(r D̄)).
+    """Update a robot's memory of a wall, (14,).
+
+    ``seen`` is whether a wall blocks f; the stored energy is log(1 + A/(r D̄)).
     """
     blocked, level = seen
     before, last = (wall[_WALL_F], wall[_WALL_F + 1]), (wall[_HEADING], wall[_HEADING + 1])
@@ -221,7 +233,7 @@ def _update_wall(wall, towards, heading, velocity, elapsed, seen):
 
 @inner_kernel
 def _show_wall(wall, towards, out):
-    """Write what a robot remembers of a wall."""
+    """Write a robot's memory of a wall."""
     since = wall[_SINCE]
     out[0], out[1], out[2] = 1.0 if since > 0.0 else 0.0, wall[_LEVEL], since / _SLOW
     out[3] = math.exp(-since / _FRESH) if since > 0.0 else 0.0

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rendezvous_env.engine.state_checks import (
-    Remembering,
+    StatefulMixin,
     check_mask,
     check_numbers,
     check_observations,
@@ -74,7 +74,7 @@ class FeatureLayout(NamedTuple):
         )
 
 
-class Features(Remembering):
+class Features(StatefulMixin):
     """Shows B teams of n robots to a network, once for each decision.
 
     Args:

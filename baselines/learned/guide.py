@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import check_shape, floats, refuse
+from rendezvous_env.checks import check_shape, floats, raise_invalid
 from rendezvous_env.compilation import kernel
 from rendezvous_env.engine.state_checks import check_observations
 from rendezvous_env.engine.threads import Calls, Slice
@@ -23,7 +23,7 @@ from rendezvous_env.scenario.scenario import Scenario
 from ..obstacle_rules.merged_silhouettes_2d import joined_heading_2d
 from ..obstacle_rules.planes_in_space import PASSABLE
 from ..policy import Float32, Mask
-from ..steady_frames import SteadyFrames, SteadyPlanes
+from ..steady_frames import OdometryFrame, SteadyPlanes
 from ..steering import WITHIN
 from .features import Features
 from .policy_settings import PolicySettings
@@ -152,7 +152,7 @@ class GuidedTeams:
         show → (a network chooses) → choose, or head → apply:  raw = joined rule(R(φ) f)
 
     The raw vector becomes a certified heading, or with tanks any heading that they pay for;
-    unicycles turn there as their gate or their tank allows, and remember in ``SteadyFrames``; in
+    unicycles turn there as their gate or their tank allows, and remember in ``OdometryFrame``; in
     space all that happens in a plane (``SteadyPlanes``). ``show`` updates the memory, so it is
     called once in each decision, ``apply`` in every step. Arguments and errors as ``Features``.
     """
@@ -183,13 +183,13 @@ class GuidedTeams:
         self._seen, self._obstacle_slots = (*team, *layout.shape), layout.obstacle_slots
         self._batch, self._action_size = (*team, num_threads), scenario.action_size
         most = settings.max_turn_rate if certified else math.inf
-        self.bodies: SteadyFrames | SteadyPlanes | None = None
+        self.bodies: OdometryFrame | SteadyPlanes | None = None
         if scenario.dim == 3:
             keeps = PASSABLE if certified else math.inf
             self.bodies = SteadyPlanes(scenario, num_envs, 0.5 * clearance, most, keeps)
         elif scenario.model.nonholonomic:
             # within the clearance of a free direction a body is before nothing
-            self.bodies = SteadyFrames(scenario, num_envs, clearance, most)
+            self.bodies = OdometryFrame(scenario, num_envs, clearance, most)
         common = {"min_alignment": settings.min_alignment, "num_threads": num_threads}
         self.steering: HeadingFilter | CommandedTank
         self.tank: CommandedTank | None = None
@@ -260,7 +260,9 @@ class GuidedTeams:
         given = floats("actions", vectors)
         check_shape("actions", given, (*self.choices.shape, 2), axes="(B, n, 2)")
         for team, robot, _ in np.argwhere(~np.isfinite(given)):
-            refuse(f"action of robot_{robot} in team {team}", given[team, robot].tolist(), "finite")
+            raise_invalid(
+                f"action of robot_{robot} in team {team}", given[team, robot].tolist(), "finite"
+            )
         length = np.linalg.norm(given, axis=-1, keepdims=True)
         unit = given / np.where(length > 0.0, length, 1.0)
         self._directions = turned = np.where(length > 0.0, unit, self._turns[0])

@@ -1,4 +1,4 @@
-"""A trained network as a policy: observations in, actions out, like the scripted ones."""
+"""Policies from trained networks, with the interface of scripted policies."""
 
 import os
 from abc import abstractmethod
@@ -24,7 +24,7 @@ __all__ = ["LearnedPolicy", "PolicySettings", "load"]
 
 
 class GuidedPolicy(DecidingPolicy):
-    """Guided teams that something chooses for."""
+    """Base class of policies that choose for a base controller."""
 
     _guided: GuidedTeams
 
@@ -34,7 +34,7 @@ class GuidedPolicy(DecidingPolicy):
 
     @property
     def guarantee(self) -> dict[str, Any]:
-        """As ``TeamPolicy``: certified headings or a tank, whatever is chosen."""
+        """As ``TeamPolicy``: certified headings or a tank, for any choice."""
         settings, margin = self.settings, {"min_alignment": self.settings.min_alignment}
         if settings.guarantee == "heading":
             return {"by": "heading", "max_turn_rate": settings.max_turn_rate} | margin
@@ -43,7 +43,7 @@ class GuidedPolicy(DecidingPolicy):
 
     @abstractmethod
     def _choose(self, shown: Float32, due: Mask) -> None:
-        """Choose for the teams that are due, (B,), by what they are shown, (B, n, size)."""
+        """Update choices of due environments, (B,), from features, (B, n, size)."""
 
     def after(self, elapsed: float, observations: NDArray[Any], time: ArrayLike) -> Float32:
         """As ``RealTimePolicy.after``."""
@@ -72,12 +72,13 @@ class GuidedPolicy(DecidingPolicy):
 
 
 class LearnedPolicy(GuidedPolicy):
-    """A network's greedy choice, made safe: theorem C, or D, holds whatever the weights; of
-    robots that turn theorem T, or that V + ΣA does not rise.
+    """Greedy choices of a network under a guarantee that holds for any weights.
 
-    It chooses every ``decision_time``, for teams of any size, any number of obstacles, and any
-    robots but double integrators. ``weights`` are the network's by name, as a checkpoint has them,
-    or a network; a ValueError names robots that it cannot steer, or weights that do not fit.
+    The guarantee is theorem C or D; for nonholonomic robots it is theorem T, or that V + ΣA does
+    not increase. The policy chooses every ``decision_time``. It supports any number of robots and
+    obstacles, and all robot models except double integrators. ``weights`` are the network's arrays
+    by name, as in a checkpoint, or a network. A ValueError names an unsupported robot model or
+    weights that do not fit.
     """
 
     def __init__(
@@ -89,7 +90,7 @@ class LearnedPolicy(GuidedPolicy):
         scenario = resolve(scenario)
         check_steerable(scenario)
         super().__init__(scenario, settings)
-        turns = scenario.model.nonholonomic  # its body may stand across f when it starts
+        turns = scenario.model.nonholonomic  # the body may be across f initially
         self.min_alignment = None if turns else settings.promised_margin
         if isinstance(weights, Network):
             self._chooser = weights
@@ -98,7 +99,7 @@ class LearnedPolicy(GuidedPolicy):
 
     @property
     def levels(self) -> NDArray[np.float64] | None:
-        """Of the tanks, (..., n), m²/s; None without tanks or before the first action."""
+        """Stored energies, (..., n), m²/s; None without tanks or before the first action."""
         if self._leading is None or self._guided.tank is None:
             return None
         return self._as_given(self._guided.tank.levels)
@@ -117,15 +118,16 @@ class LearnedPolicy(GuidedPolicy):
         choices[due] = 0
         hidden = self._hidden[alive]
         choices[alive] = self._chooser.choose(shown[alive], hidden)
-        self._hidden[due] = 0.0  # a robot that is shown nothing remembers nothing
+        self._hidden[due] = 0.0  # inactive robots have no memory
         self._hidden[alive] = hidden
         self._guided.choose(choices)
 
 
 def load(path: str | os.PathLike[str], scenario: ScenarioLike) -> LearnedPolicy:
-    """The policy of a checkpoint, of the newest one of a run, of a shipped folder, or of an ONNX
-    file that ``rendezvous export`` wrote. A CheckpointError names the file that cannot be read or
-    does not belong to this version, a ValueError robots that it cannot steer.
+    """Load a policy from a checkpoint, a run's newest one, a shipped folder or an ONNX file.
+
+    The ONNX file is one written by ``rendezvous export``. A CheckpointError names the file that
+    cannot be read or belongs to another version. A ValueError names an unsupported robot model.
     """
     path, scenario = checkpoints.as_path(path), resolve(scenario)
     check_steerable(scenario)

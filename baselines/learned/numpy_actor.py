@@ -1,4 +1,4 @@
-"""The actor of a trained network in NumPy, without its learning library."""
+"""Actor of a trained network in NumPy, without a learning library."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -17,15 +17,16 @@ Weights = Mapping[str, NDArray[Any]]
 Layer = tuple[Array, Array]
 """Weight (outputs, inputs) and bias (outputs,)."""
 _AT_ONCE = 1024
-"""Robots whose choices are computed together; the rows of more do not fit the processor's cache."""
+"""Number of robots processed together; more rows exceed the processor's cache."""
 
 
 class Network(ABC):
-    """A network that prefers some choices to others."""
+    """Base class of networks with a preference for each choice."""
 
     def choose(self, shown: Array, hidden: Array | None = None) -> NDArray[np.int64]:
-        """Greedy choices (N,) of robots that are shown (N, layout.size) and remember ``hidden``,
-        (N, units), updated in place; None is nothing.
+        """Greedy choices (N,) for features (N, layout.size).
+
+        ``hidden``, (N, units), is the recurrent state, updated in place; None without one.
         """
         choices = np.empty(len(shown), dtype=np.int64)
         for first in range(0, len(shown), _AT_ONCE):
@@ -36,12 +37,14 @@ class Network(ABC):
 
     @abstractmethod
     def preferences(self, shown: Array, hidden: Array | None = None) -> Array:
-        """Logits of the choices, (N, choices); as ``choose``."""
+        """Logits of the choices, (N, choices); arguments as ``choose``."""
 
 
 class NumpyActor(Network):
-    """``train.learn.networks.HeadingNetwork`` with these weights, without its critic; slots may be
-    more or fewer than in training. A ValueError names an array that is missing or does not fit.
+    """``train.learn.networks.HeadingNetwork`` with these weights, without its critic.
+
+    The number of slots may differ from that in training. A ValueError names an array that is
+    missing or does not fit.
     """
 
     def __init__(self, weights: Weights, settings: PolicySettings, layout: FeatureLayout) -> None:
@@ -76,7 +79,7 @@ class NumpyActor(Network):
 
 
 def _pooled(layers: list[Layer], rows: Array) -> tuple[Array, Array]:
-    """Mean and largest feature over the rows that are present, (N, width) each."""
+    """Mean and maximum of features over the rows that are present, (N, width) each."""
     present = rows.any(axis=-1)
     count = present.sum(axis=-1)
     features = through(layers, rows[present])
@@ -91,7 +94,7 @@ def _pooled(layers: list[Layer], rows: Array) -> tuple[Array, Array]:
 
 
 def linear_layers(weights: Weights, name: str, sizes: tuple[int, ...]) -> list[Layer]:
-    """Linear layers with a ReLU behind each, which takes a number of its own."""
+    """Consecutive linear layers, each followed by a ReLU."""
     return [
         linear_layer(weights, f"{name}.{2 * k}.weight", f"{name}.{2 * k}.bias", *pair)
         for k, pair in enumerate(pairwise(sizes))
@@ -99,7 +102,7 @@ def linear_layers(weights: Weights, name: str, sizes: tuple[int, ...]) -> list[L
 
 
 def linear_layer(weights: Weights, weight: str, bias: str, inputs: int, outputs: int) -> Layer:
-    """The layer whose arrays have these names; a ValueError names one that is missing or wrong."""
+    """Layer with arrays of these names; a ValueError names one that is missing or does not fit."""
     shapes = {weight: (outputs, inputs), bias: (outputs,)}
     for key, shape in shapes.items():
         if key not in weights:
@@ -113,19 +116,19 @@ def linear_layer(weights: Weights, weight: str, bias: str, inputs: int, outputs:
 
 
 def through(layers: list[Layer], values: Array) -> Array:
-    """What the layers make of values (..., inputs)."""
+    """Output of the layers for values (..., inputs)."""
     for weight, bias in layers:
         values = np.maximum(values @ weight.T + bias, np.float32(0.0))
     return values
 
 
 class RecurrentUnit:
-    """What a robot remembers, as ``torch.nn.GRUCell`` has it (Cho et al. 2014).
+    """Recurrent unit, as ``torch.nn.GRUCell`` (Cho et al. 2014).
 
         r = σ(W_r x + U_r h),   z = σ(W_z x + U_z h),   m = tanh(W_m x + r ⊙ (U_m h))
         h ← (1 − z) ⊙ m + z ⊙ h
 
-    with a bias to each W and U.
+    Each W and U has a bias.
     """
 
     def __init__(self, weights: Weights, inputs: int, units: int) -> None:
@@ -134,7 +137,7 @@ class RecurrentUnit:
         self.kept = linear_layer(weights, *names[1], units, 3 * units)
 
     def next(self, features: Array, hidden: Array) -> Array:
-        """What is remembered, (N, units), after features (N, inputs)."""
+        """Hidden state, (N, units), after features (N, inputs)."""
         (weight_x, bias_x), (weight_h, bias_h) = self.seen, self.kept
         r_x, z_x, m_x = np.split(features @ weight_x.T + bias_x, 3, axis=-1)
         r_h, z_h, m_h = np.split(hidden @ weight_h.T + bias_h, 3, axis=-1)
@@ -144,6 +147,6 @@ class RecurrentUnit:
 
 
 def _sigmoid(x: Array) -> Array:
-    """1/(1 + e^−x), by the tangent, which cannot overflow."""
+    """1/(1 + e^−x), computed from tanh, which cannot overflow."""
     half = np.float32(0.5)
     return half * (np.tanh(half * x) + np.float32(1.0))

@@ -1,4 +1,4 @@
-"""A trained network as an ONNX file, run by onnxruntime: what ``rendezvous export`` writes."""
+"""Networks exported by ``rendezvous export`` to ONNX, run by onnxruntime."""
 
 import hashlib
 import json
@@ -15,23 +15,23 @@ from .policy_settings import PolicySettings
 
 SUFFIX = ".onnx"
 SETTINGS_KEY = "rendezvous_policy"
-"""Of the model's metadata: the policy's settings as JSON."""
+"""Key in the model's metadata of the policy's settings, as JSON."""
 DIGEST_KEY = "sha256"
-"""Of the model's metadata: the digest of the file, as JSON, see ``digest_of``."""
+"""Key in the model's metadata of the file's digest, as JSON, see ``digest_of``."""
 NO_DIGEST = "0" * 64
 _DIGEST = re.compile(rb'sha256\x12\x42"([0-9a-f]{64})"')
-"""Key and value as protocol buffers write them: nothing has to be parsed to find them."""
+"""Key and value in protocol buffer encoding, found without parsing."""
 
 
 def digest_of(content: bytes) -> str:
-    """SHA-256 of a file, with NO_DIGEST where its own digest stands."""
+    """SHA-256 of a file, with its own digest replaced by NO_DIGEST."""
     blank = _DIGEST.sub(lambda found: found[0].replace(found[1], NO_DIGEST.encode()), content)
     return hashlib.sha256(blank).hexdigest()
 
 
 def checked_session(path: Path, content: bytes) -> Any:
-    """A session of a file whose digest fits; a CheckpointError for any other file."""
-    digest = _DIGEST.search(content)  # before anything is read of what the file says
+    """Session of a file with a valid digest; a CheckpointError for any other file."""
+    digest = _DIGEST.search(content)  # before the content is parsed
     if digest is None:
         raise CheckpointError(
             f"{path}: holds no digest: it was changed, or `rendezvous export` of this version "
@@ -43,9 +43,10 @@ def checked_session(path: Path, content: bytes) -> Any:
 
 
 class OnnxNetwork(Network):
-    """A network that onnxruntime runs, from a file that ``rendezvous export`` wrote, for any
-    ``layout`` with its columns. A CheckpointError names a file that cannot be read, was changed,
-    holds no digest or does not belong to this version.
+    """Network from a file of ``rendezvous export``, run by onnxruntime.
+
+    It supports any ``layout`` with its columns. A CheckpointError names a file that cannot be read,
+    was modified, has no digest or belongs to another version.
     """
 
     def __init__(self, path: PathLike) -> None:
@@ -64,7 +65,7 @@ class OnnxNetwork(Network):
         self.layout = self.settings.layout(0, 0)
 
     def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"_session": None}  # which does not pickle, and is made anew
+        return vars(self) | {"_session": None}  # which cannot be pickled and is recreated
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state, _session=_session(*state["_file"]))
@@ -87,7 +88,7 @@ class OnnxNetwork(Network):
 
 
 def _session(path: Path, content: bytes) -> Any:
-    """A session of onnxruntime on one thread: small networks only lose by more."""
+    """Session of onnxruntime on one thread, which is fastest for small networks."""
     try:
         import onnxruntime
     except ImportError as error:
@@ -96,5 +97,5 @@ def _session(path: Path, content: bytes) -> Any:
         ) from error
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    with refusing(path, "is no ONNX model", (Exception,)):  # its own share no other base
+    with refusing(path, "is no ONNX model", (Exception,)):  # its errors have no other common base
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])

@@ -1,4 +1,4 @@
-"""Plain data in files: JSON that is read, checked for its types, and identified by its digest."""
+"""Plain data in JSON files: reading, type checks and digests."""
 
 import hashlib
 import json
@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 
 def read_json(path: Path) -> Any:
-    """Plain data from a file; an OSError, or a ValueError that says why it is no JSON."""
+    """Read plain data from a file; OSError, or a ValueError that says why it is not JSON."""
     try:
         return json.loads(path.read_text(encoding="utf-8-sig"))
     except RecursionError as error:
@@ -21,18 +21,19 @@ def digest(content: Any) -> str:
 
 
 def digest_of_rest(content: Mapping[str, Any]) -> str:
-    """The digest that content carries in itself, as "sha256", of all the rest of it."""
+    """Digest of content without its entry "sha256", which holds this digest."""
     return digest({key: value for key, value in content.items() if key != "sha256"})
 
 
 def entry(content: bytes) -> dict[str, Any]:
-    """Size and SHA-256 of what a file holds, as its description names them."""
+    """Size and SHA-256 of a file's content, as in descriptions."""
     return {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
 
 
 def check_types(values: Mapping[str, Any], hints: Mapping[str, Any]) -> None:
-    """Refuse values of other types than these, both by name; a ValueError names field and type. No
-    bool is a number.
+    """Check the types of values by name; a ValueError names field and type.
+
+    A bool does not count as a number.
     """
     from typeguard import CollectionCheckStrategy, TypeCheckError, check_type  # not for imports
 

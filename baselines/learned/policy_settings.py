@@ -1,4 +1,4 @@
-"""All that a learned policy is, beside its weights, and what is made of it."""
+"""Settings of learned policies, and quantities derived from them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rendezvous_env.checks import check_fields, is_sequence, number, refuse, whole
+from rendezvous_env.checks import check_fields, check_int, is_sequence, number, raise_invalid
 from rendezvous_env.limits import LARGEST
 from rendezvous_env.safety.settings import check_margin
 from rendezvous_env.safety.tank import unit_of_tanks
@@ -21,25 +21,25 @@ from .feature_kernels import LEVEL_COLUMNS, WALL_COLUMNS
 from .features import VERSION, FeatureLayout
 
 ANGLES = np.array([0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0, 1.4, -1.4])
-"""Choices where headings are certified, rad counter-clockwise from f; 0 is the rule itself."""
+"""Choices with certified headings, rad counter-clockwise from f; 0 is the unmodified rule."""
 ALL_ROUND = np.array([*ANGLES, 1.9, -1.9, 2.5, -2.5, np.pi])
-"""Choices where a tank pays for going away from f, rad."""
+"""Choices with a tank, which pays for motion away from f, rad."""
 CHOICES = len(ANGLES)
-_Width = Annotated[int, partial(whole, least=1, most=2**12)]
+_Width = Annotated[int, partial(check_int, least=1, most=2**12)]
 _Positive = Annotated[float, partial(number, least=1e-9, most=1e9)]
 _NotNegative = Annotated[float, partial(number, least=0.0, most=1e9)]
 
 
 def memory_of(written: Any) -> Any:
-    """The kind of memory that was written down; versions with one kind wrote whether it is on."""
+    """Kind of memory from stored settings; older versions stored whether it was enabled."""
     return ("none", "features")[written] if isinstance(written, bool) else written
 
 
 def _widths(field: str, value: Any) -> tuple[int, ...]:
-    """Those of layers; JSON has a list of them."""
+    """Widths of layers, from a list of JSON."""
     if not is_sequence(value):
-        refuse(field, value, "whole numbers")
-    return tuple(whole(field, width, 1, 2**12) for width in value)
+        raise_invalid(field, value, "whole numbers")
+    return tuple(check_int(field, width, 1, 2**12) for width in value)
 
 
 def _margin(_: str, value: Any) -> float:
@@ -48,34 +48,36 @@ def _margin(_: str, value: Any) -> float:
 
 @dataclass(frozen=True)
 class PolicySettings:
-    """All that a policy is, beside its weights."""
+    """Settings of a learned policy, without its weights."""
 
-    set_width: _Width  # of the networks that read one row
-    hidden: Annotated[tuple[int, ...], _widths]  # widths of the layers behind them
-    clearance: Annotated[float, partial(number, least=0.0, most=math.pi)]  # of the guide, rad
-    persistence: _NotNegative  # of the guide
+    set_width: _Width  # width of the networks that read one row
+    hidden: Annotated[tuple[int, ...], _widths]  # widths of the following layers
+    clearance: Annotated[float, partial(number, least=0.0, most=math.pi)]  # rad
+    persistence: _NotNegative  # of the base controller, as its clearance
     min_alignment: Annotated[float, _margin]
-    """ε, which the certified heading keeps, or which the tank owes."""
+    """Minimum alignment ε of the certified heading, or of the tank."""
     max_turn_rate: _Positive  # of the certified heading, rad/s
     decision_time: _Positive  # s between decisions
     guarantee: Literal["heading", "tank"] = "heading"
-    budget: _NotNegative = 0.0  # of each tank at the start, in units of r D̄, for teams of any size
+    budget: _NotNegative = 0.0  # initial energy of a tank, in units of r D̄
     memory: Literal["none", "features", "recurrent"] = "none"
-    """Beside the last decisions nothing, with a tank features of walls, or a recurrent unit's."""
+    """Memory beyond the last decision: none, features of walls (with a tank), or recurrent."""
     memory_units: _Width = 64  # of the recurrent unit
 
     def __post_init__(self) -> None:
-        """Refuse what no network and no heading can have."""
+        """Validate the values."""
         check_fields(self)
 
     def to_plain(self) -> dict[str, Any]:
-        """As plain data, with the version of the features that the weights belong to."""
+        """Settings as plain data, with the version of the features."""
         return asdict(self) | {"perception": VERSION}
 
     @classmethod
     def from_plain(cls, plain: Any) -> PolicySettings:
-        """What ``to_plain`` gave, or that of a version without tanks; a ValueError for missing or
-        unknown fields, or other features.
+        """Settings from the result of ``to_plain``, or from that of a version without tanks.
+
+        Raises:
+            ValueError: for missing or unknown fields, or another version of the features.
         """
         if not isinstance(plain, Mapping) or plain.get("perception") != VERSION:
             version = plain.get("perception") if isinstance(plain, Mapping) else plain
@@ -88,35 +90,35 @@ class PolicySettings:
 
     @property
     def promised_margin(self) -> float | None:
-        """ε of theorem C, kept but where ‖f‖ < 2δ, where it fades; None with a tank."""
+        """ε of theorem C, reduced where ‖f‖ < 2δ; None with a tank."""
         return self.min_alignment if self.guarantee == "heading" else None
 
     @property
     def units(self) -> int:
-        """Numbers that a recurrent unit keeps for each robot; 0 without one."""
+        """Size of the recurrent state of each robot; 0 without one."""
         return self.memory_units if self.memory == "recurrent" else 0
 
     @property
     def angles(self) -> NDArray[np.float64]:
-        """What can be chosen, rad."""
+        """Available choices, rad."""
         return ANGLES if self.guarantee == "heading" else ALL_ROUND
 
     def decision_period(self, scenario: Scenario) -> int:
-        """Base steps between decisions in a scenario; 1 where a step is longer."""
+        """Steps between decisions in a scenario; 1 if a step is longer."""
         return max(1, round(self.decision_time / scenario.tau))
 
     def budget_of(self, scenario: Scenario) -> float:
-        """B of each tank in a scenario, m²/s."""
+        """Budget B of each tank in a scenario, m²/s."""
         return min(self.budget * unit_of_tanks(scenario), LARGEST)
 
     def layout(self, neighbour_slots: int, obstacle_slots: int) -> FeatureLayout:
-        """What the network is shown, with so many slots."""
+        """Feature layout for given numbers of slots."""
         columns = 0
         if self.guarantee == "tank":
             columns = LEVEL_COLUMNS + (WALL_COLUMNS if self.memory == "features" else 0)
         return FeatureLayout(neighbour_slots, obstacle_slots, columns)
 
     def layout_of(self, scenario: Scenario) -> FeatureLayout:
-        """What the network is shown in a scenario."""
+        """Feature layout in a scenario."""
         rows = scenario.observation_layout
         return self.layout(rows.neighbour_slots, rows.obstacle_slots)

@@ -1,6 +1,4 @@
-"""The learned policies that are shipped with their weights, and the preset: what they were trained
-in, as their own files say.
-"""
+"""Shipped learned policies, and the preset of their training, read from their files."""
 
 from functools import cache
 from pathlib import Path
@@ -18,27 +16,28 @@ from .policy_settings import PolicySettings
 _SHIPPED = {
     "learned": (
         "pretrained",
-        "Chooses how far aside of f the joined rule aims; certified, shipped with its weights.",
+        "Network that rotates f for the rule tangent-joined-tuned, under certified headings.",
     ),
     "learned-tank": (
         "pretrained_tank",
-        "Chooses where to go, all round, under an energy tank; shipped with its weights.",
+        "Network that chooses any direction, under an energy tank.",
     ),
     "learned-tank-noise": (
         "pretrained_tank_noise",
-        "The same, trained on with sensors that err, farther from edges; shipped.",
+        "As learned-tank, trained further with imperfect sensors and a larger clearance.",
     ),
 }
-"""By name: the folder of the weights, and what the policy is."""
+"""Folder of the weights and one-line description, by name."""
 NAMES = tuple(_SHIPPED)
 _OF_OTHERS = {"learned-tank": "pretrained_tank_unicycle"}
-"""Weights trained on with unicycles and larger tanks, for all but points of the plane. Those of the
-others were trained with such points alone, and none in space."""
+"""Weights for all robot models but single integrators in the plane, trained with unicycles and
+larger tanks, never in 3-D. The other weights were trained with such integrators only."""
 
 
 def folder(name: str, scenario: Scenario | None = None) -> Path:
-    """Where weights, settings and curves of a shipped policy lie, by one of NAMES and whose robots
-    it is to steer; None is single integrators in the plane.
+    """Folder with weights, settings and curves of a shipped policy.
+
+    Arguments are one of NAMES and the scenario; None is single integrators in the plane.
     """
     own = {} if scenario is None or in_the_plane(scenario) else _OF_OTHERS
     return Path(__file__).with_name(own.get(name, _SHIPPED[name][0]))
@@ -57,22 +56,22 @@ for _name, (_, _about) in _SHIPPED.items():
 
 
 POLICIES = {"heading": "learned", "tank": "learned-tank"}
-"""The shipped policy of each guarantee."""
+"""Shipped policy of each guarantee."""
 
 
 class Preset(NamedTuple):
-    """What a shipped policy was trained in."""
+    """Training settings of a shipped policy."""
 
     settings: PolicySettings
-    """What it is shown and chooses, and how often."""
+    """Features, choices and decision period."""
     reward: RewardWeights
-    """Of its teams."""
+    """Reward of an environment."""
     touch_penalty: float
-    """What a robot paid for its first contact with an obstacle."""
+    """Penalty for a robot's first contact with an obstacle."""
 
 
 def preset(guarantee: str | None, scenario: Scenario | None = None) -> Preset:
-    """That of a guarantee's shipped policy, "heading" without one; a scenario as in ``folder``."""
+    """Preset of a guarantee's shipped policy, by default "heading"; scenario as in ``folder``."""
     return _read(folder(POLICIES.get(guarantee or "", POLICIES["heading"]), scenario))
 
 

@@ -1,4 +1,4 @@
-"""What a policy is trained in: guided teams, features, and the price of a contact."""
+"""Training environment of learned policies: base controller, features, and contact penalty."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -8,11 +8,11 @@ import numpy as np
 from gymnasium.spaces import Box, MultiDiscrete
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import number, refuse, whole
+from rendezvous_env.checks import check_int, number, raise_invalid
 from rendezvous_env.engine.batch_runner import BatchController
 from rendezvous_env.engine.state_checks import check_keys
 from rendezvous_env.envs.spaces import team_box
-from rendezvous_env.envs.training import charge_first_touches
+from rendezvous_env.envs.training import charge_first_contacts
 from rendezvous_env.envs.vector_env import Info, RendezvousVectorEnv
 from rendezvous_env.envs.vector_wrappers import GuaranteeWrapper
 from rendezvous_env.limits import MOST_HELD_STEPS
@@ -28,24 +28,24 @@ from .shipped import POLICIES, preset
 
 
 def observation_box(size: int) -> Box:
-    """Space of what one robot is shown, so many numbers."""
+    """Observation space of one robot, with the given number of features."""
     return Box(-np.inf, np.inf, (size,), dtype=np.float32)
 
 
 class FeatureVectorEnv(GuaranteeWrapper):
-    """Teams whose robots choose by what they are shown, see ``GuidedTeams``.
+    """Vector environment whose robots choose from features, see ``GuidedTeams``.
 
-    Actions are choices (B, n), each held for ``decision_period`` base steps. Observations are
-    (B, n, layout.size), the last ones of an episode included.
+    Actions are choices (B, n), each held for ``decision_period`` steps. Observations are (B, n,
+    layout.size), including the last ones of an episode.
 
     Args:
-        env: teams of any robots but double integrators, in any autoreset mode.
-        settings: of the policy that is trained.
-        touch_penalty: of a robot's first contact in an episode, see ``TrainingTeams``.
-        obstacle_slots: of ``Features``, whose refusals are raised.
-        global_state: of what follows what is shown, for critics; None is nothing. It has a
-            ``size``, numbers for each robot, and ``states(simulator, f, levels)``, (B, n, size), of
-            f_i in the robots' own frames, (B, n, 2), of any length, and of A/(r D̄), (B, n).
+        env: environments of any robot model but double integrators, in any autoreset mode.
+        settings: settings of the trained policy.
+        touch_penalty: penalty for a robot's first contact in an episode, see ``TrainingTeams``.
+        obstacle_slots: as ``Features``, with its errors.
+        global_state: features for critics, appended to the observations; None appends none. It has
+            a ``size``, the number per robot, and ``states(simulator, f, levels)``, (B, n, size).
+            f_i is (B, n, 2), of any length, in the robots' own frames; levels are A/(r D̄), (B, n).
         discrete: False takes directions (B, n, 2) in place of choices, see ``GuidedTeams.head``.
     """
 
@@ -79,19 +79,19 @@ class FeatureVectorEnv(GuaranteeWrapper):
 
     @property
     def layout(self) -> FeatureLayout:
-        """Which number of what a robot is shown is what."""
+        """Layout of a robot's features."""
         return self.guided.perception.layout
 
     @property
     def alignment(self) -> NDArray[np.float64]:
-        """Of the headings with f in the last base step, (B, n); NaN where there is none."""
+        """Alignment of the headings with f in the last step, (B, n); NaN where undefined."""
         return self.guided.steering.alignment
 
     def _drive(self) -> tuple[NDArray[np.float32] | None, Any, Any, Any, Info]:
-        """As ``GuaranteeWrapper._drive``, with first contacts paid for."""
+        """As ``GuaranteeWrapper._drive``, with the penalty for first contacts."""
         shown, rewards, ends, cuts, infos = super()._drive()
         contact, price = infos["contact"], self.touch_penalty
-        rewards = charge_first_touches(price, contact, self._touched, rewards, infos)
+        rewards = charge_first_contacts(price, contact, self._touched, rewards, infos)
         return shown, rewards, ends, cuts, infos
 
     def _take(self, actions: ArrayLike) -> None:
@@ -124,11 +124,11 @@ class FeatureVectorEnv(GuaranteeWrapper):
     def set_state(self, state: Mapping[str, Any]) -> None:
         """As ``GuaranteeWrapper.set_state``."""
         check_keys(state, tuple(self._parts))
-        super().set_state({"shown": self._shown, **state})  # runs of older versions kept none
+        super().set_state({"shown": self._shown, **state})  # older versions did not store it
 
     @property
     def _arrays(self) -> dict[str, NDArray[Any]]:
-        # a reset of some teams tells again what others see
+        # a partial reset observes the other environments again
         return super()._arrays | {"touched": self._touched, "shown": self._shown}
 
     @property
@@ -139,19 +139,21 @@ class FeatureVectorEnv(GuaranteeWrapper):
 
 
 class ShippedPreset:
-    """What ``training_env`` hands to learners: what the shipped policies see, do and earn."""
+    """Preset of ``training_env``: observations, actions and rewards of the shipped policies."""
 
     def earnings(self, guarantee: str | None) -> tuple[RewardWeights, float]:
-        """The reward, and the price of a robot's first contact."""
+        """Reward, and penalty for a robot's first contact."""
         return preset(guarantee).reward, preset(guarantee).touch_penalty
 
     def shows(self, scenario: Scenario, guarantee: str | None) -> bool:
-        """Whether robots see and do what the shipped policy of this guarantee does."""
+        """Whether observations and actions are those of this guarantee's shipped policy."""
         return guarantee in POLICIES and can_steer(scenario)
 
     def held_arguments(self, scenario: Scenario, guarantee: str) -> dict[str, Any]:
-        """Arguments of the guarantee's wrapper where they do not: a choice is held as long as by
-        the shipped policy, and a tank has its budget in units of r D̄ and an observed level.
+        """Arguments of the guarantee's wrapper where observations and actions are not the preset's.
+
+        The decision period is that of the shipped policy. A tank has its budget in units of r D̄
+        and an observed stored energy.
         """
         settings = preset(guarantee, scenario).settings
         held: dict[str, Any] = {"decision_period": settings.decision_period(scenario)}
@@ -166,21 +168,26 @@ class ShippedPreset:
         discrete: bool,
         arguments: Mapping[str, Any],
     ) -> FeatureVectorEnv:
-        """The teams that see and do what the shipped policy of "heading" or "tank" does.
+        """Wrap environments with the observations and actions of the policy "heading" or "tank".
 
-        ``arguments`` are of the guarantee's wrapper: min_alignment, decision_period (steps), and
-        max_turn_rate or budget (m²/s). ValueError for another one, or an impossible value.
+        ``arguments`` are those of the guarantee's wrapper: min_alignment, decision_period (steps),
+        and max_turn_rate or budget (m²/s).
+
+        Raises:
+            ValueError: for another argument, or an invalid value.
         """
         scenario, own = env.scenario, {"heading": "max_turn_rate", "tank": "budget"}[guarantee]
         changes: dict[str, Any] = {}
         for key, value in arguments.items():
             if key == "decision_period":
-                changes["decision_time"] = whole(key, value, 1, MOST_HELD_STEPS) * scenario.tau
+                changes["decision_time"] = check_int(key, value, 1, MOST_HELD_STEPS) * scenario.tau
             elif key == "budget" and key == own:
                 changes[key] = number(key, value, 0.0) / unit_of_tanks(scenario)
             elif key in ("min_alignment", own):
                 changes[key] = number(key, value)
             else:
-                refuse(key, value, "left to the learning preset; learning_preset=False takes it")
+                raise_invalid(
+                    key, value, "left to the learning preset; learning_preset=False takes it"
+                )
         settings = replace(preset(guarantee, scenario).settings, **changes)
         return FeatureVectorEnv(env, settings, discrete=discrete)

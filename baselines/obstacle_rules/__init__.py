@@ -1,1 +1,1 @@
-"""Analytic rules that go round obstacles."""
+"""Analytic rules of obstacle avoidance."""

@@ -1,4 +1,4 @@
-"""The joined rule in the plane: silhouettes that overlap are one interval of angles."""
+"""Rule of merged intervals in the plane: overlapping silhouettes count as one obstacle."""
 
 import math
 
@@ -13,22 +13,22 @@ from .silhouettes import STRAIGHT_AHEAD, direction_of, is_seen
 TWO_PI = 2.0 * math.pi
 _ROUNDING = 1e-12
 _A_LITTLE_LESS = 1.0 - 1e-9
-_FAR = 100.0  # rad; sums of the angles in here stay below it
+_FAR = 100.0  # rad; bound of sums of angles in this module
 
 
 @kernel(allocates=True)
 def joined_headings_2d(net_bearing, silhouettes, clearance, carried, persistence, out):
-    """Head for the nearer edge of all that blocks f, overlapping silhouettes being one obstacle.
+    """Headings towards the nearer edge of the merged interval that blocks f.
 
-    Silhouettes that overlap, directly or through others, are joined into one interval of angles.
-    If f lies in it, or within the clearance of it, head for its nearer edge, moved away from it by
-    the clearance, or by half of the gap to the next interval if that is less. With nothing in the
-    way, or no free direction at all, keep f. Within the clearance of two intervals the nearer one
-    counts. With a persistence λ ≥ 0 the nearer edge is the one with the smaller angle from f plus λ
-    times the angle from the carried heading, so that a robot seldom changes its mind.
+    Silhouettes that overlap, directly or through others, are merged into one interval of angles. If
+    f lies in it or within the clearance, the heading is its nearer edge. The edge is moved outward
+    by the clearance, or by half of the gap to the next interval if that is less. Without a blocking
+    interval, or without any free direction, the heading is f. Within the clearance of two intervals
+    the nearer one counts. With a persistence λ ≥ 0 the nearer edge minimises the angle from f plus
+    λ times the angle from the carried heading, which prevents frequent changes of side.
 
-    Of fᵢ, (N, 2), silhouettes (N, M, 2, 2), counter-clockwise edge first, the clearance, rad, and
-    headings of the previous step, (N, 2), zero = none yet, to ``out``, (N, 2).
+    Inputs are fᵢ, (N, 2), and silhouettes (N, M, 2, 2), counter-clockwise edge first. The clearance
+    is in rad; carried headings, (N, 2), are zero where undefined. The output is ``out``, (N, 2).
     """
     intervals = np.empty((silhouettes.shape[1], 2))
     for i in range(out.shape[0]):
@@ -61,8 +61,10 @@ def joined_heading_2d(towards, silhouettes, carried, rule, intervals):
 
 @inner_kernel
 def is_clear(towards, silhouettes, clearance):
-    """Whether each of (M, 2, 2), and so all of them joined, is surely farther from a unit triple
-    than the clearance, rad, as for most robots in most steps; found without an angle.
+    """Whether all of (M, 2, 2) are certainly farther from a unit triple than the clearance, rad.
+
+    The same then holds for their merged intervals. The test computes no angle and applies to most
+    robots in most steps.
     """
     if clearance >= 0.5 * math.pi:
         return False
@@ -72,7 +74,7 @@ def is_clear(towards, silhouettes, clearance):
             continue
         last, first = load(silhouettes[m, 0]), load(silhouettes[m, 1])
         width = cross_in_plane(first, last)
-        if width < 0.0 or (width == 0.0 and dot(first, last) > 0.0):  # more than half, or a point
+        if width < 0.0 or (width == 0.0 and dot(first, last) > 0.0):  # wider than π, or a point
             return False
         if cross_in_plane(first, towards) >= 0.0 and cross_in_plane(towards, last) >= 0.0:
             return False
@@ -92,20 +94,21 @@ def axis_is_clear(rates, silhouettes, gate):
 
 @inner_kernel
 def joined_interval_2d(towards, silhouettes, intervals):
-    """The angles that silhouettes (M, 2, 2) before a unit triple cover, overlapping ones joined.
+    """Interval of angles covered by silhouettes (M, 2, 2) around a unit triple, after merging.
 
-    The clockwise and the counter-clockwise edge, rad counter-clockwise from the direction, of the
-    joined interval that holds it, or else has the edge nearest to it; then the free angles beyond
-    either edge. A full turn between the edges means that nothing is free; edges of ∞ and −∞, that
-    nothing is seen. ``intervals``, (M, 2), is working memory.
+    Returns the clockwise and the counter-clockwise edge, rad counter-clockwise from the direction,
+    and the free angles beyond either edge. The merged interval is the one that contains the
+    direction, or else the one with the nearest edge. A full turn between the edges means that no
+    direction is free. Edges of ∞ and −∞ mean that no silhouette is visible. ``intervals``, (M, 2),
+    is working memory.
     """
     u, count = towards, 0
-    for m in range(silhouettes.shape[0]):  # (start, width): the clockwise edge from f, and on
+    for m in range(silhouettes.shape[0]):  # (first edge, width): from the clockwise edge
         if is_seen(silhouettes[m]):
             last, first = load(silhouettes[m, 0]), load(silhouettes[m, 1])
             intervals[count, 0] = math.atan2(cross_in_plane(u, first), dot(u, first))
             width = math.atan2(cross_in_plane(first, last), dot(first, last))
-            # of an obstacle that is touched rounding, or a sensor that errs, may swap the edges
+            # at contact, rounding or sensor errors may swap the edges
             intervals[count, 1] = max(width, 0.0) if width > -0.5 * math.pi else width + TWO_PI
             count += 1
     seen = intervals[:count]
@@ -113,7 +116,7 @@ def joined_interval_2d(towards, silhouettes, intervals):
     if nearest == STRAIGHT_AHEAD:
         return math.inf, -math.inf, TWO_PI, TWO_PI
     low, high = _join_from(nearest, seen)
-    gap_below = gap_above = TWO_PI - (high - low)  # free, up to the next interval or to itself
+    gap_below = gap_above = TWO_PI - (high - low)  # free angle up to the next interval or to itself
     for k in range(count):
         after_low = counter_clockwise(seen[k, 0] - low)
         if after_low > high - low:
@@ -131,7 +134,7 @@ def _between(a, b):
 
 @inner_kernel
 def _nearest_interval(intervals):
-    """Index of an interval that holds 0, or else of the one with the nearest edge."""
+    """Index of an interval that contains 0, or else of the one with the nearest edge."""
     nearest, least = STRAIGHT_AHEAD, math.inf
     for k in range(intervals.shape[0]):
         low = intervals[k, 0]
@@ -146,8 +149,8 @@ def _nearest_interval(intervals):
 
 @inner_kernel
 def counter_clockwise(angle):
-    """The same angle in [0, 2π); what rounds to 2π is 0, and NaN stays NaN."""
-    if not -_FAR < angle < _FAR:  # ±∞ would never get there turn by turn; % makes it NaN
+    """Equivalent angle in [0, 2π); values that round to 2π become 0, NaN is kept."""
+    if not -_FAR < angle < _FAR:  # ±∞ would never terminate; % makes it NaN
         angle = angle % TWO_PI
     while angle < 0.0:
         angle += TWO_PI
@@ -158,12 +161,12 @@ def counter_clockwise(angle):
 
 @inner_kernel
 def _join_from(first, intervals):
-    """Grow an interval by all that overlap it: (low, high), rad from f, up to a full turn."""
+    """Merge an interval with all that overlap it: (low, high), rad from f, up to a full turn."""
     low = intervals[first, 0]
     high = low + intervals[first, 1]
-    if low > 0.0 and TWO_PI - high < low:  # counted from below, its upper edge is the near one
+    if low > 0.0 and TWO_PI - high < low:  # seen from below, its upper edge is nearer
         low, high = low - TWO_PI, high - TWO_PI
-    for _ in range(2 * intervals.shape[0] + 1):  # every pass but the last takes one in, on a side
+    for _ in range(2 * intervals.shape[0] + 1):  # each pass but the last merges one on a side
         if not high - low < TWO_PI:
             break
         grown = False

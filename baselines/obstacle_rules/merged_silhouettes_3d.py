@@ -1,4 +1,4 @@
-"""The joined rule in 3-D: cones that overlap are one obstacle."""
+"""Rule of merged intervals in 3-D: overlapping cones count as one obstacle."""
 
 import math
 
@@ -12,18 +12,19 @@ from .silhouettes import STRAIGHT_AHEAD, direction_of, is_seen, middle_of, unit
 
 @kernel(allocates=True)
 def joined_headings_3d(net_bearing, silhouettes, clearance, out):
-    """Head for a free direction beside all that blocks f, overlapping cones being one obstacle.
+    """Headings towards a free direction next to the merged cones that block f.
 
-    Cones whose angular discs overlap, directly or through others, are joined. If f lies in a disc
-    widened by the clearance (of several, the one it is deepest in counts), the candidates are the
-    boundary rays, eight of each cone joined with that one, moved outward by the clearance. Head for
-    the candidate nearest to f that lies in no other cone; with nothing in the way, or no such
-    candidate, keep f. Ray 0 of a cone is its boundary direction nearest to f, so a single cone is
-    left by the shortest way.
+    Cones whose angular discs overlap, directly or through others, are merged. f is blocked if it
+    lies in a disc widened by the clearance; of several discs, the one with f deepest inside counts.
+    Candidates are the boundary rays, eight of each cone merged with that one, moved outward by the
+    clearance. The heading is the candidate nearest to f that lies in no other cone. Without a
+    blocking cone, or without such a candidate, the heading is f. Ray 0 of a cone is its boundary
+    direction nearest to f, so the heading leaves a single cone on the shortest path.
 
-    Of fᵢ, (N, 3), silhouettes (N, M, 8, 3) and the clearance, rad, to ``out``, (N, 3).
+    Inputs are fᵢ, (N, 3), silhouettes (N, M, 8, 3) and the clearance, rad; the output is ``out``,
+    (N, 3).
     """
-    cones = np.empty((silhouettes.shape[1], 4))  # unit centre direction, half angle in rad
+    cones = np.empty((silhouettes.shape[1], 4))  # unit axis, half angle in rad
     slots = np.empty(silhouettes.shape[1], np.int64)
     joined = np.empty(silhouettes.shape[1], np.bool_)
     for i in range(out.shape[0]):
@@ -70,7 +71,7 @@ def _join(first, cones, joined):
 
 @inner_kernel
 def _nearest_free_ray(towards, cones, joined, silhouettes, slots, clearance):
-    """The widened boundary ray nearest to f that lies in no other cone; f if there is none."""
+    """Widened boundary ray nearest to f that lies in no other cone; f without one."""
     heading, best = towards, -math.inf
     for k in range(cones.shape[0]):
         if not joined[k]:

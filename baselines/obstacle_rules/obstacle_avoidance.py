@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import number, positive, real, shown
+from rendezvous_env.checks import number, positive, short_repr, to_float
 from rendezvous_env.compilation import kernel
 from rendezvous_env.engine.state_checks import check_numbers
 from rendezvous_env.safety.heading import certified_heading, flexible_velocity, step_scale
@@ -23,7 +23,7 @@ from ..policy import (
     Float32,
     Mask,
     Policy,
-    RememberingPolicy,
+    StatefulPolicy,
     TeamPolicy,
     is_single_integrator,
     register,
@@ -92,8 +92,8 @@ def _over_robots(
 
 def check_clearance(clearance: Any) -> None:
     """Refuse a clearance that is no angle in [0, π) rad."""
-    if not 0 <= real(clearance) < np.pi:
-        raise ValueError(f"clearance is {shown(clearance)}; it must be an angle in [0, π) rad")
+    if not 0 <= to_float(clearance) < np.pi:
+        raise ValueError(f"clearance is {short_repr(clearance)}; it must be an angle in [0, π) rad")
 
 
 def steered(steering: Steering, wanted: NDArray[Any], observations: NDArray[Any]) -> Float32:
@@ -142,7 +142,7 @@ class BareHeadingPolicy(TeamPolicy):
 
 
 @dataclass
-class CertifiedHeadingPolicy(RememberingPolicy):
+class CertifiedHeadingPolicy(StatefulPolicy):
     """A heading rule certified by theorem C, with velocities scaled where the step is long.
 
         vᵢ = min(1, r/(2 Dᵢ τ)) hᵢ hᵢᵀ fᵢ                             (theory 3 and 4)

@@ -1,5 +1,7 @@
-"""Obstacles of space in a plane that holds f: a robot passes them at an azimuth about f, and the
-cones under which they are seen, widened by a clearance, cut its plane in silhouettes of the plane.
+"""Obstacles of 3-D scenarios in a plane that contains f.
+
+A robot passes obstacles at an azimuth about f. Their cones, widened by a clearance, intersect its
+plane in silhouettes of the plane.
 """
 
 import math
@@ -25,18 +27,19 @@ from .merged_silhouettes_2d import TWO_PI, joined_heading_2d, joined_interval_2d
 from .silhouettes import TOUCHED, direction_of, is_seen, middle_of
 
 _Y_AXIS = (0.0, 1.0, 0.0)
-_WIDEST = 0.5 * math.pi - 0.01  # rad; no cone is widened beyond
-_PLANES = 8  # planes through f that are looked at, each with two azimuths
+_WIDEST = 0.5 * math.pi - 0.01  # rad; maximum half angle of a widened cone
+_PLANES = 8  # candidate planes through f, with two azimuths each
 PASSABLE = 1.4
-"""rad; farther from f law (4) hardly moves a robot."""
+"""rad; farther from f, law (4) is slow."""
 
 
 @kernel(allocates=True)
 def headings_in_planes(net_bearing, silhouettes, clearance, carried, persistence, asides, out):
-    """``joined_headings_2d`` in a plane of space, which is kept while something in it is before f.
+    """``joined_headings_2d`` in a plane of 3-D, which is kept while an obstacle in it blocks f.
 
-    As there, of (N, 3) and cones (N, M, 8, 3), widened by half of the clearance; ``asides``,
-    (N, 3), changed, are the unit vectors across f of the planes that are kept, zero = none.
+    Inputs are as there, with f (N, 3) and cones (N, M, 8, 3), widened by half of the clearance.
+    ``asides``, (N, 3), are the unit vectors across f of the kept planes, zero where undefined; they
+    are updated in place.
     """
     slots = silhouettes.shape[1]
     rays, cut, intervals = np.empty((slots, 8, 3)), np.empty((slots, 2, 2)), np.empty((slots, 2))
@@ -56,7 +59,7 @@ def headings_in_planes(net_bearing, silhouettes, clearance, carried, persistence
 
 @inner_kernel
 def _nearest_ray(towards, rays):
-    """The boundary ray nearest to f, in whatever order obstacles come; zero without one."""
+    """Boundary ray nearest to f, for any order of obstacles; zero without one."""
     nearest, best = ORIGIN, -math.inf
     for m in range(rays.shape[0]):
         for s in range(8):
@@ -68,7 +71,7 @@ def _nearest_ray(towards, rays):
 
 @inner_kernel
 def widened_rays(silhouettes, clearance, out):
-    """How many cones of (M, 8, 3) are seen; ``out`` has them first, widened by so many rad."""
+    """Number of visible cones of (M, 8, 3); ``out`` starts with them, widened by an angle, rad."""
     count = 0
     for m in range(silhouettes.shape[0]):
         if not is_seen(silhouettes[m]):
@@ -91,12 +94,12 @@ def widened_rays(silhouettes, clearance, out):
 
 @inner_kernel
 def kept_azimuth(towards, before, keeps, clearance, views):
-    """The azimuth about f at which a robot passes what blocks f, a unit triple across f; and
-    whether it is that of the previous step, ``before``, zero = none yet.
+    """Azimuth about f for passing an obstacle, and whether it is that of the previous step.
 
-    It is kept while the nearest free direction in its plane is nearer to f than ``keeps``, rad, 0 =
-    never; else the one with least to turn is taken. ``views`` are ``widened_rays``, (K, 8, 3), and
-    working memory: what the plane that is taken cuts of them, (K, 2, 2), and (K, 2).
+    The azimuth is a unit triple across f; the previous one is ``before``, zero where undefined. It
+    is kept while the nearest free direction in its plane is nearer to f than ``keeps``, rad, 0 =
+    never. Otherwise it is the one with the smallest turn. ``views`` are ``widened_rays``, (K, 8,
+    3), and working memory, (K, 2), with the intersections with the chosen plane, (K, 2, 2).
     """
     rays, cut, intervals = views
     if before == ORIGIN and rays.shape[0] > 0:
@@ -114,7 +117,7 @@ def kept_azimuth(towards, before, keeps, clearance, views):
 
 @inner_kernel
 def _best_azimuth(towards, first, clearance, views):
-    """The azimuth at which a free direction is nearest to f, or the first one."""
+    """Azimuth with the free direction nearest to f, or the first one."""
     rays, cut, intervals = views
     best, least, second = first, math.inf, cross(towards, first)
     for k in range(_PLANES):
@@ -133,7 +136,7 @@ def _best_azimuth(towards, first, clearance, views):
 
 @inner_kernel
 def lies_outside(direction, rays):
-    """Whether a triple lies outside all cones, (K, 8, 3), whose rays go round right-handed."""
+    """Whether a triple lies outside all cones, (K, 8, 3), with rays in right-handed order."""
     for m in range(rays.shape[0]):
         for s in range(8):
             if dot(direction, cross(load(rays[m, s]), load(rays[m, (s + 1) % 8]))) < 0.0:
@@ -145,15 +148,16 @@ def lies_outside(direction, rays):
 
 @inner_kernel
 def axis_is_clear_3d(rates, pitch, rays, gate):
-    """As ``axis_is_clear``, of cones (K, 8, 3); the pitch is β at the start of the step, rad."""
+    """As ``axis_is_clear``, for cones (K, 8, 3); the pitch is β at the start of the step, rad."""
     on_the_way = mean_axis(rates, pitch, gate)
     return lies_outside(X_AXIS, rays) and lies_outside(on_the_way, rays)
 
 
 @inner_kernel
 def cut_by(towards, aside, rays, out):
-    """Where a plane cuts the cones, flat between rays: (K, 2, 2), x along f, y aside; the rays go
-    round right-handed, and come up through the plane at the counter-clockwise edge.
+    """Intersections of a plane with the cones, flat between rays: (K, 2, 2), x along f, y aside.
+
+    The rays are in right-handed order and cross the plane upward at the counter-clockwise edge.
     """
     normal = cross(towards, aside)
     for m in range(rays.shape[0]):

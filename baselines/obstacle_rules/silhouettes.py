@@ -1,10 +1,11 @@
-"""Headings at the edges of obstacles: the rules, as kernels over robots.
+"""Headings at the edges of obstacles, as kernels over robots.
 
-Silhouette points of an obstacle are S unit vectors in the robot's own frame: the counter-clockwise
-and the clockwise edge in the plane, eight boundary rays of a cone in 3-D. An obstacle whose first
-point is exactly zero is not seen. All kernels take net bearings (N, d) float64 and silhouettes
-(N, M, S, d) of any float type, and write unit headings (N, d); a robot without a net bearing heads
-along its x axis. Overlapping silhouettes are joined in ``merged_silhouettes_2d`` and ``_3d``.
+Silhouette points of an obstacle are S unit vectors in the robot's own frame. In the plane they are
+the counter-clockwise and the clockwise edge, in 3-D eight boundary rays of a cone. An obstacle
+whose first point is exactly zero is not visible. All kernels take net bearings (N, d) float64 and
+silhouettes (N, M, S, d) of any float type, and write unit headings (N, d). Without a net bearing,
+the heading is the robot's x axis. Overlapping silhouettes are merged in ``merged_silhouettes_2d``
+and ``_3d``.
 """
 
 import math
@@ -13,15 +14,17 @@ from rendezvous_env.compilation import inner_kernel, kernel
 from rendezvous_env.physics.vectors import X_AXIS, combine, cross, dot, load, split, store
 
 STRAIGHT_AHEAD = -1
-"""In place of the index of an obstacle: none is in the way."""
+"""Obstacle index for an unobstructed f."""
 TOUCHED = 1e-4
-"""Sum of opposite points below which rounding to float32 would choose their middle."""
+"""Sum of opposite points below which rounding to float32 would determine their middle."""
 
 
 @kernel
 def tangent_headings(net_bearing, silhouettes, only_blocking, out):
-    """Head for the edge nearest to f of the most prominent obstacle, along f if there is none; if
-    ``only_blocking`` of those that f points into (section IV-C). Of equals it is the first.
+    """Headings towards the edge nearest to f of the most prominent obstacle, or along f.
+
+    With ``only_blocking`` the rule considers obstacles that f points into (section IV-C). Of equal
+    obstacles the first one counts.
     """
     for i in range(out.shape[0]):
         heading = direction_of(net_bearing[i])
@@ -33,14 +36,14 @@ def tangent_headings(net_bearing, silhouettes, only_blocking, out):
 
 @inner_kernel
 def direction_of(net_bearing):
-    """Unit vector along a net bearing, the x axis where there is none, as a triple."""
+    """Unit vector along a net bearing, as a triple; the x axis for zero."""
     length, direction = split(load(net_bearing))
     return direction if length > 0.0 else X_AXIS
 
 
 @inner_kernel
 def is_seen(points):
-    """Whether the obstacle with these silhouette points is in sight."""
+    """Whether the obstacle with these silhouette points is visible."""
     for k in range(points.shape[1]):
         if points[0, k] != 0.0:
             return True
@@ -49,21 +52,22 @@ def is_seen(points):
 
 @inner_kernel
 def unit(point):
-    """A silhouette point as a unit triple."""
+    """Silhouette point as a unit triple."""
     return split(load(point))[1]
 
 
 @inner_kernel
 def opposite(points):
-    """Two points across the silhouette: both edges in the plane, rays 0 and 4 in 3-D."""
+    """Two opposite points of the silhouette: both edges in the plane, rays 0 and 4 in 3-D."""
     return unit(points[0]), unit(points[points.shape[0] // 2])
 
 
 @inner_kernel
 def middle_of(points):
-    """Unit triple towards the middle of a silhouette: along the sum of two points across it; of an
-    obstacle that is touched, whose points add up to nothing, to the right of the counter-clockwise
-    edge, or along the axis that the rays go round.
+    """Unit triple towards the middle of a silhouette: along the sum of two opposite points.
+
+    At contact their sum vanishes. The middle is then to the right of the counter-clockwise edge, or
+    along the axis of the rays.
     """
     first, second = opposite(points)
     length, middle = split(combine(1.0, first, 1.0, second))
@@ -76,7 +80,7 @@ def middle_of(points):
 
 @inner_kernel
 def _most_prominent(towards, silhouettes, only_blocking):
-    """Index of the widest obstacle; one blocks what is as near to its middle as its edges are."""
+    """Index of the widest obstacle; it blocks directions as near to its middle as its edges."""
     prominent, least_cosine = STRAIGHT_AHEAD, math.inf
     for m in range(silhouettes.shape[0]):
         if not is_seen(silhouettes[m]):
@@ -92,7 +96,7 @@ def _most_prominent(towards, silhouettes, only_blocking):
 
 @inner_kernel
 def _nearest_point(towards, points):
-    """The silhouette point nearest in angle, the first of equals."""
+    """Silhouette point nearest in angle, the first of equals."""
     nearest, best = unit(points[0]), -math.inf
     for s in range(points.shape[0]):
         point = unit(points[s])

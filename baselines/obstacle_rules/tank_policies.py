@@ -35,7 +35,7 @@ from rendezvous_env.safety.tank import (
 from rendezvous_env.safety.turning import Robot, mean_axis, robot_of, send_rates
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..policy import Float32, Mask, RememberingPolicy, register
+from ..policy import Float32, Mask, StatefulPolicy, register
 from ..steering import ALIGNED, ALIGNED_IN_SPACE, Steering, inputs_towards
 from .merged_silhouettes_2d import TWO_PI, axis_is_clear, joined_interval_2d
 from .obstacle_avoidance import Array, can_pass_obstacles, check_clearance
@@ -228,7 +228,7 @@ def _inputs(f, account, heading, free, pitch, settings, memory):
 
 
 @register("tank-joined", fits=can_pass_obstacles, kind="tank")
-class TankJoinedPolicy(RememberingPolicy):
+class TankJoinedPolicy(StatefulPolicy):
     """Follows walls under an energy tank, the one side or the other, ever farther.
 
     What blocks f is passed on one side, along the wall, until f is free, away from f too while the

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import bools, check_shape, refuse
+from rendezvous_env.checks import bools, check_shape, raise_invalid
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
 
@@ -38,10 +38,10 @@ class PrivilegedPolicy(TeamPolicy):
         n, d, model = self.scenario.n_robots, self.scenario.dim, self.scenario.robot_model
         wanted = f"a Simulator of {n} {model.replace('_', ' ')}s in {d}-D"
         if not isinstance(simulator, Simulator):
-            refuse("simulator", simulator, wanted)
+            raise_invalid("simulator", simulator, wanted)
         given = simulator.scenario
         if (given.robot_model, given.n_robots, given.dim) != (model, n, d):
-            refuse("simulator", given, wanted)
+            raise_invalid("simulator", given, wanted)
         self._simulator, self._steps = simulator, simulator.steps
         self.reset()
 
@@ -93,7 +93,7 @@ class PrivilegedPolicy(TeamPolicy):
         """
 
 
-def within_a_step(rest: Array, scenario: Scenario) -> Array:
+def without_overshoot(rest: Array, scenario: Scenario) -> Array:
     """Velocities (..., d), m/s, along ``rest``, m, at the speed limit without overshoot."""
     distance = np.linalg.norm(rest, axis=-1, keepdims=True)
     speed = scenario.speed_limit / np.where(distance > 0.0, distance, 1.0)
@@ -172,7 +172,7 @@ class PrivilegedCircumcentre(PrivilegedPolicy):
                 most = farthest_steps(towards, nearby, among, sight)[:, np.newaxis]
                 goals = towards * np.minimum(length, most)
             rest[team, here] = goals
-        return within_a_step(rest, self.scenario)
+        return without_overshoot(rest, self.scenario)
 
 
 @register("privileged-enclosing-ball", is_single_integrator, kind="privileged", on_request=True)
@@ -193,7 +193,7 @@ class PrivilegedEnclosingBall(PrivilegedPolicy):
         positions = simulator.positions
         for team in np.flatnonzero(begun):
             self._centres[team], _ = smallest_enclosing_ball(positions[team, active[team]])
-        return within_a_step(self._centres[:, np.newaxis] - positions, self.scenario)
+        return without_overshoot(self._centres[:, np.newaxis] - positions, self.scenario)
 
 
 @register("privileged-nearest-pursuit", is_single_integrator, kind="privileged", on_request=True)

@@ -8,8 +8,8 @@ from rendezvous_env.simulator import Simulator
 
 from ..policy import Mask, register
 from ..steering import can_steer
-from .privileged_laws import PrivilegedPolicy, within_a_step
-from .roadmap import Array, Roadmap, WaysTo
+from .privileged_laws import PrivilegedPolicy, without_overshoot
+from .roadmap import Array, PathsTo, Roadmap
 
 NAME = "privileged-planner"
 _CLEARANCES = tuple(0.5**k for k in range(1, 9))
@@ -54,7 +54,7 @@ def _best(places: Array, ways: Array) -> Meeting:
     return Meeting(places[chosen], int(left_out[chosen]))
 
 
-def plan(table: Array, positions: Array, merge_radius: float) -> WaysTo:
+def plan(table: Array, positions: Array, merge_radius: float) -> PathsTo:
     """Paths for the earliest meeting of robots at (n, d), m, with merge radius r, m.
 
     ``table`` holds the obstacles. Robots without a path stay in place.
@@ -66,7 +66,7 @@ def plan(table: Array, positions: Array, merge_radius: float) -> WaysTo:
         if found[-1][1].left_out == 0:
             break
     roadmap, meeting = min(found, key=lambda pair: pair[1].left_out)
-    return WaysTo(roadmap, meeting.place)
+    return PathsTo(roadmap, meeting.place)
 
 
 @register(NAME, can_steer, kind="privileged")
@@ -84,7 +84,7 @@ class PrivilegedPlanner(PrivilegedPolicy):
         """As ``PrivilegedPolicy.watch``."""
         super().watch(simulator)
         self._active = simulator.active
-        self._goals: list[WaysTo | None] = [None] * simulator.num_envs
+        self._goals: list[PathsTo | None] = [None] * simulator.num_envs
         self._turns = simulator.positions[:, :, None].copy()  # of each robot's way, (B, n, P, d)
         self._next = np.zeros(self._active.shape, np.int64)
 
@@ -93,7 +93,7 @@ class PrivilegedPlanner(PrivilegedPolicy):
         self._update_plans(simulator, positions, active, begun)
         distance = np.linalg.norm(self._to_next_turn(positions), axis=-1)
         self._next += distance <= _ARRIVED * scenario.speed_limit * scenario.tau
-        return within_a_step(self._to_next_turn(positions), scenario)
+        return without_overshoot(self._to_next_turn(positions), scenario)
 
     def _to_next_turn(self, positions: Array) -> Array:
         """Offset (B, n, d) to the next waypoint, m."""

@@ -98,7 +98,7 @@ class Roadmap:
         return out
 
 
-class WaysTo:
+class PathsTo:
     """Shortest paths to one target, (d,), m."""
 
     def __init__(self, roadmap: Roadmap, place: Array) -> None:

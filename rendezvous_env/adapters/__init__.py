@@ -1,1 +1,1 @@
-"""Bridges to libraries that train policies; each is loaded by whoever imports it."""
+"""Adapters for learning libraries; each module is imported only on request."""

@@ -1,4 +1,4 @@
-"""BenchMARL: scenarios as tasks, and evaluation on held-out starts."""
+"""BenchMARL: scenarios as tasks, and evaluation on held-out initial conditions."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ __all__ = ["Evaluation", "HeldOut", "RendezvousTask"]
 
 
 class RendezvousTask(TaskClass):
-    """A scenario as a task: all robots are one group, "robots", and share the team's reward.
+    """Scenario as a BenchMARL task with one group, "robots", and a shared team reward.
 
         Experiment(RendezvousTask("clutter-8", {"guarantee": "tank"}), MappoConfig..., ...)
 
-    Continuous actions (MAPPO, IPPO, MASAC) and discrete ones (QMIX, VDN): choices of a direction,
-    see ``vector.training_env``. With "return_state" centralised critics get the global state
-    instead of all observations.
+    Supports continuous actions (MAPPO, IPPO, MASAC) and discrete actions (QMIX, VDN), which select
+    a direction; see ``vector.training_env``. With "return_state", centralised critics receive the
+    global state instead of all observations.
 
     Args:
-        name: name of the scenario, or of the task if the config names a "scenario".
-        config: arguments of ``adapters.torchrl.RendezvousEnv``; a ValueError for those that
-            BenchMARL decides: num_envs, discrete, seed and device.
+        name: name of the scenario, or of the task if the config has the key "scenario".
+        config: arguments of ``adapters.torchrl.RendezvousEnv``. ValueError for arguments set by
+            BenchMARL: num_envs, discrete, seed and device.
     """
 
     def __init__(self, name: str, config: dict[str, Any] | None = None) -> None:
@@ -43,23 +43,23 @@ class RendezvousTask(TaskClass):
         super().__init__(name, config)
 
     def make(self, num_envs: int, **decided: Any) -> RendezvousEnv:
-        """The task's environment, with the arguments that BenchMARL or an evaluation decides."""
+        """Create the environment with the arguments set by BenchMARL or an evaluation."""
         return RendezvousEnv(**{"scenario": self.name, **self.config}, num_envs=num_envs, **decided)
 
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
     ) -> Callable[[], EnvBase]:
-        """A function that makes an environment of this task."""
+        """Return a function that creates an environment of this task."""
         task = type(self)(self.name, dict(self.config))
         decided = {"discrete": not continuous_actions, "seed": seed, "device": device}
         return lambda: task.make(num_envs, **decided)
 
     def supports_continuous_actions(self) -> bool:
-        """Always."""
+        """True."""
         return True
 
     def supports_discrete_actions(self) -> bool:
-        """Whether these robots can choose among directions."""
+        """Whether the robots support discrete directions."""
         try:
             self.make(1, discrete=True).close()
         except ValueError:
@@ -67,47 +67,47 @@ class RendezvousTask(TaskClass):
         return True
 
     def max_steps(self, env: EnvBase) -> int:
-        """Most steps of an episode."""
+        """Maximum number of steps of an episode."""
         return int(env.max_steps)
 
     def has_render(self, env: EnvBase) -> bool:
-        """Not here; ``rendezvous render`` draws what policies do."""
+        """False; use ``rendezvous render`` instead."""
         return False
 
     def group_map(self, env: EnvBase) -> dict[str, list[str]]:
-        """The one group and its robots."""
+        """The single group and its robots."""
         return dict(env.group_map)
 
     def observation_spec(self, env: EnvBase) -> Composite:
-        """Inputs of the robots' networks."""
+        """Spec of the robots' observations."""
         sees = env.full_observation_spec_unbatched[GROUP, "observation"].clone()
         return _of_group(env, observation=sees)
 
     def info_spec(self, env: EnvBase) -> Composite | None:
-        """Costs of the robots in a step, with ``Scenario.costs``; else there are no infos."""
+        """Spec of the robots' costs per step with ``Scenario.costs``, else None."""
         spec = env.full_observation_spec_unbatched[GROUP]
         return _of_group(env, info=spec["info"].clone()) if "info" in spec.keys() else None
 
     def state_spec(self, env: EnvBase) -> Composite | None:
-        """The global state, if the config asks for it."""
+        """Spec of the global state, if the config requests it."""
         spec = env.full_observation_spec_unbatched
         return Composite({"state": spec["state"].clone()}) if "state" in spec.keys() else None
 
     def action_spec(self, env: EnvBase) -> Composite:
-        """Actions of the robots."""
+        """Spec of the robots' actions."""
         return env.full_action_spec_unbatched
 
     def action_mask_spec(self, env: EnvBase) -> None:
-        """None: robots that are gone take actions too, which do nothing."""
+        """None: inactive robots also have actions, which have no effect."""
 
     @staticmethod
     def env_name() -> str:
-        """The name of all tasks of this kind."""
+        """Name shared by all tasks of this class."""
         return "rendezvous"
 
     @staticmethod
     def log_info(batch: TensorDictBase) -> dict[str, float]:
-        """Share of the episodes of a batch that ended with all robots met."""
+        """Fraction of the ended episodes of a batch with rendezvous."""
         done = batch["next", "done"]
         if not done.any():
             return {}
@@ -120,9 +120,11 @@ def _of_group(env: EnvBase, **entries: Any) -> Composite:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """How held-out episodes went: ``frames``, team steps collected before it; the shares of teams
-    that ``met`` and that met without a contact (``clean``); and the ``median_time``, s, of all
-    teams, where one that did not meet took longer than any.
+    """Results of a held-out evaluation.
+
+    ``frames`` is the number of environment steps collected before it. ``met`` is the fraction of
+    environments with rendezvous, ``clean`` with collision-free rendezvous. ``median_time``, s, is
+    over all environments, with inf for those without rendezvous.
     """
 
     frames: int
@@ -132,10 +134,10 @@ class Evaluation:
 
 
 class HeldOut(Callback):
-    """Evaluates on the same starts every time, from ``seed`` on, apart from those of training.
+    """Evaluation on fixed initial conditions from ``seed``, held out from training.
 
-    BenchMARL seeds the environments of training and of evaluation alike, so that both begin with
-    the same starts. Leave ``evaluation_static`` False, which would bring that back.
+    BenchMARL seeds training and evaluation environments alike, so that both have the same initial
+    conditions. Keep ``evaluation_static`` False; True would restore that behaviour.
     """
 
     def __init__(self, seed: int = 1_000_000) -> None:
@@ -148,7 +150,9 @@ class HeldOut(Callback):
         self.experiment.test_env.set_seed(self.seed)
 
     def on_evaluation_end(self, rollouts: Sequence[TensorDictBase]) -> None:
-        """Keep and log how the first episode of each team went, and go back to their starts."""
+        """Store and log the first episode of each environment, then restore the initial
+        conditions.
+        """
         experiment = self.experiment
         period = experiment.test_env.seconds_per_step
         times, clean = zip(*(_meeting(each, period) for each in rollouts), strict=True)
@@ -161,8 +165,9 @@ class HeldOut(Callback):
 
 
 def _meeting(rollout: TensorDictBase, period: float) -> tuple[float, bool]:
-    """When the robots of the first episode of a team met, s, and whether they touched nothing on
-    the way; inf and False if they did not meet.
+    """Rendezvous time of an environment's first episode, s, and whether it was collision-free.
+
+    inf and False without rendezvous.
     """
     last = int(rollout["next", "done"].flatten().int().argmax())
     met = bool(rollout["next", "terminated"].flatten()[last])

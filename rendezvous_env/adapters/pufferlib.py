@@ -1,4 +1,4 @@
-"""Robots as the agents of a PufferLib environment: one process, shared buffers."""
+"""PufferLib: robots as agents in one process with shared buffers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .slots import RobotSlots
 
 _COUNTED = ("return", "length", "cost")
 Buffers = tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any], list[dict[str, Any]]]
-"""Observations, rewards, terminals, truncations and infos."""
+"""Arrays of observations, rewards, terminals, truncations and infos."""
 
 
 def make(
@@ -28,35 +28,35 @@ def make(
     wrap: Callable[[Any], Any] = lambda teams: teams,
     **arguments: Any,
 ) -> RobotPufferEnv:
-    """The robots of ``vector.training_env`` as agents; what ``pufferlib.vector.make`` calls.
+    """Create robots of ``vector.training_env`` as agents, for ``pufferlib.vector.make``.
 
-    ``wrap`` puts the teams into a ``VectorWrapper`` of your own that changes rewards, say; ``buf``
-    and ``seed`` are of ``RobotPufferEnv``, all other arguments, and errors, of the teams.
+    ``wrap`` applies a custom ``VectorWrapper``, for example one that changes rewards. ``buf`` and
+    ``seed`` are arguments of ``RobotPufferEnv``. All other arguments, and errors, are those of the
+    vector environment.
     """
     return RobotPufferEnv(wrap(training_env(scenario, num_teams, **arguments)), buf, seed)
 
 
 class RobotPufferEnv(pufferlib.PufferEnv):
-    """B teams of n robots as B·n agents, written into PufferLib's buffers.
+    """B environments of n robots as B·n agents that write into PufferLib's buffers.
 
-    A team is reset in the step in which it ends. All agents of a team live as long as it does:
-    one that has merged away observes zeros, its action is ignored and it earns the team reward to
-    the end, so that meeting early is not punished. ``masks`` say who is not merged away.
-    ``terminals`` are rendezvous and ``truncations`` time limits; the trainer of PufferLib 3 reads
-    only the former, and values a time limit by the first observation of the next episode.
+    An environment is reset in the step in which it ends. All its agents last until then. A merged
+    agent has zero observations, its action is ignored and it receives the team reward to the end,
+    so an early merge is not penalised. ``masks`` are False for merged agents. ``terminals`` are
+    rendezvous and ``truncations`` are time limits. The trainer of PufferLib 3 reads only the
+    former, and bootstraps a time limit from the first observation of the next episode.
 
-    Infos hold, in the step in which teams end, one dict for each of them: ``episode_return`` (sum
-    of team rewards), ``episode_length`` (steps) and the summary of its episode. With
-    ``Scenario.costs`` also ``episode_cost``, and ``costs`` holds those of the last step, (agents,).
+    When environments end, infos hold one dict for each of them: ``episode_return`` (sum of team
+    rewards), ``episode_length`` (steps) and the episode summary. ``Scenario.costs`` adds
+    ``episode_cost``; ``costs`` then holds those of the last step, (agents,).
 
     Args:
-        teams: a vector environment of teams with SAME_STEP autoreset whose scenario has
-            ``on_merge="follow"``, as ``rendezvous_env.vector.training_env`` makes one; a
-            ValueError for others.
-        buf: buffers to write into, of a vectorisation; None makes own ones.
-        seed: s, unless ``reset`` is given another; None goes on to the next episodes. Team b has
-            the seed s · B + b: a vectorisation seeds its environments with consecutive numbers, and
-            no two of their teams begin alike.
+        teams: a vector environment with SAME_STEP autoreset and ``on_merge="follow"``, such as
+            ``rendezvous_env.vector.training_env`` returns; a ValueError otherwise.
+        buf: buffers of a vectorisation to write into; None allocates them.
+        seed: s, overridden by the seed of ``reset``; None continues with the next episodes.
+            Environment b has the seed s · B + b. A vectorisation seeds its members consecutively,
+            so all environments have distinct seeds.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class RobotPufferEnv(pufferlib.PufferEnv):
         super().__init__(buf)
 
     def reset(self, seed: int | None = None) -> tuple[NDArray[np.float32], list[dict[str, Any]]]:
-        """Begin a new episode in all teams; observations and no infos."""
+        """Start a new episode in all environments; returns observations and empty infos."""
         given, self._seed = self._seed if seed is None else seed, None
         first = None if given is None else given * self.slots.num_teams
         self.observations[:] = self.slots.reset(first)
@@ -85,8 +85,9 @@ class RobotPufferEnv(pufferlib.PufferEnv):
         return self.observations, []
 
     def step(self, actions: NDArray[Any]) -> Buffers:
-        """Advance every team by one step with actions (agents, a), or (agents,) of choices; bad
-        ones are refused by the name of their robot.
+        """Advance every environment with actions (agents, a), or (agents,) if discrete.
+
+        The error for an invalid action names the robot.
         """
         step = self.slots.step(np.asarray(actions))
         n, self.costs = self.slots.n_robots, step.costs
@@ -101,5 +102,5 @@ class RobotPufferEnv(pufferlib.PufferEnv):
         return self.observations, self.rewards, self.terminals, self.truncations, infos
 
     def close(self) -> None:
-        """Close the teams."""
+        """Close the vector environment."""
         self.slots.close()

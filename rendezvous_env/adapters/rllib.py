@@ -1,7 +1,7 @@
-"""Robots for RLlib: an environment runner that steps all teams at once, new API stack.
+"""RLlib (new API stack): an environment runner that steps all environments at once.
 
-RLlib's own runners handle every robot of every step in Python. This one keeps a rollout as arrays
-and cuts it into episodes at its end.
+RLlib's own runners handle every robot of every step in Python. This runner stores a rollout as
+arrays and splits it into episodes at the end.
 """
 
 from __future__ import annotations
@@ -54,15 +54,15 @@ def configure(
     wrap: Callable[[Any], Any] | None = None,
     **arguments: Any,
 ) -> AlgorithmConfig:
-    """Have an algorithm train one set network that all robots share.
+    """Configure an algorithm to train one set network shared by all robots.
 
     Args:
-        config: of an algorithm, as ``PPOConfig()``; it is changed, and returned.
-        scenario: as the further arguments, and errors, see ``vector.training_env``.
-        num_teams: B, teams in each environment runner.
+        config: algorithm config such as ``PPOConfig()``; modified and returned.
+        scenario: this, further arguments and errors as in ``vector.training_env``.
+        num_teams: B, environments per environment runner.
         units: width of the network.
-        wrap: wraps the teams in a ``VectorWrapper`` of your own that changes rewards, say.
-        **arguments: of the teams.
+        wrap: applies a custom ``VectorWrapper``, for example one that changes rewards.
+        **arguments: arguments of the vector environment.
     """
     settings = {"scenario": scenario, **arguments}
     model = {"sets": sets_of(training_env(**settings).layout), "units": units}
@@ -76,25 +76,25 @@ def configure(
 
 
 class RobotEnvRunner(SingleAgentEnvRunner):
-    """Collects episodes of single robots from B teams of n, all stepped at once.
+    """Environment runner for single-robot episodes from B environments of n robots.
 
-    ``config.env`` makes a vector environment of teams with SAME_STEP autoreset, B =
-    ``num_envs_per_env_runner``. One step of one robot counts as one environment step. Its episode
-    is terminated at a rendezvous, and truncated and bootstrapped as ``RobotSlots`` says. Episode
-    returns and lengths in the results are those of teams, beside their summary.
+    ``config.env`` creates a vector environment with SAME_STEP autoreset and B =
+    ``num_envs_per_env_runner``. One step of one robot counts as one environment step. A robot's
+    episode terminates at rendezvous; truncation and bootstrapping follow ``RobotSlots``. Episode
+    returns and lengths in the results are those of environments, with their summary.
 
-    With the seed s, which ``config.debugging(seed=…)`` sets and RLlib makes different for every
-    runner and for evaluation, team b has the seed s · B + b.
+    ``config.debugging(seed=…)`` sets the seed s, which RLlib varies between runners and for
+    evaluation. Environment b has the seed s · B + b.
 
-    RLlib's connectors between environment and module, and its callbacks for single steps and
-    episodes, are not called: they would be for every robot. Callbacks for samples are. A ValueError
-    for a configuration with connectors of its own.
+    RLlib's env-to-module and module-to-env connectors and its callbacks for steps and episodes are
+    not called, because they would run per robot. Sample callbacks are called. A configuration with
+    custom connectors raises ValueError.
     """
 
     env: RobotSlots | None
 
     def make_env(self) -> None:
-        """Make the teams."""
+        """Create the vector environment."""
         for name in ("env_to_module_connector", "module_to_env_connector"):
             if getattr(self.config, f"_{name}") is not None:
                 raise ValueError(f"{name} is given; robots have none, wrap the teams instead")
@@ -111,7 +111,7 @@ class RobotEnvRunner(SingleAgentEnvRunner):
         self._needs_initial_reset = True
 
     def get_spaces(self) -> Mapping[str, Any]:
-        """Observation and action space of a robot, under the names that RLlib looks for."""
+        """Observation and action space of a robot, under RLlib's names."""
         if self.env is None:
             return self.spaces
         spaces = self.env.single_observation_space, self.env.single_action_space
@@ -119,7 +119,7 @@ class RobotEnvRunner(SingleAgentEnvRunner):
         return dict.fromkeys(names, spaces)
 
     def make_module(self) -> None:
-        """Make the network."""
+        """Create the network."""
         spec = self.config.get_rl_module_spec(spaces=self.get_spaces(), inference_only=True)
         self.module = spec.build().to(self._device)
 
@@ -132,10 +132,10 @@ class RobotEnvRunner(SingleAgentEnvRunner):
         random_actions: bool = False,
         force_reset: bool = False,
     ) -> list[SingleAgentEpisode]:
-        """Collect so many steps of robots, or so many episodes of teams."""
+        """Collect a number of robot steps or of environment episodes."""
         assert self.env is not None
         if force_reset or num_episodes is not None or self._needs_initial_reset:
-            seed = None  # of team 0: runners have consecutive seeds, B teams each
+            seed = None  # of environment 0; runners have consecutive seeds, B environments each
             if self._seed is not None and self._needs_initial_reset:
                 seed = self._seed * self.num_envs
             self._rollout = Rollout(self.env, self.env.reset(seed))
@@ -163,7 +163,7 @@ class RobotEnvRunner(SingleAgentEnvRunner):
     def _choose(
         self, seen: NDArray[np.float32], explore: bool, random_actions: bool
     ) -> dict[str, NDArray[Any]]:
-        """Columns of the module's outputs for these observations, actions among them."""
+        """Module output columns for observations, including actions."""
         if random_actions or self.module is None:
             space = self.env.single_action_space  # type: ignore[union-attr]
             return {Columns.ACTIONS: np.stack([space.sample() for _ in seen])}
@@ -185,7 +185,7 @@ class RobotEnvRunner(SingleAgentEnvRunner):
         return columns | {WEIGHTS_SEQ_NO: np.full(len(seen), self._weights_seq_no)}
 
     def _for_env(self, actions: NDArray[Any]) -> NDArray[Any]:
-        """Actions as the teams take them, by ``normalize_actions`` and ``clip_actions``."""
+        """Environment actions after ``normalize_actions`` and ``clip_actions``."""
         space = self.env.single_action_space  # type: ignore[union-attr]
         if isinstance(space, Box) and self.config.normalize_actions:
             return unsquash_action(actions, space)

@@ -1,4 +1,4 @@
-"""A set network for RLlib: the same for any number of neighbours and obstacles, in any order."""
+"""Set network for RLlib, invariant to number and order of neighbours and obstacles."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from torch import Tensor, nn
 
 
 def sets_of(layout: Any) -> tuple[tuple[int, int], ...]:
-    """Neighbours and obstacles, the sets that observations of a training environment's ``layout``
-    begin with: how many elements, and numbers in each.
+    """Size and element width of the leading sets in observations of ``layout``.
+
+    The sets are neighbours and obstacles of a training environment.
     """
     shape = getattr(layout, "shape", None) or (layout.size,)
     parts = layout.split(np.zeros(shape, dtype=np.float32))
@@ -24,17 +25,17 @@ def sets_of(layout: Any) -> tuple[tuple[int, int], ...]:
 
 
 class SetModule(TorchRLModule, ValueFunctionAPI):
-    """Deep Sets: policy and value of one robot from what it sees.
+    """Deep Sets module: policy and value of one robot from its observation.
 
-    Every element of a set, a neighbour or an obstacle, goes through the network of its set, as its
-    direction and its length; absent ones, zero rows, are left out. The mean over a set, its size
-    and the rest of the observation go through two layers more.
+    A network per set processes each element, a neighbour or an obstacle, as direction and length.
+    Absent elements, zero rows, are ignored. Two more layers process the mean over each set, its
+    size and the rest of the observation.
 
     ``model_config``: ``sets`` (see ``sets_of``) and ``units``, the width of all layers (64).
     """
 
     def setup(self) -> None:
-        """Make the layers."""
+        """Create the layers."""
         sets, units = self.model_config["sets"], self.model_config.get("units", 64)
         self._sets = [(count, width) for count, width in sets if count]
         size = int(np.prod(self.observation_space.shape))
@@ -50,7 +51,7 @@ class SetModule(TorchRLModule, ValueFunctionAPI):
         outputs = self.action_space.n if discrete else self.action_space.shape[0]
         self.choice, self.value = nn.Linear(units, int(outputs)), nn.Linear(units, 1)
         self.log_std = None if discrete else nn.Parameter(torch.full((int(outputs),), -0.5))
-        nn.init.zeros_(self.choice.weight)  # begins as noise about no preference
+        nn.init.zeros_(self.choice.weight)  # starts without a preference
 
     def _forward(self, batch: dict[str, Any], **_: Any) -> dict[str, Tensor]:
         embeddings = self._embed(batch)
@@ -60,7 +61,7 @@ class SetModule(TorchRLModule, ValueFunctionAPI):
         return {Columns.EMBEDDINGS: embeddings, Columns.ACTION_DIST_INPUTS: chosen}
 
     def compute_values(self, batch: dict[str, Any], embeddings: Tensor | None = None) -> Tensor:
-        """Estimated future rewards, (B,)."""
+        """Value estimates, (B,)."""
         seen = self._embed(batch) if embeddings is None else embeddings
         return self.value(seen).squeeze(-1)
 
@@ -74,7 +75,7 @@ class SetModule(TorchRLModule, ValueFunctionAPI):
 
 
 def _pool(rows: Tensor, network: nn.Module) -> Tensor:
-    """Mean over the present rows of (B, count, width), and log(1 + how many): (B, units + 1)."""
+    """Mean over the present rows of (B, count, width), and log(1 + count): (B, units + 1)."""
     length = rows.norm(dim=-1, keepdim=True)
     present = (length > 0.0).to(rows.dtype)
     seen = network(torch.cat([rows / length.clamp_min(1e-8), length], dim=-1)) * present

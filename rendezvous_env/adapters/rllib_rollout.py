@@ -1,4 +1,4 @@
-"""A rollout of many robots as arrays, cut into RLlib's episodes when it is done."""
+"""Rollout of many robots as arrays, split into RLlib episodes at the end."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .slots import RobotSlots, SlotStep
 
 
 class Rollout:
-    """Steps of B·n slots that were just reset, sorted into the episodes of robots."""
+    """Steps of B·n slots after a reset, split into robot episodes."""
 
     observations: NDArray[np.float32]
-    """(slots, ...), what the next actions are chosen from."""
+    """Current observations, (slots, ...), for the next actions."""
     count: int
-    """Steps of robots since the last cut."""
+    """Robot steps since the last cut."""
 
     def __init__(self, robots: RobotSlots, observations: NDArray[np.float32]) -> None:
         self._robots, self.observations = robots, observations
@@ -34,8 +34,9 @@ class Rollout:
     def add(
         self, slots: NDArray[np.int64], chosen: dict[str, NDArray[Any]], actions: NDArray[Any]
     ) -> SlotStep:
-        """Step the robots in these slots (k,), with columns of the module's outputs and actions in
-        the teams' units, (k, ...) each.
+        """Step the robots of these slots, (k,).
+
+        Module output columns and actions, (k, ...) each, are in the units of the environment.
         """
         total = len(self.observations)
         columns = {name: _spread(values, slots, total) for name, values in chosen.items()}
@@ -46,7 +47,7 @@ class Rollout:
         return step
 
     def cut(self, *, only_ended: bool = False) -> Iterator[SingleAgentEpisode]:
-        """Episodes and, unless ``only_ended``, parts of them since the last cut."""
+        """Episodes since the last cut, and partial ones unless ``only_ended``."""
         before, chosen, steps = zip(*self._steps, strict=True)
         n, seen = self._robots.n_robots, np.stack([*before, self.observations])
         rewards, acted, ended = (
@@ -55,7 +56,7 @@ class Rollout:
         )
         costs = {key: np.stack([step.costs[key] for step in steps]) for key in steps[0].costs}
         columns = {name: np.stack([each[name] for each in chosen]) for name in chosen[0]}
-        after = seen[1:].copy()  # a step; where it ended an episode, what to bootstrap from
+        after = seen[1:].copy()  # next observations; at an end, those to bootstrap from
         for t, step in enumerate(steps):
             for team in step.finished:
                 after[t, team * n : (team + 1) * n] = step.last[team]
@@ -92,8 +93,9 @@ class Rollout:
         columns: dict[str, NDArray[Any]],
         **ends: bool,
     ) -> SingleAgentEpisode:
-        """A part of one robot's episode, with one observation more than rewards; the costs of a
-        step stand in the info of the observation after it.
+        """Part of one robot's episode, with one more observation than rewards.
+
+        The costs of a step are in the info of the next observation.
         """
         actions = columns.pop(Columns.ACTIONS)
         told = ({key: costs[key][t].item() for key in costs} for t in range(len(rewards)))
@@ -115,7 +117,7 @@ class Rollout:
 
 
 def _spread(values: NDArray[Any], slots: NDArray[np.int64], total: int) -> NDArray[Any]:
-    """Rows (k, ...) of these slots among (total, ...); the others are zero."""
+    """Scatter rows (k, ...) of these slots into zeros (total, ...)."""
     spread = np.zeros((total, *values.shape[1:]), dtype=values.dtype)
     spread[slots] = values
     return spread

@@ -1,4 +1,4 @@
-"""Robots as the slots of a stable-baselines3 VecEnv: one network, every robot a sample."""
+"""stable-baselines3: robots as slots of a VecEnv with one shared network."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from ..checks import check_shape, floats, mapping, whole
+from ..checks import check_int, check_shape, floats, mapping
 from ..engine.state_checks import check_entries, check_keys, refuse_first
 from ..envs.guarantee import layers_of
 from ..envs.gymnasium_env import make_vec
@@ -28,42 +28,45 @@ if TYPE_CHECKING:
 
 Indices = int | Iterable[int] | None
 _LEAST_REST = 1e-6
-"""Of a return, that is no rounding."""
+"""Smallest fraction of a return that is not rounding error."""
 
 
 def make_robots(scenario: ScenarioLike, num_teams: int, **arguments: Any) -> RobotVecEnv:
-    """The robots of many teams as slots; arguments as ``rendezvous_env.make_vec``."""
+    """Create the robots of many environments as slots; arguments as ``rendezvous_env.make_vec``."""
     mode = {"autoreset_mode": AutoresetMode.SAME_STEP}
     return RobotVecEnv(make_vec(scenario, num_teams, **mode | arguments))
 
 
 class RobotVecEnv(VecEnv):
-    """B teams of n robots as B·n slots; slot = team · n + robot, see ``RobotSlots``.
+    """B environments of n robots as B·n slots; slot = environment · n + robot.
 
-    Where a slot is cut off by a time-out or a merge its info has ``TimeLimit.truncated`` True, and
-    ``terminal_observation`` is what its future is valued by. The slot of a merged-away robot
-    observes zeros until its team is reset; ``acted`` leaves these slots out, so does
-    ``info["acted"]``, in every step, and so does ``RobotRolloutBuffer``. Wrappers and buffers of
-    stable-baselines3 that count every slot have another form in ``adapters.sb3_wrappers``.
+    ``RobotSlots`` defines the slots. When a time-out or a merge cuts a slot off, its info has
+    ``TimeLimit.truncated`` True, and ``terminal_observation`` is the observation to bootstrap from.
+    The slot of a merged robot observes zeros until its environment is reset. ``acted`` and, in
+    every step, ``info["acted"]`` exclude these slots; so does ``RobotRolloutBuffer``.
+    ``adapters.sb3_wrappers`` replaces wrappers and buffers of stable-baselines3 that count every
+    slot.
 
-    With ``Scenario.costs`` the info of every slot has ``cost`` and ``cost_NAME``, and ``costs`` has
-    them as arrays (slots,); those of an episode, summed over its robots, stand in ``episode``.
+    With ``Scenario.costs``, the info of every slot has ``cost`` and ``cost_NAME``, and ``costs``
+    holds them as arrays (slots,). ``episode`` has their sums over an episode and its robots.
 
-    When a team's episode ends, the info of one of its slots carries ``is_success`` and ``episode``:
-    "r" (sum of team rewards), "l" (steps), "t" (s since the start of this object), the summary,
-    ``cost_NAME`` of each cost and ``reward_NAME`` of each reward term, with ``reward_other`` for
-    the rest, as what a robot's first contact costs. ``EpisodeLog`` logs their means.
-    The slots of a team take turns, from the last one on, and count as monitored:
-    ``evaluate_policy``, which waits for an episode of every slot it has a share for, counts each
-    episode of a team once.
+    At the end of an episode, the info of one slot of the environment has ``is_success`` and
+    ``episode``. The latter contains "r" (sum of team rewards), "l" (steps), "t" (s since creation
+    of this object) and the summary. It also contains ``cost_NAME`` of each cost and ``reward_NAME``
+    of each reward term. ``reward_other`` is the rest, such as the cost of first contacts.
+    ``EpisodeLog`` logs the means.
 
-    ``seed(s)`` gives team b the seed s + b at the next reset; ``set_options`` gives start options,
-    one dict for all, or one for each slot, of which a team takes that of its robot 0. A reset that
-    refuses options begins nothing and forgets them; seeds wait for the next one.
+    The reporting slot of an environment changes from episode to episode, from the last slot on.
+    Slots count as monitored. ``evaluate_policy``, which waits for an episode of every slot it has a
+    share for, counts each episode once.
+
+    ``seed(s)`` gives environment b the seed s + b at the next reset. ``set_options`` sets reset
+    options: one dict for all, or one per slot; an environment uses the dict of its robot 0. A reset
+    that rejects its options starts nothing and discards them; seeds stay for the next one.
 
     Args:
-        teams: as of ``RobotSlots``; a wrapper that changes the rewards of teams changes those of
-            their robots, see ``RewardShaping``.
+        teams: as of ``RobotSlots``. A wrapper that changes team rewards also changes robot rewards,
+            see ``RewardShaping``.
     """
 
     acted: NDArray[np.bool_]
@@ -72,9 +75,9 @@ class RobotVecEnv(VecEnv):
     survivors: NDArray[np.int64]
     bootstrap_observations: NDArray[np.float32]
     costs: dict[str, NDArray[np.float64]]
-    """Of the last step, as in ``SlotStep``."""
+    """Costs of the last step, as in ``SlotStep``."""
     tell_bootstraps = True
-    """Whether infos carry ``terminal_observation`` and ``TimeLimit.truncated``."""
+    """Whether infos contain ``terminal_observation`` and ``TimeLimit.truncated``."""
 
     def __init__(self, teams: VectorEnv[Any, Any, Any]) -> None:
         self.slots = slots = RobotSlots(teams)
@@ -82,7 +85,7 @@ class RobotVecEnv(VecEnv):
         self.simulator = slots.simulator
         self._started = time.time()
         self._told = np.zeros(slots.num_teams, dtype=np.int64)
-        self._initial = np.zeros(slots.num_teams)  # V of the episodes, m²/s
+        self._initial = np.zeros(slots.num_teams)  # initial V of the episodes, m²/s
         self._forget_step()
         super().__init__(
             slots.active.size, slots.single_observation_space, slots.single_action_space
@@ -90,7 +93,7 @@ class RobotVecEnv(VecEnv):
         self.metadata["render_fps"] = self.teams.metadata["render_fps"]
 
     def reset(self) -> NDArray[np.float32]:
-        """Begin a new episode in all teams; observations (slots, rows, d)."""
+        """Start a new episode in all environments; returns observations (slots, rows, d)."""
         seeds = self._seeds[:: self.n_robots]
         given = None if all(seed is None for seed in seeds) else seeds
         try:
@@ -114,16 +117,16 @@ class RobotVecEnv(VecEnv):
         self.bootstrap_observations = np.empty((0, *seen), dtype=np.float32)
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Take the actions (slots, a) of the next step; a ValueError for another shape, or what is
-        no array of numbers.
-        """
+        """Store the actions (slots, a) of the next step; ValueError for invalid shape or values."""
         is_box = isinstance(self.action_space, Box)
         given = floats("actions", actions, np.float32 if is_box else np.float64)
         check_shape("actions", given, (self.num_envs, *(self.action_space.shape or ())))
         self._actions = given if is_box else np.asarray(actions)
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Advance every team; observations, rewards, dones and infos of the slots."""
+        """Advance every environment; returns observations, rewards, dones and infos of the
+        slots.
+        """
         step = self.slots.step(self._actions)
         self.acted, self.ended, self.costs = step.acted, step.ended, step.costs
         self.bootstrapped, self.survivors = step.bootstrapped, step.survivors
@@ -158,7 +161,7 @@ class RobotVecEnv(VecEnv):
         return infos
 
     def _reward_terms(self, team: int, episode: dict[str, Any], earned: float) -> dict[str, float]:
-        """What each reward term added up to in a team's episode that has ended."""
+        """Sum of each reward term over an episode that has ended."""
         simulator, start = self.simulator, float(self._initial[team])
         weights, limit = simulator.scenario.reward, simulator.max_steps * simulator.scenario.tau
         progress = (start - episode["lyapunov"]) / start if start > 0.0 else 0.0
@@ -170,7 +173,10 @@ class RobotVecEnv(VecEnv):
         return {f"reward_{name}": value for name, value in terms.items()}
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed team b with ``seed`` + b at the next reset; None draws one. Returns each slot's."""
+        """Seed environment b with ``seed`` + b at the next reset; None samples one.
+
+        Returns the seed of each slot.
+        """
         if seed is None:
             seed = int(np.random.randint(2**31))
         first = check_seed(seed)
@@ -178,7 +184,7 @@ class RobotVecEnv(VecEnv):
         return self._seeds
 
     def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
-        """Give start options for the next reset, for all teams or, in a list, for each slot."""
+        """Set options of the next reset, for all environments or, as a list, for each slot."""
         listed = [options or {}] * self.num_envs if not isinstance(options, list) else options
         if len(listed) != self.num_envs:
             raise ValueError(
@@ -190,11 +196,11 @@ class RobotVecEnv(VecEnv):
         self._options = deepcopy(listed)
 
     def get_images(self) -> Sequence[NDArray[np.uint8]]:
-        """A picture for each team, with ``render_mode="rgb_array"``."""
+        """Image of each environment, with ``render_mode="rgb_array"``."""
         return list(self.teams.render() or ())
 
     def get_state(self) -> dict[str, Any]:
-        """The running episodes, as copies: nested arrays."""
+        """Copy of the running episodes: nested arrays."""
         return self.slots.get_state() | {"told": self._told.copy()}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
@@ -209,12 +215,13 @@ class RobotVecEnv(VecEnv):
         self._forget_step()
 
     def close(self) -> None:
-        """Close the teams."""
+        """Close the vector environment."""
         self.slots.close()
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """An attribute of the vector environment, its wrappers or its simulator, for each slot; of
-        a simulator's array with leading axis B a slot gets the entry of its team.
+        """Return an attribute of the vector environment, its wrappers or its simulator, per slot.
+
+        For a simulator array with leading axis B, a slot gets the entry of its environment.
         """
         owner = self._owner(attr_name)
         value, slots = getattr(owner, attr_name), self._get_indices(indices)
@@ -223,7 +230,9 @@ class RobotVecEnv(VecEnv):
         return [value] * len(slots)
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Set an attribute where it is; all slots share it, and a part of them is refused."""
+        """Set an attribute on the object that has it, for all slots; a subset of slots is
+        rejected.
+        """
         if set(self._get_indices(indices)) != set(range(self.num_envs)):
             raise ValueError(f"set_attr: all slots share {attr_name!r}; leave indices out")
         setattr(self._owner(attr_name, self.teams), attr_name, value)
@@ -231,22 +240,22 @@ class RobotVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call a method once, since all slots share it; its result for each slot."""
+        """Call a method once, since all slots share it; returns its result for each slot."""
         slots = self._get_indices(indices)
         method = getattr(self._owner(method_name), method_name)
         return [method(*method_args, **method_kwargs)] * len(slots)
 
     def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:
-        """Whether this class wraps the teams, for each slot; a ``Monitor`` always does."""
+        """Whether this class wraps the environment, for each slot; True for ``Monitor``."""
         layers = layers_of(self.teams)
         wrapped = wrapper_class is Monitor or any(isinstance(one, wrapper_class) for one in layers)
         return [wrapped] * len(self._get_indices(indices))
 
     def _get_indices(self, indices: Indices) -> list[int]:
-        """The slots that are meant, refused where there are none."""
+        """Selected slot indices; an error if they do not exist."""
         given = range(self.num_envs) if indices is None else indices
         listed = list(given) if isinstance(given, Iterable) else [given]
-        return [whole("indices", slot, 0, self.num_envs - 1) for slot in listed]
+        return [check_int("indices", slot, 0, self.num_envs - 1) for slot in listed]
 
     def _owner(self, name: str, default: Any = None) -> Any:
         layers = *layers_of(self.teams), self.simulator

@@ -1,4 +1,4 @@
-"""What stable-baselines3 logs of episodes, by the names that ``rendezvous train`` writes."""
+"""stable-baselines3 logging of episodes, under the names of ``rendezvous train``."""
 
 from collections.abc import Mapping, Sequence
 from importlib import import_module
@@ -10,18 +10,18 @@ from stable_baselines3.common.logger import KVWriter
 
 _MEANS = ("contacts", "path_length")
 _PARTS = ("cost", "reward_")
-"""Beginnings of keys of an episode that are logged as means."""
+"""Prefixes of episode keys that are logged as means."""
 
 
 def episode_numbers(episodes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """What is logged of the episodes that ended; NaN without any.
+    """Return the logged statistics of ended episodes; NaN without episodes.
 
     Args:
         episodes: ``info["episode"]`` of each, see ``RobotVecEnv``.
 
     Returns:
-        ``episodes``, their number; ``success`` and ``clean_success`` (without a contact), shares;
-        ``median_time``, s, NaN where fewer than half met; ``return``; and means of ``contacts``,
+        ``episodes``, their number. ``success`` and ``clean_success`` (collision-free), fractions.
+        ``median_time``, s, NaN if fewer than half met. ``return``. Means of ``contacts``,
         ``path_length`` in m, each ``cost_NAME`` and each ``reward_NAME``.
     """
     if not episodes:
@@ -45,18 +45,18 @@ def episode_numbers(episodes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 class EpisodeLog(BaseCallback):
-    """Logs how episodes went: collision-free success, time, contacts, costs and reward terms.
+    """Callback that logs collision-free success, time, contacts, costs and reward terms.
 
         model = PPO("MlpPolicy", robots, tensorboard_log="out/tensorboard")
         model.learn(200_000, callback=EpisodeLog())
 
-    Each rollout logs the means of the episodes that ended in it, as ``train/clean_success`` and so
-    on, see ``episode_numbers``, to whatever the model's logger writes: TensorBoard, CSV, the
-    terminal, and Weights & Biases with ``WandbLog``. The environment is a ``RobotVecEnv`` without
-    a ``VecMonitor``, which would keep returns and lengths only.
+    Each rollout logs the means of the episodes that ended in it, for example
+    ``train/clean_success``; see ``episode_numbers``. Any output of the model's logger works:
+    TensorBoard, CSV, the terminal, and Weights & Biases with ``WandbLog``. The environment must be
+    a ``RobotVecEnv`` without ``VecMonitor``, which would keep only returns and lengths.
 
     Args:
-        prefix: of the names; "train" is what ``rendezvous train`` writes.
+        prefix: prefix of the names; ``rendezvous train`` uses "train".
     """
 
     def __init__(self, prefix: str = "train") -> None:
@@ -77,22 +77,22 @@ class EpisodeLog(BaseCallback):
 
 
 class WandbLog(BaseCallback):
-    """Sends all that a model logs to Weights & Biases, with its number of steps.
+    """Callback that sends a model's logs to Weights & Biases, with the number of steps.
 
         model.learn(200_000, callback=[EpisodeLog(), WandbLog(project="rendezvous")])
 
     Args:
-        arguments: of ``wandb.init``.
+        arguments: arguments of ``wandb.init``.
 
     Raises:
-        ImportError: where wandb is not installed, when learning begins.
+        ImportError: at the start of learning, if wandb is not installed.
     """
 
     def __init__(self, **arguments: Any) -> None:
         super().__init__()
         self.arguments = arguments
         self.run: Any = None
-        """Of wandb, while a model learns."""
+        """wandb run, during learning."""
 
     def _on_training_start(self) -> None:
         try:
@@ -112,7 +112,7 @@ class WandbLog(BaseCallback):
 
 
 class _WandbWriter(KVWriter):
-    """A writer of stable-baselines3's logger: numbers go to a run of wandb."""
+    """Writer for stable-baselines3's logger that sends numbers to a wandb run."""
 
     def __init__(self, run: Any) -> None:
         self._run = run
@@ -130,4 +130,4 @@ class _WandbWriter(KVWriter):
         self._run.log(kept, step=step)
 
     def close(self) -> None:
-        """Nothing is open: the callback ends the run."""
+        """Do nothing; the callback ends the run."""

@@ -1,15 +1,15 @@
-"""Drop-in forms of stable-baselines3's wrappers and buffer, for slots whose robots may merge.
+"""stable-baselines3 wrappers and buffer for slots whose robots may merge.
 
-| stable-baselines3 | over a ``RobotVecEnv`` | here |
+| stable-baselines3 | over a ``RobotVecEnv`` | replacement |
 |---|---|---|
 | ``VecMonitor`` | counts slots of merged robots as episodes | ``RobotMonitor`` |
 | ``VecFrameStack`` | mixes frames of a merged robot and its survivor | ``RobotFrameStack`` |
 | ``VecNormalize(norm_obs=True)`` | counts zero rows of merged robots | ``RobotNormalize`` |
 | ``ReplayBuffer`` (SAC, TD3, DQN) | keeps samples of merged robots | ``RobotReplayBuffer`` |
 
-``VecNormalize(norm_obs=False)`` counts their zero rewards, too. ``VecCheckNan``,
-``VecExtractDictObs`` and ``VecVideoRecorder`` need no other form. A stock algorithm's
-``RolloutBuffer`` keeps samples of merged robots: ``train.learn``'s ``RobotPPO`` does not.
+``VecNormalize(norm_obs=False)`` also counts the zero rewards of merged robots. ``VecCheckNan``,
+``VecExtractDictObs`` and ``VecVideoRecorder`` need no replacement. The ``RolloutBuffer`` of a stock
+algorithm keeps samples of merged robots; ``RobotPPO`` of ``train.learn`` does not.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, VecMonitor, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from ..checks import refuse
+from ..checks import raise_invalid
 from .sb3 import RobotVecEnv
 
 __all__ = ["RobotFrameStack", "RobotMonitor", "RobotNormalize", "RobotReplayBuffer"]
 
 
 def _robots_of(venv: VecEnv, wrapper: Any) -> RobotVecEnv:
-    """The slots under a wrapper; a TypeError where there are none."""
+    """Slots beneath a wrapper; TypeError if there are none."""
     robots = venv.unwrapped
     if not isinstance(robots, RobotVecEnv):
         found, name = type(robots).__name__, type(wrapper).__name__
@@ -40,22 +40,22 @@ def _robots_of(venv: VecEnv, wrapper: Any) -> RobotVecEnv:
 
 
 class RobotMonitor(VecMonitor):
-    """``VecMonitor`` that counts, and writes to its file, the episodes of teams.
+    """``VecMonitor`` that counts and records the episodes of environments.
 
-    Those are what ``RobotVecEnv`` reports as ``info["episode"]``, which is handed on as it is; of
-    ``info_keywords`` it has "success", "time", "contacts", "path_length" and "lyapunov".
+    These are the ``info["episode"]`` dicts of ``RobotVecEnv``, which are passed on unchanged. They
+    provide these ``info_keywords``: "success", "time", "contacts", "path_length" and "lyapunov".
     """
 
     def __init__(
         self, venv: VecEnv, filename: str | None = None, info_keywords: tuple[str, ...] = ()
     ) -> None:
         _robots_of(venv, self)
-        with warnings.catch_warnings():  # nothing of the environment's own is overwritten
+        with warnings.catch_warnings():  # no attribute of the environment is overwritten
             warnings.filterwarnings("ignore", message="The environment is already wrapped")
             super().__init__(venv, filename, info_keywords)
 
     def step_wait(self) -> VecEnvStepReturn:
-        """As the slots."""
+        """As ``RobotVecEnv.step_wait``."""
         observations, rewards, dones, infos = self.venv.step_wait()
         for info in infos:
             if "episode" in info:
@@ -70,14 +70,14 @@ class RobotMonitor(VecMonitor):
 
 
 class RobotFrameStack(VecFrameStack):
-    """``VecFrameStack`` whose stack at a merge, in ``terminal_observation``, is the survivor's."""
+    """``VecFrameStack`` with the survivor's stack as ``terminal_observation`` at a merge."""
 
     def __init__(self, venv: VecEnv, n_stack: int, channels_order: Any = None) -> None:
         self._robots = _robots_of(venv, self)
         super().__init__(venv, n_stack, channels_order)
 
     def step_wait(self) -> Any:
-        """As the slots, with stacked observations."""
+        """As ``RobotVecEnv.step_wait``, with stacked observations."""
         observations, rewards, dones, infos = super().step_wait()
         robots = self._robots
         pairs = zip(robots.bootstrapped.tolist(), robots.survivors.tolist(), strict=True)
@@ -90,8 +90,10 @@ class RobotFrameStack(VecFrameStack):
 
 
 class RobotNormalize(VecNormalize):
-    """``VecNormalize`` whose statistics are of robots that exist: of what they observe, and of the
-    returns of those that acted. Slots of merged robots observe zeros as before.
+    """``VecNormalize`` with statistics of active robots only.
+
+    They cover observations of active robots and returns of robots that acted. Slots of merged
+    robots still observe zeros.
     """
 
     def __init__(self, venv: VecEnv, *arguments: Any, **settings: Any) -> None:
@@ -103,14 +105,14 @@ class RobotNormalize(VecNormalize):
         return _robots_of(self.venv, self).slots.active.reshape(-1)
 
     def reset(self) -> Any:
-        """Begin a new episode in all teams."""
+        """Start a new episode in all environments."""
         observations: Any = self.venv.reset()
         self.old_obs = observations
         self.returns = np.zeros(self.num_envs)
         return self._normalised(observations)
 
     def step_wait(self) -> Any:
-        """As the slots, with normalised observations and rewards."""
+        """As ``RobotVecEnv.step_wait``, with normalised observations and rewards."""
         stepped: Any = self.venv.step_wait()
         observations, rewards, dones, infos = stepped
         self.old_obs, self.old_reward = observations, rewards
@@ -124,7 +126,7 @@ class RobotNormalize(VecNormalize):
         return seen, self.normalize_reward(rewards), dones, infos
 
     def _normalised(self, observations: Any) -> Any:
-        """Observations (slots, ...) by statistics that count them."""
+        """Normalise observations (slots, ...) and update the statistics."""
         active = self._active
         rms: Any = getattr(self, "obs_rms", None)
         if self.training and self.norm_obs and active.any():
@@ -141,19 +143,21 @@ class RobotNormalize(VecNormalize):
 
 
 class RobotReplayBuffer(ReplayBuffer):
-    """``ReplayBuffer`` that samples no steps of robots that had merged, by ``info["acted"]``.
+    """``ReplayBuffer`` that excludes steps of merged robots, by ``info["acted"]``.
 
-    ``SAC("MlpPolicy", robots, replay_buffer_class=RobotReplayBuffer)``; ``n_steps`` must be 1.
+    Use ``SAC("MlpPolicy", robots, replay_buffer_class=RobotReplayBuffer)``. ``n_steps`` must be 1.
     ValueError for ``optimize_memory_usage``.
     """
 
     mask: NDArray[np.bool_]
-    """(steps, slots), whose robot took part in the step."""
+    """Robots that acted in the step, (steps, slots)."""
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
         if self.optimize_memory_usage:
-            refuse("optimize_memory_usage", True, "False: a merge is valued by the survivor's rows")
+            raise_invalid(
+                "optimize_memory_usage", True, "False: a merge is valued by the survivor's rows"
+            )
         self.mask = np.zeros((self.buffer_size, self.n_envs), dtype=np.bool_)
 
     def add(self, obs: Any, next_obs: Any, action: Any, reward: Any, done: Any, infos: Any) -> None:
@@ -162,7 +166,7 @@ class RobotReplayBuffer(ReplayBuffer):
         super().add(obs, next_obs, action, reward, done, infos)
 
     def sample(self, batch_size: int, env: VecNormalize | None = None) -> ReplayBufferSamples:
-        """Steps of robots that acted, all as likely, drawn with replacement."""
+        """Sample steps of robots that acted, uniformly with replacement."""
         kept = self.mask[: self.size()]
         if not kept.any():
             raise ValueError("the buffer has no step of a robot that acted; add steps first")

@@ -21,9 +21,9 @@ from ..engine.state_checks import (
     refuse_first,
 )
 from ..envs.guarantee import layers_of
-from ..envs.spaces import of_all_teams, of_one_robot
+from ..envs.spaces import batched_space, of_one_robot
 from ..envs.training import TrainingTeams
-from ..envs.vector_env import RendezvousVectorEnv, Transition, at_the_end
+from ..envs.vector_env import RendezvousVectorEnv, Transition, final_value
 from ..envs.vector_wrappers import GuaranteeWrapper
 from ..obstacles.parsing import parse
 from ..scenario.start_options import OPTIONS, as_options
@@ -75,8 +75,8 @@ class RobotSlots:
 
     active: NDArray[np.bool_]
     """(B, n), robots that exist on their own."""
-    observation_space = of_all_teams("single_observation_space")  # of all slots, for RLlib
-    action_space = of_all_teams("single_action_space")
+    observation_space = batched_space("single_observation_space")  # of all slots, for RLlib
+    action_space = batched_space("single_action_space")
 
     def __init__(self, teams: VectorEnv[Any, Any, Any], *, values_ends: bool = True) -> None:
         if not (isinstance(teams, VectorEnv) and hasattr(teams.unwrapped, "simulator")):
@@ -137,7 +137,7 @@ class RobotSlots:
                 self._shaping.check_final(observations, infos)
             last = observations.copy()
             last[over] = np.stack(infos["final_obs"][over].tolist())
-        active, into = (at_the_end(infos, over, key) for key in ("active", "merged_into"))
+        active, into = (final_value(infos, over, key) for key in ("active", "merged_into"))
         merged = self.active & ~active
         ended = (merged | over[:, None]).reshape(-1)
         if ended.any():

@@ -1,4 +1,4 @@
-"""TorchRL: many teams as one batched environment, robots as one group of agents."""
+"""TorchRL: one batched environment with the robots as one agent group."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from torchrl.envs import EnvBase
 
 from ..engine.memory import RENDEZVOUS, TIME_OUT
 from ..envs.agents import names_of
-from ..scenario.start_options import seeds_of_teams
+from ..scenario.start_options import seeds_of_environments
 from ..simulator import Simulator
 from ..vector import training_env
 from .slots import RewardShaping
@@ -27,41 +27,42 @@ if TYPE_CHECKING:
 __all__ = ["GROUP", "RendezvousEnv"]
 
 GROUP = "robots"
-"""The group that all robots belong to."""
+"""Agent group of all robots."""
 
 
 class RendezvousEnv(EnvBase):
-    """B teams of ``vector.training_env`` as a TorchRL environment with batch size (B,).
+    """B environments of ``vector.training_env`` as a TorchRL environment, batch size (B,).
 
     | key | shape | |
     |---|---|---|
     | ("robots", "observation") | (B, n, size) float32 | (B, n, rows, d) with ``flatten=False`` |
     | ("robots", "action") | (B, n, a) float32 | (B, n) int64 with ``discrete=True`` |
-    | ("robots", "active") | (B, n, 1) bool | the robot still exists on its own |
+    | ("robots", "active") | (B, n, 1) bool | the robot is active (not merged) |
     | ("robots", "reward") | (B, n, 1) float32 | after a step |
-    | ("robots", "info", "cost") | (B, n, 1) float32 | with ``Scenario.costs``; "cost_NAME", too |
-    | "contacts" | (B, 1) int64 | with obstacles so far, one for each robot and base step |
+    | ("robots", "info", "cost") | (B, n, 1) float32 | with ``Scenario.costs``; also "cost_NAME" |
+    | "contacts" | (B, 1) int64 | obstacle contacts so far, summed over robots and base steps |
     | "state" | (B, size) float32 | privileged; with ``return_state=True`` |
     | "terminated" | (B, 1) bool | all robots have met |
     | "truncated" | (B, 1) bool | the time limit |
     | "done" | (B, 1) bool | either |
 
-    A robot that has merged observes zeros, its actions are ignored, and it earns the team reward
-    until the end, so that meeting early is not punished. A team that has ended stands still until
-    it is reset, as collectors and ``rollout(break_when_any_done=False)`` do.
+    A merged robot observes zeros, its actions are ignored, and it receives the team reward until
+    the end, so an early merge is not penalised. An ended environment stays unchanged until it is
+    reset; collectors and ``rollout(break_when_any_done=False)`` do so.
 
-    ``set_seed(s)`` gives team b the seed s + b at its next reset; without a seed a team goes on to
-    the next episode of its own. ``reset(options=...)`` takes start options as ``make_vec``.
+    ``set_seed(s)`` gives environment b the seed s + b at its next reset. Without a seed, an
+    environment continues with the next episode of its seed. ``reset(options=...)`` accepts the
+    options of ``make_vec``.
 
     Args:
         scenario: a Scenario, the name of one or the path of a TOML file.
-        num_envs: B, number of teams.
+        num_envs: B, number of environments.
         return_state: whether to return the global state, for centralised critics.
         seed: as ``set_seed``.
-        wrap: wraps the teams, ``wrap(teams) -> teams``, in a ``VectorWrapper`` of your own that
-            changes rewards, say.
-        device: of all tensors; None leaves them on the CPU, where they are computed, at no cost.
-        **arguments: of ``vector.training_env``, but for ``autoreset_mode``; errors are those, too.
+        wrap: ``wrap(teams) -> teams``, applies a custom ``VectorWrapper``, for example one that
+            changes rewards.
+        device: of all tensors; None keeps them on the CPU, where they are computed, without copies.
+        **arguments: of ``vector.training_env``, except ``autoreset_mode``; errors are the same.
     """
 
     def __init__(
@@ -83,18 +84,18 @@ class RendezvousEnv(EnvBase):
         super().__init__(device=device, batch_size=(num_envs,))
         self._gives_state = return_state
         self.group_map = {GROUP: names_of(self.simulator.scenario.n_robots)}
-        """The one group and its robots."""
+        """The single group and its robots."""
         self._make_specs()
         self._set_seed(seed)
 
     @property
     def max_steps(self) -> int:
-        """Most steps of an episode."""
+        """Maximum number of steps of an episode."""
         return -(-self.simulator.max_steps // self._base_steps)
 
     @property
     def seconds_per_step(self) -> float:
-        """Duration of a step for the robots, s."""
+        """Duration of an agent step, s."""
         return self._base_steps * float(self.simulator.scenario.tau)
 
     @property
@@ -131,7 +132,7 @@ class RendezvousEnv(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         teams = self.batch_size[0]
-        self._seeds = seeds_of_teams(seed, teams) or [None] * teams
+        self._seeds = seeds_of_environments(seed, teams) or [None] * teams
 
     def _reset(
         self,
@@ -154,7 +155,7 @@ class RendezvousEnv(EnvBase):
         actions = tensordict.get((GROUP, "action")).detach().cpu().numpy()
         observations, rewards, met, cut, infos = self._wrapped.step(actions)
         reward = self._shaping.robot_rewards(rewards, infos, infos["active"]).astype(np.float32)
-        status = self.simulator.status  # teams that stand still stay done
+        status = self.simulator.status  # ended environments stay done
         met, cut = met | (status == RENDEZVOUS), cut | (status == TIME_OUT)
         return self._given(observations, infos, met, cut, reward=reward)
 
@@ -166,7 +167,7 @@ class RendezvousEnv(EnvBase):
         cut: NDArray[np.bool_],
         **scalars: NDArray[Any],
     ) -> TensorDict:
-        """What a step or a reset returns, over the same memory."""
+        """Result of a step or a reset, in shared memory."""
         active = infos["active"]
         robots: dict[str, Any] = {"observation": torch.from_numpy(observations)}
         for key, values in {"active": active, **scalars}.items():
@@ -188,13 +189,13 @@ class RendezvousEnv(EnvBase):
         return TensorDict(given, batch_size=self.batch_size, device=self.device)
 
     def close(self, *, raise_if_closed: bool = True) -> None:
-        """Close the teams."""
+        """Close the vector environment."""
         self.teams.close()
         super().close(raise_if_closed=raise_if_closed)
 
 
 def _action_spec(space: Space[Any], batch: torch.Size) -> Bounded | Categorical:
-    """The actions of B teams, from those of one."""
+    """Action spec of B environments, from that of one."""
     if isinstance(space, MultiDiscrete):
         return Categorical(int(space.nvec[0]), shape=torch.Size((*batch, *space.shape)))
     assert isinstance(space, Box)

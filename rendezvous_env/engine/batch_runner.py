@@ -1,4 +1,4 @@
-"""The stages of a step, run over the blocks of a batch by several threads."""
+"""Runner of step stages over the blocks of a batch, in several threads."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -14,28 +14,27 @@ from . import threads
 from .memory import RUNNING
 from .memory_layout import scratch
 from .preparation import constants, robot, sensor
-from .stages.step import StepStages
 from .state import State
+from .step import StepStages
 from .thread_tuner import ThreadTuner
 from .threads import Calls, Slice
 
 _FLOAT32, _BOOL, _INT64 = np.dtype(np.float32), np.dtype(np.bool_), np.dtype(np.int64)
 _WORK_PER_THREAD = 49152
-"""Rows computed below which another thread costs more than it saves: 50 to 100 µs."""
+"""Minimum number of computed rows per thread; below it, overhead of 50 to 100 µs dominates."""
 _WORK_AHEAD = 12288
-"""Rows that a thread computes while it takes another to wake up."""
+"""Rows that a thread computes while another thread wakes up."""
 _OBSTACLES, _ERRING, _CONTROLLED = 4, 2, 3
-"""Factors of the time that rows of obstacles, sensors with errors, and steps with a controller
-take."""
+"""Relative cost of obstacle rows, of imperfect sensors, and of steps with a controller."""
 
 _Observations = NDArray[np.float32]  # annotations within ``step_n`` are looked up in every step
 _Steps = Iterator[Callable[[], Any]]
 ObservationCallback = Callable[[Slice, _Observations], Calls]
-"""A slice of the batch and observations (B, n, rows, d) → calls that look at its observations."""
+"""Maps a slice of the batch and observations (B, n, rows, d) to calls that read them."""
 
 
 class BatchController(Protocol):
-    """Turns observations into actions, by slices of the batch, as safety filters do."""
+    """Controller that maps observations to actions by slices of the batch, as safety filters do."""
 
     uses_feedback: bool
     """Whether ``update_calls`` follow every step."""
@@ -48,28 +47,31 @@ class BatchController(Protocol):
     def apply_calls(
         self, part: Slice, observations: NDArray[np.float32], actions: NDArray[np.float32]
     ) -> Calls:
-        """Calls that write the actions of the environments of a slice."""
+        """Calls that write the actions of a slice's environments."""
         ...
 
     def update_calls(self, part: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:
-        """Calls that record the outcome of a step: contacts, (B, n), the robot that each one is
-        part of, (B, n), and the environments that did not step, (B,).
+        """Calls that process the result of a step.
+
+        Arguments are contacts, (B, n), the robot that each one has become part of, (B, n), and the
+        environments that did not step, (B,).
         """
         ...
 
 
 class RolloutResult(NamedTuple):
-    """The output of several steps in a row."""
+    """Output of several consecutive steps."""
 
-    output: StepOutput  # Of the last one
-    rewards: NDArray[np.float64]  # (B,), of all of them
-    robot_rewards: NDArray[np.float64]  # (B, n), likewise
-    contact: NDArray[np.bool_]  # (B, n), whether the robot touched an obstacle in any of them
+    output: StepOutput  # output of the last step
+    rewards: NDArray[np.float64]  # (B,), sum over the steps
+    robot_rewards: NDArray[np.float64]  # (B, n), sum over the steps
+    contact: NDArray[np.bool_]  # (B, n), robots in contact in any of the steps
 
 
 class DiagnosticsSnapshot:
-    """Diagnostics of the last action of each robot, (B, n) each; ``restore`` undoes what a step has
-    changed of robots that take no ``part`` in it, (B, n).
+    """Diagnostics of the last action of each robot, (B, n) each.
+
+    ``restore`` undoes changes by a step for robots without ``part`` in it, (B, n).
     """
 
     def __init__(self, values: Sequence[NDArray[Any]], part: NDArray[np.bool_]) -> None:
@@ -77,7 +79,7 @@ class DiagnosticsSnapshot:
         self._inactive = ~part
 
     def restore(self) -> None:
-        """Undo what has changed since of robots that took no part."""
+        """Restore the diagnostics of robots that took no part."""
         for values, before in zip(self._values, self._before, strict=True):
             np.copyto(values, before, where=self._inactive)
 
@@ -89,8 +91,9 @@ Pilot, Driven, Show, Kept = BatchController, RolloutResult, ObservationCallback,
 
 
 class BatchRunner:
-    """Advances and observes B environments, by at most ``num_threads`` threads, None for one of
-    each core; episodes end after ``max_steps``.
+    """Advances and observes B environments in at most ``num_threads`` threads.
+
+    None is one thread per core. Episodes end after ``max_steps``.
     """
 
     def __init__(self, state: State, num_threads: int | None, max_steps: int) -> None:
@@ -100,40 +103,46 @@ class BatchRunner:
         rows *= 1 if place.scenario.sensing.exact else _ERRING
         self._work_of_step = place.batch * n * rows
         self._tuner = self._tuner_of(1)
-        self._tuners: dict[int, ThreadTuner] = {}  # of decisions of so many steps
+        self._tuners: dict[int, ThreadTuner] = {}  # by number of steps per call
         self.robot = robot(place.scenario)
         self._sensor = sensor(state)
         self._scratch = [scratch(place) for _ in range(self._tuner.max_threads)]
         self.scratch = self._scratch[0]
-        """Working memory, between steps."""
+        """Free working memory, between steps."""
         seen, robots = place.scenario.observation_layout.shape, (place.batch, n)
         self._shapes = (*robots, *seen), (SCORES, place.batch), robots, (place.batch,)
-        # to copy these is quicker than to fill
+        # copying these is faster than filling
         self._all, self._far = np.ones(robots, np.bool_), np.full(robots, np.inf)
         self._overflow = np.full(place.batch, -1)
         self._last: StepOutput | None = None
+        self._near = False
+        """Whether something could meet in the last step."""
         self._may_overflow = place.scenario.observation_layout.neighbour_slots < n - 1
         self._actions = np.zeros((place.batch, n, place.scenario.action_size), np.float32)
         self.limit(max_steps)
 
     def _tuner_of(self, steps: int) -> ThreadTuner:
-        """Of as many threads as have enough work each in so many steps, and the share of it that
-        the first one does ahead of the others.
+        """Thread tuner for a number of steps.
+
+        It uses as many threads as have enough work each, and a share of work that the first thread
+        does ahead of the others.
         """
         work = steps * self._work_of_step
         if (most := min(self._state.place.blocks, work // _WORK_PER_THREAD)) <= 1:
-            return ThreadTuner(1, 0.0)  # to ask how many cores there are takes a while
+            return ThreadTuner(1, 0.0)  # querying the number of cores is slow
         most = min(most, threads.max_threads(self._num_threads))
         return ThreadTuner(most, min(_WORK_AHEAD / work, 1.0))
 
     def limit(self, max_steps: int) -> None:
-        """Let episodes end after so many steps."""
+        """Set the time limit of episodes, in steps."""
         found = constants(self._state.scenario, self.robot, max_steps)
         self._stages = StepStages(self._state, self.robot, found, self._sensor)
 
     def new_output(self) -> StepOutput:
-        """Arrays for the output of a step, new but for ``crowded``, in which nothing touches an
-        obstacle and no robot has merged, as in most steps; kernels write all else.
+        """Allocate the output of a step, new except for ``crowded``.
+
+        It is initialised without contacts and merges, as in most steps. Kernels write everything
+        else.
         """
         seen, scores, robots, batch = self._shapes
         return StepOutput(
@@ -149,18 +158,18 @@ class BatchRunner:
         )
 
     def step(self, actions: NDArray[np.float32]) -> StepOutput:
-        """Advance all environments under actions (B, n, a), checked."""
+        """Advance all environments under validated actions (B, n, a)."""
         output, place = self.new_output(), self._state.place
         blocks = place.blocks
-        if (tuner := self._tuner).max_threads == 1:  # one environment would notice what follows
+        if (tuner := self._tuner).max_threads == 1:  # no threading overhead
             calls = self._calls_of_one_thread(actions, output)
-            deque(map(call, calls), 0)  # one instruction: all calls, or none
+            deque(map(call, calls), 0)  # one instruction, so an interrupt leaves all calls or none
         else:
             calls_of = self._step_calls(actions, output)
             threads.share(calls_of, blocks, tuner.begin(), tuner.head_start)
             tuner.end()
-        # the next step's arrays come from other memory: where both steps' were free at once, the
-        # system would take it back, and clear it anew for every step of large batches
+        # keep this output alive until the next step: with both outputs freed at once, the system
+        # would reclaim the memory, and zero it again in every step of large batches
         self._last = output
         return output
 
@@ -172,8 +181,9 @@ class BatchRunner:
         count: int,
         callback: ObservationCallback | None = None,
     ) -> RolloutResult:
-        """``Simulator.step_n``: each thread leads its own environments through all steps; those
-        that are resting, (B,), which is written to, do not take part in the first one.
+        """``Simulator.step_n``: each thread advances its own environments through all steps.
+
+        Resting environments, (B,), skip the first step; the array is overwritten.
         """
         state, output, actions = self._state, self.new_output(), self._actions
         rewards, robot_rewards, touched = output.rewards, output.robot_rewards, output.contact
@@ -223,15 +233,21 @@ class BatchRunner:
         self._last = output
         return RolloutResult(output, rewards, robot_rewards, touched)
 
+    def compile(self) -> None:
+        """Compile all stages, as ``Simulator.compile``."""
+        self._step_calls(self._actions, self.new_output())
+
     def observe(self) -> StepOutput:
-        """All environments as they are."""
+        """Observe all environments in their current state."""
         output = self.new_output()
         self._observe(range(self._state.place.blocks), output)
         return output
 
     def observe_again(self, which: NDArray[np.int64], output: StepOutput) -> NDArray[np.int64]:
-        """Write anew the observations of some environments, and those of their blocks, which are
-        the same: all these environments.
+        """Recompute the observations of some environments.
+
+        Those of all environments in their blocks are rewritten unchanged. Returns all these
+        environments.
         """
         lanes, (batch,) = self._state.lanes, self._shapes[3]
         blocks = np.unique(which // lanes)
@@ -252,8 +268,10 @@ class BatchRunner:
     def _step_calls(
         self, actions: NDArray[np.float32], output: StepOutput
     ) -> Callable[[Slice], list[Callable[[], Any]]]:
-        """The calls that advance the blocks of a slice. Stages are compiled before any is called:
-        an interrupt while they are changes nothing.
+        """Calls that advance the blocks of a slice.
+
+        All stages are compiled before any is called, so an interrupt during compilation changes
+        nothing.
         """
         if self._may_overflow:
             output.crowded.fill(-1)
@@ -277,15 +295,18 @@ class BatchRunner:
     def _calls_of_one_thread(
         self, actions: NDArray[np.float32], output: StepOutput
     ) -> list[Callable[[], Any]]:
-        """The same of all blocks. Where they are few, contacts and merges are not called, nor
-        compiled, until something can meet.
+        """Calls that advance all blocks in one thread.
+
+        With few blocks, contacts and merges are neither called nor compiled until they can occur.
         """
         stages, blocks = self._stages, self._state.place.blocks
         if blocks > self._state.place.group:
             return self._step_calls(actions, output)((0, blocks, 0))
         if self._may_overflow:
             output.crowded.fill(-1)
-        propose, *others = stages.calls(0, blocks, actions, output, self.scratch, False)
-        if propose():
-            _, *others = stages.calls(0, blocks, actions, output, self.scratch, True)
-        return others
+        calls = stages.calls(0, blocks, actions, output, self.scratch, self._near)
+        near = calls[0]() > 0.0
+        if near and not self._near:
+            calls = stages.calls(0, blocks, actions, output, self.scratch, True)
+        self._near = near
+        return calls[1:]

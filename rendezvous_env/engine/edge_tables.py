@@ -1,6 +1,4 @@
-"""Links of B teams as NumPy sees them: room for them, matrices, and the forms in which they are
-kept and given.
-"""
+"""Links of B environments for NumPy: allocation, matrices, and storage conversion."""
 
 import math
 from collections.abc import Iterable
@@ -15,11 +13,13 @@ from ..scenario.scenario import Scenario
 from .memory_layout import MemoryLayout, aligned
 
 LinkList = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
-"""Links of a team: robots (E,), (E,), weights (E,), m/s; of arcs who sees, and who is seen."""
+"""Links of an environment: robots (E,), (E,), weights (E,), m/s.
+
+For arcs, the first robot observes the second."""
 
 
 def empty_links(place: MemoryLayout) -> Links:
-    """Links that no reset has set yet: those of all pairs weigh 0, a list has none."""
+    """Links before the first reset: weights 0 for all pairs, or an empty list."""
     n, batch = place.scenario.n_robots, place.batch
     if place.one_way:
         none = np.zeros((1, 0), np.int64)
@@ -32,7 +32,7 @@ def empty_links(place: MemoryLayout) -> Links:
 
 
 def changes_of(scenario: Scenario) -> Changes | None:
-    """How the arcs of a scenario change with time; None where only merges change them."""
+    """Time dependence of a scenario's arcs; None if only merges change them."""
     graph, sensing, n = scenario.sensing_graph, scenario.sensing, scenario.n_robots
     if not graph.changes:
         return None
@@ -50,7 +50,7 @@ def changes_of(scenario: Scenario) -> Changes | None:
 
 
 def state_arrays(links: Links, n: int) -> dict[str, NDArray[Any]]:
-    """The arrays of links that belong to the state, as ``State`` names and shapes them."""
+    """Link arrays that belong to the state, with names and shapes of ``State``."""
     if links.form == DENSE:
         return {"weights": links.weights}
     if links.form == ARCS:
@@ -59,7 +59,7 @@ def state_arrays(links: Links, n: int) -> dict[str, NDArray[Any]]:
 
 
 def matrices(links: Links, batch: int, n: int) -> NDArray[np.float64]:
-    """a_ij, (B, n, n), m/s."""
+    """Weights a_ij, (B, n, n), m/s."""
     if links.form == ARCS:
         return links.weights.reshape(batch, n, n).copy()
     weights = np.zeros((batch, n, n))
@@ -76,8 +76,9 @@ def matrices(links: Links, batch: int, n: int) -> NDArray[np.float64]:
 
 
 def as_kept(links: Links, listed: Iterable[LinkList], n: int) -> dict[str, NDArray[Any]]:
-    """Lists of links, at most as many as there is room for, in the form of ``state_arrays``; each
-    array with an axis for the lists.
+    """Convert lists of links to the form of ``state_arrays``.
+
+    The number of links is limited by the allocation. Each array has an axis for the lists.
     """
     listed = list(listed)
     if links.form == LISTED:

@@ -1,4 +1,4 @@
-"""Which episode of which seed each team is in, and how it begins."""
+"""Episodes: seed, episode number and initial condition of each environment."""
 
 import math
 from collections.abc import Callable
@@ -22,7 +22,7 @@ from .state import State
 
 
 class Episodes:
-    """The beginning of the episodes of B environments."""
+    """Initialises the episodes of B environments."""
 
     def __init__(self, state: State, robot: Robot, scratch: Scratch) -> None:
         self._state, self._robot, self._scratch = state, robot, scratch
@@ -39,8 +39,10 @@ class Episodes:
         given: StartOptions,
         resting: bool,
     ) -> None:
-        """Begin a new episode in these environments, (count,); seeds, of all of them, and resting
-        as ``Simulator.reset`` has them. What it raises leaves everything as it was.
+        """Start a new episode in these environments, (count,).
+
+        ``seeds``, of all of them, and ``resting`` are as in ``Simulator.reset``. An exception
+        leaves the state unchanged.
         """
         self._check_room_for_links(given)
         before = self._state.copy_of(which)
@@ -53,7 +55,7 @@ class Episodes:
             raise
 
     def _draw(self, which: NDArray[np.int64], status: int, rules: StartRules) -> None:
-        """Draw what is not given, and begin; the order of the module ``reset``."""
+        """Sample everything that is not given, in the order of the module ``reset``, and start."""
         state, robot, work, lanes = self._state, self._robot, self._scratch, self._state.lanes
         streams, lists = (state.seed, state.number), (work.listed, work.numbers[0])
         if rules.graph is not None and rules.draw_weights:
@@ -84,8 +86,10 @@ class Episodes:
     def _draw_room(
         self, which: NDArray[np.int64], trial: int, rules: StartRules
     ) -> NDArray[np.int64]:
-        """Obstacles and positions of environments; those in which some robots are walled in, where
-        the field promises none, are returned, to be drawn again.
+        """Sample obstacles and positions of environments.
+
+        Returns the environments to sample again: those whose robots are separated although the
+        field excludes that.
         """
         state, work, field, lanes = self._state, self._scratch, rules.field, self._state.lanes
         streams, world, positions = (state.seed, state.number), state.obstacles, work.vectors[0]
@@ -112,8 +116,9 @@ class Episodes:
     def _draw_positions(
         self, which: NDArray[np.int64], trials: tuple[int, int], rules: StartRules
     ) -> NDArray[np.int64]:
-        """Positions of environments; those in which no links up to a length connect the robots,
-        where that is asked for, are returned.
+        """Sample positions of environments.
+
+        Returns those in which links up to the required length do not connect the robots.
         """
         state, work, lanes = self._state, self._scratch, self._state.lanes
         lengths = rules.spawn_size, rules.least_distance, rules.keep_out
@@ -138,7 +143,7 @@ class Episodes:
         return which[parted]
 
     def _run(self, kernel: Any, *arguments: Any) -> Any:
-        """What a kernel gives; it is compiled here if it has not been."""
+        """Result of a kernel, compiled on first use."""
         key = kernel, sum(argument is None for argument in arguments)
         if (entry := self._entries.get(key)) is None:
             entry = self._entries[key] = ignore_overflow(entry_point(kernel, arguments))
@@ -162,7 +167,7 @@ class Episodes:
         )
 
     def _assign_seeds(self, which: NDArray[np.int64], seeds: list[int | None] | None) -> None:
-        """Seed teams anew, or send them on to the next episode of their seed."""
+        """Assign new seeds, or advance to the next episode of a seed."""
         seed, number = self._state.seed, self._state.number
         unseeded = which[number[which] < 0]
         number[which] += 1
@@ -176,7 +181,7 @@ class Episodes:
             seed[unseeded] = entropy >> np.uint64(1)
 
     def _check_room_for_links(self, given: StartOptions) -> None:
-        """Refuse given weights with more links than a team of this graph can keep."""
+        """Reject given weights with more links than the graph has memory for."""
         room = self._state.place.n_links
         for weights in () if given.weights is None else given.weights:
             if (found := np.count_nonzero(np.triu(weights))) > room:
@@ -186,7 +191,10 @@ class Episodes:
                 )
 
     def _take_given(self, which: NDArray[np.int64], given: StartOptions) -> StartRules:
-        """Write the given parts of a start into the state; the rules say to draw the others."""
+        """Write the given parts of an initial condition into the state.
+
+        Returns rules that sample the other parts.
+        """
         state, rules, scenario = self._state, self._rules, self._state.scenario
         n, d = scenario.n_robots, scenario.dim
         positions = _or(given.positions, scenario.start_positions)
@@ -197,7 +205,7 @@ class Episodes:
             state.give(which, positions=_for_each(positions, which))
         if angles is not None:
             kept = np.zeros((*angles.shape[:-1], scenario.model.memory_size(d)))
-            kept[..., : angles.shape[-1]] = angles  # whatever else it keeps begins at zero
+            kept[..., : angles.shape[-1]] = angles  # other memory starts at zero
             state.give(which, memory=_for_each(kept, which))
         if frames is not None:
             flat = frames.reshape(len(frames), n, d * d)
@@ -220,8 +228,9 @@ class Episodes:
     def _links_of(
         self, which: NDArray[np.int64], weights: NDArray[np.float64] | None
     ) -> dict[str, NDArray[Any]]:
-        """Links as given, as fixed, or as a family of a user's own draws them, see ``as_kept``;
-        nothing where kernels draw them.
+        """Links that are given, fixed, or sampled by a custom family, see ``as_kept``.
+
+        Empty where kernels sample them.
         """
         state, scenario = self._state, self._state.scenario
         graph, connected, n = scenario.sensing_graph, scenario.require_connected, scenario.n_robots
@@ -239,10 +248,10 @@ class Episodes:
 
 
 def _or(value: NDArray[np.float64] | None, default: Any) -> NDArray[np.float64] | None:
-    """What is given of all teams, or else of the scenario."""
+    """Value for all environments, or else the scenario's."""
     return value if default is None or value is not None else np.array([default], np.float64)
 
 
 def _for_each(values: NDArray[np.float64], which: NDArray[np.int64]) -> NDArray[np.float64]:
-    """One entry for each of these teams, from one for all or one for every team of the batch."""
+    """One entry for each of these environments, from one for all or one per environment."""
     return values if len(values) == 1 else values[which]

@@ -1,4 +1,4 @@
-"""Memory for B environments of a scenario: how it is laid out, allocated, and how much there is."""
+"""Memory for B environments of a scenario: layout, allocation and size."""
 
 import math
 import os
@@ -13,18 +13,18 @@ from ..obstacles import parsing
 from ..scenario.scenario import Scenario
 from .memory import N_FIELDS, LaneBlock, ScalarBlock
 
-_LINE = 64  # Bytes of a cache line
+_LINE = 64  # size of a cache line, bytes
 _FEWEST_SIDE_BY_SIDE = 5
-"""Environments from which a block of 32 lanes pays; a processor does four of them at once."""
+"""Minimum number of environments for blocks of 32 lanes; a processor handles four at a time."""
 _SPARSE_FROM = 48
-"""Robots from which a list of links is faster, one by one, than all pairs in lanes."""
-_SPARSE_SHARE = 0.25  # Share of all pairs above which it is not
-_NEAR_CACHE = 2**20  # Bytes of scratch memory that stay in the cache from stage to stage
+"""Number of robots from which a sequential list of links is faster than all pairs in lanes."""
+_SPARSE_SHARE = 0.25  # fraction of all pairs above which the list is slower
+_NEAR_CACHE = 2**20  # scratch memory that stays in the cache between stages, bytes
 Floats = NDArray[np.float64]
 
 
 class MemoryLayout:
-    """How ``batch`` environments of a scenario lie in memory."""
+    """Memory layout of ``batch`` environments of a scenario."""
 
     def __init__(self, scenario: Scenario, batch: int) -> None:
         self.scenario, self.batch = scenario, batch
@@ -32,7 +32,7 @@ class MemoryLayout:
         most = scenario.sensing_graph.most_links(n)
         self.one_way = not scenario.sensing_graph.undirected
         few = n >= _SPARSE_FROM and most <= _SPARSE_SHARE * n * (n - 1) / 2
-        few = few and scenario.neighbour_overflow == "error"  # else each row is to be of one robot
+        few = few and scenario.neighbour_overflow == "error"  # else each row belongs to one robot
         self.sparse = few and not self.one_way
         alone = self.sparse or self.one_way
         self.width = ScalarBlock() if alone or batch < _FEWEST_SIDE_BY_SIDE else LaneBlock()
@@ -46,23 +46,24 @@ class MemoryLayout:
         self.n_obstacles, self.points = layout.obstacle_slots, layout.silhouette_points
         self.discs = self.n_obstacles if d == 2 else 0
         self.fields = d + d * d + scenario.model.memory_size(d)
-        """Numbers of a robot: position, frame, memory."""
+        """Numbers per robot: position, frame, memory."""
         self.moves = d + 1 + scenario.action_size
         together = self.lanes * n * (8 * self.moves + 4 * d * self.rows)
         self.group = min(self.blocks, max(1, _NEAR_CACHE // together))
-        """Blocks that a stage does before the next stage does them."""
+        """Number of blocks that a stage processes before the next stage."""
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the arrays of robots, environments and discs."""
+        """Size of the arrays of robots, environments and discs, bytes."""
         n, lanes = self.scenario.n_robots, self.lanes
         numbers = n * self.fields + N_FIELDS + 3 * self.discs
         return 8 * (self.blocks * lanes * numbers + self.batch * n)
 
 
 def aligned(*shape: int, kind: Any = np.float64) -> NDArray[Any]:
-    """Zeros that begin with a cache line, as numpy's seldom do: a vector of eight lanes that lay
-    across two lines would be read and written as two.
+    """Allocate zeros aligned to a cache line, which NumPy does not guarantee.
+
+    A vector of eight lanes across two lines would need two accesses.
     """
     size = math.prod(shape) * np.dtype(kind).itemsize
     memory = np.zeros(size + _LINE, np.uint8)
@@ -74,27 +75,27 @@ class Scratch(NamedTuple):
     """Working memory of one thread."""
 
     moves: Floats
-    """(group, n, (d + 1 + a)·L): displacement of each robot and the length of its path, m; and its
-    action."""
+    """(group, n, (d + 1 + a)·L): displacement of each robot and the length of its path, m; and
+    its action."""
     rows: NDArray[np.float32]
-    """(group, n, rows, L·d), observations, those of neighbours first; the d numbers of a lane side
-    by side."""
-    pair: Floats  # ((d + 3)·L,), of ``sense_pairs``
-    disc: Floats  # (6·L,), of ``sense_discs``
-    keys: NDArray[np.uint64]  # (2, L), of ``apply_noise``
-    words: NDArray[np.uint32]  # (3, 4, L), likewise
-    vectors: Floats  # (3, n, d), of one environment, as all that follow
+    """Observations, (group, n, rows, L·d), neighbours first; the d numbers of a lane are
+    adjacent."""
+    pair: Floats  # ((d + 3)·L,), for ``sense_pairs``
+    disc: Floats  # (6·L,), for ``sense_discs``
+    keys: NDArray[np.uint64]  # (2, L), for ``apply_noise``
+    words: NDArray[np.uint32]  # (3, 4, L), for ``apply_noise``
+    vectors: Floats  # (3, n, d), of one environment, as are all below
     numbers: Floats  # (4, max(n, E, 4))
     listed: NDArray[np.int64]  # (2, max(n, E)), its links
     counts: NDArray[np.int64]  # (n,)
     flags: NDArray[np.bool_]  # (n,)
     normals: Floats  # (2M, 3), of the obstacles in contact
     silhouette: Floats  # (S, d), of one obstacle
-    chains: NDArray[np.int64]  # (M, 2), of ``reachability``
+    chains: NDArray[np.int64]  # (M, 2), for ``reachability``
 
 
 def scratch(place: MemoryLayout) -> Scratch:
-    """Working memory of one thread."""
+    """Allocate working memory of one thread."""
     n, d, lanes, slots = place.scenario.n_robots, place.scenario.dim, place.lanes, place.n_obstacles
     most = max(n, place.n_links, 4)
     return Scratch(
@@ -115,13 +116,13 @@ def scratch(place: MemoryLayout) -> Scratch:
     )
 
 
-_UNSEEN = 2**28  # Bytes up to which nobody looks up what is free, which takes longer than a step
-_KEPT_OBSERVATIONS = 3  # At a time: this step's, the one's before, and the caller's copy
-_BOUNDS = 4  # Arrays in a space: its bounds, and whether each is finite
+_UNSEEN = 2**28  # bytes below which free memory is not queried, which takes longer than a step
+_KEPT_OBSERVATIONS = 3  # those of this step and the previous one, and the caller's copy
+_BOUNDS = 4  # arrays in a space: bounds and their finiteness
 
 
 def needed_bytes(scenario: Scenario, num_envs: int) -> int:
-    """Bytes of the state of B teams and its copy in a reset, of observations and their spaces."""
+    """Bytes of the state of B environments, its copy in a reset, observations and their spaces."""
     scenario = scenario.with_all_rows
     place, layout = MemoryLayout(scenario, num_envs), scenario.observation_layout
     n, delay = scenario.n_robots, scenario.sensing.delay
@@ -134,7 +135,7 @@ def needed_bytes(scenario: Scenario, num_envs: int) -> int:
 
 
 def check_memory(scenario: Scenario, num_envs: int) -> None:
-    """Refuse a batch that does not fit into memory, saying how much it needs and there is."""
+    """Reject a batch that does not fit into memory; the error gives required and free memory."""
     needed = needed_bytes(scenario, num_envs)
     if needed > _UNSEEN and needed > (available := available_bytes()):
         raise ValueError(
@@ -145,7 +146,7 @@ def check_memory(scenario: Scenario, num_envs: int) -> None:
 
 
 def available_bytes() -> int:
-    """Free memory: what the system calls available, or the limit of our group if that is less."""
+    """Free memory, bytes: available memory of the system, or the limit of the control group."""
     found = 2**40
     with suppress(AttributeError, OSError, ValueError):
         found = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")

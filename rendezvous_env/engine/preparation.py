@@ -148,7 +148,7 @@ def fixed_links(scenario: Scenario) -> LinkList | None:
     return first, second, weights if _factors(scenario) else weights * graph.weight_range[0]
 
 
-def begins_alike(scenario: Scenario) -> bool:
+def has_fixed_start(scenario: Scenario) -> bool:
     """Whether all episodes are one and the same: places, attitudes, graph and obstacles are given.
     Frames may be drawn all the same: they turn what a robot sees and what it does alike.
     """

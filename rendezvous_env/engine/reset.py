@@ -1,11 +1,13 @@
-"""How an episode begins: links, obstacles, positions and attitudes, drawn from their own streams.
+"""Initial conditions: links, obstacles, positions and attitudes.
 
-Separate kernels, called one after another for all environments of a reset:
+Each is sampled from its own random stream by a separate kernel. The kernels are called in this
+order for all environments of a reset:
 
     draw_graphs, draw_fields, draw_positions, check_connected, check_passages, draw_frames,
     draw_memories, multiply_arcs
 
-What an experiment does not draw is not called. The observation that follows finds V at the start.
+Kernels of quantities that a scenario does not sample are skipped. The subsequent observation
+computes the initial V.
 """
 
 import numpy as np
@@ -15,7 +17,7 @@ from ..graphs.edges import are_linked, store_links
 from ..graphs.random_graphs import draw_links, join
 from ..obstacles.fields import draw_obstacles
 from ..obstacles.obstacle_set import clear_of_obstacles
-from ..obstacles.reachability import none_walled_in
+from ..obstacles.reachability import all_reachable
 from ..physics.potential import distance_squared
 from ..physics.random_streams import (
     FRAMES,
@@ -39,16 +41,18 @@ from .memory import (
 from .stages.sense_neighbours import drawn_factor
 
 _MAX_DRAWS = 1000
-"""Positions that are drawn for one robot until it has room."""
+"""Maximum number of sampled positions for one robot."""
 MAX_TRIALS = 1000
-"""Initial conditions that are drawn until no robot is walled in."""
+"""Maximum number of sampled initial conditions until no robot is separated."""
 MAX_CONNECTED = 10_000
 
 
 @kernel
 def draw_graphs(lanes, which, seeds, episodes, rules, links, listed, weights, places):
-    """Draw the links of environments by ``GraphRules``; the first that has too many, or −1.
-    Working memory: listed (2, E), weights (E,), places (n,).
+    """Sample the links of environments by ``GraphRules``.
+
+    Returns the first environment with too many links, or −1. Working memory: listed (2, E), weights
+    (E,), places (n,).
     """
     n = len(places)
     for k in range(len(which)):
@@ -64,8 +68,10 @@ def draw_graphs(lanes, which, seeds, episodes, rules, links, listed, weights, pl
 
 @kernel
 def draw_fields(lanes, which, trial, seeds, episodes, field, n_given, robots, obstacles, positions):
-    """Draw the obstacles of environments, clear of the first ``n_given`` robots; the first
-    environment without room for them, or −1. ``positions``, (n, d), is working memory.
+    """Sample the obstacles of environments, clear of the first ``n_given`` robots.
+
+    Returns the first environment without room for them, or −1. ``positions``, (n, d), is working
+    memory.
     """
     for k in range(len(which)):
         b = which[k]
@@ -79,31 +85,34 @@ def draw_fields(lanes, which, trial, seeds, episodes, field, n_given, robots, ob
 
 @kernel
 def check_passages(lanes, which, passage, robots, obstacles, positions, chains, walled_in):
-    """Write to ``walled_in``, (count,), whether some robots of an environment cannot reach one
-    another through gaps of the width ``passage``, m.
+    """Write to ``walled_in``, (count,), whether some robots of an environment are separated.
+
+    Robots are separated if no gaps of the width ``passage``, m, connect them.
     """
     for k in range(len(which)):
         b = which[k]
         world = obstacles_of(obstacles, b)
         load_positions(robots[b // lanes], b % lanes, lanes, positions)
-        walled_in[k] = not none_walled_in(world, positions, passage, chains)
+        walled_in[k] = not all_reachable(world, positions, passage, chains)
 
 
 @kernel
 def draw_positions(
     lanes, which, trials, lengths, apart, seeds, episodes, links, obstacles, robots, positions
 ):
-    """Draw the positions of environments: uniform in the spawn area, away from neighbours, with
-    ``apart`` from all robots, and from obstacles, unless they are None. The first environment
-    without room, or −1.
+    """Sample positions uniformly in the spawn area, away from neighbours and obstacles.
 
-    ``lengths``, m, are those of the spawn area, between robots, and to obstacles; ``trials`` those
-    for passages and for connected robots. ``positions``, (n, d), is working memory.
+    With ``apart`` the distance holds for all robots; obstacles may be None. Returns the first
+    environment without room, or −1.
+
+    ``lengths``, m, are the spawn size and the minimum distances between robots and to obstacles.
+    ``trials`` are those for passages and for connected robots. ``positions``, (n, d), is working
+    memory.
     """
     for k in range(len(which)):
         b = which[k]
         key = _stream_of_trial(stream_key(seeds[b], episodes[b], START), trials[0])
-        # beside the streams of further trials for passages
+        # distinct from the streams of further trials for passages
         key = _stream_of_trial(key, trials[1] * MAX_TRIALS)
         counter = 0
         for i in range(positions.shape[0]):
@@ -123,19 +132,19 @@ def draw_positions(
 
 @kernel
 def draw_frames(lanes, which, axes, seeds, episodes, robots):
-    """Draw the frames of environments, uniformly."""
+    """Sample the frames of environments, uniformly."""
     for k in range(len(which)):
         b = which[k]
         key = stream_key(seeds[b], episodes[b], FRAMES)
         for i in range(robots.shape[1]):
-            # numbers 3i to 3i + 2 are robot i's own, used or not
+            # numbers 3i to 3i + 2 are reserved for robot i
             frame = draw_rotation(key, 3 * i, axes)
             store_fields(frame, robots[b // lanes, i], len(axes), b % lanes, lanes)
 
 
 @inner_kernel
 def _stream_of_trial(key, trial):
-    """The stream itself at first, then one of its own for each further trial."""
+    """The stream itself for the first trial, and a separate one for each further trial."""
     return key if trial == 0 else mix(key ^ np.uint64(trial))
 
 
@@ -149,8 +158,9 @@ def _is_clear(position, b, obstacles, margin):
 
 @inner_kernel
 def _is_apart(i, positions, apart, links, b, lanes, least_distance):
-    """Whether robot i is far enough from the neighbours that have a position already, or with
-    ``apart`` from all robots that have.
+    """Whether robot i is far enough from its neighbours with a position.
+
+    With ``apart``, from all robots with a position.
     """
     for j in range(i):
         if distance_squared(positions, j, i) < least_distance * least_distance:
@@ -161,8 +171,9 @@ def _is_apart(i, positions, apart, links, b, lanes, least_distance):
 
 @kernel
 def check_connected(lanes, which, reach, robots, positions, places, parted):
-    """Write to ``parted``, (count,), whether links up to the length ``reach``, m, leave the robots
-    of an environment unconnected. Working memory: positions (n, d), places (n,).
+    """Write to ``parted``, (count,), whether links leave robots of an environment unconnected.
+
+    Links are at most ``reach`` long, m. Working memory: positions (n, d), places (n,).
     """
     for k in range(len(which)):
         load_positions(robots[which[k] // lanes], which[k] % lanes, lanes, positions)
@@ -178,7 +189,7 @@ def check_connected(lanes, which, reach, robots, positions, places, parted):
 
 @kernel
 def draw_memories(lanes, which, robot, draws, seeds, episodes, robots):
-    """What robot models keep at the start, drawn if it ``draws``, and the frames with it."""
+    """Initial memory of robot models, sampled if it ``draws``, and the matching frames."""
     d = len(robot.axes)
     for k in range(len(which)):
         b, lane = which[k], which[k] % lanes
@@ -195,7 +206,7 @@ def draw_memories(lanes, which, robot, draws, seeds, episodes, robots):
 
 @kernel
 def multiply_arcs(which, low, high, seeds, episodes, n, links):
-    """Multiply given arcs by numbers from low to high."""
+    """Multiply given arcs by sampled factors from low to high."""
     for k in range(len(which)):
         b = which[k]
         key = stream_key(seeds[b], episodes[b], GRAPH)

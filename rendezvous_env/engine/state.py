@@ -1,4 +1,4 @@
-"""The state of B teams: arrays by team outside, lane blocks inside."""
+"""State of B environments: arrays by environment for callers, lane blocks internally."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -29,7 +29,7 @@ KEPT = {
     "initial_lyapunov": np.float64,
     "min_clearance": np.float64,
 }
-"""What of a team's statistics belongs to its state, and as what; the rest follows."""
+"""Statistics that belong to the state, with their types; the others are derived."""
 
 
 class State:
@@ -39,28 +39,28 @@ class State:
         self.place, self.scenario, self.batch = place, place.scenario, place.batch
         self.lanes, n, d = place.lanes, self.scenario.n_robots, self.scenario.dim
         self.robots = aligned(place.blocks, n, place.fields * self.lanes)
-        """Position, frame and memory of every robot, see ``memory``; a merged-away robot's stay as
-        they were when it merged."""
+        """Position, frame and memory of every robot, see ``memory``; those of a merged robot are
+        from the time of its merge."""
         self.environments = aligned(place.blocks, N_FIELDS * self.lanes)
         self.merged_into = np.zeros((place.batch, n), np.int64)
-        """(B, n), the robot that each one is now part of; itself while it is active."""
+        """(B, n), robot that each one has become part of; itself while active."""
         self.merged_into[:] = np.arange(n)
         self.discs = aligned(place.blocks, place.discs, 3 * self.lanes)
-        """Obstacles that are discs in the plane, see ``sense_obstacles.sense_discs``."""
+        """Obstacles that are discs in 2-D, see ``sense_obstacles.sense_discs``."""
         self.discs[:] = np.nan
         table = obstacle_set.pack((), place.n_obstacles, parsing.row_width(self.scenario.obstacles))
         tables = np.repeat(table[None], self.batch, axis=0)
         self.obstacles = obstacle_set.world_of(tables, place.only_balls)
-        """With a leading axis B; without members where there are no slots."""
+        """Obstacles, with a leading axis B; empty without slots."""
         self.seed = np.zeros(place.batch, dtype=np.uint64)
-        """(B,), of each environment."""
+        """Seed of each environment, (B,)."""
         self.number = np.full(place.batch, -1)
-        """(B,), of the environment's episode, −1 before its first."""
+        """Episode number of each environment, (B,), −1 before its first."""
         self.links, self.changes = empty_links(place), changes_of(self.scenario)
         rows, delay = self.scenario.observation_layout, self.scenario.sensing.delay
         seen = delay + 1 if delay else 0, n, rows.obstacles.stop, rows.dim
         self.past = np.zeros((place.batch, *seen), np.float32)
-        """Observations that a sensor with a delay has yet to show; none without one."""
+        """Observations buffered by a delayed sensor; empty without a delay."""
         self._all = np.arange(place.batch)
         fields = self.robots.reshape(place.blocks, n, place.fields, self.lanes)
         self._fields = self.environments.reshape(place.blocks, N_FIELDS, self.lanes)
@@ -78,32 +78,32 @@ class State:
         self._arrays |= {**links, "seed": self.seed, "episode": self.number, "past": self.past}
         self._arrays |= self.obstacles._asdict()
         self._in_blocks = set(in_blocks)
-        """Of these arrays those that lie in blocks, (blocks, …, L); others are (B, …)."""
+        """Arrays in blocks, (blocks, …, L); others are (B, …)."""
         if self.links.form == DENSE:
             self._in_blocks.add("weights")
         self._kept = ["positions", "memory", "merged_into", *links, "seed", "episode"]
-        """Of these arrays those that neither are constant nor follow from the rest."""
+        """Arrays that are neither constant nor derived."""
         self._kept += ["frames"] if self.scenario.model.n_angles == 0 else []
         self._kept += ["past"] if delay else []
         self._begun_anew = [k for k, array in self._arrays.items() if k != "past" and array.size]
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the state of all teams."""
+        """Size of the state of all environments, bytes."""
         return sum(array.nbytes for array in self._arrays.values())
 
     def of_teams(self, name: str) -> NDArray[Any]:
-        """An array of all teams, (B, …), as a copy."""
+        """Copy of an array of all environments, (B, …)."""
         return self._copies([name], self._all)[name]
 
     def give(self, which: NDArray[np.int64], **arrays: NDArray[Any]) -> None:
-        """Write arrays of these teams, (count or 1, …)."""
+        """Write arrays of these environments, (count or 1, …)."""
         places = self._places(which) if arrays else ()
         for name, values in arrays.items():
             self._arrays[name][places[name in self._in_blocks]] = values
 
     def copy_of(self, which: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """All that a reset of these teams may change, for ``give``."""
+        """Copy of everything that a reset of these environments may change, for ``give``."""
         return self._copies(self._begun_anew, which)
 
     def _copies(self, names: Iterable[str], which: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
@@ -111,16 +111,16 @@ class State:
         return {name: self._arrays[name][places[name in self._in_blocks]] for name in names}
 
     def _places(self, which: NDArray[np.int64]) -> tuple[Any, Any]:
-        """Where these teams stand in arrays (B, …), and in those of blocks."""
+        """Indices of these environments in arrays (B, …), and in those of blocks."""
         block, lane = np.divmod(which, self.lanes)
         return which, (block, ..., lane)
 
     def statistic(self, name: str) -> NDArray[np.float64]:
-        """One of EPISODE_FIELDS of every environment, (B,), as a copy."""
+        """Copy of one of EPISODE_FIELDS of every environment, (B,)."""
         return self._fields[:, EPISODE_FIELDS.index(name)].flatten()[: self.batch]
 
     def weights(self) -> NDArray[np.float64]:
-        """a_ij, (B, n, n), m/s."""
+        """Weights a_ij, (B, n, n), m/s."""
         return matrices(self.links, self.batch, self.scenario.n_robots)
 
     def obstacle_table(self) -> NDArray[np.float64]:
@@ -128,7 +128,7 @@ class State:
         return obstacle_set.table_of(self.obstacles)
 
     def lay_out_discs(self, which: NDArray[np.int64]) -> None:
-        """Bring the discs of some environments into their lanes; a radius of NaN is no disc."""
+        """Copy the discs of some environments into their lanes; a radius of NaN marks no disc."""
         if self.discs.size:
             block, lane = np.divmod(which, self.lanes)
             shapes, is_disc = self.obstacles.shapes[which], self.obstacles.kinds[which] == BALL
@@ -137,8 +137,10 @@ class State:
             discs[block, :, 2, lane] = np.where(is_disc, shapes[..., BOUND], np.nan)
 
     def begin(self, which: NDArray[np.int64], status: int) -> None:
-        """Begin the counts of episodes, of which positions and links are already here. V at the
-        start is unknown, −1, until they are observed, or 0 in those that await that in a step.
+        """Initialise the statistics of episodes with known positions and links.
+
+        The initial V is −1, unknown, until the first observation. It is 0 for environments that are
+        observed in a step.
         """
         n = self.scenario.n_robots
         known = {"status": status, "active": n, "initial_lyapunov": -float(status == RUNNING)}
@@ -149,19 +151,19 @@ class State:
         self.give(which, environments=fields[None], merged_into=np.arange(n))
 
     def settle(self) -> None:
-        """Take V of all environments from an observation that was no step."""
+        """Set V of all environments from an observation without a step."""
         initial, now = self._fields[:, INITIAL_LYAPUNOV], self._fields[:, SENSED_LYAPUNOV]
         self._fields[:, LYAPUNOV] = now
         np.copyto(initial, now, where=initial < 0.0)
 
     def as_dict(self) -> dict[str, NDArray[Any]]:
-        """All that is neither constant nor follows from the rest, as copies with leading axis B."""
+        """Copies of everything that is neither constant nor derived, with leading axis B."""
         state = self._copies(self._kept, self._all)
         state |= {name: self.statistic(name).astype(kind) for name, kind in KEPT.items()}
         return state | {"obstacles": self.obstacle_table().copy()}
 
     def put(self, state: dict[str, NDArray[Any]]) -> None:
-        """Put back what ``as_dict`` gave; unchecked."""
+        """Restore the result of ``as_dict``, without validation."""
         self.give(self._all, **{name: state[name] for name in self._kept})
         active = (self.merged_into == np.arange(self.scenario.n_robots)).sum(axis=1)
         block, _, lane = self._places(self._all)[1]

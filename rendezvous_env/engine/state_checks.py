@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import bools, check_shape, exact, floats, shown
+from ..checks import bools, check_shape, floats, format_limit, short_repr
 from ..obstacles.obstacle_set import faults
 from ..obstacles.parsing import only_balls
 from ..outcome import StepOutput
 from ..robots.robot_models import constants_of
 from ..scenario.scenario import Scenario
 from .memory import AWAITING_RESET, RENDEZVOUS
-from .stages.step import first_not_finite
+from .step import first_not_finite
 
 _ROUNDING = 1e-9
 _FINITE = "positions", "memory", "weights", "path_length", "initial_lyapunov", "frames", "past"
@@ -35,13 +35,17 @@ _FLOATS = _FLOAT32, np.dtype(np.float64)
 def check_keys(state: Any, names: tuple[str, ...], *, exactly: bool = False) -> None:
     """Refuse, with a ValueError, what is no mapping with these entries, ``exactly`` also others."""
     if not isinstance(state, Mapping):
-        raise ValueError(f"state is {shown(state)}; it must be a mapping with {', '.join(names)}")
+        raise ValueError(
+            f"state is {short_repr(state)}; it must be a mapping with {', '.join(names)}"
+        )
     for name in names:
         if name not in state:
             raise ValueError(f"state: entry {name!r} is missing")
     if exactly and (unknown := sorted(map(str, set(state) - set(names)))):
         known = ", ".join(names)
-        raise ValueError(f"state: entry {shown(unknown[0])} is unknown; it must be one of {known}")
+        raise ValueError(
+            f"state: entry {short_repr(unknown[0])} is unknown; it must be one of {known}"
+        )
 
 
 def check_entries(
@@ -96,7 +100,7 @@ def check_rotations(state: Mapping[str, NDArray[Any]], teams: Any, tolerance: fl
     refuse_first("frames", wrong & np.reshape(teams, (-1, 1)), frames, "a rotation")
 
 
-class Remembering:
+class StatefulMixin:
     """What remembers something of B teams from step to step, in ``_memory``."""
 
     @property
@@ -153,7 +157,7 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
         refuse(name, state[name] < 0, "0 or more")
     for name, most in _MOST.items():
         if name in state:
-            refuse(name, np.abs(state[name]) > most, f"at most {exact(most)}")
+            refuse(name, np.abs(state[name]) > most, f"at most {format_limit(most)}")
     initial, status = state["initial_lyapunov"], state["status"]
     refuse("initial_lyapunov", (initial != 0) & (initial < 1e-30), "0, or 1e-30 or more")
     refuse("min_clearance", ~(state["min_clearance"] > -np.inf), "a length or inf, m")
@@ -166,7 +170,7 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
         velocities = state["memory"][..., scenario.model.n_angles :]
         limit = constants_of(scenario).speed_limit
         too_fast = np.linalg.norm(velocities, axis=-1) > limit * (1 + _ROUNDING)
-        refuse("memory", too_fast, f"a velocity of at most {exact(limit)} m/s")
+        refuse("memory", too_fast, f"a velocity of at most {format_limit(limit)} m/s")
     if "first" in state:
         _check_lists(scenario.n_robots, state)
     _check_merges(state, scenario.meeting == "pack")
@@ -234,7 +238,9 @@ def check_output(output: Any, wanted: tuple[tuple[tuple[int, ...], Any], ...]) -
     and type of each of its arrays.
     """
     if not isinstance(output, StepOutput):
-        raise ValueError(f"outcome is {shown(output)}; it must be what step() gave out, or None")
+        raise ValueError(
+            f"outcome is {short_repr(output)}; it must be what step() gave out, or None"
+        )
     arrays: tuple[Any, ...] = output
     for name, array, (shape, kind) in zip(StepOutput._fields, arrays, wanted, strict=True):
         if array.shape != shape or array.dtype != kind or not array.flags.carray:
@@ -276,7 +282,8 @@ def check_actions(actions: ArrayLike, shape: tuple[int, ...], axes: str) -> NDAr
         team, robot, *_ = np.unravel_index(wrong, shape)
         raise ValueError(
             f"action of robot_{robot} in team {team} is "
-            f"{shown(np.asarray(actions)[team, robot].tolist())}; it must be finite, in float32"
+            f"{short_repr(np.asarray(actions)[team, robot].tolist())}; it must be finite, in "
+            "float32"
         )
     return table
 

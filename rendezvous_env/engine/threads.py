@@ -1,8 +1,9 @@
 """Threads for kernels that release the interpreter lock: each runs one slice of the blocks.
 
 Python runs signal handlers in the main thread, between two of its own instructions. The caller
-therefore runs a slice only if that is calls of compiled code, made within one instruction; else the
-workers run all slices. So an interrupted job (Ctrl-C) is complete or was never begun.
+therefore runs a slice only if that is calls of compiled code, made within one instruction.
+Otherwise the workers run all slices. So an interrupted job (Ctrl-C) is complete or was never
+started.
 """
 
 import os
@@ -21,32 +22,33 @@ import numpy as np
 from ..compilation import compiled, entry_point, is_kernel, kernel
 
 Slice = tuple[int, int, int]
-"""A part of a batch: its first index, the index after its last, and its own number."""
+"""Part of a batch: first index, end index, and slice number."""
 Calls = Sequence[Callable[[], Any]]
-"""The calls that make up the work of a slice, in order."""
+"""Calls that make up the work of a slice, in order."""
 
 _WAIT_SPINS = 200_000
 """Iterations, about 60 µs, for which the caller polls the workers before it sleeps."""
 _GIL_YIELD_SPINS = 6_000
-"""Iterations, about 2 µs, for which the caller, once done, leaves the interpreter lock to a worker
-that has just finished: a worker that finds the lock taken sleeps, and delays the next job."""
+"""Iterations, about 2 µs, for which the caller, when finished, leaves the interpreter lock to a
+worker that has just finished. A worker that finds the lock taken sleeps, and delays the next
+job."""
 _FOREVER = 2**62
 
 
 def share(
     calls_of: Callable[[Slice], Calls], blocks: int, num_threads: int, head_start: float = 0.0
 ) -> None:
-    """Run the calls of all blocks in ``num_threads`` threads, the caller's among them.
+    """Run the calls of all blocks in ``num_threads`` threads, including the caller's.
 
     Args:
-        calls_of: a slice of the blocks → its calls, which it does not make.
+        calls_of: maps a slice of the blocks to its calls, without making them.
         blocks: number of blocks.
         num_threads: number of slices.
         head_start: share of the blocks by which the first slice, the caller's, is larger.
 
     Raises:
-        BaseException: an error of a call, or of a signal handler in the caller. No thread works on
-            a block any more, and unless a call has failed all are done or none.
+        BaseException: an error of a call, or of a signal handler in the caller. No thread is then
+            working on a block. Unless a call failed, either all calls are done or none.
     """
     # a worker that shared its slice would wait for the others, and they for it
     if num_threads == 1 or not compiled() or threading.current_thread() in _workers:
@@ -63,7 +65,7 @@ def share(
 
 
 def _run(own: list[Callable[[], Any]], others: list[list[Callable[[], Any]]]) -> None:
-    """Make the caller's calls, and in workers those of other slices."""
+    """Make the caller's calls, and those of other slices in workers."""
     ended, wake = np.zeros(len(others), np.int64), SimpleQueue()  # type: ignore[var-annotated]
     errors: list[BaseException] = []
     reports = [(ended[k : k + 1], wake, errors) for k in range(len(others))]
@@ -80,7 +82,7 @@ def _run(own: list[Callable[[], Any]], others: list[list[Callable[[], Any]]]) ->
         while not wait(ended, turns, spins):
             wake.get()
     except BaseException:
-        deque(rest, 0)  # up to here, and in it, no other handler runs
+        deque(rest, 0)  # no other handler runs up to and within this line
         raise
     if errors:
         raise errors[0]
@@ -97,7 +99,7 @@ def _is_compiled_call(one: Any) -> bool:
 def _wait(ended, turns, most):
     """Poll until all of ``ended`` are 1, at most ``most`` times; whether they are.
 
-    Turns are counted in an array, which might be the same one, so that the compiler reads
+    Iterations are counted in an array that might alias ``ended``, so that the compiler reads
     ``ended`` from memory each time.
     """
     k = 0
@@ -119,7 +121,7 @@ def _compiled_wait() -> Callable[..., Any]:
 
 
 _jobs: SimpleQueue[Any] = SimpleQueue()
-"""Pairs of a slice's calls and its report: a flag to set, a queue that wakes the caller, errors."""
+"""Pairs of a slice's calls and its report: a flag, a queue that wakes the caller, and errors."""
 _workers: list[threading.Thread] = []
 _workers_lock = threading.Lock()
 
@@ -142,17 +144,17 @@ def _serve(jobs: SimpleQueue[Any]) -> None:
 def _work(calls: list[Callable[[], Any]], report: Any) -> None:
     ended, wake, errors = report
     try:
-        while calls:  # what has been called is released
+        while calls:  # release finished calls
             calls.pop(0)()
     except BaseException as error:
         errors.append(error)
     calls.clear()
-    ended[0] = 1  # the caller polls it, and needs the interpreter lock at once
+    ended[0] = 1  # the caller polls this, and then needs the interpreter lock
     wake.put(None)
 
 
 def _forget_workers() -> None:
-    """Start anew in a forked child, which has none of its parent's threads."""
+    """Reset the pool in a forked child, which has no threads of its parent."""
     global _jobs, _workers_lock
     _jobs, _workers_lock = SimpleQueue(), threading.Lock()
     _workers.clear()
@@ -163,13 +165,14 @@ if hasattr(os, "register_at_fork"):
 
 
 def max_threads(num_threads: int | None) -> int:
-    """The given number of threads, or if None one per core."""
+    """Given number of threads; None is one per core."""
     return available_cores() if num_threads is None else num_threads
 
 
 def available_cores() -> int:
-    """Number of cores of this process: those of its affinity mask and its container's CPU quota, at
-    most NUMBA_NUM_THREADS.
+    """Number of cores of this process.
+
+    It is limited by its affinity mask, its container's CPU quota, and NUMBA_NUM_THREADS.
     """
     share = os.environ.get("NUMBA_NUM_THREADS", "")
     return min(_cores(), int(share)) if share.isdecimal() and int(share) else _cores()

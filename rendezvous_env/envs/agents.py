@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.env import ParallelEnv
 
-from ..checks import check_action, floats, refuse, shown
+from ..checks import check_action, floats, raise_invalid, short_repr
 from ..render.renderer import RENDER_MODES
 from ..simulator import Simulator
 from ..state_view import STANDING
 from .spaces import of_one_robot
-from .vector_env import OneTeam
+from .vector_env import SingleEnvMixin
 
 Observations = dict[str, NDArray[np.float32]]
 Infos = dict[str, dict[str, Any]]
@@ -62,7 +62,9 @@ class SpacesByName(Generic[_Space]):
         return self.action_spaces[agent]
 
 
-class TeamByName(OneTeam, SpacesByName[_Space], ParallelEnv[str, NDArray[np.float32], Any]):
+class BaseParallelEnv(
+    SingleEnvMixin, SpacesByName[_Space], ParallelEnv[str, NDArray[np.float32], Any]
+):
     """Base class of parallel environments, with agents by name."""
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo reads a plain class attribute
@@ -154,11 +156,11 @@ def check_robots(actions: Any, alive: Sequence[str], merged_into: NDArray[np.int
     It names a missing, unknown or merged agent, and the survivor of a merged one.
     """
     if not isinstance(actions, Mapping):
-        refuse("actions", actions, f"a dict with an action for each of {alive}")
+        raise_invalid("actions", actions, f"a dict with an action for each of {alive}")
     names = names_of(len(merged_into))
     for name in actions:
         if name not in names:
-            raise KeyError(f"{shown(name)} is no robot of this team: {names}")
+            raise KeyError(f"{short_repr(name)} is no robot of this team: {names}")
         if name not in alive:
             survivor = names[merged_into[names.index(name)]]
             why = "has ended" if survivor == name else f"has merged into {survivor}"
@@ -192,7 +194,7 @@ def table_of(
     return table
 
 
-class OneAfterAnother(parallel_to_aec_wrapper):
+class RendezvousAECEnv(parallel_to_aec_wrapper):
     """AEC form of a parallel environment.
 
     It validates each action at once, whereas PettingZoo's wrapper would fail after the last agent.
@@ -208,5 +210,5 @@ class OneAfterAnother(parallel_to_aec_wrapper):
         if not (self.terminations[robot] or self.truncations[robot]):
             check_action(robot, action, self.action_space(robot).shape[0])
         elif action is not None:
-            refuse(f"action of {robot}, which has ended,", action, "None")
+            raise_invalid(f"action of {robot}, which has ended,", action, "None")
         super().step(action)

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from ..checks import choice, known_fields, refuse, whole
+from ..checks import check_int, choice, known_fields, raise_invalid
 from ..engine.state_checks import check_entries, check_finite, check_keys
 from ..limits import MOST_HELD_STEPS
 from ..safety.gains import Gains
@@ -39,7 +39,7 @@ _OF_INFOS = (
 
 def check_period(decision_period: int) -> int:
     """Validated decision period, a positive integer."""
-    return whole("decision_period", decision_period, 1, MOST_HELD_STEPS)
+    return check_int("decision_period", decision_period, 1, MOST_HELD_STEPS)
 
 
 def layers_of(env: Any) -> Iterator[Any]:
@@ -66,13 +66,13 @@ def make_filter(
     if isinstance(safety_filter, SafetyFilter):
         known_fields(settings, own, "a safety_filter that is made", "setting")
         if (safety_filter.scenario, len(safety_filter.held)) != (scenario, num_envs):
-            refuse("safety_filter", safety_filter, f"of this scenario and {num_envs} teams")
+            raise_invalid("safety_filter", safety_filter, f"of this scenario and {num_envs} teams")
         return safety_filter
     kind: Any = safety_filter
     if not isinstance(kind, type):
         kind = FILTERS[choice("safety_filter", kind, FILTERS)]
     if not issubclass(kind, SafetyFilter):
-        refuse("safety_filter", kind, "a SafetyFilter, a subclass of it, or the name of one")
+        raise_invalid("safety_filter", kind, "a SafetyFilter, a subclass of it, or the name of one")
     known_fields(settings, [*settings_of(kind), *own], kind.__name__, "setting")
     arguments = {"num_threads": simulator.num_threads, **settings}
     try:
@@ -86,7 +86,7 @@ def make_filter(
     return made
 
 
-class HoldsFilter:
+class FilterWrapperMixin:
     """Mixin of guarantee wrappers for both APIs: the filter and its memory."""
 
     _wraps: tuple[type, type]
@@ -130,7 +130,7 @@ class HoldsFilter:
             wanted = self._wanted.format(wrapper)
             raise TypeError(f"env is a {type(env).__name__}; it must be {wanted}")
         for layer in layers_of(env):
-            if isinstance(layer, HoldsFilter):
+            if isinstance(layer, FilterWrapperMixin):
                 raise TypeError(
                     f"env is under {type(layer).__name__} already, and {wrapper} cannot stand on "
                     "it: one would undo what the other guarantees; wrap the environment itself"
@@ -190,9 +190,11 @@ class HoldsFilter:
         """Raise a ValueError if names of a filter's memory or infos are already in use."""
         kind, key = type(made).__name__, made.state_key
         if not (isinstance(key, str) and key.isidentifier()) or key[0] == "_":
-            refuse(f"state_key of {kind}", key, "a word that does not begin with _")
+            raise_invalid(f"state_key of {kind}", key, "a word that does not begin with _")
         if key in _OF_STATES or hasattr(type(self), key) or hasattr(self._base, key):
-            refuse(f"state_key of {kind}", key, "no name of an environment's own, which this is")
+            raise_invalid(
+                f"state_key of {kind}", key, "no name of an environment's own, which this is"
+            )
         of_infos = {*_OF_INFOS, *self._base.simulator.costs}
         if taken := sorted(of_infos & set(made.diagnostics)):
             raise ValueError(
@@ -310,14 +312,14 @@ def declared_for(kind: type[SafetyFilter]) -> Callable[[_Constructor], _Construc
             bound.apply_defaults()
             settings = {name: bound.arguments[name] for name in known}
             env, period = settings.pop("env"), settings.pop("decision_period")
-            HoldsFilter.__init__(self, env, kind, period, **settings)
+            FilterWrapperMixin.__init__(self, env, kind, period, **settings)
 
         return make  # type: ignore[return-value]
 
     return fill
 
 
-class HeadingSettings(HoldsFilter):
+class HeadingSettings(FilterWrapperMixin):
     """Settings of ``HeadingVectorWrapper`` (theorem C)."""
 
     steering: HeadingFilter
@@ -335,7 +337,7 @@ class HeadingSettings(HoldsFilter):
     ) -> None: ...
 
 
-class TankSettings(HoldsFilter):
+class TankSettings(FilterWrapperMixin):
     """Settings of ``EnergyTankWrapper`` (theorem D)."""
 
     tank: EnergyTank
@@ -353,7 +355,7 @@ class TankSettings(HoldsFilter):
     ) -> None: ...
 
 
-class GainSettings(HoldsFilter):
+class GainSettings(FilterWrapperMixin):
     """Settings of ``GainWrapper`` (theorem G)."""
 
     gains: Gains
@@ -369,7 +371,7 @@ class GainSettings(HoldsFilter):
     ) -> None: ...
 
 
-class LinkSettings(HoldsFilter):
+class LinkSettings(FilterWrapperMixin):
     """Settings of ``LinkKeepingWrapper`` (theorem R)."""
 
     links: LinkKeeping

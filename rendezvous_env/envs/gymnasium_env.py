@@ -13,14 +13,14 @@ from ..engine.memory import RENDEZVOUS
 from ..render.renderer import RENDER_MODES
 from ..scenario.scenario import Scenario
 from ..scenario.scenarios import ScenarioLike, resolve, with_versions
-from ..scenario.start_options import seeds_of_teams
+from ..scenario.start_options import seeds_of_environments
 from ..simulator import Simulator
 from .overrides import PlainSpec, arguments_of, check_overrides, sorted_overrides
 from .vector_env import (
     ONE_TEAM,
     Info,
-    OneTeam,
     RendezvousVectorEnv,
+    SingleEnvMixin,
     check_one_team,
     of_first_team,
 )
@@ -32,7 +32,7 @@ __all__ = [
 ]  # fmt: skip
 
 
-class RendezvousEnv(OneTeam, PlainSpec, gymnasium.Env[Any, Any]):
+class RendezvousEnv(SingleEnvMixin, PlainSpec, gymnasium.Env[Any, Any]):
     """A team of n robots as a single Gymnasium agent.
 
     Observations (n, rows, d), actions (n, a), the team reward and infos are those of
@@ -62,7 +62,7 @@ class RendezvousEnv(OneTeam, PlainSpec, gymnasium.Env[Any, Any]):
         Raises:
             ValueError: for an invalid option or seed; the state is unchanged.
         """
-        observations, infos = self._reset(seeds_of_teams(seed, 1), options)
+        observations, infos = self._reset(seeds_of_environments(seed, 1), options)
         return observations[0], of_first_team(infos)
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Info]:

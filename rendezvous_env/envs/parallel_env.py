@@ -12,12 +12,12 @@ from pettingzoo.utils.env import ParallelEnv
 from ..engine.memory import RENDEZVOUS, RUNNING
 from ..scenario.scenario import Scenario
 from ..simulator import Simulator
-from .agents import LastRobotInfo, RobotInfo, StepReturn, TeamByName, table_of
-from .spaces import as_told
+from .agents import BaseParallelEnv, LastRobotInfo, RobotInfo, StepReturn, table_of
+from .spaces import maybe_flatten
 from .vector_env import RendezvousVectorEnv
 
 
-class RendezvousParallelEnv(TeamByName[Box], ParallelEnv[str, NDArray[np.float32], Any]):
+class RendezvousParallelEnv(BaseParallelEnv[Box], ParallelEnv[str, NDArray[np.float32], Any]):
     """Bearing-only multi-robot rendezvous.
 
     ``n`` robots move in the plane or in 3-D. Each robot observes bearings to its neighbours and to
@@ -115,7 +115,7 @@ class RendezvousParallelEnv(TeamByName[Box], ParallelEnv[str, NDArray[np.float32
     Version history: v0, the first version.
     """
 
-    metadata = TeamByName.metadata | {"name": "rendezvous_v0"}
+    metadata = BaseParallelEnv.metadata | {"name": "rendezvous_v0"}
     _left_out = ("robot_rewards", "active")
 
     def __init__(
@@ -158,7 +158,7 @@ class RendezvousParallelEnv(TeamByName[Box], ParallelEnv[str, NDArray[np.float32
         outcome = self.teams.advance(table_of(actions, alive, simulator))
         status, statistics = outcome.status.item(0), simulator.first_episode_statistics(outcome)
         over, met = status != RUNNING, status == RENDEZVOUS
-        table = as_told(outcome.observations[0], self.flatten)
+        table = maybe_flatten(outcome.observations[0], self.flatten)
         (earned,), (active,) = outcome.robot_rewards.tolist(), outcome.active.tolist()
         (into,), (contact,) = simulator.merged_into.tolist(), outcome.contact.tolist()
         (clearance,) = outcome.clearance.tolist()

@@ -17,7 +17,7 @@ from ..simulator import Simulator
 _LARGEST = float(np.finfo(np.float32).max)
 
 
-def as_told(rows: NDArray[np.float32], flatten: bool) -> NDArray[np.float32]:
+def maybe_flatten(rows: NDArray[np.float32], flatten: bool) -> NDArray[np.float32]:
     """View of rows (..., rows, d), or (..., rows·d) with ``flatten``."""
     return rows.reshape(*rows.shape[:-2], -1) if flatten else rows
 
@@ -40,7 +40,7 @@ def observation_box(
         level = np.ones((1, layout.dim), dtype=np.float32)
         level[0, 0] = _LARGEST
         high = np.concatenate([high, level])
-    high = as_told(high, flatten)
+    high = maybe_flatten(high, flatten)
     return Box(-high, high, dtype=np.float32)
 
 
@@ -55,7 +55,7 @@ def choice_box(action_filter: SafetyFilter) -> Box:
     return Box(action_filter.lowest_choice, 1.0, (action_filter.action_size,), dtype=np.float32)
 
 
-def of_all_teams(space_of_one: str) -> Any:
+def batched_space(space_of_one: str) -> Any:
     """Lazy attribute with the batched space of a single-environment space, which is large."""
     return cached_property(lambda env: batch_space(getattr(env, space_of_one), env.num_envs))
 

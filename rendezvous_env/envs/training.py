@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import choice, flag, number, real, refuse
+from ..checks import choice, flag, number, raise_invalid, to_float
 from ..engine.state_checks import check_entries, check_keys
 from ..rewards.terms import RewardWeights
 from ..safety.safety_filter import FILTERS
@@ -25,7 +25,7 @@ from ..scenario.start_options import as_options
 from .guarantee import settings_of
 from .gymnasium_env import make_vec
 from .overrides import sorted_overrides
-from .vector_env import Info, RendezvousVectorEnv, Transition, at_the_end, leave_out_summary
+from .vector_env import Info, RendezvousVectorEnv, Transition, drop_summary, final_value
 from .vector_wrappers import (
     EnergyTankWrapper,
     GainWrapper,
@@ -47,7 +47,7 @@ _logged: set[tuple[RewardWeights, float]] = set()
 _presets: list[Callable[[], Any]] = []
 
 
-def hand_in_preset(load: Callable[[], Any]) -> None:
+def register_preset(load: Callable[[], Any]) -> None:
     """Register the loader of ``learning_preset``, an object like ``ShippedPreset``.
 
     The environment itself does not depend on any policy.
@@ -70,55 +70,53 @@ def training_env(
     touch_penalty: float | None = None,
     **overrides: Any,
 ) -> TrainingTeams:
-    """B teams for a generic learner: a vector environment of Gymnasium.
+    """Create B environments for a generic learner, as a Gymnasium vector environment.
 
-    Robots that merge stay to the end with zero observations, without effect, earning with their
-    team (``on_merge="follow"``): to a learner that takes termination for the end of all reward,
-    an early meeting would look like a loss. Infos have the same keys in every step.
+    Merged robots remain until the end with zero observations, ineffective actions and the team
+    reward (``on_merge="follow"``). Otherwise a learner that treats termination as the end of all
+    reward would be penalised for early merges. Infos have the same keys in every step.
 
-    With ``learning_preset`` teams earn what the shipped policies were trained with: the reward of
-    ``baselines.learned.shipped``, and the first touch of an obstacle costs the robot 1. All robots
-    but double integrators under "heading" or "tank" also see and do what the shipped policy does,
-    in space in a plane that holds f, and decide as often (every 0.6 s):
+    ``learning_preset`` sets the reward that the shipped policies were trained with
+    (``baselines.learned.shipped``), with a cost of 1 for each robot's first contact. Under
+    "heading" or "tank", it also sets their observations, actions and decision period of 0.6 s.
+    Double integrators are excluded. In 3-D, actions lie in a plane that contains f:
 
     | | |
     |---|---|
-    | observations | what ``Features`` shows, (B, n, size); ``env.layout.split`` takes it apart |
-    | actions | (B, n, 2) in [−1, 1]: f turned to this direction, seen with x along f |
+    | observations | output of ``Features``, (B, n, size); split by ``env.layout.split`` |
+    | actions | (B, n, 2) in [−1, 1]: new direction of f, in a frame with x along f |
     | actions, ``discrete`` | (B, n): index of an angle φ in ``learned.policy_settings``; 0: φ = 0 |
 
-    An action says where f is imagined to point; from there the joined rule leads round obstacles,
-    and the guarantee's filter makes an action of the result that keeps its promise. The length does
-    not count; the zero vector is straight ahead, the rule itself. Other robots and guarantees have
-    no shipped policy: they see and do what the guarantee's wrapper says (for "tank" with the budget
-    of the shipped policy and ``observe_level``), and a choice is held for 0.6 s, too.
+    An action is an assumed direction of f. The merged-intervals rule starts from it to avoid
+    obstacles, and the safety filter maps the result to an admissible action. The length is ignored;
+    the zero vector keeps f, which is the rule itself. Other robots and guarantees have no shipped
+    policy. They use the observations and actions of the guarantee wrapper, also with action repeat
+    of 0.6 s. "tank" then has the budget of the shipped policy and ``observe_level``.
 
     | argument | |
     |---|---|
-    | guarantee | "heading" (theorem C), "tank" (D), "gains" (G), "links" (R), the name of a |
-    | | filter of one's own (``register_filter``), or None: bare actions. Where the certificate |
-    | | does not cover the scenario, or needs the ``bearing_error`` of a sensor that the wrapper |
-    | | is not told of, the logger "rendezvous_env" says so, once |
-    | learning_preset | see above; False leaves the plain wrapper and the scenario's reward |
-    | flatten | whether tables are (B, n, rows·d); what ``Features`` shows is flat |
+    | guarantee | "heading" (theorem C), "tank" (D), "gains" (G), "links" (R), a registered filter |
+    | | (``register_filter``), or None: base actions. The logger "rendezvous_env" warns once if |
+    | | the certificate does not cover the scenario, or needs a ``bearing_error`` that is not set |
+    | learning_preset | see above; False keeps the plain wrapper and the scenario's reward |
+    | flatten | whether rows are (B, n, rows·d); the output of ``Features`` is flat |
     | discrete | whether robots choose among the angles of the shipped policy |
-    | touch_penalty | of a robot's first touch in an episode; None is 1 with the preset, else 0 |
-    | reward | weights that differ from the preset's: a dict of some of them, or with only |
-    | | ``custom`` terms, here or in the scenario, is merged with the preset's; a |
-    | | ``RewardWeights`` with built-in weights of its own takes the place of the preset's. |
-    | | The logger says at level INFO which reward is in force |
-    | further ones | those of ``make_vec`` and of the guarantee's wrapper, fields of the scenario |
+    | touch_penalty | cost of a robot's first contact; None is 1 with the preset, else 0 |
+    | reward | replaces weights of the preset. A dict, or weights with only ``custom`` terms (here |
+    | | or in the scenario), are merged with the preset. A ``RewardWeights`` with built-in |
+    | | weights replaces the preset. The reward in use is logged at level INFO |
+    | others | arguments of ``make_vec`` and the guarantee wrapper, fields of the scenario |
 
     Raises:
-        TypeError: for an unknown argument or field, with the nearest known one.
-        ValueError: naming an argument, its value and what would be right.
+        TypeError: for an unknown argument or field; the message gives the closest known one.
+        ValueError: for an invalid argument; the message gives its value and a remedy.
     """
     own: list[str] = []
     if guarantee is not None:
         own = ["decision_period", *settings_of(FILTERS[choice("guarantee", guarantee, FILTERS)])]
     arguments, changes = sorted_overrides(training_env, own, overrides)
     if changes.setdefault("on_merge", "follow") != "follow":
-        refuse("on_merge", changes["on_merge"], "'follow' in a training environment")
+        raise_invalid("on_merge", changes["on_merge"], "'follow' in a training environment")
     chosen = resolve(scenario, **changes)
     preset, shown, price = None, False, 0.0
     if flag("learning_preset", learning_preset) and _presets:
@@ -130,9 +128,11 @@ def training_env(
         if guarantee is not None and not shown:
             arguments = preset.held_arguments(chosen, guarantee) | arguments
     if not flag("flatten", flatten) and shown:
-        refuse("flatten", flatten, "True, or learning_preset False: what Features shows is flat")
+        raise_invalid(
+            "flatten", flatten, "True, or learning_preset False: what Features shows is flat"
+        )
     if flag("discrete", discrete) and not shown:
-        refuse(
+        raise_invalid(
             "discrete",
             discrete,
             "False: the shipped policy's choices are for robots but double integrators with "
@@ -158,8 +158,9 @@ def training_env(
 
 
 def _merged(preset: RewardWeights, given: Any, reward: RewardWeights) -> RewardWeights:
-    """The reward in force, from the preset's, the argument as it was given, and the scenario's,
-    which the argument has become part of.
+    """Reward in use, from the preset's, the argument as given, and the scenario's.
+
+    The scenario's reward already includes the argument.
     """
     if isinstance(given, Mapping):
         return replace(preset, **{name: getattr(reward, name) for name in given})
@@ -172,12 +173,12 @@ def _merged(preset: RewardWeights, given: Any, reward: RewardWeights) -> RewardW
 def _say_what_is_not_covered(
     scenario: Scenario, guarantee: str, arguments: Mapping[str, Any]
 ) -> None:
-    """Log, once for a scenario, which part of a guarantee it does not have, and why."""
+    """Log, once per scenario, the part of a guarantee that does not apply, with the reason."""
     if guarantee not in WRAPPERS:
         return
     settings = inspect.signature(FILTERS[guarantee]).parameters
     own, told = bounded_error(scenario.sensing, scenario.dim), arguments.get("bearing_error", 0.0)
-    untold = "bearing_error" in settings and real(told) < own
+    untold = "bearing_error" in settings and to_float(told) < own
     if (scenario, guarantee, untold) in _said:
         return
     _said.add((scenario, guarantee, untold))
@@ -196,17 +197,17 @@ def _say_what_is_not_covered(
 
 
 class TrainingTeams(gymnasium.vector.VectorWrapper):
-    """B teams whose robots all act and earn until their episode ends; see ``training_env``.
+    """B environments whose robots all act and earn until the episode ends; see ``training_env``.
 
-    ``infos["robot_rewards"]``, (B, n), are what robots earn, less ``touch_penalty`` in the step of
-    a robot's first touch in an episode; ``rewards``, (B,), the team's reward, less the mean of
-    that: the mean of theirs, but for terms of one's own (docs/rewards.md). The other infos are
-    those of ``RendezvousVectorEnv`` and of the guarantee's wrapper, under the same keys in every
-    step. ``final_obs`` and ``final_info`` come only with SAME_STEP.
+    ``infos["robot_rewards"]``, (B, n), are robot rewards, minus ``touch_penalty`` in the step of a
+    robot's first contact in an episode. ``rewards``, (B,), is the team reward minus the mean of
+    these costs. It equals the mean robot reward, except for custom terms (docs/rewards.md). The
+    other infos are those of ``RendezvousVectorEnv`` and of the guarantee wrapper, with the same
+    keys in every step. ``final_obs`` and ``final_info`` occur only with SAME_STEP.
 
     Args:
-        teams: whose scenario has ``on_merge="follow"``.
-        touch_penalty: taken from ``robot_rewards``, once in an episode.
+        teams: vector environment whose scenario has ``on_merge="follow"``.
+        touch_penalty: subtracted from ``robot_rewards``, once per episode.
     """
 
     env: RendezvousVectorEnv | GuaranteeWrapper
@@ -220,8 +221,8 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         self.teams, self.simulator, self.scenario = base, base.simulator, base.scenario
         self.autoreset_mode = base.autoreset_mode
         self.layout: Any = getattr(teams, "layout", self.scenario.observation_layout)
-        """What takes observations apart (``split``): of the scenario, or of ``Features``. The row
-        that ``observe_level`` adds, the last one, is to be taken off first."""
+        """Layout that splits observations (``split``): of the scenario, or of ``Features``.
+        Remove the last row, which ``observe_level`` adds, first."""
         self.touch_penalty = touch_penalty
         self._touched = np.zeros((teams.num_envs, self.scenario.n_robots), dtype=np.bool_)
 
@@ -235,20 +236,20 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         observations, infos = self.env.reset(seed=seed, options=options)
         mask = as_options(options).get("reset_mask")
         self._touched[slice(None) if mask is None else np.asarray(mask)] = False
-        leave_out_summary(infos)
+        drop_summary(infos)
         return observations, infos
 
     def step(self, actions: ArrayLike) -> Transition:
         """Step with actions of all robots; errors as the guarantee wrapper."""
         seen, rewards, ends, cuts, infos = self.env.step(actions)  # type: ignore[arg-type]
         over = ends | cuts
-        contact = at_the_end(infos, over, "contact")
-        rewards = charge_first_touches(self.touch_penalty, contact, self._touched, rewards, infos)
+        contact = final_value(infos, over, "contact")
+        rewards = charge_first_contacts(self.touch_penalty, contact, self._touched, rewards, infos)
         self._touched[over] = False
         if "final_info" in infos:
             infos["final_info"]["robot_rewards"] = infos["robot_rewards"].copy()
-            leave_out_summary(infos["final_info"])
-        leave_out_summary(infos)
+            drop_summary(infos["final_info"])
+        drop_summary(infos)
         return seen, rewards, ends, cuts, infos
 
     def state(self) -> NDArray[np.float32]:
@@ -267,7 +268,7 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         self._touched[...] = touched
 
 
-def charge_first_touches(
+def charge_first_contacts(
     price: float,
     contact: NDArray[np.bool_],
     touched: NDArray[np.bool_],

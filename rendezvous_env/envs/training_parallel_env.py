@@ -10,9 +10,9 @@ from gymnasium.spaces import Box, Discrete
 from numpy.typing import NDArray
 from pettingzoo.utils.env import ParallelEnv
 
-from ..checks import check_action, whole
+from ..checks import check_action, check_int
 from ..scenario.scenarios import ScenarioLike
-from .agents import StepReturn, TeamByName, check_robots
+from .agents import BaseParallelEnv, StepReturn, check_robots
 from .training import training_env as vector_training_env
 from .vector_env import ONE_TEAM, check_one_team
 
@@ -45,7 +45,7 @@ def training_env(
 
 
 class TrainingParallelEnv(
-    TeamByName[Box | Discrete], ParallelEnv[str, NDArray[np.float32], Any]
+    BaseParallelEnv[Box | Discrete], ParallelEnv[str, NDArray[np.float32], Any]
 ):  # named, since some libraries look at direct bases alone
     """Training environment with agents by name; see ``training_env``.
 
@@ -58,7 +58,7 @@ class TrainingParallelEnv(
         teams: ``TrainingTeams`` of one team, with ``AutoresetMode.DISABLED``.
     """
 
-    metadata = TeamByName.metadata | {"name": "rendezvous_training_v0"}
+    metadata = BaseParallelEnv.metadata | {"name": "rendezvous_training_v0"}
 
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
         """Step with actions of all agents, merged ones included; errors as
@@ -75,7 +75,7 @@ class TrainingParallelEnv(
             else:
                 scalar = np.ndim(action) == 0 and hasattr(action, "item")
                 index = action.item() if scalar else action
-                whole(f"action of {name}", index, 0, int(space.n) - 1)
+                check_int(f"action of {name}", index, 0, int(space.n) - 1)
         table = np.stack([np.asarray(actions[name]) for name in names])[None]
         observations, _, ends, cuts, infos = self.teams.step(table)
         over, cut = bool(ends[0]), bool(cuts[0])

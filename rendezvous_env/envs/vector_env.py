@@ -11,7 +11,7 @@ from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
-from ..checks import bools, flag, is_whole, shown
+from ..checks import bools, flag, is_int, short_repr
 from ..engine.batch_runner import BatchController, ObservationCallback, RolloutResult
 from ..engine.memory import RENDEZVOUS, TIME_OUT
 from ..outcome import StepOutput
@@ -24,9 +24,9 @@ from ..state_view import STANDING
 from .overrides import PlainSpec
 from .spaces import (
     action_box,
-    as_told,
+    batched_space,
+    maybe_flatten,
     observation_box,
-    of_all_teams,
     state_box,
     team_box,
     team_state,
@@ -41,7 +41,7 @@ _DISABLED = AutoresetMode.DISABLED
 _IN_SUMMARY = (*STANDING, *(f"_{key}" for key in STANDING))
 _of_summary = itemgetter(*_IN_SUMMARY)
 ONE_TEAM: dict[str, Any] = {"num_envs": 1, "autoreset_mode": _DISABLED}
-"""Arguments of a vector environment that ``OneTeam`` holds."""
+"""Arguments of a vector environment that ``SingleEnvMixin`` holds."""
 
 
 class RendezvousVectorEnv(
@@ -91,8 +91,8 @@ class RendezvousVectorEnv(
     ``flatten`` concatenates the rows of a robot to one vector.
     """
 
-    observation_space: Space[Any] = of_all_teams("single_observation_space")
-    action_space: Space[Any] = of_all_teams("single_action_space")
+    observation_space: Space[Any] = batched_space("single_observation_space")
+    action_space: Space[Any] = batched_space("single_action_space")
     closed = True  # One that is refused is not there to be closed, as Gymnasium 1.2 does at its end
 
     def __init__(
@@ -155,7 +155,7 @@ class RendezvousVectorEnv(
             self.passage = None, observations.copy()
         infos = masked(infos, which)
         add_summary(infos)
-        return as_told(observations, self.flatten), infos
+        return maybe_flatten(observations, self.flatten), infos
 
     def step(self, actions: NDArray[np.float32]) -> Transition:
         """Advance every environment by one step τ with actions (B, n, a); see the class.
@@ -176,7 +176,7 @@ class RendezvousVectorEnv(
             terminations, truncations = terminations & ~told_before, truncations & ~told_before
         if not simulator.all_running:
             ended = terminations | truncations
-            if tell_ends(observations, ended, infos, mode):
+            if add_final_info(observations, ended, infos, mode):
                 self.begin_anew(ended, infos)
         add_summary(infos)
         return observations, rewards, terminations, truncations, infos
@@ -223,7 +223,7 @@ class RendezvousVectorEnv(
             **more,
         }
         terminations, truncations = outcome.status == RENDEZVOUS, outcome.status == TIME_OUT
-        observations = as_told(outcome.observations, self.flatten)
+        observations = maybe_flatten(outcome.observations, self.flatten)
         infos = masked(infos, np.ones(self.num_envs, dtype=np.bool_))
         return observations, outcome.rewards, terminations, truncations, infos
 
@@ -238,7 +238,7 @@ class RendezvousVectorEnv(
         infos |= self.simulator.episode_statistics(outcome)
         infos["merged_into"] = self.simulator.copy_of_merged()
         infos["contact"][which] = False
-        return as_told(outcome.observations, self.flatten)
+        return maybe_flatten(outcome.observations, self.flatten)
 
     def state(self) -> NDArray[np.float32]:
         """The privileged global state of every team, (B, …) float32, see ``OneTeam.state``; a row
@@ -278,14 +278,14 @@ class RendezvousVectorEnv(
 def check_one_team(arguments: Mapping[str, Any], vector_form: str) -> None:
     """Refuse more teams than one with a ValueError that names the vector form."""
     teams = arguments.get("num_envs", 1)
-    if not (is_whole(teams) and teams == 1):
+    if not (is_int(teams) and teams == 1):
         raise ValueError(
-            f"num_envs is {shown(teams)}; it must be one team, and {_DISABLED}: for more take "
+            f"num_envs is {short_repr(teams)}; it must be one team, and {_DISABLED}: for more take "
             f"{vector_form}"
         )
 
 
-class OneTeam:
+class SingleEnvMixin:
     """Mixin that exposes a vector environment with B = 1, wrapped or not, as one environment."""
 
     teams: Any
@@ -359,7 +359,7 @@ class OneTeam:
         self.renderer.close()
 
 
-def tell_ends(
+def add_final_info(
     seen: NDArray[np.float32], ended: NDArray[np.bool_], infos: Info, mode: AutoresetMode
 ) -> bool:
     """Add to infos how these teams ended, if they are reset at once: their last observations and
@@ -377,7 +377,7 @@ def tell_ends(
     return True
 
 
-def at_the_end(infos: Info, over: NDArray[np.bool_], key: str) -> NDArray[Any]:
+def final_value(infos: Info, over: NDArray[np.bool_], key: str) -> NDArray[Any]:
     """Info (B, ...) at the end of a step, before the autoreset of ended environments, (B,)."""
     if "final_info" not in infos:
         values: NDArray[Any] = infos[key]
@@ -394,7 +394,7 @@ def add_summary(infos: Info) -> None:
     infos["summary"], infos["_summary"] = summary, infos["_success"]
 
 
-def leave_out_summary(infos: Info) -> None:
+def drop_summary(infos: Info) -> None:
     """Drop it: its numbers stand among the others."""
     infos.pop("summary", None)
     infos.pop("_summary", None)

@@ -14,25 +14,25 @@ from ..engine.memory import RUNNING
 from ..rewards.costs import no_costs
 from ..scenario.start_options import as_options
 from .guarantee import (
+    FilterWrapperMixin,
     GainSettings,
     HeadingSettings,
-    HoldsFilter,
     LinkSettings,
     TankSettings,
     layers_of,
 )
-from .spaces import as_told, of_all_teams, team_box
+from .spaces import batched_space, maybe_flatten, team_box
 from .vector_env import (
     Info,
     RendezvousVectorEnv,
     Transition,
+    add_final_info,
     add_summary,
     masked,
-    tell_ends,
 )
 
 
-class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
+class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
     """``rendezvous_env.GuaranteeWrapper`` in arrays: choices (B, n, k), infos (B, n), and
     observations (B, n, rows, d) as the filter shows them.
 
@@ -54,8 +54,8 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         "rendezvous_env.{})"
     )
     _changing = VectorObservationWrapper, VectorActionWrapper
-    observation_space: Space[Any] = of_all_teams("single_observation_space")
-    action_space: Space[Any] = of_all_teams("single_action_space")
+    observation_space: Space[Any] = batched_space("single_observation_space")
+    action_space: Space[Any] = batched_space("single_action_space")
 
     @staticmethod
     def _spaces_of(layer: Any, base: RendezvousVectorEnv) -> Any:
@@ -126,8 +126,8 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
             self._begin_anew(resting, infos)
             shown = None
         ended = terminations | truncations
-        seen = self._see(None) if shown is None else as_told(shown, base.flatten)
-        if tell_ends(seen, ended, infos, mode):
+        seen = self._see(None) if shown is None else maybe_flatten(shown, base.flatten)
+        if add_final_info(seen, ended, infos, mode):
             self._begin_anew(ended, infos)
             seen[ended] = self._see(ended)[ended]
         add_summary(infos)
@@ -251,7 +251,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         """Writable observations of the policy, (B, n, ...), updated for a mask (None: all)."""
         seen = self.filter.observe(self._observed)
         own = seen.copy() if np.may_share_memory(seen, self._observed) else seen
-        return as_told(own, self._base.flatten)
+        return maybe_flatten(own, self._base.flatten)
 
     def _forget(self, which: NDArray[np.bool_] | None) -> None:
         """Clear the memory of the given environments (None: all)."""

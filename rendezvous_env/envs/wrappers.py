@@ -12,13 +12,13 @@ from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 from ..checks import check_action
 from .agents import Infos, Observations, SpacesByName, StepReturn, check_robots
-from .guarantee import GainSettings, HeadingSettings, HoldsFilter, LinkSettings, TankSettings
+from .guarantee import FilterWrapperMixin, GainSettings, HeadingSettings, LinkSettings, TankSettings
 from .parallel_env import RendezvousParallelEnv
-from .spaces import as_told
+from .spaces import maybe_flatten
 from .vector_env import RendezvousVectorEnv
 
 
-class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
+class GuaranteeWrapper(FilterWrapperMixin, SpacesByName[Box], BaseParallelWrapper):
     """Robots choose; for ``decision_period`` base steps a safety filter turns choices into actions.
 
     Observations are the filter's view of the rows, actions its choices; infos add the filter's
@@ -153,7 +153,7 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
 
     def _view(self, observations: Observations) -> Observations:
         """Observations of the policy."""
-        seen = as_told(self.filter.observe(self._observed)[0], self._base.flatten)
+        seen = maybe_flatten(self.filter.observe(self._observed)[0], self._base.flatten)
         return {name: seen[self._base.index(name)].copy() for name in observations}
 
 

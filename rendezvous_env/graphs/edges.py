@@ -1,6 +1,6 @@
-"""How the links of B environments are kept, and the list of one that the equations take.
+"""Storage of links of B environments, and the list of one environment for equations.
 
-There are three forms of storage, of one type: which it is, is a number that kernels look at.
+There are three forms of storage, of one type; kernels select by a form number.
 """
 
 from typing import NamedTuple
@@ -11,44 +11,45 @@ from numpy.typing import NDArray
 from ..compilation import inner_kernel, kernel
 
 DENSE, LISTED, ARCS = range(3)
-"""A weight for each pair i < j of robots, 0 where there is no link; a list of links for each
-environment; a matrix a_ij for each environment, of links that can be one-way."""
+"""Forms: a weight for each pair i < j of robots, 0 without a link; a list of links per
+environment; a matrix a_ij per environment, for directed links."""
 
 
 class Links(NamedTuple):
-    """Links of B environments; LISTED and ARCS only where a block holds one environment.
+    """Links of B environments; LISTED and ARCS only with one environment per block.
 
-    Arcs as pairs are those that a_ij or a_ji joins, with the mean ā_ij of the two: then
-    V = 2 Σ ā_ij ‖p_i − p_j‖ over pairs is Σ_i Σ_j a_ij ‖p_i − p_j‖.
+    Arcs as pairs are those that a_ij or a_ji connects, with the mean ā_ij of the two. Then V = 2 Σ
+    ā_ij ‖p_i − p_j‖ over pairs equals Σ_i Σ_j a_ij ‖p_i − p_j‖.
     """
 
     form: int  # DENSE, LISTED or ARCS
-    first: NDArray[np.int64]  # (1, pairs) or (B, E), the lower robot of each link, sorted; no arcs
-    second: NDArray[np.int64]  # The other robot
+    first: NDArray[np.int64]  # (1, pairs) or (B, E), lower robot, sorted; empty for arcs
+    second: NDArray[np.int64]  # the other robot
     weights: NDArray[np.float64]
-    """m/s; (blocks, pairs, L); (B, E, 1), 0 behind the last one; or (B, n·n, 1), what robot i gives
-    to robot j at i·n + j."""
+    """Weights, m/s: (blocks, pairs, L); (B, E, 1), 0 for unused entries; or (B, n·n, 1), a_ij of
+    robot i for robot j at i·n + j."""
 
 
 class Changes(NamedTuple):
-    """How arcs change with time: a list of graphs that alternate, and what is in sight."""
+    """Time dependence of arcs: a list of alternating graphs, and visibility."""
 
-    bases: NDArray[np.float64]  # (G, n, n), a_ij of each graph before drawing, m/s
-    # (G,), each arc's weight is multiplied by a number from low to high, drawn for every pair and
+    bases: NDArray[np.float64]  # (G, n, n), nominal a_ij of each graph, m/s
+    # (G,), range of the factor of each arc's weight, sampled for every pair and
     # episode
     lows: NDArray[np.float64]
     highs: NDArray[np.float64]
-    dwell: float  # how long a graph holds, s; inf for ever
-    at_random: bool  # whether the next graph is drawn from the list rather than the next in it
-    by_sight: bool  # whether a robot has arcs only to robots that it sees
-    reach: float  # range of sight, m
+    dwell: float  # dwell time of a graph, s; inf without switching
+    at_random: bool  # whether the next graph is sampled from the list
+    by_sight: bool  # whether a robot has arcs only to visible robots
+    reach: float  # sensing range, m
     half_field: float  # half the field of view, rad
 
 
 @inner_kernel
 def load_links(links, block, lane, n, first, second, weights):
-    """List the links of one environment that have a weight, in the order of their robots, into
-    three arrays; how many there are.
+    """List the nonzero links of one environment, in the order of its robots, into three arrays.
+
+    Returns their number.
     """
     count, kept = 0, links.weights[block]
     if links.form == ARCS:
@@ -71,8 +72,9 @@ def load_links(links, block, lane, n, first, second, weights):
 
 @inner_kernel
 def store_links(links, block, lane, n, first, second, weights, count):
-    """Put the first ``count`` links of three arrays back; those of weight 0 are dropped. Of arcs
-    nothing: merges contract the matrix itself, see ``merge_swept``.
+    """Store the first ``count`` links of three arrays; those of weight 0 are dropped.
+
+    No effect for arcs: merges contract the matrix itself, see ``merge_swept``.
     """
     kept = links.weights[block]
     if links.form == DENSE:
@@ -108,14 +110,14 @@ def are_linked(links, block, lane, n, i, j):
 
 @inner_kernel(inline="text")
 def arcs_of(links, block, n):
-    """The matrix a_ij, (n, n), m/s, of one environment; (0, 0) where links are no arcs."""
+    """Matrix a_ij, (n, n), m/s, of one environment; (0, 0) if links are not arcs."""
     size = n if links.form == ARCS else 0
     return links.weights[block][: size * size].reshape(size, size)
 
 
 @inner_kernel(inline="code")
 def edge_weight(links, block, n, i, j, weight):
-    """What robot i gives to robot j of a link of this weight: that, or the weight of the arc."""
+    """Weight of robot i for robot j: that of the link, or that of the arc."""
     if links.form == ARCS:
         return links.weights[block, i * n + j, 0]
     return weight
@@ -123,13 +125,13 @@ def edge_weight(links, block, n, i, j, weight):
 
 @kernel
 def pair_index(i, j, n):
-    """Place of the pair i < j in the list of all pairs of n robots, in the order of indices."""
+    """Index of the pair i < j in the list of all pairs of n robots, in index order."""
     return i * n - i * (i + 1) // 2 + j - i - 1
 
 
 @kernel
 def sort_links(first, second, weights, count):
-    """Sort the first links by their robots. By insertion: merging leaves most of them in order."""
+    """Sort the first links by their robots, by insertion: merging keeps most of them in order."""
     for e in range(1, count):
         i, j, weight = first[e], second[e], weights[e]
         place = e

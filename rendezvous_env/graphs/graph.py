@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import checks
-from ..checks import shown
+from ..checks import short_repr
 from ..limits import MOST_ROBOTS
 from . import reading
 from . import weights as matrices
@@ -30,9 +30,9 @@ KINDS: dict[str, type[Graph]] = {}
 
 
 def _check_probability(field: str, value: Any) -> float:
-    if not 0 < checks.real(value) <= 1:
-        checks.refuse(field, value, "in (0, 1]")
-    return checks.real(value)
+    if not 0 < checks.to_float(value) <= 1:
+        checks.raise_invalid(field, value, "in (0, 1]")
+    return checks.to_float(value)
 
 
 class GraphNumbers(NamedTuple):
@@ -123,12 +123,12 @@ class Graph:
 
     def __post_init__(self) -> None:
         if type(self) is not class_of(self.kind):
-            raise ValueError(f"graph: {shown(self.kind)} is not a {type(self).__name__}")
+            raise ValueError(f"graph: {short_repr(self.kind)} is not a {type(self).__name__}")
         checks.check_fields(self, "graph: {}")
         if self.kind == self.listed:
             edges = self.edges if isinstance(self.edges, Edges) else matrices.read_edges(self.edges)
             count = self.n_nodes or (1 + max(max(0, i, j) for i, j, _ in edges) if edges else None)
-            n = checks.whole("graph: n_nodes", count, 1, MOST_ROBOTS)
+            n = checks.check_int("graph: n_nodes", count, 1, MOST_ROBOTS)
             object.__setattr__(self, "n_nodes", n)
             kept = checked_edges(edges, n, directed=self.directed)
             object.__setattr__(self, "edges", kept)
@@ -255,7 +255,7 @@ def parse(value: Any, n: int | None = None) -> Graph:
         return _of_links(value, n)
     plain = {"kind": value} if isinstance(value, str) else value
     if not all(isinstance(key, str) for key in plain):
-        checks.refuse("graph", value, f"{reading.GIVEN}; {reading.REMEDY}")
+        checks.raise_invalid("graph", value, f"{reading.GIVEN}; {reading.REMEDY}")
     kind = plain.get("kind", "edges" if "edges" in plain else "complete")
     checks.known_fields(plain, class_of(kind).keys, "graph", "key")
     try:
@@ -264,7 +264,7 @@ def parse(value: Any, n: int | None = None) -> Graph:
         if plain is value:
             raise
         made = f"more than its name, as rendezvous_env.graphs makes it: {error}"
-        raise ValueError(f"graph: {shown(value)} needs {made}") from error
+        raise ValueError(f"graph: {short_repr(value)} needs {made}") from error
 
 
 def _of_links(value: Any, n: int | None) -> Graph:
@@ -304,7 +304,7 @@ def from_networkx(kind: str, graph: Any) -> Graph:
     """A graph with listed edges from one of networkx, whose attribute "weight" is a_ij, m/s."""
     directed, edges = class_of(kind).directed, reading.networkx_edges(graph)
     if graph.is_directed() and not directed:
-        checks.refuse("graph", graph, "undirected; graphs.directed takes directed graphs")
+        checks.raise_invalid("graph", graph, "undirected; graphs.directed takes directed graphs")
     if directed and not graph.is_directed():
         edges += [(j, i, weight) for i, j, weight in edges]
     return Graph(kind, edges=edges, n_nodes=len(graph))

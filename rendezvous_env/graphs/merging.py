@@ -1,14 +1,15 @@
-"""Neighbours that come within the merge radius become one robot (assumption 2, theory 5).
+"""Merging of neighbours within the merge radius (assumption 2, theory 5).
 
-One team at a time, given by its places and links: ``first[e] < second[e]`` are the robots of link
-e, ``weight[e]`` its a_ij in m/s. A superfluous link gets the weight 0; nothing is allocated.
+One environment at a time, given by its positions and links: ``first[e] < second[e]`` are the robots
+of link e, ``weight[e]`` its a_ij in m/s. A superfluous link gets the weight 0; nothing is
+allocated.
 
-Where links can be one-way, a pair merges if either sees the other: a link then weighs the mean of
-a_ij and a_ji, which makes V of the links that of the arcs, and ``arcs`` holds the two.
+For directed links, a pair merges if either robot observes the other. A link then has the mean
+weight of a_ij and a_ji, so that V of the links equals that of the arcs; ``arcs`` holds both.
 
-Merges go through obstacles, unless they are told not to: then a pair that obstacles hide from one
-another stays two robots, nearer than r, until nothing is between them. The theorems about V (A, C,
-D and the bounds on V) need links of r or more, and do not hold for such pairs.
+By default robots merge through obstacles. Otherwise a pair without line of sight remains two
+robots, nearer than r, until nothing is between them. The theorems about V (A, C, D and the bounds
+on V) need links of r or more, and do not hold for such pairs.
 """
 
 import numpy as np
@@ -24,26 +25,26 @@ from ..physics.vectors import load, subtract
 def merge_swept(
     positions, displacements, lengths, links, arcs, merged_into, world, radius, work, through=True
 ):
-    """Move one team by its displacements and merge robots that come together (theory 5).
+    """Move one environment by its displacements and merge robots that meet (theory 5).
 
-    Pairs merge at the first moment when their distance falls to r, earliest first and then by
-    index; both rest for what is left of the step. Afterwards pairs that stand closer than r merge,
-    nearest first, until none is left.
+    Pairs merge at the first time when their distance decreases to r, earliest first and then by
+    index. Both rest for the remaining step. Afterwards pairs closer than r merge, nearest first,
+    until none is left.
 
     Args:
         positions: (n, d), m; the start of the motion on entry, its end on return.
         displacements: (n, d), m; straight or the chord of an arc. Overwritten.
-        lengths: (n,) of the ways, m; shortened for robots that rest.
+        lengths: (n,), path lengths, m; shortened for robots that rest.
         links: (first, second, weight), each (E,); contracted in place.
-        arcs: a_ij, (n, n), of links that can be one-way, contracted in place; (0, 0) or None of
-            others.
-        merged_into: (n,), index of the robot that each one is now part of; updated in place.
+        arcs: a_ij, (n, n), of directed links, contracted in place; (0, 0) or None for others.
+        merged_into: (n,), robot that each one has become part of; updated in place.
         world: obstacles, in which no merged robot may be placed, or None.
         radius: r, m.
-        work: working memory (moments (E,), here (n, d), resting (n,) bool), and a report, (4,):
-            V just before the first merge (left alone without one), V just after the last, the
-            largest rise of V at a merge, and its largest excess over theory 5, all m²/s.
-        through: whether robots merge where an obstacle hides them from each other.
+        work: working memory (times (E,), positions (n, d), resting (n,) bool), and a report, (4,).
+            The report is V just before the first merge (unchanged without one), V just after the
+            last, the largest increase of V at a merge, and its largest excess over theory 5, all
+            m²/s.
+        through: whether robots merge through obstacles.
 
     Returns:
         Number of merges.
@@ -58,8 +59,8 @@ def merge_swept(
         e = _earliest(moments, first, second, resting)
         if e < 0:
             break
-        # the moments found at the start stay true: whose links a merge changes rests from then on
-        # V at a merge is that of the places at its moment, when the others are still under way
+        # the times computed at the start stay valid: a robot whose links change rests from then on
+        # V at a merge is that of the positions at its time, while others are still moving
         moment, i, j = moments[e], first[e], second[e]
         for k in range(n):
             share = 0.0 if resting[k] else moment
@@ -72,14 +73,14 @@ def merge_swept(
         merges += 1
         for robot in (i, j):
             resting[robot] = True
-            lengths[robot] *= moment  # as if the way grew evenly; it does but for accelerations
+            lengths[robot] *= moment  # assumes constant speed, which holds except for accelerations
             for axis in range(d):
                 positions[robot, axis] = here[robot, axis]
                 displacements[robot, axis] = 0.0
     for k in range(n):
         for axis in range(d):
             positions[k, axis] += displacements[k, axis]
-    # a place at a midpoint, or a robot at rest, may be nearer than r to others without a crossing
+    # a midpoint or a resting robot may be nearer than r to others without a crossing
     while True:
         e = _nearest_within(positions, links, radius, world, through)
         if e < 0:
@@ -90,7 +91,7 @@ def merge_swept(
 
 @inner_kernel
 def _meeting_moments(positions, displacements, links, radius, moments):
-    """When the robots of each link first stand within r of each other, as a share of the motion."""
+    """Time at which the robots of each link are first within r, as a fraction of the motion."""
     first, second, weight = links
     for e in range(len(first)):
         moments[e] = np.inf
@@ -103,7 +104,7 @@ def _meeting_moments(positions, displacements, links, radius, moments):
 
 @inner_kernel
 def _comes_before(first, second, e, best):
-    """Whether the robots of link e come before those of another one by index; −1 is none."""
+    """Whether the robots of link e precede those of another one by index; −1 is none."""
     # by robots, not by e: a contraction leaves the links unsorted, and ties must not depend on that
     if best < 0 or first[e] != first[best]:
         return best < 0 or first[e] < first[best]
@@ -112,7 +113,7 @@ def _comes_before(first, second, e, best):
 
 @inner_kernel
 def _earliest(moments, first, second, resting):
-    """The link whose robots meet first, of those that both still move; −1 if none does."""
+    """The link whose robots meet first, of those with both robots moving; −1 if there is none."""
     moment, best = np.inf, -1
     for e in range(len(first)):
         if moments[e] <= moment and moments[e] <= 1.0:
@@ -124,7 +125,7 @@ def _earliest(moments, first, second, resting):
 
 @inner_kernel
 def _may_merge(i, j, positions, world, through):
-    """Whether merges go through obstacles, or none hides two robots from each other."""
+    """Whether merges go through obstacles, or none is between two robots."""
     if world is not None:
         if not through:
             here = load(positions[i])
@@ -134,7 +135,7 @@ def _may_merge(i, j, positions, world, through):
 
 @inner_kernel
 def _nearest_within(positions, links, radius, world, through):
-    """The shortest link that is shorter than r and may merge; −1 if none is."""
+    """The shortest link that is shorter than r and may merge; −1 if there is none."""
     first, second, weight = links
     nearest, best = radius * radius, -1
     for e in range(len(first)):
@@ -150,12 +151,12 @@ def _nearest_within(positions, links, radius, world, through):
 
 @inner_kernel
 def _merge(e, positions, links, arcs, merged_into, world, radius, is_first, report):
-    """Make the second robot of link e part of the first, and report what that does to V."""
+    """Merge the second robot of link e into the first, and report the change of V."""
     first, second, weight = links
     i, j, gain = first[e], second[e], weight[e]
     before = lyapunov_of_links(positions, links)
     at_midpoint = _place(i, j, positions, world)
-    # the bound speaks of the degrees before the links are contracted
+    # the bound refers to the degrees before contraction
     bound = radius * max(0.0, _pull_at_merge(i, j, links, at_midpoint) - 4.0 * gain)
     contract(i, j, links)
     if arcs is not None:
@@ -174,10 +175,13 @@ def _merge(e, positions, links, arcs, merged_into, world, radius, is_first, repo
 
 @inner_kernel
 def _place(i, j, positions, world):
-    """Put both at their midpoint, or at i's place if that lies in an obstacle; whether there."""
+    """Move both robots to their midpoint, or to i's position if that lies in an obstacle.
+
+    Returns whether the midpoint was used.
+    """
     d = positions.shape[1]
     at_midpoint = True
-    if world is not None:  # the lower index' own place is free, so nobody lands in an obstacle
+    if world is not None:  # the position of the lower index is collision-free
         a, b = load(positions[i]), load(positions[j])
         midpoint = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
         at_midpoint = clear_of_obstacles(midpoint, world, 0.0)
@@ -190,7 +194,7 @@ def _place(i, j, positions, world):
 
 @inner_kernel
 def _pull_at_merge(i, j, links, at_midpoint):
-    """D_i + D_j at the midpoint, 2 max(D_i, D_j) at the lower index' place, m/s (theory 5)."""
+    """D_i + D_j at the midpoint, 2 max(D_i, D_j) at the lower index' position, m/s (theory 5)."""
     first, second, weight = links
     degree_i = degree_j = 0.0
     for e in range(len(first)):
@@ -203,7 +207,7 @@ def _pull_at_merge(i, j, links, at_midpoint):
 
 @kernel
 def contract(i, j, links):
-    """The links of j become those of i < j, in place; of two to the same robot the heavier stays.
+    """Assign the links of j to i < j, in place; of two to the same robot the heavier remains.
 
     a_ik ← max(a_ik, a_jk),   a_ij ← 0                         (assumption 2)
     """
@@ -217,8 +221,8 @@ def contract(i, j, links):
             low, high = min(i, k), max(i, k)
             twin = _link_between(low, high, links)
             if twin >= 0:
-                # the heavier, not the sum: no D_i outgrows the D̄ that the certified step is for,
-                # and a* never falls (theory 3 and 4)
+                # the heavier, not the sum: no D_i exceeds the D̄ of the certified step,
+                # and a* never decreases (theory 3 and 4)
                 weight[twin] = max(weight[twin], weight[e])
                 weight[e] = 0.0
             else:
@@ -236,7 +240,7 @@ def _link_between(low, high, links):
 
 @kernel
 def contract_arcs(i, j, links, arcs):
-    """The same for arcs a_ij, (n, n), m/s; their links, contracted already, get new mean weights.
+    """Contract arcs a_ij, (n, n), m/s; links that are already contracted get new mean weights.
 
     a_ik ← max(a_ik, a_jk),   a_ki ← max(a_ki, a_kj),   a_ij, a_ji ← 0     (assumption 2)
     """

@@ -208,7 +208,7 @@ def _add_tree(key, counter, n, first, second, count, places):
         if places[there] == 0:
             places[there] = 1
             low, high = min(here, there), max(here, there)
-            if not is_linked(low, high, (first[:drawn], second[:drawn])):
+            if not are_linked(low, high, (first[:drawn], second[:drawn])):
                 if count < len(first):
                     first[count], second[count] = low, high
                 count += 1
@@ -218,7 +218,7 @@ def _add_tree(key, counter, n, first, second, count, places):
 
 
 @kernel
-def is_linked(i, j, links):
+def are_linked(i, j, links):
     """Whether robots i < j are linked, given sorted links (first, second, …)."""
     first, second = links[0], links[1]
     low, high = 0, len(first)

@@ -6,13 +6,13 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from ..checks import Seconds, exact, refuse, shown
+from ..checks import Seconds, format_limit, raise_invalid, short_repr
 from .graph import Graph, GraphNumbers, LinkArrays, parse, step_degree
 
 
 def _check_graphs(field: str, value: Any) -> tuple[Graph, ...]:
     if not isinstance(value, Iterable) or isinstance(value, str | bytes | Mapping | Graph):
-        refuse(field, value, "a list of graphs")
+        raise_invalid(field, value, "a list of graphs")
     listed = []
     for k, given in enumerate(value):
         # looked at before it is parsed: tables could be nested without end
@@ -21,12 +21,13 @@ def _check_graphs(field: str, value: Any) -> tuple[Graph, ...]:
         graph = parse(given)
         if not graph.fixed:
             raise ValueError(
-                f"{field}[{k}] is {shown(graph.kind)}; switching takes graphs with fixed edges: "
+                f"{field}[{k}] is {short_repr(graph.kind)}; switching takes graphs with fixed "
+                "edges: "
                 "complete, path, cycle, star, directed_cycle, matrices and edge lists"
             )
         listed.append(graph)
     if not listed:
-        refuse(field, (), "a list of at least one fixed graph")
+        raise_invalid(field, (), "a list of at least one fixed graph")
     return tuple(listed)
 
 
@@ -58,8 +59,8 @@ class SwitchingGraph(Graph, kinds=("switching",)):
         """Raise a ValueError if the dwell time is shorter than a step."""
         if self.dwell < scenario.tau * (1 - 1e-9):
             raise ValueError(
-                f"graph: dwell is {exact(self.dwell)} s, shorter than the time step "
-                f"{exact(scenario.tau)} s; it must be at least a step"
+                f"graph: dwell is {format_limit(self.dwell)} s, shorter than the time step "
+                f"{format_limit(scenario.tau)} s; it must be at least a step"
             )
 
     @property

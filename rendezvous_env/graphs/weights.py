@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import check_shape, is_whole, real, refuse, shown
+from ..checks import check_shape, is_int, raise_invalid, short_repr, to_float
 from ..limits import LARGEST, SMALLEST
 from .reading import as_matrix, is_networkx, networkx_edges, rows_of, weight_of
 
@@ -54,7 +54,7 @@ def read_edges(edges: Any) -> tuple[tuple[int, int, float], ...]:
         return tuple(map(_as_edge, networkx_edges(edges)))
     scalar = isinstance(edges, np.ndarray) and edges.ndim == 0  # says that it can be iterated
     if isinstance(edges, str | bytes) or not isinstance(edges, Iterable) or scalar:
-        refuse("graph: edges", edges, "a sequence of (i, j) or (i, j, weight)")
+        raise_invalid("graph: edges", edges, "a sequence of (i, j) or (i, j, weight)")
     return tuple(map(_as_edge, rows_of(edges)))
 
 
@@ -62,17 +62,20 @@ def _as_edge(edge: Any) -> tuple[int, int, float]:
     """Parse one edge; indices may be integral floats."""
     row = edge.tolist() if isinstance(edge, np.ndarray) else edge
     if not isinstance(row, Sequence) or isinstance(row, str | bytes) or len(row) not in (2, 3):
-        refuse("graph: an edge", edge, "(i, j) or (i, j, weight) with indices of robots")
+        raise_invalid("graph: an edge", edge, "(i, j) or (i, j, weight) with indices of robots")
     i, j, weight = (*row, None)[:3]
     weight = weight_of(weight)
-    if not all(is_whole(k) or real(k).is_integer() for k in (i, j)):
-        refuse("graph: an edge", edge, "(i, j) or (i, j, weight) with whole indices of robots")
-    if not SMALLEST <= real(weight) <= LARGEST:
+    if not all(is_int(k) or to_float(k).is_integer() for k in (i, j)):
+        raise_invalid(
+            "graph: an edge", edge, "(i, j) or (i, j, weight) with whole indices of robots"
+        )
+    if not SMALLEST <= to_float(weight) <= LARGEST:
         raise ValueError(
-            f"graph: edge ({int(i)}, {int(j)}) has weight {shown(weight)}; it must be positive and "
+            f"graph: edge ({int(i)}, {int(j)}) has weight {short_repr(weight)}; it must be "
+            "positive and "
             f"finite, from {SMALLEST:g} to {LARGEST:g} m/s"
         )
-    return int(i), int(j), real(weight)
+    return int(i), int(j), to_float(weight)
 
 
 def checked_edges(edges: Any, n: int, *, directed: bool) -> Edges:

@@ -1,1 +1,1 @@
-"""Obstacles: what a user sets, their geometry, fields and walls that are drawn for each episode."""
+"""Obstacles: shapes, their geometry, and random obstacle and wall fields."""

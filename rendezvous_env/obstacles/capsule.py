@@ -1,6 +1,4 @@
-"""Capsules, all points within a radius of a segment: what a user sets, distance, way in,
-silhouette, picture.
-"""
+"""Capsules, all points within a radius of a segment: shape, distance, entry, edges, outline."""
 
 from __future__ import annotations
 
@@ -11,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import is_sequence, refuse
+from ..checks import is_sequence, raise_invalid
 from ..compilation import kernel
 from ..physics.crossings import capsule_crossing
 from ..physics.vectors import combine, dot, norm, perpendicular, split, store, subtract, without
@@ -20,33 +18,32 @@ from .disc import disc_edges
 from .shape import BOUND, COS_AZIMUTH, MIDDLE, OWN, SIN_AZIMUTH, Thickness, centre_of_row
 
 CAPSULE = 3
-"""Kind of a capsule; after the bounding ball its row has the half axis x, y, z and its radius."""
+"""Kind number of capsules. Their row has the half axis x, y, z and the radius after the bounding
+ball."""
 AXIS, THICKNESS = OWN, OWN + 3
-"""Columns of these in the rows that kernels take."""
-_HALVINGS = 52  # of the interval of a boundary ray: as many as a float64 has digits
-# angles of the corners that stand for the half circle at an end of a capsule
+"""Columns of half axis and radius in kernel rows."""
+_HALVINGS = 52  # bisection steps of a boundary ray: the bits of a float64
+# angles of the vertices that approximate the half circle at an end
 _ROUND_END = np.linspace(-math.pi / 2, math.pi / 2, 17)
-_MOST_BEADS = 99  # balls drawn for a capsule; a very thin one is dotted
+_MOST_BEADS = 99  # maximum number of balls drawn for a capsule; a very thin one is dotted
 
 
 @dataclass(frozen=True)
 class Capsule(shape.Shape):
-    """All points within a radius of a segment, in the plane or in 3-D: a wall with round ends, a
-    fallen trunk.
-    """
+    """All points within a radius of a segment, in 2-D or 3-D, such as a wall with round ends."""
 
     ends: Annotated[tuple[tuple[float, ...], tuple[float, ...]], _check_ends]
-    """Both ends of the segment, m."""
+    """End points of the segment, m."""
     radius: Thickness
-    """m."""
+    """Radius, m."""
 
     @property
     def dim(self) -> int:
-        """Dimension of the space it is in."""
+        """Dimension of its points."""
         return len(self.ends[0])
 
     def packed(self) -> list[float]:
-        """Its row; the radius of the bounding ball is half its length."""
+        """Table row; the radius of the bounding ball is half the capsule's length."""
         first, second = np.array(self.ends)
         reach = float(np.linalg.norm(second - first)) / 2 + self.radius
         middle, half = (
@@ -56,10 +53,10 @@ class Capsule(shape.Shape):
 
 
 def _check_ends(field: str, value: Any) -> tuple[tuple[float, ...], ...]:
-    """Both ends of a capsule's segment, points of the plane or of space."""
+    """End points of a segment, validated as 2-D or 3-D points."""
     pair = tuple(value) if is_sequence(value) else ()
     if len(pair) != 2:
-        refuse(field, value, "two points, m")
+        raise_invalid(field, value, "two points, m")
     dim = 3 if is_sequence(pair[0]) and len(pair[0]) == 3 else 2
     return tuple(shape.check_point(f"{field}[{k}]", end, dim) for k, end in enumerate(pair))
 
@@ -71,8 +68,9 @@ def _axis(row):
 
 @kernel
 def _nearest_share(offset, half):
-    """Where on a segment (middle at the origin, ends ± half) the point nearest to ``offset`` lies,
-    as a share of ``half`` in [−1, 1].
+    """Position on a segment of its point nearest to ``offset``, as a fraction of ``half``.
+
+    The segment has its middle at the origin and the ends ± half; the fraction is in [−1, 1].
     """
     square = dot(half, half)
     if square == 0.0:
@@ -82,8 +80,11 @@ def _nearest_share(offset, half):
 
 @kernel
 def _surface(row, corners, point):
-    """‖o − s h‖ − R,   o = p − c,   s = clip(oᵀh/‖h‖², −1, 1), of the segment from c − h to c + h;
-    on it the normal is any direction across it.
+    """Signed distance and normal of a capsule around the segment from c − h to c + h.
+
+        ‖o − s h‖ − R,   o = p − c,   s = clip(oᵀh/‖h‖², −1, 1)
+
+    On the segment itself the normal is any perpendicular direction.
     """
     half, radius = _axis(row), row[THICKNESS]
     offset = subtract(point, centre_of_row(row))
@@ -96,8 +97,9 @@ def _surface(row, corners, point):
 
 @kernel
 def _entry(row, corners, point, way, depth, skin=0.0):
-    """Least s at which p + s w is within R + max(0, −depth) of the segment, if it comes within
-    R − depth of it somewhere; R is the radius with the skin.
+    """Least s at which p + s w is within R + max(0, −depth) of the segment.
+
+    Only if the path comes within R − depth of it; R is the radius including the skin.
     """
     half, radius = _axis(row), row[THICKNESS] + skin
     offset = subtract(point, centre_of_row(row))
@@ -108,7 +110,7 @@ def _entry(row, corners, point, way, depth, skin=0.0):
 
 @kernel
 def _edges(row, corners, point):
-    """It is the hull of the discs about its ends, so each edge is the outer of theirs."""
+    """Edges of the hull of the two end discs: for each side, the outer of theirs."""
     centre, half, radius = centre_of_row(row), _axis(row), row[THICKNESS]
     x, y = centre[0] - point[0], centre[1] - point[1]
     ax, ay, bx, by, _ = disc_edges(x - half[0], y - half[1], radius)
@@ -122,8 +124,10 @@ def _edges(row, corners, point):
 
 @kernel
 def _cone(row, corners, point, axes, out):
-    """The cone is convex: of the rays cos θ u + sin θ (cos φ e + sin φ w), φ = k · 45°, those up to
-    some θ hit the capsule and the others miss it; it is found by bisection.
+    """Boundary rays of the visibility cone of a capsule.
+
+    The cone is convex. Of the rays cos θ u + sin θ (cos φ e + sin φ w), φ = k · 45°, those up to
+    some θ hit the capsule; bisection finds θ.
     """
     towards, e, w = axes
     half, radius = _axis(row), row[THICKNESS]
@@ -143,16 +147,16 @@ def _cone(row, corners, point, axes, out):
 
 @kernel
 def _is_hit(ray, offset, half, radius):
-    """Whether a half-line from the origin along a unit vector comes within a capsule."""
+    """Whether a half-line from the origin along a unit vector intersects a capsule."""
     across, half_across = without(offset, ray), without(half, ray)
     share = _nearest_share(combine(-1.0, across, 0.0, across), half_across)
     if dot(combine(1.0, offset, share, half), ray) < 0.0:
-        return False  # the nearest point lies behind, and the origin is outside the capsule
+        return False  # the nearest point is behind, and the origin is outside
     return norm(combine(1.0, across, share, half_across)) <= radius
 
 
 def _outlines(row: NDArray[np.float64], _: int, dim: int) -> list[shape.Outline]:
-    """Two half circles, joined; in 3-D balls along it."""
+    """Two half circles and their connection; in 3-D, balls along the segment."""
     half, centre = row[AXIS : AXIS + dim], row[MIDDLE : MIDDLE + dim]
     if dim == 3:
         count = 1 + 2 * math.ceil(2 * float(np.linalg.norm(half)) / row[THICKNESS])

@@ -1,15 +1,15 @@
-"""How obstacles stop a robot: swept motion along straight lines and arcs.
+"""Contact with obstacles: swept motion along straight lines and arcs.
 
-A contact is a path more than 1 µm deep into an obstacle, or one that obstacles hold up: of which an
-obstacle leaves nothing, or several that meet less than half. Leaving, sliding and shallower grazing
-are free. Where obstacles only just meet, so that 1 µm
-would lead between them, they have a skin (``obstacle_set``): motion is checked against their union.
-No robot passes through it at any speed, and none ends a step inside an obstacle. At a contact a
-robot loses the part of its motion that would enter:
+A contact is a path more than 1 µm deep into an obstacle. It is also a path that obstacles block: an
+obstacle leaves nothing of it, or several that meet leave less than half. Separation, sliding and
+shallower grazing are no contacts. Obstacles that only just meet, so that 1 µm would open a passage,
+have a skin (``obstacle_set``): motion is checked against their union. No robot passes through it at
+any speed, and no step ends inside an obstacle. At a contact a robot loses the component of its
+motion into the obstacle:
 
     ṗ = Π_T(p) v,    T(p) = {w : wᵀn ≥ 0 for the normal n of every obstacle touched at p}
 
-so that vᵀṗ = ‖ṗ‖² ≥ 0, and law (1) lets V fall along obstacles too (theory.md 6).
+so that vᵀṗ = ‖ṗ‖² ≥ 0, and V also decreases along obstacles under law (1) (theory.md 6).
 """
 
 import math
@@ -30,25 +30,25 @@ from .obstacle_set import (
 from .shape import CONTACT_DEPTH
 
 SLIDE, STOP, IGNORE = range(3)
-"""What a contact does: slide along the surface, rest at it, or nothing."""
-_TOUCHING = -1e-13  # m; how far from a surface rounding may leave a resting robot
-_TOUCHED_SKIN = 1e-8  # m; a skin nearer than this is touched
-_CHORD_TOLERANCE = 1e-7  # m; how far a chord may be from its arc when a contact is decided
+"""Contact modes: slide along the surface, stop on it, or pass through."""
+_TOUCHING = -1e-13  # m; rounding error of the distance of a resting robot
+_TOUCHED_SKIN = 1e-8  # m; contact distance of a skin
+_CHORD_TOLERANCE = 1e-7  # m; maximum distance of a chord from its arc at a contact
 _MAX_LEGS = 16
-# pieces that a curve is followed by, so many that all obstacles with their corners, each looked at
-# for every piece, keep within the work
+# number of chords of a curve; limited so that all obstacles with their corners, visited for every
+# chord, stay within the work limit
 _MOST_CHORDS, _LEAST_CHORDS, _MOST_WORK = 20_000, 500, 400_000
-_NEARLY_PARALLEL = 1e-24  # square sine of the angle between two planes that meet in no line
+_NEARLY_PARALLEL = 1e-24  # squared sine of the angle below which two planes are parallel
 
 
 @kernel
 def move_straight(point, way, world, mode, normals):
-    """Move a robot straight, as far as the obstacles let it: ṗ = Π_T(p) v (theory 6).
+    """Move a robot along a straight path up to and along obstacles: ṗ = Π_T(p) v (theory 6).
 
-    It starts at a point, m, outside every obstacle or on a surface; ``way`` is its displacement
-    without obstacles, m, ``mode`` SLIDE, STOP or IGNORE, ``normals`` (2M, 3) working memory. It
-    returns whether there was a contact, and the displacement executed, a triple, m: ``way``, bit
-    for bit, where nothing is touched.
+    The initial point, m, is outside every obstacle or on a surface. ``way`` is the displacement
+    without obstacles, m, ``mode`` SLIDE, STOP or IGNORE, ``normals`` (2M, 3) working memory.
+    Returns whether there was a contact, and the executed displacement, a triple, m. Without contact
+    it is bitwise equal to ``way``.
     """
     if mode == IGNORE:
         return False, way
@@ -67,8 +67,9 @@ def move_straight(point, way, world, mode, normals):
 
 @kernel
 def move_curved(point, way, model, action, frame, memory, world, mode, normals):
-    """As ``move_straight`` along the curve of a robot model; from the contact on what is left of it
-    is replaced by its chord, which slides.
+    """Move a robot along the curve of its model, as ``move_straight``.
+
+    From the contact on, the chord replaces the remaining curve and slides.
     """
     near, reach = False, model.speed_limit * model.duration
     for m in range(world.kinds.shape[0]):
@@ -94,8 +95,10 @@ def move_curved(point, way, model, action, frame, memory, world, mode, normals):
 
 @kernel
 def _out_of_skins(point, world):
-    """Whether there is room beside a start, whether it is in a skin, as one that was given may be,
-    and the start moved out of it.
+    """Check the initial point, and move it out of skins.
+
+    Returns whether there is free space at the point, whether it is in a skin, as a given initial
+    position may be, and the moved point.
     """
     for m in range(world.kinds.shape[0]):
         skin = world.skins[m]
@@ -108,8 +111,9 @@ def _out_of_skins(point, world):
 
 @kernel
 def _is_held(point, executed, way, world):
-    """Whether obstacles leave a displacement less than a thousandth, or less than half where those
-    touched meet others.
+    """Whether obstacles block a displacement.
+
+    They leave less than a thousandth of it, or less than half where touched obstacles meet others.
     """
     share = norm(executed) / norm(way) if dot(way, way) > 0.0 else 1.0
     end, touched = add(point, 1.0, executed), 0
@@ -123,7 +127,7 @@ def _is_held(point, executed, way, world):
 
 @kernel
 def _first_contact(point, way, world, depth):
-    """Whether a straight way comes near any obstacle, and its fraction before a contact, or inf."""
+    """Whether a straight path comes near any obstacle, and its fraction before contact, or inf."""
     near, first = False, np.inf
     reach = norm(way) + max(0.0, -depth)
     for m in range(world.kinds.shape[0]):
@@ -135,7 +139,7 @@ def _first_contact(point, way, world, depth):
 
 @kernel
 def _follow(point, way, world, mode, normals):
-    """Where a robot ends that slides along, or stops at, the obstacles in its way."""
+    """End point of a robot that slides along, or stops at, obstacles on its path."""
     start, leg, left = point, way, 1.0
     end = point
     for _ in range(_MAX_LEGS):
@@ -152,10 +156,11 @@ def _follow(point, way, world, mode, normals):
 
 @kernel
 def _settle(start, path, share, pace, world):
-    """The place after a share of a path, as ``place_on`` has it, moved outside the obstacles.
+    """Position at a fraction of a path, see ``place_on``, moved outside the obstacles.
 
-    Where surfaces meet so sharply that to leave one is to enter another, it goes back along the
-    path, twice as far each time, at worst to the start. ``pace``, m, is the longest way for 1.
+    Where surfaces meet at a sharp angle, leaving one would enter another. The point then moves back
+    along the path, by twice the distance each time, at most to the start. ``pace``, m, is the
+    length of the longest path for a fraction of 1.
     """
     retreat = CONTACT_DEPTH / max(CONTACT_DEPTH, pace)
     while share > 0.0 and retreat > 0.0:  # a path of infinite length leaves no retreat
@@ -170,8 +175,9 @@ def _settle(start, path, share, pace, world):
 
 @kernel
 def place_on(path, start, share):
-    """Where a robot is, m, after a share of a straight way, or after so many s on a curve (model,
-    action, frame, memory).
+    """Position, m, at a fraction of a straight path, or after a time, s, on a curve.
+
+    A curve is (model, action, frame, memory).
     """
     if len(path) == 3:
         return add(start, share, path)
@@ -181,11 +187,11 @@ def place_on(path, start, share):
 
 @kernel
 def _first_contact_on_curve(point, curve, world):
-    """Time, s, until a curve makes contact; inf if it does not, and if the chords run out, the time
-    that was proved clear.
+    """Time until a curve makes contact, s; inf without contact.
 
-    A chord that clears all obstacles made fatter by ``motion.chord_error_bound`` proves its piece
-    of the curve clear; if it does not, the next one is half as long.
+    If the chords run out, it is the time that is proven collision-free. A chord clear of all
+    obstacles, enlarged by ``motion.chord_error_bound``, proves its piece of the curve
+    collision-free. Otherwise the next chord is half as long.
     """
     model, action, _, memory = curve
     bent = chord_error_bound(model, action, memory)
@@ -213,11 +219,11 @@ def _first_contact_on_curve(point, curve, world):
 
 @kernel
 def free_part(velocity, point, world, touched):
-    """Π_T v: a velocity projected onto the directions that the obstacles touched leave free.
+    """Π_T v: projection of a velocity onto the directions that the touched obstacles leave free.
 
-    Of the projections onto the faces of the cone T — v itself, planes, the lines in which two
-    planes meet, 0 — that lie in T, the longest is the projection onto T. Two normals of each
-    obstacle touched go to ``touched``, (2M, 3).
+    The candidates are the projections onto the faces of the cone T: v itself, planes, the lines in
+    which two planes intersect, and 0. The longest candidate in T is the projection onto T.
+    ``touched``, (2M, 3), receives two normals of each touched obstacle.
     """
     count = 0
     for m in range(world.kinds.shape[0]):
@@ -241,7 +247,7 @@ def free_part(velocity, point, world, touched):
 
 @kernel
 def _is_free(velocity, touched, count):
-    """Whether a velocity enters no obstacle touched: it keeps before one of its two planes."""
+    """Whether a velocity enters no touched obstacle: one of its two half-spaces contains it."""
     rounding = 1e-12 * math.sqrt(dot(velocity, velocity))
     for i in range(0, count, 2):
         one, other = load(touched[i]), load(touched[i + 1])
@@ -253,7 +259,7 @@ def _is_free(velocity, touched, count):
 @kernel
 def _onto_face(velocity, m, n):
     """Project a velocity onto the plane with normal n = m, or else onto the line m × n."""
-    line = cross(m, n)  # in the plane it is the vertical, across every velocity: 0 is left
+    line = cross(m, n)  # in 2-D it is vertical, perpendicular to every velocity: the result is 0
     squared = dot(line, line)
     if squared < _NEARLY_PARALLEL:
         return add(velocity, -dot(velocity, n), n)

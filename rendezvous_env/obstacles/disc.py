@@ -1,4 +1,4 @@
-"""Discs and spheres: what a user sets, distance, way in, silhouette, picture."""
+"""Discs and spheres: shape, distance, entry, edges, outline."""
 
 import math
 from dataclasses import dataclass
@@ -14,43 +14,43 @@ from . import shape
 from .shape import BOUND, COS_AZIMUTH, MIDDLE, SIN_AZIMUTH, Thickness, centre_of_row, check_point
 
 BALL = 1
-"""Kind of a disc or sphere; its row needs no more than the bounding ball."""
+"""Kind number of discs and spheres. Their row is only the bounding ball."""
 
 
 @dataclass(frozen=True)
 class _Round(shape.Shape):
-    """What discs and spheres have in common."""
+    """Base class of discs and spheres."""
 
     centre: tuple[float, ...]
     radius: Thickness
-    """m."""
+    """Radius, m."""
 
     def packed(self) -> list[float]:
-        """Its row."""
+        """Table row."""
         return [BALL, 0, self.radius, *self.centre, 0.0][: shape.DETAILS]
 
 
 @dataclass(frozen=True)
 class Disc(_Round):
-    """A round obstacle in the plane."""
+    """Round obstacle in 2-D."""
 
     centre: Annotated[tuple[float, ...], partial(check_point, dim=2)]
-    """m."""
+    """Centre, m."""
     dim = 2
 
 
 @dataclass(frozen=True)
 class Sphere(_Round):
-    """A round obstacle in 3-D."""
+    """Round obstacle in 3-D."""
 
     centre: Annotated[tuple[float, ...], partial(check_point, dim=3)]
-    """m."""
+    """Centre, m."""
     dim = 3
 
 
 @kernel
 def _surface(row, corners, point):
-    """‖p − c‖ − R and (p − c)/‖p − c‖; at the centre the normal is the x axis."""
+    """Signed distance ‖p − c‖ − R and normal (p − c)/‖p − c‖, at the centre the x axis."""
     offset = subtract(point, centre_of_row(row))
     distance = norm(offset)
     if distance == 0.0:
@@ -61,8 +61,9 @@ def _surface(row, corners, point):
 
 @kernel
 def _entry(row, corners, point, way, depth, skin=0.0):
-    """Least s with ‖p + s w − c‖ ≤ R + max(0, −depth), if ‖p + s w − c‖ ≤ R − depth somewhere; R
-    is the radius with the skin.
+    """Least s with ‖p + s w − c‖ ≤ R + max(0, −depth), if ‖p + s w − c‖ ≤ R − depth somewhere.
+
+    R is the radius including the skin.
     """
     offset, radius = subtract(point, centre_of_row(row)), row[BOUND] + skin
     if first_crossing(offset, way, radius - depth) > 1.0:
@@ -72,13 +73,13 @@ def _entry(row, corners, point, way, depth, skin=0.0):
 
 @kernel
 def disc_edges(x, y, radius):
-    """Bearings of both edges of a disc: the offset o = (x, y) of its centre turned by ± α.
+    """Bearings of both edges of a disc: the offset o = (x, y) of its centre, rotated by ± α.
 
         (√(o² − R²) o ± R o^⊥) / o²
 
-    On the surface, or inside, they are the two directions across o, or the x axis if o is zero. x
-    and y of the counterclockwise edge and of the clockwise one, and the distance of the centre, m;
-    without branches, for lanes.
+    On the surface or inside, they are the two directions perpendicular to o, or the x axis if o is
+    zero. Returns x and y of the counterclockwise and of the clockwise edge, and the distance of the
+    centre, m. It has no branches, for lanes.
     """
     distance = math.sqrt(x * x + y * y)
     along = distance if distance > 0.0 else radius

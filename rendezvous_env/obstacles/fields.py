@@ -1,11 +1,11 @@
-"""Random fields of discs or spheres, and the seam at which any kind of field enters a start."""
+"""Random fields of discs or spheres, and the interface of all kinds of fields."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
-from ..checks import exact, is_sequence, is_whole, refuse
+from ..checks import format_limit, is_int, is_sequence, raise_invalid
 from ..compilation import by_type, inner_kernel, kernel
 from ..field_docs import lists_fields
 from ..limits import MOST_OBSTACLES
@@ -13,7 +13,7 @@ from ..physics.random_streams import uniform
 from ..physics.vectors import load
 from .disc import BALL
 from .obstacle_set import clear, close_seams, distance_to
-from .reachability import none_walled_in
+from .reachability import all_reachable
 from .shape import ABSENT, BOUND, MIDDLE, Drawn, Length, Range
 from .walls import WallField, WallRules, draw_walls
 
@@ -22,36 +22,36 @@ _TRIES_PER_OBSTACLE = 1000
 
 def _check_count(field: str, value: Any) -> int | tuple[int, int]:
     pair = tuple(value) if is_sequence(value) else (value, value)
-    whole = len(pair) == 2 and all(map(is_whole, pair))
+    whole = len(pair) == 2 and all(map(is_int, pair))
     if not whole or not 0 <= pair[0] <= pair[1] <= MOST_OBSTACLES:
         most = f"a pair (low, high) with 0 <= low <= high <= {MOST_OBSTACLES}"
-        refuse(field, value, f"a whole number, or {most}")
-    return int(value) if is_whole(value) else (int(pair[0]), int(pair[1]))
+        raise_invalid(field, value, f"a whole number, or {most}")
+    return int(value) if is_int(value) else (int(pair[0]), int(pair[1]))
 
 
 @lists_fields
 @dataclass(frozen=True)
 class ObstacleField(Drawn):
-    """Discs (in the plane) or spheres (in 3-D), drawn anew for every episode.
+    """Discs (2-D) or spheres (3-D), sampled in every episode.
 
         Scenario(obstacles=ObstacleField(4))
 
-    Defaults suit the default ``spawn_size`` of 10 m: obstacles lie where robots start and pass.
+    The defaults suit the default ``spawn_size`` of 10 m.
     """
 
     count: Annotated[int | tuple[int, int], _check_count]
-    """How many; a pair is an inclusive range to draw from."""
+    """Number of obstacles; a pair is an inclusive range to sample from."""
     radius: Range = (0.5, 1.0)
-    """Range that each radius is drawn from, m."""
+    """Range of the sampled radii, m."""
     region: Length = 10.0
     """Edge length of the square or cube about the origin in which the centres lie, m."""
     keep_out: Length = 0.5
-    """No robot starts nearer than this to a surface, m."""
+    """Minimum distance of initial positions to a surface, m."""
     overlap: bool = True
     """Whether obstacles may overlap."""
     passage: Length = 0.0
-    """Every robot can reach every other through gaps at least this wide, m: a start where some are
-    walled in is drawn again. 0, as always in 3-D, does not check."""
+    """Minimum passage width, m: initial conditions in which some robots cannot reach each other
+    through such gaps are sampled again. 0 disables the check; 3-D requires 0."""
 
     numbers = 0
     only_balls = True
@@ -59,38 +59,40 @@ class ObstacleField(Drawn):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.passage > (widest := 2 * self.keep_out):
-            wanted = f"at most twice keep_out, {exact(widest)} m, or a start may lie in a gap"
-            refuse("obstacles: ObstacleField.passage", self.passage, wanted)
+            wanted = (
+                f"at most twice keep_out, {format_limit(widest)} m, or a start may lie in a gap"
+            )
+            raise_invalid("obstacles: ObstacleField.passage", self.passage, wanted)
 
     def check_dim(self, dim: int) -> None:
-        """Refuse a space that it is not for."""
+        """Reject an unsupported dimension."""
         if dim == 3 and self.passage > 0:
             wanted = "0 in 3-D; who is walled in is known in the plane only"
-            refuse("obstacles: ObstacleField.passage", self.passage, wanted)
+            raise_invalid("obstacles: ObstacleField.passage", self.passage, wanted)
 
     @property
     def count_range(self) -> tuple[int, int]:
-        """Least and largest number of obstacles."""
+        """Minimum and maximum number of obstacles."""
         return (self.count, self.count) if isinstance(self.count, int) else self.count
 
     @property
     def most(self) -> int:
-        """Largest number of obstacles."""
+        """Maximum number of obstacles."""
         return self.count_range[1]
 
     @property
     def rules(self) -> FieldRules:
-        """How the obstacles of an episode are drawn."""
+        """Sampling rules of an episode."""
         lengths = self.radius, self.region, self.keep_out
         return FieldRules(self.count_range, *lengths, self.overlap, self.passage)
 
 
 Field = ObstacleField | WallField
-"""What draws the obstacles of every episode."""
+"""Interface of obstacle fields that are sampled in every episode."""
 
 
 class FieldRules(NamedTuple):
-    """An ``ObstacleField`` as kernels take it."""
+    """Kernel representation of an ``ObstacleField``."""
 
     counts: tuple[int, int]
     radius: tuple[float, float]
@@ -102,8 +104,9 @@ class FieldRules(NamedTuple):
 
 @kernel
 def draw_field(key, rules, starts, n_starts, world):
-    """Draw the discs or spheres of one episode, each again until it fits; if one finds no place in
-    1000 tries, those from there on are absent.
+    """Sample the discs or spheres of one episode, with rejection.
+
+    If 1000 samples of one do not fit, it and the following ones are absent.
     """
     d = starts.shape[1]
     clear(world)
@@ -132,7 +135,7 @@ def draw_field(key, rules, starts, n_starts, world):
 
 @inner_kernel
 def _fits(world, m, rules, starts, n_starts):
-    """Whether ball m keeps out of starts, and of the balls before it if it must."""
+    """Whether ball m is clear of initial positions and, if required, of earlier balls."""
     for i in range(n_starts):
         if distance_to(world, m, load(starts[i])) < rules.keep_out:
             return False
@@ -149,14 +152,16 @@ Rules = FieldRules | WallRules
 
 @by_type("rules", lambda kind: draw_walls if kind is WallRules else draw_field)
 def draw_obstacles(key, rules, starts, n_starts, world):
-    """Draw the obstacles of one episode into ``world``, obstacles of one team; whether they found
-    room, clear of the first ``n_starts`` of the starts (n, d), m.
+    """Sample the obstacles of one episode into ``world``, obstacles of one environment.
+
+    Returns whether all fit, clear of the first ``n_starts`` initial positions (n, d), m.
     """
 
 
 @kernel
 def is_possible(rules, world, positions, chains):
-    """Whether the robots, at positions (n, d), m, can reach one another, if the field promises
-    that; ``chains`` is (M, 2) int64 working memory.
+    """Whether robots at positions (n, d), m, can reach each other, if the field guarantees that.
+
+    ``chains`` is (M, 2) int64 working memory.
     """
-    return rules.passage == 0.0 or none_walled_in(world, positions, rules.passage, chains)
+    return rules.passage == 0.0 or all_reachable(world, positions, rules.passage, chains)

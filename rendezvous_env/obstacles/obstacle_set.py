@@ -1,19 +1,19 @@
-"""All obstacles of a team: where a shape enters the step, a table and a picture.
+"""All obstacles of an environment: the interface of shapes to steps, tables and outlines.
 
-Kernels take kinds, numbers of corners, and rows that begin with the bounding ball. What they ask
-of obstacle m is chosen by its kind; code compiled for a set of balls contains no other shapes.
+Kernels take kinds, numbers of corners, and rows that begin with the bounding ball. The kind of
+obstacle m selects its functions. Code compiled for a set of balls contains no other shapes.
 
-Robots move among the *union* of the obstacles. A path may go 1 µm deep into a shape before it is a
-contact, so shapes that overlap by less, or not at all, would leave a passage between them. Shapes
-that only just meet, and gaps of less than 1.8 µm, are therefore closed by a *skin*: robots keep
-2 µm away from such shapes, and a path is a contact 1 µm before them. What matters is
+Robots move among the *union* of the obstacles. A path is a contact only if it goes more than 1 µm
+deep into a shape. Shapes that overlap by less, or not at all, would therefore leave a passage. A
+*skin* closes shapes that only just meet, and gaps of less than 1.8 µm: robots stay 2 µm away from
+such shapes, and a path is a contact 1 µm before them. The criterion is
 
     ρ = min_x max_m d_m(x),   −1.1 µm < ρ < 0.9 µm
 
-of two shapes, or three in space, d_m the signed distances. If ρ is larger, there is a passage; if
-it is less, the shapes have a point in common that is deep in each of them. So without a contact no
-path passes where the union is closed: what paths keep out of overlaps as the shapes do (nerve
-theorem), and leaves the space as connected as the union does (Alexander duality).
+of two shapes, or three in 3-D, with d_m the signed distances. If ρ is larger, there is a passage.
+If it is less, the shapes have a common point deep in each of them. So without a contact no path
+passes where the union is closed. The sets that paths avoid overlap as the shapes do (nerve
+theorem), and leave free space as connected as the union does (Alexander duality).
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import shown
+from ..checks import short_repr
 from ..compilation import by_type, inner_kernel, kernel
 from ..physics.ellipsoids import along, ball, cut
 from ..physics.vectors import X_AXIS, add, combine, load, norm, store, subtract
@@ -45,7 +45,7 @@ from .shape import (
 
 Obstacle = Disc | Sphere | Polygon | Capsule
 KINDS = (BALLS, POLYGONS, CAPSULES)
-"""Every kind of shape."""
+"""All shape kinds."""
 _KINDS = {kind.kind: kind for kind in KINDS}
 _GAP, _OVERLAP = 0.9 * CONTACT_DEPTH, 1.1 * CONTACT_DEPTH  # m; between these shapes only just meet
 _MAX_CUTS = 1000
@@ -53,28 +53,28 @@ _MAX_PUSHES = 8
 
 
 class RoundObstacles(NamedTuple):
-    """Obstacles of one team, all of them discs or spheres."""
+    """Obstacles of one environment, all discs or spheres."""
 
     kinds: NDArray[np.int64]  # (M,), ABSENT or BALL
     corners: NDArray[np.int64]  # (M,), zeros
     shapes: NDArray[np.float64]  # (M, width)
-    skins: NDArray[np.float64]  # (M,), m, 0 or SKIN; they follow from the shapes
+    skins: NDArray[np.float64]  # (M,), m, 0 or SKIN; derived from the shapes
 
 
 class AnyObstacles(NamedTuple):
-    """Obstacles of one team, of any kind."""
+    """Obstacles of one environment, of any kind."""
 
     kinds: NDArray[np.int64]  # (M,), ABSENT or one of the ``KINDS``
     corners: NDArray[np.int64]  # (M,), vertices of a polygon; 0 for other kinds
     shapes: NDArray[np.float64]  # (M, width)
-    skins: NDArray[np.float64]  # (M,), m, 0 or SKIN; they follow from the shapes
+    skins: NDArray[np.float64]  # (M,), m, 0 or SKIN; derived from the shapes
 
 
 ObstacleSet = RoundObstacles | AnyObstacles
 
 
 def _asked(question: str) -> Any:
-    """By the type of the set: what its balls answer, or one kind after another."""
+    """Dispatch by type of the set: the function of balls, or of each kind."""
     ask: Callable[..., Any] = getattr(BALLS, question)
 
     @kernel
@@ -100,27 +100,27 @@ def _or_else(kind: int, ask: Callable[..., Any], otherwise: Callable[..., Any]) 
 
 @_asked("surface")
 def _surface(world, m, point):
-    """Of an obstacle that is there, see ``surface``."""
+    """``surface`` of a present obstacle."""
 
 
 @_asked("entry")
 def _entry(world, m, point, way, depth, skin):
-    """See ``ShapeKind.entry``."""
+    """Entry; see ``ShapeKind.entry``."""
 
 
 @_asked("normals")
 def _normals(world, m, point):
-    """Of an obstacle without a skin."""
+    """Normals of an obstacle without a skin."""
 
 
 @_asked("edges")
 def _edges(world, m, point):
-    """Bearings of both edges, seen in the plane."""
+    """Bearings of both edges, in 2-D."""
 
 
 @_asked("cone")
 def _cone(world, m, point, axes, out):
-    """Boundary rays into ``out``, seen in 3-D."""
+    """Boundary rays into ``out``, in 3-D."""
 
 
 @kernel
@@ -133,22 +133,23 @@ def surface(world, m, point):
 
 @kernel
 def distance_to(world, m, point):
-    """Signed distance to obstacle m, m, as ``surface`` has it."""
+    """Signed distance to obstacle m, m, as ``surface``."""
     distance, _ = surface(world, m, point)
     return distance
 
 
 @kernel(inline="code")
 def entry(world, m, point, way, depth):
-    """Fraction of a straight way at which it meets obstacle m, or its skin, see
-    ``ShapeKind.entry``.
+    """Fraction of a straight path at which it meets obstacle m or its skin.
+
+    See ``ShapeKind.entry``.
     """
     return _entry(world, m, point, way, depth, world.skins[m])
 
 
 @kernel
 def normals(world, m, point):
-    """Two unit normals of an obstacle touched by a point, which differ on vertices only."""
+    """Two unit normals of an obstacle at a touching point; they differ only on vertices."""
     if world.skins[m] > 0.0:
         _, normal = surface(world, m, point)
         return normal, normal
@@ -157,7 +158,7 @@ def normals(world, m, point):
 
 @kernel
 def is_hidden_by_obstacles(world, point, way):
-    """Whether the straight way from a point, triples, m, goes into an obstacle beyond a contact."""
+    """Whether the straight path from a point, triples, m, goes into an obstacle beyond contact."""
     for m in range(world.kinds.shape[0]):
         if world.kinds[m] != ABSENT and entry(world, m, point, way, CONTACT_DEPTH) <= 1.0:
             return True
@@ -166,8 +167,9 @@ def is_hidden_by_obstacles(world, point, way):
 
 @kernel
 def distances_to(world, points, out):
-    """Signed distances, m, of points (n, d), m, to each obstacle into ``out`` (n, M), as
-    ``distance_to``.
+    """Signed distances, m, of points (n, d), m, to each obstacle, into ``out`` (n, M).
+
+    As ``distance_to``.
     """
     for i in range(out.shape[0]):
         point = load(points[i])
@@ -177,8 +179,9 @@ def distances_to(world, points, out):
 
 @kernel
 def clear_of_obstacles(point, world, margin):
-    """Whether a point (a triple, m) has distances ≥ ``margin`` (m, signed) to a whole set, skins
-    included.
+    """Whether a point (a triple, m) has distances ≥ ``margin`` (m, signed) to all obstacles.
+
+    Skins are included.
     """
     for m in range(world.kinds.shape[0]):
         if within(world, m, point, max(margin, 0.0)):
@@ -189,8 +192,9 @@ def clear_of_obstacles(point, world, margin):
 
 @kernel
 def push_out(point, world, margin):
-    """A point that is barely inside obstacles or their skins, moved onto their surface; and whether
-    it is as clear of them as ``margin``, m, asks.
+    """Move a point that is slightly inside obstacles or skins onto their surface.
+
+    Returns the point, and whether its distance is at least ``margin``, m.
     """
     for _ in range(_MAX_PUSHES):
         if clear_of_obstacles(point, world, margin):
@@ -204,7 +208,7 @@ def push_out(point, world, margin):
 
 @kernel
 def close_seams(world, dim):
-    """Give skins to the shapes that only just meet others, in a space of 2 or 3 dimensions."""
+    """Assign skins to shapes that only just meet others, in 2 or 3 dimensions."""
     world.skins[:] = 0.0
     for m in range(world.kinds.shape[0]):
         for k in range(m):
@@ -236,8 +240,9 @@ def _close(world, group, dim):
 
 @inner_kernel
 def _only_just_meet(world, group, dim):
-    """Whether −1.1 µm < ρ < 0.9 µm, ρ the least of the largest signed distance to a few shapes;
-    also where it cannot be found.
+    """Whether −1.1 µm < ρ < 0.9 µm, ρ the least maximum of signed distances to a few shapes.
+
+    True also if ρ cannot be determined.
     """
     point, radius = _among(world, group)
     axes = ball(radius)
@@ -256,7 +261,7 @@ def _only_just_meet(world, group, dim):
 
 @inner_kernel
 def _highest(world, group, point):
-    """The largest signed distance to a few shapes, m, and its gradient."""
+    """Largest signed distance to a few shapes, m, and its gradient."""
     highest, normal = surface(world, group[0], point)
     for m in group[1:]:
         distance, other = surface(world, m, point)
@@ -267,7 +272,10 @@ def _highest(world, group, point):
 
 @inner_kernel
 def _among(world, group):
-    """A point among a few shapes, for two balls the best, and how far from it the best may be."""
+    """Initial point among a few shapes, and a bound on its distance to the optimum.
+
+    For two balls it is the optimum.
+    """
     point, share = centre_of_row(world.shapes[group[0]]), 1.0
     for m in group[1:]:
         offset = subtract(centre_of_row(world.shapes[m]), point)
@@ -283,7 +291,7 @@ def _among(world, group):
 
 @kernel
 def clear(world):
-    """Let all slots be absent."""
+    """Mark all slots as absent."""
     world.kinds[:] = ABSENT
     world.corners[:] = 0
     world.shapes[:] = 0.0
@@ -292,9 +300,7 @@ def clear(world):
 
 @kernel
 def within(world, m, point, reach):
-    """Whether the bounding ball (c, R) of obstacle m, and its skin, is near: ‖p − c‖ ≤ R + reach,
-    m.
-    """
+    """Whether the bounding ball (c, R) of obstacle m with skin is near: ‖p − c‖ ≤ R + reach, m."""
     if world.kinds[m] == ABSENT:
         return False
     square, bound = 0.0, world.shapes[m, BOUND] + world.skins[m] + reach
@@ -306,8 +312,9 @@ def within(world, m, point, reach):
 
 @kernel
 def silhouette_2d(world, m, point, out):
-    """Unit bearings of both edges of obstacle m, the counter-clockwise first, seen from a point
-    outside it, into (2, d) ``out``; on the surface, the two directions along it.
+    """Unit bearings of both edges of obstacle m, counterclockwise first, into (2, d) ``out``.
+
+    They are seen from a point outside it; on the surface they are the two tangents.
     """
     left, right = _edges(world, m, point)
     store(left, out[0])
@@ -316,8 +323,9 @@ def silhouette_2d(world, m, point, out):
 
 @kernel
 def silhouette_3d(world, m, point, net_bearing, axis_x, axis_y, out):
-    """Boundary rays of the cone of obstacle m, seen from a point outside it, at the azimuths
-    k · 45° of ``azimuth_axes``, into (8, 3) ``out``; in the global frame.
+    """Boundary rays of the cone of obstacle m, seen from a point outside, into (8, 3) ``out``.
+
+    In the global frame, at the azimuths k · 45° of ``azimuth_axes``.
     """
     towards = centre_direction(point, centre_of_row(world.shapes[m]))
     e, w = azimuth_axes(towards, net_bearing, axis_x, axis_y)
@@ -327,8 +335,9 @@ def silhouette_3d(world, m, point, net_bearing, axis_x, axis_y, out):
 def pack(
     obstacles: Sequence[Obstacle], slots: int, width: int | None = None
 ) -> NDArray[np.float64]:
-    """Obstacles as a table (slots, width), by default as narrow as possible; the rows left over are
-    absent. More obstacles, or larger ones, than there is room for are refused.
+    """Obstacles as a table (slots, width), by default as narrow as possible.
+
+    Unused rows are absent. ValueError for too many or too large obstacles.
     """
     rows = [obstacle.packed() for obstacle in obstacles]
     needed = row_width(obstacles)
@@ -338,7 +347,8 @@ def pack(
     if width is not None and needed > width:
         large = next(k for k, row in enumerate(rows) if len(row) > width)
         raise ValueError(
-            f"obstacles[{large}] is {shown(obstacles[large])}, which needs a longer row than the "
+            f"obstacles[{large}] is {short_repr(obstacles[large])}, which needs a longer row "
+            "than the "
             "scenario's own obstacles; it must be of their kinds, a polygon of no more corners"
         )
     table = np.full((slots, width or needed), float(ABSENT))
@@ -348,14 +358,14 @@ def pack(
 
 
 def row_width(obstacles: Sequence[Obstacle]) -> int:
-    """Columns of a table: as few as the largest obstacle needs."""
+    """Number of columns of a table: the minimum for the largest obstacle."""
     return max((len(obstacle.packed()) for obstacle in obstacles), default=shape.DETAILS)
 
 
 def faults(
     table: NDArray[np.float64], dim: int, only_balls: bool = False
 ) -> Iterator[tuple[NDArray[np.bool_], str]]:
-    """What could be wrong with tables (..., M, width): where, and what a row must be."""
+    """Possible faults of tables (..., M, width): their positions, and the requirement of a row."""
     kind, corners, width = table[..., KIND], table[..., shape.CORNERS], table.shape[-1]
     possible = [BALLS] if only_balls else KINDS
     known = [ABSENT] + [
@@ -377,12 +387,12 @@ def faults(
 def world_of(
     table: NDArray[np.float64], only_balls: bool = False, dim: int | None = None
 ) -> ObstacleSet:
-    """Tables (..., M, width) as a set; kinds and corners whole numbers, everything contiguous.
+    """Convert tables (..., M, width) to a contiguous set; kinds and corners are integers.
 
     Args:
         table: see ``pack``.
-        only_balls: whether it is for code that knows no other shapes.
-        dim: of the space, 2 or 3; None is 3 unless some shape is flat, which is always right.
+        only_balls: whether the consumer's code supports only discs and spheres.
+        dim: dimension, 2 or 3; None is 3 unless some shape is flat, which is always valid.
     """
     kinds = np.ascontiguousarray(table[..., KIND].astype(np.int64))
     corners = np.ascontiguousarray(table[..., shape.CORNERS].astype(np.int64))
@@ -392,7 +402,7 @@ def world_of(
 
 
 def _skins_of(kinds: Any, corners: Any, shapes: Any, dim: int | None) -> NDArray[np.float64]:
-    """``close_seams`` for every table, of equal neighbours once."""
+    """``close_seams`` for every table, once for equal consecutive tables."""
     skins = np.zeros(kinds.shape)
     here = RoundObstacles if (kinds <= BALLS.kind).all() else AnyObstacles
     if dim is None:
@@ -413,14 +423,15 @@ def _skins_of(kinds: Any, corners: Any, shapes: Any, dim: int | None) -> NDArray
 
 
 def table_of(world: Any) -> NDArray[np.float64]:
-    """A set as tables (..., M, width)."""
+    """Set as tables (..., M, width)."""
     ahead = (np.asarray(world.kinds)[..., None], np.asarray(world.corners)[..., None])
     return np.concatenate([*ahead, world.shapes], axis=-1)
 
 
 def check_outside(field: str, positions: NDArray[np.float64], value: Sequence[Obstacle]) -> None:
-    """Refuse positions, (n, d), m, inside obstacles, naming the first robot and its obstacle, or
-    where two leave no room between them.
+    """Reject positions, (n, d), m, inside obstacles, or without room between two of them.
+
+    The error gives the first robot and its obstacle.
     """
     world = world_of(pack(value, len(value)), dim=positions.shape[1])
     for i, position in enumerate(positions):
@@ -429,7 +440,7 @@ def check_outside(field: str, positions: NDArray[np.float64], value: Sequence[Ob
             continue
         for m, obstacle in enumerate(value):
             if (distance := distance_to(world, m, point)) < 0:
-                depth = f"{-distance:.6g} m inside {shown(obstacle)}; it must be outside"
+                depth = f"{-distance:.6g} m inside {short_repr(obstacle)}; it must be outside"
                 raise ValueError(f"{field}: robot_{i} at {position.tolist()} is {depth}")
         if not push_out(point, world, -CONTACT_DEPTH)[0]:
             raise ValueError(
@@ -439,7 +450,7 @@ def check_outside(field: str, positions: NDArray[np.float64], value: Sequence[Ob
 
 
 def outlines(table: NDArray[np.float64], dim: int) -> list[shape.Outline]:
-    """Pictures of all obstacles of a table (M, width): discs and outlines, in 3-D balls."""
+    """Outlines of all obstacles of a table (M, width): discs and polygons, in 3-D balls."""
     return [
         outline
         for row in table[table[:, KIND] != ABSENT]

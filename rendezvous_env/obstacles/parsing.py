@@ -1,10 +1,10 @@
-"""Obstacles of a scenario from whatever describes them, and back as plain data for files."""
+"""Parse obstacles of a scenario from any description, and convert them to plain data."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields
 from typing import Any, get_args
 
-from ..checks import choice, known_fields, refuse, shown
+from ..checks import choice, known_fields, raise_invalid, short_repr
 from . import obstacle_set
 from .disc import Disc, Sphere
 from .fields import Field, ObstacleField
@@ -21,8 +21,10 @@ _KINDS: dict[str, Callable[..., Obstacle | Field]] = {
 
 
 def parse(value: Any, dim: int) -> Obstacles:
-    """Obstacles of a space of 2 or 3 dimensions from an obstacle, a field, the plain data of
-    ``to_plain`` for one, or a sequence of obstacles and their plain data.
+    """Parse obstacles of 2 or 3 dimensions.
+
+    Accepts an obstacle, a field, the plain data of ``to_plain`` for one, or a sequence of obstacles
+    and their plain data.
     """
     if isinstance(value, Mapping):
         value = _from_plain(value, dim)
@@ -31,7 +33,7 @@ def parse(value: Any, dim: int) -> Obstacles:
         return value
     listed = [value] if isinstance(value, Obstacle) else value
     if not isinstance(listed, Sequence) or isinstance(listed, str | bytes):
-        refuse("obstacles", value, "a sequence of obstacles, or an ObstacleField")
+        raise_invalid("obstacles", value, "a sequence of obstacles, or an ObstacleField")
     return tuple(_parse_entry(f"obstacles[{k}]", entry, dim) for k, entry in enumerate(listed))
 
 
@@ -42,17 +44,17 @@ def _parse_entry(field: str, entry: Any, dim: int) -> Obstacle:
         raise ValueError(f"{field}: a random field stands alone, not in a list")
     if not isinstance(entry, Obstacle):
         wanted = "a Disc, Polygon, Capsule or Sphere, such as rv.Disc((0.0, 0.0), 1.0), or a dict"
-        refuse(field, entry, f"{wanted} of its fields")
+        raise_invalid(field, entry, f"{wanted} of its fields")
     if entry.dim != dim:
         fitting = "Disc, Polygon or Capsule" if dim == 2 else "Sphere or Capsule"
-        raise ValueError(f"{field}: {shown(entry)} is {entry.dim}-D; in {dim}-D use {fitting}")
+        raise ValueError(f"{field}: {short_repr(entry)} is {entry.dim}-D; in {dim}-D use {fitting}")
     return entry
 
 
 def _from_plain(plain: Mapping[str, Any], dim: int) -> Obstacle | Field:
     values = dict(plain)
     kind = values.pop("kind", None)
-    if kind is None:  # the one that has most of the keys
+    if kind is None:  # the kind with the most matching keys
         kinds = (kind for kind in _KINDS if kind != ("sphere" if dim == 2 else "disc"))
         kind = max(kinds, key=lambda kind: len(values.keys() & _keys(kind).keys()))
     keys = _keys(choice("obstacles: kind", kind, _KINDS))
@@ -63,12 +65,12 @@ def _from_plain(plain: Mapping[str, Any], dim: int) -> Obstacle | Field:
 
 
 def _keys(kind: str) -> dict[str, bool]:
-    """Keys of a kind in files, and whether each is needed."""
+    """Keys of a kind in files, and whether each is required."""
     return {field.name: field.default is MISSING for field in fields(_KINDS[kind])}  # type: ignore[arg-type]
 
 
 def to_plain(value: Obstacles) -> dict[str, Any] | list[dict[str, Any]]:
-    """Plain data for TOML; ``parse`` turns it back into an equal value."""
+    """Plain data for TOML, from which ``parse`` restores an equal value."""
     return _plain(value) if isinstance(value, Field) else [_plain(obstacle) for obstacle in value]
 
 
@@ -82,19 +84,19 @@ def _as_lists(value: Any) -> Any:
 
 
 def max_count(value: Obstacles) -> int:
-    """Largest number of obstacles that an episode can have."""
+    """Maximum number of obstacles in an episode."""
     return value.most if isinstance(value, Field) else len(value)
 
 
 def row_width(value: Obstacles) -> int:
-    """Columns of the table of a scenario's obstacles: as few as the largest of them needs."""
+    """Number of table columns of a scenario's obstacles: the minimum for the largest."""
     if isinstance(value, Field):
         return DETAILS + value.numbers
     return obstacle_set.row_width(value)
 
 
 def only_balls(value: Obstacles) -> bool:
-    """Whether a scenario's obstacles are discs or spheres, however they are drawn."""
+    """Whether a scenario's obstacles are discs or spheres, sampled or given."""
     if isinstance(value, Field):
         return value.only_balls
     return all(isinstance(obstacle, Disc | Sphere) for obstacle in value)

@@ -1,4 +1,4 @@
-"""Convex polygons of the plane: what a user sets, distance, way in, silhouette, picture."""
+"""Convex polygons in 2-D: shape, distance, entry, edges, outline."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import is_sequence, refuse, shown
+from ..checks import is_sequence, raise_invalid, short_repr
 from ..compilation import inner_kernel, kernel
 from ..limits import MOST_VERTICES
 from ..physics.crossings import capsule_crossing
@@ -20,24 +20,24 @@ from . import shape
 from .shape import BOUND, LEAST_THICKNESS, MIDDLE, NEARLY_ZERO, OWN, centre_direction, centre_of_row
 
 POLYGON = 2
-"""Kind of a polygon; after the bounding ball its row has the vertices x0, y0, x1, y1, … in
-counter-clockwise order."""
-# of coordinates that were computed, as a share of the largest; so deep is no vertex a dent
+"""Kind number of polygons. Their row has the vertices x0, y0, x1, y1, … in counterclockwise
+order after the bounding ball."""
+# relative to the largest coordinate; a dent of this depth is no concave vertex
 _ROUNDING = 1e-12
-_VERTEX_TOLERANCE = 1e-9  # m; on a vertex are points that are no deeper behind either edge
+_VERTEX_TOLERANCE = 1e-9  # m; points on a vertex are no deeper behind either edge
 
 
 @dataclass(frozen=True)
 class Polygon(shape.Shape):
-    """A convex obstacle in the plane; others are composed of several that overlap."""
+    """Convex obstacle in 2-D; compose nonconvex ones of several that overlap."""
 
     vertices: Annotated[tuple[tuple[float, float], ...], _check_vertices]
-    """Corners in m, kept counter-clockwise; the last is joined to the first."""
+    """Corners in counterclockwise order, m; the last connects to the first."""
     dim = 2
 
     @property
     def centroid(self) -> tuple[float, float]:
-        """Centre of the area, m."""
+        """Centroid of the area, m."""
         (x0, y0), doubled = self.vertices[0], _twice_area(self.vertices)
         x = y = 0.0
         for (x1, y1), (x2, y2) in pairwise(self.vertices[1:]):
@@ -47,14 +47,14 @@ class Polygon(shape.Shape):
         return x0 + x / (3 * doubled), y0 + y / (3 * doubled)
 
     def packed(self) -> list[float]:
-        """Its row; the bounding ball is about the centre of the area."""
+        """Table row; the bounding ball is centred at the centroid."""
         centre, vertices = self.centroid, np.array(self.vertices)
         radius = float(np.linalg.norm(vertices - np.array(centre), axis=1).max())
         return [POLYGON, len(vertices), radius, *centre, 0.0, *vertices.ravel().tolist()]
 
 
 def _twice_area(vertices: Sequence[tuple[float, ...]]) -> float:
-    """Twice the area, m²; negative if the vertices go round clockwise."""
+    """Twice the signed area, m²; negative for clockwise vertices."""
     x0, y0 = vertices[0]
     return sum(
         (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
@@ -63,11 +63,11 @@ def _twice_area(vertices: Sequence[tuple[float, ...]]) -> float:
 
 
 def _check_vertices(field: str, value: Any) -> tuple[tuple[float, ...], ...]:
-    """Vertices of a convex polygon, counter-clockwise; of several faults the plainest is named."""
+    """Validated vertices of a convex polygon, counterclockwise; errors give the simplest fault."""
     import shapely  # slow to import, and only polygons need it
 
     if not is_sequence(value) or not 3 <= len(value) <= MOST_VERTICES:
-        refuse(field, value, f"at least 3 points, at most {MOST_VERTICES}")
+        raise_invalid(field, value, f"at least 3 points, at most {MOST_VERTICES}")
     vertices = tuple(shape.check_point(f"{field}[{k}]", one, 2) for k, one in enumerate(value))
     points = shapely.points(vertices)
     near = shapely.STRtree(points).query(points, predicate="dwithin", distance=LEAST_THICKNESS)
@@ -85,13 +85,14 @@ def _check_vertices(field: str, value: Any) -> tuple[tuple[float, ...], ...]:
         fault = "are not convex; compose it of convex ones"
     else:
         return vertices if _twice_area(vertices) > 0 else (vertices[0], *reversed(vertices[1:]))
-    raise ValueError(f"{field}: {shown(vertices)} {fault}")
+    raise ValueError(f"{field}: {short_repr(vertices)} {fault}")
 
 
 @kernel
 def _edge(row, corners, k):
-    """Edge k: x and y of its first vertex v_k, m, its unit direction e, and its length, m. The
-    outward normal is (e_y, −e_x), because the vertices go round counter-clockwise.
+    """Edge k: x and y of its first vertex v_k, m, its unit direction e, and its length, m.
+
+    The outward normal is (e_y, −e_x), because the vertices are counterclockwise.
     """
     here = OWN + 2 * k
     there = here + 2 if k + 1 < corners else OWN
@@ -103,8 +104,10 @@ def _edge(row, corners, k):
 
 @kernel
 def _surface(row, corners, point):
-    """max_k n_kᵀ(p − v_k) inside; min_q ‖p − q‖ outside, in a strip before each edge and a wedge
-    before each vertex. On a vertex the normal is that of an adjacent edge.
+    """Signed distance, max_k n_kᵀ(p − v_k) inside and min_q ‖p − q‖ outside, and normal.
+
+    Outside, the nearest point lies on an edge or on a vertex. On a vertex the normal is that of an
+    adjacent edge.
     """
     highest, normal_x, normal_y = -np.inf, 0.0, 0.0
     nearest, vertex_x, vertex_y = np.inf, 0.0, 0.0
@@ -129,9 +132,7 @@ def _surface(row, corners, point):
 
 @kernel
 def _normals(row, corners, point):
-    """The last two normals n_k of edges that a point on the surface has behind it:
-    n_kᵀ(p − v_k) ≥ 0, but for rounding.
-    """
+    """Last two normals n_k with n_kᵀ(p − v_k) ≥ 0, up to rounding, for a point on the surface."""
     _, normal = _surface(row, corners, point)
     one, other = normal, normal
     for k in range(corners):
@@ -143,9 +144,10 @@ def _normals(row, corners, point):
 
 @kernel
 def _entry(row, corners, point, way, depth, skin=0.0):
-    """Largest s with n_kᵀ(p + s w − v_k) = max(0, −depth) at the edges that it comes in by, if the
-    way, clipped by all edges moved inwards by ``depth``, leaves something. A skin is round about
-    the vertices.
+    """Largest s with n_kᵀ(p + s w − v_k) = max(0, −depth) at the edges of entry.
+
+    Only if clipping the path by all edges, moved inwards by ``depth``, leaves something. A skin is
+    round at the vertices.
     """
     fatter = max(0.0, -depth)
     if skin > 0.0:
@@ -169,9 +171,7 @@ def _entry(row, corners, point, way, depth, skin=0.0):
 
 @inner_kernel
 def _nears(row, corners, point, way, reach):
-    """Least s at which a way comes within reach, m, of a polygon: of an edge, unless it begins
-    inside.
-    """
+    """Least s at which a path comes within reach, m, of an edge, unless it starts inside."""
     distance, _ = _surface(row, corners, point)
     if distance <= reach:
         return 0.0
@@ -186,14 +186,14 @@ def _nears(row, corners, point, way, reach):
 
 @kernel
 def _edges(row, corners, point):
-    """Bearings (v − p)/‖v − p‖ of the vertices farthest left and right of the centre."""
+    """Bearings (v − p)/‖v − p‖ of the leftmost and rightmost vertices, relative to the centre."""
     towards = centre_direction(point, centre_of_row(row))
     left_x, left_y = towards[0], towards[1]
     right_x, right_y = towards[0], towards[1]
     for k in range(corners):
         x, y = row[OWN + 2 * k] - point[0], row[OWN + 2 * k + 1] - point[1]
         if x * x + y * y < NEARLY_ZERO * NEARLY_ZERO:
-            continue  # the robot stands on this vertex: its neighbours are the silhouette
+            continue  # the robot is on this vertex: its neighbours are the edges
         if towards[0] * y - towards[1] * x > 0.0:
             if left_x * y - left_y * x > 0.0:
                 left_x, left_y = x, y

@@ -1,24 +1,24 @@
-"""Whether discs wall robots in, each from the others.
+"""Reachability: test whether discs separate robots from each other.
 
-Discs that overlap are joined by the segment of their centres. Points p and q outside the union lie
-in different parts of the plane if and only if some closed chain of joined discs goes round one of
-them and not the other: its segments cross the segment p q an odd number of times (Alexander duality
-modulo 2; by the nerve theorem such chains find every hole). So p and q are together if and only if
-every disc can be given a side, 0 or 1, such that joined discs are on different sides exactly if
-their segment crosses p q.
+Overlapping discs are connected by the segment of their centres. Two points p and q outside the
+union lie in different components if and only if a closed chain of discs encloses exactly one of
+them. The segments of such a chain cross the segment p q an odd number of times (Alexander duality
+modulo 2; by the nerve theorem such chains find every hole). So p and q are connected if and only if
+every disc can be given a side, 0 or 1, with this property: connected discs are on different sides
+exactly if their segment crosses p q.
 """
 
 from ..compilation import inner_kernel, kernel
 from ..physics.vectors import load
 from .shape import ABSENT, BOUND, centre_of_row
 
-# columns of a disc's row: an earlier disc of its chain, itself if it is the first; and whether it
-# is on the other side than that one
+# columns of a disc's row: an earlier disc of its chain, itself for the first; and whether it is
+# on the other side of that one
 _BEFORE, _SIDE = 0, 1
 
 
 @kernel
-def none_walled_in(world, positions, passage, chains):
+def all_reachable(world, positions, passage, chains):
     """Whether every robot can reach every other through gaps at least ``passage``, m, wide.
 
     Positions, (n, 2), m, are at least half a passage from every disc; ``chains`` is (M, 2) int64
@@ -32,8 +32,9 @@ def none_walled_in(world, positions, passage, chains):
 
 @inner_kernel
 def _apart(world, p, q, passage, chains):
-    """Whether discs lie between two points: whether a chain contradicts itself about sides. Those
-    that leave less than a passage between them count as joined.
+    """Whether discs separate two points: whether a chain has contradicting sides.
+
+    Discs less than a passage apart count as connected.
     """
     for m in range(world.kinds.shape[0]):
         chains[m, _BEFORE], chains[m, _SIDE] = m, 0
@@ -58,7 +59,7 @@ def _apart(world, p, q, passage, chains):
 
 @inner_kernel
 def _first_of_chain(chains, m):
-    """The first disc of a disc's chain, and on which side of it the disc is."""
+    """First disc of a disc's chain, and the side of the disc relative to it."""
     first, side = m, 0
     while chains[first, _BEFORE] != first:
         side ^= chains[first, _SIDE]
@@ -69,7 +70,7 @@ def _first_of_chain(chains, m):
 
 @kernel
 def _is_left(a, b, point):
-    """Whether a point is to the left of the line from a to b; on it counts as not."""
+    """Whether a point is strictly to the left of the line from a to b."""
     return (b[0] - a[0]) * (point[1] - a[1]) - (b[1] - a[1]) * (point[0] - a[0]) > 0.0
 
 

@@ -1,10 +1,10 @@
-"""What every shape of an obstacle has: the protocol, the checks of its numbers, its row.
+"""Common interface of obstacle shapes: the protocol, input validation, and table rows.
 
     [kind, number of corners, radius of the bounding ball, centre x, y, z, …]
 
-followed by what its shape needs; in the plane z = 0. Kernels take kind and number of corners by
-themselves, and the rest as the row. A new shape is a file like ``capsule`` that ends with a
-``ShapeKind``; ``obstacle_set`` names that in ``KINDS`` and the class in ``Obstacle``.
+followed by the numbers of the shape; in 2-D z = 0. Kernels take kind and number of corners
+separately, and the rest as the row. A new shape is a file like ``capsule`` that ends with a
+``ShapeKind``. Add it to ``KINDS`` of ``obstacle_set`` and its class to ``Obstacle``.
 """
 
 import math
@@ -15,7 +15,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import check_fields, is_sequence, number, number_range, real, refuse
+from ..checks import check_fields, is_sequence, number, number_range, raise_invalid, to_float
 from ..compilation import kernel
 from ..limits import LARGEST
 from ..physics.vectors import X_AXIS, combine, cross, dot, norm, subtract
@@ -25,15 +25,15 @@ KIND, CORNERS, RADIUS, CENTRE, DETAILS = 0, 1, 2, 3, 6
 """Columns of a table."""
 AHEAD = 2  # columns of a table before those of the rows that kernels take: kind and corners
 BOUND, MIDDLE, OWN = RADIUS - AHEAD, CENTRE - AHEAD, DETAILS - AHEAD
-"""Columns of such a row: radius and centre of the bounding ball, and what its shape needs."""
-CONTACT_DEPTH = 1e-6  # m; how deep a path goes before it is a contact
-SKIN = 2 * CONTACT_DEPTH  # m; the distance robots keep to shapes that only just meet
-LEAST_THICKNESS = 1e-5  # m; ten times as deep as a contact, which cannot pass through
-NEARLY_ZERO = 1e-9  # m, or m/s: a shorter vector has no direction worth the name
+"""Columns of a kernel row: radius and centre of the bounding ball, and the numbers of the shape."""
+CONTACT_DEPTH = 1e-6  # m; depth from which a path is a contact
+SKIN = 2 * CONTACT_DEPTH  # m; distance of robots to shapes that only just meet
+LEAST_THICKNESS = 1e-5  # m; ten times the contact depth, so no path passes through
+NEARLY_ZERO = 1e-9  # m, or m/s; a shorter vector has no meaningful direction
 _AZIMUTHS = 0.25 * math.pi * np.arange(8)
 COS_AZIMUTH = tuple(np.cos(_AZIMUTHS).tolist())
 SIN_AZIMUTH = tuple(np.sin(_AZIMUTHS).tolist())
-"""Of the eight azimuths at which the cone of an obstacle in 3-D is seen, k · 45°."""
+"""Sines of the eight azimuths k · 45° of boundary rays in 3-D."""
 
 Thickness = Annotated[float, partial(number, least=LEAST_THICKNESS, unit="m")]
 Length = Annotated[float, partial(number, least=0.0, unit="m")]
@@ -41,39 +41,39 @@ Range = Annotated[tuple[float, float], partial(number_range, least=LEAST_THICKNE
 
 
 def check_point(field: str, value: Any, dim: int) -> tuple[float, ...]:
-    """A point of d finite numbers, as a tuple."""
+    """Point of d finite numbers, as a tuple."""
     point = tuple(value) if is_sequence(value) else ()
-    if len(point) != dim or not all(abs(real(x)) <= LARGEST for x in point):
-        refuse(field, value, f"{dim} finite numbers, from {-LARGEST:g} to {LARGEST:g} m")
-    return tuple(real(x) for x in point)
+    if len(point) != dim or not all(abs(to_float(x)) <= LARGEST for x in point):
+        raise_invalid(field, value, f"{dim} finite numbers, from {-LARGEST:g} to {LARGEST:g} m")
+    return tuple(to_float(x) for x in point)
 
 
 class Drawn:
-    """What a user sets about obstacles: a frozen dataclass with the keys of files as fields."""
+    """Frozen dataclass of obstacle settings, with the keys of files as fields."""
 
     def __post_init__(self) -> None:
         check_fields(self, f"obstacles: {type(self).__name__}.{{}}")
 
 
 class Shape(Drawn):
-    """One obstacle."""
+    """Protocol of one obstacle."""
 
     @property
     def dim(self) -> int:
-        """Dimension of the space it is in."""
+        """Dimension of the shape."""
         raise NotImplementedError
 
     def packed(self) -> list[float]:
-        """Its row of a table."""
+        """Table row."""
         raise NotImplementedError
 
 
 class Outline(NamedTuple):
-    """An obstacle as pictures draw it, or one of the balls that stand for it in 3-D; m."""
+    """Outline of an obstacle for drawings, or one of its balls in 3-D; m."""
 
     centre: NDArray[np.float64]  # (d,), of the bounding ball
     radius: float  # of the bounding ball
-    vertices: NDArray[np.float64]  # (k, d); none where it is its bounding ball
+    vertices: NDArray[np.float64]  # (k, d); empty for a ball
 
 
 def round_outlines(centres: Iterable[NDArray[np.float64]], radius: float) -> list[Outline]:
@@ -82,37 +82,39 @@ def round_outlines(centres: Iterable[NDArray[np.float64]], radius: float) -> lis
 
 
 class ShapeKind(NamedTuple):
-    """One kind of shape. Kernels take row and number of corners first; points and vectors are
-    triples, m, with z = 0 in the plane.
+    """One kind of shape, as functions for kernels.
+
+    Arguments start with row and number of corners. Points and vectors are triples, m, with z = 0 in
+    2-D.
     """
 
     kind: int
     """Number of the kind in tables."""
     surface: Callable[..., Any]
-    """(row, corners, point) → signed distance ± min_q ‖p − q‖ over the surface, m, negative inside,
-    and the outward unit normal at the nearest q."""
+    """(row, corners, point) → signed distance ± min_q ‖p − q‖ to the surface, m, negative
+    inside, and the outward unit normal at the nearest q."""
     entry: Callable[..., Any]
-    """(row, corners, point p, way w, depth, skin) → least s in [0, 1] at which p + s w meets the
-    surface, if the way goes deeper in than ``depth``, m; else inf. Negative depths make it fatter,
-    and so does a skin, m, by which the surface is moved outwards."""
+    """(row, corners, point p, path w, depth, skin) → least s in [0, 1] at which p + s w meets
+    the surface, or inf. A path no deeper inside than ``depth``, m, does not meet it. Negative
+    depths and skins, m, enlarge the shape."""
     normals: Callable[..., Any]
-    """(row, corners, point) → both normals at a point that touches it, the same but on vertices."""
+    """(row, corners, point) → both normals at a touching point; they differ only on vertices."""
     outlines: Callable[[NDArray[np.float64], int, int], list[Outline]]
-    """(row, corners, dimension) → picture."""
+    """(row, corners, dimension) → outlines."""
     edges: Callable[..., Any] | None = None
-    """(row, corners, point outside) → unit bearings of the counter-clockwise and the clockwise
-    edge; None for shapes of space alone."""
+    """(row, corners, point outside) → unit bearings of the counterclockwise and the clockwise
+    edge; None for 3-D shapes."""
     cone: Callable[..., Any] | None = None
-    """(row, corners, point, axes, out): boundary rays of its cone at azimuths k · 45°, into (8, 3)
-    ``out``; ``axes`` are u towards the centre, e at azimuth 0, u × e. None in the plane alone."""
+    """(row, corners, point, axes, out): boundary rays of its cone at azimuths k · 45°, into (8,
+    3) ``out``. ``axes`` are u towards the centre, e at azimuth 0, u × e. None for 2-D shapes."""
     numbers: int = 0
-    """In its row beyond the bounding ball, corners aside."""
+    """Row entries beyond the bounding ball, without corners."""
     least_corners: int = 0
-    """3 of polygons; 0 of what has none."""
+    """Minimum number of corners: 3 for polygons, 0 for shapes without corners."""
 
 
 def one_normal(surface: Callable[..., Any]) -> Any:
-    """``normals`` of a shape without vertices: twice that of its surface."""
+    """``normals`` of a shape without vertices: the surface normal twice."""
 
     @kernel
     def normals(row, corners, point):
@@ -140,15 +142,15 @@ def centre_direction(point, centre):
 
 @kernel
 def azimuth_axes(towards, net_bearing, axis_x, axis_y):
-    """The unit vectors e (azimuth 0) and u × e across the direction u.
+    """Unit vectors e (azimuth 0) and u × e perpendicular to the direction u.
 
         e = (f − (fᵀu) u)/‖f − (fᵀu) u‖,   f the net bearing, m/s
 
-    If that vanishes, the robot's local x axis takes the place of f, and then its y axis.
+    If that vanishes, the robot's local x axis replaces f, and then its y axis.
     """
     for vector in (net_bearing, axis_x, axis_y):
         across = combine(1.0, vector, -dot(vector, towards), towards)
-        if norm(across) > NEARLY_ZERO * max(1.0, norm(vector)):  # and more than rounding leaves
+        if norm(across) > NEARLY_ZERO * max(1.0, norm(vector)):  # above rounding errors
             break
     length = norm(across)
     e = (across[0] / length, across[1] / length, across[2] / length)

@@ -1,10 +1,9 @@
-"""Straight walls of the plane that are drawn anew for every episode, by layout.
+"""Random straight walls in 2-D, sampled in every episode by layout.
 
-No layout closes anything in. Its pieces lie apart from one another, and each can be contracted to a
-point: the U of a trap, both walls of a corridor, the cross in the middle of rooms and the outer
-part of each of their walls. Such pieces, however many, leave the plane around them connected. So
-robots outside the walls can always reach one another. Boxes overlap by half their thickness or lie
-apart, and need no skins.
+No layout encloses an area. Its pieces are disjoint and contractible: the U of a trap, both walls of
+a corridor, the central cross of rooms and the outer part of each of their walls. Any number of such
+pieces leaves the plane around them connected. Robots outside the walls can therefore always reach
+each other. Boxes overlap by half their thickness or are disjoint, and need no skins.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from ..checks import exact, refuse
+from ..checks import format_limit, raise_invalid
 from ..compilation import inner_kernel, kernel
 from ..field_docs import lists_fields
 from ..physics.random_streams import uniform
@@ -23,38 +22,39 @@ from .polygon import POLYGON
 from .shape import BOUND, MIDDLE, OWN, Drawn, Length, Range, Thickness
 
 LAYOUTS = {"trap": 3, "corridor": 2, "rooms": 8}
-"""Names of layouts, and the boxes that each consists of."""
+"""Layout names with their number of boxes."""
 TRAP, CORRIDOR, ROOMS = range(3)
-"""Layouts, in that order."""
+"""Layout indices, in that order."""
 BOX = 8  # numbers of the four vertices of a wall
-# thicknesses that a wall of rooms is longer than its door: both pieces beside it are walls
+# excess length of a wall over its door, in thicknesses: both pieces beside the door are walls
 _LEAST_PIECES = 3.0
 _TRIES = 1000
-_NUMBERS = 15  # of the stream that each try uses: 3 for the pose, at most 3 for each of four walls
+_NUMBERS = 15  # random numbers per trial: 3 for the pose, at most 3 for each of four walls
 
 
 @lists_fields
 @dataclass(frozen=True)
 class WallField(Drawn):
-    """Walls of a layout, at a place and at an angle that are drawn anew for every episode.
+    """Walls of a layout, with position and angle sampled in every episode.
 
-    A trap is a U; a corridor two walls side by side; rooms are the four quarters between four walls
-    that meet in the middle, with a door in each. None closes anything in, so every start is
-    possible; but a robot that may not move away from the others, as under law (4), is caught.
+    A trap is a U. A corridor is two parallel walls. Rooms are the four quarters between four walls
+    that meet in the middle, each with a door. No layout encloses an area, so every initial
+    condition allows rendezvous. A robot that must not move away from the others, as under law (4),
+    can get stuck.
     """
 
     layout: Literal["trap", "corridor", "rooms"]
-    """trap, corridor or rooms."""
+    """"trap", "corridor" or "rooms"."""
     size: Range
-    """Range that the length of each arm of the trap, or of each other wall, is drawn from, m."""
+    """Length range of each arm of the trap, or of each other wall, m."""
     opening: Range
-    """Range of the mouth of the trap, of the width of the corridor, or of each door, m."""
+    """Range of the mouth of the trap, the width of the corridor, or each door, m."""
     thickness: Thickness
-    """Of all walls, m."""
+    """Thickness of all walls, m."""
     region: Length
     """Edge length of the square about the origin in which the middle of the layout lies, m."""
     keep_out: Length
-    """No robot starts nearer than this to a surface, m."""
+    """Minimum distance of initial positions to a surface, m."""
 
     numbers = BOX
     only_balls = False
@@ -63,13 +63,15 @@ class WallField(Drawn):
         super().__post_init__()
         least = self.opening[1] + _LEAST_PIECES * self.thickness
         if self.layout == "rooms" and self.size[0] < least:
-            wanted = f"at least {exact(least)} m, so that a wall is left on both sides of a door"
-            refuse("obstacles: WallField.size", self.size, wanted)
+            wanted = (
+                f"at least {format_limit(least)} m, so that a wall is left on both sides of a door"
+            )
+            raise_invalid("obstacles: WallField.size", self.size, wanted)
 
     def check_dim(self, dim: int) -> None:
-        """Refuse a space that it is not for."""
+        """Reject an unsupported dimension."""
         if dim == 3:
-            refuse("obstacles", self, "an ObstacleField in 3-D: walls are 2-D")
+            raise_invalid("obstacles", self, "an ObstacleField in 3-D: walls are 2-D")
 
     @property
     def most(self) -> int:
@@ -78,12 +80,12 @@ class WallField(Drawn):
 
     @property
     def rules(self) -> WallRules:
-        """How the walls of an episode are drawn."""
+        """Sampling rules of an episode."""
         return WallRules(**{**vars(self), "layout": list(LAYOUTS).index(self.layout)})
 
 
 class WallRules(NamedTuple):
-    """A ``WallField`` as kernels take it, its layout by number."""
+    """Kernel representation of a ``WallField``, with the layout index."""
 
     layout: int
     size: tuple[float, float]
@@ -91,13 +93,14 @@ class WallRules(NamedTuple):
     thickness: float
     region: float
     keep_out: float
-    passage: float = 0.0  # they close nothing in
+    passage: float = 0.0  # no layout encloses an area
 
 
 @kernel
 def draw_walls(key, rules, starts, n_starts, world):
-    """Draw the walls of one episode, again while they are too near to a start; after 1000 tries
-    they are absent.
+    """Sample the walls of one episode until they are clear of initial positions.
+
+    After 1000 samples they are absent.
     """
     for trial in range(_TRIES):
         clear(world)
@@ -132,18 +135,18 @@ def _draw_layout(key, counter, rules, world):
     else:
         for k in range(4):
             _draw_wall_with_door(key, counter + 3 * k, rules, pose, world, 2 * k)
-            pose = (x, y, -pose[3], pose[2])  # a quarter turn on
+            pose = (x, y, -pose[3], pose[2])  # rotated by 90°
 
 
 @inner_kernel
 def _draw_trap(key, counter, rules, pose, world):
-    """A U that opens along x, its middle in the middle of the longer arm."""
+    """A U that opens along x, centred at the middle of the longer arm."""
     half = 0.5 * _between(rules.opening, key, counter)
     one = _between(rules.size, key, counter + 1)
     other = _between(rules.size, key, counter + 2)
     thick = rules.thickness
     bottom = -0.5 * max(one, other)
-    # the arms run through the bottom, so that there is no seam to slip through
+    # the arms extend through the bottom, so that there is no seam
     _put_box(world, 0, pose, (bottom - thick, bottom), (-half - thick, half + thick))
     _put_box(world, 1, pose, (bottom - thick, bottom + one), (half, half + thick))
     _put_box(world, 2, pose, (bottom - thick, bottom + other), (-half - thick, -half))
@@ -162,7 +165,7 @@ def _draw_corridor(key, counter, rules, pose, world):
 
 @inner_kernel
 def _draw_wall_with_door(key, counter, rules, pose, world, m):
-    """A wall from the middle along x in two pieces, obstacles m and m + 1; between them a door."""
+    """Wall from the middle along x as two obstacles, m and m + 1, with a door between them."""
     size = _between(rules.size, key, counter)
     door = _between(rules.opening, key, counter + 1)
     thick = rules.thickness
@@ -176,7 +179,7 @@ def _draw_wall_with_door(key, counter, rules, pose, world, m):
 
 @inner_kernel
 def _put_box(world, m, pose, along, across):
-    """Obstacle m is a box with these ranges of x and y before the pose turns and moves it."""
+    """Make obstacle m a box with these ranges of x and y, transformed by the pose."""
     x, y, c, s = pose
     (x0, x1), (y0, y1) = along, across
     middle_x, middle_y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)

@@ -18,7 +18,7 @@ _MOST_ROUNDS = 64
 
 
 @inner_kernel
-def least_norm_of(rows, neighbour_slots):
+def min_norm_of(rows, neighbour_slots):
     """q_i, a triple without unit, ‖q_i‖ ≤ 1, from the first K rows (rows, d) of one robot.
 
     Lengths of rows are ignored; zero without a visible neighbour.
@@ -35,7 +35,7 @@ def cone_of(rows, neighbour_slots):
     bearings.
 
     q bisects it. Both are zero without a visible neighbour, or if neighbours surround the robot.
-    Arguments as ``least_norm_of``.
+    Arguments as ``min_norm_of``.
     """
     right, left = ORIGIN, ORIGIN
     nobody = True
@@ -61,16 +61,16 @@ def cone_of(rows, neighbour_slots):
 
 @inner_kernel
 def _least_in_space(rows, neighbour_slots):
-    """``least_norm_of`` in 3-D by the algorithm of Gilbert, Johnson and Keerthi (1988).
+    """``min_norm_of`` in 3-D by the algorithm of Gilbert, Johnson and Keerthi (1988).
 
     The nearest point of a triangle of bearings is updated while some bearing has q·g < ‖q‖². If
     rounding prevents an update, q is shortened until no bearing violates this.
     """
-    a = least_along(rows, neighbour_slots, ORIGIN)
+    a = min_along(rows, neighbour_slots, ORIGIN)
     b, c, q = a, a, a
     for _ in range(_MOST_ROUNDS):
         square = dot(q, q)
-        g = least_along(rows, neighbour_slots, q)
+        g = min_along(rows, neighbour_slots, q)
         if dot(q, subtract(q, g)) <= _ROUNDING * math.sqrt(square):
             break
         if _holds_origin(g, a, b, c):
@@ -85,16 +85,16 @@ def _least_in_space(rows, neighbour_slots):
             break
         q, a, b, c = nearer, g, kept[0], kept[1]
     else:
-        g = least_along(rows, neighbour_slots, q)
+        g = min_along(rows, neighbour_slots, q)
         q = scaled(q, min(max(dot(q, g), 0.0) / dot(q, q), 1.0))
     return q if dot(q, q) > _SURROUNDED * _SURROUNDED else ORIGIN
 
 
 @inner_kernel
-def least_along(rows, neighbour_slots, direction):
+def min_along(rows, neighbour_slots, direction):
     """Bearing g = argmin g·u for a triple u, a unit triple; zero without a visible neighbour.
 
-    Rows as ``least_norm_of``.
+    Rows as ``min_norm_of``.
     """
     least, bearing = math.inf, ORIGIN
     for k in range(neighbour_slots):

@@ -218,7 +218,7 @@ def to_local(frame, v):
 
 @inner_kernel
 def local_axis(frame, k):
-    """Axis k of a local frame in the global one: R e_k, a unit triple, with z = 0 in the plane."""
+    """Axis a_k = R e_k of a local frame in the global one, a unit triple, z = 0 in the plane."""
     if len(frame) == 4:
         return frame[k], frame[2 + k], 0.0
     return frame[k], frame[3 + k], frame[6 + k]

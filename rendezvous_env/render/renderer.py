@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import load, refuse
+from ..checks import load, raise_invalid
 from ..engine.memory import RUNNING
 from ..simulator import Simulator
 from .camera import cell
@@ -62,7 +62,7 @@ class Renderer:
     ) -> None:
         known = isinstance(render_mode, str) and render_mode in RENDER_MODES
         if render_mode is not None and not known:
-            refuse("render_mode", render_mode, f"None or one of {RENDER_MODES}")
+            raise_invalid("render_mode", render_mode, f"None or one of {RENDER_MODES}")
         self.render_mode, self.size = render_mode, size
         self._simulator, self._horizon = simulator, horizon
         self._teams = min(simulator.num_envs, MOST_TEAMS)

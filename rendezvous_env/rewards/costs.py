@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import meant, refuse, shown
+from ..checks import closest_match, raise_invalid, short_repr
 from .custom_terms import COSTS, TERMS, RewardStep, of_step
 
 Costs = dict[str, NDArray[np.float64]]
@@ -19,16 +19,17 @@ def as_costs(field: str, value: Any) -> tuple[str, ...]:
     """Names of costs, each once, from one name or several."""
     names = (value,) if isinstance(value, str) else value
     if not isinstance(names, tuple | list):
-        refuse(field, value, f"names out of {', '.join(COSTS)}")
+        raise_invalid(field, value, f"names out of {', '.join(COSTS)}")
     for name in names:
         if not isinstance(name, str) or not (name in COSTS or name in TERMS):
-            hint = meant(name, [*COSTS, *TERMS], after=" ")
+            hint = closest_match(name, [*COSTS, *TERMS], after=" ")
             raise ValueError(
-                f"{field}: {shown(name)} is unknown; {hint}known are {', '.join(COSTS)}, and what "
+                f"{field}: {short_repr(name)} is unknown; {hint}known are {', '.join(COSTS)}, "
+                "and what "
                 "rv.reward_term has registered"
             )
     if len(set(names)) < len(names):
-        refuse(field, value, "each name once")
+        raise_invalid(field, value, "each name once")
     return tuple(names)
 
 

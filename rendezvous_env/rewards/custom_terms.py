@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import Registry, check_shape, floats, number, refuse
+from ..checks import Registry, check_shape, floats, number, raise_invalid
 
 
 class RewardStep(NamedTuple):
@@ -70,7 +70,7 @@ def reward_term(name: str, term: Term | None = None) -> Any:
         ValueError: for an invalid name, that of a built-in cost, or a term that is not callable.
     """
     if isinstance(name, str) and name in COSTS:
-        refuse("name of a reward term", name, f"none of the costs {', '.join(COSTS)}")
+        raise_invalid("name of a reward term", name, f"none of the costs {', '.join(COSTS)}")
     return TERMS.add(name, term)
 
 
@@ -79,7 +79,7 @@ def as_custom(field: str, value: Any) -> tuple[tuple[str, float], ...]:
     try:
         pairs = dict(value)
     except (TypeError, ValueError):
-        refuse(field, value, "a mapping of names to weights")
+        raise_invalid(field, value, "a mapping of names to weights")
     for name in pairs:
         TERMS.check(field, name)
     return tuple(sorted((name, number(f"{field}.{name}", pairs[name])) for name in pairs))

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import floats, positive, real, refuse
+from ..checks import floats, positive, raise_invalid, to_float
 from ..limits import LARGEST
 from ..physics.half_planes import nearest_within
 
@@ -69,9 +69,11 @@ def keep_apart(velocity: Sequence[float], near: ArrayLike, rooms: ArrayLike = 0.
     normals, most = normals if normals.size else normals.reshape(0, 2), floats("rooms", rooms)
     lengths, count = np.linalg.norm(normals, axis=-1, keepdims=True), len(normals)
     if normals.shape != (count, 2) or not (abs(lengths - 1.0) <= _OFF_UNIT).all():
-        refuse("near", normals.tolist(), "unit vectors, (k, 2)")
+        raise_invalid("near", normals.tolist(), "unit vectors, (k, 2)")
     if most.shape not in ((), (1,), (count,)) or np.isnan(most).any():
-        refuse("rooms", most.tolist(), f"one number (m/s), or one for each of {count} directions")
+        raise_invalid(
+            "rooms", most.tolist(), f"one number (m/s), or one for each of {count} directions"
+        )
     most = np.maximum(np.broadcast_to(most, count), 0.0)
     x, y = nearest_within(wanted, normals / lengths, most, count)
     return float(x), float(y)
@@ -80,7 +82,7 @@ def keep_apart(velocity: Sequence[float], near: ArrayLike, rooms: ArrayLike = 0.
 def _velocity(given: ArrayLike) -> Pair:
     pair = floats("velocity", given)
     if pair.shape != (2,) or not (abs(pair) <= LARGEST).all():
-        refuse("velocity", pair.tolist(), f"two finite numbers of at most {LARGEST:g} (m/s)")
+        raise_invalid("velocity", pair.tolist(), f"two finite numbers of at most {LARGEST:g} (m/s)")
     return float(pair[0]), float(pair[1])
 
 
@@ -93,7 +95,7 @@ class DifferentialDrive:
 
     def __init__(self, machine: Machine = Machine()) -> None:  # noqa: B008 - immutable
         if not isinstance(machine, Machine):
-            refuse("machine", machine, "a Machine")
+            raise_invalid("machine", machine, "a Machine")
         for name, value in machine._asdict().items():
             if not (name == "wheel_acceleration" and value == math.inf):
                 positive(name, value)
@@ -117,8 +119,8 @@ class DifferentialDrive:
             ValueError: naming the argument; the state is unchanged.
         """
         machine, (x, y) = self.machine, _velocity(velocity)
-        if not math.isfinite(real(yaw)):
-            refuse("yaw", yaw, "a finite number (rad)")
+        if not math.isfinite(to_float(yaw)):
+            raise_invalid("yaw", yaw, "a finite number (rad)")
         positive("dt", dt, "s")
         c, s = math.cos(yaw), math.sin(yaw)
         ahead, turn = c * x + s * y, 0.5 * machine.base_length * ((c * y - s * x) / machine.lead)

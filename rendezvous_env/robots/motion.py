@@ -1,13 +1,13 @@
-"""How a robot moves while its action is held: the seam at which a robot model enters the step.
+"""Motion of a robot with zero-order hold: the interface of robot models to the step.
 
-A robot model is a NamedTuple of constants, whose type says which equations hold, and a ``Motion``
-of functions of numbers and small tuples. ``describe`` joins the two. The functions are chosen by
-that type while the step is compiled.
+A robot model is a NamedTuple of constants, and a ``Motion`` of functions of numbers and small
+tuples. ``describe`` associates the two by type. The functions are selected by that type while the
+step is compiled.
 
-``action`` is the robot's action in its own frame, a tuple of numbers as given, to which the model
-applies its limits; ``frame`` its rotation to the global frame, row by row; ``memory`` what the
-model keeps from step to step (angles, a velocity), a tuple that may be empty. A model that keeps
-nothing moves straight, and is asked neither ``displacement_at`` nor ``chord_error_bound``.
+``action`` is the robot's action in its own frame, a tuple of raw numbers to which the model applies
+its limits. ``frame`` is its rotation to the global frame, row by row. ``memory`` is the model's
+state between steps (angles, a velocity), a tuple that may be empty. A model without memory moves
+straight; its ``displacement_at`` and ``chord_error_bound`` are not called.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from ..checks import refuse, shown
+from ..checks import raise_invalid, short_repr
 from ..compilation import by_type, kernel
 from ..kernel_cache import depends_on
 from ..physics.vectors import scaled
 
 FREE, SLID, STOPPED = range(3)
-"""A robot touched no obstacle in a step, slid along one, or rests where it touched it."""
+"""Contact of a robot in a step: none, slid along an obstacle, or stopped at it."""
 
 
 @kernel(inline="code")
@@ -64,29 +64,29 @@ def _start_with_nothing(model, key, counter):
 
 class _Equations(NamedTuple):
     propose: Callable[..., Any]
-    """(model, action, frame, memory) → displacement over the step in the global frame, m, a pair or
-    triple, and the length of the way, m, without obstacles."""
+    """(model, action, frame, memory) → displacement over the step in the global frame, m, a pair
+    or triple, and the path length, m, without obstacles."""
     displacement_at: Callable[..., Any] = _evenly
-    """(model, action, frame, memory, time) → displacement after so much of the step, m."""
+    """(model, action, frame, memory, time) → displacement after a time within the step, m."""
     chord_error_bound: Callable[..., Any] = _straight
-    """(model, action, memory) → β, m/s²: in a time h the way is never farther than β h² from its
-    chord; 0 for straight ways."""
+    """(model, action, memory) → β, m/s²: within a time h the path is never farther than β h²
+    from its chord; 0 for straight paths."""
     update: Callable[..., Any] = _as_before
     """(model, action, frame, memory, displacement, contact) → memory after the step, from the
-    displacement executed, m, and FREE, SLID or STOPPED."""
+    executed displacement, m, and FREE, SLID or STOPPED."""
     frame: Callable[..., Any] = _fixed
-    """(model, frame, memory) → frame that goes with a memory."""
+    """(model, frame, memory) → frame that corresponds to a memory."""
     sense: Callable[..., Any] = _nothing
-    """(model, frame, memory) → what the robot observes of itself in its own frame, a pair or
-    triple, or () for nothing."""
+    """(model, frame, memory) → proprioception in the robot's frame, a pair or triple, or () for
+    none."""
     init: Callable[..., Any] = _start_with_nothing
-    """(model, key, counter) → memory at the start of an episode, drawn from at most three numbers
-    of the stream ``key`` from ``counter`` on."""
+    """(model, key, counter) → memory at the start of an episode, sampled from at most three
+    numbers of the stream ``key`` from ``counter`` on."""
     closes: Callable[..., Any] = _never
-    """(model, action, memory) → period of the way, s, inf if it never closes; contacts are looked
-    for no longer than that."""
+    """(model, action, memory) → period of the path, s, inf if it never closes; the contact
+    search is limited to it."""
     drifts: bool = True
-    """Whether a robot may move while its action is zero; False saves a look at every robot."""
+    """Whether a robot may move under zero action; False allows skipping resting robots."""
 
 
 _RENAMED = {  # names of equations in version 0.2
@@ -98,14 +98,16 @@ _RENAMED = {  # names of equations in version 0.2
 
 
 class Motion(_Equations):
-    """The equations of one robot model; by default those of a robot that moves straight at an even
-    speed, keeps nothing, has a fixed frame and senses nothing of itself.
+    """Equations of one robot model.
+
+    The defaults are those of a robot that moves straight at constant speed, without memory or
+    proprioception, in a fixed frame.
     """
 
     __slots__ = ()
 
     def __new__(cls, *equations: Any, **named: Any) -> Motion:
-        """Equations in order or by name; their names in version 0.2 are taken with a warning."""
+        """Equations in order or by name; names of version 0.2 are accepted with a warning."""
         for old in _RENAMED.keys() & named.keys():
             warnings.warn(f"{old} is called {_RENAMED[old]} now", DeprecationWarning, stacklevel=2)
             named[_RENAMED[old]] = named.pop(old)
@@ -116,23 +118,23 @@ _MOTIONS: dict[type, Motion] = {}
 
 
 def check_function(field: str, value: Any) -> Any:
-    """Refuse what cannot be called, with a TypeError."""
+    """Reject a value that is not callable, with a TypeError."""
     if not callable(value):
-        raise TypeError(f"{field} is {shown(value)}; it must be a function")
+        raise TypeError(f"{field} is {short_repr(value)}; it must be a function")
     return value
 
 
 def describe(model: type, motion: Motion) -> None:
-    """Say how robots move whose constants are of this type, a NamedTuple class.
+    """Register the equations of robots whose constants are of this type, a NamedTuple class.
 
     Raises:
-        ValueError: if something else has been said of this type before, or it is no NamedTuple.
-        TypeError: if one of the equations is no function.
+        ValueError: if this type has other equations already, or is not a NamedTuple.
+        TypeError: if one of the equations is not a function.
     """
     if not isinstance(motion, Motion):
-        raise TypeError(f"motion is {shown(motion)}; it must be a Motion")
+        raise TypeError(f"motion is {short_repr(motion)}; it must be a Motion")
     if not (isinstance(model, type) and issubclass(model, tuple) and hasattr(model, "_fields")):
-        refuse("model", model, "a NamedTuple class, of its constants")
+        raise_invalid("model", model, "a NamedTuple class, of its constants")
     if _MOTIONS.get(model, motion) != motion:
         raise ValueError(f"how a {model.__name__} moves has been described before")
     for name, equation in zip(Motion._fields[:-1], motion, strict=False):
@@ -142,21 +144,21 @@ def describe(model: type, motion: Motion) -> None:
 
 
 def motion_of(model: type) -> Motion | None:
-    """What ``describe`` has said of robots whose constants are of this type."""
+    """Registered equations of robots whose constants are of this type."""
     return _MOTIONS.get(model)
 
 
 def frame_turns(model: type) -> bool:
-    """Whether frames of robots whose constants are of this type may turn: ``Motion.frame``."""
+    """Whether frames of robots whose constants are of this type may rotate: ``Motion.frame``."""
     return _MOTIONS[model].frame is not _fixed
 
 
 @by_type("model", lambda kind: _MOTIONS[kind].drifts)
 def drifts(model):
-    """Whether a robot may move while its action is zero, ‖Δ‖ > 0 m: ``Motion.drifts``."""
+    """Whether a robot may move under zero action, ‖Δ‖ > 0 m: ``Motion.drifts``."""
 
 
-# Equations of the model that the constants are of, as ``Motion`` says of each.
+# Equations of the model with these constants; see ``Motion``.
 
 
 def _equation(name: str) -> Any:
@@ -175,29 +177,29 @@ def displacement_at(model, action, frame, memory, time):
 
 @_equation("chord_error_bound")
 def chord_error_bound(model, action, memory):
-    """β, m/s², with ‖p(t) − chord‖ ≤ β h² within any time h of the step; 0 for straight ways."""
+    """β, m/s², with ‖p(t) − chord‖ ≤ β h² within any time h of the step; 0 for straight paths."""
 
 
 @_equation("closes")
 def closes(model, action, memory):
-    """T, s, with p(t + T) = p(t) while the action is held; inf if there is none."""
+    """Period T, s, with p(t + T) = p(t) under a constant action; inf if there is none."""
 
 
 @_equation("update")
 def update_memory(model, action, frame, memory, displacement, contact):
-    """What a model keeps after a step, from the displacement executed, m, in the global frame."""
+    """Memory of a model after a step, from the executed displacement, m, in the global frame."""
 
 
 @_equation("frame")
 def frame_of(model, frame, memory):
-    """R(memory), row by row, 4 or 9 numbers; ``frame`` is the one before."""
+    """R(memory), row by row, 4 or 9 numbers; ``frame`` is the previous one."""
 
 
 @_equation("sense")
 def proprioception(model, frame, memory):
-    """What a robot observes of itself in its own frame, a pair or triple, or () for nothing."""
+    """Proprioception of a robot in its own frame, a pair or triple, or () for none."""
 
 
 @_equation("init")
 def init_memory(model, key, counter):
-    """What a model keeps at the start of an episode, a tuple of numbers, rad or m/s."""
+    """Memory of a model at the start of an episode, a tuple of numbers, rad or m/s."""

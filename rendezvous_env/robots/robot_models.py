@@ -13,7 +13,17 @@ from typing import Annotated, Any, Literal, NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import Registry, check_fields, exact, floats, is_whole, real, refuse, shown, whole
+from ..checks import (
+    Registry,
+    check_fields,
+    check_int,
+    floats,
+    format_limit,
+    is_int,
+    raise_invalid,
+    short_repr,
+    to_float,
+)
 from .motion import FREE, STOPPED, Motion, check_function, motion_of
 
 MOST_KEPT = 4  # numbers that a robot model may keep from step to step
@@ -22,9 +32,9 @@ _ROUNDING = 1e-9
 
 
 def _check_dims(field: str, value: Any) -> tuple[int, ...]:
-    known = isinstance(value, tuple) and all(is_whole(dim) and dim in (2, 3) for dim in value)
+    known = isinstance(value, tuple) and all(is_int(dim) and dim in (2, 3) for dim in value)
     if not known or not value:
-        refuse(field, value, "a tuple of 2 and 3, or of one of them")
+        raise_invalid(field, value, "a tuple of 2 and 3, or of one of them")
     return value
 
 
@@ -45,7 +55,7 @@ class RobotModel:
     ``speed_limit`` (m/s, never exceeded)."""
     bounds: Annotated[Callable[[Any], list[float]], check_function]
     """Scenario → symmetric bound of each action component."""
-    n_angles: Annotated[int, partial(whole, least=0, most=MOST_KEPT)] = 0
+    n_angles: Annotated[int, partial(check_int, least=0, most=MOST_KEPT)] = 0
     """Number of attitude angles, the first entries of the memory; 0 for a fixed frame."""
     n_kept: Annotated[Callable[[int], int], check_function] | None = None
     """Dimension → size of the memory; None is ``n_angles``."""
@@ -64,16 +74,16 @@ class RobotModel:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.isidentifier():
-            refuse("name of a robot model", self.name, "a word of letters, digits and _")
+            raise_invalid("name of a robot model", self.name, "a word of letters, digits and _")
         check_fields(self, f"{{}} of robot model {self.name!r}")
         for dim in self.dims:
             size = self.memory_size(dim)
             wanted = f"from {self.n_angles}, its angles, to {MOST_KEPT}"
-            right = is_whole(size) and self.n_angles <= size <= MOST_KEPT
+            right = is_int(size) and self.n_angles <= size <= MOST_KEPT
             if right and self.keeps_velocity:
                 right, wanted = size == self.n_angles + dim, f"{self.n_angles + dim} with velocity"
             if not right:
-                kept = f"{shown(size)} numbers in {dim}-D; it must be {wanted}"
+                kept = f"{short_repr(size)} numbers in {dim}-D; it must be {wanted}"
                 raise ValueError(f"robot model {self.name!r} keeps {kept}")
 
     def memory_size(self, dim: int) -> int:
@@ -105,7 +115,7 @@ def register_robot_model(model: RobotModel, *, replace: bool = False) -> None:
             that are not finite, exceed the speed limit, or are inconsistent.
     """
     if not isinstance(model, RobotModel):
-        refuse("model", model, "a RobotModel")
+        raise_invalid("model", model, "a RobotModel")
     known = ROBOT_MODELS.get(model.name)
     if known is not None and replace is not True:
         remedy = "replace=True puts this one in its place"
@@ -147,20 +157,22 @@ def constants_of(scenario: Any, early: bool = False) -> Any:
     if not isinstance(duration, float) or duration != tau:
         if early:
             return constants
-        refuse(f"duration in the constants of {who}", duration, f"the step, {exact(tau)} s")
+        raise_invalid(
+            f"duration in the constants of {who}", duration, f"the step, {format_limit(tau)} s"
+        )
     if not isinstance(limit, float) or not 0.0 <= limit < math.inf:
-        refuse(f"speed_limit in the constants of {who}", limit, "a float of 0 m/s or more")
-    fastest = f"the scenario's {exact(scenario.speed_limit)} m/s, since the model is bounded"
+        raise_invalid(f"speed_limit in the constants of {who}", limit, "a float of 0 m/s or more")
+    fastest = f"the scenario's {format_limit(scenario.speed_limit)} m/s, since the model is bounded"
     if model.bounded and limit != scenario.speed_limit:
-        refuse(f"speed_limit in the constants of {who}", limit, fastest)
+        raise_invalid(f"speed_limit in the constants of {who}", limit, fastest)
     bounds = floats(f"bounds of {who}", given)
     if bounds.ndim != 1 or not bounds.size:
-        refuse(f"bounds of {who}", given, "a list of numbers")
+        raise_invalid(f"bounds of {who}", given, "a list of numbers")
     for k, bound in enumerate(bounds.tolist()):
         if not 0.0 <= bound < math.inf:  # 0: robots without links that have no speed given
-            refuse(f"bounds[{k}] of {who}", bound, "finite, and 0 or more")
+            raise_invalid(f"bounds[{k}] of {who}", bound, "finite, and 0 or more")
         if model.bounded and bound != scenario.speed_limit:
-            refuse(f"bounds[{k}] of {who}", bound, fastest)
+            raise_invalid(f"bounds[{k}] of {who}", bound, fastest)
     # the package's own equations are tested, but not as those of another model
     if (early and model.bounded) or not kind.__module__.startswith(f"{__package__}."):
         try_equations(model, motion, constants, bounds, scenario.dim)
@@ -221,7 +233,9 @@ class _Asked(NamedTuple):
 
     def check(self, name: str, count: int, found: Any) -> tuple[float, ...]:
         """Raise unless a value is the given number of finite values."""
-        finite = isinstance(found, tuple) and all(math.isfinite(real(number)) for number in found)
+        finite = isinstance(found, tuple) and all(
+            math.isfinite(to_float(number)) for number in found
+        )
         if not finite or len(found) != count:
             self.refuse(name, found, f"a tuple of {count} finite numbers")
         return found
@@ -229,8 +243,8 @@ class _Asked(NamedTuple):
     def refuse(self, name: str, found: Any, wanted: str) -> NoReturn:
         """Raise an error that names the remedy."""
         raise ValueError(
-            f"{name} of robot model {self.model.name!r} gives {shown(found)} for the action "
-            f"{shown(self.action)}; it must be {wanted}"
+            f"{name} of robot model {self.model.name!r} gives {short_repr(found)} for the action "
+            f"{short_repr(self.action)}; it must be {wanted}"
         )
 
     def step(self, seed: int) -> NDArray[np.bool_]:
@@ -248,12 +262,12 @@ class _Asked(NamedTuple):
         if not isinstance(proposed, tuple) or len(proposed) != 2:
             self.refuse("propose", proposed, "a displacement and the length of the way")
         displacement = np.array(self.check("propose", dim, proposed[0]))
-        way, far = real(proposed[1]), float(np.linalg.norm(displacement))
+        way, far = to_float(proposed[1]), float(np.linalg.norm(displacement))
         slack = _ROUNDING * (1.0 + limit * tau)
         if not far - slack <= way < math.inf:
             self.refuse("propose", proposed, f"a way of {far:g} m, its displacement, or longer")
         if far > limit * tau + slack:
-            wanted = f"a displacement of speed_limit times {exact(tau)} s at most"
+            wanted = f"a displacement of speed_limit times {format_limit(tau)} s at most"
             self.refuse("propose", proposed, wanted)
         if self.model.bounded:
             self._check_velocity(rotation, displacement)
@@ -277,17 +291,17 @@ class _Asked(NamedTuple):
         slowed = tau * min(1.0, limit / max(math.hypot(*action), 1e-300))
         wanted = slowed * rotation @ action if len(action) == self.dim else np.inf
         if np.abs(displacement - wanted).max() > _ROUNDING * (1.0 + limit * tau):
-            held = f"τ R a, of {self.dim} numbers, slowed down to {exact(limit)} m/s at most"
+            held = f"τ R a, of {self.dim} numbers, slowed down to {format_limit(limit)} m/s at most"
             self.refuse("propose", displacement.tolist(), f"{held}, since the model is bounded")
 
     def _check_curve(self, frame: Any, memory: Any, displacement: NDArray[np.float64]) -> None:
         """Check that ``displacement_at`` ends as ``propose``, within β τ² of its chord."""
         tau = self.constants.duration
-        bent = real(self.ask("chord_error_bound", self.action, memory))
+        bent = to_float(self.ask("chord_error_bound", self.action, memory))
         if not 0.0 <= bent < math.inf:
             self.refuse("chord_error_bound", bent, "a finite number, 0 or more")
         closes = self.ask("closes", self.action, memory)
-        if not real(closes) > 0.0:
+        if not to_float(closes) > 0.0:
             self.refuse("closes", closes, "a positive number, inf for never")
         slack = 1e-6 * (1.0 + float(np.linalg.norm(displacement)))
         for share in (0.0, 0.3, 0.5, 1.0):

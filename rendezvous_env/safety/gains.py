@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import positive, refuse
+from ..checks import positive, raise_invalid
 from ..compilation import inner_kernel, kernel
 from ..engine.threads import Calls, Slice
 from ..physics.neighbour_rows import net_bearing_of
@@ -39,9 +39,11 @@ def gain_range(
     least = None if min_gain is None else positive("min_gain", min_gain, "m/s")
     most = None if max_gain is None else positive("max_gain", max_gain, "m/s")
     if least is not None and least > safe:
-        refuse("min_gain", min_gain, f"at most r/τ = {safe} m/s, so that the hull never grows")
+        raise_invalid(
+            "min_gain", min_gain, f"at most r/τ = {safe} m/s, so that the hull never grows"
+        )
     if least is not None and most is not None and most < least:
-        refuse("max_gain", max_gain, f"at least min_gain = {least} m/s")
+        raise_invalid("max_gain", max_gain, f"at least min_gain = {least} m/s")
     if most is None:
         most = max(scenario.max_degree, least or 0.0)
     most = min(most, safe)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import flag, positive, real, refuse, shown
+from ..checks import flag, positive, raise_invalid, short_repr, to_float
 from ..compilation import inner_kernel, kernel
 from ..engine.memory import read, write
 from ..engine.threads import Calls, Slice
@@ -116,15 +116,15 @@ def certified_heading(
         ValueError: naming an argument out of range, of the wrong shape, or not finite.
     """
     check_gate_constants(min_alignment, dead_zone)
-    if not real(max_turn) > 0:
-        raise ValueError(f"max_turn is {shown(max_turn)}; it must be positive (rad)")
+    if not to_float(max_turn) > 0:
+        raise ValueError(f"max_turn is {short_repr(max_turn)}; it must be positive (rad)")
     f = check_vectors("net_bearing", net_bearing)
     q = check_vectors("raw", raw, like=f)
     h = check_vectors("previous", previous, like=f)
     out = np.empty_like(f)
     d = f.shape[-1]
     flat = (q.reshape(-1, d), f.reshape(-1, d), h.reshape(-1, d))
-    turn = real(max_turn) if real(max_turn) < math.pi else math.inf
+    turn = to_float(max_turn) if to_float(max_turn) < math.pi else math.inf
     certify(*flat, float(min_alignment), float(dead_zone), turn, out.reshape(-1, d))
     return out
 
@@ -315,7 +315,9 @@ class HeadingFilter(SafetyFilter):
         robot = robot_of(scenario, check_margin(min_alignment), bearing_error, most)
         certified = flag("certified", certified)
         if robot.error_chord > 0.0 and not certified:
-            refuse("bearing_error", bearing_error, "0 with certified=False: nothing is promised")
+            raise_invalid(
+                "bearing_error", bearing_error, "0 with certified=False: nothing is promised"
+            )
         given = scenario.max_turn_rate
         self._heading_rate = most if given is None else min(most, given)
         scaled_speed = certified and (turns_body or scenario.tau > scenario.certified_step)

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..compilation import inner_kernel, kernel
 from ..engine.threads import Calls, Slice
-from ..physics.least_norm import least_along, least_norm_of
+from ..physics.least_norm import min_along, min_norm_of
 from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import (
     ORIGIN,
@@ -29,7 +29,7 @@ from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, reg
 from .settings import check_bearing_error, check_share, check_vectors
 
 
-def least_norm_points(neighbour_rows: ArrayLike) -> NDArray[np.float64]:
+def min_norm_points(neighbour_rows: ArrayLike) -> NDArray[np.float64]:
     """Point of least norm q_i = argmin ‖q‖, q ∈ conv{g_ij}, (..., d), without unit (lemma 2).
 
     Rows are a_ij g_ij, (..., K, d), m/s; zero rows are absent, lengths are ignored. q_i is zero if
@@ -49,7 +49,7 @@ def least_norm_points(neighbour_rows: ArrayLike) -> NDArray[np.float64]:
 @kernel
 def _least_norm_points(rows, out):
     for i in range(len(rows)):
-        store(least_norm_of(rows[i], rows.shape[1]), out[i])
+        store(min_norm_of(rows[i], rows.shape[1]), out[i])
 
 
 def link_keeping_law(
@@ -97,7 +97,7 @@ def worst_bearing(direction, rows, neighbour_slots, error):
 
     g cos α − u sin α, α = min(η, π − ∠(g, v)), u ⟂ g along v; zero without a visible neighbour.
     """
-    g = least_along(rows, neighbour_slots, direction)
+    g = min_along(rows, neighbour_slots, direction)
     if error == 0.0 or dot(g, g) == 0.0:
         return g
     size, across = split(without(direction, g))
@@ -246,7 +246,7 @@ def _keep_links(axes, robots, constants, arrays, work):
         rows, velocity = observations[i], ORIGIN
         degree, f = degree_of(rows, slots), net_bearing_of(rows, slots)
         if degree > 0.0:
-            sine, towards = split(least_norm_of(rows, slots))
+            sine, towards = split(min_norm_of(rows, slots))
             cosine = math.sqrt(max(1.0 - sine * sine, 0.0))
             sure = max(sine * math.cos(error) - cosine * math.sin(error), 0.0)
             speed = min(degree, 2.0 * radius, constants.speed_limit) * sure

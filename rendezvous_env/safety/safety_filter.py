@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from ..checks import bools, choice, floats, refuse, whole
+from ..checks import bools, check_int, choice, floats, raise_invalid
 from ..compilation import entry_point, kernel
 from ..engine import threads
-from ..engine.state_checks import Remembering, check_actions, check_observations, check_rotations
+from ..engine.state_checks import StatefulMixin, check_actions, check_observations, check_rotations
 from ..engine.threads import Calls, Slice
 from ..limits import MOST_TEAMS
 from ..physics.vectors import dot, load
@@ -122,7 +122,7 @@ def check_sees_all_neighbours(scenario: Scenario) -> None:
         )
 
 
-class SafetyFilter(Remembering):
+class SafetyFilter(StatefulMixin):
     """Base class of safety filters: actions with a guarantee from the choices of any policy.
 
         actions = safety_filter.apply(safety_filter.observe(observations), choices)
@@ -164,7 +164,7 @@ class SafetyFilter(Remembering):
         choice("frame", frame, FRAMES)
         check_sees_all_neighbours(scenario)
         if num_threads is not None:
-            num_threads = whole("num_threads", num_threads, 1, MOST_TEAMS)
+            num_threads = check_int("num_threads", num_threads, 1, MOST_TEAMS)
         n, d, layout = scenario.n_robots, scenario.dim, scenario.observation_layout
         self.scenario, self.action_size = scenario, action_size
         self.turns_body = scenario.model.nonholonomic
@@ -313,9 +313,9 @@ class SafetyFilter(Remembering):
         alone = np.tile(np.arange(team[1]), (team[0], 1))
         robots = np.asarray(alone if merged_into is None else merged_into)
         if robots.shape != team or robots.dtype.kind not in "iu":
-            refuse("merged_into", merged_into, f"whole numbers of shape (B, n) = {team}")
+            raise_invalid("merged_into", merged_into, f"whole numbers of shape (B, n) = {team}")
         if robots.min() < 0 or robots.max() >= team[1]:
-            refuse("merged_into", merged_into, f"indices of robots, from 0 to {team[1] - 1}")
+            raise_invalid("merged_into", merged_into, f"indices of robots, from 0 to {team[1] - 1}")
         merged = np.ascontiguousarray(robots, np.int64)
         for one in self.update_calls((0, *team), touched, merged, passed):
             one()
@@ -365,10 +365,10 @@ def register_filter(name: str, safety_filter: type[SafetyFilter]) -> None:
         ValueError: for an invalid or used name, or a class that is not a filter.
     """
     if not (isinstance(name, str) and name.isidentifier()):
-        refuse("name", name, "a word")
+        raise_invalid("name", name, "a word")
     if not (isinstance(safety_filter, type) and issubclass(safety_filter, SafetyFilter)):
-        refuse("safety_filter", safety_filter, "a subclass of SafetyFilter")
+        raise_invalid("safety_filter", safety_filter, "a subclass of SafetyFilter")
     taken, names = FILTERS.get(name, safety_filter), ("__module__", "__qualname__")
     if any(getattr(taken, one) != getattr(safety_filter, one) for one in names):
-        refuse("name", name, f"none of {', '.join(FILTERS)}, which are taken")
+        raise_invalid("name", name, f"none of {', '.join(FILTERS)}, which are taken")
     FILTERS[name] = safety_filter

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import floats, number, real, refuse
+from ..checks import floats, number, raise_invalid, to_float
 from ..scenario.scenario import Scenario
 from ..sensors.sensing import Sensing
 
@@ -20,23 +20,25 @@ MAX_TURN_RATE = 3.0
 
 def check_share(name: str, value: Any) -> float:
     """ε or λ, a number without unit, if 10⁻⁶ ≤ ε ≤ 1, else a ValueError (theorems B and R c)."""
-    if not SMALLEST_MARGIN <= (share := real(value)) <= 1:
-        refuse(name, value, f"in (0, 1], and at least {SMALLEST_MARGIN:g}")
+    if not SMALLEST_MARGIN <= (share := to_float(value)) <= 1:
+        raise_invalid(name, value, f"in (0, 1], and at least {SMALLEST_MARGIN:g}")
     return share
 
 
 def check_margin(min_alignment: Any) -> float:
     """ε, a number without unit, if 10⁻⁶ ≤ ε < 1, else a ValueError (theorems C and D)."""
-    if not SMALLEST_MARGIN <= (margin := real(min_alignment)) < 1:
-        refuse("min_alignment", min_alignment, f"at least {SMALLEST_MARGIN:g} and less than 1")
+    if not SMALLEST_MARGIN <= (margin := to_float(min_alignment)) < 1:
+        raise_invalid(
+            "min_alignment", min_alignment, f"at least {SMALLEST_MARGIN:g} and less than 1"
+        )
     return margin
 
 
 def check_gate_constants(min_alignment: float, dead_zone: float) -> None:
     """Refuse numbers unless ε is a margin and 0 < δ < ∞, m/s, in a ValueError (theorem C)."""
     check_margin(min_alignment)
-    if not 0 < real(dead_zone) < math.inf:
-        refuse("dead_zone", dead_zone, "positive and finite (m/s)")
+    if not 0 < to_float(dead_zone) < math.inf:
+        raise_invalid("dead_zone", dead_zone, "positive and finite (m/s)")
 
 
 def check_vectors(
@@ -52,7 +54,7 @@ def check_vectors(
         raise ValueError(f"{name} has shape {vectors.shape}; it must be (..., 2) or (..., 3)")
     if not np.isfinite(vectors).all():
         wrong = vectors[~np.isfinite(vectors).all(axis=-1)][0]
-        refuse(name, wrong.tolist(), "finite")
+        raise_invalid(name, wrong.tolist(), "finite")
     return np.ascontiguousarray(vectors)
 
 

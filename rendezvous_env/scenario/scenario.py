@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import checks, graphs
-from ..checks import Metres, Seconds, positive, whole
+from ..checks import Metres, Seconds, check_int, positive
 from ..field_docs import lists_fields
 from ..graphs import Graph, GraphLike
 from ..limits import LONGEST_NAME, MOST_OBSTACLES, MOST_ROBOTS, MOST_STEPS
@@ -41,13 +41,13 @@ class TimeStepWarning(UserWarning):
 
 def _check_name(field: str, value: Any) -> str:
     if not isinstance(value, str) or not 0 < len(value) <= LONGEST_NAME or not value.isprintable():
-        checks.refuse(field, value, f"a word of at most {LONGEST_NAME} printable characters")
+        checks.raise_invalid(field, value, f"a word of at most {LONGEST_NAME} printable characters")
     return value
 
 
 def _check_dim(field: str, value: Any) -> int:
-    if not checks.is_whole(value) or value not in (2, 3):
-        checks.refuse(field, value, "2 or 3")
+    if not checks.is_int(value) or value not in (2, 3):
+        checks.raise_invalid(field, value, "2 or 3")
     return int(value)
 
 
@@ -69,7 +69,7 @@ class Scenario:
 
     name: Annotated[str, _check_name] = "custom"
     """What tables and files call it."""
-    n_robots: Annotated[int, partial(whole, least=2, most=MOST_ROBOTS)] = 5
+    n_robots: Annotated[int, partial(check_int, least=2, most=MOST_ROBOTS)] = 5
     """Number of robots n, at least 2."""
     dim: Annotated[int, _check_dim] = 2
     """Dimension d of the space, 2 or 3."""
@@ -159,7 +159,7 @@ class Scenario:
         if self.dim not in self.model.dims:
             fitting = [repr(m.name) for m in ROBOT_MODELS.values() if self.dim in m.dims]
             wanted = f"one of {', '.join(fitting)} where dim is {self.dim}"
-            checks.refuse("robot_model", self.robot_model, wanted)
+            checks.raise_invalid("robot_model", self.robot_model, wanted)
         self._check_graph()
         self._check_obstacles()
         self._check_bodies()
@@ -311,7 +311,7 @@ class Scenario:
         try:
             return cls.from_plain({"name": Path(path).stem, **plain})
         except ValueError as error:
-            raise ValueError(f"{checks.shown(str(path))[1:-1]}: {error}") from error
+            raise ValueError(f"{checks.short_repr(str(path))[1:-1]}: {error}") from error
 
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> Scenario:
@@ -348,8 +348,8 @@ class Scenario:
 
     def _check_slots(self, field: str, least: int, most: int, wanted: str) -> None:
         slots = getattr(self, field)
-        if slots is not None and not (checks.is_whole(slots) and least <= slots <= most):
-            checks.refuse(field, slots, f"None or {wanted} {most}")
+        if slots is not None and not (checks.is_int(slots) and least <= slots <= most):
+            checks.raise_invalid(field, slots, f"None or {wanted} {most}")
 
     def _check_obstacles(self) -> None:
         parsed = obstacles.parse(self.obstacles, self.dim)
@@ -369,17 +369,17 @@ class Scenario:
         packs, n, radius = self.meeting == "pack", self.n_robots, self.body_radius
         if radius is None:
             if packs:
-                checks.refuse("body_radius", None, "given with meeting='pack': bodies touch")
+                checks.raise_invalid("body_radius", None, "given with meeting='pack': bodies touch")
             return
         if radius > 0.5 * self.merge_radius:
             most = f"at most half the merge_radius, {0.5 * self.merge_radius} m"
-            checks.refuse("body_radius", radius, most)
+            checks.raise_invalid("body_radius", radius, most)
         graph = self.sensing_graph
         if graph.directed or not graph.fixed or graph.most_links(n) < n * (n - 1) // 2:
             raise ValueError("graph must be complete with a body_radius: others would not stop")
         if not self.merges_through:
             wanted = "True with a body_radius: bodies on both sides of a wall would overlap"
-            checks.refuse("merge_through_obstacles", False, wanted)
+            checks.raise_invalid("merge_through_obstacles", False, wanted)
         free = self.dim == 2 and not self.obstacles
         if packs and not (free and self.robot_model == "single_integrator"):
             raise ValueError(
@@ -403,7 +403,7 @@ class Scenario:
     def _check_time_step(self) -> None:
         if self.time_step is None and not math.isfinite(self.certified_step):
             wanted = "given where the graph has no edge: no step is certified"
-            checks.refuse("time_step", None, wanted)
+            checks.raise_invalid("time_step", None, wanted)
         self.sensing_graph.check_fits(self)
         if self.max_steps > MOST_STEPS:
             raise ValueError(

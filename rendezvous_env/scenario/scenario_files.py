@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ..checks import refuse, shown
+from ..checks import raise_invalid, short_repr
 
 _PathLike = str | os.PathLike[str]
 
@@ -20,12 +20,12 @@ def read(path: _PathLike) -> dict[str, Any]:
     try:
         return tomllib.loads(content.decode("utf-8-sig"))  # editors of Windows begin with a mark
     except (RecursionError, ValueError) as error:
-        reason = f"not a TOML file: {shown(str(error))[1:-1]}"
+        reason = f"not a TOML file: {short_repr(str(error))[1:-1]}"
         if isinstance(error, UnicodeDecodeError):
             reason += "; save it as UTF-8"
         if isinstance(error, RecursionError):
             reason = "its tables and lists are nested too deep"
-        raise ValueError(f"{shown(str(path))[1:-1]}: {reason}") from error
+        raise ValueError(f"{short_repr(str(path))[1:-1]}: {reason}") from error
 
 
 def write(path: _PathLike, plain: dict[str, Any]) -> None:
@@ -46,12 +46,12 @@ def write(path: _PathLike, plain: dict[str, Any]) -> None:
 def _possible(path: _PathLike) -> Iterator[Path]:
     """The path of a file; one that no file can have is refused."""
     if not isinstance(path, str | os.PathLike):
-        refuse("path", path, "the path of a TOML file")
+        raise_invalid("path", path, "the path of a TOML file")
     try:
         yield Path(path)
     except OSError as error:
         if error.errno != errno.ENAMETOOLONG:
             raise
-        raise ValueError(f"path is {shown(str(path))}; it is too long for a file") from error
+        raise ValueError(f"path is {short_repr(str(path))}; it is too long for a file") from error
     except ValueError as error:
-        raise ValueError(f"path is {shown(str(path))}; no file can be called that") from error
+        raise ValueError(f"path is {short_repr(str(path))}; no file can be called that") from error

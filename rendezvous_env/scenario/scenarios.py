@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from ..checks import meant, refuse, shown
+from ..checks import closest_match, raise_invalid, short_repr
 from .scenario import Scenario
 
 ScenarioLike = Scenario | str | os.PathLike[str] | Mapping[str, Any]
@@ -250,7 +250,7 @@ def versioned(name: str) -> str:
     known = with_versions()
     if name not in known:
         entry = "; a new one needs an entry in scenario/digests.json" if name in _FIELDS else ""
-        refuse("name", name, f"one of {', '.join(known)}{entry}")
+        raise_invalid("name", name, f"one of {', '.join(known)}{entry}")
     return known[name]
 
 
@@ -263,11 +263,14 @@ def get(name: str) -> Scenario:
     parts = _NAME.fullmatch(name) if isinstance(name, str) else None
     plain = parts["plain"] if parts else name
     if parts is None or plain not in _FIELDS:
-        hint = meant(plain, _FIELDS, after=" ")
-        raise ValueError(f"scenario {shown(name)} is unknown; {hint}known are {', '.join(_FIELDS)}")
+        hint = closest_match(plain, _FIELDS, after=" ")
+        raise ValueError(
+            f"scenario {short_repr(name)} is unknown; {hint}known are {', '.join(_FIELDS)}"
+        )
     if parts["version"] and f"{NAMESPACE}/{plain}{parts['version']}" != versioned(plain):
         raise ValueError(
-            f"scenario {shown(name)} is of another version; here it is {versioned(plain)}, and "
+            f"scenario {short_repr(name)} is of another version; here it is {versioned(plain)}, "
+            "and "
             "results of different versions do not compare"
         )
     return Scenario(name=plain, **_FIELDS[plain])
@@ -285,7 +288,7 @@ def resolve(scenario: ScenarioLike, **overrides: Any) -> Scenario:
         scenario = Scenario.from_plain(scenario)
     if not isinstance(scenario, Scenario | str | os.PathLike):
         wanted = "a Scenario, its plain data, the name of one, or the path of a TOML file"
-        refuse("scenario", scenario, wanted)
+        raise_invalid("scenario", scenario, wanted)
     if not isinstance(scenario, Scenario):
         is_file = str(scenario).lower().endswith(".toml")
         scenario = Scenario.from_toml(scenario) if is_file else get(str(scenario))

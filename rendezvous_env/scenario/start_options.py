@@ -8,7 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import graphs
-from ..checks import check_shape, exact, floats, is_whole, mapping, nearest_word, refuse, shown
+from ..checks import (
+    check_shape,
+    floats,
+    format_limit,
+    is_int,
+    mapping,
+    nearest_word,
+    raise_invalid,
+    short_repr,
+)
 from ..graphs.reading import as_dense
 from ..graphs.weights import weighted_links
 from ..limits import LARGEST, LARGEST_SEED
@@ -42,10 +51,11 @@ def parse_options(scenario: Any, num_envs: int, options: Mapping[str, Any] | Non
     for key in options:
         near = nearest_word(key, OPTIONS, cutoff=0.8)
         if key not in OPTIONS and near:
-            raise ValueError(f"options: {shown(key)} is not an option; did you mean {near!r}?")
+            raise ValueError(f"options: {short_repr(key)} is not an option; did you mean {near!r}?")
         if key not in OPTIONS and (key == "max_cycles" or key in fields):
             raise ValueError(
-                f"options: {shown(key)} is of the scenario, which a reset does not change; make "
+                f"options: {short_repr(key)} is of the scenario, which a reset does not change; "
+                "make "
                 f"another environment with {key}=…; options are {', '.join(OPTIONS)}"
             )
     values = ((options.get(key), read) for key, read in _READERS.items())
@@ -108,7 +118,7 @@ def _frames(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
     gram = np.swapaxes(frames, -1, -2) @ frames
     wrong = (np.abs(gram - np.eye(d)).max(axis=(-2, -1)) > _ROUNDING) | (np.linalg.det(frames) < 0)
     for team, robot in np.argwhere(wrong):
-        matrix = shown(frames[team, robot].tolist())
+        matrix = short_repr(frames[team, robot].tolist())
         raise ValueError(f"frames: that of robot_{robot} is {matrix}; it must be a rotation")
     return frames
 
@@ -192,7 +202,7 @@ def check_table(field: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.fl
     if not (wanted := np.abs(table) <= LARGEST).all():
         at = tuple(int(k) for k in np.argwhere(~wanted)[0])
         bounds = f"finite, and from {-LARGEST:g} to {LARGEST:g}"
-        refuse(f"{field} of robot_{at[0]}", table[at[0]].tolist(), bounds)
+        raise_invalid(f"{field} of robot_{at[0]}", table[at[0]].tolist(), bounds)
     return table
 
 
@@ -225,11 +235,11 @@ def check_apart(field: str, positions: NDArray[np.float64], least: float) -> Non
     if distances.min() < least * (1 - _ROUNDING):
         i, j = divmod(int(distances.argmin()), len(positions))
         apart = f"{distances[i, j]:.4g} m apart; it must be"
-        wanted = f"at least {exact(least)} m, two body_radius"
+        wanted = f"at least {format_limit(least)} m, two body_radius"
         raise ValueError(f"{field}: robot_{i} and robot_{j} stand {apart} {wanted}")
 
 
-def seeds_of_teams(seed: Any, num_envs: int) -> list[int | None] | None:
+def seeds_of_environments(seed: Any, num_envs: int) -> list[int | None] | None:
     """A seed for each of B teams, None where it keeps its own; None if all do.
 
     One number s gives team i the seed s + i; a sequence or array gives each team its own. Each is
@@ -249,8 +259,8 @@ def seeds_of_teams(seed: Any, num_envs: int) -> list[int | None] | None:
 
 def check_seed(seed: Any) -> int:
     """A seed, as Gymnasium takes them: any whole number that is not negative."""
-    if not is_whole(seed) or seed < 0:
-        refuse("seed", seed, "a whole number, 0 or more")
+    if not is_int(seed) or seed < 0:
+        raise_invalid("seed", seed, "a whole number, 0 or more")
     return int(seed)
 
 

@@ -1,7 +1,7 @@
-"""Random turns of bearings, in float32 as observations are, and without a branch: over the lanes of
-many teams they become SIMD. Each comes from a word of 32 bits.
+"""Random rotations of bearings in float32, without branches, each from a word of 32 bits.
 
-Nothing here is left to a library, so that one team, many, and plain Python get the same bits.
+Over the lanes of many environments they become SIMD. No library function is used, so that results
+are bitwise equal for one environment, many, and plain Python.
 """
 
 import math
@@ -29,7 +29,8 @@ _LOG = _float32(
     0.9999989912342966, -0.5000382460121644, 0.3334500819861033, -0.24795877235834773,
     0.19661320093766646, -0.1970276719897473, 0.17820187987880562,
 )  # fmt: skip
-"""Of log(1 + f)/f, in ascending powers of f ∈ [−1/3, 1/3]: to 2.2·10⁻⁷ of the logarithm."""
+"""Coefficients of log(1 + f)/f, in ascending powers of f ∈ [−1/3, 1/3]: to 2.2·10⁻⁷ of the
+logarithm."""
 
 _UPPER = _float32(
     1.2533142806544626, 0.452894784668922, 0.089987094324385, 0.011902153349247773,
@@ -39,12 +40,12 @@ _LOWER = _float32(
     1.0, 0.0995612165585267, 0.032691129366930895, 0.0022913411154914425,
     0.00016975306862813063, 1.003840129258438e-06,
 )  # fmt: skip
-"""Of Φ⁻¹((1 + x)/2)/x, in ascending powers of w = −log(1 − x²) ∈ [0, 21.5]: a rational of least
-largest relative error, 1.2·10⁻⁷."""
+"""Coefficients of Φ⁻¹((1 + x)/2)/x, in ascending powers of w = −log(1 − x²) ∈ [0, 21.5]: a
+minimax rational function, with relative error 1.2·10⁻⁷."""
 
-_ROUNDS = np.float32(1.5 * 2.0**23)  # to add it leaves the nearest whole number, in the last bits
+_ROUNDS = np.float32(1.5 * 2.0**23)  # adding it leaves the nearest integer in the last bits
 _QUARTERS = np.float32(2.0 / math.pi)
-# π/2 as a short number, of which multiples are exact, and the rest
+# π/2 as a short number with exact multiples, and the remainder
 _QUARTER = (np.float32(1.5703125), np.float32(0.5 * math.pi - 1.5703125))
 _SMALL = np.float32(0.123)  # rad; 6.34 times as much is still below π/4
 _SINE = _float32(-1.6666654611e-1, 8.3321608736e-3, -1.9515295891e-4)
@@ -59,12 +60,12 @@ def step_key(key, step):
 
 @kernel(inline="code")
 def gaussian(word):
-    """A standard normal number, float32: the inverse of the distribution function at a word, a
-    uniform uint32.
+    """Standard normal number, float32: the inverse distribution function at a uniform uint32.
 
         z = Φ⁻¹((1 + x)/2) = ± |x| R(w),   w = −log(1 − x²)   (the variable of Giles, 2010)
 
-    Its lowest bit is the sign, the others are |x|, so that |z| ≤ 6.34 with 1,200 values beyond 5.
+    The lowest bit of the word is the sign, the others are |x|, so that |z| ≤ 6.34 with 1,200 values
+    beyond 5.
     """
     y = (np.float32(np.int32(word >> _ONE_BIT)) + _HALF) * _PER_MAGNITUDE  # 1 − |x|
     v = y * (_TWO - y)  # 1 − x², as precise in the tails
@@ -78,7 +79,7 @@ def gaussian(word):
 
 @kernel(inline="code")
 def _polynomial(factors, x):
-    """A polynomial by Horner's rule; of 3, 6 or 7 factors in ascending powers."""
+    """Polynomial by Horner's rule; 3, 6 or 7 coefficients in ascending powers."""
     if len(factors) == 3:
         return (factors[2] * x + factors[1]) * x + factors[0]
     high = (factors[5] * x + factors[4]) * x + factors[3]
@@ -89,9 +90,10 @@ def _polynomial(factors, x):
 
 @kernel(inline="code")
 def cosine_and_sine(angle, small):
-    """The pair (cos α, sin α), to 10⁻⁷, of a float32 angle of at most some thousand rad, from those
-    of its distance to the nearest multiple of π/2 (coefficients of Cephes, Moshier). A ``small``
-    angle, at most π/4, is that itself.
+    """Pair (cos α, sin α), to 10⁻⁷, of a float32 angle of at most some thousand rad.
+
+    Computed from the distance to the nearest multiple of π/2 (coefficients of Cephes, Moshier). A
+    ``small`` angle, at most π/4, needs no reduction.
     """
     if small:
         return _near_zero(angle)
@@ -112,18 +114,21 @@ def _near_zero(angle):
 
 @kernel(inline="code")
 def is_small(deviation):
-    """Whether no angle of this standard deviation, rad, is beyond π/4."""
+    """Whether no angle of this standard deviation, rad, exceeds π/4."""
     return deviation <= _SMALL
 
 
 @kernel(inline="code")
 def turned_by_chance(row, deviation, small, word, other):
-    """A row turned by an angle α ~ N(0, deviation²): in the plane counter-clockwise, in space
-    towards a direction that is uniform about it. It keeps its length, and zero stays zero.
+    """Row rotated by an angle α ~ N(0, deviation²); its length and zero rows are unchanged.
+
+    In 2-D the rotation is counterclockwise, in 3-D towards a uniformly distributed direction about
+    the row.
 
         R(α) g,   or   cos α g + sin α ‖g‖ t,   t = cos φ b + sin φ c,   b, c, g orthogonal
 
-    The row and the deviation, rad, are float32; α is made of ``word`` and φ of ``other``, uint32.
+    The row and the deviation, rad, are float32; α is computed from ``word`` and φ from ``other``,
+    uint32.
     """
     c, s = cosine_and_sine(deviation * gaussian(word), small)
     if len(row) == 2:
@@ -135,8 +140,9 @@ def turned_by_chance(row, deviation, small, word, other):
 
 @kernel(inline="code")
 def _across(row, turn):
-    """A triple across a row and as long, at an angle about it (after Duff et al., "Building an
-    orthonormal basis, revisited", 2017).
+    """Triple perpendicular to a row, of equal length, at an angle about it.
+
+    After Duff et al., "Building an orthonormal basis, revisited", 2017.
     """
     (x, y, z), (c, s) = row, cosine_and_sine(turn, False)
     length = np.float32(norm(row))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import Registry, refuse
+from ..checks import Registry, raise_invalid
 from ..compilation import kernel
 from ..physics.random_streams import SENSING, mix, stream_key, uniform
 from .chance import step_key
@@ -78,7 +78,7 @@ def sensor_imperfection(name: str, change: Imperfection | None = None) -> Any:
 def as_custom(field: str, value: Any) -> tuple[str, ...]:
     """Validated names of registered imperfections."""
     if not isinstance(value, list | tuple):
-        refuse(field, value, "a list of names")
+        raise_invalid(field, value, "a list of names")
     for name in value:
         IMPERFECTIONS.check(field, name)
     return tuple(value)

@@ -1,11 +1,11 @@
-"""What a sensor gets wrong, and what that makes of one row at a time.
+"""Sensor imperfections, and their effect on individual rows.
 
-An imperfection is a setting in ``sensing.py`` and, here, a constant of ``Imperfections``, its value
-in ``imperfections_of`` and its equation. ``neighbour_seen`` puts them together, but for range, view
-and chance, which ``engine/stages/sense_by_chance.py`` does over lanes.
+An imperfection is a setting in ``sensing.py``. Here it has a constant of ``Imperfections``, its
+value in ``imperfections_of`` and its equation. ``neighbour_seen`` combines them, except for range,
+field of view and noise, which the stage ``apply_noise`` applies over lanes.
 
-Rows are a_ij g_ij or unit bearings in the robot's own frame, pairs or triples; what turns them
-keeps their length.
+Rows are a_ij g_ij or unit bearings in the robot's own frame, pairs or triples; rotations keep their
+length.
 """
 
 import math
@@ -27,11 +27,11 @@ from ..physics.vectors import (
 )
 from .sensing import Sensing
 
-_NEARLY_PARALLEL = 1e-9  # sine of an angle between two directions that span no plane
+_NEARLY_PARALLEL = 1e-9  # sine of the angle below which two directions are parallel
 
 
 class Imperfections(NamedTuple):
-    """Those of a team's sensors, as kernels take them; see ``Sensing`` for what they are."""
+    """Sensor imperfections of an environment for kernels; see ``Sensing`` for their meaning."""
 
     reach: float  # range, m; inf without a limit
     half_field: float  # half the field of view, rad
@@ -45,24 +45,24 @@ class Imperfections(NamedTuple):
 
     @property
     def over_lanes(self) -> bool:
-        """Whether range, field of view or chance change the rows of neighbours."""
+        """Whether range, field of view or noise changes the rows of neighbours."""
         limited = math.isfinite(self.reach) or self.half_field < math.pi
         return limited or max(self.noise, self.bias, self.dropout) > 0.0
 
     @property
     def one_by_one(self) -> bool:
-        """Whether anything else does, that looks at one team at a time."""
+        """Whether other imperfections apply, which process one environment at a time."""
         return self.obstacles_hide or self.robots_hide or self.error > 0.0 or self.sectors > 0
 
     @property
     def changes_silhouettes(self) -> bool:
-        """Whether anything changes the rows of obstacles."""
+        """Whether any imperfection changes the rows of obstacles."""
         turned = max(self.noise, self.bias) > 0.0 or self.sectors > 0
         return turned or self.half_field < math.pi
 
 
 def imperfections_of(sensing: Sensing) -> Imperfections | None:
-    """What kernels need to know of a sensor; None if it is exact but for custom imperfections."""
+    """Kernel constants of a sensor; None if it is exact except for custom imperfections."""
     if sensing.built_in_exact:
         return None
     return Imperfections(
@@ -78,13 +78,13 @@ def imperfections_of(sensing: Sensing) -> Imperfections | None:
     )
 
 
-@inner_kernel(inline="code")  # to hand all its arguments over would take longer than what it does
+@inner_kernel(inline="code")  # passing all its arguments would take longer than its work
 def neighbour_seen(pair, row, frame, sensor, places, scene):
-    """The row of neighbour j as robot i sees it, zero if something hides it; given are i and j, and
-    the row after range, view and chance, in the frame of robot i.
+    """Row of neighbour j as observed by robot i, zero if j is hidden.
 
-    ``places`` are positions (n, d), m, and the directions (n, d) in which each robot raises the
-    hull's perimeter most; ``scene`` is obstacles, merged_into (n,) and the radius of robots, m.
+    Given are i and j, and the row after range, field of view and noise, in the frame of robot i.
+    ``places`` are positions (n, d), m, and for each robot the direction (n, d) that increases the
+    hull perimeter most. ``scene`` is obstacles, merged_into (n,) and the radius of robots, m.
     """
     (i, j), (positions, outward) = pair, places
     offset = subtract(load(positions[j]), load(positions[i]))
@@ -99,7 +99,7 @@ def neighbour_seen(pair, row, frame, sensor, places, scene):
 
 @inner_kernel
 def _is_hidden(pair, offset, sensor, obstacles, merged_into, radius, positions):
-    """Whether an obstacle or another robot, of this radius (m), stands between robots i and j."""
+    """Whether an obstacle or another robot, of this radius (m), is between robots i and j."""
     i, j = pair
     if obstacles is not None:
         if sensor.obstacles_hide and is_hidden_by_obstacles(obstacles, load(positions[i]), offset):
@@ -115,7 +115,7 @@ def _is_hidden(pair, offset, sensor, obstacles, merged_into, radius, positions):
 
 @inner_kernel(inline="code")
 def _like(row, v):
-    """A triple as a pair in the plane, where rows are pairs."""
+    """Convert a triple to a pair if rows are pairs, in 2-D."""
     if len(row) == 2:
         return v[0], v[1]
     return v
@@ -123,12 +123,12 @@ def _like(row, v):
 
 @kernel(inline="code")
 def is_seen(offset, frame, reach, half_field):
-    """Whether a place at an offset, m, from a robot with this frame is in range and in view.
+    """Whether a point at an offset, m, from a robot with this frame is in range and in view.
 
     ‖offset‖ ≤ range (inf without a limit)   and   ∠(Rᵀ offset, x) ≤ field of view/2
 
-    The length is that of the offset as it is, which two robots share to the last bit: so both are
-    in range of each other, or neither (theorem R). In two frames it would be rounded in two ways.
+    The length is that of the unrotated offset, which is bitwise equal for both robots. So both are
+    in range of each other, or neither (theorem R). In two frames it would be rounded differently.
     """
     if dot(offset, offset) > reach * reach:
         return False
@@ -137,18 +137,21 @@ def is_seen(offset, frame, reach, half_field):
 
 @kernel(inline="code")
 def is_in_view(direction, half_field):
-    """Whether a direction, of any length, in a robot's own frame is in its field of view; half of π
-    is all round.
+    """Whether a direction, of any length, in a robot's own frame is in its field of view.
+
+    A half angle of π is the full circle.
     """
     x, y, z = triple(direction)
-    # to find the angle takes as long as a step of a robot with an exact sensor
+    # computing the angle takes as long as a step of a robot with an exact sensor
     return half_field >= math.pi or math.atan2(math.sqrt(y * y + z * z), x) <= half_field
 
 
 @kernel
 def is_hidden_by_robot(offset, other, radius):
-    """Whether a nearer robot, a disc or sphere of a radius (m) at an offset ``other``, hides the
-    one at ``offset``, triples, m. The nearest robot is always seen.
+    """Whether a nearer robot, a disc or sphere, occludes another robot.
+
+    The former has a radius (m) and the offset ``other``, the latter ``offset``, triples, m. The
+    nearest robot is always visible.
     """
     distance_squared, other_squared = dot(offset, offset), dot(other, other)
     along = dot(offset, other)
@@ -159,8 +162,10 @@ def is_hidden_by_robot(offset, other, radius):
 
 @kernel(inline="code")
 def turned(row, angle, axis):
-    """A row turned by an angle α, rad: in the plane counter-clockwise, in 3-D about the part of an
-    axis (a triple) that is perpendicular to it; the x or y axis replaces an axis along the row.
+    """Row rotated by an angle α, rad, counterclockwise in 2-D.
+
+    In 3-D the rotation is about the component of an axis (a triple) that is perpendicular to the
+    row. The x or y axis replaces an axis along the row.
 
         R(α) g,   or   cos α g + sin α (e × g),  e ∥ axis − (axis·g) g
     """
@@ -172,19 +177,20 @@ def turned(row, angle, axis):
 
 @kernel
 def _across(axis, row):
-    """Unit vector along the part of an axis that is perpendicular to a row, triples."""
+    """Unit vector along the component of an axis that is perpendicular to a row, triples."""
     for candidate in (axis, X_AXIS, (0.0, 1.0, 0.0)):
         part = cross(row, cross(candidate, row))
         length = norm(part)
         if length > _NEARLY_PARALLEL * norm(candidate) * dot(row, row):
             return part[0] / length, part[1] / length, part[2] / length
-    return 0.0, 0.0, 1.0  # the row is zero: nothing is turned
+    return 0.0, 0.0, 1.0  # the row is zero: no rotation
 
 
 @kernel(inline="code")
 def turned_towards(row, angle, target):
-    """A row turned by exactly an angle, rad, so that it points as far along ``target`` as it then
-    can: counter-clockwise in the plane if both senses are equally good.
+    """Row rotated by exactly an angle, rad, towards ``target`` as far as possible.
+
+    In 2-D counterclockwise if both senses are equally good.
     """
     if len(row) == 2:
         to_the_left = row[0] * target[1] - row[1] * target[0] >= 0.0
@@ -194,8 +200,10 @@ def turned_towards(row, angle, target):
 
 @kernel(inline="code")
 def in_sectors(row, sectors):
-    """A row turned into the middle of its sector: to the nearest multiple of 2π/sectors from the x
-    axis, in space in yaw and, as far as ± π/2, in elevation.
+    """Row rotated to the middle of its sector.
+
+    That is the nearest multiple of 2π/sectors from the x axis. In 3-D, in yaw and, within ± π/2, in
+    elevation.
     """
     width = 2.0 * math.pi / sectors
     yaw = width * math.floor(math.atan2(row[1], row[0]) / width + 0.5)

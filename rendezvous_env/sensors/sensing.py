@@ -17,9 +17,11 @@ _FULL_CIRCLE = 2.0 * math.pi
 
 
 def _check_view(field: str, value: Any) -> float:
-    if not 0.0 < checks.real(value) <= _FULL_CIRCLE:
-        checks.refuse(field, value, "a positive number of at most 2π = 6.283185307179586 rad")
-    return checks.real(value)
+    if not 0.0 < checks.to_float(value) <= _FULL_CIRCLE:
+        checks.raise_invalid(
+            field, value, "a positive number of at most 2π = 6.283185307179586 rad"
+        )
+    return checks.to_float(value)
 
 
 _Deviation = Annotated[float, partial(checks.number, least=0.0, most=_FULL_CIRCLE, unit="rad")]
@@ -60,9 +62,9 @@ class Sensing:
     rad (theorem N; guarantees, section 11)."""
     dropout: Annotated[float, partial(checks.number, least=0.0, most=1.0)] = 0.0
     """Probability that a neighbour is not detected in a step."""
-    delay: Annotated[int, partial(checks.whole, least=0, most=MOST_DELAY)] = 0
+    delay: Annotated[int, partial(checks.check_int, least=0, most=MOST_DELAY)] = 0
     """Delay of observations, steps; the first observation is held until then."""
-    sectors: Annotated[int, partial(checks.whole, least=2, most=MOST_SECTORS)] | None = None
+    sectors: Annotated[int, partial(checks.check_int, least=2, most=MOST_SECTORS)] | None = None
     """Number of sectors to which bearings are quantised, in 3-D in yaw and elevation (± π/2); None
     disables quantisation."""
     occlusion: Literal["none", "obstacles", "robots", "both"] = "none"

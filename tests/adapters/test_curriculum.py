@@ -1,4 +1,4 @@
-"""One network learns in teams and maps of different size, one after the other."""
+"""Training of one network on teams and maps of different sizes in sequence."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from rendezvous_env.adapters.sb3 import RobotVecEnv
 from rendezvous_env.vector import training_env
 
 SIZE = {"neighbour_slots": 7, "obstacle_slots": 6, "obstacle_overflow": "nearest"}
-"""Observations of up to eight robots, and of the six nearest obstacles."""
+"""Scenario with observations of up to eight robots, and of the six nearest obstacles."""
 STAGES = [
     ("clutter-4", {}),
     ("clutter-16", {}),
@@ -25,7 +25,7 @@ def one_torch_thread(set_threads):
 
 
 def stage(scenario, slots=16, **fields):
-    """So many robots, in as many teams as that takes."""
+    """Environments for a given total number of robots."""
     fields = {"time_limit": 3.0} | SIZE | fields
     teams = slots // rv.scenarios.resolve(scenario, **fields).n_robots
     return RobotVecEnv(training_env(scenario, teams, **fields))

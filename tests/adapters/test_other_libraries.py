@@ -1,4 +1,4 @@
-"""Which wrappers of other libraries fit, and which are refused: a table, and each line tried.
+"""Supported and rejected wrappers of other libraries: a table, with a test for each row.
 
 | library | over | fits |
 |---|---|---|
@@ -264,7 +264,7 @@ def test_vector_environments_of_supersuit_fit_training_environments():
 
 
 def test_frame_skip_draws_from_the_seed():
-    """What SuperSuit asks of an environment, without it."""
+    """SuperSuit's requirement, without SuperSuit."""
     for make in (rv.parallel_env, rv.training_env):
         env = make("duo")
         env.reset(seed=3)

@@ -69,7 +69,7 @@ def lived(model, team):
 
 
 @pytest.mark.kernels
-def test_advantages_are_those_of_each_robot_on_its_own():
+def test_advantages_match_each_robot_alone():
     np.testing.assert_array_equal(SCENARIO.action_bounds, 2.0)
     model = collected(RobotPPO, make_robots(SCENARIO, TEAMS))
     buffer, counts = model.rollout_buffer, Counter()
@@ -86,7 +86,7 @@ def test_advantages_are_those_of_each_robot_on_its_own():
 
 
 @pytest.mark.filterwarnings("ignore:You have specified a mini-batch size")
-def test_stock_ppo_gets_the_same_rewards_and_values_from_the_infos():
+def test_stock_ppo_uses_rewards_and_values_from_infos():
     ours = collected(RobotPPO, make_robots(SCENARIO, TEAMS)).rollout_buffer
     stock = collected(PPO, make_robots(SCENARIO, TEAMS)).rollout_buffer
     mask = ours.mask
@@ -95,7 +95,7 @@ def test_stock_ppo_gets_the_same_rewards_and_values_from_the_infos():
     np.testing.assert_array_equal(ours.observations, stock.observations)
 
 
-def test_batches_hold_every_lived_sample_once_and_no_other():
+def test_batches_contain_every_active_sample_once():
     buffer = collected(RobotPPO, make_robots(SCENARIO, TEAMS)).rollout_buffer
     expected = np.sort(buffer.log_probs[buffer.mask])
     batches = list(buffer.get(64))
@@ -113,7 +113,7 @@ def random_steps(env, steps, seed=0):
         yield env.step(actions.astype(np.float32))
 
 
-def test_statistics_are_those_of_teams():
+def test_episode_statistics_are_per_environment():
     env = make_robots(SCENARIO, 4)
     env.seed(SEED)
     env.reset()
@@ -135,7 +135,7 @@ def test_statistics_are_those_of_teams():
     assert len(episodes) >= 8 and {"r", "l", "t", "success", "contacts"} <= episodes[0].keys()
 
 
-def test_a_reset_of_some_teams_leaves_the_counts_of_the_others():
+def test_partial_reset_keeps_counts_of_others():
     slots = RobotSlots(training_env("clutter-4", 2, time_limit=3.0))
     slots.reset(0)
     still, lengths = np.zeros((slots.num_envs, 2), np.float32), {}
@@ -148,7 +148,7 @@ def test_a_reset_of_some_teams_leaves_the_counts_of_the_others():
 
 
 @pytest.mark.parametrize(("count", "of_teams"), [(4, (1, 3)), (6, (3, 3)), (15, (6, 9))])
-def test_evaluation_counts_every_episode_of_a_team_once(count, of_teams):
+def test_evaluate_policy_counts_each_episode_once(count, of_teams):
     env = make_robots(SCENARIO, 2)
     model = PPO("MlpPolicy", env, **SETTINGS | {"batch_size": 60})
     env.seed(SEED)
@@ -167,7 +167,7 @@ def test_evaluation_counts_every_episode_of_a_team_once(count, of_teams):
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-def test_nothing_that_was_given_out_changes_later():
+def test_returned_arrays_are_not_modified_later():
     env = make_robots(SCENARIO, TEAMS)
     env.reset()
     kept = []
@@ -180,7 +180,7 @@ def test_nothing_that_was_given_out_changes_later():
             np.testing.assert_array_equal(array, copy)
 
 
-def test_seeds_options_and_attributes_reach_the_teams():
+def test_seeds_options_and_attributes_reach_environments():
     env = make_robots(SCENARIO, TEAMS, max_cycles=7)
     assert env.seed(10) == [10 + slot // ROBOTS for slot in range(TEAMS * ROBOTS)]
     start = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]])
@@ -219,7 +219,7 @@ def test_ppo_learns_through_wrappers(wrapper, options):
     assert robots.tell_bootstraps
 
 
-def test_what_cannot_be_followed_is_refused():
+def test_robot_vec_env_rejects_unsupported_wrappers():
     for teams in (SCENARIO, None, rv.parallel_env("duo")):
         with pytest.raises(TypeError, match=f"teams is of type {type(teams).__name__}; it must be"):
             RobotVecEnv(teams)
@@ -233,7 +233,7 @@ def test_what_cannot_be_followed_is_refused():
         RobotPPO("MlpPolicy", VecNormalize(counted_twice), **SETTINGS).learn(10)
 
 
-def test_a_choice_that_is_none_is_not_rounded_to_one():
+def test_invalid_discrete_action_is_rejected():
     robots = RobotVecEnv(training_env("clutter-8", 1, discrete=True))
     robots.reset()
     robots.step(np.full(4, 8))
@@ -242,7 +242,7 @@ def test_a_choice_that_is_none_is_not_rounded_to_one():
             robots.step(np.full(4, wrong))
 
 
-def test_teams_can_be_filmed(tmp_path, monkeypatch):
+def test_vec_video_recorder_works(tmp_path, monkeypatch):
     """``moviepy`` only writes what was recorded."""
     monkeypatch.setitem(sys.modules, "moviepy", ModuleType("moviepy"))
     robots = make_robots(SCENARIO, 2, render_mode="rgb_array")
@@ -254,7 +254,7 @@ def test_teams_can_be_filmed(tmp_path, monkeypatch):
     assert last.size >= sum(picture.size for picture in pictures)
 
 
-def test_options_of_slots_are_alike_in_all_teams_or_refused():
+def test_slot_options_must_match_within_environment():
     env = make_robots(SCENARIO.replace(obstacle_slots=1), 2)
     places = [np.array([0.5, 3.0]), [0.5, 3.0]] * ROBOTS
     env.set_options([{"obstacles": [{"centre": place, "radius": 0.1}]} for place in places])
@@ -283,7 +283,7 @@ def test_options_of_slots_are_alike_in_all_teams_or_refused():
     "wrong",
     [{"positions": np.full((ROBOTS, 2), np.nan)}, {"positions": "x"}, {"obstacles": 3}],
 )
-def test_options_that_are_refused_wait_for_no_other_reset(wrong):
+def test_rejected_options_do_not_affect_next_reset(wrong):
     env, other = make_robots(SCENARIO, 2), make_robots(SCENARIO, 2)
     for one in (env, other):
         one.seed(1)
@@ -297,7 +297,7 @@ def test_options_that_are_refused_wait_for_no_other_reset(wrong):
     assert env.get_attr("seeds") == [7] * ROBOTS + [8] * ROBOTS
 
 
-def test_bad_actions_seeds_options_and_slots_are_refused():
+def test_bad_actions_seeds_options_and_slots_are_rejected():
     env = make_robots(SCENARIO, 2)
     env.reset()
     for actions, message in (
@@ -320,7 +320,7 @@ def test_bad_actions_seeds_options_and_slots_are_refused():
     assert env.get_attr("max_steps") != [9] * 6
 
 
-def test_slots_refuse_what_is_no_reset_and_no_step_of_theirs():
+def test_robot_slots_reject_foreign_reset_and_step():
     slots = RobotSlots(make_robots(SCENARIO, 2).teams)
     slots.reset(0)
     slots.step([[0.0, 0.0]] * 6)
@@ -334,7 +334,7 @@ def test_slots_refuse_what_is_no_reset_and_no_step_of_theirs():
             call(**given)
 
 
-def test_every_slot_is_told_what_a_step_cost():
+def test_infos_of_every_slot_hold_costs():
     """In infos and as arrays, those of the vector environment; episodes add them up."""
     scenario = rv.scenarios.get("clutter-16").replace(costs=("contact", "rise"), time_limit=1.0)
     robots, teams = make_robots(scenario, 3), rv.make_vec(scenario, 3, autoreset_mode="SameStep")

@@ -1,4 +1,4 @@
-"""What stable-baselines3 logs of episodes, against the episodes themselves."""
+"""Episode statistics logged by stable-baselines3, compared with the episodes."""
 
 import sys
 from types import SimpleNamespace
@@ -19,7 +19,7 @@ SETTINGS = {"n_steps": 16, "batch_size": 64, "n_epochs": 1, "device": "cpu", "se
 
 @rv.reward_term("hits")
 def hits(step):
-    """A name that ends with s, of numbers of each robot."""
+    """A name in the plural, with a value per robot."""
     return step.contact.astype(float)
 
 
@@ -34,7 +34,7 @@ def robots_of(scenario="clutter-24", **arguments):
 
 
 def episodes_of(robots, steps=130, seed=0):
-    """What infos told of episodes, and rewards of teams by episode, under random actions."""
+    """Episode infos, and team rewards by episode, under random actions."""
     random = np.random.default_rng(seed)
     robots.seed(seed)
     robots.reset()

@@ -1,4 +1,4 @@
-"""Wrappers and a buffer of stable-baselines3 over slots whose robots merge."""
+"""Wrappers and a buffer of stable-baselines3 over slots of merging robots."""
 
 import csv
 import warnings
@@ -182,7 +182,7 @@ def test_other_environments_are_refused(wrapper):
 
 
 def test_drop_in_forms_do_what_the_stock_ones_do_where_nobody_merges():
-    """Robots that stand still, to the time limit."""
+    """Robots at rest up to the time limit."""
     pairs = (
         (RobotFrameStack, VecFrameStack, {"n_stack": 2}),
         (RobotNormalize, VecNormalize, {"norm_obs": True}),
@@ -231,7 +231,7 @@ def test_episode_stands_at_the_same_slot_after_a_state_was_put_back():
 
 
 def test_stock_monitor_counts_what_the_adapter_does_not():
-    """Why there is another form: as long as this holds of stable-baselines3's own."""
+    """Reason for the drop-in form, as long as stable-baselines3's own behaves like this."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         stock = begun(VecMonitor(make_robots(SCENARIO, TEAMS)))

@@ -1,4 +1,4 @@
-"""A wrapper that changes the rewards of teams changes what a learner is paid."""
+"""Reward wrappers: changed team rewards reach the learner."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ TEAMS = 4
 
 
 class RobotByRobot(VectorWrapper):
-    """Pays robots one by one, and says so itself."""
+    """Wrapper with individual robot rewards, which it reports."""
 
     def step(self, actions):
         seen, rewards, ends, cuts, infos = super().step(actions)
@@ -46,7 +46,7 @@ FORMS = [plain, certified, preset]
 
 
 def played(teams, steps=25):
-    """Rewards (steps, B, n) of random actions."""
+    """Rewards (steps, B, n) under random actions."""
     robots = RobotVecEnv(teams)
     robots.seed(0)
     robots.reset()
@@ -58,7 +58,7 @@ def played(teams, steps=25):
 
 
 @pytest.mark.parametrize("make", FORMS)
-def test_what_a_wrapper_of_gymnasium_adds_is_paid_and_no_more(make):
+def test_gymnasium_reward_wrapper_changes_rewards_once(make):
     usual = played(make())
     np.testing.assert_array_equal(played(RecordEpisodeStatistics(make())), usual)
     added = played(TransformReward(make(), lambda rewards: rewards + 1000.0)) - usual
@@ -66,26 +66,26 @@ def test_what_a_wrapper_of_gymnasium_adds_is_paid_and_no_more(make):
     assert np.isclose(added[:, :, 0], 1000.0, rtol=1e-4).all()  # robot 0 lives to the end
 
 
-def test_who_pays_robots_one_by_one_has_the_last_word():
+def test_per_robot_shaping_overrides_team_reward():
     added = played(RobotByRobot(plain())) - played(plain())
     np.testing.assert_allclose(added, np.broadcast_to([0.0, 1.0], added.shape), atol=1e-6)
 
 
-def test_shaping_may_stand_on_shaping_and_adapters_on_one_environment():
+def test_shaping_wrappers_stack_under_adapters():
     twice = TransformReward(TransformReward(plain(), lambda r: r + 1.0), lambda r: 2.0 * r)
     RobotVecEnv(twice)  # another adapter looked at it before
     expected = 2.0 * (played(plain())[:, :, 0] + 1.0)
     np.testing.assert_allclose(played(twice)[:, :, 0], expected, rtol=1e-5)
 
 
-def test_shaping_may_stand_under_a_guarantee():
+def test_shaping_works_under_guarantee():
     under = TransformReward(plain(), lambda rewards: rewards + 1.0)
     shaped = played(HeadingVectorWrapper(under, decision_period=3))
     added = (shaped - played(certified()))[:, :, 0]
     assert (added > 0.99).all() and np.isclose(added, 3.0, rtol=1e-4).mean() > 0.5
 
 
-def test_robots_that_are_gone_are_paid_nothing_more():
+def test_merged_robots_get_no_shaped_reward():
     shaping = RewardShaping(teams := TransformReward(plain(), lambda rewards: rewards + 1.0))
     teams.reset(seed=0)
     _, rewards, _, _, infos = teams.step(np.zeros(teams.action_space.shape, np.float32))
@@ -95,7 +95,7 @@ def test_robots_that_are_gone_are_paid_nothing_more():
     np.testing.assert_allclose(found - usual, acted.astype(float))
 
 
-def test_a_wrapper_between_does_not_hide_the_state():
+def test_intermediate_wrapper_keeps_state_access():
     robots = RobotVecEnv(TransformReward(training_env("duo", 3), lambda paid: 2.0 * paid))
     robots.seed(0)
     robots.reset()
@@ -107,7 +107,7 @@ def test_a_wrapper_between_does_not_hide_the_state():
 
 
 class OwnScale(VectorRewardWrapper):
-    """A wrapper of a user's own that scales, and counts how often it is asked."""
+    """Custom wrapper that scales rewards and counts its calls."""
 
     count = 0
 
@@ -117,7 +117,7 @@ class OwnScale(VectorRewardWrapper):
 
 
 class PaysAsTold(VectorWrapper):
-    """The teams' reward is the mean of what robots are told here, whatever happened."""
+    """Team rewards are always the mean of the robot rewards here."""
 
     def __init__(self, env, told):
         super().__init__(env)
@@ -148,7 +148,7 @@ SCALING = {
 @pytest.mark.parametrize("how", SCALING)
 @pytest.mark.parametrize("under", [False, True])
 def test_robots_are_scaled_where_a_wrapper_scales(how, under):
-    """Directly under the adapter, and under a guarantee that sums over two base steps."""
+    """Directly beneath the adapter, and beneath a guarantee that sums over two steps."""
     wrap, expected = SCALING[how]
     base = PaysAsTold(training_env("clutter-4", TEAMS, guarantee=None, learning_preset=False), RAW)
     robots = RobotVecEnv(RecordEpisodeStatistics(wrapped := wrap(base)))
@@ -184,7 +184,7 @@ def test_chain_of_scaling_and_adding_wrappers_is_followed_in_order():
 
 
 class Observed(VectorWrapper):
-    """Scales observations, and those at the ends of episodes or not."""
+    """Wrapper that scales observations, optionally also final ones."""
 
     def __init__(self, env, last):
         super().__init__(env)
@@ -206,7 +206,7 @@ class Observed(VectorWrapper):
 @pytest.mark.parametrize("make", FORMS)
 @pytest.mark.parametrize("outside", [False, True])
 def test_last_observations_are_changed_like_the_others_or_refused(make, outside):
-    """At the ends of episodes by time-out: robots apart still see one another."""
+    """Episodes end by time-out, where separate robots still have neighbours."""
 
     def ends(teams):
         robots = RobotVecEnv(RecordEpisodeStatistics(teams) if outside else teams)
@@ -224,7 +224,7 @@ def test_last_observations_are_changed_like_the_others_or_refused(make, outside)
 
 
 class Multiplied(VectorWrapper):
-    """Scales in a step of its own."""
+    """Wrapper with its own ``step`` that scales rewards."""
 
     def step(self, actions):
         seen, rewards, *others = self.env.step(actions)
@@ -232,7 +232,7 @@ class Multiplied(VectorWrapper):
 
 
 class Drawn(VectorWrapper):
-    """Robots earn numbers drawn at random, and their team the mean."""
+    """Wrapper with random robot rewards, and their mean as team reward."""
 
     def __init__(self, env):
         super().__init__(env)

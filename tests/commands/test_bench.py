@@ -1,6 +1,4 @@
-"""The benchmark's cases do what their names say, and its files hold what was measured; what is
-said of compilation.
-"""
+"""Benchmark cases, their files, and messages about compilation."""
 
 import json
 
@@ -19,7 +17,7 @@ QUICK = {"robots": (3,), "num_envs": 48, "repeats": 2, "seconds": 0.004, "num_th
 
 
 def measured(folder, **choices):
-    """Rows of a quick run, read from its file, and all of that file."""
+    """Rows of a quick run, read from its file, and the file's content."""
     path = folder / "bench.json"
     run(Config(json=path, **choices, **QUICK))
     written = json.loads(path.read_text())
@@ -27,7 +25,7 @@ def measured(folder, **choices):
 
 
 @pytest.mark.kernels
-def test_the_limit_computes_bearings_sums_and_a_step():
+def test_bare_kernel_computes_bearings_sums_and_step():
     n, lanes = 4, 64
     positions = np.random.default_rng(0).uniform(-1, 1, (1, n, 2, lanes))
     p = np.moveaxis(positions[0].copy(), -1, 0)  # (lanes, n, 2)
@@ -43,7 +41,7 @@ def test_the_limit_computes_bearings_sums_and_a_step():
     np.testing.assert_allclose(moved, 1e-9 * g.sum(axis=2), atol=1e-15)
 
 
-def test_all_rows_are_measured_and_written(tmp_path):
+def test_bench_measures_and_writes_all_rows(tmp_path):
     rows, written = measured(tmp_path)
     assert {row["group"] for row in rows} == set(GROUPS)
     assert all(row["rate"] > 0 and len(row["rates"]) == 2 for row in rows)
@@ -61,25 +59,25 @@ def test_all_rows_are_measured_and_written(tmp_path):
     assert list(tmp_path.iterdir()) == [tmp_path / "bench.json"]
 
 
-def test_a_folder_named_like_a_learner_is_not_that_learner(tmp_path, monkeypatch):
+def test_installed_ignores_folder_with_library_name(tmp_path, monkeypatch):
     (tmp_path / "folder_of_no_library").mkdir()
     monkeypatch.syspath_prepend(tmp_path)
     assert not installed("folder_of_no_library") and installed("numpy")
 
 
-def test_less_than_a_team_of_robots_is_one_team():
+def test_tiny_batch_counts_as_one_environment():
     rows = measure(learners.heading_ppo(Size(1, 1)), Config(**QUICK | {"num_envs": 1}))
     assert [row["num_envs"] for row in rows] == [1, 1, 1]
 
 
-def test_rows_can_be_chosen_and_need_no_learner(tmp_path, monkeypatch, capsys):
+def test_bench_rows_can_be_selected_without_learners(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(checks.importlib.util, "find_spec", lambda name: None)
     [row], _ = measured(tmp_path, only=("one-team", "heading-ppo"))
     assert (row["group"], row["name"], row["ratio"]) == ("one-team", "PettingZoo", None)
     assert "memory per team, n = 3" in capsys.readouterr().out
 
 
-def test_a_ratio_is_that_to_the_case_it_names(monkeypatch):
+def test_ratio_refers_to_named_case(monkeypatch):
     now = [0.0]
 
     def case(name, seconds, against=""):
@@ -96,13 +94,13 @@ def test_a_ratio_is_that_to_the_case_it_names(monkeypatch):
     assert first["ratio"] is None
 
 
-def test_merging_while_timed_is_an_error():
+def test_merge_during_measurement_is_error():
     case = Case("merging", "g", 2, 1, 1, "steps", lambda: Running(lambda: None, lambda: False))
     with pytest.raises(RuntimeError, match="merging"):
         measure([case], Config(repeats=1, seconds=0.001))
 
 
-def test_robots_among_discs_see_all_of_them():
+def test_obstacle_case_has_all_discs_in_range():
     running = {case.name: case.build() for case in batched("obstacles", among_discs(), Size(4, 1))}
     outcome = running["Simulator"].step()
     layout = among_discs().observation_layout
@@ -111,14 +109,14 @@ def test_robots_among_discs_see_all_of_them():
     assert seen.shape == (4, 4, 16, 2)
 
 
-def test_the_actions_of_a_case_are_those_of_the_space():
+def test_case_actions_match_action_space():
     from rendezvous_env.vector import training_env
 
     env = training_env("clutter-8", 3, discrete=True)
     assert env.action_space.contains(next(tape_of(env.single_action_space, 3)))
 
 
-def test_a_warmup_readies_the_scenarios_asked_for(capsys):
+def test_warmup_compiles_requested_scenarios(capsys):
     assert cli.main(["warmup", "--scenarios", "duo", "ring-12"]) == 0
     assert "2 scenarios are ready" in capsys.readouterr().out
 
@@ -140,7 +138,7 @@ def test_long_compilation_is_announced_once(seconds, said, monkeypatch, capsys, 
 
 
 @pytest.mark.slow
-def test_a_cold_first_step_says_that_it_compiles(tmp_path):
+def test_cold_first_step_announces_compilation(tmp_path):
     code = (
         "import rendezvous_env as rv; env = rv.parallel_env('duo'); env.reset(seed=0);"
         "env.step({a: env.action_space(a).sample() for a in env.agents})"

@@ -1,4 +1,4 @@
-"""No setting of any command takes what means nothing, and what is refused changes nothing."""
+"""Validation of command settings: invalid values are rejected without side effects."""
 
 import dataclasses
 import math
@@ -26,7 +26,7 @@ FLOATS = [
 
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
 @pytest.mark.parametrize(("command", "field", "pair"), FLOATS)
-def test_numbers_are_finite(command, field, pair, value, one_line, monkeypatch, tmp_path):
+def test_numbers_must_be_finite(command, field, pair, value, one_line, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     flag = "--" + field.replace("_", "-")
     words = [flag, "0", value] if pair else [f"{flag}={value}"]
@@ -34,7 +34,7 @@ def test_numbers_are_finite(command, field, pair, value, one_line, monkeypatch, 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_every_command_with_numbers_was_tried():
+def test_numeric_flags_are_covered_for_every_command():
     assert {name for name, *_ in FLOATS} == {"train", "verify", "render", "bench"}
     assert len(FLOATS) >= 18
 
@@ -50,7 +50,7 @@ PATHS = {
     ("name", "message"),
     [("a" * 300, "has 300 bytes; a name may have 255"), ("a\0b", "NUL"), ("a\udcff", "UTF-8")],
 )
-def test_names_that_no_file_can_have(command, name, message, one_line, monkeypatch, tmp_path):
+def test_invalid_file_names_are_rejected(command, name, message, one_line, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     words = [command, *(["fig3"] if command == "reproduce" else []), PATHS[command], name]
     assert message in one_line(*filter(None, words))
@@ -161,14 +161,14 @@ def test_mistakes_are_one_line_and_change_nothing(words, one_line, monkeypatch, 
         ("render --out a.gif", "pygame", "render"),
     ],
 )
-def test_what_is_not_installed_is_named(words, missing, extra, one_line, monkeypatch, tmp_path):
+def test_missing_packages_are_named(words, missing, extra, one_line, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, missing, None)
     assert f" needs {missing}; pip install 'rendezvous-env[{extra}]'" in one_line(*words.split())
     assert list(tmp_path.iterdir()) == []
 
 
-def test_types_of_plain_data():
+def test_plain_data_types_are_validated():
     check_types({"a": [1, 2], "b": 3}, {"a": list[int], "b": float})
     with pytest.raises(ValueError, match=r"a is \[1, '2'\]; it must be of type list\[int\]"):
         check_types({"a": [1, "2"]}, {"a": list[int]})
@@ -176,7 +176,7 @@ def test_types_of_plain_data():
         check_types({"a": True}, {"a": int | None})
 
 
-def test_text_and_lists_stand_for_paths_and_tuples():
+def test_strings_and_lists_convert_to_paths_and_tuples():
     made = compare.Config(out="a/b", json="c.json", scenarios=["duo"])
     assert made == compare.Config(out=Path("a/b"), json=Path("c.json"), scenarios=("duo",))
     made = ppo.Config(out="a", resume="b", start_from=None, curriculum=[1, 2])
@@ -194,6 +194,6 @@ def test_text_and_lists_stand_for_paths_and_tuples():
         (ppo, {"hidden": (64, "64")}, r"hidden is \(64, '64'\); it must be of type"),
     ],
 )
-def test_settings_made_in_python_have_their_types(command, settings, message):
+def test_config_in_python_is_validated(command, settings, message):
     with pytest.raises(UserError, match=message):
         command.Config(**settings)

@@ -32,17 +32,17 @@ def run(*words):
 
 
 @pytest.mark.parametrize("words", [[], ["compair"], ["compare", "--episode", "many"]])
-def test_usage(words):
+def test_usage_errors_exit_with_status_2(words):
     assert run(*words) == 2
 
 
-def test_a_terminal_without_greek_letters():
+def test_output_works_without_unicode_terminal():
     words = "-m", "train.cli", "list", "policies"
     said = run_python(ROOT, *words, PYTHONIOENCODING="ascii").stdout
     assert said.isascii() and r"\u03c9" in said
 
 
-def test_where_nobody_reads_any_more_work_goes_on(tmp_path):
+def test_broken_pipe_does_not_stop_command(tmp_path):
     words = "-m train.cli compare --scenarios duo --policies zero --episodes 1 --no-figures"
     words = [sys.executable, *words.split(), "--details", "--out", tmp_path / "out"]
     command = subprocess.Popen(words, stdout=subprocess.PIPE)
@@ -53,7 +53,7 @@ def test_where_nobody_reads_any_more_work_goes_on(tmp_path):
 
 class TestHelp:
     @pytest.mark.parametrize("name", cli.COMMANDS)
-    def test_every_flag_is_told_in_a_sentence(self, name, capsys):
+    def test_help_describes_every_flag(self, name, capsys):
         assert run(name, "--help") == 0
         said = capsys.readouterr().out
         assert said.startswith(f"usage: rendezvous {name}") and "{None}" not in said
@@ -62,7 +62,7 @@ class TestHelp:
             assert text[0].isupper() or text.startswith(("λ", "ε")), flag
             assert text.endswith((".", "…")), flag
 
-    def test_examples_and_groups(self, capsys):
+    def test_help_shows_examples_and_groups(self, capsys):
         assert run("compare", "--help") == 0
         said = capsys.readouterr().out
         assert "  rendezvous compare --scenario clutter-8 trap" in said
@@ -75,14 +75,14 @@ class TestHelp:
         ):
             assert flags in said
 
-    def test_examples_are_right(self):
+    def test_help_examples_parse(self):
         for name, (module, _) in cli.COMMANDS.items():
             config = importlib.import_module(f"train.{module}").Config
             for words in getattr(sys.modules[config.__module__], "EXAMPLES", ()):
                 assert tyro.cli(config, args=words.split()), (name, words)
 
 
-def test_names_and_paths_are_no_markup(tmp_path, monkeypatch, capsys):
+def test_names_and_paths_are_not_markup(tmp_path, monkeypatch, capsys):
     """They are printed as they are, by every command that names one."""
     monkeypatch.chdir(tmp_path)
     policy, scenario, out = "runs/[s1]", "m[red]:cat:", "o[/b]"
@@ -101,7 +101,7 @@ def test_names_and_paths_are_no_markup(tmp_path, monkeypatch, capsys):
         assert all(one in said for one in shown), said
 
 
-def test_flags_have_their_older_names_too(monkeypatch):
+def test_old_flag_names_are_accepted(monkeypatch):
     monkeypatch.setattr(tasks, "check_installed", lambda *needs: None)
     old = "--scenarios duo --policies zero --fresh --keep 2 --ceiling 3 --on ray"
     new = "--scenario duo --policy zero --overwrite --keep-trajectories 2 --oracle-runs 3 "
@@ -109,7 +109,7 @@ def test_flags_have_their_older_names_too(monkeypatch):
     assert tyro.cli(Config, args=old.split()) == tyro.cli(Config, args=new.split()) != Config()
 
 
-def test_set_changes_fields_of_a_scenario():
+def test_set_overrides_scenario_fields():
     found = resolve_scenario("clutter-8", ("n_robots=3", "graph=cycle"))
     assert (found.n_robots, found.name) == (3, "clutter-8-n-robots-3-graph-cycle")
     assert found.sensing_graph.kind == "cycle"
@@ -117,7 +117,7 @@ def test_set_changes_fields_of_a_scenario():
 
 
 @pytest.mark.parametrize("step", [1e-9, 6e8])
-def test_steps_of_any_length_are_compared(step, tmp_path):
+def test_compare_accepts_any_time_step(step, tmp_path):
     """Kernels are made ready on two steps of the scenario itself, whose times no limit refuses."""
     limit = min(3 * step, 1e9)  # the longest time that a scenario takes
     words = ["--policy", "zero", "--episodes", "1", "--no-figures", "--out", str(tmp_path / "out")]
@@ -130,7 +130,7 @@ class TestList:
         assert run("list", what) == 0
         return " ".join(capsys.readouterr().out.split())
 
-    def test_every_scenario_is_described(self, capsys):
+    def test_list_describes_every_scenario(self, capsys):
         said = self.lines("scenarios", capsys)
         for name in scenarios.names():
             assert f"{name} {scenarios.get(name).n_robots} robots" in said
@@ -139,7 +139,7 @@ class TestList:
         assert "rooms 5 robots in the plane, complete graph, rooms of drawn walls" in said
         assert "complete graph, sensing with noise = 0.3, dropout = 0.1" in said
 
-    def test_every_policy_has_its_line_and_its_scenarios(self, capsys):
+    def test_list_shows_every_policy_with_scenarios(self, capsys):
         said = self.lines("policies", capsys)
         fitting = {name: baselines.names(scenarios.get(name)) for name in scenarios.names()}
         columns = columns_of(fitting)
@@ -153,19 +153,19 @@ class TestList:
             assert len({tuple(fitting[scenario]) for scenario in own}) == 1
         assert said.index("tangent ") < said.index("privileged-planner ") < said.index("zero ")
 
-    def test_what_else_there_is(self, capsys):
+    def test_list_shows_other_objects(self, capsys):
         assert run("list", "robots") == 2
         both = self.lines("scenarios", capsys), self.lines("policies", capsys)
         assert run("list") == 0
         assert " ".join(capsys.readouterr().out.split()) == " ".join(both)
 
 
-def test_version(capsys):
+def test_version_is_printed(capsys):
     assert run("--version") == 0
     assert capsys.readouterr().out == f"rendezvous {metadata.version('rendezvous-env')}\n"
 
 
-def test_completion_knows_every_command_and_flag(tmp_path, capsys):
+def test_completion_covers_all_commands_and_flags(tmp_path, capsys):
     assert run("--completion", "bash") == 0
     script = capsys.readouterr().out
     assert all(f"--{flag}" in script for flag in ("oracle-runs", "against", "total-steps"))
@@ -178,7 +178,7 @@ def test_completion_knows_every_command_and_flag(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("figure", "through"), [("fig3", True), ("fig4", False)])
-def test_reproduce_writes_picture_and_data(figure, through, tmp_path):
+def test_reproduce_writes_figure_and_data(figure, through, tmp_path):
     """Figure 3 goes through obstacles, figure 4 round them."""
     assert run("reproduce", figure, "--out", str(tmp_path)) == 0
     written = {path.name for path in tmp_path.iterdir()}
@@ -210,7 +210,7 @@ def test_reproduce_writes_picture_and_data(figure, through, tmp_path):
         ("render --size 120 --fps 5 --speed 2 --out a.gif", {"torch", "matplotlib.pyplot"}),
     ],
 )  # fmt: skip
-def test_a_command_loads_nothing_heavy(words, heavy, tmp_path, monkeypatch):
+def test_command_imports_nothing_heavy(words, heavy, tmp_path, monkeypatch):
     code = (
         "import os, sys, train.cli as c\n"
         f"try: assert c.main({words.split()}) == 0\n"

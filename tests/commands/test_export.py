@@ -70,7 +70,7 @@ def refused(path, content, message):
 
 class TestNetwork:
     @pytest.mark.parametrize("name", shipped.NAMES)
-    def test_the_runtime_alone_finds_the_choices_of_ten_thousand_inputs(self, exported, name):
+    def test_onnx_runtime_matches_network_choices(self, exported, name):
         """With no line of ours between: inputs by name, and an argmax."""
         session = onnxruntime.InferenceSession(exported / f"{name}.onnx")
         weights, settings = shipped_network(name)
@@ -87,7 +87,7 @@ class TestNetwork:
             choices |= set(wanted.argmax(-1).tolist())
         assert len(choices) > 4
 
-    def test_what_is_remembered_goes_in_and_comes_out(self, tmp_path):
+    def test_recurrent_state_passes_through_onnx(self, tmp_path):
         path, layout = tmp_path / "recurrent.onnx", RECURRENT.layout(3, 12)
         own, choices = {"units": RECURRENT.units}, len(RECURRENT.angles)
         made = stirred(make_network(layout, choices, RecurrentNetwork, own, **WIDTHS))
@@ -105,7 +105,7 @@ class TestNetwork:
             np.testing.assert_allclose(hidden[1], hidden[0], atol=1e-5)
         assert np.abs(hidden[0]).max() > 0.3
 
-    def test_the_metadata_says_what_it_is(self, exported):
+    def test_onnx_metadata_describes_network(self, exported):
         found = onnx.load(exported / "learned-tank.onnx")
         about = {entry.key: json.loads(entry.value) for entry in found.metadata_props}
         _, settings = shipped_network("learned-tank")
@@ -119,7 +119,7 @@ class TestPolicy:
         [("learned", "clutter-12"), ("learned-tank", "clutter-12"),
          ("learned-tank", "clutter-3d-32"), ("learned-tank", "uav-clutter-16")],
     )  # fmt: skip
-    def test_teams_and_robots_move_as_with_the_policy_itself(self, name, field, tmp_path):
+    def test_exported_policy_moves_as_original(self, name, field, tmp_path):
         """The network is all there is to a file: planes, features and tanks stand around it."""
         path, scenario = tmp_path / "x.onnx", rv.scenarios.get(field).replace(time_limit=8.0)
         words = ["export", "--policy", name, "--out", str(path), "--checks", "100"]
@@ -134,7 +134,7 @@ class TestPolicy:
         for *seen, told in standalone.drawn_ticks(scenario, 40):
             np.testing.assert_allclose(robot.act(*seen, **told), same.act(*seen, **told), atol=1e-6)
 
-    def test_a_comparison_knows_the_file_by_its_content(self, exported, tmp_path):
+    def test_compare_identifies_exported_file_by_content(self, exported, tmp_path):
         def known(path):
             jobs = [Job(CLUTTER, f"learned:{path}")]
             return list(playing.plan_of(jobs, Config())["weights"].values())
@@ -145,7 +145,7 @@ class TestPolicy:
         copy.write_bytes((exported / "learned-tank.onnx").read_bytes())
         assert known(copy) != one
 
-    def test_it_goes_on_bit_by_bit_from_a_pickle(self, exported):
+    def test_exported_policy_resumes_bitwise_from_pickle(self, exported):
         robot, seen = RobotPolicy(CLUTTER, exported / "learned.onnx"), [[0.6, 0.8], [0.8, -0.6]]
         robot.act(seen, [[[0.0, 1.0], [0.6, 0.8]]])
         other = pickle.loads(pickle.dumps(robot))
@@ -154,11 +154,11 @@ class TestPolicy:
 
 
 class TestErrors:
-    def test_a_file_is_not_exported_again(self, exported, one_line):
+    def test_export_rejects_exported_file(self, exported, one_line):
         said = one_line("export", "--policy", f"learned:{exported / 'learned.onnx'}")
         assert "learned.onnx: is exported already" in said
 
-    def test_a_file_that_errs_does_not_take_its_place(self, monkeypatch, one_line, tmp_path):
+    def test_export_keeps_old_file_if_check_fails(self, monkeypatch, one_line, tmp_path):
         path, made = tmp_path / "policy.onnx", export.model_of
         path.write_bytes(before := f"before, {SETTINGS_KEY}".encode())
 
@@ -172,7 +172,7 @@ class TestErrors:
         assert path.read_bytes() == before and len(list(tmp_path.iterdir())) == 1
 
     @pytest.mark.parametrize(("flag", "name"), [("--out", "x.onnx"), ("--standalone", "x.py")])
-    def test_a_file_of_its_own_is_replaced_and_no_other(self, flag, name, one_line, tmp_path):
+    def test_export_replaces_only_own_files(self, flag, name, one_line, tmp_path):
         path = tmp_path / name
         path.write_bytes(b"a network of somebody's")
         said = one_line("export", flag, path)
@@ -184,7 +184,7 @@ class TestErrors:
             assert cli.main(words) == 0
         assert path.stat().st_size > 1000
 
-    def test_a_damaged_file_drives_no_robot(self, exported, tmp_path):
+    def test_damaged_onnx_file_is_rejected(self, exported, tmp_path):
         """Any byte; of the digest and its name every one: else it would not be found."""
         content, path = (exported / "learned.onnx").read_bytes(), tmp_path / "x.onnx"
         first, random = content.index(BEFORE_DIGEST), np.random.default_rng(1)
@@ -197,7 +197,7 @@ class TestErrors:
         del model.metadata_props[keys.index(DIGEST_KEY)]
         refused(path, model.SerializeToString(), r"x\.onnx: holds no digest")
 
-    def test_files_that_are_no_policy_are_named(self, exported, tmp_path):
+    def test_files_that_are_not_policies_are_named(self, exported, tmp_path):
         path = tmp_path / "x.onnx"
         with pytest.raises(checkpoints.CheckpointError, match=r"x\.onnx: cannot be read"):
             load(path, CLUTTER)
@@ -211,7 +211,7 @@ class TestErrors:
         missing = r"metadata has no 'rendezvous_policy'"
         refused(path, signed(model.SerializeToString()), missing)
 
-    def test_the_runtime_that_is_missing_is_named(self, exported, monkeypatch):
+    def test_missing_onnx_runtime_is_named(self, exported, monkeypatch):
         monkeypatch.setitem(sys.modules, "onnxruntime", None)
         with pytest.raises(checkpoints.CheckpointError, match=r"needs onnxruntime: pip .*\[export"):
             load(exported / "learned.onnx", CLUTTER)

@@ -142,7 +142,7 @@ def compared_files(compared):
 
 
 @cases(60, 250)
-def test_damaged_result_folders(count, compared_files, reseal, tmp_path, capsys):
+def test_report_rejects_damaged_result_folders(count, compared_files, reseal, tmp_path, capsys):
     @tried(count, often(compared_files), st.booleans())
     def _(files, sealed):
         lay(tmp_path / "out", files)
@@ -184,7 +184,7 @@ def sign(folder):
 
 class TestRuns:
     @cases(25, 100)
-    def test_damaged_files(self, count, run_files, tmp_path, capsys):
+    def test_resume_rejects_damaged_files(self, count, run_files, tmp_path, capsys):
         folder = tmp_path / "run"
 
         @tried(count, often(run_files), st.booleans())
@@ -195,7 +195,7 @@ class TestRuns:
             said_by(["train", "--resume", folder], tmp_path, capsys)
 
     @cases(40, 200)
-    def test_damaged_policies(self, count, run_files, tmp_path, capsys):
+    def test_load_rejects_damaged_policies(self, count, run_files, tmp_path, capsys):
         """What ``learned:PATH`` reads."""
         place = checkpoints.find(lay(tmp_path / "run", run_files))
         whole = contents(place)
@@ -279,7 +279,7 @@ def no_work(monkeypatch):
 
 
 @cases(150, 300)
-def test_command_lines(count, no_work, tmp_path, capsys, monkeypatch):
+def test_invalid_command_lines_are_one_line(count, no_work, tmp_path, capsys, monkeypatch):
     odd = {"file": b"", "bytes.toml": b"\xff\xfe\0", "words.toml": b"n_robots = [[[["}
     odd |= dict.fromkeys(("folder.toml", "folder"))
     accepted = set()

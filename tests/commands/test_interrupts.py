@@ -60,7 +60,7 @@ class TestCommands:
             *(slow(*both) for both in product(COMMANDS, SIGNALS) if both != FAST),
         ],
     )
-    def test_at_work(self, command, number, tmp_path):
+    def test_signal_ends_running_command(self, command, number, tmp_path):
         process = start([command, *COMMANDS[command]], tmp_path)
         time.sleep(5.0)
         assert process.poll() is None
@@ -70,7 +70,7 @@ class TestCommands:
         assert "interrupted" in wrong or "stopped at step" in said
         assert not list(tmp_path.rglob("*.part.*"))
 
-    def test_while_it_loads(self, tmp_path):
+    def test_signal_ends_command_while_importing(self, tmp_path):
         for wait in (0.3, 0.6, 0.9):
             process = start(["compare", *COMMANDS["compare"]], tmp_path)
             time.sleep(wait)
@@ -89,7 +89,7 @@ class TestCommands:
     ],
     ids=["exception-lost", "compiled-code"],
 )  # fmt: skip
-def test_where_no_exception_gets_through_it_ends_in_time(number, body, tmp_path):
+def test_grace_period_ends_unresponsive_command(number, body, tmp_path):
     before = (
         "import time, numba, numpy\n"
         "def spin(x):\n    while x[0] == 0: pass\n"
@@ -105,7 +105,7 @@ def test_where_no_exception_gets_through_it_ends_in_time(number, body, tmp_path)
 
 
 class TestInside:
-    def test_handlers_are_put_back(self, monkeypatch, capsys):
+    def test_signal_handlers_are_restored(self, monkeypatch, capsys):
         before = [signal.getsignal(number) for number in SIGNALS]
         monkeypatch.setattr(cli, "_run", lambda *words: signal.raise_signal(signal.SIGTERM))
         assert cli.main(["compare"]) == 128 + signal.SIGTERM
@@ -119,7 +119,7 @@ class TestInside:
             (MemoryError(), "not enough memory"),
         ],
     )
-    def test_a_full_disk_or_memory_is_one_line(self, error, words, monkeypatch, capsys):
+    def test_full_disk_or_memory_is_one_line(self, error, words, monkeypatch, capsys):
         def full(*given):
             raise error
 
@@ -129,7 +129,7 @@ class TestInside:
         assert words in said and said.count("\n") == 1
 
 
-def test_a_kernel_that_turns_an_angle_turn_by_turn_ends():
+def test_angle_reduction_of_huge_values_terminates():
     for turns in (-40, -16, -3, -1, 0, 1, 2, 15.9, 16, 1e6):
         angle = 1.25 + turns * TWO_PI
         found = counter_clockwise(angle)
@@ -162,7 +162,7 @@ def comparison(out, seed):
 
 
 @pytest.mark.slow
-def test_a_comparison_that_is_killed_at_any_moment_leaves_a_folder_that_is_whole(tmp_path):
+def test_killed_compare_leaves_complete_folder(tmp_path):
     """It is the old one or the new one, the same command goes on, and what comes of it in the end
     is equal to what an uninterrupted run finds, bit for bit.
     """

@@ -79,7 +79,7 @@ class TestAgreement:
             *(slow(*one, 10_000) for one in LONG),
         ],
     )
-    def test_it_does_what_the_policy_does(self, exported, policy, name, steps):
+    def test_standalone_file_matches_policy(self, exported, policy, name, steps):
         file, scenario = standalone.load(exported(policy, name)), rv.scenarios.get(name)
         assert act_along(file, scenario, policy, 2, steps) < 1e-5
         in_space = scenario.dim == 3
@@ -88,7 +88,7 @@ class TestAgreement:
         steady = "SteadyFrames:\n" in exported(policy, name).read_text(encoding="utf-8")
         assert steady == (in_space and policy.startswith("learned"))
 
-    def test_reset_begins_anew_and_bad_measurements_are_named(self, exported):
+    def test_reset_restarts_and_bad_measurements_are_named(self, exported):
         file = standalone.load(exported("learned-tank"))
         robot, seen = file.RobotPolicy(), [[1.0, 0.0], [0.0, 1.0]]
         first = robot.act(seen)
@@ -98,7 +98,7 @@ class TestAgreement:
         with pytest.raises(ValueError, match=r"bearings\[0\] is \[2\.0, 0\.0\]; .* a unit vector"):
             robot.act([[2.0, 0.0]])
 
-    def test_a_difference_is_refused(self, monkeypatch, tmp_path, one_line):
+    def test_export_rejects_differing_file(self, monkeypatch, tmp_path, one_line):
         written = standalone.text_of
 
         def wrong(policy, scenario, network, build):
@@ -129,7 +129,7 @@ print(json.dumps(acted))
 """
 
 
-def test_it_runs_where_numpy_is_all_there_is(exported, tmp_path):
+def test_standalone_file_runs_with_numpy_only(exported, tmp_path):
     """An isolated interpreter without site-packages, and a folder with nothing but NumPy."""
     library, here = Path(np.__file__).parents[1], tmp_path / "library"
     here.mkdir()
@@ -150,7 +150,7 @@ def test_it_runs_where_numpy_is_all_there_is(exported, tmp_path):
 
 
 @pytest.mark.parametrize("policy", POLICIES)
-def test_it_imports_nothing_but_numpy(exported, policy):
+def test_standalone_file_imports_only_numpy(exported, policy):
     found = set()
     for node in ast.walk(ast.parse(exported(policy).read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -161,7 +161,7 @@ def test_it_imports_nothing_but_numpy(exported, policy):
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
-def test_a_changed_file_drives_no_robot(exported, tmp_path, seed):
+def test_modified_standalone_file_is_rejected(exported, tmp_path, seed):
     """Any byte: of weights, equations, words, and of the line that looks for changes."""
     content, path = exported("learned-tank").read_bytes(), tmp_path / "robot.py"
     random, last = np.random.default_rng(seed), content.rstrip(b"\n").rfind(b"\n") + 1
@@ -242,7 +242,7 @@ except ValueError as error:
         (["--standalone", "own.py/x.py"], "--standalone own.py/x.py: cannot write there: "),
     ],
 )
-def test_what_cannot_be_written_is_said_in_a_line(words, message, one_line, tmp_path, monkeypatch):
+def test_unsupported_policy_is_one_line_error(words, message, one_line, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder.py").mkdir()
     (tmp_path / "own.py").write_text("print('mine')")
@@ -253,7 +253,7 @@ def test_what_cannot_be_written_is_said_in_a_line(words, message, one_line, tmp_
     assert (tmp_path / "own.py").read_text() == "print('mine')"
 
 
-def test_a_file_of_an_older_version_is_written_anew(exported, tmp_path):
+def test_older_standalone_file_is_overwritten(exported, tmp_path):
     path = tmp_path / "robot.py"
     path.write_bytes(exported("bearing-only").read_bytes().replace(b"rendezvous-env ", b"old "))
     words = ["--policy", "tangent-joined", "--standalone", str(path), "--checks", "20"]
@@ -261,7 +261,7 @@ def test_a_file_of_an_older_version_is_written_anew(exported, tmp_path):
     assert path.read_text(encoding="utf-8").startswith('"""The policy \'tangent-joined\'')
 
 
-def test_a_file_is_known_again_and_runs_whatever_its_team_is_called(tmp_path):
+def test_standalone_file_handles_any_scenario_name(tmp_path):
     team, path = tmp_path / "team.toml", tmp_path / "robot.py"
     name = '"""; a "\\ team' + "z" * 150
     rv.Scenario(name=name, n_robots=3).to_toml(team)
@@ -271,7 +271,7 @@ def test_a_file_is_known_again_and_runs_whatever_its_team_is_called(tmp_path):
     assert name in standalone.load(path).__doc__
 
 
-def test_a_file_of_a_policy_far_away_is_known_again(exported, tmp_path):
+def test_standalone_file_of_long_path_is_recognised(exported, tmp_path):
     text, path = exported("learned").read_text(encoding="utf-8"), tmp_path / "robot.py"
     path.write_text(text.replace("'learned'", repr("learned:" + "far/" * 200), 1), encoding="utf-8")
     assert standalone.is_written(path)
@@ -280,9 +280,7 @@ def test_a_file_of_a_policy_far_away_is_known_again(exported, tmp_path):
 
 
 class TestBundle:
-    def test_a_robot_that_turns_has_what_turns_it_and_words_of_two_modules_are_told_apart(
-        self, exported
-    ):
+    def test_bundle_includes_steering_and_disambiguates_names(self, exported):
         """The command compares the file with the policy on drawn ticks."""
         path = exported("learned-tank", "unicycle-6")
         assert "def gated_rates" in path.read_text(encoding="utf-8")
@@ -291,7 +289,7 @@ class TestBundle:
         turn = getattr(file, "feature_kernels_turn", None) or vars(file)["_turn"]
         assert turn(np.array([1.0, 0.0]), np.array([0.0, 1.0])) == pytest.approx(np.pi / 2)
 
-    def test_what_uses_a_module_as_such_is_refused(self):
+    def test_bundle_rejects_module_as_value(self):
         with pytest.raises(ValueError, match=r"resolve_scenario uses the module rendezvous"):
             Bundle([Name("train.policies", "resolve_scenario")], {}).text()
 
@@ -342,7 +340,7 @@ def simulate(file, n, seed, seconds, careful=True):
     return errors.tolist(), closest, apart.max()
 
 
-def test_a_team_of_the_robotarium_packs_and_touches_nothing(exported):
+def test_robotarium_robots_pack_without_contact(exported):
     file = standalone.load(exported("bearing-only", "robotarium-4"))
     errors, closest, diameter = simulate(file, 4, seed=0, seconds=20.0)
     assert errors == [0, 0, 0] and closest > 0.15 and diameter < 0.34
@@ -353,7 +351,7 @@ def test_a_team_of_the_robotarium_packs_and_touches_nothing(exported):
 @pytest.mark.slow
 @pytest.mark.parametrize("policy", ["bearing-only", "learned", "learned-tank"])
 @pytest.mark.parametrize(("n", "wide"), [(4, 0.34), (10, 0.75), (20, 1.25)])
-def test_teams_of_the_robotarium(exported, policy, n, wide):
+def test_robotarium_scenarios_are_valid(exported, policy, n, wide):
     file = standalone.load(exported(policy, f"robotarium-{n}"))
     errors, closest, diameter = simulate(file, n, 1, seconds=20.0)
     assert errors == [0, 0, 0] and closest > 0.15

@@ -16,7 +16,7 @@ from train import interrupts, tasks
 from train.checks import UserError
 from train.compare import compare, playing
 from train.learn import command
-from train.tasks import Workers, each
+from train.tasks import Workers, parallel_map
 from train.verify import verify
 from train.verify.claims import CLAIMS
 
@@ -28,49 +28,55 @@ def at_once(monkeypatch):
 
 
 class TestEach:
-    def test_one_worker_is_this_process(self):
-        found = list(each(where, "abc", Workers(jobs=1)))
+    def test_one_worker_uses_this_process(self):
+        found = list(parallel_map(where, "abc", Workers(jobs=1)))
         assert [number for number, _ in found] == [0, 1, 2]
         assert [result[:2] for _, result in found] == [(letter, os.getpid()) for letter in "abc"]
 
-    def test_two_are_others_with_one_thread_each(self):
-        found = dict(each(where, range(12), Workers(jobs=2)))
+    def test_two_workers_are_single_threaded_processes(self):
+        found = dict(parallel_map(where, range(12), Workers(jobs=2)))
         assert sorted(found) == list(range(12))
         assert all(found[number][0] == number for number in found)
         assert {result[2:] for result in found.values()} == {("1", 1)}
         processes = {result[1] for result in found.values()}
         assert os.getpid() not in processes and 1 <= len(processes) <= 2
 
-    def test_matrices_are_multiplied_by_one_thread_whoever_does_it(self, set_threads):
+    def test_matrix_products_use_one_thread_everywhere(self, set_threads):
         """OpenBLAS and torch round otherwise on several, as many as cores unless told."""
         set_threads(3)
         with threadpool_limits(3, "blas"):
-            found = [result for n in (1, 2) for _, result in each(threads, "abcd", Workers(jobs=n))]
+            found = [
+                result
+                for n in (1, 2)
+                for _, result in parallel_map(threads, "abcd", Workers(jobs=n))
+            ]
             assert {*chain(*found)} == {1} and min(map(len, found)) > 1
             assert {*threads(None)} == {3}
 
-    def test_what_must_stay_here_stays(self):
-        found = dict(each(where, range(6), Workers(jobs=2), here=lambda task: task % 2 == 0))
+    def test_here_tasks_stay_in_this_process(self):
+        found = dict(
+            parallel_map(where, range(6), Workers(jobs=2), here=lambda task: task % 2 == 0)
+        )
         assert [found[number][1] == os.getpid() for number in range(6)] == [True, False] * 3
 
-    def test_a_lost_worker_costs_what_it_was_at(self, tmp_path):
+    def test_lost_worker_repeats_its_task(self, tmp_path):
         tasks = [(number, tmp_path) for number in range(8)]
-        found = dict(each(dies_once, tasks, Workers(jobs=2)))
+        found = dict(parallel_map(dies_once, tasks, Workers(jobs=2)))
         assert found == {number: number for number in range(8)}
         assert (tmp_path / "died").exists()
 
-    def test_workers_that_are_always_lost_are_an_error(self):
+    def test_repeated_worker_loss_is_error(self):
         with pytest.raises(UserError, match="workers ended 3 times before any task was done"):
-            list(each(dies, range(4), Workers(jobs=2)))
+            list(parallel_map(dies, range(4), Workers(jobs=2)))
 
     @pytest.mark.parametrize("count", [1, 2])
-    def test_what_a_task_raises_is_raised(self, count):
+    def test_task_error_is_propagated(self, count):
         with pytest.raises(UserError, match=r"task \d cannot be"):
-            list(each(refuses, range(4), Workers(jobs=count)))
+            list(parallel_map(refuses, range(4), Workers(jobs=count)))
 
-    def test_ctrl_c_ends_them(self):
+    def test_ctrl_c_ends_workers(self):
         processes = set()
-        tasks = each(where, range(10_000), Workers(jobs=2))
+        tasks = parallel_map(where, range(10_000), Workers(jobs=2))
         with interrupts.raised("test"), pytest.raises(KeyboardInterrupt), closing(tasks):
             for number, found in tasks:
                 processes.add(found[1])
@@ -81,18 +87,18 @@ class TestEach:
             with pytest.raises(ProcessLookupError):
                 os.kill(process, 0)
 
-    def test_tasks_left_undone_are_forgotten(self):
+    def test_unfinished_tasks_are_dropped(self):
         """Of many that are short: nothing looks for them any more."""
-        with closing(each(abs, range(-3000, 0), Workers(jobs=2))) as found:
+        with closing(parallel_map(abs, range(-3000, 0), Workers(jobs=2))) as found:
             assert len(list(islice(found, 5))) == 5
 
-    def test_short_work_is_done_here(self, monkeypatch):
+    def test_short_work_stays_in_this_process(self, monkeypatch):
         monkeypatch.setattr(tasks, "_ALONE", 60.0)
-        found = list(each(where, range(5), Workers(jobs=2)))
+        found = list(parallel_map(where, range(5), Workers(jobs=2)))
         assert {result[1] for _, result in found} == {os.getpid()}
 
 
-def test_a_comparison_by_two_is_that_of_one(tmp_path, monkeypatch):
+def test_compare_with_two_workers_equals_one(tmp_path, monkeypatch):
     """Of three blocks of starts for each policy and scenario."""
     monkeypatch.setattr(playing, "BLOCK", 8)
     given = {"scenarios": ("duo", "clutter-8"), "policies": ("bearing-only", "learned")}
@@ -104,7 +110,7 @@ def test_a_comparison_by_two_is_that_of_one(tmp_path, monkeypatch):
         assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
 
 
-def test_so_is_a_verification(tmp_path):
+def test_verify_with_two_workers_equals_one(tmp_path):
     claims = [claim for claim in CLAIMS if claim.name in ("lemma-1", "theorem-1")]
     found = []
     for jobs in (1, 2):
@@ -119,7 +125,7 @@ class TestSeeds:
         own = {"total_steps": 2 * UPDATE, "eval_every": 0, "num_threads": None, "seeds": (0, 3)}
         return command.Config(**SMALL | own | {"out": out} | changes)
 
-    def test_two_at_once_are_those_of_one_after_the_other_and_go_on(self, tmp_path):
+    def test_train_seeds_in_parallel_equal_sequential_and_resume(self, tmp_path):
         one, two = tmp_path / "1", tmp_path / "2"
         assert command.run(self.config(two, jobs=2)) == 0
         for seeds in ((0,), (0, 3)):  # seed 0 is finished when it is asked for again
@@ -132,7 +138,7 @@ class TestSeeds:
         with pytest.raises(UserError, match="seed-0 holds a run of other settings"):
             command.run(self.config(one, learning_rate=1e-4))
 
-    def test_what_is_registered_here_is_trained_here(self, tmp_path):
+    def test_registered_extensions_are_trained_in_this_process(self, tmp_path):
         rv.reward_term("of this process", lambda step: -step.time)
         file = tmp_path / "own.toml"
         paid = rv.RewardWeights(custom={"of this process": 0.1})
@@ -141,7 +147,7 @@ class TestSeeds:
         assert (tmp_path / "seed-3.txt").exists()
 
 
-def test_many_tasks_are_done_elsewhere_from_the_first_on(tmp_path, monkeypatch):
+def test_many_tasks_start_workers_at_once(tmp_path, monkeypatch):
     """Where nothing is compiled yet, the first task takes as long as many, and the other cores
     would wait for it.
     """

@@ -37,7 +37,7 @@ def batch(**changed):
 
 
 class TestFiles:
-    def test_all_are_there_with_the_columns_of_the_design(self, compared):
+    def test_compare_writes_all_files_with_columns(self, compared):
         written = {path.name for path in compared.iterdir()}
         tables = {"results.csv", "episodes.csv", "paired.csv", "trajectories.npz", "run.json"}
         figures = {"success.png", "times.png", "trajectories-fig4.png"}
@@ -66,7 +66,7 @@ class TestFiles:
                 values = [float(r[column]) for r in own if r[column]]
                 assert row[name] == "" if not values else float(row[name]) == of(values)
 
-    def test_cells_are_plain_numbers_or_empty(self, compared):
+    def test_cells_are_numbers_or_empty(self, compared):
         rows = results.read_csv(compared / "results.csv")
         for row in rows:
             assert all(math.isfinite(float(row[n] or 0)) for n in results.RESULT_COLUMNS[2:])
@@ -74,7 +74,7 @@ class TestFiles:
             assert all(ends) == (row["scenario"] == "uav-6") and any(ends) == all(ends)
             assert (row["min_clearance"] == "") == (row["scenario"] == "uav-6")
 
-    def test_policies_start_alike(self, compared):
+    def test_policies_share_initial_conditions(self, compared):
         rows = results.read_csv(compared / "episodes.csv")
         law, zero = (
             [r["initial_lyapunov"] for r in rows if r["policy"] in names]
@@ -82,7 +82,7 @@ class TestFiles:
         )
         assert law == zero and len(set(zero)) == 1 + 4  # the start of fig4, four of uav-6
 
-    def test_trajectories(self, compared):
+    def test_trajectories_are_recorded(self, compared):
         law = baselines.make("nonholonomic-3d", scenarios.get("uav-6"))
         alone = rollout("uav-6", law, seed=4, record="all")
         with np.load(compared / "trajectories.npz") as arrays:
@@ -98,7 +98,7 @@ class TestFiles:
             assert arrays[key + "lyapunov_after_merge"][-1] == 0
             assert {name.split("/")[2] for name in arrays.files} == {"0", "1"}
 
-    def test_run_json_is_enough_to_run_again(self, compared):
+    def test_run_json_is_sufficient_to_repeat(self, compared):
         run = json.loads((compared / "run.json").read_text())
         assert (run["seed"], run["episodes"]) == (3, 4)
         assert run["format_version"] == results.FORMAT_VERSION
@@ -112,14 +112,14 @@ class TestFiles:
         }
         assert results.versioned(scenarios.get("duo").replace(time_limit=2.0)) == {}
 
-    def test_paired(self, compared):
+    def test_paired_csv_matches_episodes(self, compared):
         rows = {(r["scenario"], r["policy"]): r for r in results.read_csv(compared / "paired.csv")}
         joined = rows["fig4", "tangent-joined"]
         assert joined["against"] == "bearing-only"
         assert float(joined["clean_difference"]) == 1.0  # law (1) touches every obstacle
         assert float(rows["uav-6", "zero"]["probability_of_improvement"]) == 0.0
 
-    def test_a_half_written_file_is_removed_and_the_old_one_stays(self, tmp_path):
+    def test_incomplete_file_is_removed_and_old_one_kept(self, tmp_path):
         results.write_csv(table := tmp_path / "table.csv", [{"a": 0}])
 
         def rows():
@@ -132,14 +132,14 @@ class TestFiles:
 
 
 class TestMeasures:
-    def test_nothing_is_clean_where_robots_pass_through_obstacles(self):
+    def test_clean_is_undefined_if_obstacles_are_ignored(self):
         done, _ = run_play(scenarios.get("fig3"), "bearing-only", 3)
         assert done.success.tolist() == [True] and done.clearance[0] < -0.5
         assert np.isnan(done.clean).all()
         stopped, _ = run_play(scenarios.get("fig4"), "bearing-only", 3)
         assert stopped.clean.tolist() == [0.0]
 
-    def test_a_policy_may_write_to_what_it_is_shown(self):
+    def test_policy_may_modify_observations(self):
         def turned(seen, time):
             seen[..., 0] *= 0.1
             return 5.0 * seen.sum(axis=-2)
@@ -152,7 +152,7 @@ class TestMeasures:
         np.testing.assert_array_equal(spoilt.min_alignment, usual.min_alignment)
 
     @pytest.mark.kernels
-    def test_law_1_is_aligned_falls_and_keeps_its_bound(self):
+    def test_law_1_is_aligned_and_within_bound(self):
         scenario = scenarios.get("random-10")
         done, _ = run_play(scenario, "bearing-only", 5)
         assert done.success.all() and done.min_alignment == pytest.approx(1.0, abs=1e-6)
@@ -160,7 +160,7 @@ class TestMeasures:
         bound = time_bound(scenario, done.initial_lyapunov)
         assert np.array_equal(done.time_bound, bound) and (done.time < bound).all()
 
-    def test_size_counts_where_the_graph_changes(self):
+    def test_hull_perimeter_is_measured_on_changing_graphs(self):
         scenario = scenarios.get("rotating-paths")
         law, _ = run_play(scenario, "bearing-only", 5)
         assert len(law.success) == 1, "one start, which is given"
@@ -170,14 +170,14 @@ class TestMeasures:
         fixed, _ = run_play(scenarios.get("duo"), "bearing-only", 2)
         assert np.isnan(fixed.max_rise_of_size).all()
 
-    def test_certified_headings_keep_their_margin_and_nothing_is_promised_for_others(self):
+    def test_certified_headings_keep_minimum_alignment(self):
         done, _ = run_play(scenarios.get("fig3"), "tangent-certified", 2)
         assert (done.min_alignment >= 0.1 - 1e-6).all()
         assert np.isfinite(done.time_bound).all()
         done, _ = run_play(scenarios.get("fig3").replace(time_limit=1.0), "tangent-joined", 2)
         assert np.isnan(done.time_bound).all()
 
-    def test_the_axis_counts_for_a_unicycle(self):
+    def test_unicycle_alignment_uses_body_axis(self):
         """Both robots look along y at right angles to each other: alignment 0 at the start."""
         scenario = Scenario(
             n_robots=2,
@@ -189,7 +189,7 @@ class TestMeasures:
         assert recordings[0]["alignment"][1] == pytest.approx([0, math.sqrt(0.5)], abs=1e-6)
         assert done.min_alignment[0] == pytest.approx(0, abs=1e-6)
 
-    def test_chunks_change_nothing(self, monkeypatch):
+    def test_chunk_size_does_not_change_results(self, monkeypatch):
         whole, _ = run_play(scenarios.get("duo"), "bearing-only", 5)
         monkeypatch.setattr(episodes, "CHUNK", 2)
         parts, _ = run_play(scenarios.get("duo"), "bearing-only", 5)
@@ -197,13 +197,13 @@ class TestMeasures:
             np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
 
     @pytest.mark.parametrize("most", [19, 20, 21, 22])
-    def test_the_end_of_a_time_out_is_kept(self, most, monkeypatch):
+    def test_time_out_keeps_final_state(self, most, monkeypatch):
         monkeypatch.setattr(recording, "MAX_FRAMES", most)
         scenario = scenarios.get("duo").replace(time_limit=2.1)  # 21 steps
         _, (kept,) = run_play(scenario, "zero", 1, keep=1)
         assert kept["times"][-1] == pytest.approx(2.1)
 
-    def test_long_episodes_are_thinned_out(self, monkeypatch):
+    def test_long_episodes_are_subsampled(self, monkeypatch):
         monkeypatch.setattr(recording, "MAX_FRAMES", 20)
         scenario = scenarios.get("random-10")
         _, (full,) = run_play(scenario, "bearing-only", 1, keep=1)
@@ -225,34 +225,34 @@ TEN_SECONDS = Scenario(n_robots=2, time_step=0.1, time_limit=10.0)
 
 
 class TestStatistics:
-    def test_a_row_by_hand(self):
+    def test_summary_row_matches_hand_computation(self):
         row = statistics.summarise(TEN_SECONDS, "p", batch())
         assert (row["success"], row["clean_success"], row["contacts"]) == (0.75, 0.5, 1.25)
         assert row["median_time"] == 3.5  # of 2, 3, 4 and later than 10
         assert (row["time_over_bound"], row["min_clearance"]) == (0.75, 0.0)
 
-    def test_wilson_interval(self):
+    def test_fraction_interval_is_wilson(self):
         """Newcombe 1998, table I: 81 of 263."""
         found = statistics.fraction_interval(np.arange(263) < 81)
         assert found == pytest.approx((0.2553, 0.3662), abs=5e-5)
 
-    def test_time_outs_are_later_than_every_time(self):
+    def test_time_outs_rank_after_all_times(self):
         times, met = np.array([1.0, 2.0, 10.0, 10.0]), np.array([True, True, False, False])
         median, (low, high) = statistics.censored_median(times, met, 10.0)
         assert (median, high) == (10.0, 10.0) and 1.0 <= low < 10.0
 
-    def test_interval_of_a_median(self):
+    def test_median_interval_is_censored(self):
         times = np.random.default_rng(1).exponential(size=400)
         median, (low, high) = statistics.censored_median(times, times > -1, 99.0)
         assert low < median < high
         assert low < math.log(2) < high and high - low < 0.35
 
-    def test_a_single_start_has_no_interval(self):
+    def test_single_sample_has_no_interval(self):
         median, interval = statistics.censored_median(np.ones(1), np.ones(1, bool), 9.0)
         assert median == 1.0 and np.isnan(interval).all()
         assert np.isnan(statistics.fraction_interval(np.ones(1, bool))).all()
 
-    def test_where_contacts_do_not_count_nothing_is_clean_or_not(self):
+    def test_clean_is_undefined_without_contacts(self):
         through = batch(clean=np.full(4, np.nan))
         row = statistics.summarise(TEN_SECONDS, "p", through)
         assert np.isnan([row["clean_success"], row["clean_low"], row["clean_high"]]).all()
@@ -263,7 +263,7 @@ class TestStatistics:
         assert np.isnan(pair["clean_difference"])
         assert pair["probability_of_improvement"] == (1 + 1 + 1 + 0.5) / 4  # by meeting sooner
 
-    def test_pairs_by_hand(self):
+    def test_paired_rows_match_hand_computation(self):
         better = batch(clean=np.array([True, True, True, False]), time=np.array([1.0, 4, 9, 10]))
         played = {"bearing-only": batch(), "other": better}
         (row,) = statistics.compare_pairs("s", played)
@@ -273,7 +273,7 @@ class TestStatistics:
         (row,) = statistics.compare_pairs("s", played, against="other")
         assert (row["policy"], row["clean_difference"]) == ("bearing-only", -0.25)
 
-    def test_many_starts_take_little_memory(self):
+    def test_bootstrap_of_many_samples_uses_little_memory(self):
         """All resamples of 20,000 starts together would take 320 MB, and their indices as much."""
         tracemalloc.start()
         low, high = statistics.bootstrap_interval((np.arange(20_000) % 2,), np.mean)
@@ -281,12 +281,12 @@ class TestStatistics:
         tracemalloc.stop()
         assert most < 3e8 and 0.49 < low < 0.5 < high < 0.51
 
-    def test_without_law_1_the_best_is_the_reference(self):
+    def test_default_reference_without_law_1_is_best(self):
         two = {"a": batch(clean=np.zeros(4, bool)), "b": batch()}
         assert [row["policy"] for row in statistics.compare_pairs("s", two)] == ["a"]
 
 
-def test_nobody_gets_round_the_wall():
+def test_wall_scenario_defeats_all_policies():
     """Theory 6: V would have to rise."""
     scenario = scenarios.get("wall")
     for name in baselines.names(scenario):
@@ -298,7 +298,9 @@ def test_nobody_gets_round_the_wall():
     ("merge_radius", "excess", "status"),
     [(0.2, 0.5, 1), (1e-5, 1e-11, 1), (200.0, 1e-8, 0)],
 )
-def test_excess_at_a_merge_is_an_error(tmp_path, monkeypatch, capsys, merge_radius, excess, status):
+def test_merge_excess_is_reported_as_error(
+    tmp_path, monkeypatch, capsys, merge_radius, excess, status
+):
     """Of V as much is rounding as 10⁻⁹ r D̄, here of D̄ = 1 m/s."""
     scenario = scenarios.get("duo").replace(start_positions=None, merge_radius=merge_radius)
     scenario.replace(spawn_size=10 * merge_radius).to_toml(path := tmp_path / "a.toml")
@@ -318,7 +320,7 @@ def test_excess_at_a_merge_is_an_error(tmp_path, monkeypatch, capsys, merge_radi
     assert (said in capsys.readouterr().err) == (status == 1)
 
 
-def test_the_first_failure_of_a_policy_is_recorded_too(tmp_path):
+def test_first_failure_is_recorded(tmp_path):
     """The rule that ignores what stands in its way fails on some start, of which none is kept."""
     words = {"scenarios": ("clutter-8",), "policies": ("bearing-only",), "figures": False}
     config = compare.Config(**words, episodes=12, keep=1, seed=2, out=tmp_path / "out")

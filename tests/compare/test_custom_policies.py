@@ -69,7 +69,7 @@ def mine(tmp_path, monkeypatch):
     sys.modules.pop(name, None)
 
 
-def test_it_is_compared_under_its_name_by_workers_too(mine, tmp_path, monkeypatch):
+def test_custom_policy_is_compared_by_workers(mine, tmp_path, monkeypatch):
     monkeypatch.setattr(tasks, "_ALONE", 0.0)
     names = [f"{mine}:law", f"{mine}:sideways", f"{mine}:Away", "bearing-only"]
     words = ["--scenarios", "duo", "swarm-20", "--policies", *names, "--episodes", "4"]
@@ -84,7 +84,7 @@ def test_it_is_compared_under_its_name_by_workers_too(mine, tmp_path, monkeypatc
     assert margins[0] == margins[1] and 0.1 < margins[0] < 0.5
 
 
-def test_where_it_gives_none_it_is_left_out(mine, tmp_path):
+def test_custom_policy_returning_none_is_skipped(mine, tmp_path):
     names = (f"{mine}:law", "random")
     config = compare.Config(scenarios=("duo", "uav-6"), policies=names, out=tmp_path / "out")
     jobs = [(job.scenario.name, job.policy) for job in compare.plan(config)]
@@ -97,7 +97,7 @@ def edit(mine):
     place.write_text(place.read_text() + "\n# another law\n")
 
 
-def test_another_source_is_another_comparison(mine, tmp_path):
+def test_changed_source_is_another_comparison(mine, tmp_path):
     """Once it is imported: worker processes would import the one, this process has the other."""
     config = compare.Config(scenarios=("duo",), policies=(f"{mine}:law",), out=tmp_path / "out")
     first = playing.plan_of(compare.plan(config), config)
@@ -112,7 +112,7 @@ def test_another_source_is_another_comparison(mine, tmp_path):
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_rows_are_of_one_source(jobs, mine, tmp_path, monkeypatch):
+def test_rows_come_from_one_source_version(jobs, mine, tmp_path, monkeypatch):
     """An edit in the midst of a comparison reaches workers, which have imported nothing yet."""
     monkeypatch.setattr(tasks, "_ALONE", 0.0)
     monkeypatch.setattr(compare, "plan_of", lambda *given: (playing.plan_of(*given), edit(mine))[0])
@@ -142,7 +142,7 @@ def test_rows_are_of_one_source(jobs, mine, tmp_path, monkeypatch):
         ("needs_more:law", "importing needs_more failed: No module named 'no_such_module'"),
     ],
 )
-def test_what_is_wrong_is_said_before_any_work(mine, tmp_path, name, message):
+def test_custom_policy_errors_are_reported_before_work(mine, tmp_path, name, message):
     (tmp_path / "broken_module.py").write_text("1 / 0\n")
     (tmp_path / "needs_more.py").write_text("import no_such_module\n")
     name = name.replace("MINE", mine)
@@ -156,7 +156,7 @@ def test_what_is_wrong_is_said_before_any_work(mine, tmp_path, name, message):
     assert not drawn.out.parent.exists()
 
 
-def test_what_goes_wrong_later_is_told_with_whose_it_is(mine, tmp_path, monkeypatch):
+def test_later_custom_policy_error_names_policy(mine, tmp_path, monkeypatch):
     monkeypatch.setattr(tasks, "_ALONE", 0.0)
     names, out = (f"{mine}:law", f"{mine}:of_one_team"), tmp_path / "out"
     given = {"scenarios": ("duo",), "policies": names, "episodes": 4, "out": out}
@@ -166,7 +166,7 @@ def test_what_goes_wrong_later_is_told_with_whose_it_is(mine, tmp_path, monkeypa
         assert caught.value.__notes__ == [f"policy {names[1]!r} on scenario 'duo'"]
 
 
-def test_no_file_of_a_user_stands_in_for_a_module_of_others(mine, tmp_path):
+def test_user_module_does_not_shadow_others(mine, tmp_path):
     (tmp_path / "json.py").write_text("raise RuntimeError('the wrong module')\n")
     (tmp_path / "colorsys.py").write_text("raise RuntimeError('the wrong module')\n")
     sys.modules.pop("colorsys", None)
@@ -178,7 +178,7 @@ def test_no_file_of_a_user_stands_in_for_a_module_of_others(mine, tmp_path):
         kind_of(f"{mine}:law")
 
 
-def test_a_scenario_of_ones_own_is_played_where_it_is_known():
+def test_registered_scenario_runs_in_this_process():
     """Other processes import nothing that registers a sensor, a term, a graph or a model."""
 
     @rv.sensor_imperfection("of this process")
@@ -192,7 +192,7 @@ def test_a_scenario_of_ones_own_is_played_where_it_is_known():
         assert {task.stays for task in playing.blocks_of(0, job, config)} == {stays}
 
 
-def test_a_function_of_the_program_itself_is_played_in_it(monkeypatch, tmp_path):
+def test_function_of_main_runs_in_this_process(monkeypatch, tmp_path):
     """In a worker, and in a notebook's, another program is ``__main__``."""
     monkeypatch.setattr(tasks, "_ALONE", 0.0)
     main = sys.modules["__main__"]
@@ -227,7 +227,7 @@ def changed(scenario):
 
 
 @pytest.mark.parametrize("in_file", [True, False])
-def test_whatever_is_registered_is_part_of_a_plan(in_file, tmp_path, registry):
+def test_registered_extensions_are_part_of_plan(in_file, tmp_path, registry):
     """Else an edit between Ctrl-C and the same command again mixes old cells with new ones."""
     cell = tmp_path / "cell.py"
 

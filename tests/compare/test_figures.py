@@ -37,7 +37,7 @@ def lightness_and_hue(code):
 
 
 class TestColours:
-    def test_a_policy_has_one_colour_and_a_variant_another_marker(self):
+    def test_policy_has_one_colour_and_variants_have_markers(self):
         for name in baselines.names():
             base = name.removesuffix("-certified").removesuffix("-tuned")
             assert figures.policy_colour(name) == figures.policy_colour(base)
@@ -46,14 +46,14 @@ class TestColours:
         assert figures.policy_colour("learned") not in map(figures.policy_colour, scripted)
         assert figures.policy_colour("learned:runs/mine") != figures.policy_colour("learned")
 
-    def test_policies_that_meet_in_clutter_are_told_apart_without_red_and_green(self):
+    def test_colours_are_distinguishable_without_red_and_green(self):
         shown = ["bearing-only", "tangent", "tangent-blocking", "tangent-joined", "learned", "zero"]
         colours = [figures.policy_colour(name) for name in shown]
         for one, other in combinations(colours, 2):
             assert np.linalg.norm(lightness_and_hue(one) - lightness_and_hue(other)) > 0.1
 
 
-def test_no_mark_where_nothing_is_clean_and_no_bar_from_a_single_start(tmp_path):
+def test_undefined_values_and_intervals_are_not_drawn(tmp_path):
     nothing = dict.fromkeys(("success_low", "success_high", "time_low", "time_high"), np.nan)
     alone = row("fig3", "tangent", np.nan, episodes=1, **nothing)
     axes = figures.success_figure([alone]).axes[0]
@@ -68,7 +68,7 @@ def test_no_mark_where_nothing_is_clean_and_no_bar_from_a_single_start(tmp_path)
 
 
 class TestSweeps:
-    def test_scenarios_that_differ_in_one_number_are_grouped(self):
+    def test_sweeps_group_scenarios_by_one_number(self):
         names = ["clutter-16", "fig4", "clutter-4", "duo", "clutter-8"]
         scenarios = [rv.scenarios.get(name) for name in names]
         [group] = figures.sweeps(scenarios, "obstacles")
@@ -78,7 +78,7 @@ class TestSweeps:
         [group] = figures.sweeps([*scenarios, *teams], "robots")
         assert [scenario.n_robots for scenario in group] == [3, 4, 8]
 
-    def test_the_figure_holds_the_numbers(self):
+    def test_sweep_figure_holds_results(self):
         group = [rv.scenarios.get(f"clutter-{count}") for count in (4, 8)]
         rows = [
             row("clutter-8", "tangent-joined", 0.6),
@@ -147,10 +147,10 @@ class TestPrint:
         [("fig3", "bearing-only"), ("fig4", "tangent-joined"), ("unicycle-6", "unicycle"),
          ("clutter-8", "tangent-joined")],
     )  # fmt: skip
-    def test_an_episode_fits_a_column_and_is_readable(self, name, policy):
+    def test_trajectory_figure_fits_column(self, name, policy):
         assert_readable(drawn(name, policy), 3.5)
 
-    def test_a_sweep_fits_a_column_and_is_readable(self):
+    def test_sweep_figure_fits_column(self):
         names = ("clutter-16-team-3", "clutter-16", "clutter-16-team-8", "clutter-16-team-32")
         group = sorted(map(rv.scenarios.get, names), key=lambda scenario: scenario.n_robots)
         policies = ["bearing-only", *(n for n in baselines.names() if n.startswith("tangent"))]
@@ -158,13 +158,13 @@ class TestPrint:
         assert_readable(figures.sweep_figure(rows, group, "robots"))
 
     @pytest.mark.parametrize(("counts", "width"), [((8,), style.COLUMN), ((4, 8, 12, 16), 7.16)])
-    def test_a_panel_fits_a_column_and_several_a_page(self, counts, width):
+    def test_panels_fit_column_and_page(self, counts, width):
         policies = ["bearing-only", "tangent-joined-certified", "learned", "privileged-planner"]
         rows = [row(f"clutter-{k}", policy, 0.5) for k in counts for policy in policies]
         for figure in (figures.success_figure(rows), figures.time_figure(rows)):
             assert_readable(figure, width)
 
-    def test_tanks_are_readable_and_in_per_cent(self):
+    def test_tank_figure_is_readable_in_percent(self):
         rows = [
             {"budget": budget, "min_alignment": margin, "clean_success": 0.9, "bound": 1e4 / margin}
             | {"episodes": 256}
@@ -177,7 +177,7 @@ class TestPrint:
         assert {"10,000", "1,000,000"} <= {t.get_text() for t in figure.axes[1].get_yticklabels()}
         assert line.get_ydata() == pytest.approx(90.0) and "%" in figure.axes[0].get_ylabel()
 
-    def test_headings_are_arrows(self):
+    def test_headings_are_drawn_as_arrows(self):
         paths = drawn("unicycle-6", "unicycle").axes[0]
         arrows = [text for text in paths.texts if isinstance(text, Annotation)]
         assert len(arrows) >= 6 * 3
@@ -186,7 +186,7 @@ class TestPrint:
         assert along / np.hypot(*along) == pytest.approx([np.cos(yaw), np.sin(yaw)])
         assert "headings" in paths.get_title()
 
-    def test_nothing_crosses_the_curve(self):
+    def test_annotations_do_not_cross_curve(self):
         figure = drawn("fig4", "tangent-joined")
         figure.draw_without_rendering()
         value = figure.axes[1]
@@ -196,7 +196,7 @@ class TestPrint:
         curve = value.transData.transform(first.get_xydata())
         assert not inset.get_tightbbox().count_contains(curve)
 
-    def test_fonts_are_those_that_journals_take(self, tmp_path):
+    def test_fonts_are_embeddable(self, tmp_path):
         path, rows = tmp_path / "a.pdf", [row("duo", "zero", 0.5)]
         for figure in (figures.success_figure(rows), drawn("fig4", "tangent-joined")):
             style.save(figure, path)
@@ -206,7 +206,7 @@ class TestPrint:
             [size] = re.findall(rb"/MediaBox \[ ?0 0 ([\d.]+) ", written)
             assert float(size) / 72 == pytest.approx(figure.get_figwidth(), abs=0.01)
 
-    def test_few_colours_are_enough(self, tmp_path):
+    def test_palette_is_small(self, tmp_path):
         names = ["bearing-only", "tangent", "tangent-blocking", "tangent-joined", "learned"]
         rows = [row(f"clutter-{k}", name, 0.5) for k in (4, 8, 12) for name in names]
         style.save(figures.success_figure(rows), tmp_path / "a.png", run="7")
@@ -218,7 +218,7 @@ class TestPrint:
         with Image.open(tmp_path / "a.png") as picture:
             assert picture.info["Subject"] == "rendezvous compare, run 7"
 
-    def test_a_matplotlibrc_changes_nothing(self, tmp_path):
+    def test_style_ignores_matplotlibrc(self, tmp_path):
         found = []
         for own in ({"axes.grid": True, "savefig.bbox": "tight"}, {}):
             with matplotlib.rc_context(own):
@@ -228,7 +228,7 @@ class TestPrint:
 
 
 class TestEpisodes:
-    def test_a_dollar_in_a_name_is_drawn_as_it_is(self, tmp_path):
+    def test_dollar_in_name_is_literal(self, tmp_path):
         """It is no formula, and every other text is none either."""
         name, policy = r"m$x$ $\bad{$", r"runs/$\worse{$"
         scenario = rv.scenarios.get("clutter-4").replace(name=name)
@@ -244,7 +244,7 @@ class TestEpisodes:
 
     @pytest.mark.parametrize("axis", [0, 1])
     @pytest.mark.parametrize("u", [1e-6, 1.0, 1e6])
-    def test_robots_in_a_row_have_a_picture_too(self, u, axis):
+    def test_collinear_robots_have_readable_figure(self, u, axis):
         """Its height was that of a line, and in a small world its width nothing."""
         start = np.zeros((3, 2))
         start[:, axis] = u * np.arange(3)
@@ -261,7 +261,7 @@ class TestEpisodes:
         assert 0.15 < sides.min() / sides.max() < 0.3
         assert min(box.width, box.height) / max(box.width, box.height) > 0.15
 
-    def test_space_is_drawn_in_equal_axes_with_its_spheres(self):
+    def test_figure_3d_has_equal_axes_and_spheres(self):
         axes = drawn("clutter-3d", "bearing-only").axes[0]
         extents = np.diff([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])[:, 0]
         box = axes.get_box_aspect()
@@ -269,7 +269,7 @@ class TestEpisodes:
         assert axes.get_zlabel() == "z (m)" and len(axes.collections) == 12
 
 
-def test_compare_writes_pdf_when_asked_and_draws_sweeps(tmp_path):
+def test_compare_writes_pdf_and_sweeps(tmp_path):
     names = ("clutter-4", "clutter-8")
     config = compare.Config(names, ("bearing-only",), episodes=2, keep=0, out=tmp_path, pdf=True)
     assert compare.run(config) == 0

@@ -5,7 +5,7 @@ import pytest
 from parameters import marked
 
 from rendezvous_env import Capsule, Disc, ObstacleField, Scenario, Simulator, graphs
-from rendezvous_env.engine.preparation import begins_alike
+from rendezvous_env.engine.preparation import has_fixed_start
 from rendezvous_env.scenario import scenarios
 from train.compare import compare
 from train.compare.evaluation import counts_contacts, starts_of
@@ -37,13 +37,13 @@ def starts(scenario, seeds):
 
 
 @pytest.mark.parametrize("case", marked(CASES, slow=["at rest"]))
-def test_one_start_is_one_however_often_it_is_drawn(case):
+def test_fixed_initial_condition_counts_once(case):
     found = len(set(starts(CASES[case], 16)))
-    assert begins_alike(CASES[case]) == (found == 1), found
+    assert has_fixed_start(CASES[case]) == (found == 1), found
     assert starts_of(CASES[case], 16) == (1 if found == 1 else 16)
 
 
-def test_frames_of_its_own_turn_what_a_robot_does_alike():
+def test_random_frames_do_not_count_as_randomness():
     """They are drawn in fig4, and all teams of law (1) move the same to rounding."""
     import baselines
     from rendezvous_env import rollout
@@ -53,7 +53,7 @@ def test_frames_of_its_own_turn_what_a_robot_does_alike():
     assert np.ptp(moved.positions, axis=1).max() < 1e-5
 
 
-def test_contacts_count_where_they_stop_a_robot():
+def test_contacts_count_unless_ignored():
     fig3, fig4 = scenarios.get("fig3"), scenarios.get("fig4")
     assert counts_contacts(fig4) and not counts_contacts(fig3)
     assert counts_contacts(fig3.replace(obstacles=()))  # nothing to touch: all is clean
@@ -64,7 +64,7 @@ def test_contacts_count_where_they_stop_a_robot():
     [("fig4", 1, 3), ("swarm-20", 100, 3), ("clutter-16-team-8", 100, 3),
      ("clutter-16-team-16", 50, 1), ("clutter-16-team-32", 25, 1)],
 )  # fmt: skip
-def test_large_teams_among_obstacles_have_fewer_starts(name, starts, kept):
+def test_many_robots_among_obstacles_get_fewer_episodes(name, starts, kept):
     scenario = scenarios.get(name)
     usual = compare.Config()
     assert (usual.starts(scenario), usual.kept(scenario)) == (starts, kept)

@@ -21,7 +21,7 @@ from train.leaderboard import command, registry, tables
 from train.leaderboard.algorithms.ppo import multiplier_of
 from train.leaderboard.algorithms.ppo_cbf import Barrier, kept_out
 from train.leaderboard.playing import Player, play
-from train.leaderboard.teams import teams_to_learn_in
+from train.leaderboard.teams import make_training_envs
 from train.learn.settings import EVALUATION_SEEDS
 
 SMALL = command.Config(
@@ -31,29 +31,29 @@ SMALL = command.Config(
 
 
 class TestStatistics:
-    def test_an_interquartile_mean_leaves_a_quarter_out_at_each_end(self):
+    def test_interquartile_mean_drops_outer_quarters(self):
         scores = np.array([[0.0, 0.5], [0.6, 100.0]])
         assert statistics.interquartile_mean(scores) == pytest.approx(0.55)
 
-    def test_an_interval_is_drawn_field_by_field(self):
+    def test_stratified_interval_resamples_per_scenario(self):
         # fields that differ and seeds that do not: a draw across fields would spread
         alike, apart = np.array([[0.0, 1.0], [0.0, 1.0]]), np.array([[0.0, 0.0], [1.0, 1.0]])
         assert statistics.stratified_interval((alike,), np.mean) == (0.5, 0.5)
         assert statistics.stratified_interval((apart,), np.mean) == (0.0, 1.0)
         assert np.isnan(statistics.stratified_interval((apart[:1],), np.mean)).all()
 
-    def test_the_chance_of_improvement_counts_pairs(self):
+    def test_probability_of_improvement_counts_pairs(self):
         own, other = np.array([[1.0, 0.0], [2.0, 0.0]]), np.array([[1.0, 5.0], [0.0, 5.0]])
         # field 0: 1 of (1,1) ½, (1,0) 1, (2,1) 1, (2,0) 1; field 1: none
         assert statistics.probability_of_improvement(own, other) == (3.5 / 4 + 0.0) / 2
         assert statistics.probability_of_improvement(own, own) == pytest.approx(0.5, abs=0.01)
 
-    def test_a_profile_is_the_share_of_runs_that_reach_a_level(self):
+    def test_performance_profile_is_fraction_above_level(self):
         scores, levels = np.array([[0.2, 0.4], [0.6, 0.8]]), np.array([0.0, 0.5, 0.8, 0.9])
         profile = statistics.performance_profile(scores, levels)
         np.testing.assert_array_equal(profile, [1.0, 0.5, 0.25, 0.0])
 
-    def test_fields_with_other_seeds_make_one_table(self):
+    def test_scenarios_with_different_seeds_are_combined(self):
         about = {key: "none" for key in ("safety", "guarantee", "given")}
         own = [
             about | {"algorithm": name, "field": field, "seed": seed, "results": {
@@ -70,7 +70,7 @@ class TestStatistics:
 
 @pytest.mark.kernels
 class TestBarrier:
-    def test_nobody_is_sent_more_than_half_way_to_a_disc(self):
+    def test_barrier_limits_velocity_towards_disc(self):
         random = np.random.default_rng(0)
         u, turned = random.normal(size=(500, 2)), random.uniform(0, 2 * np.pi, (500, 3))
         away = np.stack((np.cos(turned), np.sin(turned)), axis=-1)
@@ -82,7 +82,7 @@ class TestBarrier:
         v = kept_out(np.array([[1.0, -2.0]]), np.array([[[0.0, 1.0]]]), np.array([[-0.5]]))
         np.testing.assert_allclose(v, [[1.0, -0.5]])
 
-    def test_robots_that_want_into_a_disc_do_not_touch_it(self):
+    def test_barrier_prevents_contact(self):
         field = rv.scenarios.get("clutter-16").replace(costs=("contact",), time_limit=20.0)
         paid = []
         for wrap in (lambda teams: teams, Barrier):
@@ -94,10 +94,10 @@ class TestBarrier:
         assert paid[0] > 20 and paid[1] == 0
 
 
-def test_headings_never_raise_v_the_rule_touches_nothing_and_without_both_robots_touch():
+def test_filters_differ_in_contacts_and_rises():
     field, risen, touches = scenarios.get("clutter-16"), {}, {}
     for safety in ("none", "rule", "heading"):
-        teams = teams_to_learn_in(field, 6, safety=safety, anew=False)
+        teams = make_training_envs(field, 6, safety=safety, anew=False)
         aside = teams.single_action_space.nvec[0] - 1  # the choice farthest aside of f
         found = play(Player(teams, lambda seen, time, n=aside: np.full(seen.shape[:2], n)))
         risen[safety], touches[safety] = sum(found["risen"]), sum(found["touches"])
@@ -106,7 +106,7 @@ def test_headings_never_raise_v_the_rule_touches_nothing_and_without_both_robots
     assert touches["rule"] == 0 < touches["none"]
 
 
-def test_a_multiplier_grows_while_teams_touch_and_ends_where_it_may():
+def test_lagrange_multiplier_grows_with_contacts_and_is_bounded():
     """λ ← λ + 2 (J − 0.1)/16 after a rollout, with J touches an episode."""
     paid, robots = SimpleNamespace(multiplier=0.0), SimpleNamespace(costs={})
     rule = multiplier_of(paid, robots, 0.1)
@@ -126,7 +126,7 @@ def board(tmp_path_factory):
     return out
 
 
-def test_a_board_has_a_card_for_each_cell_and_its_tables(board):
+def test_leaderboard_writes_record_per_run_and_tables(board):
     cards = cards_of.read_cards(board)
     assert [(card["algorithm"], card["seed"], card["decisions"]) for card in cards] == [
         ("bearing-only", 0, 0), ("ppo-heading", 0, 64), ("ppo-heading", 1, 64),
@@ -147,7 +147,7 @@ def test_a_board_has_a_card_for_each_cell_and_its_tables(board):
     assert not board.with_name("out.part").exists()
 
 
-def test_the_law_is_played_as_compare_plays_it(board):
+def test_law_is_evaluated_as_in_compare(board):
     """The same starts and policy give the same times, by another loop."""
     job = Job(scenarios.get("clutter-8"), "bearing-only")
     played = play_job(job, episodes=8, seed=EVALUATION_SEEDS).episodes
@@ -158,7 +158,7 @@ def test_the_law_is_played_as_compare_plays_it(board):
     assert law["touches"] == played.contacts.tolist()
 
 
-def test_a_card_is_repeated_bit_by_bit_or_said_to_differ(board, capsys):
+def test_repeat_reproduces_record_bitwise_or_reports_difference(board, capsys):
     card = board / "cells/ppo-heading/clutter-8-v1-seed-1.json"
     other = board.with_name("other.json")
     assert command.run(replace(SMALL, repeat=card)) == 0
@@ -186,7 +186,7 @@ def test_a_card_is_repeated_bit_by_bit_or_said_to_differ(board, capsys):
         command.run(replace(SMALL, repeat=other))
 
 
-def test_a_card_that_lies_where_another_belongs_is_refused(board, tmp_path):
+def test_misplaced_record_is_rejected(board, tmp_path):
     shutil.copytree(board, out := tmp_path / "out")
     card = out / "cells/ppo-heading/clutter-8-v1-seed-1.json"
     text = card.read_text()
@@ -198,7 +198,7 @@ def test_a_card_that_lies_where_another_belongs_is_refused(board, tmp_path):
     assert not list(tmp_path.rglob("*mine*"))
 
 
-def test_what_is_done_is_not_done_again(board, tmp_path, monkeypatch):
+def test_finished_runs_are_not_repeated(board, tmp_path, monkeypatch):
     done = []
     monkeypatch.setattr(command, "run_of", lambda place, record: done.append(place) or (place,))
     monkeypatch.setattr(command, "write", lambda out, runs, console: 1 / 0)
@@ -208,7 +208,7 @@ def test_what_is_done_is_not_done_again(board, tmp_path, monkeypatch):
     assert len(done) == 3
 
 
-def test_cells_are_added_to_those_of_a_folder(board, tmp_path, monkeypatch, capsys):
+def test_runs_are_added_to_existing_folder(board, tmp_path, monkeypatch, capsys):
     done, run_of = [], command.run_of
     shutil.copytree(board, out := tmp_path / "out")
     monkeypatch.setattr(command, "run_of", lambda *given: done.append(given[0]) or run_of(*given))
@@ -229,7 +229,7 @@ def test_cells_are_added_to_those_of_a_folder(board, tmp_path, monkeypatch, caps
         command.run(more)
 
 
-def test_cells_without_a_replay_are_done_again_for_one(board, tmp_path):
+def test_runs_without_replay_are_repeated_with_record(board, tmp_path):
     shutil.copytree(board, out := tmp_path / "out")
     cards = [card["results"] for card in cards_of.read_cards(out)]
     before = (out / "cells/bearing-only/clutter-8-v1-seed-0.json").read_bytes()
@@ -239,7 +239,7 @@ def test_cells_without_a_replay_are_done_again_for_one(board, tmp_path):
     assert (out / "cells/bearing-only/clutter-8-v1-seed-0.json").read_bytes() == before
 
 
-def test_no_file_of_the_user_is_written_over(board, tmp_path, monkeypatch):
+def test_foreign_files_are_not_overwritten(board, tmp_path, monkeypatch):
     """And nothing is played for a folder that cannot be written to."""
     monkeypatch.setattr(command, "play_all", lambda *given: 1 / 0)
     (tmp_path / "README.md").write_text("mine")
@@ -252,7 +252,7 @@ def test_no_file_of_the_user_is_written_over(board, tmp_path, monkeypatch):
         command.run(replace(SMALL, out=board))
 
 
-def test_what_is_not_installed_is_left_out_or_said(monkeypatch, capsys, tmp_path):
+def test_missing_libraries_are_skipped_or_named(monkeypatch, capsys, tmp_path):
     """None of it where all names are meant; asked for by name it is an error."""
     monkeypatch.setattr(registry.Algorithm, "missing", property(lambda own: list(own.packages)))
     named = {place.algorithm for place in command.plan(command.Config())}
@@ -265,7 +265,7 @@ def test_what_is_not_installed_is_left_out_or_said(monkeypatch, capsys, tmp_path
     assert "left out without benchmarl, stable-baselines3" in capsys.readouterr().out
 
 
-def test_what_is_refused():
+def test_invalid_leaderboard_settings_are_rejected():
     for changes, said in (
         ({"algorithms": ("ppo-hedding",)}, "unknown; did you mean 'ppo-heading'"),
         ({"fields": ("clutter-8-v2",)}, "of another version"),
@@ -280,7 +280,7 @@ def test_what_is_refused():
     assert {place.field for place in command.plan(barred)} == {"clutter-8-v1"}  # discs alone
 
 
-def test_every_algorithm_says_what_it_is():
+def test_every_algorithm_has_description():
     known = registry.known()
     for name in ("none", "penalty", "lagrangian", "cbf", "rule", "heading", "tank"):
         assert f"ppo-{name}" in known
@@ -293,7 +293,7 @@ def test_every_algorithm_says_what_it_is():
 
 
 @pytest.mark.parametrize("tier", ["smoke", "mini"])
-def test_the_results_in_the_repository_give_these_tables(tier, monkeypatch):
+def test_shipped_records_reproduce_tables(tier, monkeypatch):
     out = ROOT / "results" / "leaderboard" / tier
     cards = cards_of.read_cards(out)
     monkeypatch.setattr(registry.Algorithm, "missing", [])

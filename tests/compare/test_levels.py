@@ -1,4 +1,4 @@
-"""``compare --sensing``: the same starts at every level of a sensor's field."""
+"""``compare --sensing``: equal initial conditions at every level of a sensor field."""
 
 import pytest
 from matplotlib.image import imread
@@ -12,7 +12,7 @@ DUO = scenarios.get("duo")
 
 
 class TestLevels:
-    def test_scenarios_differ_in_one_field(self):
+    def test_sweep_scenarios_differ_in_one_field(self):
         words = ["noise=0,0.25", "range=none,4,2.5", "occlusion=none,robots"]
         noise, sight, hidden = levels.sweeps([DUO], words)
         assert noise.levels == (0, 0.25) and noise.labels == ["0", "0.25"]
@@ -23,7 +23,7 @@ class TestLevels:
         assert sight.scenarios[2].replace(name="duo", sensing=rv.Sensing()) == DUO
         assert [one.sensing.occlusion for one in hidden.scenarios] == ["none", "robots"]
 
-    def test_other_fields_stay_those_of_the_scenario(self):
+    def test_sweep_keeps_other_sensor_fields(self):
         blurred = DUO.replace(sensing=rv.Sensing(noise=0.1, delay=2))
         (sweep,) = levels.sweeps([blurred], ["dropout=0,0.5"])
         assert sweep.scenarios[0] is blurred
@@ -39,7 +39,7 @@ def folder(tmp_path_factory):
     return out
 
 
-def test_each_level_has_its_row(folder):
+def test_levels_csv_has_row_per_level(folder):
     rows = results.read_csv(folder / "levels.csv")
     assert [(row["field"], row["level"], row["policy"]) for row in rows] == [
         (field, level, policy)
@@ -56,13 +56,13 @@ def test_each_level_has_its_row(folder):
         assert all(row[name] == own[name] for name in results.RESULT_COLUMNS)
 
 
-def test_a_figure_for_each_field(folder):
+def test_level_figure_exists_per_field(folder):
     for field in ("range", "dropout"):
         assert imread(folder / f"levels-duo-{field}.png")[..., :3].std() > 0.05
         assert (folder / f"levels-duo-{field}.pdf").stat().st_size > 5000
 
 
-def test_the_tables_stand_for_the_matrix(tmp_path, capsys):
+def test_sweep_tables_replace_matrix(tmp_path, capsys):
     words = ["--scenarios", "duo", "--policies", "bearing-only", "--episodes", "3", "--no-figures"]
     assert cli.main(["compare", *words, "--sensing", "noise=0,0.2", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out

@@ -58,7 +58,7 @@ def stopped(settings, after):
 
 
 class TestGoingOn:
-    def test_every_bit_is_that_of_an_uninterrupted_run(self, whole, tmp_path, capsys):
+    def test_resumed_compare_equals_uninterrupted(self, whole, tmp_path, capsys):
         out, after = tmp_path / "out", 4
         notes = stopped(config(out), after).__notes__
         assert f"{after} finished tasks lie in {part_of(out)}" in notes[0] and not out.exists()
@@ -68,7 +68,7 @@ class TestGoingOn:
         assert {name: found[name] for name in SAME} == {name: whole[name] for name in SAME}
         assert not part_of(out).exists() and read(out).run["run"]
 
-    def test_only_what_is_left_is_played(self, tmp_path, monkeypatch):
+    def test_resume_runs_only_missing_tasks(self, tmp_path, monkeypatch):
         stopped(config(tmp_path / "out"), 3)
         real, played = playing.play_block, []
         monkeypatch.setattr(playing, "play_block", lambda *job: played.append(job[0]) or real(*job))
@@ -76,7 +76,7 @@ class TestGoingOn:
         assert [job.policy for job in played] == ["zero", "tangent-joined"]
         assert {job.scenario.name for job in played} == {"clutter-4-time-limit-3"}
 
-    def test_a_ceiling_is_kept(self, tmp_path, monkeypatch, whole):
+    def test_resume_keeps_ceiling(self, tmp_path, monkeypatch, whole):
         monkeypatch.setattr(compare, "write", lambda *given: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             compare.run(config(tmp_path / "out"))
@@ -85,7 +85,7 @@ class TestGoingOn:
         assert compare.run(config(tmp_path / "out")) == 0
         assert (tmp_path / "out" / "ceiling.csv").read_bytes() == whole["ceiling.csv"]
 
-    def test_a_damaged_cell_is_played_again(self, whole, tmp_path):
+    def test_damaged_task_result_is_recomputed(self, whole, tmp_path):
         out = tmp_path / "out"
         stopped(config(out), 4)
         paths = sorted(part_of(out).glob("cells/*.cell"))
@@ -97,11 +97,11 @@ class TestGoingOn:
         assert compare.run(config(out)) == 0
         assert (out / "episodes.csv").read_bytes() == whole["episodes.csv"]
 
-    def test_nothing_finished_leaves_nothing(self, tmp_path):
+    def test_interrupt_before_first_task_leaves_nothing(self, tmp_path):
         assert not hasattr(stopped(config(tmp_path / "a" / "b" / "out"), 0), "__notes__")
         assert list(tmp_path.iterdir()) == []
 
-    def test_another_command_is_refused_and_starts_afresh_if_told(self, tmp_path):
+    def test_other_command_is_rejected_unless_fresh(self, tmp_path):
         out = tmp_path / "out"
         stopped(config(out), 2)
         before = contents(tmp_path)
@@ -119,14 +119,12 @@ class TestGoingOn:
         assert compare.run(config(out, seed=1, fresh=True)) == 0
         assert read(out).run["seed"] == 1 and not part_of(out).exists()
 
-    def test_what_is_drawn_may_change(self, tmp_path):
+    def test_figure_options_may_change_on_resume(self, tmp_path):
         stopped(config(tmp_path / "out"), 2)
         assert compare.run(config(tmp_path / "out", figures=True)) == 0
         assert {path.name for path in read(tmp_path / "out").figures} >= {"success.png"}
 
-    def test_other_weights_or_another_law_of_a_name_are_another_comparison(
-        self, tmp_path, monkeypatch, registry
-    ):
+    def test_changed_weights_or_law_are_another_comparison(self, tmp_path, monkeypatch, registry):
         settings = config(tmp_path, policies=("learned", "zero"))
         jobs, found = compare.plan(settings), []
         found.append(playing.plan_of(jobs, settings))
@@ -170,7 +168,7 @@ class TestPlace:
         ("name", "call", "seed"),
         [("seal", 1, 0), ("rename", 1, 0), ("replace", 1, None), ("rename", 2, 9)],
     )
-    def test_old_or_new(self, name, call, seed, finished, monkeypatch):
+    def test_destination_holds_old_or_new_results(self, name, call, seed, finished, monkeypatch):
         changed = self.killed_at(finished, monkeypatch, name, call)
         if seed is None:  # the one moment at which OUT is not there
             assert not finished.out.exists()
@@ -180,7 +178,7 @@ class TestPlace:
         assert read(finished.out).run["seed"] == 9
         assert [path.name for path in finished.out.parent.iterdir()] == ["out"]
 
-    def test_what_is_finished_is_not_played_again(self, finished, monkeypatch):
+    def test_finished_tasks_are_not_repeated(self, finished, monkeypatch):
         summary = finished.out.with_name("short.json")
         changed = self.killed_at(replace(finished, json=summary), monkeypatch, "replace", 1)
         with monkeypatch.context() as patch:
@@ -188,7 +186,7 @@ class TestPlace:
             assert compare.run(changed) == 0
         assert read(finished.out).run["seed"] == json.loads(summary.read_text())["seed"] == 9
 
-    def test_older_results_are_put_back(self, finished, monkeypatch):
+    def test_older_results_are_restored(self, finished, monkeypatch):
         self.killed_at(finished, monkeypatch, "replace", 1)
         other = replace(finished, seed=3)
         with pytest.raises(UserError, match=r"holds an unfinished comparison of other seed \(9,"):
@@ -198,7 +196,7 @@ class TestPlace:
             compare.run(replace(other, fresh=True))
         assert read(finished.out).run["seed"] == 0
 
-    def test_older_results_go_as_a_whole(self, finished):
+    def test_older_results_are_removed_completely(self, finished):
         assert compare.run(replace(finished, figures=True, pdf=True)) == 0
         assert cli.main(["report", str(finished.out)]) == 0
         assert (finished.out / "times.pdf").exists() and (finished.out / "report.html").exists()
@@ -215,7 +213,7 @@ class TestRefusals:
             ("out.part/thesis.tex", r"holds no plan\.json"),
         ],
     )
-    def test_what_compare_has_not_written_is_not_removed(self, file, said, tmp_path):
+    def test_foreign_files_are_not_removed(self, file, said, tmp_path):
         (tmp_path / file).parent.mkdir()
         (tmp_path / file).write_text("mine")
         before = contents(tmp_path)
@@ -223,20 +221,20 @@ class TestRefusals:
             compare.run(config(tmp_path / "out", fresh=True))
         assert contents(tmp_path) == before
 
-    def test_the_folder_one_stands_in(self, tmp_path, monkeypatch):
+    def test_current_folder_is_rejected_as_out(self, tmp_path, monkeypatch):
         (tmp_path / "a").mkdir()
         monkeypatch.chdir(tmp_path / "a")
         for out in (".", "..", "/"):
             with pytest.raises(UserError, match="cannot be replaced as a whole"):
                 compare.run(config(Path(out)))
 
-    def test_a_link_is_followed(self, tmp_path):
+    def test_symbolic_link_is_followed(self, tmp_path):
         (tmp_path / "real").mkdir()
         (tmp_path / "link").symlink_to(tmp_path / "real")
         assert compare.run(config(tmp_path / "link", ceiling=0)) == 0
         assert (tmp_path / "link").is_symlink() and read(tmp_path / "real").run["seed"] == 0
 
-    def test_what_is_unfinished_and_a_damaged_plan_are_named(self, tmp_path, one_line):
+    def test_unfinished_and_damaged_plans_are_named(self, tmp_path, one_line):
         stopped(config(tmp_path / "out"), 2)
         said = one_line("report", tmp_path / "out")
         assert f"{part_of(tmp_path / 'out')} is an unfinished one" in said
@@ -246,7 +244,7 @@ class TestRefusals:
 
 
 class TestLocks:
-    def test_two_compare_into_one_folder(self, tmp_path, one_line):
+    def test_concurrent_compare_is_rejected(self, tmp_path, one_line):
         """The lock of a process that is killed is free."""
         out, words = tmp_path / "out", "compare --scenarios duo --episodes 1 --no-figures".split()
         code = (
@@ -266,7 +264,7 @@ class TestLocks:
         assert cli.main([*words, "--out", str(out)]) == 0
         assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
-    def test_two_train_on_one_folder(self, tmp_path, one_line):
+    def test_concurrent_train_is_rejected(self, tmp_path, one_line):
         folder = tmp_path / "run"
         assert ppo.run(training(folder, total_steps=UPDATE, eval_every=0)).status == 0
         with resume.claimed(folder, ".lock", "it"):
@@ -277,7 +275,7 @@ class TestLocks:
             shutil.rmtree(folder / "checkpoints")  # a run that has only just begun
             assert "is in use by process" in one_line("train", "--out", folder)
 
-    def test_lock_and_folders_that_stay_empty_go_in_the_end(self, tmp_path):
+    def test_lock_and_empty_folders_are_removed(self, tmp_path):
         with resume.claimed(tmp_path / "a" / "b", ".lock", "it"):
             pass
         assert not (tmp_path / "a").exists()

@@ -36,14 +36,14 @@ def shown(table, width=tables.WIDTH):
 
 
 class TestRanking:
-    def test_the_best_is_the_cleanest_and_then_the_soonest(self):
+    def test_best_has_most_clean_success_then_least_time(self):
         own = [played("fig4", "tangent", 0.5, 1.0), played("fig4", "tangent-joined", 0.9, 9.0)]
         [found] = ranking.rank([*own, played("fig4", "bearing-only", 0.9, 3.0)])
         assert found.best == "bearing-only" and found.tied == ("tangent-joined",)
         assert found.share["tangent"] == 0.5 and found.starts == STARTS
 
     @pytest.mark.parametrize(("worse", "tied"), [(0, True), (2, True), (8, False)])
-    def test_a_tie_is_a_paired_interval_that_holds_0(self, worse, tied):
+    def test_tie_is_paired_interval_containing_zero(self, worse, tied):
         """So many starts of 200 are lost; two of them are within what chance does."""
         best = np.arange(STARTS) < 150
         other = best & (np.arange(STARTS) >= worse)
@@ -53,7 +53,7 @@ class TestRanking:
         difference, (low, high) = statistics.clean_difference(pair[1].episodes, pair[0].episodes)
         assert difference == -worse / STARTS and low <= difference <= high
 
-    def test_a_single_start_speaks_for_itself(self):
+    def test_single_initial_condition_is_not_ranked_by_interval(self):
         one, none = np.ones(1, bool), np.zeros(1, bool)
         names = {"tangent": one, "tangent-joined": one, "bearing-only": none}
         [found] = ranking.rank([played("fig4", name, hit) for name, hit in names.items()])
@@ -91,7 +91,7 @@ class TestRanking:
         assert ranking.answer(found) == said + "scenario with a choice."
 
     @pytest.mark.parametrize(("starts", "tied"), [(2, True), (3, True), (4, False)])
-    def test_a_few_starts_on_which_all_agree_may_do_so_by_chance(self, starts, tied):
+    def test_few_unanimous_samples_may_be_chance(self, starts, tied):
         """Of 4 of 4 Wilson's lower end is 4/(4 + 1.96²) = 0.51: more than half."""
         hits = {"tangent": np.ones(starts, bool), "bearing-only": np.zeros(starts, bool)}
         pair = {name: played("fig4", name, hit) for name, hit in hits.items()}
@@ -104,19 +104,19 @@ class TestRanking:
         ends += [row["improvement_low"], row["improvement_high"]]
         assert ends == pytest.approx([2 * low - 1, 1, low, 1])
 
-    def test_policies_that_differ_nowhere_may_differ_on_other_starts(self):
+    def test_equal_policies_may_differ_elsewhere(self):
         one = played("fig4", "tangent", 0.5).episodes
         difference, ends = statistics.clean_difference(one, one)
         rest = 1.959964**2 / (STARTS + 1.959964**2)
         assert difference == 0 and ends == pytest.approx((-rest, rest))
 
-    def test_who_knows_the_map_does_not_compete(self):
+    def test_oracles_are_not_ranked(self):
         both = [played("fig4", "privileged-planner", 1.0), played("fig4", "tangent", 0.4)]
         [found] = ranking.rank(both)
         assert found.best == "tangent" and found.references == ("privileged-planner",)
         assert not found.is_contest
 
-    def test_nothing_is_won_where_contacts_do_not_count(self):
+    def test_no_ranking_without_contacts(self):
         nothing = np.full(STARTS, np.nan)
         found = ranking.rank([played("fig3", n, nothing) for n in ("tangent", "bearing-only")])
         assert found[0].best is None and not found[0].is_contest
@@ -124,7 +124,7 @@ class TestRanking:
 
 
 class TestAnswer:
-    def test_who_leads(self):
+    def test_answer_names_leader(self):
         cells = [("clutter-4", 0.7, 0.7), ("clutter-8", 0.9, 0.9), ("clutter-12", 0.2, 0.8)]
         found = ranking.rank(
             [played(s, "tangent", a) for s, a, _ in cells]
@@ -135,7 +135,7 @@ class TestAnswer:
             "in 3 of 3 scenarios, alone in 1; then tangent, in 2."
         )
 
-    def test_many_are_level(self):
+    def test_answer_abbreviates_many_ties(self):
         names = ("tangent", "bearing-only", "zero", "random", "tangent-joined")
         found = ranking.rank([played("fig4", name, 1.0) for name in names])
         assert ranking.answer(found).startswith("5 policies are tied in collision-free success")
@@ -143,7 +143,7 @@ class TestAnswer:
 
 class TestMatrix:
     @pytest.mark.parametrize("width", [80, 120])
-    def test_all_of_it_fits_the_terminal(self, width):
+    def test_matrix_fits_terminal(self, width):
         names = ("bearing-only", "tangent-blocking-certified", "privileged-planner")
         cells = [played(s, n, 0.5) for s in scenarios.names() for n in names]
         text = shown(ranking.rank(cells), width)
@@ -154,13 +154,13 @@ class TestMatrix:
         assert sum(line.startswith("tangent-blocking-certified ") for line in lines) == parts > 1
         assert text.count(" 50") == len(cells)
 
-    def test_marks_and_what_they_mean(self):
+    def test_matrix_explains_marks(self):
         shares = {"tangent": (1.0, 5.0), "tangent-joined": (1.0, 9.0), "bearing-only": (0.25, 5.0)}
         text = shown(ranking.rank([played("fig4", n, *share) for n, share in shares.items()]), 80)
         assert "100*" in text and "100=" in text and "  25" in text and "holds 0" in text
         assert text.index("tangent ") < text.index("bearing-only")  # as they were asked for
 
-    def test_no_mark_without_a_contest(self):
+    def test_matrix_has_no_mark_without_contest(self):
         text = shown(ranking.rank([played("duo", "bearing-only", 1.0)]), 80)
         assert "100" in text and "*" not in text and "=" not in text
         text = shown(ranking.rank([played("fig3", "tangent", np.full(1, np.nan))]), 80)
@@ -183,12 +183,12 @@ class TestMatrix:
         cells = shown(tables.results_table([row], {"clutter-8": one.job.scenario})).splitlines()
         assert next(line for line in cells if "tangent" in line).split()[-2] == text
 
-    def test_a_digit_more_where_there_are_starts_to_mean_it(self):
+    def test_percent_has_decimal_if_supported(self):
         assert tables.percent(0.9965, 1000) == "99.7" and tables.percent(0.9965, 200) == "100"
 
 
 class TestTables:
-    def test_a_rise_is_said_in_words_where_there_is_none(self):
+    def test_tables_describe_absence_of_rise(self):
         found = played("fig4", "tangent", np.ones(1, bool))
         row = statistics.summarise(scenarios.get("fig4"), "tangent", found.episodes)
         fell = row | {"max_rise_between_merges": -0.5}
@@ -198,7 +198,7 @@ class TestTables:
         assert " none " in lines["tangent"] and " 0.25 " in lines["zero"]
         assert "fig4, one start" in text and "nan" not in text and "[" not in lines["tangent"]
 
-    def test_small_worlds_are_not_rounded_to_zeros(self):
+    def test_tables_show_small_lengths(self):
         """In one of micrometres V may double by a rise of 10⁻⁹ m²/s."""
         tiny = scenarios.get("fig4").replace(merge_radius=1e-6, graph=graphs.complete(1e-6))
         found = played("fig4", "tangent", np.ones(1, bool))
@@ -207,7 +207,7 @@ class TestTables:
         text = shown(tables.results_table([row | small], {"fig4": tiny}))
         assert re.search(r" 3\.4e-05 +1e-09 +2\.1e-06 ", text)
 
-    def test_pairs(self):
+    def test_paired_table_shows_differences(self):
         pair = {"bearing-only": played("fig4", "bearing-only", 0.5).episodes}
         pair["tangent"] = played("fig4", "tangent", 0.75).episodes
         rows = statistics.compare_pairs("fig4", pair, "bearing-only")
@@ -230,14 +230,14 @@ def said(tmp_path_factory):
 
 
 class TestCommand:
-    def test_the_answer_comes_before_the_tables(self, said):
+    def test_answer_precedes_tables(self, said):
         text, summary = said
         parts = (summary["answer"][:30], "collision-free, %", "Against")
         places = [text.index(part) for part in parts]
         assert places == sorted(places) and summary["answer"].startswith("tangent-joined leads")
         assert "T/bound" not in text  # that takes --details
 
-    def test_all_the_time_is_counted(self, said):
+    def test_times_of_stages_add_up(self, said):
         text, summary = said
         timing = summary["timing"]
         parts = [seconds for name, seconds in timing.items() if name != "total_s"]
@@ -245,7 +245,7 @@ class TestCommand:
         assert min(parts) >= 0 and sum(parts) == pytest.approx(timing["total_s"], abs=0.2)
         assert "playing" in text.splitlines()[-2] + text.splitlines()[-1]
 
-    def test_the_summary_as_json(self, said):
+    def test_json_summary_has_results(self, said):
         _, summary = said
         fig4 = summary["scenarios"]["fig4"]
         assert (fig4["starts"], fig4["best"], fig4["tied"]) == (1, "tangent-joined", [])
@@ -253,14 +253,14 @@ class TestCommand:
         assert fig4["policies"]["bearing-only"]["clean_low"] is None
         assert {row["against"] for row in summary["paired"]} == {"tangent-joined"}
 
-    def test_those_that_see_nothing_are_left_out_unless_they_are_named(self, tmp_path):
+    def test_blind_policies_are_omitted_unless_named(self, tmp_path):
         jobs = compare.plan(compare.Config(scenarios=("duo", "fig4"), out=tmp_path / "o"))
         assert not {job.policy for job in jobs} & {"random", "zero"}
         jobs = compare.plan(compare.Config(("duo",), ("zero",), out=tmp_path / "o"))
         assert [job.policy for job in jobs] == ["zero"]
 
 
-def test_paired_rows_fall_back_where_the_reference_was_not_played():
+def test_paired_rows_fall_back_to_other_reference():
     cells = [played("fig4", "tangent", 0.5), played("fig4", "bearing-only", 0.2)]
     cells += [played("duo", "bearing-only", 1.0), played("duo", "zero", 0.0)]
     found = {(r["scenario"], r["against"]) for r in compare.paired_rows(cells, "tangent")}

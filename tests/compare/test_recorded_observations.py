@@ -1,4 +1,4 @@
-"""What robots saw is found again, bit for bit, where their sensors are exact."""
+"""Bitwise recomputation of observations of exact sensors from recordings."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from rendezvous_env import graphs
 from rendezvous_env.scenario import scenarios
 from train import policies
 from train.compare import Job, play_job
-from train.recording import observations, whole
+from train.recording import observations, with_observations
 
 NAMES = "fig4", "trap", "clutter-16-team-8", "random-10", "unicycle-6", "uav-6", "cloud-8"
 TEAMS = [
@@ -24,7 +24,7 @@ TEAMS = [
     [*TEAMS[:-1], pytest.param(TEAMS[-1], marks=pytest.mark.slow)],
     ids=lambda team: team.name,
 )
-def test_what_was_seen(team):
+def test_exact_observations_are_recomputed_bitwise(team):
     scenario, name = team.replace(time_limit=6.0), team.name
     law, count = policies.fitting(scenario, ())[-1], 6 if name == "inertia" else 3
     seen, merges = shown(scenario, law, count), 0
@@ -37,7 +37,7 @@ def test_what_was_seen(team):
 
 
 def shown(scenario, law, count):
-    """What robots of the same teams are shown, (T, B, n, rows, d)."""
+    """Observations of the same environments, (T, B, n, rows, d)."""
     policy = policies.make(law, scenario)
     return rv.rollout(scenario, policy, 5, num_envs=count, record="observations").observations
 
@@ -47,9 +47,9 @@ def recordings(scenario, law, count):
     return played.recordings.values()
 
 
-def test_what_a_sensor_has_got_wrong_is_kept():
+def test_imperfect_observations_are_stored():
     sensor = rv.Sensing(noise=0.3, dropout=0.2, delay=2)
     scenario = rv.Scenario(name="blurred", n_robots=3, sensing=sensor, time_limit=1)
     (kept,) = recordings(scenario, "bearing-only", 1)
-    assert "weights" not in kept and whole(kept, scenario) is kept
+    assert "weights" not in kept and with_observations(kept, scenario) is kept
     assert np.array_equal(kept["observations"], shown(scenario, "bearing-only", 1)[:, 0])

@@ -1,4 +1,4 @@
-"""``rendezvous render``: films and figures of one episode."""
+"""``rendezvous render``: videos and figures of one episode."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from train.figures import render
 
 
 def make(path, **options):
-    """Run the command for a film of few pictures; its exit status."""
+    """Run the command for a short video; returns its exit status."""
     chosen = {"scenario": "fig4", "policy": "tangent-joined", "size": 300, "fps": 10, "speed": 1.0}
     return render.run(render.Config(out=path, **(chosen | options)))
 
@@ -25,7 +25,7 @@ def gif(tmp_path_factory):
 
 
 def pictures(path):
-    """Pictures of a GIF and how long each stays, ms."""
+    """Frames of a GIF and their durations, ms."""
     with Image.open(path) as film:
         found = []
         for number in range(film.n_frames):
@@ -44,36 +44,36 @@ def length_of(name, policy):
 
 
 def count(picture, colour):
-    """Pixels that nearly have a colour."""
+    """Pixels with approximately a colour."""
     return int((np.abs(picture.astype(int) - colour).max(axis=-1) < 25).sum())
 
 
 class TestGif:
-    def test_it_lasts_as_long_as_the_episode_and_a_little(self, gif):
+    def test_gif_lasts_as_long_as_episode(self, gif):
         simulated = length_of("fig4", "tangent-joined")
         assert seconds(gif) == pytest.approx(simulated + 1.5, abs=0.11)
         *others, last = (duration for _, duration in pictures(gif))
         assert last >= 1500 > max(others)
         assert gif.stat().st_size < 100_000
 
-    def test_it_shows_obstacles_and_robots_that_become_one(self, gif):
+    def test_gif_shows_obstacles_and_merges(self, gif):
         (first, _), *_, (last, _) = pictures(gif)
         assert first.shape == (300, 300, 3)
         for picture, seen in ((first, [True] * 3), (last, [True, False, False])):
             assert count(picture, OBSTACLE) > 500
             assert [count(picture[:240], colour) > 5 for colour in ROBOTS[:3]] == seen
 
-    def test_twice_the_speed_half_the_time(self, gif, tmp_path):
+    def test_gif_speed_halves_duration(self, gif, tmp_path):
         make(tmp_path / "fast.gif", speed=2.0)
         fast, slow = (seconds(path) - 1.5 for path in (tmp_path / "fast.gif", gif))
         assert slow / fast == pytest.approx(2.0, rel=0.1)
 
-    def test_the_rate_is_one_that_a_gif_can_have(self, tmp_path):
+    def test_gif_frame_rate_is_valid(self, tmp_path):
         assert render.video_rate(tmp_path / "a.gif", 30) == pytest.approx(100 / 3)
         assert render.video_rate(tmp_path / "a.GIF", 100) == 50.0
         assert render.video_rate(tmp_path / "a.mp4", 30) == 30.0
 
-    def test_without_a_speed_it_lasts_eight_seconds_or_has_motion(self, tmp_path):
+    def test_gif_default_speed_gives_eight_seconds(self, tmp_path):
         make(tmp_path / "a.gif", scenario="duo", policy="bearing-only", speed=None)
         steps = round(length_of("duo", "bearing-only") / rv.scenarios.get("duo").tau)
         expected = 1.5 + min(8.0, steps / 15)
@@ -84,7 +84,7 @@ class TestGif:
     "ignore:unclosed file:ResourceWarning",  # of the library's reader, as is the next
     "ignore::pytest.PytestUnraisableExceptionWarning",
 )
-def test_mp4_holds_the_same_pictures(gif, tmp_path):
+def test_mp4_holds_same_frames(gif, tmp_path):
     import imageio_ffmpeg
 
     path = tmp_path / "fig4.mp4"
@@ -103,7 +103,7 @@ def test_mp4_holds_the_same_pictures(gif, tmp_path):
     [("fig4", "learned-tank"), ("clutter-3d", None), ("uav-6", "nonholonomic-3d"),
      ("duo", "bearing-only")],
 )  # fmt: skip
-def test_stills_are_figures_of_the_best_policy_that_fits(scenario, best, tmp_path, capsys):
+def test_still_uses_best_fitting_policy(scenario, best, tmp_path, capsys):
     policy = "bearing-only" if best is None else None
     for ending in ("png", "pdf"):
         assert make(tmp_path / f"a.{ending}", scenario=scenario, policy=policy) == 0
@@ -114,13 +114,13 @@ def test_stills_are_figures_of_the_best_policy_that_fits(scenario, best, tmp_pat
 
 
 class TestMistakes:
-    def test_a_folder_in_the_way_leaves_nothing_behind(self, tmp_path):
+    def test_render_into_existing_folder_name_leaves_nothing(self, tmp_path):
         (tmp_path / "a.gif").mkdir()
         with pytest.raises(UserError, match=r"--out .*a\.gif: cannot write there"):
             make(tmp_path / "a.gif")
         assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]
 
-    def test_an_interrupted_film_leaves_the_old_one(self, tmp_path, monkeypatch):
+    def test_interrupted_render_keeps_old_file(self, tmp_path, monkeypatch):
         (tmp_path / "a.gif").write_bytes(b"old")
         monkeypatch.setattr(render, "_palette", lambda: 1 / 0)
         with pytest.raises(ZeroDivisionError):

@@ -16,7 +16,7 @@ from train.checks import UserError
 from train.leaderboard import cards as cards_of
 from train.leaderboard import command, replays
 from train.leaderboard.playing import Player, play
-from train.leaderboard.teams import teams_to_learn_in
+from train.leaderboard.teams import make_training_envs
 from train.learn.settings import EVALUATION_SEEDS
 from train.recording import MAX_FRAMES
 
@@ -51,7 +51,7 @@ def kept_of(board, card):
     return replays.read_replay(replays.path_of(cards_of.path_in(board, card)), card["results"])
 
 
-def test_what_is_kept_ends_as_the_card_says_and_begins_where_the_start_does(board):
+def test_replay_matches_record_and_initial_condition(board):
     found = cards_of.read_cards(board)
     assert [(card["algorithm"], card["field"]) for card in found] == [
         ("bearing-only", "rendezvous/clutter-8-v1"), ("tank-joined", "rendezvous/clutter-8-v1"),
@@ -74,11 +74,11 @@ def test_what_is_kept_ends_as_the_card_says_and_begins_where_the_start_does(boar
 
 def led(field, count, safety, choose):
     """Teams of which every robot does what is chosen from the shape of what it may choose."""
-    teams = teams_to_learn_in(scenarios.get(field), count, safety=safety, anew=False)
+    teams = make_training_envs(scenarios.get(field), count, safety=safety, anew=False)
     return Player(teams, lambda seen, time: choose(seen.shape[:2]))
 
 
-def test_watching_changes_nothing_and_sees_every_step():
+def test_recording_does_not_change_episode():
     player = partial(led, "clutter-16", 3, "tank", lambda shape: np.full(shape, 3))
     found, recordings = replays.play_and_record(own := player(), [2, 0])
     assert found == play(player())
@@ -99,13 +99,13 @@ def test_watching_changes_nothing_and_sees_every_step():
         np.testing.assert_allclose(recording["observations"][both, 0, 0], bearing, atol=1e-5)
 
 
-def test_what_does_not_play_twice_alike_has_no_replay():
+def test_nondeterministic_run_has_no_replay():
     random = np.random.default_rng(0)
     player = partial(led, "clutter-8", 2, "heading", lambda shape: random.integers(0, 9, shape))
     assert replays.replay_of(play(player()), player()) is None
 
 
-def test_a_replay_is_made_from_a_card_and_is_the_same(board, tmp_path, capsys):
+def test_replay_is_reproduced_from_record(board, tmp_path, capsys):
     name = "bearing-only/clutter-8-v1-seed-0.json"
     card, path = board / "cells" / name, board / "replays" / name
     before = path.read_bytes()
@@ -124,7 +124,7 @@ def test_a_replay_is_made_from_a_card_and_is_the_same(board, tmp_path, capsys):
         command.run(replace(RULES, repeat=elsewhere, record=True))
 
 
-def test_what_is_no_replay_of_its_card_is_refused(board, tmp_path):
+def test_foreign_replay_is_rejected(board, tmp_path):
     card = cards_of.read_cards(board)[0]
     good = json.loads(replays.path_of(cards_of.path_in(board, card)).read_text())
     path = tmp_path / "replay.json"
@@ -149,7 +149,7 @@ def test_what_is_no_replay_of_its_card_is_refused(board, tmp_path):
 
 
 @pytest.mark.parametrize("tier", ["smoke", "mini"])
-def test_every_cell_of_the_repository_has_a_replay_of_its_card(tier):
+def test_every_shipped_record_has_replay(tier):
     out = ROOT / "results" / "leaderboard" / tier
     first = [card for card in cards_of.read_cards(out) if card["seed"] == 0]
     assert len(first) == {"smoke": 36, "mini": 118}[tier]

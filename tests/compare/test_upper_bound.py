@@ -21,7 +21,7 @@ def runs(scenario, count, episodes, seed):
     return found, upper_bound.row_of(scenario, found)
 
 
-def test_the_first_run_is_the_joined_rule_that_never_turns_against_f():
+def test_first_run_is_merged_interval_rule():
     """And the others are different from it and from each other."""
     found, _ = runs(CLUTTER, 4, episodes=20, seed=5)
     assert len(found) == 4 + 1  # the planner's is the last
@@ -37,13 +37,13 @@ def test_the_first_run_is_the_joined_rule_that_never_turns_against_f():
     assert len({rollout(CLUTTER, other, seed=5).times[-1] for other in others}) == 3
 
 
-def test_every_run_keeps_the_margin():
+def test_every_run_keeps_minimum_alignment():
     policy = upper_bound.randomised(CLUTTER, seed=3, spread=1.0)
     done, _ = play(CLUTTER, lambda: policy, margin=upper_bound.MIN_ALIGNMENT, episodes=20, seed=5)
     assert np.nanmin(done.min_alignment) >= upper_bound.MIN_ALIGNMENT - 1e-6
 
 
-def test_a_row_counts_the_starts():
+def test_ceiling_row_counts_initial_conditions():
     planned = [1, 1, 1, 0]
     starts = [([1, 1, 0, 0], [1, 0, 0, 0]), ([0, 1, 1, 0], [0, 1, 0, 0]), (planned, planned)]
     found = [
@@ -58,7 +58,7 @@ def test_a_row_counts_the_starts():
     }  # fmt: skip
 
 
-def test_the_planner_is_the_ceiling():
+def test_planner_is_upper_bound():
     trap = scenarios.get("trap")
     found, row = runs(trap, 1, episodes=20, seed=1000)
     assert row["clean_planner"] == 1.0 and found[-1].clean.mean() > found[0].clean.mean()
@@ -66,7 +66,7 @@ def test_the_planner_is_the_ceiling():
     assert len(found) == 2 and row["clean_planner"] == 1.0
 
 
-def test_compare_writes_it_and_plays_the_planner_where_it_is_named(tmp_path, capsys):
+def test_compare_writes_ceiling_and_planner(tmp_path, capsys):
     """It is a row of its own, and the table says what the row means."""
     names = {job.policy for job in plan(Config(("duo",), out=tmp_path))}
     assert "bearing-only" in names and "privileged-planner" not in names

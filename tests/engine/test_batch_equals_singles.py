@@ -125,7 +125,7 @@ def test_little_work_is_not_shared(shared):
     "name",
     marked(SCENARIOS, slow=SLOW, kernels=KERNELS),
 )
-def test_a_team_among_many_moves_as_it_does_alone(name, shared, monkeypatch):
+def test_batch_equals_singles(name, shared, monkeypatch):
     """40 teams are one whole block and one that is filled up, each of them for a thread."""
     monkeypatch.setattr(batch_runner, "_WORK_PER_THREAD", 1)
     scenario, batch, steps = SCENARIOS[name], 40, 150 if compiled() else 20
@@ -161,7 +161,7 @@ def save_brief(path: str) -> None:
 
 
 @pytest.mark.slow
-def test_plain_python_gives_the_same_numbers(tmp_path):
+def test_interpreted_kernels_match_compiled(tmp_path):
     paths = [str(Path(__file__).parent), str(ROOT / "tests"), str(ROOT)]
     plain = {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(paths)}
     script = f"import test_widths; test_widths.save_brief({str(tmp_path / 'plain.npz')!r})"

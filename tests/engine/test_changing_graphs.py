@@ -132,7 +132,7 @@ class Reference:
 @pytest.mark.kernels
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("kind", KINDS)
-def test_law_1_moves_as_a_reference_written_from_the_definitions(kind, seed):
+def test_law_1_matches_numpy_reference(kind, seed):
     sim = rv.Simulator(scenario(**KINDS[kind]))
     rows = sim.reset(seed)
     reference = Reference(kind, sim.positions[0], sim.scenario.merge_radius, sim.scenario.tau)
@@ -181,7 +181,7 @@ ALIKE = {
 
 
 @pytest.mark.parametrize("name", marked(ALIKE, slow=["space", "a sensor, those present first"]))
-def test_an_undirected_graph_moves_alike_however_it_is_said(name):
+def test_undirected_graph_in_any_form_moves_alike(name):
     *both, fields = ALIKE[name]
     teams = [scenario(graph=graph, **STEP | fields) for graph in both]
     one, other = (
@@ -193,7 +193,7 @@ def test_an_undirected_graph_moves_alike_however_it_is_said(name):
     assert one.active[-1].sum() < 10, "no merges"
 
 
-def test_who_is_seen_need_not_see_and_both_merge():
+def test_directed_visibility_merges_both_robots():
     graph, places = graphs.directed([(1, 0)], 2), ((0, 0), (1, 0))
     made = scenario(n_robots=2, graph=graph, start_positions=places)
     found = rv.rollout(made, lambda seen, time: seen[:, :, 0], record="observations")
@@ -206,7 +206,7 @@ def test_who_is_seen_need_not_see_and_both_merge():
 
 
 @pytest.mark.parametrize("graph", ["proximity", "complete"])
-def test_robots_exactly_as_far_apart_as_they_see_both_do(graph):
+def test_range_boundary_is_mutual(graph):
     """Whichever way their frames are turned: 3² + 4² = 5² has no rounding but in turned frames."""
     near_and_far = ((0.0, 0.0), (3.0, 4.0), (1.0, 1.0))
     made = scenario(
@@ -230,13 +230,13 @@ def graph_of_each_step(order, seed=0, steps=60):
     return np.array(found)
 
 
-def test_graphs_take_turns_in_order():
+def test_switching_graphs_follow_order():
     found = graph_of_each_step("cyclic")
     for team in range(3):
         np.testing.assert_array_equal(found[:, team], np.repeat([1, 2, 3] * 4, 5))
 
 
-def test_switches_are_due_at_multiples_of_the_dwell_time():
+def test_switches_occur_at_multiples_of_dwell_time():
     """And not so long after the last one, which was late: 0.3, 0.5, 0.8, 1 s, not 0.3, 0.6, 0.9."""
     turns = graphs.switching(["path", graphs.from_edges([(1, 2)])], 0.25)
     places, long = ((0, 0), (100, 0), (0, 100)), {"time_step": 0.1, "allow_long_step": True}
@@ -245,7 +245,7 @@ def test_switches_are_due_at_multiples_of_the_dwell_time():
     assert (np.flatnonzero(np.diff(linked)) + 2).tolist() == [3, 5, 8, 10]
 
 
-def test_graphs_are_drawn_for_every_team_and_the_same_again():
+def test_random_switching_is_per_environment_and_reproducible():
     found = graph_of_each_step("random", steps=400)
     blocks = found.reshape(80, 5, 3)
     assert (blocks == blocks[:, :1]).all(), "one holds for its dwell time"
@@ -255,7 +255,7 @@ def test_graphs_are_drawn_for_every_team_and_the_same_again():
     np.testing.assert_array_equal(found[:, 1:], graph_of_each_step("random", 1, 400)[:, :2])
 
 
-def test_no_progress_is_earned_where_no_edge_was_at_the_start():
+def test_progress_is_zero_without_initial_edges():
     turns, places = graphs.switching([np.zeros((3, 3)), "complete"], 0.5), ((0, 0), (1, 0), (0, 1))
     made = scenario(n_robots=3, graph=turns, start_positions=places)
     found = rv.rollout(made, lambda seen, time: seen.sum(axis=2))
@@ -265,7 +265,7 @@ def test_no_progress_is_earned_where_no_edge_was_at_the_start():
     assert found.rewards.sum() == pytest.approx(earned, abs=1e-6)
 
 
-def test_starts_by_sight_are_connected_by_links_that_survive_merging():
+def test_proximity_starts_are_connected_after_merges():
     made = scenario(n_robots=6, graph="proximity", sensing=rv.Sensing(range=2.0), spawn_size=5.0)
     assert made.start_reach == pytest.approx(1.5)
     for required in (True, False):
@@ -277,7 +277,7 @@ def test_starts_by_sight_are_connected_by_links_that_survive_merging():
         rv.Simulator(made.replace(spawn_size=200.0)).reset(0)
 
 
-def test_weights_of_a_directed_cycle_are_drawn_for_every_episode_or_given():
+def test_directed_cycle_weights_are_sampled_or_given():
     graph = graphs.directed_cycle((0.5, 2.0))
     sim = started(scenario(graph=graph), 3)
     first = sim.weights

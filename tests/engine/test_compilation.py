@@ -1,4 +1,4 @@
-"""How kernels are compiled: what they may do, and who may call them."""
+"""Compilation of kernels: permitted operations and callers."""
 
 import gc
 import importlib
@@ -18,7 +18,7 @@ from rendezvous_env import compilation, kernel_cache
 
 
 def test_kernel_inlined_checks_bounds(tmp_path):
-    """Which count no references: an error has to get through them all the same."""
+    """Inlined kernels count no references, but errors must still propagate."""
     (tmp_path / "reading.py").write_text(
         "import numpy as np\nfrom rendezvous_env.compilation import inner_kernel, kernel\n"
         "@inner_kernel(inline='code')\ndef at(arrays, k):\n    return arrays[0][k]\n"
@@ -49,7 +49,7 @@ def test_kernel_with_allocates_returns_arrays():
 
 
 def all_kernels():
-    """Every kernel of the three packages, by the module and name it was written under."""
+    """All kernels of the three packages, by module and name."""
     found = {}
     for package in (rendezvous_env, baselines, train):
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
@@ -62,8 +62,9 @@ def all_kernels():
 
 
 def test_kernel_without_reference_counts_refuses_to_return_arrays():
-    """Nobody would have counted that reference: the array would be freed while it is in use. It is
-    refused when it is compiled, so that this holds whether or not code was found on disk.
+    """The array would be freed while in use, as its reference is not counted.
+
+    Compilation rejects it, so the check does not depend on cached code.
     """
 
     @compilation.kernel(inline="code")
@@ -122,7 +123,7 @@ def test_inner_kernel_is_plain_python_for_python():
 
 @pytest.mark.parametrize("enabled", [True, False])
 def test_kernel_sets_options_and_pauses_the_collector_while_it_is_compiled(enabled, monkeypatch):
-    """Of nested compilations until the outermost ends, also where it fails."""
+    """Nested compilations pause it until the outermost ends, also after a failure."""
     if not compilation.compiled():
         pytest.skip("nothing is compiled")
     monkeypatch.setattr(kernel_cache, "_folder", lambda: None)  # else they are found again
@@ -158,7 +159,7 @@ def test_kernel_sets_options_and_pauses_the_collector_while_it_is_compiled(enabl
 
 
 def test_compilation_changes_nothing_of_numba_for_others(tmp_path):
-    """Numbers of functions count on, one by one; settings stay; a user's kernels are theirs."""
+    """Function numbers and settings are kept, and a user's kernels are unaffected."""
     script = """
         import numba
         from numba.core.bytecode import FunctionIdentity
@@ -198,7 +199,7 @@ def test_kernel_is_compiled_once_for_writable_and_read_only_arrays():
 
 
 def test_learned_policy_compiles_nothing_for_read_only_observations():
-    """As JAX and pandas give them."""
+    """Read-only arrays, as from JAX and pandas."""
     if not compilation.compiled():
         pytest.skip("nothing is compiled")
     scenario = rendezvous_env.scenarios.get("clutter-4")

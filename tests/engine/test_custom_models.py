@@ -18,7 +18,7 @@ from rendezvous_env.compilation import compiled
 from rendezvous_env.engine.memory import RUNNING
 from rendezvous_env.robots import robot_models
 from train.compare import Job, play_job
-from train.recording import whole
+from train.recording import with_observations
 
 HOVER = '''"""A hovering robot: its velocity, a wind that carries it along, and two gusts."""
 
@@ -158,7 +158,7 @@ def own(tmp_path, monkeypatch, registry):
         sys.modules.pop(name, None)
 
 
-def test_a_hovering_robot_in_the_wind(own):
+def test_custom_drifting_model_moves(own):
     own("own_hover", HOVER)
     scenario = rv.Scenario(n_robots=3, robot_model="hover", time_limit=20.0)
     start = {"positions": [[0.0, 0.0], [1.0, 0.0], [0.0, 4.0]]}
@@ -180,14 +180,14 @@ def test_a_hovering_robot_in_the_wind(own):
     np.testing.assert_allclose(moved, expected, atol=1e-15)
 
 
-def test_a_model_is_tried_before_robots_move_by_it_and_not_in_every_step(own, monkeypatch):
+def test_model_is_validated_once_not_per_step(own, monkeypatch):
     own("own_hover", HOVER)
     sim = started(rv.Scenario(n_robots=3, robot_model="hover"), 2)
     monkeypatch.setattr(robot_models, "try_equations", None)
     assert (sim.step(np.zeros((2, 3, 2))).status == RUNNING).all()
 
 
-def test_a_leap_that_no_check_of_the_model_found_is_told_in_the_step(own):
+def test_leap_beyond_bound_raises_in_step(own):
     own("own_hover", HOVER)
     for leap in (0.30005, 0.20005, 12.0):  # the last is beyond the bounds
         teams = started(rv.Scenario(robot_model="hover", n_robots=3), 2)
@@ -202,7 +202,7 @@ def test_a_leap_that_no_check_of_the_model_found_is_told_in_the_step(own):
 
 
 @pytest.mark.slow
-def test_robots_that_a_current_carries_faster_than_v_max_take_their_own_state(registry):
+def test_fast_drift_accepts_own_state(registry):
     still = robot_models.ROBOT_MODELS["double_integrator"]
 
     def carried(scenario):
@@ -224,7 +224,7 @@ def test_robots_that_a_current_carries_faster_than_v_max_take_their_own_state(re
 
 
 @pytest.mark.slow
-def test_a_sluggish_unicycle_moves_as_its_equations_say(own):
+def test_custom_unicycle_follows_equations(own):
     own("own_sluggish", SLUGGISH)
     disc = rv.Disc((13.0, 0.0), 10.0)
     scenario = rv.Scenario(n_robots=2, robot_model="sluggish", obstacles=(disc,), time_step=0.1)
@@ -253,7 +253,7 @@ def test_a_sluggish_unicycle_moves_as_its_equations_say(own):
     np.testing.assert_array_equal(sim.get_state()["memory"][0], [[0.5, 0.0], [1.0, 0.0]])
     # no recording has its speed, by which what was seen could be found again
     (kept,) = play_job(Job(scenario, "random"), episodes=1, seed=0, keep=1).recordings.values()
-    assert whole(kept, scenario) is kept
+    assert with_observations(kept, scenario) is kept
 
 
 PIECE = """
@@ -273,7 +273,7 @@ def ran(folder: Path) -> tuple[float, int]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not compiled(), reason="nothing is kept")
-def test_an_edited_model_moves_as_edited(tmp_path):
+def test_edited_model_is_recompiled(tmp_path):
     """Compiled code is kept on disk: it must follow the file that the model is in, and those that
     it imports.
     """

@@ -59,7 +59,7 @@ def clearance(scenario: Scenario, point) -> float:
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_free_motion_against_its_own_sum(dim):
+def test_free_motion_matches_closed_form(dim):
     scenario = two(dim, local_frames="random")
     sim, random = begin(scenario, [0.0] * dim), np.random.default_rng(0)
     frame = sim.frames[0, 0]
@@ -86,7 +86,7 @@ def test_free_motion_against_its_own_sum(dim):
 
 @pytest.mark.parametrize("mode", ["slide", "stop"])
 @pytest.mark.parametrize("obstacle", [*FLAT, *SOLID], ids=lambda o: f"{type(o).__name__}{o.dim}")
-def test_nobody_gets_into_or_through_an_obstacle(obstacle, mode):
+def test_double_integrator_never_enters_obstacle(obstacle, mode):
     """Robots that are driven at it from all sides, and then this way and that."""
     dim = obstacle.dim
     scenario = two(dim, (obstacle,), obstacle_contact=mode, max_speed=30.0, max_acceleration=300.0)
@@ -114,7 +114,7 @@ def test_nobody_gets_into_or_through_an_obstacle(obstacle, mode):
 
 @pytest.mark.parametrize("obstacle", (*FLAT[:2], Capsule(((-1, 0), (1, 0)), 1.0)), ids=type)
 @pytest.mark.parametrize("mode", ["slide", "stop"])
-def test_head_on_it_rests_at_the_surface(obstacle, mode):
+def test_head_on_contact_stops_at_surface(obstacle, mode):
     scenario = two(2, (obstacle,), obstacle_contact=mode)
     sim = begin(scenario, (0.0, 1.13), (0.0, -3.0))
     assert push(sim, (0.0, 0.0)).contact[0, 0]
@@ -128,7 +128,7 @@ def test_head_on_it_rests_at_the_surface(obstacle, mode):
     np.testing.assert_allclose(sim.velocities[0, 0], (0.0, 0.6), atol=1e-9)
 
 
-def test_along_a_wall_it_gathers_speed_as_if_nothing_rubbed():
+def test_sliding_contact_is_frictionless():
     """Pressed against the wall it has the whole acceleration along it."""
     scenario = two(2, (FLAT[1],))
     sim = begin(scenario, (-0.9, 1.0))
@@ -138,7 +138,7 @@ def test_along_a_wall_it_gathers_speed_as_if_nothing_rubbed():
         np.testing.assert_allclose(sim.positions[0, 0], (-0.9 + 0.01 * k * k, 1.0), atol=2e-6)
 
 
-def test_the_survivor_of_a_merge_keeps_its_own_velocity():
+def test_survivor_keeps_velocity():
     scenario = two()
     sim = begin(scenario, (0.0, 0.0), (1.0, 0.5))
     state = sim.get_state()
@@ -151,7 +151,7 @@ def test_the_survivor_of_a_merge_keeps_its_own_velocity():
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_teams_meet_under_the_damped_law(dim):
+def test_damped_law_reaches_rendezvous(dim):
     scenario = Scenario(
         n_robots=5, dim=dim, robot_model="double_integrator", graph=UNEQUAL, obstacles=(FAR[dim],)
     )

@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept, and when they are compiled anew."""
+"""Kernel cache: location and invalidation."""
 
 import os
 import shutil
@@ -45,12 +45,12 @@ WAYS = {
         "ask(None)",
     ),
 }
-"""Ways in which a kernel freezes a number of another file: what it imports, and how it asks."""
+"""Ways in which a kernel freezes a number of another file: imports and accesses."""
 BARE = (
     "import sys, types; bare = sys.modules['rendezvous_env'] = types.ModuleType('rendezvous_env'); "
     f"bare.__path__ = [{str(ROOT / 'rendezvous_env')!r}]; "
 )
-"""Loads of the package only what is imported: all of it takes longer than a small script."""
+"""Import only the necessary part of the package, to save time."""
 
 
 def package(folder: Path, factor: float) -> None:
@@ -61,7 +61,7 @@ def package(folder: Path, factor: float) -> None:
 
 
 def call(folder: Path, **environment: str) -> tuple[float, int, int]:
-    """f(10) in a fresh process, and how often its compiled code was found and not found."""
+    """f(10) in a new process, and the numbers of cache hits and misses."""
     script = (
         f"{BARE}from demo.outer import f; print(f(10.0), "
         "sum(f.stats.cache_hits.values()), sum(f.stats.cache_misses.values()))"
@@ -71,14 +71,14 @@ def call(folder: Path, **environment: str) -> tuple[float, int, int]:
 
 
 def python(script: str, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """A fresh process that finds the packages in the folder, and ours, and no kernel of others."""
+    """A new process with the packages of the folder and of this project, and an empty cache."""
     ours = {"PYTHONPATH": f"{folder}{os.pathsep}{ROOT}", "NUMBA_CACHE_DIR": str(folder)}
     return run_python(folder, "-c", script, **ours | environment)
 
 
 @pytest.mark.slow
 def test_cache_keeps_code_by_its_source_and_removes_what_is_long_unused(tmp_path):
-    """An edit of an inlined kernel is noticed, one of a docstring is not."""
+    """An edit of an inlined kernel is noticed, an edit of a docstring is not."""
     package(tmp_path, 0.5)
     assert call(tmp_path) == (6.0, 0, 1)
     text = OUTER.replace("    return", '    """Half and one."""  # more lines\n\n    return')
@@ -102,7 +102,7 @@ def test_cache_keeps_code_by_its_source_and_removes_what_is_long_unused(tmp_path
 
 
 def test_cache_notices_an_edit_of_what_a_kernel_freezes(tmp_path):
-    """In a cache of one's own, too."""
+    """Also in a separate cache."""
     package(tmp_path, 0.5)
     for way, (importing, _, asked) in WAYS.items():
         lines = f"{KERNEL}{importing}\n@kernel\ndef f(x):\n    return {asked} * x\n"
@@ -134,7 +134,7 @@ def test_cache_recompiles_only_dependants_of_an_edit(monkeypatch):
 
 @pytest.mark.slow
 def test_cache_tells_apart_functions_of_one_name_from_two_processes(tmp_path):
-    """Each of these callers holds an f of its own, the first function that its process compiled."""
+    """Each caller contains a different f, the first function compiled by its process."""
     (tmp_path / "closures.py").write_text(
         f"import math\n{KERNEL}def made(k):\n"
         "    @kernel\n    def f(x):\n        for _ in range(int(x)):\n"
@@ -152,12 +152,13 @@ def test_cache_tells_apart_functions_of_one_name_from_two_processes(tmp_path):
 
 @pytest.mark.slow
 def test_cache_key_of_the_step_covers_all_that_is_compiled(tmp_path):
-    """Whatever numba compiles for a step and a reset is among what their code is named after."""
+    """All code that numba compiles for a step and a reset is part of its key."""
     script = """
         import numpy as np
         from numba.core.bytecode import FunctionIdentity
         import rendezvous_env as rv
         from rendezvous_env import kernel_cache
+        from rendezvous_env.engine.step import first_not_finite
         compiled, identify = set(), FunctionIdentity.from_function.__func__
 
         def noted(kind, function):
@@ -186,14 +187,14 @@ def test_cache_key_of_the_step_covers_all_that_is_compiled(tmp_path):
 
 
 class Own(NamedTuple):
-    """Constants of a kind that somebody else's functions are chosen by."""
+    """Constants of a kind used in function dispatch elsewhere."""
 
     factor: float
 
 
 @pytest.fixture
 def own_folder(tmp_path, monkeypatch):
-    """Where this process keeps its kernels, of which there are none yet."""
+    """Empty kernel cache of this process."""
     if not compilation.compiled():
         pytest.skip("nothing is compiled")
     monkeypatch.setattr(kernel_cache, "_folder", lambda: tmp_path)
@@ -252,7 +253,7 @@ def test_cache_does_not_use_a_temporary_folder_that_others_can_write_to(tmp_path
 
 
 def test_cache_recompiles_damaged_code(own_folder):
-    """Machine code with one bit flipped would end the process, so it is not given to it."""
+    """Machine code with a flipped bit would end the process, so it is not loaded."""
 
     def misses():
         @compilation.kernel
@@ -274,7 +275,7 @@ def test_cache_recompiles_damaged_code(own_folder):
 
 
 def test_cache_compiles_once_in_processes_that_start_together(tmp_path):
-    """The others wait for the code of the first."""
+    """The other processes wait for the code of the first."""
     package(tmp_path, 0.5)
     slow = (
         "def half(x):\n    for k in range(3):\n        x = x + k\n    return {factor} * (x - 3.0)\n"
@@ -339,13 +340,13 @@ EDITS = {
         "{'obstacles': [rv.Disc((6.0, 0.0), 1.0)], 'spawn_size': 4.0}",
     ),
 }
-"""File, text, edited text, and fields of a scenario that shows the edit."""
+"""File, text, edited text, and scenario fields that reveal the edit."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", EDITS)
 def test_cache_notices_an_edit_of_each_kind(kind, tmp_path):
-    """The numbers change; of the kernels in use most are found on disk again."""
+    """The numbers change; most kernels in use are loaded from disk."""
     file, text, edited, fields = EDITS[kind]
     shutil.copytree(ROOT / "rendezvous_env", tmp_path / "rendezvous_env")
     script = f"""

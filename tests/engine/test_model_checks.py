@@ -1,4 +1,4 @@
-"""What is wrong with a robot model of one's own is said when it is registered."""
+"""Validation of custom robot models at registration."""
 
 import dataclasses
 import math
@@ -15,13 +15,13 @@ pytestmark = pytest.mark.usefixtures("registry")
 
 
 class Still(NamedTuple):
-    """Constants of a robot that is described only in part."""
+    """Constants of an incompletely defined robot model."""
 
     duration: float
     speed_limit: float
 
 
-def test_what_is_wrong_with_a_model_is_said():
+def test_invalid_model_is_rejected_with_reason():
     good = {"constants": lambda s: Still(s.tau, 1.0), "bounds": lambda s: [1.0] * 2}
     with pytest.raises(ValueError, match="it must be a RobotModel"):
         rv.register_robot_model("still")
@@ -43,7 +43,7 @@ def test_what_is_wrong_with_a_model_is_said():
 
 
 def walker(equations=None, fastest=1.5, **fields):
-    """Register a good robot model with some of its equations and fields replaced."""
+    """Register a valid robot model with some equations and fields replaced."""
 
     def propose(model, action, frame, memory):
         way = model.duration * action[0], model.duration * action[1]
@@ -65,7 +65,7 @@ def walker(equations=None, fastest=1.5, **fields):
     return model
 
 
-def test_a_model_needs_to_say_how_it_moves_and_no_more():
+def test_minimal_model_needs_only_propose():
     walker()
     scenario = rv.Scenario(robot_model="walker")
     assert scenario.action_size == 2
@@ -82,7 +82,7 @@ def evenly(model, action, frame, memory, time):
 
 
 def bent(model, action, frame, memory, time):
-    """A way that leaves its chord by more than it says."""
+    """A path with a larger deviation from its chord than declared."""
     return time * action[0] + time * (model.duration - time) * 9.0, time * action[1]
 
 
@@ -145,7 +145,7 @@ BAD = BAD_EQUATIONS | {case: ({}, *wrong) for case, wrong in BAD_FIELDS.items()}
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_what_no_step_can_bear_is_refused_at_registration(case):
+def test_unusable_model_is_rejected_at_registration(case):
     equations, fields, message = BAD[case]
     known = set(robot_models.ROBOT_MODELS)
     with pytest.raises((ValueError, TypeError), match=message):
@@ -154,7 +154,7 @@ def test_what_no_step_can_bear_is_refused_at_registration(case):
 
 
 def bounded(share=1, turned=1, least=0, **fields):
-    """One that moves by its action, turned into the global frame and bounded, or nearly so."""
+    """A model that moves by its action, rotated into the global frame and bounded, or nearly so."""
 
     def propose(model, action, frame, memory):
         speed = math.hypot(*action)
@@ -167,7 +167,7 @@ def bounded(share=1, turned=1, least=0, **fields):
     return walker({"propose": propose}, 1, bounded=True, **fields)
 
 
-def test_a_bounded_model_has_the_theorems_of_its_action():
+def test_bounded_model_gets_theorems():
     model = bounded()
     assert rv.certificate(rv.Scenario(robot_model="walker")).guaranteed
     for most in (0.02, 20.0):  # tanks would go more slowly, or be paid for more, than is so
@@ -185,14 +185,14 @@ def test_a_bounded_model_has_the_theorems_of_its_action():
     [{"share": 0.5}, {"turned": -1}, {"bounds": lambda s: [s.speed_limit] * 3}, {"least": 0.1}],
     ids=["half of it", "mirrored", "three numbers", "not below 0.1 m/s"],
 )
-def test_no_theorem_is_for_a_bounded_model_that_moves_otherwise(wrong):
+def test_no_theorem_applies_to_misdeclared_bounded_model(wrong):
     message = "propose .* of 2 numbers, slowed down to 4 m/s at most, since the model is bounded"
     with pytest.raises(ValueError, match=message):
         bounded(**wrong)
 
 
 @pytest.mark.parametrize("name", ["unicycle", "double_integrator"])
-def test_the_packages_own_equations_are_none_of_a_bounded_model(name):
+def test_built_in_equations_are_not_for_bounded_models(name):
     model = dataclasses.replace(robot_models.ROBOT_MODELS[name], name="walker", bounded=True)
     with pytest.raises(ValueError, match="since the model is bounded"):
         rv.register_robot_model(model)
@@ -202,7 +202,7 @@ def test_the_packages_own_equations_are_none_of_a_bounded_model(name):
 
 
 @pytest.mark.parametrize("name", sorted(robot_models.ROBOT_MODELS))
-def test_the_packages_own_models_answer_the_same_questions(name):
+def test_built_in_models_pass_validation(name):
     model = robot_models.ROBOT_MODELS[name]
     for dim in model.dims:
         scenario = rv.Scenario(robot_model=name, dim=dim)
@@ -212,7 +212,7 @@ def test_the_packages_own_models_answer_the_same_questions(name):
         robot_models.try_equations(model, motion_of, constants, bounds, dim)
 
 
-def test_old_names_of_equations_are_taken_with_a_warning():
+def test_old_equation_names_warn():
     with pytest.warns(DeprecationWarning, match="bend is called chord_error_bound now"):
         old = rv.Motion(propose=math.hypot, bend=math.sin)
     assert old == rv.Motion(propose=math.hypot, chord_error_bound=math.sin)

@@ -24,7 +24,7 @@ class TestMoving:
             ([(0.1, 0.3), (-0.1, 0.0)], [(0.1, 0.3), (-0.1, 0.0)]),  # whoever is far is free
         ],
     )
-    def test_two_by_hand(self, wanted, ways):
+    def test_two_bodies_match_hand_computation(self, wanted, ways):
         places, moved = np.array([[0.0, 0.0], [1.0, 0.0]]), np.array(wanted)
         lengths = np.linalg.norm(moved, axis=1)
         move_apart(places, moved, lengths, 0.6, (np.zeros((2, 2)), np.zeros(1)))
@@ -33,7 +33,7 @@ class TestMoving:
         np.testing.assert_allclose(lengths, np.linalg.norm(ways, axis=1), atol=1e-8)
 
     @pytest.mark.parametrize("n", [2, 5, 20])
-    def test_no_two_overlap_whatever_they_want(self, n):
+    def test_bodies_never_overlap(self, n):
         """Not on the way either: the least distance of two straight ways in one step."""
         random, size = np.random.default_rng(n), 0.3
         places = 0.35 * np.array(list(itertools.product(range(5), range(4))), float)[:n]
@@ -55,14 +55,14 @@ class TestMoving:
         ([(0, 0), (1, 0), (0.5, 0.87), (9, 0), (10, 0), (9.5, 0.87)], False),  # two clusters
     ],
 )
-def test_what_is_packed(places, is_so):
+def test_is_packed_detects_clusters(places, is_so):
     work = np.zeros(len(places), np.int64), np.zeros(len(places), np.bool_)
     assert is_packed(np.array(places, float), 1.05, work) is is_so
 
 
 class TestEpisodes:
     @pytest.mark.parametrize("n", [4, 10])
-    def test_all_meet_and_none_merges_or_overlaps(self, n):
+    def test_packing_reaches_cluster_without_merge_or_overlap(self, n):
         scenario = rv.scenarios.get(f"robotarium-{n}")
         found = rv.rollout(scenario, baselines.make("bearing-only", scenario), num_envs=40)
         assert found.success.all() and found.active.all()
@@ -73,7 +73,7 @@ class TestEpisodes:
         assert moved.max() <= 0.2 * 0.033 + 1e-9
 
     @pytest.mark.parametrize("batch", [1, 6])  # a team alone, and lanes side by side
-    def test_whoever_touches_somebody_looks_at_the_others_or_at_all_if_it_touches_all(self, batch):
+    def test_touched_robots_are_hidden_unless_all_touch(self, batch):
         """Robot 0 touches 1, which touches 0 and 2; robot 3 is alone: who sees whom, by row."""
         four = rv.scenarios.get("robotarium-4").replace(local_frames="global")
         places = ((0.0, 0.0), (0.155, 0.0), (0.31, 0.0), (0.0, 1.0))
@@ -88,7 +88,7 @@ class TestEpisodes:
                 to_others = np.array([(1, 0), (0, 1)]) / 15
                 np.testing.assert_allclose(seen[0, 0, 1:], to_others, rtol=1e-6)
 
-    def test_bodies_hide_one_another(self):
+    def test_bodies_occlude_each_other(self):
         """In a row of three the outer two do not see each other past a body of 0.1 m."""
         row = ((-1.0, 0.05), (0.0, 0.0), (1.0, 0.05))
         scenario = rv.Scenario(
@@ -122,12 +122,12 @@ class TestScenario:
             ),
         ],
     )
-    def test_what_cannot_be_is_named(self, fields, message):
+    def test_invalid_bodies_are_rejected(self, fields, message):
         with pytest.raises(ValueError, match=message):
             rv.Scenario(**fields)
 
     @pytest.mark.parametrize("meeting", ["merge", "pack"])
-    def test_bodies_that_overlap_are_refused_at_a_reset_too(self, meeting):
+    def test_overlapping_bodies_are_rejected_at_reset(self, meeting):
         scenario = rv.Scenario(n_robots=3, body_radius=0.05, meeting=meeting)
         simulator = rv.Simulator(scenario, num_envs=2)
         places = np.array([[(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)]] * 2)
@@ -141,7 +141,7 @@ class TestScenario:
         places[1, 2] = 1.0, 0.1 * (1 - 1e-12)  # bodies that touch, as a step can leave them
         simulator.reset(0, {"positions": places})
 
-    def test_weights_that_leave_bodies_unlinked_are_refused_at_a_reset(self):
+    def test_weights_unlinking_bodies_are_rejected_at_reset(self):
         """Two that do not see each other would pass through each other."""
         simulator = rv.Simulator(rv.Scenario(n_robots=3, body_radius=0.1))
         path = rv.graphs.path().base_weights(3)
@@ -149,7 +149,7 @@ class TestScenario:
             simulator.reset(0, {"weights": path})
         simulator.reset(0, {"weights": 1.0 - np.eye(3)})
 
-    def test_bodies_that_dock_lose_no_promise(self):
+    def test_docking_bodies_keep_guarantees(self):
         docking = rv.Scenario(n_robots=4, body_radius=0.1)
         points = rv.certificate(rv.Scenario(n_robots=4))
         assert rv.certificate(docking).time_bound == points.time_bound

@@ -1,4 +1,4 @@
-"""The simulator against an independent integrator: DOP853, global positions, own merging."""
+"""Simulator compared with an independent integrator: DOP853, global positions, own merging."""
 
 import math
 from types import SimpleNamespace
@@ -19,7 +19,7 @@ RADIUS = 0.25
 
 
 def velocities(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """ṗ and the angles' rates, from the paper's formulas in the global frame."""
+    """ṗ and the angular rates, from the paper's formulas in the global frame."""
     n, d = p.shape
     f = np.zeros((n, d))
     for i in range(n):
@@ -47,7 +47,7 @@ def velocities(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> np.ndarray:
 
 
 def contracted(p, angles, a, i, j):
-    """Robots i < j become one: i at the midpoint, with the union of the links; j is deleted."""
+    """Merge robots i < j: i at the midpoint with the union of the links; j is deleted."""
     p, a = p.copy(), a.copy()
     p[i] = (p[i] + p[j]) / 2
     a[i] = a[:, i] = np.maximum(a[i], a[j])
@@ -57,8 +57,10 @@ def contracted(p, angles, a, i, j):
 
 
 def integrate(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> SimpleNamespace:
-    """Integrate to rendezvous, stopping at every merge: times of the first merge and of rendezvous,
-    s; what it was before that merge: positions of time, (n, d), m, and the largest pitch, rad.
+    """Integrate to rendezvous, stopping at every merge.
+
+    Returns the times of the first merge and of rendezvous, s. For the time before that merge, it
+    also returns positions as functions of time, (n, d), m, and the largest pitch, rad.
     """
     d, n_angles, now, first = p.shape[1], angles.shape[1], 0.0, None
     while len(p) > 1:
@@ -107,7 +109,7 @@ def integrate(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> SimpleNamespa
 
 
 @pytest.mark.parametrize("graph", GRAPHS)
-def test_positions_order_of_convergence_and_rendezvous_time(kind, graph):
+def test_simulator_converges_to_ode_reference(kind, graph):
     scenario = five(kind, graph=GRAPHS[graph], merge_radius=RADIUS, time_limit=200.0)
     flatter = 0.2 if scenario.model.nonholonomic else 1.0  # near a pitch of ±π/2 their law is stiff
     places = (POSITIONS * [1.0, 1.0, flatter])[:, : scenario.dim]
@@ -128,7 +130,7 @@ def test_positions_order_of_convergence_and_rendezvous_time(kind, graph):
     assert found.rendezvous_time == pytest.approx(expected.rendezvous, rel=late)
 
 
-def test_the_reference_itself_on_a_case_in_closed_form():
+def test_reference_matches_closed_form():
     """Two robots, gain a: they meet after (L − r)/(2a)."""
     pair = np.array([[0.0, 0.0], [3.0, 4.0]])
     solved = integrate(pair, np.zeros((2, 0)), np.array([[0, 0.8], [0.8, 0]]))

@@ -50,7 +50,7 @@ def halfway(scenario: Scenario, merges: bool = True) -> tuple[Simulator, np.ndar
     marked([*KINDS, *CHANGING], slow=INERTIA, kernels=["proximity"]),
     indirect=True,
 )
-def test_all_ways_to_restart_show_the_same_start_and_leave_the_others_alone(scenario):
+def test_partial_resets_agree_and_keep_other_environments(scenario):
     """At once in what the last step gave out, in a step in which these teams rest, by a reset."""
     (sim, seen), (other, _), (alone, _), (anew, _) = (halfway(scenario) for _ in range(4))
     actions = towards_neighbours(scenario, seen)
@@ -86,7 +86,7 @@ def test_all_ways_to_restart_show_the_same_start_and_leave_the_others_alone(scen
         np.testing.assert_array_equal(seen, expected)
 
 
-def test_a_team_that_has_ended_rests(scenario):
+def test_finished_environment_is_frozen(scenario):
     """Whatever it is told, and with whatever velocity it ended."""
     sim, _ = halfway(scenario)
     sim.set_max_steps(int(sim.steps.max()) + 1)
@@ -101,7 +101,7 @@ def test_a_team_that_has_ended_rests(scenario):
     assert_same_state(sim, before)
 
 
-def test_the_way_is_that_of_the_robots_that_are_left(scenario):
+def test_path_length_counts_active_robots(scenario):
     """A robot that has merged away adds nothing, though it may have been moving."""
     sim, observations = halfway(scenario)
     assert not sim.active.all()
@@ -116,7 +116,7 @@ def test_the_way_is_that_of_the_robots_that_are_left(scenario):
         assert (way[unmerged] <= straight * 1.02 + 1e-9).all()
 
 
-def test_every_team_sees_the_obstacles_of_its_own_episode():
+def test_obstacles_belong_to_episode():
     """Those that stand anew in some teams, and those that a state brings back."""
     field = ObstacleField((1, 3), (0.2, 0.5), 6.0, 0.05, True)
     team = Scenario(n_robots=3, obstacles=field)
@@ -163,7 +163,7 @@ def onwards(sim: Simulator, steps: int = 30) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_an_episode_goes_on_from_a_copy(name):
+def test_episode_continues_from_copied_state(name):
     sim, _ = halfway(CASES[name], merges=name not in ("packing", "nonholonomic_3d"))
     state, restored = sim.get_state(), started(sim.scenario, TEAMS, seed=99)
     restored.set_state(state)

@@ -108,7 +108,7 @@ def act(sim: rv.Simulator, step: int):
 
 
 @pytest.mark.parametrize("sigma", [0.05, 0.3])
-def test_noise_is_gaussian_and_drawn_anew_for_every_pair_and_step(sigma):
+def test_noise_is_gaussian_per_pair_and_step(sigma):
     """σ on both sides of where a turn takes a shorter way; 10⁶ bearings of 500 teams that rest."""
     sim = simulator(sensing(PLANE, noise=sigma), batch=500)
     lengths, found = np.linalg.norm(by_robot(neighbours(sim)), axis=-1), []
@@ -137,7 +137,7 @@ def test_noise_is_gaussian_and_drawn_anew_for_every_pair_and_step(sigma):
         assert abs(np.mean(squares)) < 7.0 / math.sqrt(one.size), name
 
 
-def test_noise_of_a_pair_is_the_same_on_any_graph():
+def test_noise_of_pair_is_independent_of_graph():
     found, one_way = [], rv.graphs.directed_cycle()
     for graph in ("complete", "cycle", rv.graphs.switching([one_way, "path"], 1.0)):
         sim = simulator(sensing(PLANE.replace(graph=graph, neighbour_slots=4), noise=0.2))
@@ -145,7 +145,7 @@ def test_noise_of_a_pair_is_the_same_on_any_graph():
     assert found[0].all() and np.ptp(found, axis=0) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_bias_is_gaussian_and_belongs_to_pair_and_episode():
+def test_bias_is_gaussian_per_pair_and_episode():
     sim = simulator(sensing(PLANE, bias=0.2), batch=40)
     first = turned(sim)
     assert stats.kstest(first.ravel() / 0.2, "norm").pvalue > 0.01
@@ -162,7 +162,7 @@ def test_bias_is_gaussian_and_belongs_to_pair_and_episode():
 @pytest.mark.parametrize(
     "scenario", [WALLED, pytest.param(SPACE, marks=pytest.mark.slow)], ids=["plane", "space"]
 )
-def test_silhouettes_are_turned_point_by_point(scenario, field):
+def test_obstacle_points_are_rotated_independently(scenario, field):
     exact = simulator(scenario, seed=5)
     erring = simulator(sensing(scenario, **{field: 0.1}), seed=5)
     true, found = silhouettes(exact), silhouettes(erring)
@@ -179,7 +179,7 @@ def test_silhouettes_are_turned_point_by_point(scenario, field):
 
 @pytest.mark.kernels
 @BOTH
-def test_the_adversary_turns_every_bearing_outwards(scenario):
+def test_adversarial_error_rotates_bearings_outwards(scenario):
     eta, everybody = 0.3, np.arange(5)
     sim = simulator(sensing(scenario, error=eta), seed=11)
     rows, true = by_robot(neighbours(sim)), true_rows(sim)
@@ -191,7 +191,7 @@ def test_the_adversary_turns_every_bearing_outwards(scenario):
             assert rows[team, i, j] == pytest.approx(expected, abs=1e-6)
 
 
-def test_regular_polygons_grow_from_the_angle_of_theorem_n_on():
+def test_regular_polygon_grows_beyond_theorem_n_angle():
     """Law (1) on a cycle: the threshold π/n of theorem N is sharp."""
     start, grows = 3.0 * along(*72 * np.arange(5)), {}
     for share in (0.9, 1.05):
@@ -204,7 +204,7 @@ def test_regular_polygons_grow_from_the_angle_of_theorem_n_on():
     assert grows == {0.9: False, 1.05: True}
 
 
-def test_dropout_leaves_out_so_many_rows_and_the_rest_as_they_are():
+def test_dropout_removes_expected_fraction():
     sim, exact = simulator(sensing(PLANE, dropout=0.3), batch=40), simulator(PLANE, batch=40)
     missing = []
     for _ in range(4):
@@ -220,7 +220,7 @@ def test_dropout_leaves_out_so_many_rows_and_the_rest_as_they_are():
 
 
 @BOTH
-def test_range_and_field_of_view(scenario):
+def test_range_and_field_of_view_limit_detection(scenario):
     exact, seen = simulator(scenario, seed=0), 0
     rows, true = by_robot(neighbours(exact)), true_rows(exact)
     assert rows == pytest.approx(true, abs=1e-6)
@@ -237,7 +237,7 @@ def test_range_and_field_of_view(scenario):
     assert 30 < seen < 300
 
 
-def test_an_obstacle_is_seen_whole_while_a_point_of_it_is_in_the_field_of_view():
+def test_obstacle_is_visible_if_any_point_is_in_view():
     partly = 0
     for scenario in (WALLED, SPACE):
         layout = scenario.observation_layout
@@ -252,7 +252,7 @@ def test_an_obstacle_is_seen_whole_while_a_point_of_it_is_in_the_field_of_view()
 
 
 @pytest.mark.parametrize("what", ["none", "obstacles", "robots", "both"])
-def test_what_stands_in_the_way_hides(what):
+def test_obstacles_and_robots_occlude(what):
     hidden, scenario = 0, WALLED.replace(merge_radius=0.5)
     exact = by_robot(neighbours(simulator(scenario, 10, seed=0)))
     sim = simulator(sensing(scenario, occlusion=what), 10, seed=0)
@@ -273,7 +273,7 @@ def test_what_stands_in_the_way_hides(what):
     assert (hidden > 10) == (what != "none")
 
 
-def test_in_space_spheres_hide_what_is_behind_them():
+def test_spheres_occlude_in_3d():
     places = np.array([[-3, 0.2, 0], [3, 0.2, 0], [0.3, 3, 0.05], [0.3, 5, 0.05], [0, 0, 4.0]])
     sim = started(sensing(SPACE, occlusion="both"), positions=places)
     expected = OTHERS.copy()
@@ -282,7 +282,7 @@ def test_in_space_spheres_hide_what_is_behind_them():
 
 
 @pytest.mark.kernels
-def test_sectors_leave_so_many_bearings():
+def test_sectors_quantise_bearings():
     sim = simulator(sensing(WALLED, sectors=12), seed=5)
     rows, true = by_robot(neighbours(sim)), true_rows(sim)
     assert np.abs(turns(rows, true))[:, OTHERS].max() <= math.pi / 12 + 1e-6
@@ -296,7 +296,7 @@ def test_sectors_leave_so_many_bearings():
     "scenario", [WALLED, SPACE.replace(spawn_size=3.0)], ids=["plane", "space"]
 )
 @pytest.mark.parametrize("fields", [{}, {"noise": 0.1, "dropout": 0.3, "bias": 0.1}])
-def test_what_is_seen_is_late_by_exactly_so_many_steps(scenario, fields):
+def test_delay_is_exact_number_of_steps(scenario, fields):
     """But what a robot feels of itself, the last row of those in space."""
     delay, steps, late_rows = 4, 90, scenario.observation_layout.obstacles.stop
     prompt, late = (
@@ -319,7 +319,7 @@ def test_what_is_seen_is_late_by_exactly_so_many_steps(scenario, fields):
     [(WALLED, 6), (SPACE, 6), pytest.param(RING, 1, marks=pytest.mark.slow)],
     ids=["plane", "space", "ring"],
 )
-def test_motion_merges_and_v_follow_the_graph_not_what_is_seen(scenario, batch):
+def test_motion_and_v_follow_graph_not_detections(scenario, batch):
     exact = simulator(scenario, batch)
     erring = simulator(scenario.replace(sensing=WORST), batch)
     for step in range(60):
@@ -331,7 +331,7 @@ def test_motion_merges_and_v_follow_the_graph_not_what_is_seen(scenario, batch):
 
 
 @pytest.mark.slow
-def test_with_few_rows_those_that_are_seen_stand_first():
+def test_present_rows_move_to_front():
     scenario = PLANE.replace(graph=UNEQUAL, neighbour_slots=3)
     exact, erring, moved = simulator(scenario, 1), simulator(sensing(scenario, dropout=0.5), 1), 0
     for _ in range(9):
@@ -345,7 +345,7 @@ def test_with_few_rows_those_that_are_seen_stand_first():
     assert moved > 10
 
 
-def test_the_state_knows_the_past_only_with_a_delay():
+def test_state_contains_history_only_with_delay():
     assert "past" not in simulator(sensing(PLANE, noise=0.1)).get_state()
     past = simulator(sensing(PLANE, delay=2), 1).get_state()["past"]
     assert past.shape == (1, 3, 5, 4, 2) and past.dtype == np.float32

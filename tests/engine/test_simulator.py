@@ -42,7 +42,7 @@ def follow(scenario: Scenario, options: dict) -> Trajectory:
     return rollout(brief, law_of(scenario), 5, 32, options, record="observations")
 
 
-def test_scaling_all_positions_changes_no_observation(kind):
+def test_observations_are_scale_invariant(kind):
     """The bearing-only proof."""
     scenario = five(kind, max_turn_rate=1.0)
     sim, positions = Simulator(scenario, 32), STARTS[scenario.dim]
@@ -54,7 +54,7 @@ def test_scaling_all_positions_changes_no_observation(kind):
 
 
 @pytest.mark.parametrize("kind", ["single_integrator-2d", "single_integrator-3d"])
-def test_scaling_r_and_the_step_too_a_whole_episode_looks_the_same(kind):
+def test_episodes_are_scale_invariant_with_radius_and_step(kind):
     near = five(kind)
     far = near.replace(merge_radius=4 * near.merge_radius)  # τ = r/(2D̄) scales along
     assert far.tau == 4 * near.tau
@@ -65,7 +65,7 @@ def test_scaling_r_and_the_step_too_a_whole_episode_looks_the_same(kind):
     assert not one.active.all()
 
 
-def test_rotating_and_moving_the_world_changes_no_observation(kind):
+def test_observations_are_invariant_to_rotation_and_translation(kind):
     scenario = five(kind)
     d, nonholonomic = scenario.dim, scenario.model.nonholonomic
     turn = TURN_ABOUT_Z[:d, :d] if nonholonomic else rotation(d)
@@ -84,7 +84,7 @@ def test_rotating_and_moving_the_world_changes_no_observation(kind):
     np.testing.assert_allclose(other.observations[0], one.observations[0], atol=3e-7)
 
 
-def test_relabelling_the_robots_permutes_the_trajectories(kind):
+def test_relabelling_permutes_trajectories(kind):
     """The others before anyone merges, for then the lower index keeps its heading."""
     order, scenario = np.array([3, 0, 4, 2, 1]), five(kind, local_frames="global")
     begin = start(scenario, STARTS[scenario.dim])
@@ -100,7 +100,7 @@ def test_relabelling_the_robots_permutes_the_trajectories(kind):
     np.testing.assert_array_equal(left, renamed_left)
 
 
-def test_seeds_and_episodes(kind):
+def test_seeds_and_episodes_are_reproducible(kind):
     sim = started(five(kind), 3, seed=8)
     first = sim.observe()
     assert sim.seeds.tolist() == [8, 9, 10]
@@ -115,14 +115,14 @@ def test_seeds_and_episodes(kind):
     np.testing.assert_array_equal(Simulator(five(kind)).reset(np.int64(9))[0], first[1])
 
 
-def test_without_a_seed_two_simulators_differ():
+def test_simulators_without_seed_differ():
     a, b, again = (Simulator(five("unicycle"), 2) for _ in range(3))
     x, y = a.reset(), b.reset()
     assert not np.array_equal(x, y) and not np.array_equal(x[0], x[1])
     np.testing.assert_array_equal(again.reset([int(s) for s in a.seeds]), x)
 
 
-def test_no_team_steps_before_each_has_been_reset():
+def test_step_before_full_reset_raises():
     sim, still = Simulator(Scenario(n_robots=2), 3), np.zeros((3, 2, 2))
     for mask, words in ((None, ""), ([True, False, True], ": team 1 has had none")):
         if mask is not None:
@@ -137,7 +137,7 @@ def test_no_team_steps_before_each_has_been_reset():
     assert sim.step(still).rewards.shape == (3,) and sim.steps.tolist() == [1, 1, 1]
 
 
-def test_no_team_steps_whose_state_was_put_back_but_not_observed(monkeypatch):
+def test_step_after_unobserved_state_raises(monkeypatch):
     """What may be met is known from the last observation, which Ctrl-C may prevent."""
     sim, fresh = started(Scenario(n_robots=2), 2), Simulator(Scenario(n_robots=2), 2)
 
@@ -154,7 +154,7 @@ def test_no_team_steps_whose_state_was_put_back_but_not_observed(monkeypatch):
     fresh.step(np.zeros((2, 2, 2)))
 
 
-def test_a_resting_team_that_starts_within_r_meets_in_its_first_own_step():
+def test_resting_environment_merges_in_its_first_step():
     sim = started(Scenario(n_robots=2, start_positions=((0.0, 0.0), (0.1, 0.0))))
     sim.restart(np.array([True]))
     assert sim.step(np.zeros((1, 2, 2))).status.tolist() == [RUNNING]
@@ -163,7 +163,7 @@ def test_a_resting_team_that_starts_within_r_meets_in_its_first_own_step():
     assert outcome.status.tolist() == [RENDEZVOUS] and sim.steps.tolist() == [1]
 
 
-def test_the_end_of_an_episode():
+def test_episode_end_is_reported():
     duo = Scenario(n_robots=2, time_limit=1.0)
     sim = started(duo, 2, positions=[[[0, 0], [5, 0]], [[0, 0], [0.5, 0]]])
     steps = list(run(sim, law_of(duo), sim.observe()))
@@ -178,7 +178,7 @@ def test_the_end_of_an_episode():
     assert statuses == [[RUNNING] * 2, [TIME_OUT] * 2] and copy.deepcopy(sim).max_steps == 2
 
 
-def test_what_the_simulator_hands_out_is_not_its_memory(kind):
+def test_returned_arrays_are_copies(kind):
     sim, _ = halfway(five(kind, spawn_size=6.0, merge_radius=0.4))
     outcome = sim.step(np.zeros(actions_shape(sim)))
     before = sim.get_state()
@@ -197,7 +197,7 @@ def test_what_the_simulator_hands_out_is_not_its_memory(kind):
     assert_same_state(sim, before)
 
 
-def test_a_given_start_is_taken(kind):
+def test_given_initial_condition_is_used(kind):
     scenario = five(kind)
     weights = UNEQUAL.copy()
     weights[0, 1] = weights[1, 0] = 1.7
@@ -214,7 +214,7 @@ def test_a_given_start_is_taken(kind):
     assert not np.array_equal(sim.positions, STARTS[scenario.dim])
 
 
-def test_given_parts_leave_the_draws_of_the_others_as_they_were(kind):
+def test_given_parts_keep_other_random_draws(kind):
     scenario = five(kind, graph=graphs.random_tree((0.5, 2.0)))
     drawn = started(scenario, 32, seed=3)
     given = started(scenario, 32, seed=3, positions=STARTS[scenario.dim])
@@ -252,7 +252,7 @@ BAD_OPTIONS = [
 
 
 @pytest.mark.parametrize(("kind", "option", "value", "message"), BAD_OPTIONS)
-def test_bad_options_are_refused_by_name_and_change_nothing(kind, option, value, message):
+def test_bad_options_are_rejected_and_change_nothing(kind, option, value, message):
     sim = started(five(kind), 3, seed=1)
     sim.step(np.ones((3, 5, sim.scenario.action_size)))
     with refusing(sim, f"{option}.*{message}"):
@@ -261,7 +261,7 @@ def test_bad_options_are_refused_by_name_and_change_nothing(kind, option, value,
     np.testing.assert_array_equal(sim.reset(), fresh.reset())  # the episode count did not move
 
 
-def test_given_obstacles_and_robots_inside_them():
+def test_given_obstacles_must_not_contain_robots():
     away, around = Disc((9.0, 9.0), 0.5), Disc((0.0, 0.0), 9.0)
     inside = r"positions: robot.0 at .* inside Disc"
     scenario = five("single_integrator-2d", obstacle_slots=2)
@@ -277,7 +277,7 @@ def test_given_obstacles_and_robots_inside_them():
         sim.reset(0, {"positions": [[9.0, 9.0], *STARTS[2][0][1:]], "obstacles": None})
 
 
-def test_given_links_join_no_robots_that_stand_in_one_place():
+def test_given_links_reject_coincident_robots():
     places = [[-1.0, 0.0], [1.0, 0.0], [-1.0, 0.0]]
     path = [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
     sim = started(Scenario(n_robots=3, graph="path", start_positions=places), weights=path)
@@ -285,21 +285,21 @@ def test_given_links_join_no_robots_that_stand_in_one_place():
         sim.reset(0, {"weights": [[0, 1, 1], [1, 0, 0], [1, 0, 0]]})
 
 
-def test_bodies_take_no_obstacles():
+def test_bodies_reject_obstacles():
     bodies = Scenario(n_robots=3, body_radius=0.1, meeting="pack", obstacle_slots=2)
     sim = started(bodies, obstacles=[])
     with pytest.raises(ValueError, match=r"pack.* is for teams without obstacles"):
         sim.reset(0, {"obstacles": [Disc((9.0, 9.0), 0.5)]})
 
 
-def test_if_one_team_finds_no_room_none_starts_anew():
+def test_failed_reset_of_one_environment_changes_none():
     sim = started(five("unicycle", spawn_size=0.8, graph=graphs.complete()), 3, seed=[0, 1, 4])
     sim.step(np.ones((3, 5, 2)))
     with refusing(sim, r"no room for the start of team 2.*spawn_size of 0\.8", RuntimeError):
         sim.reset([4, 9, 2])
 
 
-def test_actions_that_may_not_be_written_to_are_taken_and_compile_nothing():
+def test_read_only_actions_are_accepted_without_compiling():
     """Arrays of other libraries are often read-only; their contents are what counts."""
     actions = np.random.default_rng(0).uniform(-1, 1, (3, 5, 2)).astype(np.float32)
     outcomes, variants = [], []
@@ -313,7 +313,7 @@ def test_actions_that_may_not_be_written_to_are_taken_and_compile_nothing():
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_actions_that_are_not_finite_change_nothing(kind, value):
+def test_non_finite_actions_change_nothing(kind, value):
     sim = started(five(kind), 40)  # two blocks
     actions = np.ones((40, 5, sim.scenario.action_size), np.float32)
     actions[38, 3, 1] = value
@@ -324,7 +324,7 @@ def test_actions_that_are_not_finite_change_nothing(kind, value):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_the_speed_limit_keeps_the_direction(dim):
+def test_speed_limit_preserves_direction(dim):
     scenario = five(f"single_integrator-{dim}d", max_speed=0.7, local_frames="global")
     sim = started(scenario, 32, positions=STARTS[dim] * 10)
     velocities = np.random.default_rng(1).normal(size=(32, 5, dim))
@@ -337,7 +337,7 @@ def test_the_speed_limit_keeps_the_direction(dim):
     np.testing.assert_allclose(moved, expected, rtol=1e-5, atol=1e-7)
 
 
-def test_the_inputs_of_nonholonomic_robots_are_clipped_one_by_one():
+def test_nonholonomic_inputs_are_clipped_separately():
     slow = {"max_speed": 0.5, "max_turn_rate": 0.4, "merge_radius": 0.01, "time_step": 0.1}
     unicycle = five("unicycle", **slow, allow_long_step=True)
     sim = started(unicycle, positions=STARTS[2][0], headings=np.zeros(5))
@@ -353,7 +353,7 @@ def test_the_inputs_of_nonholonomic_robots_are_clipped_one_by_one():
     np.testing.assert_allclose((sim.positions[0] - STARTS[3][0])[[0, 4], 0], [0.05, -0.05])
 
 
-def test_what_merged_away_robots_are_given_is_ignored(kind):
+def test_actions_of_merged_robots_are_ignored(kind):
     sim, _ = halfway(five(kind, spawn_size=6.0, merge_radius=0.4))
     other, gone = copy.deepcopy(sim), ~sim.active
     actions = np.zeros(actions_shape(sim))

@@ -62,7 +62,7 @@ def simulators(scenario: Scenario, batch: int, monkeypatch) -> tuple[Simulator, 
     "name",
     marked([*FAST, *SLOW], slow=[ERRORS, *SLOW], kernels=[ERRORS, "web", "web with 40 rows"]),
 )
-def test_lists_of_links_give_the_motion_of_all_pairs(name, monkeypatch):
+def test_edge_lists_match_dense_pairs(name, monkeypatch):
     scenario = (FAST | SLOW)[name]
     lists, pairs = simulators(scenario, 5, monkeypatch)
     observations = lists.reset(SEED)
@@ -98,7 +98,7 @@ def test_lists_of_links_give_the_motion_of_all_pairs(name, monkeypatch):
 @pytest.mark.parametrize(
     "graph", [graphs.erdos_renyi(0.05), graphs.erdos_renyi(0.01, (0.5, 2.0)), graphs.random_tree()]
 )
-def test_graphs_are_drawn_alike(graph, monkeypatch):
+def test_random_graphs_match_dense_sampling(graph, monkeypatch):
     """Of 0.05 most are connected; of 0.01 none is, so that a tree is added."""
     lists, pairs = simulators(Scenario(n_robots=80, graph=graph), 3, monkeypatch)
     for seed in (SEED, None):
@@ -112,7 +112,7 @@ def test_graphs_are_drawn_alike(graph, monkeypatch):
 
 @pytest.mark.kernels
 @pytest.mark.parametrize("sparse", [False, True])
-def test_a_robot_with_more_neighbours_than_rows_is_named(sparse):
+def test_crowded_robot_is_named(sparse):
     """A double star: when its two centres merge, robot 0 has the neighbours of both."""
     n = 60 if sparse else 8
     links = [(0, 1)] + [(k % 2, k) for k in range(2, n)]
@@ -136,7 +136,7 @@ def test_a_robot_with_more_neighbours_than_rows_is_named(sparse):
 
 
 @pytest.mark.kernels
-def test_a_start_with_too_many_neighbours_is_refused():
+def test_crowded_initial_condition_is_rejected():
     """A drawn one, one of arcs; and the star of the next episode, where rows were enough for this
     one's path.
     """
@@ -155,7 +155,7 @@ def test_a_start_with_too_many_neighbours_is_refused():
 
 
 @pytest.mark.kernels
-def test_a_thousand_robots_in_every_environment():
+def test_thousand_robots_run_in_every_form():
     scenario = Scenario(n_robots=1000, graph="cycle", spawn_size=300.0, time_limit=1.0)
     venv, env = rv.make_vec(scenario, 2), rv.parallel_env(scenario)
     (seen, _), (alone, _), sim = venv.reset(seed=0), env.reset(seed=0), venv.unwrapped.simulator
@@ -175,7 +175,7 @@ def test_a_thousand_robots_in_every_environment():
 
 @pytest.mark.kernels
 @pytest.mark.parametrize("n", [6, 60])
-def test_a_state_with_more_neighbours_than_rows_is_refused(n):
+def test_crowded_state_is_rejected(n):
     ring, star = (Scenario(n_robots=n, graph=kind) for kind in ("cycle", "star"))
     roomy = ring.replace(neighbour_slots=n - 1)
     started(ring, 2).set_state(started(roomy, 2).get_state())
@@ -185,7 +185,7 @@ def test_a_state_with_more_neighbours_than_rows_is_refused(n):
 
 
 @pytest.mark.kernels
-def test_given_weights_are_those_of_the_team():
+def test_given_weights_are_used():
     n = 60
     scenario = RING.replace(graph=graphs.cycle((0.5, 2.0)))
     ring, path = (graph.base_weights(n) for graph in (graphs.cycle(), graphs.path()))
@@ -200,7 +200,7 @@ def test_given_weights_are_those_of_the_team():
 
 
 @pytest.mark.kernels
-def test_given_weights_that_find_no_room_are_refused_and_change_nothing():
+def test_given_weights_beyond_capacity_change_nothing():
     scenario = Scenario(n_robots=80, graph=graphs.erdos_renyi(0.05))
     sim = started(scenario, seed=3)
     everybody = np.ones((80, 80)) - np.eye(80)
@@ -212,7 +212,7 @@ def test_given_weights_that_find_no_room_are_refused_and_change_nothing():
 
 
 @pytest.mark.parametrize("n", [5, 60])
-def test_weights_for_teams_that_a_mask_leaves_out_change_nothing(n):
+def test_weights_of_masked_environments_change_nothing(n):
     sim = started(Scenario(n_robots=n, graph="cycle"), 3)
     before, ring = sim.get_state(), sim.weights
     sim.reset(options={"weights": ring}, mask=np.zeros(3, bool))

@@ -50,6 +50,8 @@ def test_stages_that_a_scenario_lacks_are_not_called():
     simulator.step(np.zeros((1, 2, 2), np.float32))
     expected = {"propose_motion", "advance_free", "sense_pairs", "conclude_step"}
     assert called(simulator) == expected
+    simulator.compile()
+    assert called(simulator) == {*expected, "merge_robots"}
 
 
 def test_merges_are_called_for_when_robots_are_near():

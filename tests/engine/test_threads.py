@@ -27,7 +27,7 @@ from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper
 
 @kernel
 def mark(part, marks, work):
-    """Count how often each block is taken; ``work`` makes it take its time."""
+    """Count the runs of each block; ``work`` adds a delay."""
     for block in range(part[0], part[1]):
         waste = 1.0
         for _ in range(work):
@@ -36,12 +36,12 @@ def mark(part, marks, work):
 
 
 def kernels(marks, work=0):
-    """Calls that nothing interrupts: the caller makes some."""
+    """Calls that cannot be interrupted: the caller executes some."""
     return lambda part: [partial(mark, part, marks, work)]
 
 
 def python(marks, work=0):
-    """A call that Python makes: the caller leaves all to others."""
+    """A call from Python: the caller leaves all to others."""
     return lambda part: [lambda: mark(part, marks, work)]
 
 
@@ -66,7 +66,7 @@ def test_share_runs_every_block_once(blocks, most, kind):
 
 
 def test_share_gives_the_caller_the_larger_slice_of_compiled_calls_only():
-    """Else it waits, since Python might interrupt it within its part."""
+    """Otherwise the caller waits, since Python might interrupt it."""
     parts, by = {}, {0: [], 1: []}
 
     def calls_of(part):
@@ -92,7 +92,7 @@ def test_share_with_one_thread_or_without_compilation_runs_in_the_caller(compile
 
 
 def test_share_within_a_slice_runs_in_the_thread_of_the_slice():
-    """All threads might wait for each other else."""
+    """Otherwise all threads might wait for each other."""
     caller, done = threading.current_thread(), []
 
     def within(part):
@@ -116,7 +116,7 @@ def test_share_runs_slices_concurrently_and_waits_for_the_slowest():
 
 @KINDS
 def test_share_releases_the_arguments_of_its_calls(kind):
-    """Though a thread that woke too late still has the job."""
+    """Even if a thread that woke too late still has the job."""
     marks = np.zeros(9)
     gone = weakref.ref(marks)
     threads.share(kind(marks), 9, 2)
@@ -135,7 +135,7 @@ def fail(part, wrong):
 
 @pytest.mark.parametrize(("most", "wrong"), [(1, 0), (2, 0), (2, 1)])
 def test_share_raises_the_error_of_a_slice_in_the_caller(most, wrong):
-    """The caller's own, or another's; and nobody writes any more."""
+    """Errors of the caller or of another thread; no thread still writes afterwards."""
     for call in (fail, fail.py_func if hasattr(fail, "py_func") else fail, partial(fail)):
         marks = np.zeros(8)
 
@@ -152,8 +152,9 @@ def test_share_raises_the_error_of_a_slice_in_the_caller(most, wrong):
 
 @contextmanager
 def interrupts(handler):
-    """By a timer, as Ctrl-C interrupts: a function that sets it for a time, s, and again after
-    another; not any more, without times.
+    """Function that schedules an interrupt by a timer, s, like Ctrl-C.
+
+    A second time repeats it; without times the timer is cancelled.
     """
     if not hasattr(signal, "setitimer"):
         pytest.skip("needs timers")
@@ -174,8 +175,9 @@ def interrupts(handler):
 @pytest.mark.parametrize("most", [2, 4])
 @pytest.mark.parametrize("again", [0.0, 3e-5], ids=["one signal", "several in a row"])
 def test_share_when_interrupted_is_complete_or_never_begun(again, most, kind):
-    """Each raises wherever in ``threads`` Python hears it: all blocks are done, or none, and nobody
-    writes any more when the caller leaves. A time-out is no KeyboardInterrupt.
+    """An interrupt anywhere in ``threads``: all blocks are complete, or none has begun.
+
+    No thread still writes when the caller returns. A time-out is no KeyboardInterrupt.
     """
     marked(64, most)  # compiled
     heard = 0
@@ -204,8 +206,10 @@ def test_share_when_interrupted_is_complete_or_never_begun(again, most, kind):
 
 @pytest.mark.parametrize("around", [None, HeadingVectorWrapper, EnergyTankWrapper])
 def test_step_when_interrupted_advances_all_environments_or_none(around, monkeypatch):
-    """At all moments of a step of four threads; under a guarantee tanks are filled in all teams
-    that have stepped, and where the wrapper has not seen the step it takes none from what it saw.
+    """Interrupts at any time of a step of four threads.
+
+    Under a guarantee, tanks are updated in all environments that have stepped. If the wrapper has
+    not received the step, it does not use the observations.
     """
     monkeypatch.setattr(batch_runner, "_WORK_PER_THREAD", 1)
     monkeypatch.setattr(
@@ -263,7 +267,7 @@ def test_share_from_several_callers_at_once():
 
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="needs threads that choose cores")
 def test_workers_run_on_the_cores_of_their_process():
-    """The affinity of no thread changes."""
+    """The affinity of threads is unchanged."""
     before, found = os.sched_getaffinity(0), []
     for kind in (lambda part: [partial(list)], lambda part: [list]):
         for _ in range(3):
@@ -308,7 +312,7 @@ def test_step_in_a_forked_child_after_a_threaded_step(monkeypatch):
 
 @pytest.fixture
 def steps(monkeypatch):
-    """Makes steps that take so long by one thread and by several: the threads of each."""
+    """Make steps with given durations for one and several threads; returns the threads of each."""
     now, tuner = [0], ThreadTuner(4, 0.1)
     monkeypatch.setattr(time, "perf_counter_ns", lambda: now[0])
 
@@ -350,7 +354,7 @@ def test_tuner_ignores_one_slow_step_but_not_many(steps):
 
 
 def test_tuner_discards_the_first_steps_of_a_trial(steps):
-    """A core that was idle is slow for a while."""
+    """An idle core is slow initially."""
     assert set(steps(399, alone=200, several=300)) == {4}
     assert set(steps(48, alone=10**6, several=300)) == {1}
     steps(48, alone=200, several=300)

@@ -27,7 +27,7 @@ def one_of_each_scenario() -> list[str]:
     [(case, 2 * EVERY) for case in one_of_each_scenario()]
     + [pytest.param(case, STEPS, marks=pytest.mark.slow) for case in MOTIONS],
 )
-def test_motions_are_those_of_version_01(case, steps):
+def test_trajectories_match_version_01(case, steps):
     expected = MOTIONS[case][: 1 + steps // EVERY]
     name, policy = case.split("|")
     scenario = rv.scenarios.get(name)
@@ -38,7 +38,7 @@ def test_motions_are_those_of_version_01(case, steps):
     np.testing.assert_allclose(found[kept], expected, rtol=0, atol=1e-9)
 
 
-def test_what_is_kept_are_motions():
+def test_stored_trajectories_are_motions():
     """Of nearly all cases: "zero" stands still, and before a wall a rule may, too."""
     still = {case for case, places in MOTIONS.items() if np.ptp(places, axis=0).max() < 0.01}
     moving_policies = {case.split("|")[1] for case in MOTIONS.keys() - still}

@@ -1,4 +1,4 @@
-"""What tests of environments share: the four guarantees, ways to drive either API, comparisons."""
+"""Common parts of environment tests: the four guarantees, both APIs, comparisons."""
 
 from typing import Any, NamedTuple
 
@@ -12,28 +12,28 @@ from rendezvous_env import vector
 
 
 class Guarantee(NamedTuple):
-    """One of the four theorems that wrappers keep."""
+    """Guarantee of a wrapper, one of four."""
 
     name: str
-    """Of its wrappers."""
+    """Arguments of its wrappers."""
     options: dict[str, Any]
-    """Settings that are not the defaults."""
+    """Settings other than the defaults."""
     told: set[str]
-    """Infos besides those of the base environment."""
+    """Infos in addition to those of the base environment."""
     anywhere: bool
-    """Whether it is for all robot models, or for single integrators only."""
+    """Whether it supports all robot models, or single integrators only."""
 
     def around(self, env, **options):
-        """A PettingZoo environment under it."""
+        """PettingZoo environment with the guarantee."""
         return getattr(rv, self.name)(env, **options)
 
     def around_teams(self, venv, **options):
-        """A vector environment under it."""
+        """Vector environment with the guarantee."""
         return getattr(vector, self.name)(venv, **options)
 
     @property
     def both(self):
-        """Both ways."""
+        """Both kinds of environment."""
         return self.around, self.around_teams
 
 
@@ -60,14 +60,14 @@ which_and_kind = pytest.mark.parametrize(("which", "kind"), WHICH_AND_KIND)
 
 
 def make(which, kind="single_integrator-2d", *, changes=None, **options):
-    """Five robots of a kind in PettingZoo under a guarantee, or under none."""
+    """PettingZoo environment of five robots, with or without a guarantee."""
     scenario = five(kind, **{"spawn_size": 4.0, "time_limit": 8.0, **(changes or {})})
     env = rv.parallel_env(scenario)
     return GUARANTEES[which].around(env, **options) if which else env
 
 
 def draw(env, random):
-    """Random choices: of all robots alive, or of all teams."""
+    """Random choices of all active robots, or of all environments."""
     if hasattr(env, "agents"):
         spaces = {name: env.action_space(name) for name in env.agents}
         return {name: _drawn(space, random) for name, space in spaces.items()}
@@ -83,18 +83,18 @@ def _drawn(space, random):
 
 
 def constant(env, vector):
-    """The same choice for all robots alive."""
+    """The same choice for all active robots."""
     return {name: np.array(vector, np.float32) for name in env.agents}
 
 
 def tape(venv, length, seed=0):
-    """Choices of all teams for so many steps."""
+    """Choices of all environments for a number of steps."""
     random = np.random.default_rng(seed)
     return np.stack([draw(venv, random) for _ in range(length)])
 
 
 def same(a, b):
-    """Whether two nested dicts and tuples of arrays are equal, bit for bit."""
+    """Whether two nested dicts and tuples of arrays are bitwise equal."""
     if isinstance(a, dict):
         return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
     if isinstance(a, tuple):

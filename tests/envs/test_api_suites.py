@@ -1,4 +1,4 @@
-"""The suites of PettingZoo and Gymnasium, on every kind of environment."""
+"""PettingZoo and Gymnasium API test suites on every kind of environment."""
 
 import itertools
 import warnings
@@ -50,7 +50,7 @@ PARALLEL = {
 
 
 @pytest.mark.parametrize("name", marked(PARALLEL, slow=["with inertia"]))
-def test_parallel(name, capsys):
+def test_pettingzoo_parallel_api(name, capsys):
     build = PARALLEL[name]
     suites.parallel_api_test(build(), num_cycles=300)
     assert "Passed Parallel API test" in capsys.readouterr().out
@@ -59,7 +59,7 @@ def test_parallel(name, capsys):
 
 
 @pytest.mark.parametrize("name", marked([*TEAMS, *WRAPPED], slow=["with inertia"]))
-def test_one_after_another(name, capsys):
+def test_aec_api(name, capsys):
     build = PARALLEL[name]
     if name in TEAMS:
         forms = rendezvous_v0.env, rendezvous_v0.raw_env
@@ -75,7 +75,7 @@ def test_one_after_another(name, capsys):
     assert np.isfinite([env.state_space.low, env.state_space.high]).all()
 
 
-def test_max_cycles():
+def test_max_cycles_is_time_limit():
     forms = rendezvous_v0.parallel_env, rendezvous_v0.env
     parallel, aec = (lambda max_cycles, form=form: form("duo", None, max_cycles) for form in forms)
     suites.max_cycles_test(SimpleNamespace(parallel_env=parallel, env=aec))
@@ -85,7 +85,7 @@ def test_max_cycles():
     "scenario",
     ["fig4", "swarm-20", "unicycle-6", "uav-6", pytest.param(HEAVY, marks=pytest.mark.slow)],
 )
-def test_gymnasium(scenario):
+def test_gymnasium_check_env(scenario):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         env = gymnasium.make(
@@ -98,7 +98,7 @@ def test_gymnasium(scenario):
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")  # it prefers images and bounded boxes
-def test_gymnasium_with_headings():
+def test_gymnasium_check_env_with_headings():
     env = gymnasium.make(
         "rendezvous_env:rendezvous/RendezvousHeading-v0", scenario=SCENARIO, min_alignment=0.3
     )

@@ -1,4 +1,4 @@
-"""Bad actions: refused by the name of their robot, and nothing has changed."""
+"""Invalid actions: errors name the robot, and the state is unchanged."""
 
 import copy
 
@@ -34,7 +34,7 @@ BAD_ACTIONS = {
     scope="module", params=[*((None, kind) for kind in MODELS), *((w, None) for w in GUARANTEES)]
 )
 def after_a_merge(request):
-    """An environment, bare or under a guarantee, and a robot that has just merged away."""
+    """An environment with or without a guarantee, and a newly merged robot."""
     which, kind = request.param
     env = make(which, kind or "single_integrator-2d", changes={"spawn_size": 3.0})
     if which is None:
@@ -48,7 +48,7 @@ def after_a_merge(request):
 
 
 @pytest.mark.parametrize("name", BAD_ACTIONS)
-def test_bad_actions_are_refused_name_the_robot_and_change_nothing(after_a_merge, name):
+def test_bad_actions_name_robot_and_change_nothing(after_a_merge, name):
     spoil, error, message = BAD_ACTIONS[name]
     env, gone = copy.deepcopy(after_a_merge[0]), after_a_merge[1]
     choices, before = draw(env, np.random.default_rng(0)), env.get_state()
@@ -62,7 +62,7 @@ def test_bad_actions_are_refused_name_the_robot_and_change_nothing(after_a_merge
     ("form", "bad"),
     [({}, [0.0, np.nan]), ({"discrete": True}, 9), ({"discrete": True}, 0.5)],
 )
-def test_training_environments_name_the_robot(form, bad):
+def test_training_env_names_robot(form, bad):
     env = rv.training_env(SCENARIO, **form)
     env.reset(seed=0)
     actions, before = draw(env, np.random.default_rng(0)), env.get_state()
@@ -87,7 +87,7 @@ def test_training_environments_name_the_robot(form, bad):
         ({"discrete": True}, [[None] * 4] * 2, "actions is .* must be numbers"),
     ],
 )
-def test_training_teams_name_team_and_robot(form, bad, message):
+def test_vector_training_env_names_environment_and_robot(form, bad, message):
     teams = rv.vector.training_env(SCENARIO, 2, **form)
     teams.reset(seed=0)
     before = teams.get_state()["env"]["env"]

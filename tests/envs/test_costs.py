@@ -1,6 +1,6 @@
-"""Costs beside rewards: known numbers.
+"""Costs next to rewards: known values.
 
-test_gymnasium_env compares environments, test_guarantee_wrappers decisions and their base steps.
+test_gymnasium_env compares environments, test_guarantee_wrappers decisions and their steps.
 """
 
 import pickle
@@ -15,17 +15,17 @@ from rendezvous_env.vector import training_env
 
 ALL = tuple(COSTS)
 APART = np.array([[[-1.0, 0.0], [1.0, 0.0]]], np.float32)
-"""Away from each other, at 1 m/s."""
+"""Actions away from each other, at 1 m/s."""
 
 
 def pair(**fields):
-    """Two robots, 2 m apart, whose frames are the world's."""
+    """Two robots, 2 m apart, with global frames."""
     starts = ((-1.0, 0.0), (1.0, 0.0))
     given = {"n_robots": 2, "start_positions": starts, "local_frames": "global", "time_step": 0.05}
     return rv.Scenario(**{**given, "max_speed": 1.0, "costs": ALL, **fields})
 
 
-def test_v_that_rises_costs_its_share_of_v_at_the_start():
+def test_rise_cost_is_relative_increase_of_v():
     env = rv.make_vec(pair(), 1)
     _, infos = env.reset(seed=0)
     assert not infos["cost"].any()
@@ -36,7 +36,7 @@ def test_v_that_rises_costs_its_share_of_v_at_the_start():
     assert not env.step(-APART)[4]["cost"].any()
 
 
-def test_a_touch_costs_the_robot_one():
+def test_contact_cost_is_one():
     wall = rv.Disc((-2.0, 0.0), 0.92)  # 8 cm behind robot 0
     env = rv.make_vec(pair(obstacles=wall, costs=("contact",)), 1)
     env.reset(seed=0)
@@ -45,7 +45,7 @@ def test_a_touch_costs_the_robot_one():
     np.testing.assert_array_equal([one["cost"] for one in told], [one["contact"] for one in told])
 
 
-def test_a_link_that_is_left_behind_costs_both_its_ends():
+def test_lost_link_costs_both_robots():
     sight = {"graph": graphs.proximity(), "sensing": rv.Sensing(range=2.15)}
     env = rv.make_vec(pair(**sight, require_connected=False, costs="link_lost"), 1)
     env.reset(seed=0)
@@ -56,7 +56,7 @@ def test_a_link_that_is_left_behind_costs_both_its_ends():
     assert met[-1][2].all() and not any(one[4]["cost"].any() for one in met)
 
 
-def test_the_ends_of_episodes_keep_their_costs():
+def test_final_infos_keep_costs():
     teams = training_env("clutter-16", 8, guarantee=None, costs=ALL, time_limit=0.5)
     teams.reset(seed=0)
     for _ in range(10):
@@ -68,7 +68,7 @@ def test_the_ends_of_episodes_keep_their_costs():
     assert all({"cost", *(f"cost_{name}" for name in ALL)} <= set(info) for info in told.values())
 
 
-def test_teams_that_rest_and_robots_that_are_gone_pay_nothing():
+def test_inactive_environments_and_robots_cost_nothing():
     rv.reward_term("always", lambda step: np.ones(step.contact.shape))
     env = rv.make_vec(pair(costs="always"), 1)  # the next step after the end begins anew
     env.reset(seed=0)
@@ -84,7 +84,7 @@ def test_teams_that_rest_and_robots_that_are_gone_pay_nothing():
     assert not active.all()
 
 
-def test_without_names_there_are_no_keys_and_the_same_numbers():
+def test_no_cost_names_means_no_keys():
     bare, told = (rv.make_vec("clutter-8", 4, costs=names) for names in ((), ALL))
     bare.reset(seed=0), told.reset(seed=0)
     action = np.full(bare.action_space.shape, 0.5, np.float32)
@@ -97,7 +97,7 @@ def test_without_names_there_are_no_keys_and_the_same_numbers():
     assert new == {"cost", *(f"cost_{name}" for name in ALL)}
 
 
-def test_costs_are_part_of_the_scenario():
+def test_costs_are_part_of_scenario():
     scenario = pair(costs=["contact", "rise"])
     assert scenario.costs == ("contact", "rise") and "costs" not in pair(costs=()).to_plain()
     env = pickle.loads(pickle.dumps(rv.make_vec(scenario, 1)))

@@ -34,7 +34,7 @@ class HalfSpeed(rv.SafetyFilter):
 rv.register_filter("half_speed", HalfSpeed)
 
 
-def test_a_filter_of_ones_own_serves_every_environment():
+def test_custom_filter_works_in_every_environment():
     env = rv.GuaranteeWrapper(rv.parallel_env("fig3"), "half_speed", least=0.25)
     env.reset(seed=0)
     assert env.action_space("robot_0").shape == (1,) and env.filter.least == 0.25
@@ -63,7 +63,7 @@ def test_a_filter_of_ones_own_serves_every_environment():
     teams.step(np.zeros(teams.action_space.shape, np.float32))
 
 
-def test_a_filter_serves_one_wrapper():
+def test_filter_instance_serves_one_wrapper():
     scenario = rv.scenarios.get("duo")
     for home, make in (
         (rv, lambda: rv.parallel_env(scenario)),
@@ -85,7 +85,7 @@ def test_a_filter_serves_one_wrapper():
         assert home.GuaranteeWrapper(make(), made).filter is made  # nobody holds it any more
 
 
-def test_what_is_no_filter_is_refused_by_name():
+def test_invalid_filter_is_rejected():
     base = rv.parallel_env("fig3")
     with pytest.raises(TypeError, match="HalfSpeed has no setting 'leats'; did you mean 'least'"):
         rv.GuaranteeWrapper(base, "half_speed", leats=1)
@@ -109,7 +109,7 @@ def test_what_is_no_filter_is_refused_by_name():
 
 
 @pytest.mark.parametrize("wrapper", [rv.GuaranteeWrapper, rv.vector.GuaranteeWrapper])
-def test_a_filter_takes_no_name_of_an_environments(wrapper):
+def test_filter_names_must_not_clash_with_environment(wrapper):
     """It took the place of a method, or of what stands in states or infos."""
     base = rv.parallel_env("fig3") if wrapper is rv.GuaranteeWrapper else rv.make_vec("fig3", 2)
     for key in ("env", "observed", "step", "simulator", "reset", "_seen", "no word", 3):
@@ -126,7 +126,7 @@ def test_a_filter_takes_no_name_of_an_environments(wrapper):
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 @pytest.mark.parametrize("period", [1, 3])
-def test_wrappers_of_gymnasium_stand_under_a_guarantee(mode, period):
+def test_gymnasium_wrappers_work_beneath_guarantee(mode, period):
     """Rewards pass through them in each base step; everything else is as without."""
 
     def make(between):
@@ -152,7 +152,7 @@ def test_wrappers_of_gymnasium_stand_under_a_guarantee(mode, period):
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 @pytest.mark.parametrize("period", [1, 3])
-def test_a_recorder_of_statistics_beneath_hears_of_each_end_once(mode, period):
+def test_statistics_recorder_counts_each_end_once(mode, period):
     """Also of those within a decision, for the rest of which the team stands still."""
     if gymnasium.__version__ < "1.3" and mode is AutoresetMode.SAME_STEP:
         pytest.skip("the recorder of Gymnasium 1.2 leaves out the first step of such episodes")
@@ -175,7 +175,7 @@ def test_a_recorder_of_statistics_beneath_hears_of_each_end_once(mode, period):
     np.testing.assert_allclose(episodes(RecordEpisodeStatistics, lambda env: env), above)
 
 
-def test_a_wrapper_beneath_may_end_an_episode_within_a_decision():
+def test_inner_wrapper_may_end_episode_within_decision():
     class Stops(gymnasium.vector.VectorWrapper):
         def step(self, actions):
             *told, late, infos = super().step(actions)
@@ -188,7 +188,7 @@ def test_a_wrapper_beneath_may_end_an_episode_within_a_decision():
     assert ended == [[False] * 3, [True] * 3] * 2 and not base.simulator.time.any()
 
 
-def test_a_recorder_of_statistics_beneath_leaves_the_others_their_tanks():
+def test_statistics_recorder_keeps_tanks_of_others():
     """It takes the mask of teams out of the options that it is given."""
     venv = RecordEpisodeStatistics(rv.make_vec("fig3", num_envs=2, autoreset_mode="Disabled"))
     env = rv.vector.EnergyTankWrapper(venv, budget=1.0)
@@ -205,7 +205,7 @@ def test_a_recorder_of_statistics_beneath_leaves_the_others_their_tanks():
     np.testing.assert_array_equal(env.step(away)[0][0], whole.step(away)[0][0])
 
 
-def test_a_training_environment_says_once_what_is_not_guaranteed(caplog):
+def test_training_env_logs_missing_guarantee_once(caplog):
     """Also of errors that its wrapper is not told of."""
     erring = rv.Scenario(n_robots=2, sensing=rv.Sensing(error=0.01))
     for scenario, given, words in (

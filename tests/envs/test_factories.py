@@ -23,7 +23,7 @@ def wrapped(name, env, home=vector):
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 @pytest.mark.parametrize("name", [None, *NAMES])
-def test_flat_vector_environments_show_the_same_numbers(name, mode):
+def test_flat_vector_observations_are_equal(name, mode):
     tables, flat = (
         wrapped(name, rv.make_vec(SCENARIO, 3, autoreset_mode=mode, flatten=flatten))
         for flatten in (False, True)
@@ -43,7 +43,7 @@ def test_flat_vector_environments_show_the_same_numbers(name, mode):
 
 
 @pytest.mark.parametrize("name", [None, *NAMES])
-def test_flat_pettingzoo_environments_show_the_same_numbers(name):
+def test_flat_pettingzoo_observations_are_equal(name):
     tables, flat = (
         wrapped(name, rv.parallel_env(SCENARIO, flatten=flatten), rv) for flatten in (False, True)
     )
@@ -57,7 +57,7 @@ def test_flat_pettingzoo_environments_show_the_same_numbers(name):
     assert not flat.agents
 
 
-def test_other_factories_take_flatten_too():
+def test_other_factories_accept_flatten():
     one = rendezvous_v0.env(SCENARIO, flatten=True)
     one.reset(seed=0)
     assert one.observe("robot_1").shape == one.observation_space("robot_1").shape == (SIZE,)
@@ -68,7 +68,7 @@ def test_other_factories_take_flatten_too():
         rv.make_vec(SCENARIO, flatten="yes")
 
 
-def test_the_heading_environment_is_the_wrapped_one():
+def test_heading_factory_equals_wrapper():
     """Whatever the robots choose, the alignment is kept; numbers are those of the vector one."""
     settings = {"scenario": SCENARIO, "min_alignment": 0.3, "decision_period": 2}
     one, mode = gymnasium.make(HEADING, **settings), AutoresetMode.DISABLED
@@ -102,14 +102,14 @@ def test_the_heading_environment_is_the_wrapped_one():
         (make_heading_env, "time_limt", "time_limit"),
     ],
 )
-def test_an_unknown_word_is_a_type_error_with_the_nearest_one(make, word, meant):
+def test_unknown_argument_is_type_error_with_match(make, word, meant):
     with pytest.raises(TypeError, match=f"'{word}'; did you mean '{meant}'"):
         make("fig3", **{word: 1})
 
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("home", [rv, vector])
-def test_so_it_is_for_a_wrapper(home, name):
+def test_unknown_wrapper_argument_is_type_error(home, name):
     env = rv.parallel_env(SCENARIO) if home is rv else rv.make_vec(SCENARIO, 2)
     wrapper, word, meant = getattr(home, name), "decisionperiod", "decision_period"
     with pytest.raises(TypeError, match=f"{name} has no argument '{word}'; did you mean '{meant}'"):
@@ -120,7 +120,7 @@ def test_so_it_is_for_a_wrapper(home, name):
 
 
 @pytest.mark.parametrize("home", [rv, vector])
-def test_a_wrapper_of_ones_own_may_collect_words(home):
+def test_custom_wrapper_may_collect_arguments(home):
     class Mine(home.HeadingVectorWrapper):
         def __init__(self, env, **options):
             super().__init__(env, **{"min_alignment": 0.4} | options)
@@ -132,7 +132,7 @@ def test_a_wrapper_of_ones_own_may_collect_words(home):
 
 
 @pytest.mark.parametrize("make", [rv.parallel_env, rv.training_env])
-def test_a_step_before_the_reset_says_so(make):
+def test_step_before_reset_raises(make):
     env = make("duo")
     actions = {name: env.action_space(name).sample() for name in env.possible_agents}
     for given in (actions, {}):
@@ -141,7 +141,7 @@ def test_a_step_before_the_reset_says_so(make):
 
 
 @pytest.mark.parametrize("spelling", ["SAME_STEP", "same_step", "SameStep"])
-def test_autoreset_modes_may_be_spelled_as_elsewhere(spelling):
+def test_autoreset_mode_spellings_are_accepted(spelling):
     mode = AutoresetMode.SAME_STEP
     assert rv.make_vec("duo", autoreset_mode=spelling).autoreset_mode is mode
     with pytest.raises(ValueError, match="autoreset_mode"):
@@ -156,7 +156,7 @@ TENSORS = {
 
 
 @pytest.mark.parametrize("what", list(TENSORS))
-def test_tensors_that_numpy_cannot_read_are_named_with_what_to_do(what):
+def test_unreadable_tensors_are_named(what):
     torch = pytest.importorskip("torch")
     of = TENSORS[what]
     of = {key: getattr(torch, value) if key == "dtype" else value for key, value in of.items()}
@@ -174,7 +174,7 @@ def test_tensors_that_numpy_cannot_read_are_named_with_what_to_do(what):
         np.testing.assert_array_equal(env.state(), state)
 
 
-def test_the_state_of_a_batch_is_the_states_of_its_teams():
+def test_batch_state_stacks_single_states():
     teams = vector.GainWrapper(rv.make_vec(SCENARIO, 3))
     env = rv.parallel_env(SCENARIO)
     teams.reset(seed=2)
@@ -186,7 +186,7 @@ def test_the_state_of_a_batch_is_the_states_of_its_teams():
 
 
 @pytest.mark.parametrize("name", ["duo", "swarm-20", "clutter-8", "unicycle-6"])
-def test_no_step_and_no_episode_earns_less_than_the_bound(name):
+def test_reward_range_bounds_rewards(name):
     """Robots flee along −f at full speed; of two that face away from each other it is attained."""
     scenario = rv.scenarios.get(name).replace(time_limit=3.0)
     teams = rv.make_vec(scenario, 4, autoreset_mode=AutoresetMode.DISABLED)
@@ -217,7 +217,7 @@ def test_no_step_and_no_episode_earns_less_than_the_bound(name):
 
 
 @pytest.mark.parametrize("teams", [1, 2, 40])
-def test_how_teams_stand_is_what_their_simulator_reads(teams):
+def test_state_view_equals_simulator(teams):
     """Read at once or one by one; more teams than lanes in a block, or one."""
     simulator = rv.Simulator(rv.scenarios.get("clutter-8").replace(merge_radius=2.0), teams)
     law = baselines.make("bearing-only", simulator.scenario)

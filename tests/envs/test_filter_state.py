@@ -49,7 +49,7 @@ def spoil(given):
 
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
-def test_state_pickle_and_deepcopy_go_on_alike_and_a_reset_forgets(name):
+def test_state_pickle_and_deepcopy_continue_alike(name):
     """Whatever becomes of the arrays that the copies gave out and were given."""
     build, random = ENVIRONMENTS[name], np.random.default_rng(0)
     env, fresh = build(), build()

@@ -16,7 +16,7 @@ from pettingzoo.utils.wrappers import BaseParallelWrapper
 from strategies import HUGE
 
 import rendezvous_env as rv
-from rendezvous_env.checks import shown
+from rendezvous_env.checks import short_repr
 from rendezvous_env.envs.gymnasium_env import make_env
 from rendezvous_env.limits import MOST_HELD_STEPS
 
@@ -44,7 +44,7 @@ def make_vec(which, scenario="duo", mode=AutoresetMode.NEXT_STEP, max_cycles=Non
 
 @which_and_kind
 @pytest.mark.parametrize("frame", ["net_bearing", "local"])
-def test_spaces_hold_what_is_seen_and_done(which, kind, frame):
+def test_spaces_contain_observations_and_actions(which, kind, frame):
     env = make(which, kind, frame=frame, **GUARANTEES[which].options)
     scenario, random = env.unwrapped.scenario, np.random.default_rng(0)
     rows, d = scenario.observation_layout.shape
@@ -64,7 +64,7 @@ def test_spaces_hold_what_is_seen_and_done(which, kind, frame):
 
 
 @which_and_kind
-def test_rates_are_those_of_the_motion(which, kind):
+def test_reported_rates_match_motion(which, kind):
     env, random = make(which, kind, frame="local"), np.random.default_rng(1)
     env.reset(seed=2)
     simulator, scenario, compared = env.unwrapped.simulator, env.unwrapped.scenario, 0
@@ -91,7 +91,7 @@ def test_rates_are_those_of_the_motion(which, kind):
     ],
 )
 @pytest.mark.parametrize("period", [1, 3])
-def test_every_transition_equals_the_pettingzoo_wrapper(which, name, period):
+def test_vector_transitions_equal_pettingzoo(which, name, period):
     guarantee, scenario = GUARANTEES[which], SCENARIOS[name]
     options = guarantee.options | {"decision_period": period}
     venv = make_vec(which, scenario, AutoresetMode.DISABLED, **options)
@@ -125,7 +125,7 @@ def test_every_transition_equals_the_pettingzoo_wrapper(which, name, period):
 
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
-def test_a_new_episode_begins_with_the_next_start_and_nothing_remembered(which, mode):
+def test_new_episode_clears_filter_state(which, mode):
     scenario = rv.Scenario(n_robots=3, spawn_size=3.0)
     options = GUARANTEES[which].options | {"decision_period": 2}
     venv, other = (
@@ -154,7 +154,7 @@ def test_a_new_episode_begins_with_the_next_start_and_nothing_remembered(which, 
 
 
 @which_and_kind
-def test_a_period_is_that_many_base_steps_with_the_choice_held(which, kind):
+def test_decision_period_repeats_action(which, kind):
     guarantee = GUARANTEES[which]
     scenario = five(kind, spawn_size=3.0, time_limit=5.0, costs=("rise",))
     options = guarantee.options | {"frame": "local"}
@@ -204,16 +204,18 @@ def test_a_period_is_that_many_base_steps_with_the_choice_held(which, kind):
         *((which, "decision_period", (0, 1.5, 2.0)) for which in GUARANTEES),
     ],
 )
-def test_arguments_are_checked(which, field, values):
+def test_arguments_are_validated(which, field, values):
     for value in values:
         for wrap in (make, make_vec):
-            with pytest.raises(ValueError, match=re.escape(f"{field} is {shown(value)}; it must")):
+            with pytest.raises(
+                ValueError, match=re.escape(f"{field} is {short_repr(value)}; it must")
+            ):
                 wrap(which, **{field: value})
     if field == "min_alignment":
         assert make(which, min_alignment=1e-6) and make_vec(which, min_alignment=1e-6)
 
 
-def test_only_environments_of_ours_are_wrapped(which):
+def test_foreign_environments_are_rejected(which):
     name, around, around_teams = GUARANTEES[which].name, *GUARANTEES[which].both
     for wrap, env, message in (
         (around, rv.make_vec("duo"), rf"RendezvousVectorEnv.*vector\.{name}"),
@@ -233,7 +235,7 @@ def test_only_environments_of_ours_are_wrapped(which):
 
 @pytest.mark.parametrize("lower", NAMES)
 @pytest.mark.parametrize("upper", NAMES)
-def test_a_guarantee_is_not_put_upon_another(upper, lower):
+def test_nested_guarantees_are_rejected(upper, lower):
     base = rv.parallel_env("duo")
     for home, env in (
         (rv, getattr(rv, lower)(base)),
@@ -245,7 +247,7 @@ def test_a_guarantee_is_not_put_upon_another(upper, lower):
     getattr(rv, upper)(BaseParallelWrapper(base)).reset(seed=0)
 
 
-def test_what_happens_before_or_beneath_a_wrapper_needs_a_reset_of_the_wrapper(which):
+def test_activity_beneath_wrapper_requires_reset(which):
     """Its robots would act on what they saw before it."""
     for around, base in zip(
         GUARANTEES[which].both, (rv.parallel_env("fig3"), rv.make_vec("fig3", 2)), strict=True
@@ -273,7 +275,7 @@ def test_what_happens_before_or_beneath_a_wrapper_needs_a_reset_of_the_wrapper(w
             again.step(choices)  # copies remember what is theirs
 
 
-def test_a_reset_of_some_teams_does_not_excuse_what_happened_to_the_others(which):
+def test_partial_reset_does_not_excuse_other_environments(which):
     base = rv.make_vec("fig3", 2, autoreset_mode="Disabled")
     env = GUARANTEES[which].around_teams(base)
     choices = draw(env, np.random.default_rng(0))
@@ -295,7 +297,7 @@ def test_a_reset_of_some_teams_does_not_excuse_what_happened_to_the_others(which
 
 
 @pytest.mark.parametrize("around", [rv.vector.HeadingVectorWrapper, rv.vector.EnergyTankWrapper])
-def test_turning_robots_rest_in_each_base_step_in_which_they_see_nobody(around):
+def test_unicycles_rest_without_visible_neighbour(around):
     """Whether a thread leads its teams through a decision, or a wrapper between hears of steps."""
     sphere = rv.Sphere((9.0, 9.0, 9.0), 0.1)  # robots among spheres are of a kind with other tests'
     scenario = five("nonholonomic_3d", sensing=rv.Sensing(dropout=0.7), obstacles=sphere)
@@ -337,7 +339,7 @@ def restart(wrapper, actions):
     ("teams", "step"),
     [(False, twice), (True, twice), (True, anew), (True, anew_instead), (True, restart)],
 )
-def test_a_wrapper_between_that_steps_twice_or_resets_is_refused(which, teams, step):
+def test_multi_step_wrapper_between_is_rejected(which, teams, step):
     """The filter would not see it: with frames skipped V rose above its bound."""
     wrapper = gymnasium.vector.VectorWrapper if teams else BaseParallelWrapper
     between = type("Between", (wrapper,), {"step": step})

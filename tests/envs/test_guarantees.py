@@ -27,7 +27,7 @@ def spy(env):
 
 @pytest.mark.parametrize("kind", ["single_integrator-2d", "single_integrator-3d"])
 @pytest.mark.parametrize("certified", [True, False])
-def test_velocity_is_the_rows_sum_projected_on_the_heading(kind, certified):
+def test_heading_velocity_is_projection_of_f(kind, certified):
     env = make("heading", kind, frame="local", certified=certified)
     reached, random = spy(env), np.random.default_rng(1)
     observations, _ = env.reset(seed=2)
@@ -48,7 +48,7 @@ def test_velocity_is_the_rows_sum_projected_on_the_heading(kind, certified):
 
 
 @pytest.mark.parametrize("kind", ["unicycle", "nonholonomic_3d"])
-def test_speed_is_f_along_the_mean_axis_of_the_turn_executed(kind):
+def test_unicycle_speed_is_f_along_mean_axis(kind):
     env = make("heading", kind, changes={"max_turn_rate": 2.0})
     reached, random, tau = spy(env), np.random.default_rng(1), env.unwrapped.scenario.tau
     layout = env.unwrapped.scenario.observation_layout
@@ -89,7 +89,7 @@ def rotated_run(dim, world, turn, steps=25):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_rotating_world_and_frames_changes_nothing_seen_and_rotates_the_motion(dim):
+def test_rotation_of_world_is_equivariant(dim):
     world = rotation(dim, 77)
     plain, places = rotated_run(dim, np.eye(dim), lambda k: np.eye(dim))
     f = np.array([rows.sum(axis=0) for seen in plain for rows in seen.values()])
@@ -107,7 +107,7 @@ def test_rotating_world_and_frames_changes_nothing_seen_and_rotates_the_motion(d
     assert np.abs(places[-1] - places[0]).max() > 0.3
 
 
-def test_a_weak_f_keeps_the_last_frame():
+def test_weak_f_keeps_last_frame():
     """The middle robot of three has f = 0 once it stands between the others."""
     scenario = rv.Scenario(n_robots=3, graph="path", merge_radius=0.2)
     env = rv.HeadingVectorWrapper(rv.parallel_env(scenario))
@@ -130,7 +130,7 @@ def test_a_weak_f_keeps_the_last_frame():
     assert not np.array_equal(frame, np.eye(2))
 
 
-def test_the_ledger_is_told_and_seen(kind):
+def test_tank_ledger_is_reported_and_observed(kind):
     env = make("tank", kind, budget=0.5, observe_level=True)
     scenario, random = env.unwrapped.scenario, np.random.default_rng(1)
     unit = scenario.merge_radius * scenario.max_degree
@@ -150,7 +150,7 @@ def test_the_ledger_is_told_and_seen(kind):
     assert carried_out == {False, True}
 
 
-def test_a_survivor_has_the_tanks_of_both():
+def test_survivor_inherits_both_tanks():
     scenario = rv.Scenario(n_robots=3, graph="path", merge_radius=0.2, on_merge="follow")
     env = rv.EnergyTankWrapper(rv.parallel_env(scenario), budget=3.0)
     env.reset(seed=0, options={"positions": [[0.0, 0.0], [0.22, 0.0], [6.0, 0.0]]})
@@ -163,7 +163,7 @@ def test_a_survivor_has_the_tanks_of_both():
     assert infos["robot_1"]["tank"] == 0.0 and not infos["robot_1"]["carried_out"]
 
 
-def test_a_wall_along_f_fills_no_tank():
+def test_wall_along_f_does_not_fill_tank():
     disc, starts = rv.Disc(centre=(0.0, 0.0), radius=1.99), ((-2.0, 0.0), (2.0, 0.0))
     scenario = rv.Scenario(n_robots=2, start_positions=starts, obstacles=(disc,))
     env = rv.EnergyTankWrapper(rv.parallel_env(scenario))
@@ -175,7 +175,7 @@ def test_a_wall_along_f_fills_no_tank():
     assert not any(info["carried_out"] for info in infos.values())
 
 
-def test_weights_are_of_rows_in_either_frame():
+def test_gains_weigh_rows_in_either_frame():
     """They are numbers, not vectors: a frame turns what is seen and nothing else."""
     envs = [make("gains", frame=frame) for frame in ("net_bearing", "local")]
     for env in envs:
@@ -188,7 +188,7 @@ def test_weights_are_of_rows_in_either_frame():
     np.testing.assert_array_equal(first, second)
 
 
-def test_desired_velocities_are_turned_with_the_frame():
+def test_desired_velocities_rotate_with_frame():
     envs = [make("links", frame=frame) for frame in ("net_bearing", "local")]
     (turned, _), (local, _) = (env.reset(seed=4) for env in envs)
     layout = envs[0].unwrapped.scenario.observation_layout
@@ -220,7 +220,7 @@ TANK = partial(vector.EnergyTankWrapper, budget=20.0)
         (TANK, "switching-8", {"grew": True}),
     ],
 )
-def test_what_is_kept_while_graphs_change(wrap, scenario, expected):
+def test_filters_hold_on_changing_graphs(wrap, scenario, expected):
     """Whether all meet, whether L grows, and whether links are lost while nobody merges."""
     venv = wrap(rv.make_vec(scenario, 12, autoreset_mode="Disabled"))
     venv.reset(seed=3)

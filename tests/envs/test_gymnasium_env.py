@@ -1,4 +1,4 @@
-"""One action tape: teams side by side live through what single environments do."""
+"""Batched environments compared with single ones under equal actions."""
 
 import gymnasium
 import numpy as np
@@ -21,11 +21,11 @@ SCENARIOS = {
     "unicycle": {"n_robots": 2, "robot_model": "unicycle"},
     "uav": {"n_robots": 2, "robot_model": "nonholonomic_3d", "dim": 3},
 }
-"""Small worlds in which teams meet, or not, within some steps of a random tape."""
+"""Small scenarios with and without rendezvous within some random steps."""
 
 
 def small(name):
-    """One of them."""
+    """One of the environments."""
     common = {"merge_radius": 0.25, "spawn_size": 1.3, "time_limit": 3.4}
     return rv.Scenario(**SCENARIOS[name], **common, time_step=0.2, allow_long_step=True)
 
@@ -42,7 +42,7 @@ def tape_of(scenario):
 
 
 def assert_same_where(rows, ours, theirs):
-    """Of nested infos; theirs hold zeros, or None, where the mask is False."""
+    """Entries of nested infos, which are zeros or None where the mask is False."""
     for key, values in theirs.items():
         if isinstance(values, dict):
             assert_same_where(rows, ours[key], values)
@@ -52,7 +52,7 @@ def assert_same_where(rows, ours, theirs):
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_a_tape_gives_what_gymnasium_makes_of_single_environments(scenario, mode):
+def test_vector_env_equals_gymnasium_sync_vector_env(scenario, mode):
     ours = rv.make_vec(scenario, TEAMS, autoreset_mode=mode, num_threads=2)
     theirs = SyncVectorEnv([lambda: make_env(scenario)] * TEAMS, autoreset_mode=mode)
     for space in ("single_observation_space", "observation_space", "action_space"):
@@ -86,7 +86,7 @@ def test_a_tape_gives_what_gymnasium_makes_of_single_environments(scenario, mode
     assert time_outs >= TEAMS and (scenario.dim == 3 or meetings >= 2)
 
 
-def test_gymnasium_makes_teams():
+def test_gymnasium_make_creates_environment():
     venv = gymnasium.make_vec(
         NAME, num_envs=3, scenario="duo", max_cycles=5, autoreset_mode=AutoresetMode.SAME_STEP
     )
@@ -115,6 +115,6 @@ def one_agent(scenario, **given):
 
 @pytest.mark.parametrize("make", [make_env, make_heading_env, rv.training_env, one_agent])
 @pytest.mark.parametrize("given", [{"num_envs": 2}, {"autoreset_mode": "SAME_STEP"}])
-def test_one_agent_is_one_team_that_does_not_begin_anew(make, given):
+def test_single_agent_env_does_not_autoreset(make, given):
     with pytest.raises(ValueError, match=r"it must be one team, and AutoresetMode\.DISABLED"):
         make("duo", **given)

@@ -1,4 +1,4 @@
-"""What belongs to one team, to its scenario, and to no state: refused where it would be ignored."""
+"""Options of a single environment: rejected where they would have no effect."""
 
 import dataclasses
 

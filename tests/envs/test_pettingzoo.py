@@ -61,14 +61,14 @@ def fingerprint(kind):
     return hashlib.sha256(pickle.dumps(given)).hexdigest()
 
 
-def test_whole_episodes_are_the_same_in_every_process():
+def test_episodes_are_deterministic_across_processes():
     expected = [fingerprint(kind) for kind in MODELS]
     assert len(set(expected)) == len(MODELS)
     found = run_python(ROOT, "-c", EPISODE, *MODELS, PYTHONHASHSEED="4711").stdout
     assert found.split()[-len(MODELS) :] == expected
 
 
-def test_the_environment_is_the_simulator(kind):
+def test_environment_equals_simulator(kind):
     """Dicts around a batch of one: no arithmetic of its own, and types of Python's own."""
     rv.reward_term("speed asked for", lambda step: step.actions[..., 0])
     env = make(kind, reward=rv.RewardWeights(custom={"speed asked for": 1.0}))
@@ -101,7 +101,7 @@ def test_the_environment_is_the_simulator(kind):
         np.testing.assert_array_equal(env.simulator.positions, simulator.positions)
 
 
-def test_a_mask_of_teams_is_no_option_of_one_team():
+def test_reset_mask_is_not_an_option():
     """It would leave an episode half begun."""
     env, other = parallel_env("swarm-20"), parallel_env("swarm-20")
     env.reset(seed=1)
@@ -113,7 +113,7 @@ def test_a_mask_of_teams_is_no_option_of_one_team():
     env.set_state(env.get_state())
 
 
-def test_the_registry_of_pettingzoo():
+def test_registry_creates_environment():
     pytest.importorskip("pettingzoo.env_registry", reason="PettingZoo has it from 1.27 on")
     env = pettingzoo.make("parallel", "rendezvous/rendezvous-v0", scenario="duo")
     assert env.unwrapped.scenario == Scenario(name="duo", n_robots=2)
@@ -128,7 +128,7 @@ def test_the_registry_of_pettingzoo():
     assert len(turns) == 2 * (3 + 1)  # everyone acts three times and then steps out
 
 
-def test_makers_take_scenarios_names_files_and_overrides(tmp_path):
+def test_factories_accept_scenarios_names_files_and_overrides(tmp_path):
     scenario = five("unicycle", name="from a file")
     scenario.to_toml(tmp_path / "mine.toml")
     assert parallel_env(tmp_path / "mine.toml").scenario == scenario
@@ -142,7 +142,7 @@ def test_makers_take_scenarios_names_files_and_overrides(tmp_path):
         parallel_env("duo", render_mode="movie")
 
 
-def test_spaces(kind):
+def test_spaces_match_scenario(kind):
     env = make(kind)
     shapes = env.scenario.observation_layout.shape, (env.scenario.action_size,)
     for name in env.possible_agents:
@@ -157,7 +157,7 @@ def test_spaces(kind):
 
 
 @pytest.mark.slow
-def test_robots_with_inertia_see_their_velocity():
+def test_double_integrators_observe_velocity():
     heavy = {"robot_model": "double_integrator", "max_speed": 0.7}
     env, usual = (make("single_integrator-2d", **heavy, max_acceleration=a) for a in (50.0, None))
     space, random, fastest = env.observation_space("robot_0"), np.random.default_rng(0), 0.0
@@ -173,7 +173,7 @@ def test_robots_with_inertia_see_their_velocity():
     assert 0.69 < fastest <= 0.7000001
 
 
-def test_a_merged_robot_ends_once_and_is_gone(kind):
+def test_merged_agent_terminates_and_is_removed(kind):
     env = make(kind)
     observations, rewards, terminations, truncations, infos = until_a_merge(env)
     gone = merged(infos)
@@ -190,7 +190,7 @@ def test_a_merged_robot_ends_once_and_is_gone(kind):
     assert not set(env.step(by_law(env, observations))[0]) & set(gone)
 
 
-def test_a_merged_robot_may_follow(kind):
+def test_merged_agent_may_follow(kind):
     env, removing = make(kind, on_merge="follow"), make(kind)
     until_a_merge(removing)
     observations, rewards, terminations, truncations, infos = until_a_merge(env)
@@ -207,7 +207,7 @@ def test_a_merged_robot_may_follow(kind):
     assert infos["robot_4"]["merged_into"] == 0
 
 
-def test_the_summary_after_the_last_step(kind):
+def test_summary_is_in_final_infos(kind):
     env = make(kind, time_limit=60.0)
     observations, _ = env.reset(seed=2)
     total, steps = 0.0, 0
@@ -225,7 +225,7 @@ def test_the_summary_after_the_last_step(kind):
     assert total == pytest.approx(1 + 1 - 0.1 * steps / env.max_cycles)
 
 
-def test_time_out_truncates_who_is_left(kind):
+def test_time_out_truncates_active_agents(kind):
     env = make(kind, time_limit=1e-9)
     env.reset(seed=2)
     actions = act(env)
@@ -237,7 +237,7 @@ def test_time_out_truncates_who_is_left(kind):
         env.step(actions)
 
 
-def test_a_robot_that_merges_in_the_last_step_terminates_and_the_others_are_truncated():
+def test_merge_in_last_step_terminates_and_others_truncate():
     chain = Scenario(n_robots=3, graph="path", time_limit=1e-9)
     env = parallel_env(chain)
     env.reset(seed=0, options={"positions": [[0.0, 0], [0.1, 0], [5, 0]]})
@@ -246,7 +246,7 @@ def test_a_robot_that_merges_in_the_last_step_terminates_and_the_others_are_trun
     assert truncations == {"robot_0": True, "robot_1": False, "robot_2": True}
 
 
-def test_the_state_says_what_it_holds(kind):
+def test_state_reports_contents(kind):
     until_a_merge(env := make(kind))
     sim, state = env.simulator, env.state()
     n, d = 5, env.scenario.dim

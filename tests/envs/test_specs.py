@@ -1,4 +1,4 @@
-"""Specs of Gymnasium: what made an environment survives JSON, pickle and Minari."""
+"""Gymnasium specs: arguments survive JSON, pickle and Minari."""
 
 import copy
 import pickle
@@ -27,7 +27,7 @@ SCENARIOS = {
 
 
 def again(spec):
-    """The spec after JSON, which is an equal one."""
+    """Spec after a JSON round trip, which must be equal."""
     text = spec.to_json()
     read = EnvSpec.from_json(text)
     assert read.to_json() == text and pickle.loads(pickle.dumps(spec)).to_json() == text

@@ -30,7 +30,7 @@ FORMS = {
 
 
 @pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
-def test_the_environment_by_name_is_the_vector_environment_with_one_team(form):
+def test_parallel_training_env_equals_vector_form(form):
     mode = AutoresetMode.DISABLED
     teams = rv.vector.training_env(SCENARIO, 3, autoreset_mode=mode, **form)
     env = rv.training_env(SCENARIO, **form)
@@ -54,7 +54,7 @@ def test_the_environment_by_name_is_the_vector_environment_with_one_team(form):
     assert (ends | cuts)[1] and steps > 5
 
 
-def test_all_robots_stay_and_those_that_are_gone_do_nothing():
+def test_agent_set_is_fixed_and_merged_agents_idle():
     env = rv.training_env("duo", guarantee=None, n_robots=3, time_limit=20.0)
     law = baselines.make("bearing-only", env.scenario)
     seen, infos = env.reset(seed=1)
@@ -72,7 +72,7 @@ def test_all_robots_stay_and_those_that_are_gone_do_nothing():
     assert all(ends.values()) and len(gone) == 2 and infos["robot_0"]["success"]
 
 
-def test_the_preset_is_what_training_begins_with():
+def test_preset_equals_train_defaults():
     config = Config(hidden=(128, 128))
     for guarantee in ("heading", "tank"):
         found = preset(guarantee)
@@ -86,7 +86,7 @@ def test_the_preset_is_what_training_begins_with():
 
 
 @pytest.mark.parametrize("field", ["clutter-8", "unicycle-clutter-8", "uav-clutter-16"])
-def test_each_robot_model_has_the_budget_of_the_policy_that_is_shipped_for_it(field):
+def test_preset_has_energy_budget_of_robot_model(field):
     shipped = baselines.make("learned-tank", field).settings
     teams = rv.vector.training_env(field, 2, guarantee="tank")
     teams.reset(seed=0)
@@ -98,7 +98,7 @@ def test_each_robot_model_has_the_budget_of_the_policy_that_is_shipped_for_it(fi
 
 
 @pytest.mark.parametrize(("guarantee", "angles"), [("heading", ANGLES), ("tank", ALL_ROUND)])
-def test_a_direction_is_the_choice_of_its_angle(guarantee, angles):
+def test_direction_action_equals_its_angle(guarantee, angles):
     """Of any length; and none at all is the rule itself."""
     mode = {"guarantee": guarantee, "autoreset_mode": AutoresetMode.DISABLED}
     chosen = rv.vector.training_env(SCENARIO, 6, discrete=True, **mode)
@@ -114,7 +114,7 @@ def test_a_direction_is_the_choice_of_its_angle(guarantee, angles):
         np.testing.assert_allclose(other, seen, atol=2e-5)
 
 
-def test_robots_without_a_shipped_policy_see_and_do_what_the_wrapper_says():
+def test_models_without_policy_use_wrapper_spaces():
     links = rv.training_env("cloud-8", guarantee="links")
     plain = rv.training_env("cloud-8", guarantee="links", learning_preset=False)
     assert links.observation_space("robot_0") == plain.observation_space("robot_0")
@@ -125,7 +125,7 @@ def test_robots_without_a_shipped_policy_see_and_do_what_the_wrapper_says():
 
 @pytest.mark.parametrize("name", ["cloud-8", "uav-clutter-16"])
 @pytest.mark.parametrize("guarantee", ["heading", "tank"])
-def test_robots_of_space_see_a_plane_and_choose_in_it(name, guarantee):
+def test_robots_in_3d_observe_and_act_in_plane(name, guarantee):
     env = rv.training_env(name, guarantee=guarantee, max_cycles=30)
     choices = rv.training_env(name, guarantee=guarantee, discrete=True)
     assert choices.action_space("robot_0").n == (9 if guarantee == "heading" else 14)
@@ -139,7 +139,7 @@ def test_robots_of_space_see_a_plane_and_choose_in_it(name, guarantee):
         np.testing.assert_allclose(aside, 0.0, atol=1e-5)
 
 
-def test_overrides_reach_the_wrapper_the_preset_and_the_scenario():
+def test_overrides_reach_wrapper_preset_and_scenario():
     env = rv.training_env(
         "clutter-8", min_alignment=0.3, n_robots=3, max_cycles=7, decision_period=5
     )
@@ -175,12 +175,12 @@ def test_overrides_reach_the_wrapper_the_preset_and_the_scenario():
         ({"scenario": HEAVY, "guarantee": None, "discrete": True}, ValueError, "discrete is True"),
     ],
 )
-def test_what_cannot_be_is_refused(arguments, error, message):
+def test_invalid_arguments_are_rejected(arguments, error, message):
     with pytest.raises(error, match=message):
         rv.training_env(**({"scenario": SCENARIO} | arguments))
 
 
-def test_the_layout_takes_apart_all_but_the_level():
+def test_layout_splits_observation():
     plain = {"guarantee": "tank", "budget": 1.0, "learning_preset": False, "flatten": False}
     teams = rv.vector.training_env(SCENARIO, 2, observe_level=True, **plain)
     shown, _ = teams.reset(seed=0)

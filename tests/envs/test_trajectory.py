@@ -13,7 +13,7 @@ DUO = Scenario(n_robots=2, local_frames="global", time_limit=10.0)
 STARTS = {"positions": [[[0.0, 0], [0.5, 0]], [[0.0, 0], [5.05, 0]]]}
 
 
-def test_two_robots_by_hand():
+def test_two_robots_match_hand_computation():
     duo = DUO.replace(merge_radius=0.5)  # τ = 0.25 s
     start = {"positions": [[0.0, 0.0], [1.8, 0.0]]}
     traj = rollout(duo, law_of(duo), options=start)
@@ -31,7 +31,7 @@ def test_two_robots_by_hand():
     assert traj.largest_rise_between_merges == pytest.approx(-0.6, abs=1e-6)
 
 
-def test_shapes_and_consistency(kind):
+def test_arrays_are_consistent(kind):
     scenario = five(kind, time_limit=4.0)
     traj = rollout(scenario, law_of(scenario), seed=3, num_envs=6, record="all")
     steps, layout = len(traj.times) - 1, scenario.observation_layout
@@ -54,7 +54,7 @@ def test_shapes_and_consistency(kind):
     np.testing.assert_array_equal(traj.positions[: len(alone.times), 2], alone.positions[:, 0])
 
 
-def test_a_team_that_has_finished_stays_as_it_is():
+def test_finished_environment_stays_constant():
     traj = rollout(DUO, law_of(DUO), num_envs=2, options=STARTS, record="all")
     end = round(traj.rendezvous_time[0] / DUO.tau)
     assert end < len(traj.times) - 1
@@ -64,7 +64,7 @@ def test_a_team_that_has_finished_stays_as_it_is():
     assert [merge.env for merge in traj.merges] == [0, 1]
 
 
-def test_the_largest_rise_is_that_of_each_team_while_it_runs():
+def test_largest_rise_is_per_environment_while_running():
     """Law (1) lets V fall in every step; a team that has finished no longer counts."""
     found = rollout(DUO, law_of(DUO), num_envs=2, options=STARTS)
     assert found.running.sum(axis=0).tolist() == [2, len(found.running)]
@@ -75,7 +75,7 @@ def test_the_largest_rise_is_that_of_each_team_while_it_runs():
     np.testing.assert_allclose(away.largest_rise_between_merges, 0.2, atol=1e-6)  # 2 · τ · 1 m/s
 
 
-def test_packed_teams_take_part_until_they_have_met():
+def test_packed_robots_are_active_until_rendezvous():
     """None of their robots merges."""
     packing = rv.Scenario(n_robots=3, body_radius=0.1, meeting="pack", merge_radius=0.4)
     found = rollout(packing, law_of(packing), num_envs=3)
@@ -95,7 +95,7 @@ class Still:
         return np.zeros((1, 3, 2))
 
 
-def test_any_callable_and_any_name_will_do():
+def test_any_callable_or_name_is_policy():
     policy = Still()
     traj, seen = rv.rollout("fig3", policy), policy.seen
     assert not traj.success.any() and np.isinf(traj.rendezvous_time).all()
@@ -107,7 +107,7 @@ def test_any_callable_and_any_name_will_do():
         rollout("duu", policy)
 
 
-def test_observations_and_actions_only_on_request():
+def test_observations_and_actions_are_optional():
     policy = law_of(DUO)
     plain = rollout(DUO, policy, num_envs=3)
     for name in ("observations", "actions"):
@@ -122,7 +122,7 @@ def test_observations_and_actions_only_on_request():
     assert list(rollout(DUO, policy, record="actions").recorded) == ["actions"]
 
 
-def test_a_policy_may_write_to_what_it_is_shown_and_give_the_same_array_again():
+def test_policy_may_modify_and_reuse_arrays():
     law, given = law_of(DUO), np.zeros((1, 2, 2), np.float32)
 
     def frugal(seen, time):
@@ -137,18 +137,18 @@ def test_a_policy_may_write_to_what_it_is_shown_and_give_the_same_array_again():
 
 
 @pytest.mark.parametrize("record", ["everything", 3, ("actions", "rewards"), [["actions"]]])
-def test_what_cannot_be_recorded_is_refused(record):
+def test_unrecordable_policy_is_rejected(record):
     with pytest.raises(ValueError, match=r"record is .*'observations', 'actions', or \"all\""):
         rollout(DUO, law_of(DUO), record=record)
 
 
-def test_a_large_recording_is_announced():
+def test_large_recording_warns():
     with pytest.warns(UserWarning, match=r"may keep .* GB.*; take fewer teams or steps, or record"):
         with pytest.raises(ZeroDivisionError):
             rollout("clutter-24", lambda seen, time: 1 / 0, num_envs=20_000, record="all")
 
 
-def test_the_size_announced_is_the_size_kept(monkeypatch):
+def test_announced_size_equals_stored_size(monkeypatch):
     scenario = five("unicycle", time_limit=1.0)
     monkeypatch.setattr(trajectory, "_MUCH", 0.0)
     said = rf"may keep 0.0 GB, 0.00\d+ MB a step for up to {scenario.max_steps} steps"

@@ -1,4 +1,4 @@
-"""Trajectories as pandas, xarray and Minari have them, against the arrays they are made of."""
+"""Trajectories in pandas, xarray and Minari, compared with their arrays."""
 
 import dataclasses
 import json
@@ -24,14 +24,14 @@ ABOUT = {
 
 @pytest.fixture(autouse=True)
 def own_store(tmp_path, monkeypatch):
-    """Minari writes into the user's home if it is not told otherwise."""
+    """Redirect Minari, which writes into the home folder by default."""
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     return tmp_path
 
 
 @pytest.fixture(scope="module")
 def fig4():
-    """Two teams among obstacles, one of which is out of time, with all that can be kept."""
+    """Two environments with obstacles, one of them timed out, with all optional recordings."""
     scenario = rv.scenarios.get("fig4").replace(start_positions=None, time_limit=5.5)
     law = baselines.make("bearing-only", scenario)
     found = rv.rollout(scenario, law, seed=3, num_envs=2, record="all")
@@ -39,7 +39,7 @@ def fig4():
     return found
 
 
-def test_a_row_holds_what_its_moment_team_and_robot_had(fig4):
+def test_dataframe_row_matches_arrays(fig4):
     table = fig4.to_dataframe()
     steps = len(fig4.times)
     assert table.index.names == ["env", "robot", "step"]
@@ -58,7 +58,7 @@ def test_a_row_holds_what_its_moment_team_and_robot_had(fig4):
     assert table["contact"].sum() == fig4.contacts.sum()
 
 
-def test_a_dataset_holds_every_array_with_dimensions_and_units(fig4):
+def test_dataset_has_all_arrays_with_units(fig4):
     found = fig4.to_xarray()
     assert set(found.data_vars) == set(trajectory_formats.DIMENSIONS) - {"headings"}
     for name in found.data_vars:
@@ -71,7 +71,7 @@ def test_a_dataset_holds_every_array_with_dimensions_and_units(fig4):
     assert again == fig4.scenario
 
 
-def test_heights_and_all_angles_that_a_robot_model_can_keep_have_names():
+def test_z_and_all_angles_have_names():
     scenario = five("nonholonomic_3d", time_limit=0.1)
     flown = rv.rollout(scenario, baselines.make("nonholonomic-3d", scenario))
     angles = np.random.default_rng(0).normal(size=(*flown.active.shape, MOST_KEPT))
@@ -84,7 +84,7 @@ def test_heights_and_all_angles_that_a_robot_model_can_keep_have_names():
     assert "observations" not in found
 
 
-def test_netcdf_keeps_robots_without_headings_and_worlds_without_obstacles(tmp_path):
+def test_netcdf_supports_missing_headings_and_obstacles(tmp_path):
     """The format that SciPy writes has no dimension of length zero."""
     import xarray
 
@@ -94,7 +94,7 @@ def test_netcdf_keeps_robots_without_headings_and_worlds_without_obstacles(tmp_p
     assert "headings" not in written and "obstacles" not in written
 
 
-def test_an_episode_of_minari_is_what_a_team_lived_through(fig4):
+def test_minari_episode_matches_trajectory(fig4):
     import minari
 
     written = fig4.to_minari("rendezvous/fig4-v0", **ABOUT)
@@ -117,7 +117,7 @@ def test_an_episode_of_minari_is_what_a_team_lived_through(fig4):
         fig4.to_minari("rendezvous/fig4-v0", **ABOUT)
 
 
-def test_the_environment_comes_back_and_relives_an_episode(fig4):
+def test_minari_recovers_environment(fig4):
     data = fig4.to_minari("rendezvous/again-v0", **ABOUT)
     env = data.recover_environment(eval_env=True)
     assert env.unwrapped.scenario == fig4.scenario
@@ -133,7 +133,7 @@ def test_the_environment_comes_back_and_relives_an_episode(fig4):
 
 
 @pytest.mark.parametrize("name", ["no version/at all", "", 3])
-def test_a_malformed_name_leaves_no_folder(fig4, own_store, name):
+def test_malformed_minari_name_leaves_no_folder(fig4, own_store, name):
     with pytest.raises(ValueError, match=r"name is .*; it must be like"):
         fig4.to_minari(name, **ABOUT)
     bare = rv.rollout("duo", baselines.make("bearing-only", "duo"), record="actions")
@@ -151,7 +151,7 @@ def test_a_malformed_name_leaves_no_folder(fig4, own_store, name):
         ("h5py", "to_minari", ("rendezvous/none-v0",)),
     ],
 )
-def test_a_missing_library_is_named_with_its_extra(fig4, monkeypatch, library, method, arguments):
+def test_missing_library_names_extra(fig4, monkeypatch, library, method, arguments):
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(ImportError, match=rf"{method}\(\) needs {library}: pip .*\[analysis\]"):
         getattr(fig4, method)(*arguments)

@@ -1,4 +1,4 @@
-"""Trajectories for people: a line, a table, figures, a page, files."""
+"""Displays of trajectories: a line, a table, figures, a page, files."""
 
 import dataclasses
 import pickle
@@ -16,13 +16,13 @@ WALL = rv.scenarios.resolve("fig4")
 
 @pytest.fixture(scope="module")
 def found():
-    """Two environments among obstacles: one meets, one is out of time."""
+    """Two environments with obstacles: one rendezvous, one time-out."""
     scenario = WALL.replace(start_positions=None, time_limit=5.5)
     return rv.rollout(scenario, baselines.make("bearing-only", scenario), seed=3, num_envs=2)
 
 
 def noisy(observations, time):
-    """Never the same twice."""
+    """Random values without repetition."""
     return noisy.random.normal(size=(*observations.shape[:-2], 2))
 
 

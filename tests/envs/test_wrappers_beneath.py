@@ -1,4 +1,4 @@
-"""Wrappers of others beneath a guarantee: refused where they void it, counted right where not."""
+"""Foreign wrappers beneath a guarantee: rejected if they void it, otherwise correct."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ MODES = pytest.mark.parametrize("mode", AutoresetMode)
 
 
 class Observing(BaseParallelWrapper):
-    """Changes what robots observe."""
+    """Wrapper that changes observations."""
 
     def reset(self, seed=None, options=None):
         seen, infos = super().reset(seed=seed, options=options)
@@ -42,14 +42,14 @@ class WritingToObservations(Observing):
 
 
 class ObservingLater(Observing):
-    """Changes nothing at a reset."""
+    """Wrapper without effect at a reset."""
 
     def reset(self, seed=None, options=None):
         return self.env.reset(seed=seed, options=options)
 
 
 class Acting(BaseParallelWrapper):
-    """Changes what robots do."""
+    """Wrapper that changes actions."""
 
     def step(self, actions):
         return super().step({name: -action for name, action in actions.items()})
@@ -65,7 +65,7 @@ class WritingToActions(BaseParallelWrapper):
 
 
 class ActingRarely(BaseParallelWrapper):
-    """Repeats an old action now and then, as sticky actions do."""
+    """Wrapper that repeats an old action at random (sticky actions)."""
 
     count = 0
 
@@ -77,7 +77,7 @@ class ActingRarely(BaseParallelWrapper):
 
 
 class Stacking(BaseParallelWrapper):
-    """Observations of another shape."""
+    """Wrapper with observations of another shape."""
 
     def observation_space(self, agent):
         space = super().observation_space(agent)
@@ -85,14 +85,14 @@ class Stacking(BaseParallelWrapper):
 
 
 class ActingInOtherUnits(BaseParallelWrapper):
-    """Actions of another range."""
+    """Wrapper with actions of another range."""
 
     def action_space(self, agent):
         return Box(-1.0, 1.0, super().action_space(agent).shape, np.float32)
 
 
 class Passing(BaseParallelWrapper):
-    """Changes rewards alone."""
+    """Wrapper that changes rewards only."""
 
     def step(self, actions):
         seen, rewards, *others = super().step(actions)
@@ -100,7 +100,7 @@ class Passing(BaseParallelWrapper):
 
 
 class Turns(BaseWrapper):
-    """Robots one after another, observing the opposite."""
+    """AEC wrapper with negated observations."""
 
     def observe(self, agent):
         return -super().observe(agent)
@@ -111,7 +111,7 @@ def turn_based(env):
 
 
 def played(env, steps=40):
-    """Values of V of random choices."""
+    """V under random choices."""
     env.reset(seed=0)
     random, simulator = np.random.default_rng(0), env.unwrapped.simulator
     found = [simulator.lyapunov()[0]]
@@ -171,7 +171,7 @@ def test_wrapper_that_stands_for_sensors_is_accepted():
 
 
 class Teams(VectorWrapper):
-    """Changes what passes through it."""
+    """Wrapper that changes its inputs and outputs."""
 
     def __init__(self, env, *, observed=lambda seen: seen, acted=lambda actions: actions):
         super().__init__(env)
@@ -222,9 +222,7 @@ def test_vector_guarantee_refuses_wrapper_that_changes_spaces():
 
 
 def counted(mode, period, steps=200, teams=6, above=False, **options):
-    """Episodes of random choices: (length, return) as a recorder reports them, by environment, and
-    as they are.
-    """
+    """Episodes under random choices: (length, return) as recorded, by environment, and actual."""
     made = rv.make_vec("duo", teams, autoreset_mode=mode, time_limit=5.0)
     if above:
         env = RecordEpisodeStatistics(made)
@@ -291,7 +289,7 @@ def test_disabled_teams_report_an_end_once(make):
 @MODES
 def test_infos_of_wrappers_are_joined_by_their_masks(mode):
     class Marking(VectorWrapper):
-        """Marks one environment a step."""
+        """Wrapper that marks one environment per step."""
 
         count = 0
 
@@ -334,7 +332,7 @@ def test_rewards_that_wrappers_add_to_standing_environments_are_not_summed(mode)
 
 
 def test_normalised_rewards_beneath_guarantee_are_those_of_bare_steps():
-    """The moments of a decision of five are those of five steps, where none ends within it."""
+    """Statistics of a decision of five steps equal those of five steps without an end."""
     scenario = SCENARIO.replace(time_limit=100.0)
     under = NormalizeReward(rv.make_vec(scenario, 3))
     env = vector.HeadingVectorWrapper(under, decision_period=5)

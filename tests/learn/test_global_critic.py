@@ -11,7 +11,7 @@ from rendezvous_env.adapters.slots import of_one_robot
 from train.learn.networks import FAR, GlobalStateLayout
 from train.learn.recurrent import Sequences, learner_of
 from train.learn.settings import Config
-from train.learn.teams import make_teams
+from train.learn.teams import make_environments
 
 CONFIG = Config(
     scenario="clutter-12", set=("time_limit=3",), guarantee="tank", budget=2.0, critic="global",
@@ -19,7 +19,7 @@ CONFIG = Config(
 )  # fmt: skip
 
 
-def test_the_state_by_hand():
+def test_global_state_matches_hand_computation():
     """Robot 1 is 5 m from robot 0, the disc's centre 2 m to the left of it and 1 m ahead."""
     disc = rv.Disc((-1.0, 2.5), 0.5)
     scenario = rv.Scenario(n_robots=2, obstacles=(disc,), time_limit=10.0, max_speed=2.0)
@@ -48,7 +48,7 @@ def test_the_state_by_hand():
     np.testing.assert_allclose(later.context[0, 0], [left, share], atol=1e-6)
 
 
-def test_a_team_in_which_nobody_sees_anybody_at_first_has_a_state():
+def test_global_state_exists_without_visible_neighbours():
     """V(0) is 0, and later V need not be."""
     scenario = rv.Scenario(
         n_robots=2, graph=rv.graphs.proximity(), require_connected=False, max_speed=4.0,
@@ -64,8 +64,8 @@ def test_a_team_in_which_nobody_sees_anybody_at_first_has_a_state():
     assert simulator.initial_lyapunov[0] == 0.0 < simulator.lyapunov()[0]
 
 
-def test_who_is_gone_is_not_there_and_the_last_state_is_of_the_episode_that_ended():
-    env = make_teams(CONFIG, 0)
+def test_merged_robots_are_absent_and_final_state_is_of_ended_episode():
+    env = make_environments(CONFIG, 0)
     env.reset(seed=3)
     for _ in range(59):
         shown, *_ = env.step(np.zeros((5, 4), dtype=np.int64))
@@ -91,11 +91,11 @@ def judged(made, seen):
 
 
 @pytest.mark.parametrize("memory", ["none", "features", "recurrent"])
-def test_only_the_critic_reads_it(memory):
+def test_only_critic_reads_global_state(memory):
     config = replace(CONFIG, memory=memory)
-    env = make_teams(config, 0)
+    env = make_environments(config, 0)
     shown, _ = env.reset(seed=3)
-    assert make_teams(replace(config, critic="local"), 0).layout == env.layout
+    assert make_environments(replace(config, critic="local"), 0).layout == env.layout
     torch.manual_seed(1)
     spaces = map(of_one_robot, (env.single_observation_space, env.single_action_space))
     _, network, arguments = learner_of(config, env)

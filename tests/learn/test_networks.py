@@ -45,7 +45,7 @@ def assert_same(one, other):
         np.testing.assert_allclose(a, b, atol=2e-6)
 
 
-def test_order_does_not_matter_and_every_part_does():
+def test_set_network_is_permutation_invariant_and_uses_all_inputs():
     made, parts = network(), shown()
     (neighbours, obstacles, context), random = parts, np.random.default_rng(1)
     mixed = (neighbours[:, random.permutation(K)], obstacles[:, random.permutation(M)], context)
@@ -59,7 +59,7 @@ def test_order_does_not_matter_and_every_part_does():
 
 
 @pytest.mark.parametrize(("more_neighbours", "more_obstacles"), [(3, 0), (0, 18), (28, 18)])
-def test_absent_rows_do_not_count(more_neighbours, more_obstacles):
+def test_absent_rows_are_ignored(more_neighbours, more_obstacles):
     made, (neighbours, obstacles, context) = network(), shown()
     wide = make_network(FeatureLayout(K + more_neighbours, M + more_obstacles), **SETTINGS)
     wide.load_state_dict(made.state_dict())
@@ -78,7 +78,7 @@ def test_empty_sets_are_finite():
     assert all(np.isfinite(values).all() for values in seen)
 
 
-def test_untrained_it_chooses_the_rule():
+def test_untrained_network_prefers_rule():
     torch.manual_seed(3)
     chances, _ = outputs(make_network(FeatureLayout(K, M), prior=2.0, **SETTINGS), shown())
     expected = np.r_[np.exp(2.0), np.ones(CHOICES - 1)] / (np.exp(2.0) + CHOICES - 1)
@@ -87,7 +87,7 @@ def test_untrained_it_chooses_the_rule():
 
 
 @pytest.mark.parametrize("tank", [False, True])
-def test_numpy_chooses_as_torch(tank):
+def test_numpy_actor_matches_torch(tank):
     """The critic's weights are not asked for."""
     settings = PolicySettings(
         **SETTINGS, clearance=0.1, persistence=0.5, min_alignment=0.1, max_turn_rate=3.0,
@@ -128,7 +128,7 @@ def judged(made, seen):
 
 @pytest.mark.kernels
 @pytest.mark.parametrize("name", shipped.NAMES)
-def test_kernels_pool_as_torch_does(name, monkeypatch):
+def test_pooling_kernels_match_torch(name, monkeypatch):
     """Outputs and gradients of the shipped weights; equal rows share those of the largest."""
     about, tables = checkpoints.read(checkpoints.find(shipped.folder(name)), ["network"])
     settings = PolicySettings.from_plain(about["policy"])
@@ -148,7 +148,7 @@ def test_kernels_pool_as_torch_does(name, monkeypatch):
     assert min(float(other.abs().max()) for other in expected) > 0.0
 
 
-def test_what_is_said_of_choices_is_what_torch_says():
+def test_log_probabilities_match_torch():
     made, seen = network(), flat(shown())
     with torch.no_grad():
         expected = made.get_distribution(seen).distribution

@@ -49,7 +49,7 @@ def collected():
     return made, np.array(seen)
 
 
-def test_what_is_evaluated_is_what_was_done(collected):
+def test_evaluation_reproduces_rollout(collected):
     """Over resets, merges and the cut between rollouts: the ratio of the first pass is one."""
     made, seen = collected
     ended, merged = seen[STEPS:].sum(axis=0)
@@ -67,7 +67,7 @@ def test_what_is_evaluated_is_what_was_done(collected):
     assert samples == kept.sum() < kept.size
 
 
-def test_who_is_gone_remembers_nothing(collected):
+def test_merged_robot_has_no_memory(collected):
     made, _ = collected
     policy, seen = made.policy, torch.as_tensor(made._last_obs).clone()
     policy.hidden = torch.ones_like(policy.hidden)
@@ -77,7 +77,7 @@ def test_who_is_gone_remembers_nothing(collected):
     assert not policy.hidden[::2].any() and policy.hidden[1::2].any(dim=-1).all()
 
 
-def test_a_merged_robot_is_valued_by_its_survivor(monkeypatch):
+def test_merged_robot_is_valued_by_survivor(monkeypatch):
     """Its observation, and what it remembers before it forgets."""
     made, told, merges = model(steps=2), [], 0
     robots, real = made.get_env(), made.policy.predict_values
@@ -100,7 +100,7 @@ def test_a_merged_robot_is_valued_by_its_survivor(monkeypatch):
     assert merges >= 2
 
 
-def test_served_as_trained():
+def test_deployed_policy_matches_training():
     """Bit by bit over several episodes: choices, motion, and when memory is lost."""
     made = model()
     policy, robots = made.policy, made.get_env()
@@ -127,7 +127,7 @@ def test_served_as_trained():
     assert ends >= 2 * TEAMS
 
 
-def test_memory_makes_a_difference(collected):
+def test_memory_changes_decisions(collected):
     """The same sight with another memory is another distribution, in torch and in NumPy."""
     made, _ = collected
     seen = torch.as_tensor(made._last_obs)
@@ -150,7 +150,7 @@ def test_memory_makes_a_difference(collected):
         NumpyActor(arrays, replace(SETTINGS, memory_units=UNITS + 1), layout)
 
 
-def test_memory_put_back_must_fit(collected):
+def test_restored_memory_must_fit(collected):
     made, _ = collected
     kept = made.get_memory()["hidden"].copy()
     made.set_memory({"hidden": kept + 1.0})
@@ -160,7 +160,7 @@ def test_memory_put_back_must_fit(collected):
     np.testing.assert_array_equal(made.policy.hidden, kept + 1.0)
 
 
-def test_the_kind_of_memory_is_written_down():
+def test_kind_of_memory_is_stored():
     plain = SETTINGS.to_plain()
     assert plain["memory"] == "recurrent" and PolicySettings.from_plain(plain) == SETTINGS
     for written, kind in ((True, "features"), (False, "none"), ("recurrent", "recurrent")):

@@ -38,7 +38,7 @@ def copied(whole, tmp_path):
 
 
 class TestResume:
-    def test_a_signal_keeps_all_whole_updates(self, whole, tmp_path, capsys):
+    def test_signal_keeps_whole_updates(self, whole, tmp_path, capsys):
         """It comes while the fourth is being told; checkpoints are written every other update."""
         folder = tmp_path / "run"
         assert stopped_after(config(folder), 4, signal.SIGINT) == 128 + signal.SIGINT
@@ -59,7 +59,7 @@ class TestResume:
         ],
         ids=["features", "recurrent and global", "unicycle", "space", "nonholonomic"],
     )
-    def test_tanks_go_on_as_if_nothing_had_been(self, tmp_path, more):
+    def test_tank_run_resumes_bitwise(self, tmp_path, more):
         """Ledgers and memory of running episodes are part of a checkpoint."""
         tank = {"guarantee": "tank", "budget": 2.0, "prior": 0.5, "eval_every": 0} | more
         folder = assert_goes_on(tmp_path, 2, **tank, total_steps=3 * UPDATE)
@@ -69,7 +69,7 @@ class TestResume:
         assert policy["guarantee"] == "tank"
         assert policy["budget"] == pytest.approx(2.0 / (0.2 * (levels.shape[1] - 1)))
 
-    def test_memory_with_certified_headings(self, tmp_path):
+    def test_heading_run_with_memory_resumes(self, tmp_path):
         more = {"memory": "recurrent", "memory_units": 4, "total_steps": 2 * UPDATE}
         assert ppo.run(config(tmp_path, eval_every=UPDATE, **more)).status == 0
         rows = results.read_csv(tmp_path / "evaluation.csv")
@@ -77,7 +77,7 @@ class TestResume:
         assert all(float(row["min_alignment"]) >= 0.05 - 1e-6 for row in rows)
         assert network(tmp_path)["memory.weight_hh"].shape == (12, 4)
 
-    def test_a_second_signal_leaves_at_once(self, tmp_path, monkeypatch):
+    def test_second_signal_exits_immediately(self, tmp_path, monkeypatch):
         def update(self):
             monkeypatch.setattr(trainer.Trainer, "save", interrupt)
             interrupt(self)
@@ -92,7 +92,7 @@ class TestResume:
             ppo.run(config(tmp_path / "run"))
         assert signal.getsignal(signal.SIGINT) is before
 
-    def test_rows_after_the_checkpoint_go(self, tmp_path):
+    def test_rows_after_checkpoint_are_removed(self, tmp_path):
         """What a kill leaves: rows of updates that will be done again, and half a row."""
         folder = tmp_path / "run"
         stopped_after(config(folder), 4)
@@ -104,7 +104,7 @@ class TestResume:
         steps = [int(row["step"]) for row in metrics(folder)]
         assert steps == [UPDATE * (k + 1) for k in range(8)]
 
-    def test_a_broken_checkpoint_is_left_out(self, whole, tmp_path, capsys):
+    def test_damaged_checkpoint_is_skipped(self, whole, tmp_path, capsys):
         folder = tmp_path / "run"
         stopped_after(config(folder), 5)
         newest, older = checkpoints.candidates(folder)
@@ -115,7 +115,7 @@ class TestResume:
         assert "truncated" in said and f"resumes {older}" in said
         assert_same_run(whole, folder)
 
-    def test_a_finished_run_and_one_of_a_version_without_tanks(self, copied, capsys):
+    def test_finished_and_old_runs_resume(self, copied, capsys):
         before = metrics(copied)
         resumed(copied)
         assert "nothing was left to do" in capsys.readouterr().out
@@ -128,7 +128,7 @@ class TestResume:
         (copied / "config.json").write_text(json.dumps(plain))
         assert resumed(copied, total_steps=13 * UPDATE).steps == 13 * UPDATE
 
-    def test_a_flag_that_is_given_as_its_default_is_given(self, copied):
+    def test_explicit_default_flag_counts_as_given(self, copied):
         """Three million decisions more than the run was to take; one that says nothing is over."""
         asked = ppo.Config(resume=copied, total_steps=3_000_000, eval_starts=200, eval_every=0)
         assert ppo.run(asked, lambda update, metrics: True).steps == 13 * UPDATE
@@ -142,7 +142,7 @@ class TestResume:
             on = settings.resumed(given, run)
             assert (on.total_steps, on.eval_starts, on.checkpoint_every) == found
 
-    def test_before_the_first_checkpoint(self, whole, tmp_path, monkeypatch):
+    def test_interrupt_before_first_checkpoint_resumes(self, whole, tmp_path, monkeypatch):
         folder = tmp_path / "run"
         monkeypatch.setattr(trainer.Trainer, "save", lambda *state: 1 / 0)
         with pytest.raises(ZeroDivisionError):
@@ -152,7 +152,7 @@ class TestResume:
         assert_same_run(whole, folder)
 
     @pytest.mark.parametrize("kills", [2, pytest.param(6, marks=pytest.mark.slow)])
-    def test_killed_at_random_moments(self, kills, whole, tmp_path):
+    def test_kill_at_random_times_resumes(self, kills, whole, tmp_path):
         folder, moments = tmp_path / "run", random.Random(kills)
         words = flags(folder)
         for _ in range(kills):
@@ -193,7 +193,7 @@ class TestRefusals:
 
         return refuse
 
-    def test_resume_what_is_not_there_or_begin_what_is(self, whole, tmp_path, refused, one_line):
+    def test_missing_run_or_occupied_folder_is_rejected(self, whole, tmp_path, refused, one_line):
         refused("it holds no run that can go on", tmp_path)
         refused("No such file or directory", tmp_path / "nowhere")
         assert not (tmp_path / "nowhere").exists()
@@ -204,7 +204,7 @@ class TestRefusals:
         refused("goes on in its own folder: leave it out", whole, "--out", "elsewhere")
         refused("--num-threads is 0; it must be 1", whole, "--num-threads", "0")
 
-    def test_another_scenario_under_the_same_name(self, tmp_path, refused):
+    def test_changed_scenario_is_rejected(self, tmp_path, refused):
         file, folder = tmp_path / "own.toml", tmp_path / "run"
         scenarios.get("clutter-4").to_toml(file)
         said = {"scenario": str(file), "total_steps": UPDATE, "eval_every": 0}
@@ -216,18 +216,18 @@ class TestRefusals:
         file.unlink()
         refused(f"scenario {file} cannot be read: No such file or directory", folder)
 
-    def test_no_good_checkpoint(self, copied, refused):
+    def test_run_without_valid_checkpoint_is_rejected(self, copied, refused):
         for place in (copied / "checkpoints").glob("step-*"):
             (place / "state.safetensors").unlink()
         refused("state.safetensors: cannot be read", copied)
 
-    def test_a_folder_without_permission(self, copied, tmp_path, one_line, without_rights):
+    def test_unwritable_folder_is_rejected(self, copied, tmp_path, one_line, without_rights):
         with without_rights(copied):
             assert "Permission denied" in one_line("train", "--resume", copied)
         with without_rights(tmp_path):
             assert "Permission denied" in one_line("train", *flags(tmp_path / "new"))
 
-    def test_a_full_disk(self, tmp_path, one_line, monkeypatch):
+    def test_full_disk_is_reported(self, tmp_path, one_line, monkeypatch):
         folder, real = tmp_path / "run", checkpoint.write
 
         def write(run, step, *content):
@@ -243,7 +243,7 @@ class TestRefusals:
         learned_policy.load(folder, scenarios.get("clutter-4"))
         assert cli.main(["train", "--resume", str(folder)]) == 0
 
-    def test_a_folder_where_a_file_belongs(self, copied, one_line):
+    def test_folder_in_place_of_file_is_rejected(self, copied, one_line):
         pointer = copied / "checkpoints" / "latest.json"
         pointer.unlink()
         pointer.mkdir()
@@ -268,7 +268,7 @@ class TestRefusals:
             ("config.json", b"clutter-4", b"clutter-8", "is of another run"),
         ],
     )
-    def test_a_damaged_file(self, copied, refused, name, old, new, message):
+    def test_damaged_file_is_rejected(self, copied, refused, name, old, new, message):
         was = (copied / name).read_bytes()
         assert old is None or was.count(old) == 1
         (copied / name).write_bytes(new if old is None else was.replace(old, new))

@@ -9,7 +9,7 @@ from baselines.learned import checkpoints
 from rendezvous_env.sensors.sensing import Sensing
 from train.learn import ppo, trainer
 from train.learn.sensing_ranges import draw
-from train.learn.teams import make_teams
+from train.learn.teams import make_environments
 
 RANGES = {
     "noise": (0.05, 0.2), "bias": (0.0, 0.1), "dropout": (0.1, 0.3), "range": (10.0, 20.0),
@@ -23,7 +23,7 @@ DRAWN = {
 
 
 class TestRanges:
-    def test_what_is_drawn_is_in_its_range(self):
+    def test_sampled_sensor_lies_in_range(self):
         given, keys = Sensing(sectors=8), [(0, g, k) for g in range(20) for k in range(20)]
         drawn = [draw(given, RANGES, 0.5, key) for key in keys]
         assert all(sensing.sectors == 8 and sensing.error == 0.0 for sensing in drawn)
@@ -38,7 +38,7 @@ class TestRanges:
         assert {s.delay for s in drawn} == {0, 1, 2, 3}
         assert {s.occlusion for s in drawn} == {"none", "obstacles", "both"}
 
-    def test_a_key_has_one_sensor_and_chances_count(self):
+    def test_sensor_follows_key_and_probability(self):
         keys, noise = [(seed, g) for seed in range(4) for g in range(4)], {"noise": (0.0, 1.0)}
         drawn, again = ([draw(Sensing(), noise, 1.0, key) for key in keys] for _ in range(2))
         assert drawn == again and len(set(drawn)) == len(keys)
@@ -49,9 +49,9 @@ class TestRanges:
 
 
 class TestGroups:
-    def test_each_has_a_sensor_that_is_renewed_in_turn_with_the_next_episodes(self, tmp_path):
+    def test_groups_renew_sensors_in_turn(self, tmp_path):
         given = config(tmp_path, **DRAWN)
-        groups, ranges, generations = make_teams(given, 0), given.sensing_ranges(), []
+        groups, ranges, generations = make_environments(given, 0), given.sensing_ranges(), []
         groups.reset(seed=list(range(5, 13)))
         assert [teams.num_envs for teams in groups.groups] == [3, 3, 2]
         for update in range(5):
@@ -70,10 +70,10 @@ class TestGroups:
         # offsets ⌊2 g/3⌋ = 0, 0, 1
         assert generations == [[0, 0, 0], [0, 0, 1], [1, 1, 1], [1, 1, 2], [2, 2, 2]]
 
-    def test_groups_are_their_teams(self, tmp_path):
+    def test_groups_equal_their_environments(self, tmp_path):
         """With sensors that are all exact, groups do bit by bit what the teams do without them."""
         exact = {"sensing_noise": (0.1, 0.2), "sensing_chance": 0.0, "sensing_groups": 3}
-        apart, together = (make_teams(config(tmp_path, **more), 0) for more in (exact, {}))
+        apart, together = (make_environments(config(tmp_path, **more), 0) for more in (exact, {}))
         seeds, choices = list(range(40, 48)), np.random.default_rng(0)
         seen, _ = together.reset(seed=seeds)
         np.testing.assert_array_equal(apart.reset(seed=seeds)[0], seen)
@@ -93,16 +93,16 @@ class TestGroups:
                 np.testing.assert_array_equal(mine, theirs)
         assert ended > 8
 
-    def test_who_is_shown_nothing_makes_choice_zero(self, tmp_path):
+    def test_robot_without_observation_takes_choice_zero(self, tmp_path):
         drawn = {"sensing_range": (0.3, 0.3), "sensing_chance": 1.0, "sensing_groups": 2}
-        teams = make_teams(config(tmp_path, **drawn), 0)
+        teams = make_environments(config(tmp_path, **drawn), 0)
         seen, _ = teams.reset(seed=list(range(8)))
         assert not seen.any()
         teams.step(np.full((8, 4), 3))
         assert not any(group.guided.choices.any() for group in teams.groups)
 
 
-def test_what_is_stopped_goes_on_bit_by_bit(tmp_path):
+def test_interrupted_training_resumes_bitwise(tmp_path):
     """With memory, a critic that sees all and a curriculum: groups and their sensors are state."""
     more = {"total_steps": 6 * UPDATE, "eval_every": 0, "guarantee": "tank", "curriculum": (1, 3)}
     more |= {"memory": "recurrent", "memory_units": 4, "critic": "global"}

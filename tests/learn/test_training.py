@@ -25,7 +25,7 @@ from train.learn.ppo import Config
 
 
 class TestFiles:
-    def test_metrics(self, whole):
+    def test_metrics_csv_is_complete(self, whole):
         rows = results.read_csv(whole / "metrics.csv")
         assert tuple(rows[0]) == METRICS
         assert [int(row["step"]) for row in rows] == [UPDATE * (k + 1) for k in range(12)]
@@ -40,7 +40,7 @@ class TestFiles:
             assert 0.05 <= float(row["alignment"]) <= 1
             assert 0 < float(row["environment_share"]) < 1 and float(row["wall_s"]) > 0
 
-    def test_evaluation_is_that_of_compare(self, whole):
+    def test_evaluation_equals_compare(self, whole):
         rows = results.read_csv(whole / "evaluation.csv")
         assert tuple(rows[0]) == EVALUATION
         assert [int(row["step"]) for row in rows] == [2048, 4096, 6144]
@@ -49,7 +49,7 @@ class TestFiles:
         for name in results.RESULT_COLUMNS[2:]:
             assert rows[-1][name] == str(results.plain(expected[name])), name
 
-    def test_checkpoint(self, whole):
+    def test_checkpoint_is_complete(self, whole):
         """Starts of training from 2^62, of evaluation from 2^61, of compare from 0 are apart."""
         own, place = config(whole), checkpoints.find(whole)
         about, tables = checkpoints.read(place, trainer.STATE_FILES)
@@ -65,7 +65,7 @@ class TestFiles:
         assert ppo.EVALUATION_SEEDS + 10**9 < own.first_seed
         assert config(whole, seed=2**29 - 1).first_seed + 2**32 < 2**63
 
-    def test_tensorboard(self, tmp_path):
+    def test_tensorboard_events_are_written(self, tmp_path):
         changed = config(tmp_path, tensorboard=True, total_steps=UPDATE, eval_every=0)
         assert ppo.run(changed).status == 0
         (events,) = (tmp_path / "tensorboard").iterdir()
@@ -73,7 +73,7 @@ class TestFiles:
 
 
 class TestLearning:
-    def test_weights_move_and_the_rule_is_where_it_starts(self, whole, tmp_path):
+    def test_weights_change_and_policy_starts_as_rule(self, whole, tmp_path):
         policy = trainer.Trainer(config(tmp_path)).model.policy
         assert policy.action_net.bias.tolist() == [3.0, *[0.0] * (CHOICES - 1)]
         tank = trainer.Trainer(config(tmp_path, guarantee="tank", budget=2.0))
@@ -81,7 +81,7 @@ class TestLearning:
         for name, start in policy.state_dict().items():
             assert (network(whole)[name] != start.numpy()).any(), name
 
-    def test_a_reward_is_learned(self, tmp_path):
+    def test_reward_is_learned(self, tmp_path):
         """Where only progress counts, straight towards f is best, however random it begins."""
         changed = config(
             tmp_path / "run", total_steps=16 * 2048, num_teams=32, prior=0.0, touch_penalty=0.0,
@@ -93,7 +93,7 @@ class TestLearning:
         alignment = [float(row["alignment"]) for row in rows]
         assert np.mean(alignment[-4:]) > np.mean(alignment[:4]) + 0.1
 
-    def test_curriculum(self, tmp_path):
+    def test_curriculum_changes_obstacles(self, tmp_path):
         stages = {"curriculum": (0, 3), "fewest_obstacles": 1, "total_steps": 4 * UPDATE}
         changed = config(tmp_path, **stages)
         assert changed.stage_scenario(0).obstacles.count == (0, 0)
@@ -102,14 +102,14 @@ class TestLearning:
         rows = results.read_csv(assert_goes_on(tmp_path, 3, **stages) / "metrics.csv")
         assert [row["stage"] for row in rows] == ["0", "0", "1", "1"]
 
-    def test_weights_of_another_run_to_start_from(self, whole, tmp_path):
+    def test_start_from_loads_weights(self, whole, tmp_path):
         trainer.Trainer(config(tmp_path, start_from=whole)).begin()
         for name, weights in network(whole).items():
             np.testing.assert_array_equal(network(tmp_path)[name], weights)
         with pytest.raises(UserError, match="another network"):
             ppo.run(config(tmp_path / "wider", start_from=whole, set_width=9))
 
-    def test_fields_of_the_scenario(self, tmp_path, capsys):
+    def test_scenario_overrides_apply(self, tmp_path, capsys):
         """As ``compare --set``; held-out starts are of the changed scenario, too."""
         more = {"total_steps": 2 * 8 * 3 * 16, "eval_every": 1}
         words = flags(tmp_path / "run", **more, set=("n_robots=3", "time_limit=20"))
@@ -123,7 +123,7 @@ class TestLearning:
         assert "was trained with n_robots=3 time_limit=20" in capsys.readouterr().err
         resumed(tmp_path / "run", total_steps=3 * 8 * 3 * 16)
 
-    def test_training_that_diverges_is_a_message(self, tmp_path, capsys, monkeypatch):
+    def test_divergence_is_reported(self, tmp_path, capsys, monkeypatch):
         real = rollout_buffer.RobotPPO.learn
 
         def learn(self, *given, **options):
@@ -140,7 +140,7 @@ class TestLearning:
 class TestResult:
     """What the program that called gets, and what it is told on the way."""
 
-    def test_it_holds_the_last_metrics_and_the_best_evaluation(self, tmp_path):
+    def test_result_holds_last_metrics_and_best_evaluation(self, tmp_path):
         told = []
         result = ppo.run(
             config(tmp_path, eval_every=2 * UPDATE, eval_starts=6),
@@ -158,7 +158,7 @@ class TestResult:
         clean = [row["clean_success"] for row in evaluated]
         assert result.best[0]["step"] == evaluated[clean.index(max(clean))]["step"]
 
-    def test_no_line_has_a_number_that_is_none(self, tmp_path, capsys):
+    def test_progress_line_omits_missing_values(self, tmp_path, capsys):
         """In two seconds nobody meets, and where robots pass through obstacles nothing is clean."""
         fields = ("obstacle_contact=ignore", "time_limit=2")
         ppo.run(config(tmp_path, total_steps=UPDATE, eval_every=1, set=fields))
@@ -166,7 +166,7 @@ class TestResult:
         assert "met 0 % · cleanly 0 % · – s" in said and "cleanly – [–, –] %" in said
         assert "nan" not in said
 
-    def test_the_best_is_that_of_all_scenarios(self, tmp_path):
+    def test_best_evaluation_is_over_all_scenarios(self, tmp_path):
         def row(step, clean, success=1.0):
             return {"step": step, "clean_success": clean, "success": success}
 
@@ -179,7 +179,7 @@ class TestResult:
         through = (row(1, math.nan, 0.2), row(2, math.nan, 0.3))
         assert result_of(*through).best == through[1:]
 
-    def test_who_returns_true_ends_it_and_it_can_go_on(self, whole, tmp_path, capsys):
+    def test_callback_returning_true_ends_resumable_run(self, whole, tmp_path, capsys):
         folder = tmp_path / "run"
         result = ppo.run(config(folder), on_update=lambda update, metrics: update == 3)
         assert result.stopped and result.status == 0 and result.steps == 3 * UPDATE
@@ -188,7 +188,7 @@ class TestResult:
         resumed(folder)
         assert_same_run(folder, whole)
 
-    def test_a_program_that_computes_in_double_precision_gets_the_same(self, whole, tmp_path):
+    def test_double_precision_default_does_not_change_run(self, whole, tmp_path):
         torch.set_default_dtype(torch.float64)
         try:
             ppo.run(config(tmp_path / "run"))
@@ -197,7 +197,7 @@ class TestResult:
             torch.set_default_dtype(torch.float32)
         assert_same_run(tmp_path / "run", whole)
 
-    def test_a_pruned_trial_passes_through(self, tmp_path):
+    def test_pruned_trial_exception_propagates(self, tmp_path):
         """As Optuna's, which is raised in the middle."""
         with pytest.raises(ZeroDivisionError):
             ppo.run(config(tmp_path / "run"), on_update=lambda update, metrics: 1 / 0)
@@ -205,7 +205,7 @@ class TestResult:
 
 
 class TestSettings:
-    def test_evaluation_with_robots_that_are_not_taught(self, tmp_path, one_line):
+    def test_evaluation_rejects_unsupported_robots(self, tmp_path, one_line):
         Scenario(robot_model="double_integrator").to_toml(tmp_path / "heavy.toml")
         words = [*flags(tmp_path / "out"), "--eval-scenarios", tmp_path / "heavy.toml"]
         assert "learned policies steer" in one_line("train", *words)
@@ -214,7 +214,7 @@ class TestSettings:
     @pytest.mark.parametrize(
         ("margin", "fits"), [(0.0, False), (9e-7, False), (1e-6, True), (0.999, True), (1.0, False)]
     )
-    def test_a_margin_is_one_that_the_filter_takes(self, margin, fits, guarantee, tmp_path):
+    def test_min_alignment_must_be_valid_for_filter(self, margin, fits, guarantee, tmp_path):
         scenario = config(tmp_path).plain_scenario()
         said = r"min.alignment is .* it must be (at least )?(1e-06|less than 1)"
         refused = pytest.raises((UserError, ValueError), match=said)
@@ -232,9 +232,7 @@ class TestSettings:
             ("progress=5.0", {"progress": 0.5, "rendezvous_bonus": 3.0}, (0.5, 0.1, 0.1, 3.0, 0.0)),
         ],
     )
-    def test_the_reward_is_the_scenarios_where_flags_say_nothing(
-        self, given, said, weights, tmp_path
-    ):
+    def test_reward_defaults_to_scenario(self, given, said, weights, tmp_path):
         file = tmp_path / "own.toml"
         file.write_text(f"n_robots = 3\nreward = {{ {given} }}\n")
         assert Config(scenario=str(file), **said).base_scenario().reward.built_in == weights
@@ -247,7 +245,7 @@ class TestSettings:
         own = Config(scenario="fig4", set=("reward={custom={none=2.0}}",)).base_scenario()
         assert own.reward.custom == (("none", 2.0),)
 
-    def test_as_plain_data(self):
+    def test_config_round_trips_as_plain_data(self):
         given = Config(
             out=Path("a"), curriculum=(3, 5), start_from=Path("b"), set=("n_robots=3",),
             sensing_noise=(0.1, 0.2), sensing_occlusion=("both",), sensing_groups=3,

@@ -11,7 +11,7 @@ from stable_baselines3.common.type_aliases import RolloutBufferSamples
 
 from train.learn.rollout_buffer import Rule, slopes_of
 from train.learn.settings import Config
-from train.learn.teams import WatchedRobots, make_teams
+from train.learn.teams import TimedRobotVecEnv, make_environments
 from train.learn.trainer import Trainer
 
 STEPS = 40
@@ -54,7 +54,7 @@ def after(model, train):
 
 
 @pytest.mark.parametrize("memory", ["none", "recurrent"])
-def test_it_is_that_of_stable_baselines3(memory):
+def test_update_equals_stable_baselines3(memory):
     """One batch, over which both normalise advantages; three steps down."""
     model = collected(memory)
     ours, told = after(model, type(model).train)
@@ -70,7 +70,7 @@ def test_it_is_that_of_stable_baselines3(memory):
 
 
 @pytest.mark.parametrize("memory", ["none", "recurrent"])
-def test_threads_share_it_without_a_trace(memory, set_threads):
+def test_threads_do_not_change_update(memory, set_threads):
     model = collected(memory, batch_size=600)
     found = []
     for number in (1, 2, 3):
@@ -84,7 +84,7 @@ def test_threads_share_it_without_a_trace(memory, set_threads):
 
 
 @pytest.mark.kernels
-def test_slopes_are_those_of_the_loss():
+def test_gradients_equal_autograd():
     """Ratios on both sides of the clip range, advantages of both signs."""
     torch.manual_seed(0)
     preferences, values = torch.randn(500, 9, requires_grad=True), torch.randn(500, 1)
@@ -107,9 +107,9 @@ def test_slopes_are_those_of_the_loss():
     assert sums == pytest.approx(expected, rel=1e-4) and 100 < clipped < 400
 
 
-def test_a_merge_within_a_decision_takes_nothing_from_what_the_team_earns_in_it():
+def test_merge_within_decision_keeps_team_reward():
     """The bonus of a rendezvous later in the same decision among it."""
-    robots = WatchedRobots(make_teams(Config(num_teams=64, touch_penalty=0.0), 0))
+    robots = TimedRobotVecEnv(make_environments(Config(num_teams=64, touch_penalty=0.0), 0))
     robots.seed(0)
     robots.reset()
     merged = 0

@@ -85,13 +85,15 @@ class TestStraightByHand:
             ((14, -1), (10, 2), WALL, SLIDE, (24, 0), True),  # past the end of an edge
         ],
     )
-    def test_against_a_disc_and_a_wall(self, start, displacement, obstacle, mode, end, contact):
+    def test_straight_motion_against_disc_and_wall(
+        self, start, displacement, obstacle, mode, end, contact
+    ):
         found, touched = straight(start, displacement, [obstacle], mode)
         np.testing.assert_allclose(found, end, atol=1e-12)
         assert touched == contact
 
     @pytest.mark.parametrize("mode", [SLIDE, STOP])
-    def test_at_the_surface_outward_and_along_are_free(self, mode):
+    def test_motion_along_or_away_from_surface_is_free(self, mode):
         for x, obstacle, ways in (
             (0.1, WALL, ((1, 0), (-1, 0), (1, -1), (0, -3))),
             (2.0, self.DISC, ((0, 1), (0, -1), (-1, 1), (-1, -1))),
@@ -103,7 +105,7 @@ class TestStraightByHand:
     @pytest.mark.parametrize(
         ("depth", "contact"), [(0.99e-6, False), (1.01e-6, True), (-1e-9, False)]
     )
-    def test_a_micron_is_the_limit(self, depth, contact):
+    def test_contact_tolerance_is_one_micron(self, depth, contact):
         across = straight((-1, 1 - depth), (8, 0), [self.DISC])
         assert across[1] == contact
         if not contact:
@@ -113,7 +115,7 @@ class TestStraightByHand:
         if not contact:
             np.testing.assert_allclose(end, (1, min(0, depth)), atol=1e-12)
 
-    def test_a_robot_creeping_into_a_surface_never_sinks_in(self):
+    def test_slow_robot_never_sinks_into_surface(self):
         position = np.array([0.0, 0.0])
         for _ in range(50):
             position, contact = straight(position, (0.01, 0.5e-6), [WALL])
@@ -121,7 +123,7 @@ class TestStraightByHand:
         np.testing.assert_allclose(position, (0.5, 0), atol=1e-12)
 
     @pytest.mark.parametrize("opening", [10, 60, 90, 120, 170])
-    def test_in_a_corner_of_two_walls_it_rests(self, opening):
+    def test_robot_stops_in_corner(self, opening):
         half = math.radians(opening) / 2
         walls = [half_plane(math.pi / 2 - half), half_plane(math.pi / 2 + half, left=False)]
         position = np.array([0.0, 3.0])
@@ -146,14 +148,14 @@ class TestStraightByHand:
             ((1, 0, 0), (-1, 0, 0.3), SPHERES, (1, 0, 0), 1e-9),
         ],
     )
-    def test_between_several_it_goes_what_is_left_of_the_way(
+    def test_motion_between_obstacles_uses_remaining_path(
         self, start, displacement, obstacles, end, atol
     ):
         found, contact = straight(start, displacement, obstacles)
         np.testing.assert_allclose(found, end, atol=atol)
         assert contact
 
-    def test_nothing_is_fast_enough_to_pass_through(self):
+    def test_no_speed_tunnels_through_obstacle(self):
         thin = Polygon(((-50, 0), (50, 0), (50, 1e-3), (-50, 1e-3)))
         for length in (1e-2, 1, 1e3, 1e6):
             for start, way, obstacle, wanted in (
@@ -188,28 +190,30 @@ class TestCurvedByHand:
             ((0, -3), 1.0, BLOCK, SLIDE, (0, 2.5), True),
         ],
     )
-    def test_for_pi_seconds_at_2_metres_a_second(self, start, turn, obstacle, mode, way, contact):
+    def test_curved_motion_matches_hand_computation(
+        self, start, turn, obstacle, mode, way, contact
+    ):
         out, touched = curved(start, 2.0, 0.0, turn, math.pi, obstacle, mode)
         np.testing.assert_allclose(out, way, atol=4e-7 if turn else 1e-12)
         assert touched == contact
 
     @pytest.mark.parametrize("speed", [0.5, -0.5])
     @pytest.mark.parametrize("turn", [0.0, -3.0, 0.4])
-    def test_a_touching_unicycle_drives_away(self, speed, turn):
+    def test_touching_unicycle_drives_away(self, speed, turn):
         """Tangentially: straight on, turning away, or on a wider circle than the disc's."""
         position, yaw = np.array([0.0, -1.0]), 0.0
         out, contact = curved(position, speed, yaw, turn * np.sign(speed), 0.5, self.DISC)
         expected = arc(2, speed, yaw, 0.0, turn * np.sign(speed), 0.0, 0.5)
         assert tuple(out) == tuple(expected) and not contact
 
-    def test_outwards_and_on_the_spot_it_is_free_whatever_the_turn(self):
+    def test_turning_outwards_or_in_place_is_free(self):
         for yaw in np.linspace(-math.pi + 0.3, -0.3, 9):
             out, contact = curved((0, -1), 0.3, yaw, 0.5, 0.5, self.DISC)
             assert np.linalg.norm(out) > 0.14 and not contact
         out, contact = curved((0, -1), 0.0, 1.0, 30.0, 1.0, self.DISC)
         assert tuple(out) == (0, 0) and not contact
 
-    def test_circling_along_the_surface_keeps_its_pace(self):
+    def test_circling_along_surface_keeps_pace(self):
         """A unicycle whose circle is the disc itself neither sinks in nor sticks."""
         position, yaw, duration = np.array([0.0, -1.0]), 0.0, 0.05
         for step in range(1, 41):
@@ -219,13 +223,13 @@ class TestCurvedByHand:
             turned = duration * step
             np.testing.assert_allclose(position, (math.sin(turned), -math.cos(turned)), atol=1e-9)
 
-    def test_pressing_into_a_surface_slides_on(self):
+    def test_pressing_unicycle_slides(self):
         """A tighter circle than the disc's makes contact, and still moves at nearly full speed."""
         for mode, least, most in ((SLIDE, 0.09, 0.1 + 1e-6), (STOP, 0.0, 0.01)):
             out, contact = curved((0, -1), 1.0, 0.0, 1.5, 0.1, self.DISC, mode)
             assert contact and least <= np.linalg.norm(out) <= most
 
-    def test_a_fast_spiral_in_space_does_not_pass_a_sphere(self):
+    def test_fast_spiral_does_not_pass_sphere(self):
         position = np.array([-3.0, 0.0, 0.0])
         inputs = (1000.0, 0.1, 0.2, 0.3, -0.4, 1.0)
         out, contact = move_one_curved(position, inputs, world([Sphere((0, 0, 0), 1.0)]), STOP)

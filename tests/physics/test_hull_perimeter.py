@@ -1,4 +1,4 @@
-"""The size L of a team: hulls against the integral that defines them, flat ones too."""
+"""Hull perimeter L, compared with its defining integral, also for flat hulls."""
 
 import itertools
 import math
@@ -33,7 +33,7 @@ def integral(points):
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 8, 20])
 @pytest.mark.parametrize("extent", [1, 2, 3])
-def test_it_is_the_integral_of_the_support_function(dim, count, extent):
+def test_size_is_integral_of_support_function(dim, count, extent):
     """Points that extend in 1, 2 or 3 directions: on a line, in a plane, solid."""
     random = np.random.default_rng([dim, count, extent])
     span = random.normal(size=(min(extent, dim), dim))
@@ -41,7 +41,7 @@ def test_it_is_the_integral_of_the_support_function(dim, count, extent):
     assert size(points) == pytest.approx(integral(points), rel=2e-5, abs=1e-12)
 
 
-def test_hulls_by_hand():
+def test_hull_sizes_match_hand_computation():
     square = np.array([[0, 0], [3.0, 0], [3, 3], [0, 3], [1, 1]])
     assert size(square) == pytest.approx(12)
     assert size(square[:2]) == pytest.approx(6)  # there and back
@@ -61,7 +61,7 @@ def test_hulls_by_hand():
 @given(
     st.integers(2, 3), st.integers(1, 9), st.integers(0, 10**6), st.floats(-15, 0), st.booleans()
 )
-def test_nearly_flat_hulls_are_nearly_those_of_the_flat_ones(d, count, seed, thin, on_a_grid):
+def test_nearly_flat_hulls_are_continuous(d, count, seed, thin, on_a_grid):
     random = np.random.default_rng(seed)
     points = random.normal(size=(count, d)) * 3
     points = np.round(points) if on_a_grid else points
@@ -74,7 +74,7 @@ def test_nearly_flat_hulls_are_nearly_those_of_the_flat_ones(d, count, seed, thi
 
 @pytest.mark.kernels
 @given(st.integers(2, 3), st.integers(2, 9), st.integers(0, 10**6))
-def test_it_grows_with_the_hull_and_knows_no_frame(d, count, seed):
+def test_size_is_monotone_and_frame_independent(d, count, seed):
     random = np.random.default_rng(seed)
     points = random.normal(size=(count, d))
     inside = random.dirichlet(np.ones(count), size=3) @ points
@@ -86,7 +86,7 @@ def test_it_grows_with_the_hull_and_knows_no_frame(d, count, seed):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_of_the_simulator_only_robots_that_are_left_count(dim):
+def test_simulator_size_counts_active_robots(dim):
     scenario = Scenario(n_robots=5, dim=dim, graph="path", neighbour_slots=4)
     simulator = started(scenario, 6, seed=4)
     # the last two are neighbours closer than r, so a step makes one robot of them

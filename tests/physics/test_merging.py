@@ -83,7 +83,7 @@ BY_HAND = {
 
 
 @pytest.mark.parametrize("case", BY_HAND)
-def test_who_merges_and_where_all_stand_by_hand(case):
+def test_merge_cases_match_hand_computation(case):
     positions, displacements, weights, merged_into, places = BY_HAND[case]
     moved = Moved(positions, displacements, weights)
     assert moved.merged_into.tolist() == merged_into
@@ -97,7 +97,7 @@ def test_who_merges_and_where_all_stand_by_hand(case):
         assert not moved.weights.any() and moved.report[1] == 0
 
 
-def test_a_pair_merges_where_it_first_touches_and_rests():
+def test_pair_merges_at_first_contact_and_rests():
     # 0 and 1 close in at 2 + 2 from distance 5: r = 1 after the whole motion's share 4/8 … 1 of 4
     moved = Moved([[0, 0], [5, 0], [50, 0], [60, 0]], [[4, 0], [-4, 0], [0, 3], [0, 0]])
     assert moved.merges == 1 and moved.merged_into.tolist() == [0, 0, 2, 3]
@@ -115,7 +115,7 @@ def test_a_pair_merges_where_it_first_touches_and_rests():
     assert moved.report[2] == 0 and moved.report[3] == 0
 
 
-def test_the_merged_robot_has_the_union_of_the_links_with_the_larger_weight():
+def test_survivor_has_union_of_links_with_larger_weight():
     links = (0, 1, 1), (0, 2, 0.5), (1, 2, 0.9), (1, 3, 0.3), (0, 4, 0.7), (1, 4, 0.2), (2, 4, 2)
     weights = linked(5, *links)
     moved = Moved([[0, 0], [0.5, 0], [20, 0], [0, 20], [-20, 0]], np.zeros((5, 2)), weights)
@@ -123,7 +123,7 @@ def test_the_merged_robot_has_the_union_of_the_links_with_the_larger_weight():
     np.testing.assert_array_equal(moved.weights, expected)
 
 
-def test_merged_into_follows_the_survivor_through_several_merges():
+def test_merged_into_follows_survivor():
     given = {"n_robots": 4, "graph": "path", "merge_radius": 1.0, "max_speed": 9.0}
     apart = Scenario(**given, local_frames="global")
     sim = started(apart, positions=[[0.0, 0], [4, 0], [8, 0], [8.5, 0]])
@@ -139,13 +139,13 @@ def test_merged_into_follows_the_survivor_through_several_merges():
     np.testing.assert_array_equal(sim.positions, np.tile(sim.positions[:, :1], (1, 4, 1)))
 
 
-def test_at_the_lower_index_if_the_midpoint_lies_in_an_obstacle():
+def test_merge_at_lower_index_if_midpoint_is_in_obstacle():
     disc = world([Disc((0.4, 0.0), 0.05)])
     moved = Moved([[0, 0], [0.8, 0]], np.zeros((2, 2)), [[0, 1], [1, 0]], disc)
     np.testing.assert_array_equal(moved.positions, np.zeros((2, 2)))
 
 
-def test_a_merge_can_raise_v_and_the_bound_knows_by_how_much():
+def test_merge_may_raise_v_within_bound():
     """0 and 1 hang on far robots that pull both ways: joining them costs length."""
     weights = linked(6, (0, 1, 0.2), (0, 2, 1.0), (0, 3, 1.0), (1, 4, 1.0), (1, 5, 1.0))
     positions = np.array([[-0.4, 0], [0.4, 0], [-0.4, 9], [-0.4, -9], [0.4, 9], [0.4, -9]])
@@ -159,7 +159,7 @@ def test_a_merge_can_raise_v_and_the_bound_knows_by_how_much():
 
 
 @pytest.mark.parametrize("in_an_obstacle", [False, True])
-def test_the_bound_is_attained_by_four_robots_on_a_line(in_an_obstacle):
+def test_bound_is_attained_by_four_collinear_robots(in_an_obstacle):
     """Midpoint: r (D_1 + D_2 − 4 a_12); the lower index's place: r (2 max D − 4 a_12)."""
     weights = linked(4, (0, 1, 0.2), (0, 2, 1.0), (1, 3, 1.5))
     disc = world([Disc((0.5, 0.0), 0.05)]) if in_an_obstacle else None
@@ -171,7 +171,7 @@ def test_the_bound_is_attained_by_four_robots_on_a_line(in_an_obstacle):
 
 
 @given(st.integers(3, 7), st.integers(0, 10**6), st.booleans())
-def test_no_merge_raises_v_above_the_bound(n, seed, in_an_obstacle):
+def test_merges_never_exceed_bound(n, seed, in_an_obstacle):
     random = np.random.default_rng(seed)
     links = np.triu(random.random((n, n)) < 0.6, 1)
     weights = np.where(links, random.uniform(0.1, 2, (n, n)), 0)
@@ -196,14 +196,14 @@ PLACES = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 3.0], [2.0, 3.0]])
 ARCS = np.array([[0, 2.0, 0, 0], [0.5, 0, 0, 1.0], [0, 0.25, 0, 4.0], [3.0, 0, 0, 0]])
 
 
-def test_net_bearings_by_hand():
+def test_net_bearings_match_hand_computation():
     f, diagonal = np.empty((4, 2)), np.array([2.0, 3.0]) / np.sqrt(13)
     net_bearings_of_arcs(PLACES, ARCS, f)
     expected = [2.0, 0.0], [-0.5, 1.0], 0.25 * diagonal * [1, -1] + [4.0, 0.0], -3.0 * diagonal
     np.testing.assert_allclose(f, expected, atol=1e-15)
 
 
-def test_arcs_that_go_both_ways_alike_are_links_and_mean_weights_have_the_v_of_all():
+def test_symmetric_arcs_equal_links():
     both, arcs, links = ARCS + ARCS.T, np.empty((4, 2)), np.empty((4, 2))
     net_bearings_of_arcs(PLACES, both, arcs)
     net_bearings_of_links(PLACES, links_of(both), links)
@@ -212,7 +212,7 @@ def test_arcs_that_go_both_ways_alike_are_links_and_mean_weights_have_the_v_of_a
     np.testing.assert_allclose(lyapunov_of_links(PLACES, links_of(ARCS)), (ARCS * gaps).sum())
 
 
-def test_contraction_by_hand():
+def test_contraction_matches_hand_computation():
     arcs, links = ARCS.copy(), links_of(ARCS)
     contract(0, 1, links)
     contract_arcs(0, 1, links, arcs)

@@ -1,4 +1,4 @@
-"""Distances, normals, silhouettes and crossings against shapely, trigonometry and brute force."""
+"""Obstacle geometry compared with shapely, trigonometry and brute force."""
 
 import math
 
@@ -32,8 +32,9 @@ SQUARE = Polygon(((0, 0), (2, 0), (2, 2), (0, 2)))
 
 
 def views(obstacles, positions):
-    """Distances (V,), normals (V, d) and silhouettes (V, 2, d) from position k of obstacle k of a
-    world, and so on round and round.
+    """Distances (V,), normals (V, d) and silhouettes (V, 2, d) for positions and obstacles.
+
+    Position k belongs to obstacle k of a world, cyclically.
     """
     count, d = positions.shape
     distances, normals = np.empty(count), np.empty((count, 3))
@@ -47,7 +48,7 @@ def views(obstacles, positions):
 
 
 def random_polygon(rng):
-    """Vertices on an ellipse, so always convex; 3 to 8 of them, at least 0.2 rad apart."""
+    """Vertices on an ellipse, hence convex; 3 to 8 of them, at least 0.2 rad apart."""
     gaps = rng.uniform(0.2, 1.0, rng.integers(3, 9))
     angles = np.cumsum(gaps) / gaps.sum() * 2 * math.pi + rng.uniform(0, 7)
     axes, centre = rng.uniform(0.3, 3.0, 2), rng.uniform(-10, 10, 2)
@@ -71,7 +72,7 @@ def direction(angles):
 
 
 class TestDistanceAndNormal:
-    def test_of_polygons_equals_shapely(self, polygon_views):
+    def test_polygon_distance_equals_shapely(self, polygon_views):
         obstacles, positions, shapes = polygon_views
         distances, normals, _ = views(obstacles, positions)
         points = shapely.points(positions)
@@ -84,7 +85,7 @@ class TestDistanceAndNormal:
         np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-12)
 
     @pytest.mark.parametrize(("dim", "kind"), [(2, Disc), (3, Sphere)])
-    def test_of_balls_is_distance_to_the_centre_less_radius(self, dim, kind):
+    def test_ball_distance_is_centre_distance_minus_radius(self, dim, kind):
         rng = np.random.default_rng(2)
         centres, radii = rng.normal(0, 5, (1000, dim)), rng.uniform(0.1, 5, 1000)
         positions = rng.normal(0, 5, (1000, dim))
@@ -95,7 +96,7 @@ class TestDistanceAndNormal:
         np.testing.assert_allclose(distances, lengths - radii, atol=1e-12)
         np.testing.assert_allclose(normals, offsets / lengths[:, None], atol=1e-12)
 
-    def test_hand_computed(self):
+    def test_distances_match_hand_computation(self):
         square = world([SQUARE])
         table = [  # position, distance, normal
             ((1.0, 1.5), -0.5, (0, 1)),
@@ -109,14 +110,14 @@ class TestDistanceAndNormal:
             assert found == pytest.approx(distance, abs=1e-15)
             np.testing.assert_allclose(normal, triple(expected), atol=1e-15)
 
-    def test_on_a_vertex_the_normal_is_that_of_an_edge(self):
+    def test_normal_at_vertex_is_edge_normal(self):
         square = world([SQUARE])
         for x in (2.0, 2.0 + 1e-16, 2.0 - 4e-16, 2.0 + 4e-16):
             _, normal = surface(square, 0, (x, 2.0 + 4e-16, 0.0))
             assert normal[:2] in {(1.0, 0.0), (-0.0, 1.0), (0.0, 1.0), (1.0, -0.0)}
             assert normal[2] == 0
 
-    def test_clear_of_obstacles_asks_for_the_margin_from_every_one_that_is_there(self):
+    def test_clear_of_obstacles_applies_margin_to_all(self):
         absent = world([], 2)
         assert distance_to(absent, 0, ORIGIN) == np.inf
         assert clear_of_obstacles(ORIGIN, absent, 1e9)
@@ -128,7 +129,7 @@ class TestDistanceAndNormal:
 
 
 class TestSilhouette2d:
-    def test_of_discs_is_the_centre_direction_turned_by_the_half_angle(self):
+    def test_disc_edges_are_at_half_angle(self):
         rng = np.random.default_rng(3)
         centres, radii = rng.uniform(-10, 10, (N_VIEWS, 2)), rng.uniform(0.05, 5, N_VIEWS)
         discs = world([Disc(tuple(c), r) for c, r in zip(centres, radii, strict=True)])
@@ -138,7 +139,7 @@ class TestSilhouette2d:
         np.testing.assert_allclose(seen[:, 0], direction(turn + half), atol=1e-9)
         np.testing.assert_allclose(seen[:, 1], direction(turn - half), atol=1e-9)
 
-    def test_of_polygons_is_the_extreme_vertices(self, polygon_views):
+    def test_polygon_edges_are_extreme_vertices(self, polygon_views):
         obstacles, positions, shapes = polygon_views
         outside = ~shapely.contains(shapes, shapely.points(positions))
         _, _, seen = views(obstacles, positions)
@@ -153,7 +154,7 @@ class TestSilhouette2d:
             np.testing.assert_allclose(seen[k], expected, atol=1e-9)
         assert outside.sum() > 5000
 
-    def test_on_the_surface_it_is_the_two_directions_along_it(self):
+    def test_edges_on_surface_are_tangent(self):
         both = world([SQUARE, Disc((0.3, -0.1), 0.7)])
         seen = np.empty((2, 2))
         for x in (-1e-16, 0.0, 1e-16):
@@ -165,7 +166,7 @@ class TestSilhouette2d:
             np.testing.assert_allclose(seen, [(0, 1), (0, -1)], atol=1e-7)
 
     @pytest.mark.parametrize("radius", [1e-5, 0.7, 3.0, 1e9])
-    def test_at_the_centre_of_a_disc_it_is_the_two_directions_across_the_x_axis(self, radius):
+    def test_edges_at_disc_centre_are_across_x_axis(self, radius):
         seen = np.empty((2, 2))
         silhouette_2d(world([Disc((0.5, 0.5), radius)]), 0, (0.5, 0.5, 0.0), seen)
         np.testing.assert_allclose(seen, [(0, 1), (0, -1)], atol=1e-15)
@@ -178,7 +179,7 @@ class TestSilhouette3d:
         silhouette_3d(world([sphere]), 0, *vectors, out)
         return out
 
-    def test_rays_touch_the_sphere_45_degrees_apart(self):
+    def test_sphere_rays_are_tangent_and_45_degrees_apart(self):
         rng = np.random.default_rng(4)
         for _ in range(300):
             centre, position, f = rng.normal(0, 4, (3, 3))
@@ -199,7 +200,7 @@ class TestSilhouette3d:
             np.testing.assert_allclose(np.sum(spokes * following, axis=1), 0.5**0.5, atol=1e-9)
             assert np.all(np.cross(spokes, following) @ u > 0)  # right-handed about u
 
-    def test_azimuth_0_falls_back_on_the_local_axes(self):
+    def test_azimuth_falls_back_to_local_axes(self):
         sphere, c, s = Sphere((2, 0, 0), 1.0), math.sqrt(0.75), 0.5
         table = [  # net bearing, local x, local y, azimuth-0 ray
             ((1, 1, 0), (0, 0, 1), (0, 1, 0), (c, s, 0)),
@@ -211,7 +212,7 @@ class TestSilhouette3d:
             rays = self.rays(sphere, (0, 0, 0), net_bearing, axis_x, axis_y)
             np.testing.assert_allclose(rays[0], expected, atol=1e-15)
 
-    def test_rays_are_unit_vectors_however_long_f_is_and_on_the_surface_too(self):
+    def test_rays_are_unit_vectors(self):
         for u in np.random.default_rng(5).normal(size=(50, 3)):
             rays = self.rays(Sphere(tuple(2 * u), np.linalg.norm(u)), (0, 0, 0), 1e9 * u)
             np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1, atol=1e-12)
@@ -237,11 +238,11 @@ class TestFirstCrossing:
             ((3, 4), (-3, -4), -1, np.inf),
         ],
     )
-    def test_hand_computed(self, offset, velocity, radius, expected):
+    def test_first_crossing_matches_hand_computation(self, offset, velocity, radius, expected):
         found = first_crossing(triple(offset), triple(velocity), float(radius))
         assert found == pytest.approx(expected, abs=1e-15)
 
-    def test_keeps_its_digits_far_away(self):
+    def test_first_crossing_is_accurate_far_away(self):
         s = first_crossing((1e6, 0.2, 0.0), (-2e6, 0.0, 0.0), 0.2 + 1e-9)
         assert s == pytest.approx(0.5, abs=1e-10)
         assert first_crossing((1e6, 0.2, 0.0), (-2e6, 0.0, 0.0), 0.2 - 1e-9) == np.inf
@@ -249,14 +250,14 @@ class TestFirstCrossing:
 
 ZERO = (0.0, 0.0, 0.0)
 HALF = (2.0, 0.0, 0.0)
-"""Of a capsule from (−2, 0) to (2, 0)."""
+"""End points of a capsule from (−2, 0) to (2, 0)."""
 numbers = st.floats(-4, 4).map(lambda x: round(x, 3))
 points = arrays(np.float64, 3, elements=numbers)
 radii = st.floats(0.05, 1.5)
 
 
 def row(half, radius) -> np.ndarray:
-    """Of a capsule about the origin, as kernels take it."""
+    """Capsule about the origin, as kernel argument."""
     return np.array([np.linalg.norm(half) + radius, *ZERO, *half, radius])
 
 
@@ -275,19 +276,19 @@ def of_capsule(point, half, radius):
         ((1.0, 0.0, 0.0), -0.5, (0, 1, 0)),  # on the segment: some direction across it
     ],
 )
-def test_distance_and_normal_by_hand(point, distance, normal):
+def test_distance_and_normal_match_hand_computation(point, distance, normal):
     found, out = of_capsule(point, HALF, 0.5)
     assert found == pytest.approx(distance)
     np.testing.assert_allclose(out, normal, atol=1e-12)
 
 
-def test_a_segment_along_z_has_a_normal_too():
+def test_vertical_capsule_has_normal():
     found, normal = of_capsule((0.0, 0.0, 0.4), (0.0, 0.0, 1.0), 0.5)
     assert found == -0.5 and np.dot(normal, (0, 0, 1)) == 0 and np.linalg.norm(normal) == 1
 
 
 @given(points, points, radii)
-def test_distance_against_sampling(point, half, radius):
+def test_distance_matches_sampling(point, half, radius):
     found, normal = of_capsule(point, half, radius)
     places = np.linspace(-1, 1, 4001)[:, None] * half
     wanted = np.linalg.norm(point - places, axis=1).min() - radius
@@ -299,7 +300,7 @@ def test_distance_against_sampling(point, half, radius):
 
 
 @given(points, points, points, radii)
-def test_way_in_against_sampling(point, way, half, radius):
+def test_entry_matches_sampling(point, way, half, radius):
     distance, _ = of_capsule(point, half, radius)
     assume(distance > 0 and np.linalg.norm(way) > 0.01)
     shares = np.linspace(0, 1, 2001)
@@ -314,7 +315,7 @@ def test_way_in_against_sampling(point, way, half, radius):
     assert min(before) > -1e-9
 
 
-def test_way_in_by_hand():
+def test_entry_matches_hand_computation():
     enter = lambda point, way, depth=1e-6: CAPSULES.entry(row(HALF, 0.5), 0, point, way, depth)  # noqa: E731
     assert enter((0.0, 2.5, 0.0), (0.0, -4.0, 0.0)) == pytest.approx(0.5)
     assert enter((5.5, 0.0, 0.0), (-6.0, 0.0, 0.0)) == pytest.approx(0.5)
@@ -325,7 +326,7 @@ def test_way_in_by_hand():
 
 
 @given(points, points, radii)
-def test_silhouette_against_a_fine_polygon(point, half, radius):
+def test_capsule_edges_match_fine_polygon(point, half, radius):
     point[2] = half[2] = 0.0
     distance, _ = of_capsule(point, half, radius)
     assume(distance > 0.05)
@@ -342,7 +343,7 @@ def test_silhouette_against_a_fine_polygon(point, half, radius):
 
 
 @given(points, points, points, radii)
-def test_every_ray_in_space_grazes(point, half, net_bearing, radius):
+def test_every_ray_is_tangent_in_3d(point, half, net_bearing, radius):
     point, half = tuple(point), tuple(half)
     distance, _ = of_capsule(point, half, radius)
     assume(distance > 0.02)

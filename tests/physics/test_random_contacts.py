@@ -1,4 +1,4 @@
-"""Motion among obstacles: properties of very many random contacts."""
+"""Properties of many random motions among obstacles."""
 
 import math
 from functools import cache
@@ -27,8 +27,9 @@ def move_all(move_one, worlds, starts, inputs, mode):
 
 
 def depths(obstacles, points):
-    """How deep inside the deepest obstacle points are, (P,), without this project's code; outside
-    of all minus the distance to the nearest, or less beyond a corner.
+    """Penetration depths of points, (P,), without this project's code.
+
+    Outside of all obstacles, it is minus the distance to the nearest one, or less beyond a corner.
     """
     deepest = np.full(len(points), -np.inf)
     for obstacle in obstacles:
@@ -132,8 +133,9 @@ def sample_arc(start, inputs, count):
 
 @cache
 def straight(dim):
-    """2 · 10⁵ motions in all: scenes, starts (S, N, d), inputs, displacements if nothing is in the
-    way, and by contact mode the displacements and contacts (S, N).
+    """2 · 10⁵ motions: scenes, starts (S, N, d), inputs, and unobstructed displacements.
+
+    For each contact mode, also the displacements and contacts (S, N).
     """
     rng, scenes, worlds, starts = many(dim, N_STRAIGHT)
     directions = rng.normal(size=starts.shape)
@@ -145,7 +147,7 @@ def straight(dim):
 
 @cache
 def curved(dim):
-    """2 · 10⁴ motions, likewise."""
+    """As above with 2 · 10⁴ motions."""
     rng, scenes, worlds, starts = many(dim, N_CURVED)
     shape = starts.shape[:2]
     inputs = np.zeros((*shape, 6))
@@ -167,7 +169,7 @@ of_both = pytest.mark.parametrize("motions", [straight, curved])
 
 @in_both
 @of_both
-def test_none_ends_inside(motions, dim):
+def test_motion_never_ends_inside(motions, dim):
     scenes, starts, _, _, moved = motions(dim)
     for outs, _ in moved.values():
         for scene, start, out in zip(scenes, starts, outs, strict=True):
@@ -176,7 +178,7 @@ def test_none_ends_inside(motions, dim):
 
 @in_both
 @of_both
-def test_free_motion_is_exactly_what_was_asked(motions, dim):
+def test_free_motion_equals_request(motions, dim):
     _, _, _, free, moved = motions(dim)
     for out, contact in moved.values():
         exact = np.all(out == free, axis=2)
@@ -185,7 +187,7 @@ def test_free_motion_is_exactly_what_was_asked(motions, dim):
 
 
 @in_both
-def test_contact_is_a_path_deeper_than_a_micron(dim):
+def test_contact_requires_depth_of_one_micron(dim):
     scenes, starts, ways, _, moved = straight(dim)
     for s, scene in enumerate(scenes):
         ends = starts[s] + ways[s]
@@ -197,7 +199,7 @@ def test_contact_is_a_path_deeper_than_a_micron(dim):
 
 
 @in_both
-def test_a_robot_that_stops_stops_at_the_first_surface(dim):
+def test_stop_mode_stops_at_first_surface(dim):
     scenes, starts, _, _, moved = straight(dim)
     stopped, contact = moved[STOP]
     for s, scene in enumerate(scenes):
@@ -208,7 +210,7 @@ def test_a_robot_that_stops_stops_at_the_first_surface(dim):
 
 
 @in_both
-def test_contact_and_stop_agree_with_a_dense_sample_of_the_arc(dim):
+def test_curved_contact_matches_dense_sampling(dim):
     scenes, starts, inputs, _, moved = curved(dim)
     stopped, contact = moved[STOP]
     for s, scene in enumerate(scenes):

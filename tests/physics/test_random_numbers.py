@@ -1,4 +1,4 @@
-"""Turns by chance: the inverse of the normal distribution, and small rotations."""
+"""Random rotations: inverse normal distribution, and small rotations."""
 
 import math
 
@@ -48,13 +48,13 @@ def fill_turned(rows, deviation, small, words, others, out):
 
 
 def halves(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of the words of a step, uint32."""
+    """Index of the words of a step, uint32."""
     fill_words(words := np.empty(count, np.uint64))
     return (words >> np.uint64(32)).astype(np.uint32), words.astype(np.uint32)
 
 
 def gaussians(words: np.ndarray) -> np.ndarray:
-    """As many numbers as there are words of 32 bits, float64."""
+    """Number for each word of 32 bits, float64."""
     fill_gaussians(words, numbers := np.empty(words.size, np.float32))
     return numbers.astype(np.float64)
 
@@ -66,7 +66,7 @@ def rotations(angles: np.ndarray, small: bool) -> np.ndarray:
 
 
 class TestOneNumber:
-    def test_it_is_the_inverse_of_the_distribution_function(self):
+    def test_gaussian_is_inverse_distribution_function(self):
         most = 2**31 - 1
         magnitudes = np.concatenate(
             [np.linspace(0, most, 10**6), np.geomspace(1, most, 10**6), [0, most]]
@@ -81,7 +81,7 @@ class TestOneNumber:
         assert 6.3 < found.max() < 6.34
 
     @pytest.mark.kernels
-    def test_plain_python_gives_the_same_bits(self):
+    def test_plain_python_gives_same_bits(self):
         _, words = halves(100)
         plain = getattr(gaussian, "py_func", gaussian)
         numbers = [plain(word) for word in words]
@@ -90,7 +90,7 @@ class TestOneNumber:
 
 
 class TestOneTurn:
-    def test_cosine_and_sine(self):
+    def test_cosine_and_sine_are_accurate(self):
         angles = np.linspace(-2 * math.pi * 6.4, 2 * math.pi * 6.4, 10**6).astype(np.float32)
         exact = np.array([np.cos(angles, dtype=float), np.sin(angles, dtype=float)])
         assert np.abs(rotations(angles, small=False) - exact).max() < 1.5e-7
@@ -98,7 +98,7 @@ class TestOneTurn:
         assert (rotations(near, small=True) == rotations(near, small=False)).all()
 
     @pytest.mark.kernels
-    def test_small_is_what_the_short_way_bears(self):
+    def test_small_angles_use_short_formula(self):
         largest = gaussians(np.zeros(1, np.uint32))[0]
         deviations = np.linspace(0.0, 0.2, 1000).astype(np.float32)
         small = np.array([is_small(deviation) for deviation in deviations])
@@ -106,7 +106,7 @@ class TestOneTurn:
         assert small[deviations <= 0.12].all()
 
     @pytest.mark.parametrize("deviation", [0.05, 0.8])
-    def test_in_space_all_directions_across_are_alike(self, deviation):
+    def test_directions_across_are_uniform_in_3d(self, deviation):
         count = 400_000
         rows = np.random.default_rng(0).normal(size=(count, 3)).astype(np.float32)
         rows[:10], rows[10:20, :2], rows[20:30] = 0.0, 0.0, 1e-9
@@ -129,7 +129,7 @@ class TestOneTurn:
 
 
 @pytest.mark.kernels
-def test_every_step_has_a_key_of_its_own():
+def test_step_keys_are_distinct():
     key = np.uint64(stream_key(SEED, EPISODE, SENSING))
     keys = {int(np.uint64(step_key(key, step))) for step in (0, 1, 2, 10**15)}
     assert len(keys | {int(key)}) == 5

@@ -31,7 +31,7 @@ def numbers(seed, episode, purpose, count=2000):
     return np.array([uniform(key, k) for k in range(count)])
 
 
-def test_the_mixer_is_that_of_splitmix64():
+def test_mix_is_splitmix64():
     """The generator started at 0 gives these words (Vigna's reference implementation)."""
     state = 0
     words = []
@@ -41,7 +41,7 @@ def test_the_mixer_is_that_of_splitmix64():
     assert words == [0xE220A8397B1DCDAF, 0x6E789E6AA1B965F4, 0x06C45D188009454F]
 
 
-def test_a_number_is_a_function_of_key_and_counter_alone():
+def test_value_depends_on_key_and_counter_only():
     key = stream_key(5, 1, START)
     for k in (7, 0, 7):
         word = mix(np.uint64((int(key) + (k + 1) * 0x9E3779B97F4A7C15) % 2**64))
@@ -49,7 +49,7 @@ def test_a_number_is_a_function_of_key_and_counter_alone():
 
 
 @pytest.mark.kernels
-def test_numbers_are_uniform_in_each_stream_and_over_seeds():
+def test_values_are_uniform_in_streams_and_seeds():
     firsts = np.array([uniform(stream_key(seed, 0, START), 0) for seed in range(3000)])
     for drawn in (firsts, *(numbers(3, 0, purpose) for purpose in PURPOSES)):
         assert drawn.min() >= 0 and drawn.max() < 1
@@ -57,7 +57,7 @@ def test_numbers_are_uniform_in_each_stream_and_over_seeds():
         assert abs(np.corrcoef(drawn[:-1], drawn[1:])[0, 1]) < 3.5 / np.sqrt(len(drawn))
 
 
-def test_streams_are_different_and_uncorrelated():
+def test_streams_are_uncorrelated():
     streams = {
         (seed, episode, purpose): numbers(seed, episode, purpose)
         for seed in (0, 1, 2, 2**63 - 1)
@@ -69,7 +69,7 @@ def test_streams_are_different_and_uncorrelated():
     assert np.abs(correlations).max() < 0.12
 
 
-def test_a_start_and_its_frames_are_drawn_from_their_own_streams():
+def test_start_and_frames_use_separate_streams():
     sim = Simulator(Scenario(n_robots=2, dim=3, spawn_size=7.0), 3)
     for episode in (0, 1):
         sim.reset(40 if episode == 0 else None)
@@ -83,7 +83,7 @@ def test_a_start_and_its_frames_are_drawn_from_their_own_streams():
 
 @pytest.mark.kernels
 @pytest.mark.parametrize("d", [2, 3])
-def test_rotations_are_rotations_and_uniform(d):
+def test_rotations_are_uniform(d):
     keys = [stream_key(k, 0, FRAMES) for k in range(3000)]
     drawn = np.array([draw_rotation(key, 0, tuple(range(d))) for key in keys]).reshape(-1, d, d)
     np.testing.assert_allclose(

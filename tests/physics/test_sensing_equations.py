@@ -32,21 +32,21 @@ def vectors(d: int, count: int, seed: int = 0) -> list[tuple[float, ...]]:
     return [tuple(row) for row in table.tolist()]
 
 
-def test_in_the_plane_a_positive_angle_turns_counter_clockwise():
+def test_positive_angle_rotates_counter_clockwise():
     assert turned((2.0, 0.0), math.pi / 2, Z_AXIS) == pytest.approx((0.0, 2.0))
     assert turned((0.0, 1.0), 0.3, Z_AXIS) == pytest.approx((-math.sin(0.3), math.cos(0.3)))
 
 
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("angle", [0.0, 1e-6, 0.4, 3.0])
-def test_a_row_is_turned_by_the_angle_and_keeps_its_length(d, angle):
+def test_rotation_has_angle_and_keeps_length(d, angle):
     for row, axis in zip(vectors(d, 50), vectors(3, 50, seed=1), strict=True):
         found = turned(row, angle, axis)
         assert np.linalg.norm(found) == pytest.approx(np.linalg.norm(row), rel=1e-14)
         assert angle_between(row, found) == pytest.approx(angle, abs=1e-12)
 
 
-def test_in_space_a_row_turns_about_the_part_of_the_axis_across_it():
+def test_rotation_in_3d_is_about_perpendicular_axis():
     assert turned((1.0, 0.0, 0.0), math.pi / 2, (5.0, 0.0, 2.0)) == pytest.approx((0.0, 1.0, 0.0))
     for row, axis in zip(vectors(3, 50), vectors(3, 50, seed=1), strict=True):
         about = np.cross(row, turned(row, 0.5, axis))
@@ -55,7 +55,7 @@ def test_in_space_a_row_turns_about_the_part_of_the_axis_across_it():
         assert about == pytest.approx(across / np.linalg.norm(across), abs=1e-9)
 
 
-def test_an_axis_along_the_row_still_turns_it_but_a_zero_row_stays_zero():
+def test_parallel_axis_is_replaced_and_zero_row_stays_zero():
     for row in ((1.0, 0.0, 0.0), (0.0, -2.0, 0.0), (0.0, 0.0, 1e-9)):
         assert angle_between(row, turned(row, 0.7, row)) == pytest.approx(0.7)
     for zero in ((0.0, 0.0), (0.0, 0.0, 0.0)):
@@ -63,7 +63,7 @@ def test_an_axis_along_the_row_still_turns_it_but_a_zero_row_stays_zero():
 
 
 @pytest.mark.parametrize("d", [2, 3])
-def test_no_turn_by_the_same_angle_points_farther_along_the_target(d):
+def test_turned_towards_is_optimal(d):
     angle = 0.3
     for k, (row, target) in enumerate(zip(vectors(d, 40), vectors(d, 40, seed=2), strict=True)):
         found = turned_towards(row, angle, target)
@@ -74,7 +74,7 @@ def test_no_turn_by_the_same_angle_points_farther_along_the_target(d):
 
 
 @pytest.mark.parametrize("sectors", [2, 4, 6, 8, 15])
-def test_in_space_yaw_and_elevation_are_rounded(sectors):
+def test_sectors_quantise_yaw_and_elevation(sectors):
     width = 2 * math.pi / sectors
     for row in vectors(3, 300):
         x, y, z = in_sectors(row, sectors)
@@ -90,7 +90,7 @@ def test_in_space_yaw_and_elevation_are_rounded(sectors):
             assert min(turn, sectors - turn) <= 0.5 + 1e-9
 
 
-def test_robots_hide_as_discs_do():
+def test_robots_occlude_as_discs():
     random, hidden, radius = np.random.default_rng(3), [], 0.3
     for _ in range(2000):
         offset, other = random.normal(size=(2, 2))
@@ -102,13 +102,13 @@ def test_robots_hide_as_discs_do():
     assert 100 < sum(hidden) < len(hidden) - 100
 
 
-def test_the_nearest_robot_is_always_seen():
+def test_nearest_robot_is_always_visible():
     for first, second in zip(vectors(3, 200), vectors(3, 200, seed=1), strict=True):
         near, far = sorted((first, second), key=np.linalg.norm)
         assert not is_hidden_by_robot(near, far, 5.0)
 
 
-def test_a_robot_within_the_disc_of_another_sees_what_is_behind_it():
+def test_overlapping_robot_does_not_occlude():
     assert is_hidden_by_robot((2.0, 0.0, 0.0), (0.05, 0.0, 0.0), 0.1)
     assert not is_hidden_by_robot((-2.0, 0.0, 0.0), (0.05, 0.0, 0.0), 0.1)
     assert not is_hidden_by_robot((0.0, 0.0, 0.0), (0.05, 0.0, 0.0), 0.1)
@@ -128,7 +128,7 @@ OUTLINES = (
 
 
 @pytest.mark.parametrize("m", range(3))
-def test_obstacles_hide_what_the_way_to_goes_through_them(m):
+def test_obstacles_occlude_line_of_sight(m):
     random, hidden = np.random.default_rng(4), []
     for _ in range(1500):
         start, end = random.uniform(-2.5, 2.5, size=(2, 2))
@@ -141,13 +141,13 @@ def test_obstacles_hide_what_the_way_to_goes_through_them(m):
     assert 100 < sum(hidden) < len(hidden) - 100
 
 
-def test_a_robot_that_touches_an_obstacle_sees_past_it_but_not_through_it():
+def test_touching_obstacle_occludes_only_through_it():
     disc = world([rv.Disc((0.0, 0.0), 1.0)])
     assert not is_hidden_by_obstacles(disc, (1.0, 0.0, 0.0), (0.0, 3.0, 0.0))
     assert is_hidden_by_obstacles(disc, (1.0, 0.0, 0.0), (-3.0, 0.5, 0.0))
 
 
-def test_an_absent_obstacle_hides_nothing():
+def test_absent_obstacle_does_not_occlude():
     absent = world([rv.Sphere((0.0, 0.0, 0.0), 1.0)], slots=2)
     absent.kinds[0] = absent.kinds[1]
     assert not is_hidden_by_obstacles(absent, (-2.0, 0.0, 0.0), (4.0, 0.0, 0.0))
@@ -172,7 +172,7 @@ def gradient_of_size(positions, i, step=1e-6):
 
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("n", [2, 3, 4, 7, 12])
-def test_outward_is_along_the_gradient_of_the_size(d, n):
+def test_outward_direction_is_perimeter_gradient(d, n):
     random, inside = np.random.default_rng(n), 0
     for _ in range(5):
         positions = random.normal(size=(n, d))
@@ -189,13 +189,13 @@ def test_outward_is_along_the_gradient_of_the_size(d, n):
 
 
 @pytest.mark.parametrize("d", [2, 3])
-def test_outward_of_a_team_on_one_line_is_along_it(d):
+def test_outward_of_collinear_team_is_along_line(d):
     along = np.array([0.6, 0.8, 0.0])[:d]
     found = outward(np.array([0.0, 2.0, 0.5, 5.0])[:, None] * along)
     assert found[0] == pytest.approx(-along) and found[3] == pytest.approx(along)
 
 
-def test_outward_of_a_grid_counts_each_edge_once():
+def test_outward_of_grid_counts_edges_once():
     """The corners of a cube with the middles of its edges, faces and itself."""
     grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     found = outward(grid)
@@ -206,7 +206,7 @@ def test_outward_of_a_grid_counts_each_edge_once():
             assert not direction.any()
 
 
-def test_merged_robots_do_not_count():
+def test_merged_robots_are_ignored():
     positions = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 3.0], [9.0, 9.0]])
     found = outward(positions, np.array([0, 1, 2, 0]))
     assert found[:3] == pytest.approx(outward(positions[:3])) and not found[3].any()

@@ -1,4 +1,4 @@
-"""Obstacles that only just meet act as their union: nothing passes, and no stop goes unreported."""
+"""Unions of touching obstacles: no penetration, and no unreported stop."""
 
 import math
 
@@ -43,7 +43,7 @@ def skins(*obstacles):
 
 
 def turned(obstacles, angle):
-    """Polygons turned about the origin."""
+    """Polygons rotated about the origin."""
     c, s = math.cos(angle), math.sin(angle)
     return [
         Polygon(tuple((c * x - s * y, s * x + c * y) for x, y in one.vertices)) for one in obstacles
@@ -51,7 +51,7 @@ def turned(obstacles, angle):
 
 
 class TestTheIssue:
-    """A room without a door, and a wall of tiles 80 m long."""
+    """A closed room, and a wall of tiles 80 m long."""
 
     @pytest.mark.parametrize("angle", [0.0, 0.4, 2.0])
     @pytest.mark.parametrize("policy", ["bearing-only", "tangent-joined-tuned"])
@@ -89,7 +89,7 @@ class TestTheIssue:
 
 
 class TestSkins:
-    """Which shapes only just meet, by hand."""
+    """Touching shapes, by hand."""
 
     @pytest.mark.parametrize("gap", [-1e-6, -1e-9, 0.0, 1e-9, 1.5e-6])
     def test_shapes_that_only_just_meet_have_one(self, gap):
@@ -147,7 +147,7 @@ class TestSkins:
 
 
 class TestMotion:
-    """Beside a wall of two tiles with its face on y = 0, robots below it."""
+    """Motion near a wall of two tiles with its face on y = 0, robots below it."""
 
     WALL = (tile(-1, 0), tile(0, 0))
 
@@ -190,7 +190,7 @@ class TestMotion:
     @pytest.mark.parametrize("mode", [SLIDE, STOP])
     @pytest.mark.parametrize("overlap", [0.0, 1e-9, 1e-8, 1e-7, 1e-6])
     def test_a_robot_held_between_two_walls_is_in_contact(self, overlap, mode):
-        """Boxes side by side, and two that make a corner; the face of one stands out a little."""
+        """Adjacent boxes, and two that form a corner; one face protrudes a little."""
         for other in (
             tile(-overlap, 1e-3),
             tile(-overlap, -1),
@@ -255,7 +255,7 @@ class TestAgainstShapely:
 
     @staticmethod
     def shapes(random):
-        """Shapes, each with its region; round ones as fine polygons, to compare bearings with."""
+        """Shapes with their regions; round ones as fine polygons, for bearings."""
         out = [tile(0, 0), tile(1, 0), tile(1 - 1e-7, 1), tile(3, 0.5)]
         for _ in range(4):
             centre, size = random.uniform(-4, 4, 2), random.uniform(0.3, 1.0)
@@ -285,7 +285,7 @@ class TestAgainstShapely:
                     assert found == pytest.approx(wanted, abs=1e-9)
 
     def test_silhouettes_cover_the_angular_extent_of_the_union(self):
-        """As tangent-joined joins them: the ends of what overlapping ones cover together."""
+        """As in tangent-joined: ends of the merged intervals."""
         random = np.random.default_rng(1)
         for _ in range(20):
             shapes, union = self.shapes(random)
@@ -307,14 +307,14 @@ class TestAgainstShapely:
 
 
 def extent(region, point):
-    """The span of angles, (first, width), under which a connected region is seen."""
+    """Interval of angles, (first, width), covered by a connected region."""
     around = shapely.get_coordinates(region.exterior) - point
     angles = np.unwrap(np.arctan2(around[:, 1], around[:, 0]))
     return float(angles.min()), min(float(np.ptp(angles)), 2 * math.pi)
 
 
 def joined(spans):
-    """Spans (first, width) of angles as few, those that overlap as one, by their first angle."""
+    """Merged intervals (first, width) of angles, sorted by their first angle."""
     if any(width > 2 * math.pi - 1e-9 for _, width in spans):
         return [(0.0, 2 * math.pi)]
     spans = sorted((first % (2 * math.pi), width) for first, width in spans)

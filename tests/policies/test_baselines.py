@@ -40,7 +40,7 @@ GRAVITY = [-math.sin(PITCH), 0.0, -math.cos(PITCH)]
         ("zero", POINT, [[1, 0], [0, 1]], [0, 0]),
     ],
 )  # fmt: skip
-def test_laws_by_hand(name, scenario, rows, expected):
+def test_laws_match_hand_computation(name, scenario, rows, expected):
     """Every robot of a team sees the same rows."""
     shape = (scenario.n_robots, *scenario.observation_layout.shape)
     seen = np.broadcast_to(np.array(rows, dtype=np.float32), shape)
@@ -56,7 +56,7 @@ def test_pitch_is_read_from_gravity(pitch):
     assert laws.pitch_of(np.zeros((2, 3))).tolist() == [0, 0]
 
 
-def test_cosine_law_has_one_time_for_each_team():
+def test_cosine_law_uses_time_of_each_environment():
     f = np.ones((2, 4, 2))
     rates = laws.unicycle_cosine_law(f, np.array([0.0, math.pi]))[..., 1]
     np.testing.assert_allclose(rates, [[1] * 4, [-1] * 4])
@@ -64,7 +64,7 @@ def test_cosine_law_has_one_time_for_each_team():
 
 
 @pytest.mark.parametrize("scenario", [POINT, UNICYCLE, SPACE, CLUTTER])
-def test_every_fitting_policy_stays_in_bounds_whatever_it_sees(scenario):
+def test_every_fitting_policy_respects_bounds(scenario):
     random = np.random.default_rng(0)
     n, layout = scenario.n_robots, scenario.observation_layout
     observations = random.normal(size=(2, 4, n, *layout.shape)).astype(np.float32)
@@ -78,7 +78,7 @@ def test_every_fitting_policy_stays_in_bounds_whatever_it_sees(scenario):
             assert single.shape == (n, scenario.action_size)
 
 
-def test_random_is_uniform_and_repeatable():
+def test_random_policy_is_uniform_and_reproducible():
     slow = Scenario(n_robots=3, max_speed=0.5)
     view = np.zeros((400, 3, *slow.observation_layout.shape), np.float32)
     drawn = baselines.make("random", slow, seed=7)
@@ -94,7 +94,7 @@ def test_random_is_uniform_and_repeatable():
 
 
 class TestRegistry:
-    def test_names_are_those_that_fit(self):
+    def test_names_lists_fitting_policies(self):
         everywhere = {"random", "zero"}
         references = {"consensus", "circumcentre", "enclosing-ball", "nearest-pursuit", "planner"}
         flat = {"smallest-sector", "quantised"}
@@ -121,7 +121,7 @@ class TestRegistry:
             assert set(baselines.names(scenario)) == wanted
         assert len(baselines.names()) == 31
 
-    def test_every_policy_says_what_it_is_and_they_are_listed_by_kind(self):
+    def test_policies_have_descriptions_in_order_of_kind(self):
         """A reader of positions is privileged by its name and by its kind, and nobody else is."""
         kinds = [policy.kind_of(name) for name in baselines.names()]
         assert kinds == sorted(kinds, key=list(policy.KINDS).index) and "own" not in kinds
@@ -143,7 +143,7 @@ class TestRegistry:
             ("zero", POINT, {"seed": 1}, "no option 'seed'; known are none"),
         ],
     )
-    def test_refusals_say_what_is_right(self, name, scenario, options, message):
+    def test_make_errors_list_valid_names(self, name, scenario, options, message):
         with pytest.raises(ValueError, match=message):
             baselines.make(name, scenario, **options)
 
@@ -160,7 +160,7 @@ class TestRegistry:
             ("mine", bool, "own", POINT, "policy 'mine' is Scenario"),
         ],
     )
-    def test_what_cannot_be_registered_is_named(self, name, fits, kind, build, message):
+    def test_invalid_registration_is_rejected(self, name, fits, kind, build, message):
         before = baselines.names()
         with pytest.raises(ValueError, match=message):
             policy.register(name, fits=fits, kind=kind)(build)
@@ -174,7 +174,7 @@ class TestLargeSparseGraphs:
         graph = fields.pop("graph", rv.graphs.erdos_renyi(0.06))
         return rv.Scenario(n_robots=n, graph=graph, spawn_size=12.0, **fields)
 
-    def test_the_step_is_made_for_the_degrees_there_are(self):
+    def test_default_step_follows_degrees(self):
         scenario = self.sparse()
         assert scenario.max_degree == 59.0
         assert scenario.step_degree == pytest.approx(2 * 0.06 * 59) == scenario.speed_limit
@@ -184,7 +184,7 @@ class TestLargeSparseGraphs:
         fixed = self.sparse(50, graph=rv.graphs.from_edges(links))
         assert fixed.step_degree == 8.0 and fixed.max_degree == 49.0
 
-    def test_elsewhere_the_step_is_the_certified_one_or_given(self):
+    def test_other_scenarios_use_certified_or_given_step(self):
         others = {"graph": "cycle"}, {"graph": "complete"}, {"robot_model": "unicycle"}
         large = [self.sparse(47), *(self.sparse(**fields) for fields in others)]
         for scenario in (*large, *map(rv.scenarios.get, rv.scenarios.names())):
@@ -195,13 +195,13 @@ class TestLargeSparseGraphs:
         assert given.tau == 0.001 and not given.scales_velocity
 
     @pytest.mark.slow
-    def test_all_meet_and_v_never_rises_between_merges(self):
+    def test_large_sparse_team_meets_and_v_never_increases(self):
         scenario = self.sparse(time_limit=40.0)
         found = rv.rollout(scenario, baselines.make("bearing-only", scenario), seed=3, num_envs=6)
         assert found.success.all()
         assert (found.largest_rise_between_merges <= 0.0).all()
 
-    def test_a_hub_slows_down(self):
+    def test_hub_scales_its_velocity(self):
         """Thirty neighbours on the one side and 29 on the other: D_i = 59 m/s, ‖f_i‖ = 1 m/s."""
         scenario = self.sparse(graph=rv.graphs.erdos_renyi(0.03))
         seen = np.zeros((60, *scenario.observation_layout.shape), np.float32)

@@ -77,7 +77,7 @@ def same(name, found, wanted):
 
 
 @pytest.mark.parametrize("name", marked([n for n in NAMES if n != "trained"], slow=OTHER_KINDS))
-def test_it_goes_on_bit_by_bit_from_a_pickle(name):
+def test_policy_resumes_bitwise_from_pickle(name):
     """With the teams that it steers, which privileged ones read."""
     policy, scenario = made(name)
     simulator = rv.Simulator(scenario, 2)
@@ -98,7 +98,7 @@ def test_it_goes_on_bit_by_bit_from_a_pickle(name):
 
 @pytest.mark.kernels
 @pytest.mark.parametrize("name", marked([n for n in NAMES if n != "random"], slow=OTHER_KINDS))
-def test_a_batch_is_its_teams_one_by_one(name):
+def test_batch_equals_single_environments(name):
     together, scenario = made(name)
     simulator = rv.Simulator(scenario, 3)
     seen = simulator.reset(5)
@@ -116,7 +116,7 @@ def test_a_batch_is_its_teams_one_by_one(name):
 
 
 @pytest.mark.parametrize("name", marked(SEES, slow=OTHER_KINDS & {*SEES}))
-def test_teams_of_a_mask_begin_anew_and_the_others_do_not(name):
+def test_masked_reset_affects_masked_environments_only(name):
     policy, scenario = made(name)
     *_, last = sights(policy, scenario)
     whole, fresh = copy.deepcopy(policy) if name != "trained" else None, made(name)[0]
@@ -135,7 +135,7 @@ def test_teams_of_a_mask_begin_anew_and_the_others_do_not(name):
     same(name, policy(last[0], 0.0), anew[0])
 
 
-def test_what_is_remembered_counts_and_other_teams_are_refused():
+def test_memory_matters_and_foreign_batches_are_rejected():
     (tank, scenario), (rule, _) = made("tank-joined"), made("tangent-certified")
     rule.reset(np.array([True]))  # nothing to forget yet
     first, *_, last = sights(rule, scenario, steps=6)
@@ -152,7 +152,7 @@ def test_what_is_remembered_counts_and_other_teams_are_refused():
     "name",
     [name for name in SEES if name != "quantised" and is_single_integrator(made(name)[1])],
 )
-def test_turning_the_robots_turns_their_actions(name):
+def test_policies_are_rotation_equivariant(name):
     """Nothing depends on where local axes point; sectors are counted from there."""
     plain, scenario = made(name)
     turned, simulator = made(name)[0], rv.Simulator(scenario, 3)
@@ -169,7 +169,7 @@ def test_turning_the_robots_turns_their_actions(name):
 @pytest.mark.parametrize(
     "changes", [{}, {"dim": 3}, *({"graph": kind} for kind in ("path", "star", "random_tree"))]
 )
-def test_all_that_fit_meet_in_the_open_but_the_two_that_do_not_try(changes):
+def test_all_fitting_policies_meet_without_obstacles(changes):
     team = rv.Scenario(
         n_robots=6, max_speed=1.0, time_step=0.05, allow_long_step=True, time_limit=60.0, **changes
     )
@@ -192,7 +192,7 @@ THROUGH = {"time_limit": 25.0, "obstacle_contact": "ignore"}
         ("learned", "tree-12", {}),
     ],
 )
-def test_certified_headings_keep_their_margin_and_v_never_rises(name, field, changes):
+def test_certified_headings_keep_alignment_and_v_never_increases(name, field, changes):
     """Theorem C, beside obstacles where nobody touches them."""
     scenario = rv.scenarios.get(field).replace(**changes)
     simulator, policy = rv.Simulator(scenario, 16), baselines.make(name, scenario)

@@ -1,4 +1,4 @@
-"""Functions and models as policies: they do and keep what wrappers and training environments do."""
+"""Functions and models as policies, compared with wrappers and training environments."""
 
 from functools import partial
 from operator import itemgetter
@@ -20,13 +20,13 @@ TEAMS = 4
 
 
 def mixed(numbers, size):
-    """So many choices, from −1 to 1, that depend on every number."""
+    """Choices from −1 to 1 that depend on every number."""
     weights = np.cos(np.arange(numbers.shape[-1] * size)).reshape(-1, size)
     return np.tanh(numbers @ weights)
 
 
 class Sideways:
-    """Depends on every row, so that whoever is shown anything else chooses otherwise."""
+    """Choices that depend on every row, so that any difference changes them."""
 
     def __init__(self, size):
         self.size, self.asked = size, 0
@@ -47,7 +47,7 @@ def places_of(wrapper, choose, periods):
 
 
 def places_under(policy, scenario, steps, period):
-    """The same of a policy."""
+    """Positions of a policy after each period."""
     simulator = rv.Simulator(scenario, TEAMS)
     seen, places = simulator.reset(3), []
     for step in range(1, steps + 1):
@@ -71,7 +71,7 @@ class TestFunctions:
             (CLUTTER.replace(obstacles=()), {"budget": 0.5, "observe_level": True}),
         ],
     )
-    def test_robots_move_as_under_the_wrapper(self, scenario, options, period):
+    def test_policy_equals_wrapper(self, scenario, options, period):
         tank = "budget" in options
         steps, make, wrap = 40, HeadingPolicy, HeadingVectorWrapper
         if tank:
@@ -90,7 +90,7 @@ class TestFunctions:
             np.testing.assert_array_equal(policy.levels, wrapper.tank.levels)
 
     @pytest.mark.parametrize("make", [HeadingPolicy, TankPolicy])
-    def test_what_chooses_may_write_to_what_it_is_shown(self, make):
+    def test_function_may_modify_observations(self, make):
         def spoils(observations):
             chosen = Sideways(2)(observations)
             observations[...] *= -1.0
@@ -100,11 +100,11 @@ class TestFunctions:
         usual, spoilt = (places_under(policy, CLUTTER, 10, 1)[0] for policy in policies)
         np.testing.assert_array_equal(spoilt, usual)
 
-    def test_a_margin_is_promised_where_headings_are_certified(self):
+    def test_certified_headings_have_alignment_guarantee(self):
         assert HeadingPolicy(CLUTTER, Sideways(2)).min_alignment == 0.1
         assert HeadingPolicy(CLUTTER, Sideways(2), certified=False).min_alignment is None
 
-    def test_the_memory_of_what_chooses_is_forgotten_too(self):
+    def test_reset_resets_function(self):
         class Counts(Sideways):
             def reset(self, mask):
                 self.forgot = mask
@@ -117,7 +117,7 @@ class TestFunctions:
         policy.reset(np.array([True, False]))
         np.testing.assert_array_equal(choose.forgot, [True, False])
 
-    def test_a_robot_that_ticks_twice_as_often_decides_as_often(self):
+    def test_faster_ticks_keep_decision_rate(self):
         choose = Sideways(2)
         policy = HeadingPolicy(CLUTTER, choose, decision_period=4, frame="local", max_turn_rate=1.0)
         robot, tau = baselines.RobotPolicy(CLUTTER, policy), CLUTTER.tau
@@ -139,11 +139,11 @@ class TestFunctions:
             ({"scenario": rv.Scenario(robot_model="double_integrator")}, r"law \(4\) needs robots"),
         ],
     )
-    def test_what_cannot_be_is_refused_when_it_is_made(self, options, message):
+    def test_invalid_arguments_are_rejected(self, options, message):
         with pytest.raises(ValueError, match=message):
             HeadingPolicy(**{"scenario": CLUTTER, "choose": Sideways(2), **options})
 
-    def test_what_is_chosen_wrongly_is_refused_by_its_robot(self):
+    def test_invalid_action_names_robot(self):
         n, layout = CLUTTER.n_robots, CLUTTER.observation_layout
         seen, raw = np.zeros((3, n, *layout.shape)), np.zeros((3, n, 2))
         raw[1, 2, 0] = np.nan
@@ -178,14 +178,14 @@ class TestModels:
             (CARS, {"guarantee": "tank"}),
         ],
     )  # fmt: skip
-    def test_robots_move_as_in_the_training_environment(self, scenario, arguments):
+    def test_model_policy_equals_training_environment(self, scenario, arguments):
         teams = training_env(scenario, TEAMS, autoreset_mode="Disabled", **arguments)
         space = teams.single_action_space
         discrete = arguments.get("discrete", False)
         dims = 2 if arguments.get("flatten", True) else 3
 
         def predict(observation, state=None, episode_start=None, deterministic=False):
-            """Gives a state, too, as stable-baselines3 does."""
+            """Model that also returns a state, as in stable-baselines3."""
             assert deterministic and observation.ndim == dims
             rows = observation.reshape(len(observation), -1)
             chosen = mixed(rows, 1 if discrete else space.shape[-1])
@@ -209,7 +209,7 @@ class TestModels:
             np.testing.assert_allclose(here, there, atol=1e-6)
         assert np.abs(simulator.positions - start).max() > 1e-3
 
-    def test_a_model_of_whole_teams_is_asked_for_teams(self):
+    def test_team_model_receives_whole_teams(self):
         asked = []
 
         def predict(seen):
@@ -221,7 +221,7 @@ class TestModels:
         assert {shape[:2] for shape in asked} == {(3, 4)}
         assert found.success.any()  # no direction at all is the rule itself
 
-    def test_a_model_is_told_not_to_draw_however_it_takes_the_word(self):
+    def test_deterministic_argument_is_passed(self):
         told = []
 
         def predict(seen, *, deterministic=False):
@@ -238,7 +238,7 @@ class TestModels:
         TrainedPolicy("duo", itemgetter((slice(None), slice(2))))(seen, 0.0)  # says nothing
         assert told == [True] * 3
 
-    def test_what_is_no_model_is_refused(self):
+    def test_invalid_model_is_rejected(self):
         with pytest.raises(ValueError, match="predict is 3; it must be a function of observations"):
             TrainedPolicy("duo", 3)
         with pytest.raises(TypeError, match="guarante"):
@@ -259,7 +259,7 @@ class TestDicts:
         "name",
         ["bearing-only", "tangent-joined-tuned", "learned", "tank-joined", "privileged-planner"],
     )
-    def test_policies_take_pettingzoos_dicts_whoever_has_merged(self, name, flatten):
+    def test_policies_accept_pettingzoo_dicts(self, name, flatten):
         scenario = rv.scenarios.get("clutter-4").replace(time_limit=8.0, merge_radius=1.0)
         env, policy = rv.parallel_env(scenario, flatten=flatten), baselines.make(name, scenario)
         observations, _ = env.reset(seed=1)
@@ -276,7 +276,7 @@ class TestDicts:
         assert len(counts) > 1
         np.testing.assert_allclose(found, batch.positions[1 : len(found) + 1, 0], atol=1e-9)
 
-    def test_unknown_robots_and_other_shapes_are_refused(self):
+    def test_unknown_agents_and_shapes_are_rejected(self):
         policy = baselines.make("bearing-only", "duo")
         assert policy({}, 0.0) == {}
         with pytest.raises(KeyError, match="no robot is called 'robot_2'"):

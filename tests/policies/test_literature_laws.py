@@ -70,7 +70,7 @@ LAWS = {
 
 
 @pytest.mark.parametrize(("name", "law"), LAWS.items(), ids=LAWS)
-def test_it_is_a_few_lines_of_numpy(name, law):
+def test_law_matches_numpy_reference(name, law):
     """In the global frame, as sectors are counted from each robot's own x axis."""
     simulator = rv.Simulator(TEAM.replace(local_frames="global"), 100)
     found = baselines.make(name, simulator.scenario)(simulator.reset(3), 0.0)
@@ -81,7 +81,7 @@ def test_it_is_a_few_lines_of_numpy(name, law):
 
 
 @pytest.mark.parametrize("graph", ["path", "star", "random_tree"])
-def test_unit_mean_meets_within_its_bound_on_sparse_graphs(graph):
+def test_unit_mean_law_meets_within_bound(graph):
     """T ≤ V0⁺/(4 v a*), twice that for the held step."""
     team = TEAM.replace(graph=graph, n_robots=5)
     found = rv.rollout(team, baselines.make("unit-mean", team), 0, num_envs=40)
@@ -91,7 +91,7 @@ def test_unit_mean_meets_within_its_bound_on_sparse_graphs(graph):
 
 
 @pytest.mark.parametrize("name", ["cyclic-pursuit", "nearest-pursuit"])
-def test_pursuit_meets_within_theorem_g(name):
+def test_pursuit_meets_within_theorem_g_bound(name):
     """Whom a robot pursues changes at merges; the sum of its gains is v all the time."""
     team = TEAM.replace(time_step=0.005)
     found = rv.rollout(team, baselines.make(name, team), 0, num_envs=30)
@@ -114,17 +114,17 @@ class TestSmallestSector:
             ((-179, 1.5, 60), (1.5, 181)),
         ],
     )
-    def test_its_ends_by_hand(self, degrees, narrowest):
+    def test_smallest_sector_matches_hand_computation(self, degrees, narrowest):
         wanted = along(*narrowest).sum(axis=0)
         np.testing.assert_allclose(smallest_sector_law(along(*degrees)), wanted, atol=1e-12)
 
-    def test_a_surrounded_robot_waits_and_lengths_do_not_count(self):
+    def test_surrounded_robot_stops_regardless_of_lengths(self):
         assert smallest_sector_law(along(0, 120, 240)).tolist() == [0, 0]
         assert smallest_sector_law(np.zeros((3, 2))).tolist() == [0, 0]
         rows = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 0.0], [0.0, 0.1]])
         np.testing.assert_allclose(smallest_sector_law(rows), [1, 1], atol=1e-12)
 
-    def test_no_link_is_lengthened(self):
+    def test_smallest_sector_never_lengthens_links(self):
         """As the source proves; a step of r/2 for speeds of up to 2 m/s."""
         team = TEAM.replace(graph="path", max_speed=None, merge_radius=0.2, time_step=0.05)
         found = rv.rollout(team, baselines.make("smallest-sector", team), 2, num_envs=30)
@@ -134,7 +134,7 @@ class TestSmallestSector:
         assert rises.max() < 1e-6 and len(rises) > 400
 
 
-def test_equations_by_hand():
+def test_equations_match_hand_computation():
     assert unit_mean_law(np.zeros((2, 3)), speed=2.0).tolist() == [[0] * 3] * 2
     np.testing.assert_allclose(unit_mean_law(np.array([3.0, 4.0]), speed=2.0), [1.2, 1.6])
     row = 3 * np.array([math.cos(0.2), math.sin(0.2)])
@@ -153,7 +153,7 @@ def test_too_few_sectors_fail():
         baselines.make("quantised", team, sectors=1)
 
 
-def test_rows_are_in_the_order_of_next_and_nearest_robots():
+def test_row_orders_follow_indices():
     assert rows_from_next(4, 3).tolist() == [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 1, 2]]
     assert rows_from_nearest(4, 3).tolist() == [[0, 1, 2], [0, 1, 2], [1, 2, 0], [2, 1, 0]]
     assert rows_from_nearest(4, 1).tolist() == [[0]] * 4
@@ -163,7 +163,7 @@ def test_rows_are_in_the_order_of_next_and_nearest_robots():
     assert towards.tolist() == [[2, 0, 0], [0, 2, 0], [0, 0, 2], [0, 0, 2]]
 
 
-def test_few_rows_do_not_tell_robots_apart():
+def test_few_rows_do_not_identify_robots():
     ring = rv.Scenario(n_robots=6, graph="cycle")
     for name in ("cyclic-pursuit", "nearest-pursuit"):
         with pytest.raises(ValueError, match=f"'{name}' does not fit"):
@@ -204,14 +204,14 @@ class TestPursuitByRobotsWithATurnLimit:
     """One target at a time, aligned before it drives."""
 
     @pytest.mark.parametrize(("model", "dim"), [("unicycle", 2), ("nonholonomic_3d", 3)])
-    def test_they_meet_within_the_bound(self, model, dim):
+    def test_pursuit_meets_within_bound(self, model, dim):
         scenario = CARS.replace(robot_model=model, dim=dim)
         found = rv.rollout(scenario, baselines.make("pursuit", scenario, speed=0.3), 0, num_envs=40)
         simulator = Simulator(scenario, 40)
         simulator.reset(0)
         assert (found.rendezvous_time <= pursuit_bound(scenario, simulator.size(), 0.3)).all()
 
-    def test_turns_by_hand(self):
+    def test_turns_match_hand_computation(self):
         """At most ω_max; only what is left in the last step; drives to within a step's turn."""
         cars = CARS.replace(n_robots=2, time_step=0.1)
         policy = baselines.make("pursuit", cars)
@@ -226,7 +226,7 @@ class TestPursuitByRobotsWithATurnLimit:
         assert baselines.make("pursuit", quick).speed == pytest.approx(0.8 * 4.0 * 0.1)
 
     @pytest.mark.parametrize("name", ["pursuit", "windshield"])
-    def test_a_target_is_kept_until_it_is_gone(self, name):
+    def test_target_is_kept_while_visible(self, name):
         policy = baselines.make(name, CARS)
         left, right, none = [0, 1], [0, -1], [0, 0]
 
@@ -239,7 +239,7 @@ class TestPursuitByRobotsWithATurnLimit:
         policy.reset()
         assert turns(left, right, left) == [1, -1, 1, 1]
 
-    def test_windshield(self):
+    def test_windshield_matches_equation(self):
         policy = baselines.make("windshield", CARS, half_angle=0.3, speed=0.2)
         for angle, turn in [(0.29, 0), (0.31, 4), (-0.31, -4), (3.0, 4), (0.0, 0)]:
             seen = view(CARS, *([[math.cos(angle), math.sin(angle)]] * 3))
@@ -260,12 +260,12 @@ class TestPursuitByRobotsWithATurnLimit:
             ("windshield", {"half_angle": 2}, "half_angle is 2; .* less than π/2"),
         ],
     )
-    def test_what_they_refuse(self, name, options, message):
+    def test_invalid_pursuit_scenarios_are_rejected(self, name, options, message):
         with pytest.raises(ValueError, match=message):
             baselines.make(name, CARS, **options)
 
     @pytest.mark.parametrize(("model", "dim"), [("unicycle", 2), ("nonholonomic_3d", 3)])
-    def test_a_pursuer_turns_to_its_target_and_then_drives_straight_at_it(self, model, dim):
+    def test_pursuer_turns_then_drives_straight(self, model, dim):
         scenario = CARS.replace(
             n_robots=3, dim=dim, robot_model=model, max_turn_rate=3.0, max_speed=0.2,
             time_step=0.02, neighbour_slots=2, graph="path", time_limit=60.0,
@@ -284,7 +284,7 @@ class TestPursuitByRobotsWithATurnLimit:
             drove += driving.sum()
         assert drove > 1000 and (simulator.active.sum(axis=-1) == 1).all()
 
-    def test_yaw_and_pitch_point_the_body_at_a_bearing(self):
+    def test_yaw_and_pitch_align_body_with_bearing(self):
         random = np.random.default_rng(0)
         for yaw, pitch in random.uniform(-1.5, 1.5, (100, 2)):
             target = unit(random.normal(size=3))

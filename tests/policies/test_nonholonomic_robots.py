@@ -25,7 +25,7 @@ angles = st.floats(-math.pi, math.pi)
 
 
 @pytest.mark.parametrize(("model", "dim"), [("unicycle", 2), ("nonholonomic_3d", 3)])
-def test_memory_turns_as_frames_do_and_velocities_move_robots(model, dim):
+def test_memory_rotates_with_frames(model, dim):
     scenario = Scenario(n_robots=5, dim=dim, robot_model=model, max_speed=1.0, max_turn_rate=2.0)
     simulator, steering = Simulator(scenario), Steering(scenario)
     seen, random = simulator.reset(seed=3), np.random.default_rng(0)
@@ -45,7 +45,7 @@ def test_memory_turns_as_frames_do_and_velocities_move_robots(model, dim):
 
 
 @given(angles)
-def test_a_unicycle_turns_towards_what_is_wanted_and_never_past_it(angle):
+def test_unicycle_turns_towards_target_without_overshoot(angle):
     speed, (rate, _) = inputs_towards((math.cos(angle), math.sin(angle), 0.0), 0.0, PLANE)
     left = angle - rate * PLANE.duration
     assert abs(left) == pytest.approx(max(abs(angle) - 0.2, 0.0), abs=1e-12)
@@ -61,7 +61,7 @@ def test_a_unicycle_turns_towards_what_is_wanted_and_never_past_it(angle):
 
 @settings(max_examples=200, deadline=None)
 @given(angles, angles, angles)
-def test_a_robot_of_space_gets_there_evenly_from_any_pitch(pitch, yaw, target):
+def test_nonholonomic_3d_turns_evenly_from_any_pitch(pitch, yaw, target):
     wanted, steps, heading = body_frame(3, yaw, target)[:, 0], 0, 0.0
     while steps < 40:
         rates = rates_towards(tuple(body_frame(3, heading, pitch).T @ wanted), pitch, SPACE)
@@ -73,7 +73,7 @@ def test_a_robot_of_space_gets_there_evenly_from_any_pitch(pitch, yaw, target):
     np.testing.assert_allclose(body_frame(3, heading, pitch)[:, 0], wanted, atol=1e-7)
 
 
-def test_rest_is_rest_and_a_single_integrator_goes_where_it_is_to_go():
+def test_zero_velocity_rests_and_single_integrator_follows():
     for gate in (PLANE, SPACE):
         assert inputs_towards((0.0, 0.0, 0.0), 0.3, gate) == (0.0, (0.0, 0.0))
     scenario = Scenario(n_robots=2)
@@ -114,7 +114,7 @@ def before_spheres(obstacles):
         ("tangent-joined-tuned", "uav-clutter-16", before_spheres, 500),
     ],
 )
-def test_no_rule_drives_into_what_it_sees(name, field, is_before, least):
+def test_rules_never_drive_into_visible_obstacles(name, field, is_before, least):
     scenario = rv.scenarios.get(field)
     scenario = scenario.replace(time_limit=20.0 if scenario.dim == 2 else 30.0)
     simulator, policy = Simulator(scenario, 20), baselines.make(name, scenario)
@@ -130,7 +130,7 @@ def test_no_rule_drives_into_what_it_sees(name, field, is_before, least):
     assert scenario.dim == 2 or np.mean(simulator.status == RENDEZVOUS) > 0.7
 
 
-def test_what_it_remembers_stands_still_while_the_robot_turns():
+def test_memory_is_steady_while_robot_turns():
     """Beside a wall from −0.5 to 0.5 rad about f it means to go at 0.7 rad, however it has turned;
     it turns on the spot, then drives.
     """
@@ -154,7 +154,7 @@ def test_what_it_remembers_stands_still_while_the_robot_turns():
 
 
 @pytest.mark.parametrize("name", ["tangent-joined", "tank-joined"])
-def test_a_robot_that_touches_an_obstacle_drives_away_from_it(name):
+def test_touching_robot_drives_away(name):
     """It starts on the surface, looking away from it; silhouettes are half of all directions."""
     for dim, model, obstacle in (
         (2, "unicycle", rv.Disc((0.0, 0.0), 1.0)),

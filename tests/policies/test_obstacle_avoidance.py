@@ -69,7 +69,7 @@ def ring(centre, half, towards=(1.0, 0.0, 0.0)):
     ],
 )
 @pytest.mark.parametrize("tilt", [0, 100, 180, 275])
-def test_rules_in_the_plane_by_hand(intervals, literal, blocking, joined, tilt):
+def test_planar_rules_match_hand_computation(intervals, literal, blocking, joined, tilt):
     points = edges(*((low + tilt, high + tilt) for low, high in intervals))
     f = 2 * polar(np.radians(tilt))
     for rule, expected in zip(RULES.values(), (literal, blocking, joined), strict=True):
@@ -109,7 +109,7 @@ def by_brute_force(intervals, clearance, samples=7200):
     return edge + side * min(clearance, gap / 2)
 
 
-def test_joined_rule_against_brute_force():
+def test_merged_interval_rule_matches_brute_force():
     random = np.random.default_rng(11)
     compared = turned = 0
     for _ in range(1000):
@@ -132,7 +132,7 @@ def test_joined_rule_against_brute_force():
     assert compared > 850 and turned > 300
 
 
-def test_rules_in_space_by_hand():
+def test_rules_in_3d_match_hand_computation():
     """A cone in the way, to be left at its edge nearest to f, and a wider one beside the way."""
     f, beside, offset, half = np.array([1.0, 0, 0]), ring([0, 0, 1], 0.7), math.atan(0.2), 0.5
     points = np.zeros((4, 8, 3))
@@ -147,7 +147,7 @@ def test_rules_in_space_by_hand():
         np.testing.assert_array_equal(rule(f, np.stack([beside, 0 * beside])), f)
 
 
-def test_joined_rule_in_space_takes_the_nearest_free_way_out_of_all_that_hang_together():
+def test_merged_cone_rule_takes_nearest_free_direction():
     """Of rays around each cone that overlaps the one in the way, directly or through others."""
     random = np.random.default_rng(2)
     left = through = 0
@@ -178,7 +178,7 @@ def test_joined_rule_in_space_takes_the_nearest_free_way_out_of_all_that_hang_to
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_who_touches_an_obstacle_leaves_it_along_f_and_does_not_press_into_it(dim):
+def test_touching_robot_leaves_along_f_without_pressing(dim):
     """Its silhouette is half of all directions, and opposite points add up to nothing."""
     random = np.random.default_rng(3)
     axes = [*np.eye(dim), *-np.eye(dim)]
@@ -199,7 +199,7 @@ def test_who_touches_an_obstacle_leaves_it_along_f_and_does_not_press_into_it(di
 
 
 @pytest.mark.parametrize("swapped", [-0.1, -1e-7, 1e-7, 0.1])
-def test_a_touched_obstacle_whose_edges_have_changed_sides_is_not_taken_for_nothing(swapped):
+def test_touched_obstacle_with_swapped_edges_still_blocks(swapped):
     """By rounding, or by a sensor that errs: it stands at +x, and covers about half of all."""
     angles = 0.5 * math.pi * np.array([1.0, -1.0]) + 0.5 * swapped * np.array([1.0, -1.0])
     points = np.stack([np.cos(angles), np.sin(angles)], axis=-1)[None]
@@ -224,7 +224,7 @@ def team_view(random, leading):
 
 
 @pytest.mark.parametrize("name", RULES)
-def test_velocities_are_law_4(name):
+def test_velocities_follow_law_4(name):
     observations = team_view(np.random.default_rng(4), (5,))
     f = LAYOUT.net_bearing(observations)
     h = RULES[name](f, LAYOUT.split(observations).obstacles)
@@ -254,7 +254,7 @@ def test_certified_forms_keep_margin_and_turn_limit(name):
     np.testing.assert_allclose(velocities, scale * h * np.sum(h * f, -1, keepdims=True), atol=1e-6)
 
 
-def test_certified_forms_take_a_heading_as_a_line():
+def test_certified_forms_flip_heading_to_f():
     view = np.zeros((4, *LAYOUT.shape), np.float32)
     view[:, 0] = [1, 0]
     view[:, LAYOUT.obstacles] = edges((165, 190)).reshape(12, 2)

@@ -48,7 +48,7 @@ def azimuth(cones, before=NONE, keeps=0.0, clearance=0.0):
     return np.array(aside), kept, np.arctan2(cut[:seen, :, 1], cut[:seen, :, 0])
 
 
-def test_a_plane_cuts_a_cone_at_its_half_angle_or_less():
+def test_plane_cuts_cone_within_half_angle():
     """Between rays a cone is taken to be flat: half angles from atan(tan 0.4 cos 22.5°) to 0.4; at
     the elevation δ of the centre above the plane cos ψ = cos θ / cos δ; beyond the cone nothing."""
     for elevation, clearance, half in (
@@ -60,7 +60,7 @@ def test_a_plane_cuts_a_cone_at_its_half_angle_or_less():
         assert kept and edges[0] == pytest.approx([half, -half], abs=0.04 if elevation else 0.02)
 
 
-def test_a_plane_is_kept_while_what_is_free_there_is_near_enough():
+def test_plane_is_kept_while_free_direction_is_near():
     for keeps, stays in ((1.7, True), (1.4, False)):
         aside, kept, edges = azimuth(ROW, before=Y, keeps=keeps)
         assert kept == stays and (abs(aside @ Y) > 0.99) == stays
@@ -70,7 +70,7 @@ def test_a_plane_is_kept_while_what_is_free_there_is_near_enough():
     assert not kept and abs(aside @ Z) > 0.7
 
 
-def test_the_azimuth_is_the_one_with_least_to_turn():
+def test_azimuth_minimises_turn():
     """A cone whose nearest edge lies along y, and one that closes that way."""
     seen = cone(at(-0.3), 0.4)
     aside, kept, _ = azimuth([seen], before=Z)
@@ -83,7 +83,7 @@ def test_the_azimuth_is_the_one_with_least_to_turn():
 
 
 @pytest.mark.parametrize("half_angle", [0.05, 0.4, 0.77, 1.0, 1.4])
-def test_widened_by_flat_eight_rays_hold_the_round_cone(half_angle):
+def test_widened_eight_rays_contain_cone(half_angle):
     """Hardly more than it where the cone is widest between two rays."""
     for turn, share in ((0.0, 1.0), (math.pi / 8, 0.999)):
         rays = np.array([cone(X, half_angle)])
@@ -94,7 +94,7 @@ def test_widened_by_flat_eight_rays_hold_the_round_cone(half_angle):
         assert not lies_outside(tuple(share * (edge - X) + X), out)
 
 
-def test_a_direction_lies_outside_a_cone_or_within():
+def test_lies_outside_matches_geometry():
     rays = np.array([cone(X, 0.4)])
     for angle, outside in [(0.0, False), (0.35, False), (0.42, True), (math.pi, True)]:
         assert lies_outside(tuple(at(angle)), rays) == outside
@@ -109,7 +109,7 @@ def heading_of(cones, carried=NONE, aside=NONE):
     return out[0], asides[0]
 
 
-def test_the_tuned_rule_keeps_to_its_plane_and_side_while_something_is_before_f():
+def test_tuned_rule_keeps_plane_and_side_while_blocked():
     """Of a cone to pass at −y the edge lies at 0.1 rad, widened by 0.1 within a clearance of 0.2;
     who has begun at +y goes on there, who keeps to z passes in that plane.
     """
@@ -128,7 +128,7 @@ def test_the_tuned_rule_keeps_to_its_plane_and_side_while_something_is_before_f(
     assert math.acos(heading[0]) < PASSABLE and abs(aside @ Y) < 0.5
 
 
-def test_who_touches_a_sphere_leaves_it_and_does_not_press_into_it():
+def test_robot_touching_sphere_leaves_without_pressing():
     """Eight rays in a plane add up to rounding."""
     random = np.random.default_rng(4)
     for centre in unit(random.normal(size=(60, 3))):

@@ -28,7 +28,7 @@ def first_velocities(name, scenario, positions):
     return np.einsum("bnij,bnj->bni", simulator.frames, policy(seen, 0.0))[0]
 
 
-def test_consensus_is_the_exponential_of_the_laplacian():
+def test_consensus_is_exponential_of_laplacian():
     """p(t) = exp(−L t) p(0), while nobody is at the speed limit or merges."""
     weights = np.array([[0, 0.5, 0, 0.2], [0.5, 0, 0.7, 0], [0, 0.7, 0, 0.3], [0.2, 0, 0.3, 0]])
     start = np.array([[0.0, 0.0], [3.0, 1.0], [4.0, -2.0], [-1.0, 2.0]])
@@ -60,14 +60,14 @@ LINE = [[0.0, 0.0], [3.0, 0.0], [3.0, 2.0], [-4.0, 0.0], [20.0, 0.0]]
         ("privileged-nearest-pursuit", {}, LINE, [[1, 0], [0, 1], [0, -1], [1, 0], [-1, 0]]),
     ],
 )  # fmt: skip
-def test_first_velocities_by_hand(name, changes, start, wanted):
+def test_first_velocities_match_hand_computation(name, changes, start, wanted):
     found = first_velocities(name, TEAM.replace(**changes), start)
     np.testing.assert_allclose(found, wanted, atol=1e-6)
 
 
 class TestEnclosingBall:
     @given(st.integers(1, 12), st.integers(2, 3), st.integers(0, 10**6), st.booleans())
-    def test_it_encloses_and_no_ball_is_smaller(self, count, d, seed, on_a_grid):
+    def test_enclosing_ball_contains_points_and_is_minimal(self, count, d, seed, on_a_grid):
         """A convex function that no small step lessens is at its least."""
         points = np.random.default_rng(seed).normal(size=(count, d)) * 4
         points = np.round(points) if on_a_grid else points
@@ -79,7 +79,7 @@ class TestEnclosingBall:
             with pytest.raises(ValueError, match="points have shape"):
                 smallest_enclosing_ball(no_points)
 
-    def test_nobody_could_be_sooner(self):
+    def test_enclosing_ball_is_time_optimal(self):
         """T is at least (R − (n − 1) r/2)/v_max, and at most R/v_max and what merges cost."""
         policy = baselines.make("privileged-enclosing-ball", TEAM)
         found = rv.rollout(TEAM, policy, 0, num_envs=50)
@@ -92,7 +92,7 @@ class TestEnclosingBall:
             assert (other.rendezvous_time >= found.rendezvous_time - slack).all()
             assert other.rendezvous_time.mean() > found.rendezvous_time.mean() + TEAM.tau
 
-    def test_each_episode_has_its_own_centre(self):
+    def test_centre_is_per_episode(self):
         """Along straight lines to it; the second begins without a word to the policy."""
         simulator, policy = rv.Simulator(TEAM, 2), baselines.make(NAMES[2], TEAM)
         seen = simulator.reset(0)
@@ -108,7 +108,7 @@ class TestEnclosingBall:
             assert (simulator.active.sum(axis=1) == 1).all()
             seen = simulator.reset()
 
-    def test_a_mask_starts_some_teams_afresh(self):
+    def test_mask_restarts_some_environments(self):
         """Both teams are moved; the other one goes back to its old centre."""
         simulator, policy = rv.Simulator(TEAM, 2), baselines.make(NAMES[2], TEAM)
         seen = simulator.reset(0)
@@ -121,13 +121,13 @@ class TestEnclosingBall:
 
 
 class TestCircumcentre:
-    def test_of_each_company_by_hand(self):
+    def test_circumcentres_match_hand_computation(self):
         positions = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 4.0]])
         linked = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
         found = circumcentres(positions, linked)
         np.testing.assert_allclose(found, [[1, 0], [1, 2], [2, 2]], atol=1e-9)
 
-    def test_how_far_a_robot_may_go_by_hand(self):
+    def test_farthest_steps_match_hand_computation(self):
         """Straight at a neighbour d away as far as (d + R)/2; straight away (R − d)/2; across
         √((R/2)² − (d/2)²)."""
         sight, d = 2.0, 1.2
@@ -138,7 +138,7 @@ class TestCircumcentre:
         np.testing.assert_allclose(steps, [(d + sight) / 2, (sight - d) / 2, math.sqrt(0.64)])
         assert np.isinf(farthest_steps(towards, ways, ~linked & False, sight)).all()
 
-    def test_no_link_of_limited_range_is_lost(self):
+    def test_circumcentre_law_keeps_links(self):
         """Law (1) loses some, and so does consensus: who is at the edge lags behind."""
         sight = 2.0
         team = TEAM.replace(
@@ -155,7 +155,7 @@ class TestCircumcentre:
 
 
 @pytest.mark.parametrize("name", [*NAMES, "privileged-planner"])
-def test_without_teams_to_watch_they_refuse_to_act(name):
+def test_oracles_without_simulator_raise(name):
     policy = baselines.make(name, TEAM)
     policy.reset()
     with pytest.raises(RuntimeError, match=rf"{name} reads positions: call its watch"):

@@ -9,7 +9,7 @@ from parameters import slow
 import baselines
 import rendezvous_env as rv
 from baselines.references.privileged_planner import NAME, meeting_place
-from baselines.references.roadmap import Roadmap, WaysTo
+from baselines.references.roadmap import PathsTo, Roadmap
 from rendezvous_env import Capsule, Disc, Polygon, Scenario, Simulator, Sphere
 from rendezvous_env.obstacles.obstacle_set import pack
 
@@ -42,38 +42,38 @@ def round_a_ball():
 
 
 class TestWays:
-    def test_round_a_box_by_hand(self):
+    def test_path_around_box_matches_hand_computation(self):
         roadmap = Roadmap(pack([BOX], 1), 0.1)
         here, there = np.array([-2.0, 0.5]), np.array([2.0, 0.5])
         expected = 2 * math.hypot(1.4, 1.6) + 1.2  # over (∓0.6, 2.1)
         assert shortest(roadmap, here, there) == pytest.approx(expected)
-        way = WaysTo(roadmap, there).way(here)
+        way = PathsTo(roadmap, there).way(here)
         np.testing.assert_allclose(way, [(-0.6, 2.1), (0.6, 2.1), (2.0, 0.5)])
         assert np.isinf(roadmap.straight(here[None], there[None])).all()
         free = Roadmap(pack([], 0), 0.1)
         assert shortest(free, [1.0, 1.0], [3.0, 4.0]) == math.hypot(2, 3)
-        assert WaysTo(free, there).way(here).tolist() == [[2.0, 0.5]]
+        assert PathsTo(free, there).way(here).tolist() == [[2.0, 0.5]]
 
     @pytest.mark.parametrize("round_one", [Disc((0, 0), 1), Capsule(((0, 0), (0, 1e-3)), 1)])
-    def test_round_a_disc_it_is_nearly_the_tangents_and_the_arc(self, round_one):
+    def test_path_around_disc_is_nearly_optimal(self, round_one):
         found = shortest(Roadmap(pack([round_one], 1), 0.1), [-3.0, 0.0], [3.0, 0.0])
         assert round_a_ball() <= found * (1 + 1e-3) and found < 1.01 * round_a_ball()
 
     @pytest.mark.parametrize(
         "round_one", [Sphere((0, 0, 0), 1), Capsule(((0, 0, 0), (0, 1e-3, 0)), 1)]
     )
-    def test_round_a_ball_it_is_little_longer(self, round_one):
+    def test_path_around_ball_is_nearly_optimal(self, round_one):
         roadmap = Roadmap(pack([round_one], 1), 0.1, dim=3)
         for here in np.random.default_rng(0).normal(size=(20, 3)):
             here *= 3 / np.linalg.norm(here)
             found = shortest(roadmap, here, -here)
             assert round_a_ball() <= found < 1.15 * round_a_ball()
-            turns = np.array([here, *WaysTo(roadmap, -here).way(here)])
+            turns = np.array([here, *PathsTo(roadmap, -here).way(here)])
             along = np.linspace(turns[:-1], turns[1:], 200)
             assert np.linalg.norm(along, axis=-1).min() >= 1.09 - 1e-3
             assert np.linalg.norm(np.diff(turns, axis=0), axis=-1).sum() == pytest.approx(found)
 
-    def test_polygons_of_many_corners_are_simplified_within_the_clearance(self):
+    def test_polygons_are_simplified_within_clearance(self):
         """A roadmap looks from each corner to each: of 49 such polygons ten thousand took hours."""
         around = 2 * np.pi * np.arange(200) / 200
         ring = np.stack([np.cos(around), np.sin(around)], axis=-1)
@@ -83,19 +83,19 @@ class TestWays:
         assert (off.min(axis=1) >= 1.1 - 1e-3).all() and (off.min(axis=1) <= 1.2).all()
         assert 25.0 < shortest(roadmap, [-2.0, 0.0], [23.0, 0.0]) < 25.8
 
-    def test_more_corners_than_a_roadmap_can_hold_are_refused(self):
+    def test_too_many_corners_are_rejected(self):
         discs = [Disc((3.0 * k, 0.0), 1.0) for k in range(300)]
         with pytest.raises(ValueError, match="4800 corners; ways are planned among 4000 at most"):
             Roadmap(pack(discs, 300), 0.1)
 
-    def test_a_pointed_obstacle_stands_in_the_way_beyond_its_bounding_ball(self):
+    def test_pointed_obstacle_blocks_beyond_bounding_ball(self):
         """Made fatter, a corner is pointed: ways are as if no obstacle were passed over."""
         needle = Polygon(((0.0, -0.05), (4.0, 0.0), (0.0, 0.05)))
         roadmap = Roadmap(pack([needle], 1), 0.1)
         straight = roadmap.straight(np.array([[4.5, -1.0], [19.5, -1.0]]), np.array([[4.5, 1.0]]))
         assert np.isinf(straight[0, 0]) and np.isfinite(straight[1, 0])
 
-    def test_no_place_of_many_is_much_better_than_where_they_meet(self):
+    def test_meeting_place_is_nearly_optimal(self):
         random = np.random.default_rng(3)
         roadmap = Roadmap(pack([BOX, Disc((2, 2), 1)], 2), 0.1)
         team = np.array([[-2.0, 0.0], [2.0, 0.0], [2.0, 4.0], [-1.0, -3.0]])
@@ -119,7 +119,7 @@ class TestItPasses:
             slow("unicycle-clutter-24-slower", 20, ""), slow("unicycle-rooms", 20, ""),
         ],
     )  # fmt: skip
-    def test_every_field_is_passed(self, name, starts, fails):
+    def test_planner_solves_every_scenario(self, name, starts, fails):
         """In some of them law (4) fails."""
         scenario = rv.scenarios.get(name)
         for policy in (NAME, fails) if fails else (NAME,):
@@ -129,12 +129,12 @@ class TestItPasses:
 
     @pytest.mark.slow
     @pytest.mark.parametrize("name", ["clutter-3d-32", "slab-3d", "bowl-3d", "uav-clutter-16"])
-    def test_of_many_starts_at_least_99_percent_are_passed(self, name):
+    def test_planner_solves_99_percent_of_initial_conditions(self, name):
         scenario = rv.scenarios.get(name)
         found = rv.rollout(scenario, planner(scenario), 1_000_000, num_envs=100)
         assert clean(found).mean() >= 0.99
 
-    def test_clutter_cleanly_and_within_the_speed_limit(self):
+    def test_planner_is_collision_free_within_speed_limit(self):
         found = rv.rollout(CLUTTER, planner(CLUTTER), 0, num_envs=50, record="actions")
         assert clean(found).mean() >= 0.99
         assert np.linalg.norm(found.actions, axis=-1).max() <= 1.0 + 1e-6
@@ -155,16 +155,16 @@ class TestItPasses:
         ],
         ids=["every kind of obstacle", "a ring", "a merge beside a corner", "from a surface"],
     )  # fmt: skip
-    def test_cleanly(self, scenario, seed, starts):
+    def test_planner_is_collision_free(self, scenario, seed, starts):
         assert clean(rv.rollout(scenario, planner(scenario), seed, num_envs=starts)).all()
 
     @pytest.mark.kernels
-    def test_two_robots_meet_as_soon_as_can_be(self):
+    def test_two_robots_meet_in_minimum_time(self):
         scenario = Scenario(n_robots=2, start_positions=((-2, 0), (2, 0)), **SLOW)
         found = rv.rollout(scenario, planner(scenario))
         assert found.rendezvous_time[0] == pytest.approx((4.0 - 0.2) / 2, abs=0.051)
 
-    def test_who_is_walled_in_stays_and_the_others_meet(self):
+    def test_enclosed_robot_stays_and_others_meet(self):
         wall = [((-2, -2), (2, -2)), ((2, -2), (2, 2)), ((2, 2), (-2, 2)), ((-2, 2), (-2, -2))]
         scenario = Scenario(
             n_robots=3,
@@ -179,7 +179,7 @@ class TestItPasses:
 
 
 class TestItWatches:
-    def test_observations_of_other_teams_are_refused(self):
+    def test_planner_rejects_other_observations(self):
         policy, simulator = planner(CLUTTER), Simulator(CLUTTER, 2)
         seen = simulator.reset(0)
         policy.watch(simulator)
@@ -191,7 +191,7 @@ class TestItWatches:
         with pytest.raises(ValueError, match="mask"):
             policy.reset(np.ones(3, bool))
 
-    def test_the_next_episode_is_planned_anew(self):
+    def test_next_episode_is_replanned(self):
         scenario = rv.scenarios.get("rooms")
         simulator, policy = Simulator(scenario, 3), planner(scenario)
         seen = simulator.reset(5)

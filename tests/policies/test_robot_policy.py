@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 import baselines
 import rendezvous_env as rv
 from baselines import RobotPolicy
-from baselines.robot_sight import RobotSight, least_cost_slots
+from baselines.robot_sight import RobotSight, min_cost_slots
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
 from rendezvous_env.trajectory import run
 
@@ -61,7 +61,7 @@ IN_SPACE = (
 @pytest.mark.parametrize(
     ("name", "scenario"), [*IN_THE_PLANE, *(slow(*pair) for pair in (*UNICYCLES, *IN_SPACE))]
 )
-def test_it_does_what_a_robot_of_a_batch_does(name, scenario):
+def test_robot_policy_equals_batch(name, scenario):
     """In space but for rounding to float32, in whole episodes; in the plane but for sums in another
     order, too.
     """
@@ -117,7 +117,7 @@ def test_actions_are_float64_that_messages_of_robots_can_hold(policy, scenario):
 
 
 @pytest.mark.parametrize("name", ["learned", "tangent-joined-tuned", "learned-tank"])
-def test_a_team_out_of_step_keeps_its_margin_and_meets(name):
+def test_asynchronous_team_keeps_margin_and_meets(name):
     """Every robot ticks when it likes, 10 to 50 ms after its last tick, and holds its velocity."""
     field = rv.scenarios.get("clutter-8")
     world = field.replace(time_step=0.01)
@@ -143,7 +143,7 @@ def test_a_team_out_of_step_keeps_its_margin_and_meets(name):
 
 
 class TestTime:
-    def test_a_heading_turns_by_as_much_as_the_time_allows(self):
+    def test_heading_turn_is_limited_by_elapsed_time(self):
         for dt in (0.02, 0.05):
             robot = RobotPolicy(CLUTTER, "tangent-joined-certified", max_turn_rate=1.0)
             before = robot.act(along(0))
@@ -151,7 +151,7 @@ class TestTime:
             turned = np.arctan2(after[1], after[0]) - np.arctan2(before[1], before[0])
             assert turned == pytest.approx(dt, abs=1e-5)
 
-    def test_the_network_is_shown_rates_not_differences(self):
+    def test_network_observes_rates(self):
         """Edges that turn at 1 rad/s do so however often the robot looks."""
         rates = []
         for dt in (0.02, 0.05):
@@ -173,7 +173,7 @@ class TestTime:
             rates.append(obstacles[obstacles.any(axis=-1)][0, 4:])
         np.testing.assert_allclose(rates, 1.0, atol=1e-4)
 
-    def test_reset_begins_anew(self):
+    def test_reset_restarts_policy(self):
         robot = RobotPolicy(CLUTTER, "tangent-joined-certified", max_turn_rate=1.0)
         fresh = robot.act(along(50))
         robot.act(along(0), dt=1.0)
@@ -181,7 +181,7 @@ class TestTime:
         np.testing.assert_array_equal(robot.act(along(50)), fresh)
         assert robot.time == 0.0
 
-    def test_a_step_cut_short_earns_in_proportion(self):
+    def test_truncated_step_earns_proportionally(self):
         tank = RobotPolicy(CLUTTER, "learned-tank").policy
         rows = np.zeros((1, CLUTTER.n_robots, *CLUTTER.observation_layout.shape), np.float32)
         rows[0, 0, :2] = along(0, 30)
@@ -203,18 +203,18 @@ class TestSight:
         sight = RobotSight(layout := CLUTTER.observation_layout, 3.0)
         return [layout.split(sight.rows(along(0), look, None)).obstacles for look in looks]
 
-    def test_obstacles_keep_their_slots(self):
+    def test_obstacles_keep_slots(self):
         one, two = self.shown([self.A, self.B], [self.C, along(83, 62), along(44, 23)])
         place = [np.argmin(np.abs(one - edges).sum(axis=(1, 2))) for edges in (self.A, self.B)]
         np.testing.assert_allclose(two[place], [along(44, 23), along(83, 62)], atol=1e-6)
         assert two.any(axis=(1, 2)).sum() == 3
 
-    def test_what_vanished_leaves_its_slot_to_nobody_at_once(self):
+    def test_vanished_obstacle_frees_slot_later(self):
         """An obstacle that comes into sight as another goes does not turn as fast as that."""
         one, two = self.shown([self.A], [self.C])
         assert not (one.any(axis=(1, 2)) & two.any(axis=(1, 2))).any()
 
-    def test_nobody_in_sight_is_rest(self):
+    def test_no_visible_neighbour_means_rest(self):
         assert RobotPolicy(CLUTTER).act([], [along(10, -10)]).tolist() == [0.0, 0.0]
 
 
@@ -258,12 +258,12 @@ def test_bad_measurements_are_named_and_change_nothing(change, message):
         ("clutter-3d", {"obstacles": [OPPOSITE]}, r"obstacles\[0\] .* rays round a cone"),
     ],
 )  # fmt: skip
-def test_bad_measurements_in_space_are_named(field, change, message):
+def test_bad_measurements_in_3d_are_named(field, change, message):
     with pytest.raises(ValueError, match=message):
         RobotPolicy(field, baselines.names(field)[0]).act(**{"bearings": [[1, 0, 0]], **change})
 
 
-def test_what_it_cannot_steer_is_refused():
+def test_unsupported_robots_and_policies_are_rejected():
     with pytest.raises(ValueError, match=r"has double_integrator robots; a RobotPolicy steers"):
         RobotPolicy(rv.Scenario(robot_model="double_integrator"), LAWS["single_integrator"])
     with pytest.raises(ValueError, match=r"'tank-joined' is one of the rules under an energy tank"):
@@ -274,7 +274,7 @@ def test_what_it_cannot_steer_is_refused():
         RobotPolicy(CLUTTER, 3)
 
 
-def test_slots_cost_as_little_as_scipys():
+def test_least_cost_slots_equal_scipy():
     random = np.random.default_rng(0)
     for _ in range(2000):
         m = random.integers(1, 7)
@@ -282,6 +282,6 @@ def test_slots_cost_as_little_as_scipys():
         cost = random.choice(
             [random.normal(size=shape), random.integers(0, 4, shape).astype(float)]
         )
-        slots = least_cost_slots(cost)
+        slots = min_cost_slots(cost)
         assert len(set(slots)) == m
         assert cost[range(m), slots].sum() == pytest.approx(cost[linear_sum_assignment(cost)].sum())

@@ -1,4 +1,4 @@
-"""What messages of a robot's sensors may hold, and what a robot does with those that may not be."""
+"""Validation of sensor messages of a robot, and reactions to invalid ones."""
 
 import math
 
@@ -18,7 +18,7 @@ NAN = math.nan
 
 
 def facing(yaw):
-    """The quaternion of a yaw, rad."""
+    """Quaternion of a yaw, rad."""
     return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)
 
 

@@ -29,7 +29,7 @@ def times_larger(u):
 
 @pytest.mark.parametrize("policy", ["privileged-planner", "tank-joined"])
 @pytest.mark.parametrize("u", [2.0**-13, 2.0**10])
-def test_all_is_the_same_but_the_unit(policy, u):
+def test_policies_are_scale_invariant(policy, u):
     """A power of two is exact: the planner kept 0.1 m, the rule had 50 m²/s and lost 1 m."""
     found = [
         rv.rollout(scenario, baselines.make(policy, scenario), 0, num_envs=20)
@@ -42,7 +42,7 @@ def test_all_is_the_same_but_the_unit(policy, u):
 
 
 @pytest.mark.parametrize("policy", ["tank-joined", "learned-tank"])
-def test_the_budget_is_never_more_than_a_tank_can_have(policy):
+def test_default_budget_is_within_limit(policy):
     world = times_larger(1e6)
     assert preset("tank").settings.budget_of(world) == LARGEST
     found = rv.rollout(world, baselines.make(policy, world), 0, num_envs=2)

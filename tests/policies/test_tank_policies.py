@@ -35,7 +35,7 @@ def made(scenario=CLUTTER, **options):
         ("uav-clutter-16", 50.0, 32, 20_000),
     ],
 )
-def test_v_and_the_ledger_fall_together_where_nothing_is_touched(name, budget, teams, least):
+def test_v_plus_ledger_decreases_without_contact(name, budget, teams, least):
     """V + ΣA, although what robots remember turns with their bodies and is never told."""
     scenario = rv.scenarios.get(name).replace(time_limit=45.0)
     policy, simulator = made(scenario, budget=budget), Simulator(scenario, teams)
@@ -58,7 +58,7 @@ def test_v_and_the_ledger_fall_together_where_nothing_is_touched(name, budget, t
 
 
 @pytest.mark.parametrize("field", ["clutter-8", "unicycle-clutter-24-slow"])
-def test_a_bay_is_left_by_the_tank_and_not_by_a_heading(field):
+def test_tank_leaves_bay_unlike_heading(field):
     """A heading rests there for ever: V would have to rise."""
     bay = rv.scenarios.get(field).replace(name="bay", time_limit=60.0, **BAY)
     for name, meets in (("tangent-joined-tuned", False), ("tank-joined", True)):
@@ -71,7 +71,7 @@ def test_a_bay_is_left_by_the_tank_and_not_by_a_heading(field):
     assert rises.all() or bay.robot_model == "unicycle"
 
 
-def test_without_anything_in_the_way_it_goes_along_f():
+def test_free_path_follows_f():
     scenario = Scenario(n_robots=4, obstacle_slots=2, max_speed=1.0)
     observations = Simulator(scenario, 5).reset(0)
     f = scenario.observation_layout.net_bearing(observations)
@@ -92,7 +92,7 @@ def in_a_corner():
     return scenario, free, walled
 
 
-def test_it_turns_back_once_it_has_lost_enough():
+def test_rule_turns_back_after_enough_loss():
     """A wall that never ends: 0.2 rad outside either end, first 1 m back from f, then 2 m."""
     scenario, _, walled = in_a_corner()
     policy = made(scenario, patience=1.0)
@@ -103,7 +103,7 @@ def test_it_turns_back_once_it_has_lost_enough():
     assert turns[1] - turns[0] == pytest.approx(1.0 / (0.05 * abs(np.cos(2.7))), abs=1.5)
 
 
-def test_a_robot_whose_tank_would_not_last_rests():
+def test_robot_with_low_tank_rests():
     scenario, free, walled = in_a_corner()
     policy = made(scenario, budget=0.0)
     for _ in range(6):
@@ -120,6 +120,6 @@ def test_a_robot_whose_tank_would_not_last_rests():
         ({"clearance": -0.1}, "clearance is -0.1"),
     ],
 )
-def test_options_are_checked(options, message):
+def test_options_are_validated(options, message):
     with pytest.raises(ValueError, match=message):
         made(**options)

@@ -1,4 +1,4 @@
-"""What the tests of pictures share: an environment that is drawn, and colours at places."""
+"""Helpers for images: a rendered environment, and colours of pixels."""
 
 import os
 
@@ -11,12 +11,12 @@ import rendezvous_env as rv
 
 
 def still(env):
-    """Actions of rest."""
+    """Zero actions."""
     return {name: np.zeros(env.action_space(name).shape, np.float32) for name in env.agents}
 
 
 def drawn(scenario="fig4", steps=0, *, options=None, mode="rgb_array", **overrides):
-    """An environment after some steps of rest, and its picture."""
+    """An environment after some steps at rest, and its image."""
     env = rv.parallel_env(scenario, render_mode=mode, **overrides)
     env.reset(seed=0, options=options)
     for _ in range(steps):
@@ -25,13 +25,13 @@ def drawn(scenario="fig4", steps=0, *, options=None, mode="rgb_array", **overrid
 
 
 def at(frame, place):
-    """Colour of the pixel nearest to a place (x, y)."""
+    """Colour of the pixel nearest to a position (x, y)."""
     x, y = np.round(place).astype(int)
     return frame[y, x].tolist()
 
 
 def near(frame, place, colour, reach):
-    """How many pixels within a reach of a place nearly have a colour."""
+    """Number of pixels near a position with approximately a colour."""
     x, y = np.round(place).astype(int)
     part = frame[max(0, y - reach) : y + reach + 1, max(0, x - reach) : x + reach + 1].astype(int)
     return int((np.abs(part - colour).max(axis=-1) < 30).sum())

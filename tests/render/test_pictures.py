@@ -17,7 +17,7 @@ STRIP = 600 - 118
 """First row of pixels of the strip of V(t)."""
 
 
-def test_each_robot_has_its_colour_where_it_is(kind):
+def test_robot_has_its_colour_at_its_position(kind):
     env, _ = drawn(five(kind))
     law = {name: np.full(env.action_space(name).shape, 0.4, np.float32) for name in env.agents}
     for _ in range(5):
@@ -29,7 +29,7 @@ def test_each_robot_has_its_colour_where_it_is(kind):
     assert [at(frame, place) for place in places] == [list(c) for c in ROBOTS[:5]]
 
 
-def test_obstacles_are_orange_where_the_data_say():
+def test_obstacles_are_orange_at_their_position():
     env, frame = drawn("fig4")
     disc, _, polygon = env.scenario.obstacles
     for inside in (disc.centre, polygon.centroid):
@@ -41,7 +41,7 @@ def test_obstacles_are_orange_where_the_data_say():
             assert near(frame, place, OBSTACLE, 0) == (reach < 0)
 
 
-def test_a_sphere_is_orange_and_hides_what_is_behind():
+def test_sphere_is_orange_and_hides_background():
     positions = np.array([[2.0, 0.0, 0.0], [-2.0, 0.0, 0.0], [0.0, 0.0, 2.5]])
     scenario = rv.Scenario(n_robots=3, dim=3, obstacles=(rv.Sphere((0.0, 0.0, 0.0), 1.0),))
     camera = fit(positions, pack(scenario.obstacles, 1), Area(0, 0, 600, 450), 18)
@@ -57,14 +57,14 @@ def test_a_sphere_is_orange_and_hides_what_is_behind():
     assert near(frame, right, (233, 171, 31), 3) > 40  # orange through which white shines
 
 
-def test_axes_are_equal():
+def test_axes_have_equal_scale():
     env, _ = drawn("fig3")
     origin, x, y = env.renderer.pixels(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     assert x - origin == pytest.approx([(x - origin)[0], 0.0], abs=1e-9)
     assert y - origin == pytest.approx([0.0, -(x - origin)[0]], abs=1e-9)
 
 
-def test_space_is_seen_in_perspective():
+def test_scene_3d_has_perspective():
     camera = fit(np.eye(3) * 4, np.zeros((0, 5)), Area(0, 0, 600, 400), 20)
     near, far = (camera.nearness(camera.centre + sign * camera.back) for sign in (1, -1))
     assert near > 1 > far
@@ -73,7 +73,7 @@ def test_space_is_seen_in_perspective():
     assert camera.directions(camera.centre, camera.back) == pytest.approx([0, 0], abs=1e-9)
 
 
-def test_a_robot_that_moves_leaves_a_path_and_the_view_stays():
+def test_path_is_drawn_and_view_is_fixed():
     env, before = drawn("fig3", local_frames="global")
     fixed = np.array([[-1.0, 2.0], [3.0, 0.5]])
     view, start = env.renderer.pixels(fixed), env.simulator.positions[0].copy()
@@ -90,7 +90,7 @@ def test_a_robot_that_moves_leaves_a_path_and_the_view_stays():
     assert at(after, env.renderer.pixels(start[1])) == list(ROBOTS[1])
 
 
-def test_headings_and_bearings_stick_out_of_a_robot():
+def test_headings_and_bearings_are_drawn():
     options = {"positions": [[0.0, 0.0], [4.0, 0.0]], "headings": [np.pi / 2, 0.0]}
     env, frame = drawn(rv.Scenario(n_robots=2, robot_model="unicycle"), options=options)
     place = env.renderer.pixels(np.zeros(2))
@@ -101,7 +101,7 @@ def test_headings_and_bearings_stick_out_of_a_robot():
     assert near(frame, place - right, ROBOTS[0], 3) == 0
 
 
-def test_who_senses_whom_is_joined_by_a_line():
+def test_links_are_drawn():
     options = {"positions": [[-3.1, 0.0], [0.0, 4.1], [3.1, 0.0]]}
     env, frame = drawn(rv.Scenario(n_robots=3, graph="path"), options=options)
     places = env.renderer.pixels(env.simulator.positions[0])
@@ -109,7 +109,7 @@ def test_who_senses_whom_is_joined_by_a_line():
     assert near(frame, places[::2].mean(axis=0), (205, 205, 205), 1) == 0
 
 
-def test_a_merge_leaves_a_cross_and_a_number():
+def test_merge_has_cross_and_count():
     options = {"positions": [[0.0, 0.0], [0.3, 0.0], [4.0, 4.0]]}
     env, _ = drawn(rv.Scenario(n_robots=3, local_frames="global"), options=options)
     while env.simulator.active.all():
@@ -124,7 +124,7 @@ def test_a_merge_leaves_a_cross_and_a_number():
     assert near(frame, survivor, ROBOTS[0], 6) > 40
 
 
-def test_a_contact_is_ringed_and_stays_marked():
+def test_contact_is_ringed_and_marked():
     scenario = rv.Scenario(
         n_robots=2, obstacles=(rv.Disc((0.0, 0.0), 1.0),), local_frames="global", max_speed=1.0
     )
@@ -141,7 +141,7 @@ def test_a_contact_is_ringed_and_stays_marked():
     assert near(frame, env.renderer.pixels(env.simulator.positions[0, 0]), (0, 0, 0), 11) == 0
 
 
-def test_the_strip_shows_v_falling():
+def test_strip_shows_decreasing_v():
     env = rv.parallel_env("duo", render_mode="rgb_array")
     policy = baselines.make("bearing-only", env.scenario)
     observations, _ = env.reset(seed=0)
@@ -155,12 +155,12 @@ def test_the_strip_shows_v_falling():
     assert heights[1][0] > heights[0][0] and heights[1][1] > heights[0][1]
 
 
-def test_colours_go_round_by_index():
+def test_robot_colours_cycle():
     assert robot_colour(7) == robot_colour(0) == ROBOTS[0]
     assert len(set(ROBOTS)) == len(ROBOTS) and OBSTACLE not in ROBOTS
 
 
-def test_steps_of_a_grid_are_round():
+def test_grid_steps_are_round():
     assert [nice_step(span, 8) for span in (1.0, 9.0, 16.0, 20.0, 39.0)] == [0.2, 2, 2, 5, 5]
 
 
@@ -170,7 +170,7 @@ LOG = rv.Scenario(
 BESIDE = {"positions": [[0.0, 3.0], [0.5, -3.0]]}
 
 
-def test_a_capsule_is_drawn():
+def test_capsule_is_drawn():
     _, frame = drawn(LOG, options=BESIDE)
     rows, columns = np.nonzero(np.abs(frame.astype(int) - OBSTACLE).max(axis=-1) < 40)
     # metres per pixel from the height of the shape, which is 3 m; its area is 4.472 · 1 + π/4
@@ -180,14 +180,14 @@ def test_a_capsule_is_drawn():
 
 
 @pytest.mark.parametrize(("radius", "count"), [(0.001, 99), (0.5, 37)])
-def test_a_capsule_of_space_is_drawn_as_balls(radius, count):
+def test_capsule_in_3d_is_drawn_as_balls(radius, count):
     """As few as do for a very thin one."""
     beads = outlines(pack((rv.Capsule(((0.0, 0.0, 0.0), (9.0, 0.0, 0.0)), radius),), 1), 3)
     assert len(beads) == count and beads[-1].centre.tolist() == [9.0, 0.0, 0.0]
     assert {bead.radius for bead in beads} == {radius}
 
 
-def test_a_figure_shows_a_capsule():
+def test_figure_shows_capsule():
     found = rv.rollout(LOG, baselines.make("tangent-joined", LOG), options=BESIDE)
     recording = reproduce.one_team(found)
     path_figures.team_figure(LOG, recording, "tangent-joined").canvas.draw()
@@ -196,20 +196,20 @@ def test_a_figure_shows_a_capsule():
     assert np.hypot(*part.vertices.T).max() == pytest.approx(np.hypot(2, 1) + 0.5)
 
 
-def test_what_a_picture_has_to_hold():
+def test_outermost_contains_scene():
     table = pack((rv.Disc((3.0, 0.0), 1.0), rv.Polygon(((0, 0), (0, 5), (-2, 0)))), 2)
     points = outermost(np.array([[0.0, -1.5]]), table)
     assert points.min(axis=0).tolist() == [-2.0, -1.5] and points.max(axis=0).tolist() == [4.0, 5.0]
 
 
-def test_a_way_ends_where_its_robot_merges():
+def test_path_ends_at_merge():
     positions = np.arange(8.0).reshape(4, 2, 1)
     active = np.array([[1, 1], [1, 1], [1, 0], [1, 0]], dtype=bool)
     assert ended(active).tolist() == [[2, 1]]
     assert [way.ravel().tolist() for way in ways(positions, active)] == [[0, 2, 4, 6], [1, 3, 5]]
 
 
-def test_contacts_are_told_in_robot_steps():
+def test_contacts_text_counts_robot_steps():
     assert in_contact(1) == "1 robot-step in contact" and in_contact(0).startswith("0 robot-steps")
 
 

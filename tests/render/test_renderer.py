@@ -30,7 +30,7 @@ def forward(env, steps):
 
 
 @pytest.mark.parametrize("make", [rv.parallel_env, rendezvous_v0.env, make_env, rv.make_vec])
-def test_every_kind_renders_by_its_mode(make):
+def test_every_environment_renders_by_mode(make):
     env = make("duo", render_mode="rgb_array")
     env.reset(seed=0)
     assert env.render_mode == "rgb_array"
@@ -47,14 +47,14 @@ def test_every_kind_renders_by_its_mode(make):
 
 
 class TestPicture:
-    def test_before_the_first_reset_there_is_nothing_to_draw(self):
+    def test_render_before_reset_raises(self):
         env = rv.parallel_env("duo", render_mode="rgb_array")
         with pytest.raises(RuntimeError, match=r"call reset\(\) before render\(\)"):
             env.render()
         with pytest.raises(RuntimeError, match=r"call render\(\) before pixels\(\)"):
             env.renderer.pixels(np.zeros(2))
 
-    def test_it_changes_neither_the_episode_nor_the_next_picture(self):
+    def test_rendering_does_not_change_episode(self):
         env, first = drawn("fig4", 3)
         assert np.array_equal(env.render(), first)
         first[:] = 0
@@ -65,26 +65,26 @@ class TestPicture:
             bare.step(still(bare))
         assert np.array_equal(bare.simulator.positions, env.simulator.positions)
 
-    def test_a_path_does_not_depend_on_how_often_it_is_drawn(self):
+    def test_path_is_independent_of_render_rate(self):
         often, seldom = (drawn("fig3")[0] for _ in range(2))
         for _ in range(15):
             forward(often, 1).render()
         assert np.array_equal(often.render(), forward(seldom, 15).render())
 
-    def test_a_new_episode_has_a_view_of_its_own(self):
+    def test_new_episode_has_new_view(self):
         env, picture = drawn("clutter-8")
         env.reset(seed=1)
         assert not np.array_equal(forward(env, 1).render(), picture)
         env.reset(seed=0)
         assert np.array_equal(env.render(), picture)
 
-    def test_other_obstacles_at_the_same_start_are_seen(self):
+    def test_changed_obstacles_are_drawn(self):
         env, _ = drawn(rv.scenarios.get("fig4").replace(obstacle_slots=3))
         env.reset(seed=0, options={"obstacles": [rv.Disc((0.0, 0.0), 0.5)]})
         frame = env.render()
         assert at(frame, env.renderer.pixels(np.zeros(2))) == list(OBSTACLE)
 
-    def test_a_state_put_back_begins_a_new_path(self):
+    def test_restored_state_starts_new_path(self):
         env, at_start = drawn("fig4")
         state = env.get_state()
         assert not np.array_equal(forward(env, 10).render(), at_start)
@@ -92,7 +92,7 @@ class TestPicture:
         assert np.array_equal(env.render(), at_start)
 
     @pytest.mark.parametrize("dim", [2, 3])
-    def test_a_team_that_has_met_may_be_all_that_is_shown(self, dim):
+    def test_finished_environment_is_drawn(self, dim):
         """All robots in one place, and no obstacle: nothing says how large the scene is."""
         start, ahead = np.zeros((2, dim)), np.eye(dim, dtype=np.float32)[0]
         start[1, 0] = 0.3
@@ -105,33 +105,33 @@ class TestPicture:
         assert at(frame, fresh.renderer.pixels(start.mean(axis=0))) != [255, 255, 255]
 
     @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
-    def test_copies_draw_the_same(self, duplicate):
+    def test_copies_draw_identically(self, duplicate):
         env, frame = drawn("fig4", 4)
         twin = duplicate(env)
         assert np.array_equal(twin.render(), frame)
         twin.step(still(twin))
         assert np.array_equal(env.render(), frame)
 
-    def test_it_is_drawn_after_others_have_ended_pygame(self):
+    def test_renderer_survives_pygame_quit(self):
         env, picture = drawn("duo")
         pygame.quit()
         assert (env.render() == picture).all()
         assert (drawn("duo")[1] == picture).all()
 
-    def test_a_wrapper_hands_it_on(self):
+    def test_wrapper_forwards_render(self):
         env = rv.HeadingVectorWrapper(rv.parallel_env("fig4", render_mode="rgb_array"))
         env.reset(seed=0)
         assert env.render().shape == (600, 600, 3) and env.render_mode == "rgb_array"
         assert env.metadata["render_fps"] == round(1 / env.unwrapped.scenario.tau)
 
-    def test_other_sizes(self):
+    def test_other_sizes_are_supported(self):
         env, _ = drawn("fig3")
         frame = Renderer(env.simulator, "rgb_array", size=(400, 320)).render()
         assert frame.shape == (320, 400, 3)
         assert (frame == OBSTACLE).all(axis=-1).sum() > 500
 
     @pytest.mark.parametrize("scenario", ["duo", "uav-6"])
-    def test_pettingzoo_is_content(self, scenario):
+    def test_pettingzoo_render_test_passes(self, scenario):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the suite's own imports are deprecated
             from pettingzoo.test import render_test
@@ -139,7 +139,7 @@ class TestPicture:
 
 
 class TestTile:
-    def test_each_team_has_its_place(self):
+    def test_tile_has_place_per_environment(self):
         venv = rv.make_vec("clutter-4", num_envs=4, render_mode="rgb_array")
         venv.reset(seed=0)
         before = venv.renderer.render()
@@ -158,7 +158,7 @@ class TestTile:
         pictures = [changed[y + 21 : y + 298, x + 2 : x + 298] for y in (0, 300) for x in (0, 300)]
         assert [bool(part.any()) for part in pictures] == [False, False, True, False]
 
-    def test_of_many_teams_the_first_are_shown(self):
+    def test_tile_shows_first_environments(self):
         few, many = (
             rv.make_vec("duo", num_envs=count, render_mode="rgb_array")
             for count in (MOST_TEAMS, 3 * MOST_TEAMS)
@@ -171,7 +171,7 @@ class TestTile:
         assert all(part.min() == 255 and part.shape == first[0].shape for part in rest)
 
     @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-    def test_a_team_that_begins_anew_has_no_old_path(self, mode):
+    def test_autoreset_clears_old_path(self, mode):
         """As if the renderer had looked for the first time after the last beginning."""
         scenario = rv.scenarios.get("clutter-4").replace(time_limit=0.2)
         venv = rv.make_vec(scenario, num_envs=4, autoreset_mode=mode, render_mode="rgb_array")
@@ -181,7 +181,7 @@ class TestTile:
         fresh = Renderer(venv.simulator, "rgb_array")
         assert np.array_equal(venv.renderer.render(), fresh.render())
 
-    def test_the_vector_wrapper_shows_every_base_step(self):
+    def test_vector_wrapper_renders_every_step(self):
         bare = rv.make_vec("fig4", num_envs=2, render_mode="rgb_array")
         venv = HeadingVectorWrapper(bare, decision_period=5)
         venv.reset(seed=0)
@@ -193,7 +193,7 @@ class TestTile:
         assert venv.metadata["render_fps"] == round(bare.metadata["render_fps"] / 5)
 
     @pytest.mark.parametrize("first_only", [False, True])
-    def test_gymnasium_records_films_of_teams(self, first_only, tmp_path, monkeypatch):
+    def test_gymnasium_records_videos(self, first_only, tmp_path, monkeypatch):
         """``moviepy`` only writes what was recorded."""
         monkeypatch.setitem(sys.modules, "moviepy", ModuleType("moviepy"))
         venv = rv.make_vec("duo", num_envs=4, render_mode="rgb_array")
@@ -210,7 +210,7 @@ class TestTile:
         assert (frames[1:] != frames[0]).any(axis=(1, 2, 3)).all()
 
 
-def test_the_library_is_loaded_when_the_first_picture_is_drawn(tmp_path):
+def test_pygame_is_imported_with_first_picture(tmp_path):
     code = (
         "import sys, rendezvous_env as rv; env = rv.parallel_env('duo', render_mode='rgb_array');"
         "env.reset(seed=0); print('pygame' in sys.modules); env.render();"
@@ -219,7 +219,7 @@ def test_the_library_is_loaded_when_the_first_picture_is_drawn(tmp_path):
     assert run_python(tmp_path, "-W", "error", "-c", code).stdout.split() == ["False", "True"]
 
 
-def test_without_the_library_the_error_says_what_to_install(monkeypatch):
+def test_missing_pygame_names_extra(monkeypatch):
     env = rv.parallel_env("duo", render_mode="rgb_array")
     env.reset(seed=0)
     monkeypatch.setitem(sys.modules, "pygame", None)
@@ -227,7 +227,7 @@ def test_without_the_library_the_error_says_what_to_install(monkeypatch):
         env.render()
 
 
-def test_a_tile_says_of_a_packed_team_that_it_has_met():
+def test_tile_reports_packed_rendezvous():
     """All its robots are left, and they were counted."""
     env = rv.make_vec("robotarium-4", 2, render_mode="rgb_array", autoreset_mode="Disabled")
     env.reset(seed=0)

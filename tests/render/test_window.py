@@ -1,4 +1,4 @@
-"""The window that plays an episode: keys, closing, copies."""
+"""Window that plays an episode: keys, closing, copies."""
 
 import copy
 
@@ -19,7 +19,7 @@ def press(*keys):
 
 @pytest.fixture
 def shown():
-    """An environment with a window, whose steps are short; keys of other tests are forgotten."""
+    """An environment with a window and short steps; keys of other tests are cleared."""
     env, nothing = drawn("duo", mode="human", time_step=1e-3, allow_long_step=True)
     assert nothing is None
     pygame.event.clear()
@@ -28,7 +28,7 @@ def shown():
 
 
 class TestWindow:
-    def test_it_shows_the_picture_and_goes_away(self, shown):
+    def test_window_shows_picture_and_closes(self, shown):
         window = shown.renderer.window
         pixels = pygame.surfarray.array3d(window.screen.get_surface())
         assert (pixels == ROBOTS[0]).all(axis=-1).sum() > 50
@@ -39,7 +39,7 @@ class TestWindow:
         shown.reset(seed=0)
         assert shown.renderer.window is not None
 
-    def test_space_pauses_and_the_arrow_makes_single_steps(self, shown):
+    def test_space_pauses_and_arrow_steps(self, shown):
         window = shown.renderer.window
         press(pygame.K_SPACE, pygame.K_RIGHT, pygame.K_s)
         shown.step(still(shown))
@@ -55,7 +55,7 @@ class TestWindow:
         [(pygame.QUIT, {}), (pygame.WINDOWCLOSE, {}), (pygame.KEYDOWN, {"key": pygame.K_ESCAPE})],
         ids=["quit", "close", "escape"],
     )
-    def test_once_closed_the_episode_goes_on_unseen(self, shown, kind, more):
+    def test_closed_window_does_not_stop_episode(self, shown, kind, more):
         press(pygame.K_SPACE)  # closing ends a pause
         pygame.event.post(pygame.Event(kind, **more))
         for _ in range(3):
@@ -66,7 +66,7 @@ class TestWindow:
         shown.reset(seed=1)
         assert shown.renderer.window is None
 
-    def test_a_copy_has_no_window_until_its_reset(self, shown):
+    def test_copy_has_no_window_until_reset(self, shown):
         twin = copy.deepcopy(shown)
         twin.step(still(twin))
         assert twin.renderer.window is None
@@ -76,7 +76,7 @@ class TestWindow:
         assert not shown.renderer.window.closed
 
     @pytest.mark.parametrize("again", [False, True])
-    def test_it_comes_back_after_others_have_ended_pygame(self, shown, again):
+    def test_window_survives_pygame_quit(self, shown, again):
         pygame.quit()  # as Gymnasium's own environments do when they are closed
         if again:
             pygame.display.init()
@@ -85,7 +85,7 @@ class TestWindow:
         pixels = pygame.surfarray.array3d(shown.renderer.window.screen.get_surface())
         assert (pixels == ROBOTS[0]).all(axis=-1).sum() > 50
 
-    def test_the_old_window_does_not_take_the_new_one_with_it(self):
+    def test_old_window_does_not_close_new_one(self):
         window, picture = Window("", (600, 600)), pygame.Surface((600, 600))
         picture.fill(ROBOTS[0])
         for _ in range(50):  # often the new one lies at the address of the old one
@@ -95,14 +95,14 @@ class TestWindow:
             assert window.screen.get_surface().get_at((300, 300))[:3] == tuple(ROBOTS[0])
         window.close()
 
-    def test_teams_share_a_window(self):
+    def test_environments_share_window(self):
         venv = rv.make_vec("duo", num_envs=4, render_mode="human")
         venv.reset(seed=0)
         assert venv.renderer.window is not None
         venv.close()
         assert venv.renderer.window is None
 
-    def test_where_there_is_no_screen_the_error_says_what_needs_none(self, tmp_path):
+    def test_missing_display_error_names_remedy(self, tmp_path):
         code = (
             "import rendezvous_env as rv\n"
             "env = rv.parallel_env('duo', render_mode='human')\n"

@@ -1,4 +1,4 @@
-"""The page of ``rendezvous report`` in headless Chromium: fixtures and what a reader does."""
+"""Page of ``rendezvous report`` in headless Chromium: fixtures and user actions."""
 
 import base64
 import io
@@ -20,7 +20,7 @@ def address(compared):
 
 @contextmanager
 def visited(browser, address):
-    """A page of which nothing moves by itself, as some readers wish; it must not complain."""
+    """A page with reduced motion, which must not log errors."""
     page = browser.new_page(
         viewport={"width": 1400, "height": 1000}, color_scheme="light", reduced_motion="reduce"
     )
@@ -38,14 +38,14 @@ def visited(browser, address):
 
 @pytest.fixture
 def opened(browser, address):
-    """The page of what ``compared`` holds."""
+    """Page of ``compared``."""
     with visited(browser, address) as page:
         yield page
 
 
 @pytest.fixture
 def recorded(compared):
-    """A function: an array of a start as it was recorded, or found again."""
+    """Function that returns an array of a recording, stored or recomputed."""
     found = read(compared).recordings
     return lambda name, policy="bearing-only", start=0, scenario="fig4": found[
         scenario, policy, start
@@ -61,19 +61,19 @@ def picture(page, pane=0, of=".world"):
 
 
 def pixels(page, of=".world"):
-    """The first picture as an array (height, width, 3) of 0 to 255."""
+    """First image as an array (height, width, 3) of 0 to 255."""
     data = picture(page, of=of).split(",")[1]
     return 255 * imread(io.BytesIO(base64.b64decode(data)))[..., :3]
 
 
 def place_of(page, position):
-    """Where a position, m, stands in the first picture: column and row."""
+    """Column and row of a position, m, in the first image."""
     to_pixels = "(canvas, [x, y]) => [canvas.view.x(x), canvas.view.y(y)]"
     return page.locator(".world canvas").first.evaluate(to_pixels, position.tolist())
 
 
 def column(page, name, table="results"):
-    """The values of a column of a table, as they stand there."""
+    """Values of a column of a table, as displayed."""
     cells = page.locator(f"#{table}-table td[data-column={name}]")
     return cells.evaluate_all("all => all.map(cell => cell.dataset.value)")
 
@@ -86,14 +86,14 @@ def scrub(page, time):
 
 @contextmanager
 def reloaded(page):
-    """Wait until the recordings that were chosen within are shown."""
+    """Wait until the recordings selected in the body are shown."""
     page.locator("#player").evaluate("player => delete player.dataset.ready")
     yield
     page.wait_for_selector("#player[data-ready]")
 
 
 def wait_for(page, scenario, policies):
-    """Choose, and wait until both recordings are shown."""
+    """Select, and wait until both recordings are shown."""
     with reloaded(page):
         page.select_option("#scenario", scenario)
     for pane, policy in enumerate(policies):
@@ -103,17 +103,17 @@ def wait_for(page, scenario, policies):
 
 
 def chosen(page):
-    """The policies of both sides."""
+    """Policies of both sides."""
     return [page.locator("select.policy").nth(pane).input_value() for pane in (0, 1)]
 
 
 def cells_of(page, rows):
-    """What stands in the cells of each of some rows."""
+    """Cells of each of some rows."""
     return [row.locator("td").all_text_contents() for row in page.locator(rows).all()]
 
 
 def shown_rows(page):
-    """Name and numbers of each row that the chosen robot sees, on the first side."""
+    """Name and numbers of each row of the selected robot, on the first side."""
     cells = cells_of(page.locator(".rows").first, "tr")
     return {name: [*map(number, numbers)] for name, *numbers in cells}
 
@@ -123,7 +123,7 @@ def number(cell):
 
 
 def wait_until(page, reached):
-    """Wait for something to become true; so long at most because a machine may be busy."""
+    """Wait for a condition, with a generous limit for busy machines."""
     end = time.monotonic() + 120.0
     while not reached():
         assert time.monotonic() < end, "it did not happen"

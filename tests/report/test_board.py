@@ -1,4 +1,4 @@
-"""The page of a leaderboard's folder, made of the results in the repository."""
+"""Page of the leaderboard, from the results in the repository."""
 
 import json
 import os
@@ -21,7 +21,7 @@ from train.results import read_csv
 SMOKE = ROOT / "results" / "leaderboard" / "smoke"
 TABLE = "leaderboard.csv"
 BARE = "replays/ppo-none/clutter-8-v1-seed-0.json"
-"""The one that this folder has not."""
+"""Entry that is missing in this folder."""
 
 
 @pytest.fixture(scope="module")
@@ -40,12 +40,12 @@ def page(browser, board):
 
 
 def read(folder):
-    """The page of a folder, what its scripts read, and its recordings."""
+    """Page of a folder, its data, and its recordings."""
     text = (folder / "report.html").read_text(encoding="utf-8")
     return text, *data_of(text)
 
 
-def test_the_page_has_every_row_and_where_every_card_is(board):
+def test_page_has_every_row_and_record(board):
     text, data, _ = read(board)
     assert data["board"] == read_csv(board / TABLE)
     found = cards.read_cards(board)
@@ -60,7 +60,7 @@ def test_the_page_has_every_row_and_where_every_card_is(board):
     assert not re.findall(r"(?:src|href)=\"(?:https?:)?//", text)
 
 
-def test_it_carries_every_replay_and_says_of_each_what_its_card_says(board):
+def test_page_carries_replays_with_recorded_results(board):
     _, data, blobs = read(board)
     shown = {
         (one["scenario"], one["policy"], one["start"]): (one, blob)
@@ -112,7 +112,7 @@ def with_a_replay_of_no_start_of_its_card(folder):
         (with_a_replay_of_no_start_of_its_card, r"not readable \(IndexError.* run rendezvous lead"),
     ],
 )
-def test_a_folder_that_is_not_whole_is_refused(changed, message, board, tmp_path):
+def test_incomplete_folder_is_rejected(changed, message, board, tmp_path):
     shutil.copytree(board, folder := tmp_path / "changed")
     (folder / "report.html").unlink()
     changed(folder)
@@ -122,7 +122,7 @@ def test_a_folder_that_is_not_whole_is_refused(changed, message, board, tmp_path
 
 
 @needs_browser
-def test_it_sorts_and_shows_one_field(page, board):
+def test_table_sorts_and_filters_by_scenario(page, board):
     page.get_by_role("button", name="time s").first.click()
     shown = [float(value) for value in column(page, "time", "board")]
     assert shown == sorted(shown) and len(shown) == len(read_csv(board / TABLE))
@@ -135,13 +135,13 @@ def test_it_sorts_and_shows_one_field(page, board):
 
 
 def cell(page, algorithm, column):
-    """The cell of an algorithm in the table of fields."""
+    """Entry of an algorithm in the table of scenarios."""
     row = page.locator("#fields-table tbody tr").filter(has=page.get_by_text(algorithm, exact=True))
     return row.locator("td").nth(column)
 
 
 @needs_browser
-def test_a_click_on_a_cell_replays_it(page, board):
+def test_click_on_cell_opens_replay(page, board):
     found = {(c["algorithm"], c["field"], c["seed"]): c["results"] for c in cards.read_cards(board)}
     field = "rendezvous/clutter-16-v1"
     shares = [found["ppo-cbf", field, seed]["clean"] for seed in (0, 1, 2)]
@@ -173,7 +173,7 @@ def test_a_click_on_a_cell_replays_it(page, board):
     assert "tank-joined" in chosen(page) and clock(page) == 0.0
 
 
-def test_commands_are_those_of_a_folder_whose_name_has_blanks(board, tmp_path):
+def test_commands_quote_folder_names(board, tmp_path):
     shutil.copytree(board, folder := tmp_path / "it's mine; <b>")
     assert report.run(report.Config(folder)) == 0
     _, data, _ = read(folder)
@@ -181,7 +181,7 @@ def test_commands_are_those_of_a_folder_whose_name_has_blanks(board, tmp_path):
 
 
 @needs_browser
-def test_a_narrow_screen_shows_what_was_clicked(page):
+def test_narrow_screen_shows_selection(page):
     page.set_viewport_size({"width": 390, "height": 800})
     for name, label in (("bearing-only", "bearing-only"), ("ppo-cbf", "ppo-cbf, seed 0")):
         with reloaded(page):
@@ -191,7 +191,7 @@ def test_a_narrow_screen_shows_what_was_clicked(page):
 
 
 @needs_browser
-def test_a_cell_without_a_replay_says_what_makes_one(page, board):
+def test_cell_without_replay_names_command(page, board):
     note = page.locator("#missing")
     assert not note.is_visible()
     cell(page, "ppo-none", 1).click()
@@ -207,7 +207,7 @@ def test_a_cell_without_a_replay_says_what_makes_one(page, board):
 
 
 @needs_browser
-def test_a_page_without_replays_is_a_page(browser, board, tmp_path):
+def test_page_without_replays_works(browser, board, tmp_path):
     folder = tmp_path / "none"
     shutil.copytree(board, folder, ignore=shutil.ignore_patterns("replays"))
     assert report.run(report.Config(folder)) == 0

@@ -20,7 +20,7 @@ address, opened, recorded = browsing.address, browsing.opened, browsing.recorded
 
 
 class TestTables:
-    def test_numbers_are_those_of_the_file(self, opened, compared):
+    def test_table_numbers_equal_file(self, opened, compared):
         rows = opened.locator("#results-table tbody tr").all()
         expected = results.read_csv(compared / "results.csv")
         low = {"success": "success", "clean_success": "clean", "median_time": "time"}
@@ -42,7 +42,7 @@ class TestTables:
                 if name == "path_length":
                     assert float(text) == pytest.approx(float(value), abs=0.051)
 
-    def test_a_click_sorts_and_another_turns_round(self, opened, compared):
+    def test_click_sorts_and_second_click_reverses(self, opened, compared):
         head = opened.locator("#results-table th", has_text="path m")
         values = [float(row["path_length"]) for row in results.read_csv(compared / "results.csv")]
         shown = lambda: [float(value) for value in column(opened, "path_length")]  # noqa: E731
@@ -53,12 +53,12 @@ class TestTables:
         assert shown() == sorted(values, reverse=True)
         assert head.get_attribute("aria-sort") == "descending"
 
-    def test_empty_cells_come_last(self, opened):
+    def test_empty_cells_sort_last(self, opened):
         for _ in range(2):
             opened.click("#results-table th:has-text('clearance') button")
             assert column(opened, "min_clearance")[-2:] == ["", ""]
 
-    def test_the_first_click_sorts_best_first(self, opened):
+    def test_first_click_sorts_best_first(self, opened):
         for title, name, best in (
             ("collision-free", "clean_success", max),
             ("median time", "median_time", min),
@@ -69,7 +69,7 @@ class TestTables:
             numbers = [float(value) for value in column(opened, name) if value]
             assert numbers[0] == best(numbers) and len(set(numbers)) > 1
 
-    def test_every_column_is_seen_and_titles_stay(self, opened):
+    def test_all_columns_and_headers_are_visible(self, opened):
         table = opened.locator("#results-table").bounding_box()
         alignment = opened.locator("#results-table th").last
         assert alignment.text_content() == "alignment"
@@ -84,12 +84,12 @@ class TestTables:
         if opened.locator("#results-table thead").bounding_box()["y"] < 0:
             assert alignment.bounding_box()["y"] == pytest.approx(head["height"], abs=1)
 
-    def test_the_best_of_each_scenario(self, opened):
+    def test_best_of_each_scenario_is_marked(self, opened):
         shown = browsing.cells_of(opened, "#best-table tbody tr")
         best = [["fig4", "tangent-joined"], ["uav-6", "nonholonomic-3d"]]
         assert [cells[:2] for cells in shown] == best
 
-    def test_a_table_is_saved_as_it_stands(self, opened, compared):
+    def test_table_is_saved_as_shown(self, opened, compared):
         opened.select_option("#table-scenario", "uav-6")
         for _ in range(2):
             opened.click("#results-table th:has-text('policy') button")
@@ -101,7 +101,7 @@ class TestTables:
         assert results.read_csv(saved.value.path()) == expected
 
 
-def test_dark_for_those_who_prefer_it(opened):
+def test_dark_mode_follows_preference(opened):
     light = opened.evaluate("getComputedStyle(document.body).backgroundColor"), picture(opened)
     opened.emulate_media(color_scheme="dark")
     wait_until(opened, lambda: picture(opened) != light[1])
@@ -109,7 +109,7 @@ def test_dark_for_those_who_prefer_it(opened):
     assert light[0] == "rgb(255, 255, 255)" and dark == "rgb(20, 23, 27)"
 
 
-def test_pictures_are_saved(opened, compared):
+def test_figures_can_be_saved(opened, compared):
     opened.keyboard.press("ArrowRight")
     with opened.expect_download() as saved:
         opened.locator("button.png").nth(1).click()
@@ -130,7 +130,7 @@ class TestNarrow:
         wait_until(opened, opened.locator("#switch").is_visible)
         return opened
 
-    def test_one_policy_at_a_time(self, phone):
+    def test_narrow_page_shows_one_policy(self, phone):
         panes = phone.locator(".pane")
         assert [panes.nth(k).is_visible() for k in (0, 1)] == [False, True]
         first = phone.locator("#switch button").first
@@ -142,7 +142,7 @@ class TestNarrow:
         assert phone.locator(".state").first.text_content().startswith("met at")
         assert pixels(phone).std() > 13
 
-    def test_key_numbers_are_on_the_screen(self, phone):
+    def test_narrow_page_shows_key_numbers(self, phone):
         for name in ("policy", "clean_success", "median_time"):
             for cell in phone.locator(f"#results-table td[data-column={name}]").all():
                 box = cell.bounding_box()
@@ -156,7 +156,7 @@ class TestNarrow:
 
 @pytest.mark.parametrize("width", [390, 1400])
 @pytest.mark.parametrize("scenario", ["fig4", "uav-6"])
-def test_no_number_is_cut(width, scenario, opened):
+def test_numbers_are_not_truncated(width, scenario, opened):
     opened.set_viewport_size({"width": width, "height": 900})
     wait_for(opened, scenario, [])
     opened.keyboard.press("ArrowRight")
@@ -167,7 +167,7 @@ def test_no_number_is_cut(width, scenario, opened):
     assert cut == []
 
 
-def test_the_world_shows_what_is_there(opened, recorded):
+def test_about_section_lists_scenario(opened, recorded):
     """Orange obstacles at their place, the robot's own colour at its start."""
     disc = next(one for one in outlines(recorded("obstacles"), 2) if not len(one.vertices))
     for position, right, colour in (
@@ -203,7 +203,7 @@ class TestErringSensor:
         with np.load(erring / "trajectories.npz") as arrays:
             yield lambda name, scenario: arrays[f"{scenario}/bearing-only/0/{name}"]
 
-    def test_what_is_true_stands_beside_what_is_seen(self, seen_page, kept):
+    def test_true_and_measured_bearings_are_shown(self, seen_page, kept):
         wait_for(seen_page, "blurred", [])
         positions, frames = kept("positions", "blurred"), kept("frames", "blurred")
         seen = kept("observations", "blurred")[:, 0]
@@ -242,20 +242,20 @@ class TestErringSensor:
         )
         assert np.mean([one < 80 for one in off]) > 0.8
 
-    def test_a_ring_names_the_neighbours_that_are_seen(self, seen_page):
+    def test_ring_marks_visible_neighbours(self, seen_page):
         wait_for(seen_page, "ring-12", [])
         assert not seen_page.locator(".rows tr.true").count()
         assert list(browsing.shown_rows(seen_page)) == ["robot 1", "robot 11"]
         seen_page.click("#robots button:nth-child(5)")
         assert list(browsing.shown_rows(seen_page)) == ["robot 3", "robot 5"]
 
-    def test_a_single_policy_stands_alone(self, seen_page):
+    def test_single_policy_is_shown_alone(self, seen_page):
         panes = seen_page.locator(".pane")
         assert [panes.nth(k).is_visible() for k in (0, 1)] == [True, False]
         assert seen_page.text_content("#said").count("bearing-only") == 1
 
 
-def test_rises_of_v_are_told_in_the_unit_of_their_world(browser, tmp_path):
+def test_rises_of_v_use_world_units(browser, tmp_path):
     """Here V is about 10⁻⁸ m²/s, and a rise of 10⁻¹⁰ was called none."""
     fields = {"merge_radius": 1e-5, "spawn_size": 1e-3, "time_limit": 30.0}
     small = rv.Scenario(name="small", n_robots=2, graph=rv.graphs.complete(1e-5), **fields)

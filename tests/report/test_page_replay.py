@@ -27,7 +27,7 @@ address, opened, recorded = browsing.address, browsing.opened, browsing.recorded
 
 
 class TestReplay:
-    def test_it_opens_where_two_policies_differ_and_says_how(self, opened, recorded):
+    def test_replay_opens_at_differing_episode(self, opened, recorded):
         assert opened.input_value("#scenario") == "fig4" and clock(opened) == 0
         assert chosen(opened) == ["bearing-only", "tangent-joined"]
         said = opened.text_content("#said")
@@ -35,7 +35,7 @@ class TestReplay:
         assert f"with {contacts} robot-steps in contact; tangent-joined meets after" in said
         assert said.endswith("without a contact.")
 
-    def test_play_moves_the_robots_and_ends(self, opened, recorded):
+    def test_play_moves_robots_to_end(self, opened, recorded):
         before = picture(opened, 0), picture(opened, 1)
         opened.select_option("#speed", "8")
         # half a second of play can be over before a slow browser is asked what the button says
@@ -54,7 +54,7 @@ class TestReplay:
         for state, own in zip(states, times, strict=True):
             assert state.startswith(f"met at {own[-1]:.2f} s · 1 of 3 robots left")
 
-    def test_pause_stays(self, opened):
+    def test_pause_stops(self, opened):
         opened.select_option("#speed", "0.25")  # far from the end, however slow the browser is
         opened.locator("#speed").blur()
         opened.keyboard.press("Space")
@@ -64,7 +64,7 @@ class TestReplay:
         opened.wait_for_timeout(150)
         assert (clock(opened), picture(opened)) == halted
 
-    def test_scrubbing_sets_the_time(self, opened, recorded):
+    def test_scrubbing_sets_time(self, opened, recorded):
         box = opened.locator("#time").bounding_box()
         opened.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
         end = max(recorded("times")[-1], recorded("times", "tangent-joined")[-1])
@@ -76,7 +76,7 @@ class TestReplay:
         right = opened.locator(".v .u-over").nth(1).bounding_box()
         assert head["x"] == pytest.approx(right["x"] + 0.25 * right["width"], abs=2)
 
-    def test_values_at_a_time(self, opened, recorded):
+    def test_values_match_time(self, opened, recorded):
         times = recorded("times")
         frame = len(times) // 2
         scrub(opened, times[frame])
@@ -86,7 +86,7 @@ class TestReplay:
         contacts = int(recorded("contacts")[frame].sum())
         assert f"{contacts} robot-steps in contact" in opened.locator(".state").first.text_content()
 
-    def test_between_frames_robots_move_and_what_they_see_stays(self, opened, recorded):
+    def test_robots_interpolate_and_observations_hold(self, opened, recorded):
         times = recorded("times")
         scrub(opened, times[4])
         before, rows = picture(opened), shown_rows(opened)
@@ -95,7 +95,7 @@ class TestReplay:
         scrub(opened, times[5])
         assert shown_rows(opened) != rows
 
-    def test_keys(self, opened, recorded):
+    def test_keyboard_shortcuts_work(self, opened, recorded):
         times = recorded("times")
         opened.keyboard.press("ArrowRight")
         assert clock(opened) == pytest.approx(times[1], abs=0.006)
@@ -110,7 +110,7 @@ class TestReplay:
             opened.keyboard.press("[")
         assert opened.input_value("#speed") == "0.1"
 
-    def test_the_focus_is_visible_and_keys_there_mean_what_they_say(self, opened):
+    def test_focus_is_visible_and_keys_act_on_it(self, opened):
         opened.focus("#to-end")
         opened.keyboard.press("Tab")
         assert opened.evaluate("document.activeElement.id") == "time"
@@ -123,7 +123,7 @@ class TestReplay:
         opened.keyboard.press("Home")
         assert clock(opened) > 1
 
-    def test_every_control_has_a_name(self, opened):
+    def test_controls_have_accessible_names(self, opened):
         bare = opened.evaluate(
             "[...document.querySelectorAll('button, select, input, canvas[role]')].filter("
             "e => !(e.textContent.trim() || e.ariaLabel || (e.labels && e.labels.length)))"
@@ -131,7 +131,7 @@ class TestReplay:
         )
         assert bare == []
 
-    def test_start_and_policy_are_chosen(self, opened):
+    def test_episode_and_policy_are_selectable(self, opened):
         opened.keyboard.press("End")
         first = picture(opened, 1)
         opened.locator("select.policy").nth(1).select_option("zero")
@@ -141,12 +141,12 @@ class TestReplay:
         assert picture(opened, 1) != first
         assert opened.locator(".state").nth(1).text_content().startswith("time out at 30.00 s")
 
-    def test_both_sides_never_show_the_same_policy(self, opened):
+    def test_sides_never_show_same_policy(self, opened):
         with reloaded(opened):
             opened.locator("select.policy").nth(0).select_option("tangent-joined")
         assert chosen(opened) == ["tangent-joined", "bearing-only"]
 
-    def test_it_plays_at_once_for_those_who_do_not_mind(self, browser, address):
+    def test_autoplay_respects_reduced_motion(self, browser, address):
         page = browser.new_page(viewport={"width": 1400, "height": 900})
         page.goto(address)
         # both in one look: the end may have come by the second one of a slow browser. And a look
@@ -162,7 +162,7 @@ class TestReplay:
 
 
 class TestAddress:
-    def test_it_says_what_is_shown(self, opened):
+    def test_address_describes_view(self, opened):
         opened.keyboard.press("ArrowRight")
         opened.click("#robots button:nth-child(3)")
         assert parse_qs(urlsplit(opened.url).fragment) == {
@@ -170,7 +170,7 @@ class TestAddress:
             "robot": ["2"], "t": ["0.05"],
         }  # fmt: skip
 
-    def test_it_is_followed(self, opened):
+    def test_address_is_followed(self, opened):
         fragment = "#scenario=uav-6&start=1&policy=zero&robot=4&t=0.5"
         with reloaded(opened):
             opened.goto(opened.url.split("#")[0] + fragment)
@@ -179,13 +179,13 @@ class TestAddress:
         assert "Observation of robot 4" in opened.locator(".sight h3").first.text_content()
 
     @pytest.mark.parametrize("fragment", ["#scenario=nowhere", "#start=7", "#replay", "#t=x"])
-    def test_what_is_not_there_is_passed_over(self, fragment, opened):
+    def test_invalid_address_is_ignored(self, fragment, opened):
         opened.goto(opened.url.split("#")[0] + fragment)
         opened.reload()
         opened.wait_for_selector("#player[data-ready]")
         assert opened.input_value("#scenario") == "fig4" and clock(opened) == 0
 
-    def test_a_row_leads_to_its_replay(self, opened):
+    def test_row_links_to_replay(self, opened):
         row = opened.locator("#results-table tr", has_text="uav-6").filter(has_text="zero")
         with reloaded(opened):
             row.locator("td").nth(4).click()
@@ -201,7 +201,7 @@ class TestAddress:
 
 class TestSight:
     @pytest.mark.parametrize("robot", [1, 2])
-    def test_a_click_shows_the_recorded_rows(self, robot, opened, recorded):
+    def test_click_shows_observation_rows(self, robot, opened, recorded):
         times, observations = recorded("times"), recorded("observations")
         frame = int(np.flatnonzero(recorded("contacts")[:, robot])[0])
         scrub(opened, times[frame])
@@ -220,7 +220,7 @@ class TestSight:
         others = [other for other in range(3) if other != robot]
         assert list(rows)[:2] == [f"robot {other}" for other in others]
 
-    def test_in_space_there_are_two_projections_and_gravity(self, opened, recorded):
+    def test_replay_3d_has_two_projections_and_gravity(self, opened, recorded):
         wait_for(opened, "uav-6", ["nonholonomic-3d", "zero"])
         assert opened.locator(".pane").first.locator(".world canvas").count() == 2
         shown = opened.locator(".pane").first.locator("canvas[role]").all()
@@ -232,7 +232,7 @@ class TestSight:
         np.testing.assert_allclose(rows["gravity"], at[-1], atol=6e-4)
         assert len(rows) == 5 + 1
 
-    def test_a_robot_that_has_merged_sees_nothing(self, opened, recorded):
+    def test_merged_robot_has_no_observation(self, opened, recorded):
         gone = int(np.flatnonzero(~recorded("active")[-1])[0])
         opened.click(f"#robots button:nth-child({gone + 1})")
         assert len(shown_rows(opened)) > 0
@@ -240,7 +240,7 @@ class TestSight:
         assert shown_rows(opened) == {}
 
 
-def test_a_team_that_has_packed_has_met(browser, tmp_path):
+def test_packed_team_counts_as_met(browser, tmp_path):
     """All its robots are left, so that it was said to have run out of time."""
     how = {"episodes": 1, "keep": 1, "figures": False}
     config = compare.Config(("robotarium-4",), ("bearing-only",), out=tmp_path, **how)
@@ -251,7 +251,7 @@ def test_a_team_that_has_packed_has_met(browser, tmp_path):
         assert state.startswith("met at ") and "4 of 4 robots left" in state
 
 
-def test_a_world_of_millimetres_fills_its_picture(browser):
+def test_millimetre_world_fills_picture(browser):
     """The room about it was 8 cm, and its numbers were zeros."""
     page = browser.new_page()
     for name in ("tables.js", "world.js"):

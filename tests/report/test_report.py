@@ -59,7 +59,7 @@ def text(compared):
 
 
 class TestPage:
-    def test_rows_are_those_of_the_files(self, folder):
+    def test_page_rows_equal_files(self, folder):
         assert cli.main(["report", str(folder)]) == 0
         data, _ = data_of((folder / "report.html").read_text(encoding="utf-8"))
         for name, key in (("results.csv", "results"), ("paired.csv", "paired")):
@@ -67,7 +67,7 @@ class TestPage:
         assert len(data["results"]) == 5
         assert [p.name for p in folder.iterdir() if p.name.startswith(".")] == []
 
-    def test_recordings_are_those_of_the_file_to_the_stated_rounding(self, compared, text):
+    def test_page_recordings_equal_file_within_rounding(self, compared, text):
         found = read(compared)
         data, blobs = data_of(text)
         assert len(data["recordings"]) == len(blobs) == 2 * 2 + 3  # fig4 has one start
@@ -86,7 +86,7 @@ class TestPage:
             assert (shown["observations"][(seen == 0).all(axis=-1)] == 0).all()
             assert scales["positions"] < 1e-3
 
-    def test_outcomes_and_obstacles_of_a_start(self, compared, text):
+    def test_page_shows_results_and_obstacles_of_episode(self, compared, text):
         data, _ = data_of(text)
         rows = results.read_csv(compared / "episodes.csv")
         for entry in data["recordings"]:
@@ -96,7 +96,7 @@ class TestPage:
             corners = [len(one["vertices"]) for one in data["obstacles"][entry["obstacles"]]]
             assert sorted(corners) == ([0, 0, 4] if entry["scenario"] == "fig4" else [])
 
-    def test_obstacles_of_a_small_world_are_not_rounded_away(self, compared):
+    def test_obstacles_of_small_world_are_not_rounded_away(self, compared):
         recording = read(compared).recordings["fig4", "bearing-only", 0]
         small = {
             "positions": 1e-4 * recording["positions"],
@@ -106,13 +106,13 @@ class TestPage:
         assert kept["radius"] == pytest.approx(3.21e-5, rel=1e-3)
         assert kept["centre"] == pytest.approx([1.234e-4, 0.0], rel=1e-3)
 
-    def test_what_is_said_of_starts_and_rounding(self, compared, text):
+    def test_page_states_episodes_and_rounding(self, compared, text):
         assert "4 starts each (seeds 3–6); one of fig4, whose start is given" in text
         with np.load(compared / "trajectories.npz") as arrays:
             reach = max(abs(arrays[n]).max() for n in arrays.files if n.endswith("/positions"))
         assert f"rounded to within {500 * reach / 32767:.2g} mm" in text
 
-    def test_figures_are_those_of_the_folder_and_nothing_is_loaded(self, compared, text):
+    def test_page_embeds_figures_without_network(self, compared, text):
         images = re.findall(r'src="data:image/png;base64,([^"]+)"', text)
         files = sorted(compared.glob("*.png"))
         assert [base64.b64decode(image) for image in images] == [f.read_bytes() for f in files]
@@ -120,7 +120,7 @@ class TestPage:
         assert "default-src 'none'" in text
         assert not re.findall(r'(?:src|href)="(?!data:|#)', text)
 
-    def test_names_are_text_and_without_trajectories_there_are_tables(self, folder, reseal, capsys):
+    def test_names_are_escaped_and_trajectories_optional(self, folder, reseal, capsys):
         """A scenario called </script><b> stays a name."""
         name = "</script><b>&</b>"
         rewrite(folder, lambda text: re.sub(r'(?<=")fig4(?=")|fig4(?=,)', name, text))
@@ -136,7 +136,7 @@ class TestPage:
             assert "--keep-trajectories 0" in said
         assert 'id="player"' not in text
 
-    def test_a_policy_may_have_slashes_in_its_name(self, folder, reseal):
+    def test_policy_names_may_contain_slashes(self, folder, reseal):
         with np.load(folder / "trajectories.npz") as arrays:
             renamed = {n.replace("/zero/", "/learned:a/b/"): arrays[n] for n in arrays.files}
         results.write_arrays(folder / "trajectories.npz", renamed, run_of(folder)["run"])
@@ -145,7 +145,7 @@ class TestPage:
         assert ("fig4", "learned:a/b", 0) in read(folder).recordings
 
 
-def test_what_exceeds_its_share_is_thinned_and_says_so(compared, monkeypatch):
+def test_oversized_recordings_are_subsampled_and_stated(compared, monkeypatch):
     whole = read(compared)
     sizes = {k: len(report_encoding.encode(r).text) for k, r in whole.recordings.items()}
     budget = sum(sizes.values()) // 2
@@ -165,7 +165,7 @@ def test_what_exceeds_its_share_is_thinned_and_says_so(compared, monkeypatch):
         np.testing.assert_allclose(times, sorted(expected), rtol=1e-6)
 
 
-def test_rounding_by_hand():
+def test_rounding_matches_hand_computation():
     assert report_encoding.rounding(np.array([-3.0, np.nan, 1.0])) == 3.0 / 32767
     assert report_encoding.rounding(np.zeros((2, 2))) == 1.0
     assert report_encoding.rounding(np.full(3, np.nan)) == 1.0
@@ -183,7 +183,7 @@ def refused(one_line):
     return refuse
 
 
-def test_no_folder(tmp_path, refused):
+def test_missing_folder_is_rejected(tmp_path, refused):
     assert "there is no such folder" in refused(tmp_path / "nowhere")
     assert "holds no run.json" in refused(tmp_path)
 
@@ -192,7 +192,7 @@ FILES = ["results.csv", "episodes.csv", "paired.csv", "trajectories.npz"]
 
 
 @pytest.mark.parametrize("name", [*FILES, "success.png"])
-def test_a_file_is_missing_or_changed(name, folder, refused):
+def test_missing_or_modified_file_is_rejected(name, folder, refused):
     content = (folder / name).read_bytes()
     for changed in (b"", content[: len(content) // 2], content[:-1] + b"?"):
         (folder / name).write_bytes(changed)
@@ -211,7 +211,7 @@ def test_a_file_is_missing_or_changed(name, folder, refused):
         ({"seed": 4}, "run.json: its content was changed"),
     ],
 )
-def test_a_description_that_was_changed(content, message, folder, refused):
+def test_modified_description_is_rejected(content, message, folder, refused):
     text = content if isinstance(content, str) else json.dumps(run_of(folder) | content)
     (folder / "run.json").write_text(text)
     assert message in refused(folder)
@@ -231,12 +231,14 @@ class TestForged:
             ({"files": [*FILES, "../secret.png"]}, "run.json: names '../secret.png', which com"),
         ],
     )
-    def test_a_description(self, changes, message, folder, tmp_path, reseal, refused):
+    def test_forged_description_is_escaped(
+        self, changes, message, folder, tmp_path, reseal, refused
+    ):
         (tmp_path / "secret.png").write_bytes(b"mine")  # beside the folder
         reseal(folder, **changes)
         assert message in refused(folder)
 
-    def test_a_table(self, folder, reseal, refused):
+    def test_forged_table_is_rejected(self, folder, reseal, refused):
         path = folder / "episodes.csv"
         path.write_text(path.read_text().replace("fig4,zero,0,0", "fig4,zero,0,none"))
         reseal(folder)
@@ -251,7 +253,7 @@ class TestForged:
             ("obstacles", lambda a: a + 0.5, "it must be a row that begins with one of"),
         ],
     )
-    def test_an_array(self, kind, change, message, folder, reseal, refused):
+    def test_forged_array_is_rejected(self, kind, change, message, folder, reseal, refused):
         with np.load(folder / "trajectories.npz") as file:
             arrays = dict(file)
         name = f"fig4/zero/0/{kind}"
@@ -262,7 +264,7 @@ class TestForged:
 
 
 class TestFiles:
-    def test_a_figure_that_run_json_does_not_name(self, folder, refused):
+    def test_unlisted_figure_is_ignored(self, folder, refused):
         (folder / "against-robots.png").write_bytes(b"old")
         (folder / "my-notes.png").write_bytes(b"mine")
         said = refused(folder)
@@ -271,7 +273,7 @@ class TestFiles:
         assert cli.main(["report", str(folder)]) == 0
         assert "my-notes" not in (folder / "report.html").read_text(encoding="utf-8")
 
-    def test_a_page_that_stood_there_stays(self, folder, one_line, monkeypatch):
+    def test_existing_page_is_kept_on_failure(self, folder, one_line, monkeypatch):
         (folder / "report.html").write_text("old")
         monkeypatch.setattr(report, "page", lambda found: 1 / 0)
         assert "not readable (ZeroDivisionError" in one_line("report", folder)
@@ -282,7 +284,7 @@ class TestFiles:
         [*product(("run.json", "success.png"), ("folder", "pipe", "device")),
          ("episodes.csv", "large")],
     )  # fmt: skip
-    def test_what_is_no_file_or_never_ends(self, name, kind, folder, refused):
+    def test_special_files_are_rejected(self, name, kind, folder, refused):
         (path := folder / name).unlink()
         if kind == "folder":
             path.mkdir()

@@ -1,4 +1,4 @@
-"""Headings among the bearings: the projection, the margin, and the hull under law (4)."""
+"""Headings in the cone of bearings: projection, minimum alignment, hull under law (4)."""
 
 import math
 from itertools import count
@@ -9,16 +9,16 @@ from conftest import five
 from scipy.optimize import nnls
 
 from rendezvous_env import Scenario, Sensing, rollout
-from rendezvous_env.safety.links import least_norm_points
+from rendezvous_env.safety.links import min_norm_points
 from research.cone_heading import cone_heading, cone_velocity
 from train.verify.monitors import unit
 
 ROUNDING = 1e-6
-"""Of float32 actions, m."""
+"""Rounding of float32 actions, m."""
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_it_is_the_projection_onto_the_cone_and_the_cap(dim):
+def test_cone_heading_is_projection_onto_cone_and_cap(dim):
     random, kept, turned = np.random.default_rng(dim), 0, 0
     for _ in range(200):
         count, spread = random.integers(1, 7), random.choice([0.2, 1.0, 3.0])
@@ -44,7 +44,7 @@ def test_it_is_the_projection_onto_the_cone_and_the_cap(dim):
     assert kept > 30 and turned > 3
 
 
-def test_headings_by_hand():
+def test_headings_match_hand_computation():
     rows = np.array([[2.0, 0.0], [0.0, 2.0], [0.0, 0.0]])
     half = math.sqrt(0.5)
     for raw, expected in (
@@ -64,7 +64,7 @@ def test_headings_by_hand():
 
 
 def headed(scenario, *, projected=True):
-    """How far the hull grows at most in a step under adversarial raw vectors, m; who has met."""
+    """Largest growth of the hull in a step under adversarial raw vectors, m; and rendezvous."""
     random, layout, calls = np.random.default_rng(0), scenario.observation_layout, count()
     u = random.normal(size=(60, scenario.dim))
     frozen = random.normal(size=(6, scenario.n_robots, scenario.dim))
@@ -76,19 +76,19 @@ def headed(scenario, *, projected=True):
         if not projected:
             return unit(raw) * np.sum(unit(raw) * f, axis=-1, keepdims=True)
         h = cone_heading(raw, rows, min_alignment=0.1)
-        return cone_velocity(h, f, least_norm_points(rows), **limits)
+        return cone_velocity(h, f, min_norm_points(rows), **limits)
 
     found = rollout(scenario, law, num_envs=6)
     growth = np.diff((found.positions @ u.T).max(axis=2), axis=0)
     return growth[found.running].max(), found.success
 
 
-def test_the_hull_is_nested_and_all_meet():
+def test_hull_is_nested_and_team_meets():
     growth, met = headed(five("single_integrator-3d", spawn_size=3.0, time_limit=300.0))
     assert growth < 10 * ROUNDING and met.all()
 
 
-def test_the_hull_is_nested_whoever_is_seen():
+def test_hull_is_nested_with_any_visibility():
     sensing = Sensing(range=2.5, field_of_view=2.0, dropout=0.3, occlusion="robots")
     scenario = Scenario(n_robots=7, spawn_size=4.0, time_limit=20.0, sensing=sensing)
     assert headed(scenario)[0] < 10 * ROUNDING

@@ -1,4 +1,4 @@
-"""The free integrator does by hand what it should, and what the environment does."""
+"""Continuous-time integrator: by hand and compared with the environment."""
 
 from itertools import product
 
@@ -10,14 +10,14 @@ from continuous_time_laws import away, followed, turned
 import baselines
 from rendezvous_env import Scenario, Sensing, Simulator, rollout
 from rendezvous_env.safety.gains import Gains
-from rendezvous_env.safety.links import least_norm_points, link_keeping_law
+from rendezvous_env.safety.links import link_keeping_law, min_norm_points
 from rendezvous_env.trajectory import run
 from train.verify.monitors import directions, extents, unit
 
 TEAM = {"n_robots": 5, "spawn_size": 4.0, "merge_radius": 0.2, "time_limit": 60.0}
 
 
-def test_two_robots_meet_when_they_should():
+def test_two_robots_meet_at_exact_time():
     teams = Teams(np.array([[[0.0, 0.0], [2.0, 0.0]], [[0.0, 1.0], [0.0, 5.0]]]), 0.2)
 
     def law(teams):
@@ -42,7 +42,7 @@ def test_two_robots_meet_when_they_should():
     ],
     ids=["cross", "two merges", "no time"],
 )  # fmt: skip
-def test_merges_by_hand(places, velocities, until, left, time):
+def test_merges_match_hand_computation(places, velocities, until, left, time):
     teams = Teams(np.array([places], float), 0.2)
     teams.advance(np.array([velocities], float), np.array([until]))
     assert np.flatnonzero(teams.active[0]).tolist() == left
@@ -50,7 +50,7 @@ def test_merges_by_hand(places, velocities, until, left, time):
     assert len(left) != 2 or teams.positions[0, 0] == pytest.approx([0.0, 0.05], abs=1e-12)
 
 
-def test_robots_without_a_link_pass_and_survivors_inherit_links():
+def test_unlinked_robots_pass_and_survivors_inherit_links():
     weights = np.array([[[0.0, 0.0, 2.0], [0.0, 0.0, 3.0], [2.0, 3.0, 0.0]]])
     places = np.array([[[0.0, 0.0], [0.05, 0.0], [1.0, 0.0]]])
     teams = Teams(places, 0.2, weights)
@@ -64,7 +64,7 @@ def test_robots_without_a_link_pass_and_survivors_inherit_links():
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_outward_is_the_gradient_of_the_size(dim):
+def test_outward_is_gradient_of_size(dim):
     random = np.random.default_rng(dim)
     teams = Teams(random.normal(size=(10, 6, dim)), 1e-6)
     found, sizes, small = outward(teams, teams.look()), teams.size(), 1e-6
@@ -81,14 +81,14 @@ def test_outward_is_the_gradient_of_the_size(dim):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_extents_average_to_the_size(dim):
+def test_mean_extent_is_size(dim):
     teams = Teams(np.random.default_rng(0).normal(size=(5, 7, dim)), 0.1)
     mean = extents(teams.positions, teams.active, directions(dim, 4000)).mean(axis=-1)
     np.testing.assert_allclose(mean * 2 * np.pi * (dim - 1), teams.size(), rtol=1e-3)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_bearings_are_turned_by_the_error(dim):
+def test_bearings_are_rotated_by_error(dim):
     random = np.random.default_rng(1)
     g = unit(random.normal(size=(4, 3, 3, dim)))
     towards = random.normal(size=g.shape)
@@ -115,7 +115,7 @@ def links():
         rows = 1.5 * teams.look().bearings
         degree = np.linalg.norm(rows, axis=-1).sum(axis=-1)
         return link_keeping_law(
-            least_norm_points(rows), degree, merge_radius=teams.merge_radius, duration=step
+            min_norm_points(rows), degree, merge_radius=teams.merge_radius, duration=step
         )
 
     return law, lambda scenario: baselines.make("link-keeping", scenario)
@@ -141,7 +141,7 @@ def gains():
     ("dim", "error", "laws"),
     [(2, 0.3, law_1(0.3)), *product((2, 3), (0.0,), (law_1(0.0), links(), gains()))],
 )
-def test_the_environment_moves_as_the_integrator(dim, error, laws):
+def test_environment_trajectories_match_integrator(dim, error, laws):
     law, policy = laws
     graph, sensing = 1.5 * (1.0 - np.eye(5)), Sensing(error=error)
     scenario = Scenario(**TEAM, dim=dim, graph=graph, time_step=0.002, sensing=sensing)
@@ -161,7 +161,7 @@ def test_the_environment_moves_as_the_integrator(dim, error, laws):
     assert compared > 500
 
 
-def test_the_environment_meets_when_the_integrator_does():
+def test_environment_rendezvous_time_matches_integrator():
     scenario = Scenario(**TEAM, time_step=0.005, sensing=Sensing(error=0.3))
     found = rollout(scenario, baselines.make("bearing-only", scenario), 4, num_envs=30)
     law, _ = law_1(0.3)

@@ -40,14 +40,14 @@ def findings(name, batches=(0, 1, 2, 3), broken=None):
 
 
 @pytest.mark.parametrize("name", BY_NAME)
-def test_nothing_is_violated(name):
+def test_claims_hold(name):
     violations, ratio = findings(name)
     assert violations == 0
     if BY_NAME[name].meets:
         assert 0.01 < ratio <= 1  # a bound that nobody comes near checks little
 
 
-def test_the_script_names_them_all_and_says_what_it_found(capsys):
+def test_script_reports_every_claim(capsys):
     assert set(FREE) == set(CLAIMS)
     assert len({claim.name for claim in CLAIMS}) == len(CLAIMS)
     assert main(["--trials", "3", "gains", "stale"]) == 0
@@ -146,11 +146,11 @@ def by_law_1(trial, random):
         ("link-keeping", (2, 3), by_law_1, 0),
     ],
 )
-def test_what_is_broken_on_purpose_is_caught(name, batches, broken, least):
+def test_planted_mistakes_are_detected(name, batches, broken, least):
     assert findings(name, batches, broken=broken)[0] > least * BATCH
 
 
-def test_polygons_within_n_do_not_grow():
+def test_polygons_within_theorem_n_do_not_grow():
     def draw(random, batch, least_margin):
         return continuous_time_claims.draw_growing(random, batch, least_margin, share=0.98)
 
@@ -158,7 +158,7 @@ def test_polygons_within_n_do_not_grow():
     assert check(claim, 7, 2, BATCH, 0.3).violations == BATCH
 
 
-def test_bearings_that_are_far_too_old_are_caught(monkeypatch):
+def test_too_old_bearings_are_detected(monkeypatch):
     monkeypatch.setattr(delay_claims, "_KEPT", 2)
     largest = delay_claims.largest_age
     monkeypatch.setattr(
@@ -168,7 +168,7 @@ def test_bearings_that_are_far_too_old_are_caught(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["links", "links-misled"])
-def test_velocities_that_are_carried_out_are_caught(name, monkeypatch):
+def test_plain_velocities_are_detected(name, monkeypatch):
     class Careless(link_claims.LinkKeeping):
         def compute(self, observations):
             super().compute(observations)
@@ -178,7 +178,7 @@ def test_velocities_that_are_carried_out_are_caught(name, monkeypatch):
     assert findings(name, batches=(1, 2), broken=lambda trial, _: soon(trial))[0] > BATCH
 
 
-def test_robots_that_do_not_allow_for_errors_are_caught(monkeypatch):
+def test_uncompensated_errors_are_detected(monkeypatch):
     real = link_claims.LinkKeeping
 
     def trusting(*given, bearing_error, **named):
@@ -189,7 +189,7 @@ def test_robots_that_do_not_allow_for_errors_are_caught(monkeypatch):
 
 
 @pytest.mark.parametrize("batch", [1, 3])
-def test_attention_is_of_all_kinds(batch):
+def test_attention_covers_all_kinds(batch):
     random = np.random.default_rng(batch)
     teams = draw_teams(random, batch)
     attention, sights = Attention(teams, random), teams.look()
@@ -204,7 +204,7 @@ def test_attention_is_of_all_kinds(batch):
     assert (shares != np.swapaxes(shares, -1, -2)).any(axis=(0, 2, 3)).mean() > 0.7
 
 
-def test_shares_of_a_team_with_a_merged_robot():
+def test_weights_of_merged_robot_add_up():
     random = np.random.default_rng(0)
     teams = Teams(random.normal(size=(BATCH, 3, 2)), 0.01)
     teams.active[0, 1], teams.active[1, 1:] = False, False
@@ -213,7 +213,7 @@ def test_shares_of_a_team_with_a_merged_robot():
     assert not shares[1].any()
 
 
-def test_headings_stay_in_the_cone_of_two_bearings():
+def test_headings_stay_in_cone_of_two_bearings():
     random = np.random.default_rng(0)
     g, other = (unit(random.normal(size=(1000, 3))) for _ in range(2))
     f, margin = g * random.random((1000, 1)) + other, random.uniform(0.1, 0.9, (1000, 1))
@@ -226,7 +226,7 @@ def test_headings_stay_in_the_cone_of_two_bearings():
     assert max(off) < 1e-6
 
 
-def test_bearings_are_as_old_as_they_may_be():
+def test_bearings_have_maximum_age():
     """A robot that goes by: its bearings tell when it was seen."""
     random = np.random.default_rng(3)
     places = random.uniform(-50.0, 50.0, (BATCH, 3, 2))  # so that nobody meets

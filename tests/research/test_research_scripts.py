@@ -46,7 +46,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_learning(folder):
+def test_learning_figure_is_drawn(folder):
     figure = learning_figure({"tank": folder}, "clutter-24")
     lines = {line.get_label(): line for line in figure.axes[0].get_lines()}
     training, held_out = list(lines.values())[:2]
@@ -55,7 +55,7 @@ def test_learning(folder):
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["tank"]
 
 
-def test_an_update_in_which_no_episode_ended_leaves_a_gap(folder):
+def test_update_without_episode_leaves_gap(folder):
     rows = results.read_csv(folder / "metrics.csv")
     rows[9]["clean_success"] = ""
     results.write_csv(folder / "metrics.csv", rows, METRICS)
@@ -63,7 +63,7 @@ def test_an_update_in_which_no_episode_ended_leaves_a_gap(folder):
     np.testing.assert_allclose(training.get_ydata(), [45, np.nan, 55])
 
 
-def test_spending_and_earning():
+def test_tank_figure_is_drawn():
     scenario = rv.scenarios.get("clutter-8").replace(time_limit=4.0)
     network = make_network(SETTINGS.layout(3, 8), len(SETTINGS.angles), set_width=4, hidden=(8,))
     weights = {name: value.detach().numpy() for name, value in network.state_dict().items()}
@@ -80,7 +80,7 @@ def test_spending_and_earning():
     assert len(below.get_lines()) == 4
 
 
-def test_the_reward_and_the_diameter_by_hand():
+def test_reward_and_diameter_match_hand_computation():
     """Three robots, r_c = 4: distances 3, 4 and 5, the last capped."""
     positions = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 4.0]])
     actions = np.array([[1.0, 0.0], [0.5, -0.5], [0.0, 0.0]])
@@ -94,14 +94,14 @@ def played(team, law, num_envs, seed=0):
     return rv.rollout(team, baselines.make(law, team), seed, num_envs=num_envs, record="actions")
 
 
-def test_rest_earns_what_the_start_is_worth_all_the_time():
+def test_resting_team_earns_initial_value():
     team = rv.Scenario(n_robots=4, time_step=0.1, time_limit=1.0, allow_long_step=True)
     found = played(team, "zero", 3, 7)
     start = reward(found.positions[0], np.zeros((3, 4, 2)), 100.0 * math.sqrt(2.0))
     np.testing.assert_allclose(mean_reward(found), start, rtol=1e-12)
 
 
-def test_who_has_met_earns_nothing_more():
+def test_finished_environment_earns_nothing():
     """Two that stand still once they have met, step by step in the simulator."""
     team = rv.scenarios.get("duo")
     simulator = rv.Simulator(team, 2)
@@ -114,12 +114,12 @@ def test_who_has_met_earns_nothing_more():
     np.testing.assert_allclose(found, total / team.max_steps, rtol=1e-12)
 
 
-def test_rows_as_markdown():
+def test_rows_are_formatted_as_markdown():
     lines = list(markdown(iter([("a", "b"), ("1", "2")])))
     assert lines == ["| a | b |", "|---|---|", "| 1 | 2 |"]
 
 
-def test_the_sight_of_the_reward_is_that_of_the_scenario(monkeypatch):
+def test_reward_visibility_equals_scenario(monkeypatch):
     asked = []
 
     def watched(positions, actions, sight):
@@ -133,7 +133,7 @@ def test_the_sight_of_the_reward_is_that_of_the_scenario(monkeypatch):
     assert asked == [40.0, 40.0]
 
 
-def test_an_obstacle_touched_is_not_clean():
+def test_contact_is_not_collision_free():
     found = played(rv.scenarios.get("clutter-8"), "bearing-only", 20)
     share, _ = field_tables._shares(found)
     touched = [bool(team.any()) for team in found.contacts.swapaxes(0, 1)]
@@ -153,7 +153,7 @@ def test_an_obstacle_touched_is_not_clean():
         ("packing.py 0", "SEEDS is '0'"),
     ],
 )
-def test_a_wrong_argument_is_one_line(words, said, monkeypatch, capsys):
+def test_invalid_argument_is_one_line(words, said, monkeypatch, capsys):
     script, *arguments = words.split()
     monkeypatch.setattr(sys, "argv", [script, *arguments])
     with pytest.raises(SystemExit) as end:
@@ -163,7 +163,7 @@ def test_a_wrong_argument_is_one_line(words, said, monkeypatch, capsys):
     assert said in err if end.value.code == 2 else said in end.value.code
 
 
-def test_a_search_that_is_stopped_goes_on_with_no_other_run(tmp_path):
+def test_interrupted_search_resumes(tmp_path):
     """Nor tells a row of the run that was stopped."""
     words = "research/training_search.py --tried small-batch --seeds 0 1".split()
     command = [sys.executable, ROOT / words[0], *words[1:], "--out", tmp_path / "runs"]

@@ -11,7 +11,7 @@ PIONEER = Machine(0.1, 0.4, 0.2, 8.0, 20.0, 0.3)
 FREE = PIONEER._replace(wheel_acceleration=np.inf)
 
 
-def test_the_point_ahead_goes_where_it_is_wanted():
+def test_point_ahead_follows_velocity():
     """A body that turns by ω and drives by v carries P with v (c, s) + l ω (−s, c)."""
     drive = DifferentialDrive(FREE._replace(wheel_speed=1e3))
     for x, y, yaw in itertools.product((-0.3, 0.2), (-0.1, 0.4), (0.0, 1.0, 3.0, -2.0)):
@@ -21,21 +21,21 @@ def test_the_point_ahead_goes_where_it_is_wanted():
         np.testing.assert_allclose(moved, [x, y], atol=1e-12)
 
 
-def test_wheels_by_hand():
+def test_wheel_speeds_match_hand_computation():
     """L = 0.4 m, R = 0.1 m: at 0.5 m/s and 1 rad/s the rims go 0.3 and 0.7 m/s."""
     drive = DifferentialDrive(FREE)
     assert drive.command((0.5, 0.2), 0.0, 0.05) == pytest.approx((0.5, 1.0))
     assert drive.wheels == pytest.approx((3.0, 7.0))
 
 
-def test_fast_wheels_are_slowed_down_together_and_the_direction_is_kept():
+def test_wheel_speed_limit_preserves_direction():
     drive = DifferentialDrive(FREE)
     v, omega = drive.command((3.0, 1.0), 0.0, 0.05)
     assert 8.0 > max(np.abs(drive.wheels)) == pytest.approx(8.0)
     assert omega * FREE.lead / v == pytest.approx(1.0 / 3.0)
 
 
-def test_both_wheels_reach_what_is_wanted_at_the_same_time():
+def test_acceleration_limit_synchronises_wheels():
     """20 rad/s² for 0.05 s is 1 rad/s a tick: the faster wheel, at 7 rad/s, needs 7 of them."""
     drive, wheels = DifferentialDrive(PIONEER), []
     for _ in range(10):
@@ -45,7 +45,7 @@ def test_both_wheels_reach_what_is_wanted_at_the_same_time():
     np.testing.assert_allclose(wheels, np.outer(shares, (3.0, 7.0)), atol=1e-12)
 
 
-def test_who_is_told_nothing_holds_on_and_then_brakes():
+def test_missing_command_holds_then_brakes():
     drive = DifferentialDrive(PIONEER)
     for _ in range(20):
         moving = drive.command((0.5, 0.0), 0.0, 0.05)
@@ -55,7 +55,7 @@ def test_who_is_told_nothing_holds_on_and_then_brakes():
     assert drive.command((0.5, 0.0), 0.0, 0.1)[0] == pytest.approx(0.2)
 
 
-def test_machines_that_cannot_be_are_named():
+def test_invalid_machine_is_rejected():
     for field, value in (("wheel_radius", 0.0), ("lead", -0.1), ("wheel_speed", np.inf)):
         with pytest.raises(ValueError, match=f"{field} is {value}; it must be a positive"):
             DifferentialDrive(Machine(**{field: value}))
@@ -72,7 +72,7 @@ def test_machines_that_cannot_be_are_named():
         (((1.0, 0.0), 0.0, 0.0), r"dt is 0\.0; it must be a positive"),
     ],
 )
-def test_commands_that_cannot_be_change_nothing(told, message):
+def test_invalid_command_changes_nothing(told, message):
     drive = DifferentialDrive(PIONEER)
     before = drive.command((0.1, 0.0), 0.0, 1.0)
     with pytest.raises(ValueError, match=message):
@@ -81,7 +81,7 @@ def test_commands_that_cannot_be_change_nothing(told, message):
 
 
 class TestKeepApart:
-    def test_by_hand(self):
+    def test_keep_apart_matches_hand_computation(self):
         assert keep_apart((1.0, 2.0), []) == (1.0, 2.0)
         assert keep_apart((1.0, 2.0), [(1.0, 0.0)]) == pytest.approx((0.0, 2.0))
         assert keep_apart((1.0, 2.0), [(1.0, 0.0)], 0.4) == pytest.approx((0.4, 2.0))
@@ -90,7 +90,7 @@ class TestKeepApart:
         all_round = [(1, 0), (0, 1), (-1, 0), (0, -1)]
         assert keep_apart((1.0, 2.0), all_round) == pytest.approx((0.0, 0.0))
 
-    def test_it_is_the_nearest_that_fits(self):
+    def test_keep_apart_is_closest_admissible(self):
         """Against all there is: the desired one, its feet on the borders, where they cross."""
         random = np.random.default_rng(0)
         for _ in range(300):
@@ -115,11 +115,11 @@ class TestKeepApart:
             (((0.2, 0.1), [(1.0, 0.0)], (0.1, 0.2)), r"rooms is \[0\.1, 0\.2\]; .* each of 1 dir"),
         ],
     )
-    def test_what_cannot_be_is_named(self, given, message):
+    def test_keep_apart_rejects_invalid_input(self, given, message):
         with pytest.raises(ValueError, match=message):
             keep_apart(*given)
 
-    def test_what_is_nearly_a_unit_vector_or_without_bound_is_taken(self):
+    def test_keep_apart_accepts_nearly_unit_vectors_and_no_bound(self):
         ahead = np.float32([[1.0005, 0.0]])
         assert keep_apart((1.0, 2.0), ahead, np.inf) == (1.0, 2.0)
         assert keep_apart((1.0, 2.0), ahead, [0.0]) == pytest.approx((0.0, 2.0))

@@ -22,7 +22,7 @@ rates = st.floats(-6.0, 6.0)
 
 @pytest.mark.parametrize("d", [2, 3])
 @given(st.floats(-3, 3), angles, angles, rates, rates, st.floats(0.01, 1.0))
-def test_a_robot_follows_equation_9(d, v, yaw, pitch, yaw_rate, pitch_rate, duration):
+def test_nonholonomic_3d_follows_equation_9(d, v, yaw, pitch, yaw_rate, pitch_rate, duration):
     """That of a unicycle is the same without a pitch."""
 
     def velocity(t, _):
@@ -36,7 +36,7 @@ def test_a_robot_follows_equation_9(d, v, yaw, pitch, yaw_rate, pitch_rate, dura
 
 
 @pytest.mark.parametrize("rate", [1e-3, 1e-6, 1e-7, 1e-9, 1e-12, 1e-300, 0.0])
-def test_no_digits_are_lost_as_the_rate_vanishes(rate):
+def test_small_turn_rates_are_accurate(rate):
     """Against the Taylor series, whose next term is below the last digit."""
     x = rate * 1.0
     mean_cos, mean_sin = mean_cos_sin(0.0, x)
@@ -45,7 +45,7 @@ def test_no_digits_are_lost_as_the_rate_vanishes(rate):
 
 
 @given(angles, angles)
-def test_the_body_frame_is_a_rotation_with_the_heading_first_and_left_level(yaw, pitch):
+def test_body_frame_is_rotation_with_heading_first(yaw, pitch):
     R = body_frame(3, yaw, pitch)
     np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-14)
     assert np.linalg.det(R) == pytest.approx(1)
@@ -71,7 +71,7 @@ def within(v, limit):
     return tuple(np.array(v) * min(1.0, limit / max(np.linalg.norm(v), 1e-300)))
 
 
-def test_the_action_is_turned_by_the_frame_and_limited():
+def test_action_is_rotated_and_limited():
     quarter = (0.0, -1.0, 1.0, 0.0)  # local x is global y
     np.testing.assert_allclose(final_velocity(MODEL, (3.0, 0.0), quarter, (0.0, 0.0)), (0, 1.2))
     limited = final_velocity(MODEL, (30.0, 40.0), GLOBAL, (-1.0, -1.0))
@@ -81,7 +81,7 @@ def test_the_action_is_turned_by_the_frame_and_limited():
 
 
 @given(triples, triples, st.floats(0, 1))
-def test_against_an_integrator_of_its_own(action, velocity, share):
+def test_motion_matches_numerical_integration(action, velocity, share):
     """p̈ = a with the acceleration in force, by scipy."""
     model = DoubleIntegrator(TAU, V_MAX, A_MAX, (0.0,) * 3)
     frame = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
@@ -109,7 +109,7 @@ def test_against_an_integrator_of_its_own(action, velocity, share):
 
 
 @given(pairs, pairs)
-def test_length_of_the_way_against_quadrature(before, after):
+def test_path_length_matches_quadrature(before, after):
     def speed(s):
         return math.hypot(*(b + s * (a - b) for b, a in zip(before, after, strict=True)))
 
@@ -119,7 +119,7 @@ def test_length_of_the_way_against_quadrature(before, after):
     assert mean_speed(before, after) == pytest.approx(wanted, abs=1e-9)
 
 
-def test_length_of_the_way_by_hand():
+def test_path_length_matches_hand_computation():
     assert mean_speed((1.0, 0.0), (-1.0, 0.0)) == pytest.approx(0.5)  # there and back
     assert mean_speed((0.0, 0.0), (0.0, 3.0)) == pytest.approx(1.5)
     assert mean_speed((0.0, 0.0), (0.0, 0.0)) == 0.0
@@ -131,7 +131,7 @@ def test_length_of_the_way_by_hand():
 
 
 @given(pairs, pairs, st.floats(0, 1), st.floats(0, 1))
-def test_a_piece_of_the_way_is_as_near_to_its_chord_as_bend_says(action, velocity, start, share):
+def test_chord_error_is_within_bound(action, velocity, start, share):
     velocity = within(velocity, V_MAX)
     end = start + share * (1 - start)
     times = TAU * np.linspace(start, end, 41)
@@ -143,7 +143,7 @@ def test_a_piece_of_the_way_is_as_near_to_its_chord_as_bend_says(action, velocit
 
 
 @given(pairs, pairs, st.floats(0, 2 * math.pi), st.floats(0, 1))
-def test_a_contact_takes_what_goes_into_the_wall_and_nothing_else(action, velocity, angle, kept):
+def test_contact_removes_normal_velocity_only(action, velocity, angle, kept):
     """A flat wall with the normal n took all but a share of what of the way went into it."""
     velocity = within(velocity, V_MAX)
     normal = np.array([math.cos(angle), math.sin(angle)])

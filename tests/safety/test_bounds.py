@@ -13,8 +13,8 @@ from rendezvous_env.safety.lyapunov import lyapunov, lyapunov_rate, net_bearings
 from rendezvous_env.safety.theorems.constants import (
     degrees_stay_equal,
     largest_size,
-    least_degrees,
     merge_rise_allowance,
+    min_degrees,
 )
 from rendezvous_env.safety.theorems.descent import time_bound
 from rendezvous_env.safety.theorems.gains import kappa, shrinking_to_leader
@@ -36,7 +36,7 @@ def started(scenario):
     return scenario.replace(start_positions=start), float(lyapunov(start, heaviest)), size(start)
 
 
-def test_v_its_rate_and_net_bearings_by_hand():
+def test_v_rate_and_net_bearings_match_hand_computation():
     """V counts every edge twice; leading axes broadcast."""
     places = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 0.0]])
     weights = np.array([[0, 2.0, 0.5], [2.0, 0, 0], [0.5, 0, 0]])
@@ -51,7 +51,7 @@ def test_v_its_rate_and_net_bearings_by_hand():
         lyapunov(places, UNEQUAL)
 
 
-def test_the_time_bound_by_hand():
+def test_time_bound_matches_hand_computation():
     team = Scenario(n_robots=5, graph=UNEQUAL, merge_radius=0.2)
     assert merge_rise_allowance(team) == close(ALLOWANCE)
     a = 5 * (100 + ALLOWANCE) / (8 * 0.9**2)
@@ -86,12 +86,12 @@ def test_the_time_bound_by_hand():
         {"meeting": "pack", "body_radius": 0.05, "merge_radius": 0.3},
     ],
 )
-def test_there_is_no_time_where_theorems_a_and_c_do_not_apply(changes):
+def test_time_bound_is_infinite_outside_theorems_a_and_c(changes):
     team = Scenario(n_robots=5).replace(**changes)
     assert np.isinf(time_bound(team, 10.0)) and np.isinf(time_bound(team, 10.0, min_alignment=0.5))
 
 
-def test_complete_graphs_of_one_weight_by_hand():
+def test_complete_graph_bounds_match_hand_computation():
     team = Scenario(n_robots=6, graph=graphs.complete(0.7))
     bound = 2 * 50.0 / (4 * 5 * 0.7**2)
     assert time_bound(team, 50.0) == close(bound)
@@ -133,9 +133,9 @@ UNLIKE = (
 
 
 @pytest.mark.parametrize("graph", [*EQUAL, *UNLIKE])
-def test_no_merge_brings_a_degree_below_the_least(graph):
+def test_merges_keep_minimum_degree(graph):
     scenario = Scenario(n_robots=5, graph=graph)
-    least, random = least_degrees(scenario), np.random.default_rng(0)
+    least, random = min_degrees(scenario), np.random.default_rng(0)
     assert degrees_stay_equal(scenario) == (graph in EQUAL)
     for _ in range(200):
         weights = scenario.sensing_graph.base_weights(5) * scenario.sensing_graph.weight_range[0]
@@ -148,7 +148,7 @@ def test_no_merge_brings_a_degree_below_the_least(graph):
 
 
 @pytest.mark.parametrize("n", range(2, 12))
-def test_kappa_is_the_least_that_robots_can_share_out(n):
+def test_kappa_is_minimum_of_sum(n):
     alike, flat = np.full(n, math.pi / n), np.full(n, math.pi / (2 * (n - 1)))
     flat[0] = math.pi / 2
     found = [np.sum(np.sin(alike) ** 2), np.sum(np.sin(flat) ** 2)]
@@ -170,7 +170,7 @@ def followed(scenario, by="law", **given):
     return certificate(team, by=by, **given).continuous_time_bound / extent
 
 
-def test_theorem_g_by_hand():
+def test_theorem_g_matches_hand_computation():
     for n in (2, 3, 5, 12):
         team = Scenario(n_robots=n, graph=graphs.complete(0.7))
         assert followed(team) == close(1 / (4 * 0.7))
@@ -198,7 +198,7 @@ def test_theorem_g_by_hand():
     assert shrinking_to_leader(3, 3, 1.0) == close(math.pi / 2)
 
 
-def test_gains_held_by_hand():
+def test_sampled_gains_match_hand_computation():
     """C = D̄ = 2 m/s, τ C = r/2: k = ½/(½ + 2 · ½ · 0.5/2), ψ = π/4."""
     team = Scenario(n_robots=4, graph="path", start_positions=SQUARE)
     found = certificate(team, by="gains", min_gain=0.5)
@@ -208,7 +208,7 @@ def test_gains_held_by_hand():
     assert found.tolerated_bearing_error == 0.0  # gains that differ bear nothing
 
 
-def test_law_1_is_certified_by_g_and_a_and_held_by_d1_too():
+def test_law_1_has_bounds_of_a_g_and_d1():
     start = [[0.0, 0.0], [8.0, 0.0], [4.0, 1.0], [4.0, 3.0], [2.0, 1.0]]
     team = Scenario(graph=UNEQUAL, start_positions=start)
     found, extent = certificate(team), 8 + 2 * 5.0  # the other two lie inside
@@ -222,7 +222,7 @@ def test_law_1_is_certified_by_g_and_a_and_held_by_d1_too():
     assert found.promises == close(expected) and not found.continuous_time_only
 
 
-def test_a_pair_is_certified_by_the_closed_form_and_a_step():
+def test_two_robots_have_closed_form_bound():
     """Two robots close at 2a: T = d/(2a), held or not."""
     pair = Scenario(n_robots=2, start_positions=[[0, 0], [3, 4]], graph=graphs.path(0.5))
     found = certificate(pair)
@@ -230,7 +230,7 @@ def test_a_pair_is_certified_by_the_closed_form_and_a_step():
     assert found.time_bound == close(5 / (2 * 0.5) + pair.tau)
 
 
-def test_g_is_never_above_a():
+def test_bound_g_is_at_most_bound_a():
     """Of clusters, lines and clouds, on all graphs, with and without a speed limit."""
     random = np.random.default_rng(0)
     for trial in range(300):
@@ -252,12 +252,12 @@ def test_g_is_never_above_a():
         (3, {2: math.pi * math.sqrt(3), 8: 3 * math.pi, 30: 3 * math.pi}),
     ],
 )
-def test_the_size_of_the_spawn_area_by_hand(dim, worst):
+def test_size_of_spawn_area_matches_hand_computation(dim, worst):
     for n, extent in worst.items():
         assert largest_size(Scenario(n_robots=n, dim=dim, spawn_size=5.0)) == close(5 * extent)
 
 
-def test_pursuit_by_hand():
+def test_pursuit_bounds_match_hand_computation():
     team = Scenario(robot_model="unicycle", max_turn_rate=4.0, merge_radius=0.2)
     kappa_5 = 1 + 4 * math.sin(math.pi / 8) ** 2
     turning = 5 * math.pi / (4 - 2 * 0.3 / 0.2)
@@ -277,7 +277,7 @@ def test_pursuit_by_hand():
         assert np.isinf(pursuit_bound(none, 9.0, 0.3))
 
 
-def test_the_lower_bound_by_hand():
+def test_lower_bound_matches_hand_computation():
     team = Scenario(n_robots=3, merge_radius=0.2, max_speed=0.5)
     start = [[0.0, 0.0], [6.0, 8.0], [3.0, 4.0]]
     assert rendezvous_time_lower_bound(team, start) == close((5 - 2 * 0.1) / 0.5)

@@ -15,7 +15,7 @@ from rendezvous_env.safety.theorems.constants import (
     largest_lyapunov,
     largest_size,
     leaders,
-    least_degrees,
+    min_degrees,
 )
 from rendezvous_env.safety.theorems.gains import kappa
 from rendezvous_env.safety.theorems.theorem import CHOICES
@@ -60,7 +60,7 @@ def alone(scenario, by, **settings):
         (SPARSE, 1.0, True, "velocities scaled"),
     ],
 )
-def test_what_is_guaranteed(scenario, margin, finite, words):
+def test_certificate_is_granted(scenario, margin, finite, words):
     found = certificate(scenario, margin)
     assert found.guaranteed and math.isfinite(found.time_bound) is finite
     assert words in found.theorem
@@ -108,13 +108,13 @@ def test_what_is_guaranteed(scenario, margin, finite, words):
         ],
     ],
 )
-def test_what_is_not_guaranteed(by, scenario, words):
+def test_certificate_is_refused_with_reason(by, scenario, words):
     found = certificate(scenario, MARGINS[by], by=by)
     assert not found.guaranteed and math.isinf(found.time_bound)
     assert re.match(f"none.*{words}", found.theorem)
 
 
-def test_a_tank_bounds_v_where_no_time_is_proven():
+def test_tank_bounds_v_without_time_bound():
     v0, w = 20 * 10 * math.sqrt(2), 10
     for scenario, places, words in (
         (Scenario(robot_model="unicycle"), 2, "no time by which unicycle robots"),
@@ -129,7 +129,7 @@ def test_a_tank_bounds_v_where_no_time_is_proven():
 
 
 @pytest.mark.parametrize("name", ["fig3", "duo", "ring-12", "tree-12", "cloud-8", "random-10"])
-def test_a_certificates_bound_covers_every_start(name):
+def test_bound_covers_every_initial_condition(name):
     scenario = scenarios.get(name)
     sim = Simulator(scenario, 200)
     sim.reset(0)
@@ -139,7 +139,7 @@ def test_a_certificates_bound_covers_every_start(name):
 
 
 @pytest.mark.parametrize("graph", ["cycle", "complete"])
-def test_certificates_of_ten_thousand_robots_follow_the_edges(graph):
+def test_certificates_scale_with_edges(graph):
     """They took 31 s and 4.8 GB; a matrix of the robots alone is 0.8 GB."""
     team = Scenario(n_robots=10_000, graph=graph, spawn_size=1000.0)
     tracemalloc.start()
@@ -150,7 +150,7 @@ def test_certificates_of_ten_thousand_robots_follow_the_edges(graph):
     assert most < 100e6
 
 
-def test_kinds_and_leaders():
+def test_kinds_of_links_and_leaders():
     kinds = {
         "undirected": Scenario(), "directed": PURSUIT, "switching": SWITCHING, "proximity": NEAR,
     }  # fmt: skip
@@ -164,7 +164,7 @@ def test_kinds_and_leaders():
 
 @pytest.mark.parametrize("scenario", [PURSUIT, SWITCHING, NEAR])
 @pytest.mark.parametrize("by", ["heading", "tank"])
-def test_no_law_4_and_no_tank(scenario, by):
+def test_directed_graphs_exclude_law_4_and_tank(scenario, by):
     found = certificate(scenario, 0.5, by=by)
     assert not found.guaranteed and found.theorem.startswith(f'none: by="{by}" has no theorem')
     assert math.isinf(found.time_bound) and math.isinf(found.lyapunov_bound)
@@ -174,7 +174,7 @@ def test_no_law_4_and_no_tank(scenario, by):
     assert ("grow without end" in found.theorem) == (scenario is SWITCHING)
 
 
-def test_cyclic_pursuit_has_g_and_n():
+def test_cyclic_pursuit_is_covered_by_g_and_n():
     found = certificate(PURSUIT)
     assert found.guaranteed and found.theorem.startswith("theorem G: law (1)")
     assert found.continuous_time_bound == close(16 / (2 * float(kappa(4))))
@@ -186,7 +186,7 @@ def test_cyclic_pursuit_has_g_and_n():
     assert not certificate(LED, by="gains", bearing_error=0.01).guaranteed
 
 
-def test_graphs_that_take_turns():
+def test_switching_graphs_are_covered():
     for by in ("law", "gains"):
         found = certificate(SWITCHING, by=by)
         assert found.guaranteed and "theorem G" in found.theorem
@@ -198,7 +198,7 @@ def test_graphs_that_take_turns():
     assert "at some time" in found.theorem and found.hull_bound > 16
 
 
-def test_beside_obstacles_links_must_be_shorter_by_r_per_merge():
+def test_links_beside_obstacles_must_be_shorter_by_r_per_merge():
     """tests/verify/test_mistakes.py plays what a certificate at midpoints would promise."""
     start, discs = ((-0.402, 0.0), (-0.201, 0.0), (0.0, 0.0)), (-0.3015, -0.1005)
     passed = Scenario(
@@ -214,7 +214,7 @@ def test_beside_obstacles_links_must_be_shorter_by_r_per_merge():
     assert certificate(drawn.replace(obstacles=()), by="links").guaranteed
 
 
-def test_the_hull_may_grow_by_r_where_robots_start_within_r():
+def test_hull_bound_allows_growth_for_starts_within_r():
     """Some of them merge at once and rest, while others walk on past them."""
     near = [(0.0, 0.0), (0.0, 0.002), (2.0, 0.0), (2.0, 0.002)]
     team = Scenario(n_robots=4, graph="complete", start_positions=near)
@@ -222,7 +222,7 @@ def test_the_hull_may_grow_by_r_where_robots_start_within_r():
 
 
 @pytest.mark.parametrize("model", ["unicycle", "nonholonomic_3d"])
-def test_robots_that_turn_are_certified_under_the_gate_only(model):
+def test_nonholonomic_robots_need_gate(model):
     """Of the paper's laws nothing is said for held inputs; the gate cannot overshoot."""
     scenario = Scenario(robot_model=model, dim=2 if model == "unicycle" else 3)
     law = certificate(scenario)
@@ -241,10 +241,10 @@ def test_robots_that_turn_are_certified_under_the_gate_only(model):
     assert certificate(small, 0.3).time_bound < slow < math.inf
 
 
-def test_law_1_bears_more_by_n_where_degrees_are_equal():
+def test_theorem_n_tolerates_more_for_equal_degrees():
     """In a step so short that a held bearing is wrong by a fifth of π/n."""
     team = Scenario(n_robots=6, graph="cycle")
-    gain = float(least_degrees(team).max())
+    gain = float(min_degrees(team).max())
     step = team.merge_radius / (2 * gain) * math.sin(0.2 * math.pi / 6)
     team = team.replace(time_step=step)
     assert certificate(team).tolerated_bearing_error == close(0.8 * math.pi / 6)
@@ -253,7 +253,7 @@ def test_law_1_bears_more_by_n_where_degrees_are_equal():
     assert not certificate(team, bearing_error=0.81 * math.pi / 6).guaranteed
 
 
-def test_bounded_errors_of_the_sensor_count():
+def test_bounded_sensor_errors_count():
     team, eta = Scenario(sensing=Sensing(error=0.01, sectors=400)), 0.01 + math.pi / 400
     for by, margin in (("law", 1.0), ("heading", 0.9), ("tank", 0.9), ("links", 1.0)):
         found = certificate(team, margin, by=by)
@@ -269,7 +269,7 @@ def test_bounded_errors_of_the_sensor_count():
 @pytest.mark.parametrize(
     ("sensing", "error"), [(Sensing(error=1.8), 1.8), (Sensing(sectors=2, error=3.0), math.pi)]
 )
-def test_sensors_that_err_by_more_than_a_right_angle(sensing, error, by, dim):
+def test_errors_above_right_angle_are_refused(sensing, error, by, dim):
     """No angle is above π, although errors and sectors add up to more. A tank that charges for π/2
     rad alone lets V rise by more than it holds: of more no wrapper can be told.
     """
@@ -283,7 +283,7 @@ def test_sensors_that_err_by_more_than_a_right_angle(sensing, error, by, dim):
 
 
 @pytest.mark.parametrize("delay", [1, 3])
-def test_late_bearings_are_certified_while_they_are_young(delay):
+def test_small_delays_are_certified(delay):
     """After a merge robots act on what was seen before it, which the bound pays for."""
     team = Scenario(sensing=Sensing(delay=delay), time_limit=100.0)
     oldest = team.merge_radius / (2 * team.max_degree)
@@ -319,12 +319,12 @@ def test_late_bearings_are_certified_while_they_are_young(delay):
         *[({"min_alignment": least}, "at least 1e-06") for least in (1e-200, 5e-324, 0.99e-6)],
     ],
 )
-def test_arguments_that_do_not_go_together_are_refused(given, message):
+def test_inconsistent_arguments_are_rejected(given, message):
     with pytest.raises(ValueError, match=message):
         certificate(Scenario(), **given)
 
 
-def test_what_a_user_reads_first():
+def test_text_begins_with_result():
     """In three lines: what, what else, by when beside the episode's limit."""
     first, second, third = str(certificate("ring-12")).splitlines()
     assert first.startswith("ring-12 under law (1): theorems 1 and G")
@@ -335,7 +335,7 @@ def test_what_a_user_reads_first():
     assert "in continuous time only, without a bound" in str(certificate("unicycle-6"))
 
 
-def test_what_is_said_of_v_beside_obstacles_leaves_contacts_out():
+def test_v_bound_beside_obstacles_excludes_contacts():
     """Headings within the margin of f slide two robots outward along two slanted walls."""
     walls = [Capsule(((1.0, -1.0), (-3.0, 5.0)), 0.1), Capsule(((3.0, 1.0), (7.0, -5.0)), 0.1)]
     start = {"n_robots": 2, "start_positions": ((0.0, 0.0), (4.0, 0.0)), "local_frames": "global"}
@@ -351,14 +351,14 @@ def test_what_is_said_of_v_beside_obstacles_leaves_contacts_out():
     assert not through.touches_obstacles and "without a contact" not in str(through)
 
 
-def test_the_mean_time_under_noise_is_said():
+def test_mean_time_under_noise_is_reported():
     found = certificate(Scenario(sensing=Sensing(noise=0.1)))
     said = re.search("mean time to rendezvous never exceeds (.+) s", str(found))
     assert 1.001 * found.expected_time_bound > float(said[1]) >= found.expected_time_bound
     assert "No other number" not in str(found)
 
 
-def test_numbers_hold_as_they_are_read():
+def test_printed_bounds_are_conservative():
     """Bounds are rounded up, and errors that are tolerated down."""
     found = certificate("ring-12")
     said = re.findall(r"(?:exceeds|up to|Bound) ([\d.]+)", str(found))
@@ -370,7 +370,7 @@ def test_numbers_hold_as_they_are_read():
     assert not more.guaranteed and "tolerate less than 0.1668 rad" in more.theorem
 
 
-def test_old_names_of_fields_still_work():
+def test_old_field_names_warn():
     found = certificate(Scenario())
     for old, new in (
         ("held_time_bound", "time_bound"),

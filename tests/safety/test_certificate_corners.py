@@ -14,12 +14,12 @@ from test_certificate import MARGINS, alone
 
 import baselines
 from rendezvous_env import Disc, Scenario, Sensing, Simulator, certificate, graphs, rollout
-from rendezvous_env.safety.theorems.constants import most_neighbours
+from rendezvous_env.safety.theorems.constants import max_neighbours
 from rendezvous_env.safety.theorems.theorem import CHOICES
 from rendezvous_env.vector import EnergyTankWrapper
 
 
-def test_a_tank_that_is_given_no_margin_has_that_of_its_wrapper():
+def test_default_tank_margin_equals_wrapper():
     """1 is the margin of the paper's laws, which no tank can have."""
     scenario = Scenario(n_robots=3)
     usual = inspect.signature(EnergyTankWrapper).parameters["min_alignment"].default
@@ -28,7 +28,7 @@ def test_a_tank_that_is_given_no_margin_has_that_of_its_wrapper():
     assert found.time_bound > 1000.0
 
 
-def test_a_bound_that_overflows_says_so():
+def test_overflowing_bound_is_reported():
     for budget in (1e307, 1e308):  # two of 1e308 m²/s overflow themselves
         found = certificate("duo", 0.1, by="tank", budget=budget)
         assert not found.guaranteed and math.isinf(found.time_bound)
@@ -46,7 +46,7 @@ HUBS = Scenario(
 
 
 @pytest.mark.parametrize("by", list(CHOICES))
-def test_merged_robots_need_a_row_for_each_neighbour(by):
+def test_merged_robots_need_row_per_neighbour(by):
     few, enough = HUBS.replace(neighbour_slots=3), HUBS.replace(neighbour_slots=4)
     with pytest.raises(RuntimeError, match="more than neighbour_slots = 3"):
         rollout(few, baselines.make("bearing-only", few))
@@ -58,7 +58,7 @@ def test_merged_robots_need_a_row_for_each_neighbour(by):
     assert "up to 4" in certificate(turning).theorem
 
 
-def test_how_many_neighbours_merged_robots_can_have():
+def test_most_neighbours_includes_merges():
     """Against all connected groups of a few drawn trees and webs."""
     random = np.random.default_rng(0)
     for n, extra in itertools.product((2, 4, 6, 7), (0, 2)):
@@ -74,12 +74,12 @@ def test_how_many_neighbours_merged_robots_can_have():
             if connected_components(linked[np.ix_(group, group)])[0] == 1
         )
         team = Scenario(n_robots=n, graph=1.0 * linked)
-        assert worst <= most_neighbours(team) <= team.sensing_graph.most_neighbours(n)
+        assert worst <= max_neighbours(team) <= team.sensing_graph.most_neighbours(n)
     for kind, most in {"path": 2, "cycle": 2, "star": 7, "complete": 7}.items():
-        assert most_neighbours(Scenario(n_robots=8, graph=kind)) == most
+        assert max_neighbours(Scenario(n_robots=8, graph=kind)) == most
 
 
-def test_starts_of_options_are_asked_for_in_a_scenario():
+def test_given_positions_require_scenario_field():
     """Far outside of the spawn area V and the time are beyond what the scenario is promised."""
     scenario, far = Scenario(n_robots=2), ((0.0, 0.0), (90.0, 0.0))
     own, given = certificate(scenario), certificate(scenario.replace(start_positions=far))
@@ -90,7 +90,7 @@ def test_starts_of_options_are_asked_for_in_a_scenario():
     assert "scenario.replace(start_positions=…" in certificate.__doc__
 
 
-def test_weights_of_options_are_asked_for_in_an_environment_of_their_own():
+def test_given_weights_require_own_environment():
     """The wrapper's least gain is a* of its own scenario, a hundred times less than theirs."""
     light = Scenario(n_robots=2, graph=graphs.complete((0.01, 1.0)), spawn_size=2.0)
     heavy = light.replace(graph=graphs.complete(1.0))
@@ -106,7 +106,7 @@ def test_weights_of_options_are_asked_for_in_an_environment_of_their_own():
     assert "made of that scenario" in certificate.__doc__
 
 
-def test_obstacles_of_options_are_asked_for_in_an_environment_of_their_own():
+def test_given_obstacles_require_own_environment():
     """Tanks of a scenario with obstacles do not shrink at merges: the last two may spend all."""
     places = 4.0 * np.random.default_rng(5).normal(size=(8, 2))
     free = Scenario(n_robots=8, start_positions=places, local_frames="global", time_limit=500.0)
@@ -126,7 +126,7 @@ def test_obstacles_of_options_are_asked_for_in_an_environment_of_their_own():
     assert "Of other weights or obstacles" in certificate.__doc__
 
 
-def test_links_that_may_be_drawn_must_all_be_in_sight():
+def test_sampled_links_must_be_visible():
     """Of given starts: the tree that is drawn may hold any pair."""
     places = ((0.0, 0.0), (2.0, 0.0), (4.0, 0.0))
     for graph, far, near in (("path", True, True), (graphs.random_tree(), False, True)):
@@ -137,7 +137,7 @@ def test_links_that_may_be_drawn_must_all_be_in_sight():
 
 
 @pytest.mark.parametrize(("told", "lengthened"), [(0.0, True), (0.7, False)])
-def test_a_wrapper_bears_the_errors_that_it_is_told_of(told, lengthened):
+def test_wrapper_must_know_bearing_error(told, lengthened):
     places = ((0.0, 0.0), (2.0, 0.0))
     scenario = Scenario(n_robots=2, start_positions=places, sensing=Sensing(error=0.7))
     turned = scenario.replace(local_frames="global")

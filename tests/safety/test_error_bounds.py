@@ -21,7 +21,7 @@ from rendezvous_env.safety.theorems.theorem import LAW
 from rendezvous_env.sensors.imperfections import in_sectors
 
 
-def test_held_inputs_of_equal_gains_by_hand():
+def test_sampled_equal_gains_match_hand_computation():
     """T ≤ L0 sin(π/n)/(2cκ(n) sin((1 − β)π/n)) + (n − 1)τ at τ = (r/2c) sin(βπ/n)."""
     n, c, r, beta = 7, 2 * 0.7, 0.3, 0.6
     step = r / (2 * c) * math.sin(beta * math.pi / n)
@@ -40,7 +40,7 @@ def test_held_inputs_of_equal_gains_by_hand():
     assert equal_gain_bounds(pair, LAW).time == close(extent / 4 + pair.tau)
 
 
-def test_held_inputs_are_covered_nowhere_else():
+def test_sampling_is_not_covered_elsewhere():
     short = Scenario(time_step=0.02 * Scenario().certified_step)
     assert np.isfinite(equal_gain_bounds(short, LAW).time)
     for changes in (
@@ -55,7 +55,7 @@ def test_held_inputs_are_covered_nowhere_else():
         assert shrinking(5, dim, 1.0, 0.99 * sharp) > 0 == shrinking(5, dim, 1.0, 1.01 * sharp)
 
 
-def test_equal_gains_bear_errors_and_held_inputs():
+def test_equal_gains_tolerate_errors_and_sampling():
     team = Scenario(n_robots=6, time_step=0.002, graph=graphs.complete((0.5, 2.0)))
     even, extent = {"by": "gains", "min_gain": 1.0, "max_gain": 1.0}, 40
     sine = math.sin(math.pi / 6)
@@ -80,7 +80,7 @@ def test_equal_gains_bear_errors_and_held_inputs():
         assert math.isinf(refused.time_bound)
 
 
-def test_law_1_bears_errors_by_n1():
+def test_law_1_tolerates_errors_by_n1():
     team, n, a, degree = Scenario(graph=UNEQUAL), 5, 0.9, 6.5
     borne = 2 * math.asin(a / (n * degree))
     assert certificate(team).tolerated_bearing_error == close(borne)
@@ -95,7 +95,7 @@ def test_law_1_bears_errors_by_n1():
     assert not refused.guaranteed and f"less than {borne:.4g} rad" in refused.theorem
 
 
-def test_headings_and_tanks_bear_errors():
+def test_headings_and_tanks_tolerate_errors():
     team, n, a, degree, margin = Scenario(graph=UNEQUAL), 5, 0.9, 6.5, 0.5
     start = 2 * 6.5 * 10 * math.sqrt(2)
     for by, share, above in (
@@ -115,7 +115,7 @@ def test_headings_and_tanks_bear_errors():
         assert "tolerate less than" in refused.theorem
 
 
-def test_more_sharply_where_degrees_are_known_by_hand():
+def test_known_degrees_give_sharper_bounds():
     """2c_m in place of 2a*: (m − 1) a on complete graphs of weight a, 2a on cycles."""
     a, n, eta = 0.7, 6, 0.1
     team, ring = (Scenario(n_robots=n, graph=g) for g in (graphs.complete(a), graphs.cycle(a)))
@@ -136,7 +136,7 @@ def test_more_sharply_where_degrees_are_known_by_hand():
     assert certificate(noisy).expected_time_bound == close(expected)
 
 
-def test_noise_has_no_bound_but_a_mean():
+def test_noise_bounds_mean_time_only():
     """θ = 2D̄τ/r = 1 for the certified step of a pair."""
     pair = Scenario(
         n_robots=2, sensing=Sensing(noise=0.3), start_positions=((0.0, 0.0), (5.0, 0.0))
@@ -165,7 +165,7 @@ def test_noise_has_no_bound_but_a_mean():
 
 @pytest.mark.parametrize("sectors", [2, 3, 5, 8, 13, 90])
 @pytest.mark.parametrize("dim", [2, 3])
-def test_no_bearing_is_rounded_by_more(sectors, dim):
+def test_bearing_rounding_is_bounded(sectors, dim):
     random, worst = np.random.default_rng(sectors), 0.0
     for _ in range(3000):
         g = random.normal(size=dim) * ([1.0] * (dim - 1) + [random.choice([1.0, 30.0])])
@@ -177,11 +177,11 @@ def test_no_bearing_is_rounded_by_more(sectors, dim):
 
 
 def tank(scenario, **given):
-    """Its certificate, ε = 0.3, from the start of ``started``."""
+    """Certificate with ε = 0.3 for the initial positions of ``started``."""
     return certificate(started(scenario)[0], 0.3, by="tank", **given)
 
 
-def test_the_tank_by_hand():
+def test_tank_bounds_match_hand_computation():
     team = Scenario(n_robots=5, graph=UNEQUAL, merge_radius=0.2)
     _, initial, _ = started(team)
     assert lyapunov_bound(team, initial) == close(initial + ALLOWANCE)
@@ -199,7 +199,7 @@ def test_the_tank_by_hand():
         assert tank(changed, budget=20.0).time_bound == close(expected)
 
 
-def test_links_are_certified_by_r():
+def test_links_are_certified_by_theorem_r():
     team, late = Scenario(graph=UNEQUAL), 4 * Scenario(graph=UNEQUAL).tau
     most = 2 * 6.5 * 10 * math.sqrt(2) + ALLOWANCE
     found = certificate(team, by="links", share=0.25)
@@ -215,7 +215,7 @@ def test_links_are_certified_by_r():
     assert [*refused.promises] == ["lyapunov", "link_growth"]
 
 
-def test_links_of_limited_range():
+def test_limited_range_links_match_hand_computation():
     start = ((0.0, 0.0), (4.5, 0.0), (4.5, 4.5), (0.0, 4.5))
     seen, graph = Sensing(range=5.0), graphs.complete(2.0)
     team = Scenario(n_robots=4, start_positions=start, sensing=seen, graph=graph)

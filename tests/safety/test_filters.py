@@ -36,7 +36,7 @@ def go_on(filtered, observations, choices, contact=None):
 
 @pytest.mark.kernels
 @all_filters
-def test_a_batch_is_its_teams_one_by_one(made, kind):
+def test_batch_equals_single_environments(made, kind):
     together, observations, choose = begun(made, kind, 6)
     alone = [made(together.scenario, 1) for _ in range(6)]
     random = np.random.default_rng(1)
@@ -51,7 +51,7 @@ def test_a_batch_is_its_teams_one_by_one(made, kind):
 
 
 @all_filters
-def test_forgetting_some_teams_spares_the_others(made, kind):
+def test_partial_reset_keeps_other_environments(made, kind):
     filtered, observations, choose = begun(made, kind, 3)
     beginning = filtered.get_state()
     go_on(filtered, observations, choose())
@@ -65,7 +65,7 @@ def test_forgetting_some_teams_spares_the_others(made, kind):
 
 
 @all_filters
-def test_robots_that_see_nobody_stand_still(made, kind):
+def test_robots_without_neighbours_stop(made, kind):
     filtered, observations, choose = begun(made, kind, 2)
     results = go_on(filtered, np.zeros_like(observations), choose())
     assert not results["actions"].any()
@@ -81,7 +81,7 @@ def test_robots_that_see_nobody_stand_still(made, kind):
         ({"frames": np.zeros((2, 5, 2, 2))}, "a rotation"),
     ],
 )
-def test_a_state_is_taken_as_a_whole(spoil, message):
+def test_state_is_set_atomically(spoil, message):
     tank = EnergyTank(five("single_integrator-2d"), 2, budget=3.0)
     state = {**tank.get_state(), "held": np.ones((2, 5, 2))}
     with pytest.raises(ValueError, match=message):
@@ -126,12 +126,12 @@ ONE_WAY = graphs.directed_cycle()
          "max_gain is 0.5; it must be at least min_gain"),
     ],
 )  # fmt: skip
-def test_what_it_cannot_do_is_refused_when_it_is_made(made, changes, options, message):
+def test_unsupported_scenario_is_rejected(made, changes, options, message):
     with pytest.raises(ValueError, match=message):
         made(Scenario(**changes), 1, **options)
 
 
-def test_a_filter_must_say_what_the_robots_do():
+def test_filter_must_define_actions():
     bare = SafetyFilter(five("single_integrator-2d"), 1, 2, "local", None)
     with pytest.raises(NotImplementedError, match="SafetyFilter needs compute"):
         bare.apply(np.zeros((1, 5, *bare.scenario.observation_layout.shape), np.float32))
@@ -139,7 +139,7 @@ def test_a_filter_must_say_what_the_robots_do():
 
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("made", [EnergyTank, HeadingFilter])
-def test_observations_of_other_types_and_strides_are_taken_as_float32(made, dim):
+def test_observations_of_other_types_are_converted(made, dim):
     """Kernels that take rows in pairwise must not read the bytes of others."""
     scenario = Scenario(n_robots=5, dim=dim)
     simulator, random = Simulator(scenario, 3), np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""How weights become gains, and which are refused."""
+"""Conversion of weights to gains, and rejected weights."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def observed(scenario, *rows):
         ((7, 2, 0), 3.0, (1.0, 2.0)),
     ],
 )
-def test_gains_by_hand(chosen, gain, velocity):
+def test_gains_match_hand_computation(chosen, gain, velocity):
     scenario = Scenario(n_robots=4, max_speed=50.0)
     gains = Gains(scenario, 1, frame="local", min_gain=0.5, max_gain=4.0)
     held = np.zeros((1, 4, 3))
@@ -42,7 +42,7 @@ def test_gains_by_hand(chosen, gain, velocity):
     assert np.isnan(gains.alignment[0, 1]) and gains.gain[0, 1] == 0.0
 
 
-def test_too_much_is_scaled_down_and_a_speed_limit_too():
+def test_excessive_gains_are_scaled_down():
     scenario = Scenario(n_robots=3, max_speed=0.5)
     gains = Gains(scenario, 1, frame="local", max_gain=1.5)
     gains.hold(np.ones((1, 3, 2)))
@@ -53,7 +53,7 @@ def test_too_much_is_scaled_down_and_a_speed_limit_too():
     assert gains.gain[0, 0] == pytest.approx(1.5) and not away.any()
 
 
-def test_the_range_in_force():
+def test_gain_range_is_reported():
     scenario = Scenario(n_robots=5, graph=graphs.path((0.5, 2.0)))
     safe = scenario.merge_radius / scenario.tau
     assert gain_range(scenario) == (0.5, scenario.max_degree) == (0.5, 4.0)

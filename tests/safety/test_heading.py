@@ -67,14 +67,14 @@ def by_angles(raw, f, previous, min_alignment, dead_zone, max_turn):
     return np.array([math.cos(world), math.sin(world)])
 
 
-def test_flexible_velocity_is_the_projection_on_the_heading():
+def test_flexible_velocity_projects_f_on_heading():
     f = np.array([[3.0, 4.0], [3.0, 4.0], [3.0, 4.0]])
     h = np.array([[1.0, 0.0], [0.0, -1.0], [-0.8, 0.6]])
     np.testing.assert_allclose(flexible_velocity(f, h), [[3, 0], [0, 4], [0, 0]], atol=1e-15)
     np.testing.assert_array_equal(flexible_velocity(f, -h), flexible_velocity(f, h))
 
 
-def test_step_scale_by_hand():
+def test_step_scale_matches_hand_computation():
     scale = step_scale(np.array([0.0, 1.0, 2.0, 4.0]), merge_radius=0.2, duration=0.05)
     np.testing.assert_allclose(scale, [1.0, 1.0, 1.0, 0.5], rtol=1e-15)
     assert step_scale(4.0, 0.2, 0.05).shape == ()
@@ -101,7 +101,7 @@ def test_step_scale_by_hand():
     ],
 )
 @pytest.mark.parametrize("tilt", [0, 77, 180])
-def test_certified_heading_by_hand(raw, previous, expected, tilt):
+def test_certified_heading_matches_hand_computation(raw, previous, expected, tilt):
     c, s = polar(tilt)
     rotation = np.array([[c, -s], [s, c]])
     vectors = (rotation @ each for each in (raw, [1.0, 0.0], previous))
@@ -109,7 +109,7 @@ def test_certified_heading_by_hand(raw, previous, expected, tilt):
     np.testing.assert_allclose(h, rotation @ polar(expected), atol=1e-7 if tilt else 1e-14)
 
 
-def test_without_a_net_bearing_any_heading_goes():
+def test_any_heading_is_allowed_without_net_bearing():
     options = {**CONSTANTS, "max_turn": 0.3}
     first = certified_heading([0.0, 0.0], [0.0, 0.0], [0.0, 0.0], **options)
     np.testing.assert_array_equal(first, [1, 0])
@@ -122,7 +122,7 @@ def test_without_a_net_bearing_any_heading_goes():
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-17, -1e-12, 1e-8])
-def test_an_antipodal_aim_is_reached_through_the_net_bearing(noise):
+def test_antipodal_aim_turns_through_net_bearing(noise):
     f = np.array([0.05, 0.0, 0.0])  # in the dead zone, where the cap is a half sphere
     h = np.array([0.0, 1.0, 0.0])
     options = {**CONSTANTS, "max_turn": 0.5}
@@ -131,7 +131,7 @@ def test_an_antipodal_aim_is_reached_through_the_net_bearing(noise):
     np.testing.assert_allclose(h, [math.sin(1.5), math.cos(1.5), 0], atol=1e-7)
 
 
-def test_rounding_near_antipodal_and_opposite_directions_is_removed():
+def test_rounding_near_antipodal_directions_is_removed():
     random = np.random.default_rng(9)
     f, h = unit(random.normal(size=(2, 2000, 3)))
     across = unit(np.cross(f, h))
@@ -146,7 +146,7 @@ def test_rounding_near_antipodal_and_opposite_directions_is_removed():
 
 @settings(max_examples=400, deadline=None)
 @given(triples, constants)
-def test_margin_norm_and_turn_limit(triple, options):
+def test_heading_keeps_margin_norm_and_turn_limit(triple, options):
     raw, f, previous = triple
     h = certified_heading(raw, f, previous, **options)
     fade = np.clip(np.linalg.norm(f) / options["dead_zone"] - 1, 0, 1)
@@ -163,7 +163,7 @@ def test_margin_norm_and_turn_limit(triple, options):
 @given(
     st.lists(st.floats(-math.pi, math.pi), min_size=3, max_size=3), st.floats(0.01, 3), constants
 )
-def test_it_is_theorem_c_in_angles(angles, strength, options):
+def test_certified_heading_equals_angular_form(angles, strength, options):
     raw, f, previous = (np.array([math.cos(a), math.sin(a)]) for a in angles)
     f = f * strength
     # at the jumps of the law (raw along -f, previous across f) rounding decides
@@ -174,7 +174,7 @@ def test_it_is_theorem_c_in_angles(angles, strength, options):
 
 
 @given(st.integers(0, 2**32 - 1), dims, st.floats(1e-3, 1e3), constants)
-def test_scaling_raw_and_previous_and_rotating_all_changes_nothing(seed, dim, scale, options):
+def test_certified_heading_is_scale_and_rotation_invariant(seed, dim, scale, options):
     random = np.random.default_rng(seed)
     raw, f, previous = random.normal(size=(3, dim))
     rotation, _ = np.linalg.qr(random.normal(size=(dim, dim)))
@@ -190,7 +190,7 @@ def test_scaling_raw_and_previous_and_rotating_all_changes_nothing(seed, dim, sc
 
 @settings(max_examples=200, deadline=None)
 @given(triples)
-def test_the_plane_is_a_slice_of_space(triple):
+def test_plane_is_slice_of_3d(triple):
     raw, f, previous = (np.append(v[:2], 0.0) for v in triple)
     in_space = certified_heading(raw, f, previous, **CONSTANTS)
     in_plane = certified_heading(raw[:2], f[:2], previous[:2], **CONSTANTS)
@@ -199,7 +199,7 @@ def test_the_plane_is_a_slice_of_space(triple):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_a_batch_is_a_stack_of_singles(dim):
+def test_batch_equals_singles(dim):
     raw, f, previous = np.random.default_rng(1).normal(size=(3, 4, 5, dim))
     h = certified_heading(raw, f, previous, **CONSTANTS)
     assert h.shape == (4, 5, dim) and h.dtype == np.float64
@@ -215,7 +215,7 @@ def test_a_batch_is_a_stack_of_singles(dim):
 
 
 @pytest.mark.parametrize("huge", [1e-300, 1e-160, 1e160, 1e300])
-def test_lengths_far_from_one_are_safe(huge):
+def test_extreme_lengths_are_safe(huge):
     options = {"min_alignment": 0.1, "dead_zone": huge / 4, "max_turn": 4.0}
     with np.errstate(over="ignore"):  # numpy warns where kernels are not compiled
         h = certified_heading([0.6 * huge, 0.8 * huge], [huge, 0], [huge, 0], **options)
@@ -239,13 +239,13 @@ def test_lengths_far_from_one_are_safe(huge):
         ({"raw": np.full((4, 2), np.nan)}, r"raw is \[nan, nan\]; it must be finite"),
     ],
 )
-def test_refusals_name_the_argument(change, message):
+def test_errors_name_argument(change, message):
     good = {"raw": np.ones((4, 2)), "net_bearing": np.ones((4, 2)), "previous": np.ones((4, 2))}
     with pytest.raises(ValueError, match=message):
         certified_heading(**{**good, **CONSTANTS, **change})
 
 
-def test_no_limit_of_turns_needs_no_compiler():
+def test_unlimited_turn_needs_no_compiler():
     """Plain Python has no cosine of infinity."""
     cosine, sine, square = turn_limit.py_func(np.inf) if compiled() else turn_limit(np.inf)
     assert (cosine, square) == (-1.0, np.inf)

@@ -15,8 +15,8 @@ from rendezvous_env import Simulator, graphs
 from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.safety.links import (
     LinkKeeping,
-    least_norm_points,
     link_keeping_law,
+    min_norm_points,
     project_on_links,
 )
 from rendezvous_env.trajectory import run
@@ -72,11 +72,11 @@ def sets_of_bearings(dim):
 
 @pytest.mark.kernels
 @pytest.mark.parametrize("dim", [2, 3])
-def test_random_and_degenerate_bearings(dim):
+def test_least_norm_point_matches_other_solver(dim):
     """‖q‖² ≤ q·g for all g says that no point of the hull is nearer; q is in it by the other."""
     sets = list(sets_of_bearings(dim))
     for g in sets:
-        q = least_norm_points(g)
+        q = min_norm_points(g)
         length = np.linalg.norm(q)
         assert (g @ q).min() >= length**2 - 1e-12 * max(length, 1e-3)
         assert length == pytest.approx(np.linalg.norm(by_another_solver(g)), abs=1e-7)
@@ -96,7 +96,7 @@ THIN = np.array(
 
 
 @pytest.mark.parametrize("kind", ["balanced", "flat", "opposite", "thin"])
-def test_all_bearings_lie_along_the_point_where_they_balance(kind):
+def test_bearings_lie_along_balanced_point(kind):
     """q·g ≥ ‖q‖² for all g: else a robot that moves along q lengthens a link."""
     random, count = np.random.default_rng(0), 100_000
     if kind == "balanced":
@@ -112,12 +112,12 @@ def test_all_bearings_lie_along_the_point_where_they_balance(kind):
         g = np.concatenate([pair, -pair, others], axis=1)
         g += 10.0 ** random.uniform(-17, -1, (count, 1, 1)) * random.normal(size=(count, 5, 3))
     g = unit(g)
-    q = least_norm_points(g)
+    q = min_norm_points(g)
     least = np.einsum("nkd,nd->nk", g, q).min(axis=1)
     assert (least >= (q**2).sum(axis=1) - 1e-14).all()
 
 
-def test_points_by_hand():
+def test_least_norm_matches_hand_computation():
     east, north, west = [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]
     slanted = [math.cos(2.5), math.sin(2.5)]
     for bearings, q in (
@@ -128,28 +128,28 @@ def test_points_by_hand():
         ([[0.0, 0.0], [0.0, 3.0], [0.0, 0.0]], north),
         ([[0.0, 0.0], [0.0, 0.0]], [0.0, 0.0]),
     ):
-        np.testing.assert_allclose(least_norm_points(bearings), q, atol=1e-16)
+        np.testing.assert_allclose(min_norm_points(bearings), q, atol=1e-16)
     axes = np.eye(3)
-    np.testing.assert_allclose(least_norm_points(axes), [1 / 3] * 3, atol=1e-15)
-    np.testing.assert_allclose(least_norm_points([*axes, [0.9, 0.9, 0]]), [1 / 3] * 3, atol=1e-15)
-    np.testing.assert_array_equal(least_norm_points([*axes, -np.ones(3)]), np.zeros(3))
+    np.testing.assert_allclose(min_norm_points(axes), [1 / 3] * 3, atol=1e-15)
+    np.testing.assert_allclose(min_norm_points([*axes, [0.9, 0.9, 0]]), [1 / 3] * 3, atol=1e-15)
+    np.testing.assert_array_equal(min_norm_points([*axes, -np.ones(3)]), np.zeros(3))
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_weights_order_and_absent_rows_do_not_count(dim):
+def test_least_norm_ignores_weights_order_and_absent_rows(dim):
     random = np.random.default_rng(7)
     rows = random.normal(size=(5, 40, 4, dim)) + 1.5 * np.eye(dim)[0]
-    q = least_norm_points(rows)
+    q = min_norm_points(rows)
     assert q.shape == (5, 40, dim)
     longer = rows * random.uniform(1e-3, 1e3, (5, 40, 4, 1))
     spread = np.insert(longer[:, :, ::-1], [0, 2, 4], 0.0, axis=2)
-    np.testing.assert_allclose(least_norm_points(spread), q, atol=1e-14)
-    np.testing.assert_allclose(least_norm_points(rows.astype(np.float32)), q, atol=1e-6)
-    np.testing.assert_array_equal(least_norm_points(rows[3, 7]), q[3, 7])
+    np.testing.assert_allclose(min_norm_points(spread), q, atol=1e-14)
+    np.testing.assert_allclose(min_norm_points(rows.astype(np.float32)), q, atol=1e-6)
+    np.testing.assert_array_equal(min_norm_points(rows[3, 7]), q[3, 7])
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_the_team_has_at_least_two_in_all(dim):
+def test_distance_sum_is_at_least_two(dim):
     """Lemma 2: Σ‖q_i‖ ≥ 2 if everyone sees someone, directed or not."""
     random, least = np.random.default_rng(dim), np.inf
     for _ in range(SETS):
@@ -160,7 +160,7 @@ def test_the_team_has_at_least_two_in_all(dim):
         sees[robots, random.permutation(n)] = True
         np.fill_diagonal(sees, False)
         sees[robots, (robots + 1) % n] |= ~sees.any(axis=1)
-        total = np.linalg.norm(least_norm_points(offsets * sees[..., None]), axis=-1).sum()
+        total = np.linalg.norm(min_norm_points(offsets * sees[..., None]), axis=-1).sum()
         least = min(least, total)
     assert 2 - 1e-9 <= least < 2.2
 
@@ -173,12 +173,12 @@ def test_the_team_has_at_least_two_in_all(dim):
         ([[1.0, np.nan]], r"neighbour_rows is \[1\.0, nan\]; it must be finite"),
     ],
 )
-def test_other_rows_are_refused(rows, message):
+def test_invalid_rows_are_rejected(rows, message):
     with pytest.raises(ValueError, match=message):
-        least_norm_points(rows)
+        min_norm_points(rows)
 
 
-def test_a_long_step_slows_the_law_down():
+def test_long_step_scales_law():
     q = np.array([[0.5, 0.0], [0.0, 1.0]])
     velocity = link_keeping_law(q, np.array([1.0, 9.0]), merge_radius=0.4, duration=0.1)
     np.testing.assert_allclose(velocity, [[0.5, 0.0], [0.0, 4.0]])
@@ -192,7 +192,7 @@ def lengths(simulator):
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("graph", [graphs.path(2.0), graphs.random_tree((0.5, 2.0)), "cycle"])
 @pytest.mark.parametrize("steps", [1.0, 2.0])
-def test_no_link_grows_longer_and_all_meet(dim, graph, steps):
+def test_links_never_grow_and_team_meets(dim, graph, steps):
     """At twice the certified step too, r/D: then v τ is as long as it may be."""
     scenario = rv.Scenario(
         n_robots=6, dim=dim, graph=graph, spawn_size=5.0, merge_radius=0.3,
@@ -229,7 +229,7 @@ def draw(random, dim):
 @pytest.mark.kernels
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("error", [0.0, 0.2])
-def test_nothing_that_is_allowed_is_nearer_to_a_desired_one(dim, error):
+def test_velocity_is_closest_admissible(dim, error):
     """(w − x)·(z − x) ≤ 0 for all z of a convex set: z drawn everywhere, and near x."""
     random, inner = np.random.default_rng(dim), 0
     for _ in range(300):
@@ -246,7 +246,7 @@ def test_nothing_that_is_allowed_is_nearer_to_a_desired_one(dim, error):
     assert inner > 50
 
 
-def test_velocities_by_hand():
+def test_velocities_match_hand_computation():
     """λ d q + (1 − λ) P(w), ρ = r/(4τ) = 1.5, with v_max = 3 and desired ones in units of it."""
     scenario = rv.Scenario(n_robots=3, merge_radius=0.6, time_step=0.1, max_speed=3.0)
     links = LinkKeeping(scenario, 1, share=0.25, frame="local")

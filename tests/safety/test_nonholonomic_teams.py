@@ -75,7 +75,7 @@ def under_the_gate(scenario, kind, teams, steps, seed=0, side=4, margin=MARGIN):
             break
 
 
-def test_the_deadlock_of_the_saturated_law_is_gone():
+def test_saturated_law_deadlock_is_resolved():
     """Slowest turns on a path of four, r = 4 m, ω_max = 0.2 rad/s, ε = 0.3: V stood still."""
     scenario = team("nonholonomic_3d", graphs.path(), 4.0, 0.2)
     *_, teams = under_the_gate(scenario, "greedy", 16, 2500, side=8)
@@ -104,7 +104,7 @@ def unproductive(starts, turns, gate, waited):
 
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("turned", [0.02, 0.1, 0.3, 0.7, 0.9, 1.5])
-def test_of_k_steps_one_is_productive(dim, turned):
+def test_one_of_k_steps_is_productive(dim, turned):
     """Theorem T: f turns by less than θ in all, as somebody wants, and begins where it is worst."""
     random, count = np.random.default_rng(0), 4000
     turned = min(turned, math.pi / 3) if dim == 2 else turned
@@ -133,7 +133,7 @@ def test_of_k_steps_one_is_productive(dim, turned):
 @pytest.mark.parametrize("turn_rate", [0.2, 10.0])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("model", MODELS)
-def test_v_falls_by_q_in_every_window(model, kind, turn_rate):
+def test_v_decreases_in_every_window(model, kind, turn_rate):
     """Theorem T's K and q, in the environment, for any desired turn rates."""
     scenario = team(model, graphs.path(), 4.0, turn_rate)
     window, least = gated_window(scenario, MARGIN)

@@ -1,4 +1,4 @@
-"""Certificates of policies: of their own filters, or of a function that nothing is known of."""
+"""Certificates of policies: of their filters, or of an unknown function."""
 
 import numpy as np
 import pytest

@@ -54,7 +54,7 @@ def checked(found):
 @pytest.mark.parametrize("error", [0.0, 0.1, 0.6])
 @pytest.mark.parametrize("factor", [1.0, 10.0])
 @pytest.mark.parametrize(("by", "step"), [("heading", "descent"), ("tank", "ledger")])
-def test_v_or_the_ledger_falls_in_every_step(by, step, kind, error, factor):
+def test_v_or_ledger_decreases_in_every_step(by, step, kind, error, factor):
     """Under wrong bearings, in steps that are too long, of robots that turn."""
     given = {"min_alignment": 0.3 if by == "heading" else 0.6, "bearing_error": error}
     scenario = FIVE[kind] if factor == 1.0 else longer(FIVE[kind], factor)
@@ -83,13 +83,13 @@ CASES = [
 
 
 @pytest.mark.parametrize(("scenario", "by", "arguments", "number"), CASES)
-def test_what_is_promised_holds(scenario, by, arguments, number):
+def test_certificate_bounds_hold(scenario, by, arguments, number):
     found = played(scenario, by, **arguments)
     assert found.violation is None and number in checked(found)
 
 
 @pytest.mark.parametrize("graph", ANY)
-def test_law_1_meets_as_it_steps_within_the_bound(graph):
+def test_law_1_meets_within_bound(graph):
     """Theorem D1 with nearly twice the certified step; the bound of continuous inputs is less."""
     team = longer(SIX.replace(graph=graph, spawn_size=4.0, time_limit=400.0), 1.9)
     found = certificate(team)
@@ -128,7 +128,7 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_filter_with_a_mistake_is_caught(mistake, monkeypatch):
+def test_planted_filter_mistake_is_detected(mistake, monkeypatch):
     made, changes, (scenario, by, arguments) = MISTAKES[mistake]
     assert played(scenario, by, **arguments).violation is None
     mistaken(monkeypatch, made, changes)

@@ -104,7 +104,7 @@ SMALLER = "the world or errors smaller"
          {"by": "links", "share": 1e-6}, TAKEN, {"share": 1e-2}),
     ],
 )  # fmt: skip
-def test_steps_that_rounding_swallows_are_promised_no_rendezvous(scenario, given, words, better):
+def test_no_certificate_for_steps_below_rounding(scenario, given, words, better):
     """All of these stay where they are, or go on aside, for ever."""
     found = certificate(scenario, **given)
     assert not found.guaranteed and math.isinf(found.time_bound)
@@ -117,7 +117,7 @@ def test_steps_that_rounding_swallows_are_promised_no_rendezvous(scenario, given
     assert certificate(scenario.replace(**fields), **asked).guaranteed
 
 
-def test_a_slow_pair_stays_where_it_is():
+def test_slow_pair_stays_in_place():
     simulator, law = Simulator(SLOW_PAIR), baselines.make("bearing-only", SLOW_PAIR)
     simulator.step(law(simulator.reset(0), 0.0))
     assert (simulator.positions[0] == SLOW_PAIR.start_positions).all()
@@ -132,7 +132,7 @@ def _farthest(place, other, step):
     return headings[np.argmax(np.linalg.norm(moved - other, axis=-1))]
 
 
-def test_v_rises_under_headings_where_rounding_turns_steps():
+def test_rounding_raises_v_under_headings():
     places = FAR + 60.0 * ULP * np.array([[0.0, 0.0], [-0.616, 0.788]])
     near = {"n_robots": 2, "merge_radius": 16.0 * ULP, "time_limit": 1e-3, **FIXED}
     scenario = Scenario(**near, start_positions=places)
@@ -148,7 +148,7 @@ def test_v_rises_under_headings_where_rounding_turns_steps():
 
 
 @pytest.mark.parametrize("by", ["law", "gains"])
-def test_the_hull_grows_where_rounding_turns_steps(by):
+def test_rounding_grows_hull(by):
     """Robot 0 goes to robot 1, which it sees at 22.5°, along the x axis."""
     far, angle = 2000.0 * ULP, math.pi / 8.0
     places = [[0.0, 0.0], [far * math.cos(angle), far * math.sin(angle)], [-20.0 * ULP] * 2]
@@ -171,7 +171,7 @@ def test_the_hull_grows_where_rounding_turns_steps(by):
     assert "hull" in certificate(scenario.replace(**near), by=by, **given).promises
 
 
-def test_steps_that_rounding_swallows_earn_what_tanks_raise_v_by():
+def test_rounding_fills_tanks():
     """At 1000 km steps of 5·10⁻¹¹ m towards each other are paid, and move nobody."""
     start = {"start_positions": ((1e6, 1e6), (1e6 + 1e-5, 1e6)), "local_frames": "global"}
     scenario = Scenario(n_robots=2, **start, merge_radius=1e-6, time_limit=10.0)
@@ -187,7 +187,7 @@ def test_steps_that_rounding_swallows_earn_what_tanks_raise_v_by():
 
 
 @pytest.mark.parametrize("granted", [False, True])
-def test_rounding_takes_little_of_what_tanks_pay_for(granted):
+def test_rounding_is_small_relative_to_tank_gain(granted):
     """Far out on a diagonal two robots spend all that they earn: where they are to come nearer by
     the last bit of their coordinates their moves are paid, and move nobody.
     """
@@ -208,7 +208,7 @@ def test_rounding_takes_little_of_what_tanks_pay_for(granted):
     assert (1.0 - 2.0**-5) * promised <= fallen < 1.01 * promised if granted else fallen == 0.0
 
 
-def test_rounding_pays_tanks_of_robots_that_turn():
+def test_rounding_fills_tanks_of_unicycles():
     """They owe nothing: two that face each other at 1000 km are paid for moves of half the last bit
     of their coordinates, and drive apart by what they have saved.
     """

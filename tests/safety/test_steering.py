@@ -30,7 +30,7 @@ CLUTTERS = {
 
 @pytest.mark.parametrize("contact", ["stop", "slide"])
 @pytest.mark.parametrize("name", marked(CLUTTERS, slow=[*CLUTTERS][1:]))
-def test_v_never_rises_beside_obstacles_but_while_a_robot_slides(name, contact):
+def test_v_never_increases_beside_obstacles_unless_sliding(name, contact):
     """A slide takes away the inward part of h hᵀf and may leave an uphill one; whatever the raw
     vectors. What certificates promise holds without obstacles, see test_promises.
     """
@@ -52,7 +52,7 @@ def test_v_never_rises_beside_obstacles_but_while_a_robot_slides(name, contact):
     assert contacts > 100
 
 
-def test_the_turn_limit_is_the_smaller_one():
+def test_smaller_turn_limit_applies():
     slow = five("unicycle", max_turn_rate=0.5)
     for scenario, limit in ((slow, 0.5), (five("unicycle"), 3.0)):
         steering = HeadingFilter(scenario, 1, certified=False)
@@ -61,7 +61,7 @@ def test_the_turn_limit_is_the_smaller_one():
         np.testing.assert_allclose(steering.apply(observations)[..., 1], limit, rtol=1e-6)
 
 
-def test_headings_turn_by_at_most_the_limit():
+def test_headings_turn_at_most_by_limit():
     scenario = five("single_integrator-2d")
     steering = HeadingFilter(scenario, 1, max_turn_rate=1.0, frame="local")
     observations = Simulator(scenario).reset(0)
@@ -81,9 +81,7 @@ def test_headings_turn_by_at_most_the_limit():
         ([[0.8, -0.5, 0.0], [0.6, 0.8, 0.0], [0.1, -0.3, 0.0]], 1),
     ],
 )
-def test_in_space_the_second_axis_comes_from_the_row_most_across_f_and_not_from_rounding(
-    table, most
-):
+def test_second_axis_in_3d_is_numerically_stable(table, most):
     rows = len(table)
     scenario = Scenario(n_robots=rows + 1, dim=3, graph="complete")
     random = np.random.default_rng(0)
@@ -99,7 +97,7 @@ def test_in_space_the_second_axis_comes_from_the_row_most_across_f_and_not_from_
     np.testing.assert_allclose(axis[most], [0.6, 0.8, 0.0], atol=1e-6)
 
 
-def test_a_robot_goes_slower_by_what_errors_could_feign():
+def test_bearing_error_reduces_speed():
     scenario = Scenario(n_robots=3)
     options = {"frame": "local", "min_alignment": 0.5}
     wary, sure = (HeadingFilter(scenario, 1, **options, bearing_error=e) for e in (0.3, 0.0))
@@ -167,7 +165,7 @@ def team(registry):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("by", ["heading", "tank"])
-def test_robots_that_go_any_way_choose_directions_although_they_have_angles(team, by):
+def test_holonomic_custom_model_chooses_directions(team, by):
     """They were taken for robots that drive along an axis: speed and turn rate, and V rose."""
     assert rv.certificate(team, 0.3, by=by).guaranteed
     far = team.replace(sensing=rv.Sensing(range=1e6))  # the same, and a kind with the next test's
@@ -184,7 +182,7 @@ def test_robots_that_go_any_way_choose_directions_although_they_have_angles(team
         assert ((simulator.lyapunov() - before + levels)[same] < 1e-5).all()
 
 
-def test_late_bearings_in_frames_that_turn_are_certified_nothing(team):
+def test_delay_in_rotating_frames_is_not_certified(team):
     """Each bearing is turned by 2.5 rad on the way: robots part, V is soon beyond E1's bound."""
     pair = team.replace(n_robots=2, spawn_size=2.0, sensing=rv.Sensing(delay=5))
     late = pair.replace(time_step=pair.certified_step / 6.0)
@@ -193,7 +191,7 @@ def test_late_bearings_in_frames_that_turn_are_certified_nothing(team):
     assert rv.certificate(late.replace(robot_model="single_integrator")).guaranteed
 
 
-def test_arcs_of_a_users_own_are_certified_nothing_but_their_law(registry):
+def test_custom_arcs_are_certified_for_their_law_only(registry):
     """Theorem 3 is true of them, of the gate nothing: their rates might count clockwise."""
     known = ROBOT_MODELS["unicycle"]
     rv.register_robot_model(

@@ -33,11 +33,13 @@ class TestEquations:
             (0.0, 2.0, 0.4, 0.1, 1.0, 1.0),
         ],
     )
-    def test_the_scale(self, strength, degree, radius, duration, limit, expected):
+    def test_scale_matches_hand_computation(
+        self, strength, degree, radius, duration, limit, expected
+    ):
         found = descent_scale(strength, degree, radius, duration, limit)
         assert found == pytest.approx(expected, rel=1e-15)
 
-    def test_what_a_step_earns_and_owes(self):
+    def test_step_gain_and_cost_match_hand_computation(self):
         f, moves = triple([3.0, 4.0]), (triple([0.1, -0.2]), triple([0.3, 0.4]))
         # 2 (0.3 − 0.8) − (2/0.5) 6 (0.01 + 0.04)
         assert certain_descent(f, 6.0, moves[0], 0.5) == pytest.approx(-1.0 - 1.2, rel=1e-15)
@@ -60,11 +62,11 @@ class TestEquations:
             ((1.0, 0.0), 0.5, (0.75, 0.0)),
         ],
     )
-    def test_law_4_along_the_wanted_line(self, wanted, error, expected):
+    def test_law_4_applies_along_desired_line(self, wanted, error, expected):
         velocity = descending_velocity(triple(wanted), triple([2.0, 0.0]), 0.5, 0.6, error)
         np.testing.assert_allclose(velocity, (*expected, 0.0), atol=1e-15)
 
-    def test_an_empty_tank_is_never_overdrawn(self):
+    def test_empty_tank_is_never_overdrawn(self):
         """G ≥ τ s ((hᵀf)² − ε²‖f‖²) ≥ 0 for law (4) along whatever is wanted."""
         random = np.random.default_rng(0)
         for _ in range(500):
@@ -90,7 +92,7 @@ class TestEquations:
 
 
 @pytest.mark.parametrize("factor", [1.0, 3.0])
-def test_deposits_are_those_of_the_motion_that_the_simulator_executes(kind, factor):
+def test_deposits_match_simulated_motion(kind, factor):
     """Computed anew from positions, before and after."""
     scenario = longer(five(kind, spawn_size=8.0), factor)
     simulator = Simulator(scenario, TEAMS)
@@ -122,7 +124,7 @@ def test_deposits_are_those_of_the_motion_that_the_simulator_executes(kind, fact
     assert both == {False, True} and whole.any()
 
 
-def test_a_desired_velocity_is_carried_out_as_it_is(kind):
+def test_desired_velocity_is_executed(kind):
     scenario = five(kind)
     tank = EnergyTank(scenario, 2, frame="local", budget=1e6)
     observations = Simulator(scenario, 2).reset(0)
@@ -138,7 +140,7 @@ def test_a_desired_velocity_is_carried_out_as_it_is(kind):
 
 
 @pytest.mark.parametrize("model", ["unicycle", "nonholonomic_3d"])
-def test_with_an_empty_tank_a_body_turns_through_the_gate_and_drives_with_m(model):
+def test_unicycle_with_empty_tank_uses_gate(model):
     scenario = five(model, spawn_size=6.0, max_turn_rate=2.0)
     tank, observations = EnergyTank(scenario, 8), Simulator(scenario, 8).reset(0)
     f = scenario.observation_layout.net_bearing(observations)
@@ -152,7 +154,7 @@ def test_with_an_empty_tank_a_body_turns_through_the_gate_and_drives_with_m(mode
     np.testing.assert_allclose(actions[..., 0][~gated], f[..., 0][~gated], rtol=1e-5, atol=1e-6)
 
 
-def test_in_a_step_with_contact_only_a_loss_is_booked():
+def test_contact_step_books_losses_only():
     """A robot pressed against a wall along f earns nothing; one that is thrust away from f pays."""
     scenario = Scenario(n_robots=2, local_frames="global")
     tank = EnergyTank(scenario, 1, frame="local", budget=1.0)
@@ -167,7 +169,7 @@ def test_in_a_step_with_contact_only_a_loss_is_booked():
         assert (gained[1] > 0) == earns and (gained[0] == 0 if earns else gained[0] < 0)
 
 
-def test_levels_at_a_merge_by_hand():
+def test_levels_at_merge_match_hand_computation():
     """Five robots become four, then two: levels ¾ of what they were, then ⅓ of that."""
     tank, twin = (EnergyTank(Scenario(n_robots=5), 1, budget=2.0) for _ in range(2))
     observations = Simulator(tank.scenario).reset(0)
@@ -188,14 +190,14 @@ def test_levels_at_a_merge_by_hand():
 
 
 @pytest.mark.parametrize("change", [{"graph": "path"}, {"graph": UNEQUAL}, {"sensing": SHORT}])
-def test_levels_elsewhere_do_not(change):
+def test_levels_are_unchanged_elsewhere(change):
     tank = EnergyTank(Scenario(**{"n_robots": 5, **change}), 1, budget=2.0)
     tank.apply(Simulator(tank.scenario).reset(0))
     tank.update(merged_into=[[0, 0, 2, 3, 4]], resting=[True])
     assert tank.levels[0].tolist() == [4.0, 0.0, 2.0, 2.0, 2.0]
 
 
-def test_resting_teams_book_nothing_and_nothing_is_booked_twice():
+def test_resting_environments_book_nothing():
     scenario = five("single_integrator-2d")
     tank = EnergyTank(scenario, 3, budget=1.0)
     tank.hold(np.zeros((3, 5, 2)))
@@ -207,7 +209,7 @@ def test_resting_teams_book_nothing_and_nothing_is_booked_twice():
     np.testing.assert_array_equal(tank.levels, once)
 
 
-def test_alignment_is_that_of_the_motion():
+def test_alignment_is_that_of_motion():
     scenario = five("single_integrator-2d")
     tank = EnergyTank(scenario, 1, frame="local", budget=50.0)
     observations = Simulator(scenario).reset(0)
@@ -236,7 +238,7 @@ def test_alignment_is_that_of_the_motion():
         ({"merged_into": np.zeros((5, 2), int)}, "merged_into is"),
     ],
 )
-def test_what_no_step_can_have_been_is_not_booked(told, message):
+def test_impossible_steps_are_not_booked(told, message):
     scenario = five("single_integrator-2d")
     tank = EnergyTank(scenario, 2, budget=1.0)
     tank.apply(Simulator(scenario, 2).reset(0))

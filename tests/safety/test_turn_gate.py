@@ -38,7 +38,7 @@ def gated(requested, net_bearing, pitch=0.0, gate=GATE):
     return np.array(gated_rates(wanted, triple(net_bearing), pitch, gate))[: len(net_bearing) - 1]
 
 
-def test_mean_axis_of_a_unicycle_by_hand():
+def test_mean_axis_matches_hand_computation():
     gate = GATE._replace(duration=1.0)
     m = [mean_axis((rate, 0.0), 0.0, gate)[:2] for rate in (0.0, 1e-12, math.pi, -math.pi)]
     expected = [[1, 0], [1, 0], [0, 2 / math.pi], [0, -2 / math.pi]]
@@ -48,7 +48,7 @@ def test_mean_axis_of_a_unicycle_by_hand():
 
 @settings(max_examples=200, deadline=None)
 @given(rates, rates, st.floats(-math.pi, math.pi), st.floats(0.01, 1))
-def test_mean_axis_is_the_integral(yaw_rate, pitch_rate, pitch, duration):
+def test_mean_axis_equals_integral(yaw_rate, pitch_rate, pitch, duration):
     mean = mean_by_quadrature(yaw_rate, pitch_rate, pitch, duration)
     m = mean_axis((yaw_rate, pitch_rate), pitch, IN_SPACE._replace(duration=duration))
     for found in (m, mean_body_axis(yaw_rate, pitch_rate, pitch, duration)):
@@ -59,7 +59,7 @@ def test_mean_axis_is_the_integral(yaw_rate, pitch_rate, pitch, duration):
 
 
 @given(bearings, bearings, bearings, st.floats(-1.4, 1.4), st.floats(-3, 3))
-def test_law_17_turns_the_axis_like_the_equation_without_singularity(f_x, f_y, f_z, pitch, yaw):
+def test_law_17_matches_equation_without_singularity(f_x, f_y, f_z, pitch, yaw):
     """ḣ = (I − h hᵀ) f  (eqs. 14, 15)."""
     f = body_frame(3, yaw, pitch) @ [f_x, f_y, f_z]
     h, dt = axis(yaw, pitch), 1e-6
@@ -68,7 +68,7 @@ def test_law_17_turns_the_axis_like_the_equation_without_singularity(f_x, f_y, f
     np.testing.assert_allclose((forward - back) / dt, f - h * (h @ f), atol=1e-6)
 
 
-def test_law_17_is_huge_not_infinite_at_the_singularity():
+def test_law_17_is_finite_at_singularity():
     rate = yaw_rate_law(np.array([1.0, -1.0, 0.0]), np.full(3, math.pi / 2))
     assert np.isfinite(rate).all() and rate[0] > 1e8 and rate[1] < -1e8 and rate[2] == 0
 
@@ -87,13 +87,13 @@ def test_law_17_is_huge_not_infinite_at_the_singularity():
         (0.8, [-0.2, 1.0], 1.0),  # the back end swings away from it
     ],
 )
-def test_gate_of_a_unicycle_by_hand(requested, net_bearing, expected):
+def test_unicycle_gate_matches_hand_computation(requested, net_bearing, expected):
     np.testing.assert_allclose(gated(requested, net_bearing), [expected])
 
 
 @settings(max_examples=300, deadline=None)
 @given(rates, bearings, bearings, st.floats(0.01, 0.9), st.floats(0.01, 2), st.floats(0.1, 9))
-def test_gate_of_a_unicycle(requested, f_x, f_y, epsilon, duration, limit):
+def test_unicycle_gate_keeps_alignment(requested, f_x, f_y, epsilon, duration, limit):
     f = np.array([f_x, f_y])
     gate = Gate(True, epsilon, 0.05, duration, limit, 0.0)
     (rate,) = gated(requested, f, gate=gate)
@@ -112,7 +112,7 @@ def test_gate_of_a_unicycle(requested, f_x, f_y, epsilon, duration, limit):
 
 @settings(max_examples=300, deadline=None)
 @given(st.tuples(rates, rates), st.tuples(bearings, bearings, bearings), st.floats(-3, 3))
-def test_gate_in_space(requested, net_bearing, pitch):
+def test_gate_in_3d_keeps_alignment(requested, net_bearing, pitch):
     f, limits = np.array(net_bearing), np.array([20.0, 2.0])
     rate = gated(requested, f, pitch, IN_SPACE)
     free = np.clip(requested, -limits, limits)
@@ -141,7 +141,7 @@ def line_errors(f, pitch):
 
 @settings(max_examples=200, deadline=None)
 @given(st.tuples(bearings, bearings, bearings), st.floats(-3, 3), st.floats(0.05, 1.5))
-def test_the_gate_brings_a_body_onto_a_fixed_line_and_no_farther(net_bearing, pitch, most):
+def test_gate_turns_body_onto_line_without_overshoot(net_bearing, pitch, most):
     """In as many steps as its slower coordinate needs for a quarter turn, poles or not."""
     world, yaw = body_frame(3, 0.0, pitch) @ np.array(net_bearing), 0.0
     strength = np.linalg.norm(world)

@@ -1,4 +1,4 @@
-"""``help`` of scenarios, certificates and their parts lists every field."""
+"""``help`` of scenarios, certificates and their parts: complete lists of fields."""
 
 import dataclasses
 import inspect
@@ -46,7 +46,7 @@ def test_help_shows_defaults_and_bounds():
 @pytest.mark.parametrize(
     ("hint", "words"),
     [
-        (Annotated[int, partial(checks.whole, least=2, most=9)], "a whole number from 2 to 9"),
+        (Annotated[int, partial(checks.check_int, least=2, most=9)], "a whole number from 2 to 9"),
         (
             Annotated[float, partial(checks.positive, unit="s")] | None,
             "None, or a number from 1e-09",
@@ -109,7 +109,7 @@ def test_obstacle_field_needs_a_number_only():
 
 
 def test_a_constant_compass_error_cancels_for_laws_without_memory():
-    """It turns the frame in which a robot measures and moves, which starts may give."""
+    """The error rotates the frame of measurements and actions, which may be given initially."""
     scenario = rv.Scenario(n_robots=4)
     turned = np.random.default_rng(0).uniform(-np.pi, np.pi, 4)
     cos, sin = np.cos(turned), np.sin(turned)

@@ -1,4 +1,4 @@
-"""Observations of one size for any team and map: rows are added, or the nearest are shown."""
+"""Observations of fixed size for any team and map: padding, or nearest rows."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ TEAM = Scenario(n_robots=5, sensing=rv.Sensing(dropout=0.2), spawn_size=4.0)
 
 
 def steps_of(scenario, count=15, seed=3, num_envs=3):
-    """A simulator after each of some steps of law (1), which sees every row, and what is seen."""
+    """Simulator after each step of law (1) with all rows, and its observations."""
     full = scenario.with_all_rows
     law = baselines.make("bearing-only", full)
     own, other = Simulator(scenario, num_envs), Simulator(full, num_envs)

@@ -1,4 +1,4 @@
-"""Graphs and files as other packages write them."""
+"""Graphs and files in the formats of other packages."""
 
 import networkx as nx
 import numpy as np
@@ -18,7 +18,7 @@ SPARSE = [f"{kind}_{what}" for kind in KINDS for what in ("array", "matrix")]
 
 
 def graph_of(value, n=4):
-    """The graph that a scenario of n robots makes of a value."""
+    """Graph of a scenario of n robots for a value."""
     return Scenario(n_robots=n, graph=value).sensing_graph
 
 

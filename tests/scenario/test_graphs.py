@@ -55,7 +55,7 @@ def drawn(graph: graphs.Graph, n: int, count: int) -> np.ndarray:
         (graphs.from_edges([(1, 0), (3, 2, 1.0), (1, 3)]), {(0, 1), (2, 3), (1, 3)}),
     ],
 )
-def test_edges_by_hand(graph, edges):
+def test_edges_match_hand_computation(graph, edges):
     weights = graph.base_weights(4)
     assert set(zip(*np.nonzero(np.triu(weights)), strict=True)) == edges
     np.testing.assert_array_equal(weights, weights.T)
@@ -63,7 +63,7 @@ def test_edges_by_hand(graph, edges):
     np.testing.assert_array_equal(drawn(graph, 4, 2), np.tile(weights, (2, 1, 1)))
 
 
-def test_a_matrix_is_taken_as_it_is():
+def test_matrix_is_used_unchanged():
     graph = graphs.from_matrix(UNEQUAL)
     np.testing.assert_array_equal(graph.base_weights(5), UNEQUAL)
     assert graph == graphs.from_edges(
@@ -71,7 +71,7 @@ def test_a_matrix_is_taken_as_it_is():
     )
 
 
-def test_arcs_by_hand():
+def test_arcs_match_hand_computation():
     graph = graphs.directed(ARCS)
     np.testing.assert_array_equal(graph.base_weights(3), MATRIX)
     assert graph == graphs.directed(np.array(MATRIX)) == graphs.directed(MATRIX)
@@ -87,14 +87,14 @@ def test_arcs_by_hand():
 
 
 @pytest.mark.parametrize("graph", ONE_WAY + MUTUAL)
-def test_toml_and_plain_data_give_an_equal_graph(graph, tmp_path):
+def test_toml_and_plain_data_round_trip(graph, tmp_path):
     again = graphs.parse(graph.to_plain())
     assert again == graph and hash(again) == hash(graph) and graphs.parse(graph) is graph
     scenario(graph).to_toml(tmp_path / "one.toml")
     assert Scenario.from_toml(tmp_path / "one.toml") == scenario(graph).replace(name="custom")
 
 
-def test_what_it_is_can_be_asked():
+def test_graph_properties_are_reported():
     found = {graph.kind: (graph.directed, graph.changes, graph.undirected) for graph in ONE_WAY}
     assert found == {
         "directed": (True, False, False),
@@ -109,7 +109,7 @@ def test_what_it_is_can_be_asked():
         assert graph.undirected and not graph.directed and not graph.changes
 
 
-def test_what_is_connected_by_turns_or_need_not_be_is_taken():
+def test_jointly_connected_graphs_are_accepted():
     halves = [graphs.from_edges([(0, 1)], 3), graphs.directed([(2, 1)], 3)]
     assert scenario(graphs.switching(halves)).max_degree == 1.0
     for graph in (graphs.directed([(0, 1), (0, 2)]), graphs.switching(halves[:1])):
@@ -130,7 +130,7 @@ def test_what_is_connected_by_turns_or_need_not_be_is_taken():
         (graphs.directed(ARCS), 0.5 * np.array(MATRIX), r"a\* = 0\.25 m/s; .*at least 0\.5"),
     ],
 )
-def test_weights_that_a_start_cannot_have(graph, weights, said):
+def test_impossible_start_weights_are_rejected(graph, weights, said):
     with pytest.raises(ValueError, match=said):
         parse_options(scenario(graph), 1, {"weights": np.array(weights, dtype=float)})
 
@@ -149,7 +149,7 @@ def contractions(weights: np.ndarray):
 
 @settings(max_examples=40)
 @given(st.integers(2, 6), st.integers(0, 10**6))
-def test_no_sequence_of_merges_leaves_the_worst_cases(n, seed):
+def test_merges_never_exceed_worst_case(n, seed):
     weights = unequal_matrix(n, seed)
     degree, bottleneck = max_degree(weights), bottleneck_weight(weights)
     for contracted in contractions(weights):
@@ -162,7 +162,7 @@ def test_no_sequence_of_merges_leaves_the_worst_cases(n, seed):
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(2, 5), st.integers(0, 10**6), st.sampled_from([1, 2, 4]))
-def test_no_sequence_of_merges_leaves_the_worst_cases_of_arcs(n, seed, most):
+def test_merges_of_arcs_never_exceed_worst_case(n, seed, most):
     random = np.random.default_rng(seed)
     weights = random.uniform(0.5, 2.0, (n, n)) * (
         random.permuted(np.tile(np.arange(n) < min(most, n - 1), (n, 1)), axis=1)
@@ -176,7 +176,7 @@ def test_no_sequence_of_merges_leaves_the_worst_cases_of_arcs(n, seed, most):
         assert (contracted > 0).sum(axis=1).max() <= graphs.directed(weights).most_neighbours(n)
 
 
-def test_a_list_has_the_worst_of_its_graphs_and_of_any_merges():
+def test_switching_list_has_worst_case_of_graphs():
     graph = graphs.switching(["path", graphs.directed_cycle(1.5), graphs.from_edges([(0, 3)], 4)])
     # robots 0 and 3 may merge in one graph, and then have all edges of the path
     assert graph.max_degree(4) == max(3 * 1.0, 3 * 1.5)
@@ -188,7 +188,7 @@ def test_a_list_has_the_worst_of_its_graphs_and_of_any_merges():
     assert graphs.switching([np.zeros((4, 4)), "cycle"]).bottleneck_weight(4) == 1.0
 
 
-def test_groups_that_see_nobody_outside():
+def test_closed_groups_match_hand_computation():
     chain = graphs.directed([(0, 1), (1, 2)]).base_weights(3)
     assert closed_groups(chain) == [[2]]
     assert closed_groups(graphs.directed_cycle().base_weights(3)) == [[0, 1, 2]]
@@ -197,14 +197,14 @@ def test_groups_that_see_nobody_outside():
 
 
 @pytest.mark.parametrize("weight", [1e-9, 1e-8, 3e-8, 1e9])
-def test_the_bottleneck_of_weak_links_is_not_lost(weight):
+def test_bottleneck_of_weak_links_is_kept(weight):
     assert graphs.bottleneck_weight(weight * UNEQUAL) == weight * 0.9
 
 
 @pytest.mark.parametrize(
     "graph", [graphs.random_tree((0.5, 2.0)), graphs.erdos_renyi(0.25, (0.5, 2.0))]
 )
-def test_families_draw_connected_graphs_within_their_worst_cases(graph):
+def test_families_are_connected_within_worst_case(graph):
     weights = drawn(graph, 7, 300)
     np.testing.assert_array_equal(weights, weights.transpose(0, 2, 1))
     assert all(len(components(matrix)) == 1 for matrix in weights)
@@ -217,7 +217,7 @@ def test_families_draw_connected_graphs_within_their_worst_cases(graph):
     assert len(np.unique(weights > 0, axis=0)) > 100
 
 
-def test_trees_are_uniform():
+def test_random_trees_are_uniform():
     """Cayley: 16 labelled trees of four robots, each as likely."""
     weights = drawn(graphs.random_tree(), 4, 4800)
     kinds, counts = np.unique(weights.reshape(4800, -1), axis=0, return_counts=True)
@@ -225,20 +225,20 @@ def test_trees_are_uniform():
     assert stats.chisquare(counts).pvalue > 1e-3
 
 
-def test_erdos_renyi_has_the_probability_it_says_where_all_are_connected():
+def test_erdos_renyi_has_stated_probability():
     weights = drawn(graphs.erdos_renyi(0.8), 9, 2000)
     share = np.triu(weights).sum() / (2000 * 36)
     assert share == pytest.approx(0.8, abs=0.01)
 
 
-def test_hardly_any_edges_become_a_tree():
+def test_sparse_erdos_renyi_becomes_tree():
     weights = drawn(graphs.erdos_renyi(1e-9), 6, 50)
     assert (np.triu(weights).sum(axis=(1, 2)) == 5).all()
     assert len(np.unique(weights, axis=0)) > 20
 
 
 @pytest.mark.parametrize("graph", ["complete", "cycle", "star", "random_tree", "directed_cycle"])
-def test_a_large_team_takes_no_memory_of_pairs(graph):
+def test_large_graph_uses_little_memory(graph):
     Scenario(n_robots=9, graph=graph)  # imports what it needs
     tracemalloc.start()
     made = Scenario(n_robots=10_000, graph=graph)
@@ -251,7 +251,7 @@ def test_a_large_team_takes_no_memory_of_pairs(graph):
 @pytest.mark.parametrize(
     "graph", ["complete", "path", "cycle", "star", graphs.from_matrix(UNEQUAL)]
 )
-def test_closed_forms_are_what_the_matrix_says(graph):
+def test_closed_forms_equal_matrix(graph):
     graph, n = graphs.parse(graph), 5
     matrix = graph.base_weights(n)
     first, second, weight = graph.links(n)

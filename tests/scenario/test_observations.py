@@ -11,7 +11,7 @@ from rendezvous_env import Disc, ObservationLayout, Scenario, Simulator, Sphere
 START = np.array([[0.0, 0.0], [3.0, 4.0], [-1.0, 2.0], [5.0, -2.0], [-4.0, -3.0]])
 
 
-def test_rows_by_hand_in_index_order():
+def test_rows_match_hand_computation_in_index_order():
     sim = Simulator(five("single_integrator-2d", local_frames="global"))
     seen = sim.reset(0, {"positions": START})[0]
     assert seen.dtype == np.float32 and seen.shape == (5, 4, 2)
@@ -24,7 +24,7 @@ def test_rows_by_hand_in_index_order():
     np.testing.assert_allclose(seen[0, 0], [1.2, 1.6], rtol=1e-6)  # 2 · (3, 4)/5
 
 
-def test_the_frame_turns_the_rows():
+def test_frame_rotates_rows():
     turn = np.array([[0.0, -1.0], [1.0, 0.0]])  # local x axis along global y
     ahead = np.array([math.atan2(4, 3), 0.0, 1.0, 2.0, 3.0])
     for kind, given, rows in (
@@ -36,7 +36,7 @@ def test_the_frame_turns_the_rows():
             np.testing.assert_allclose(seen[robot, 0], row, atol=1e-6)
 
 
-def test_the_gravity_row():
+def test_gravity_row_matches_attitude():
     scenario = five("nonholonomic_3d")
     pitch = np.array([0.0, 0.3, -0.7, 1.2, -1.5])
     headings = np.stack([np.linspace(-2, 2, 5), pitch], axis=1)
@@ -49,7 +49,7 @@ def test_the_gravity_row():
     np.testing.assert_allclose(layout.split(seen).gravity, expected, atol=1e-7)
 
 
-def test_merged_away_robots_are_not_seen_and_see_nothing(kind):
+def test_merged_robots_are_invisible_and_see_nothing(kind):
     scenario = five(kind)
     start = np.pad(START, ((0, 0), (0, scenario.dim - 2)))
     start[1] = start[0] + 0.05  # 0 and 1 are neighbours and merge at once
@@ -64,7 +64,7 @@ def test_merged_away_robots_are_not_seen_and_see_nothing(kind):
 
 
 @pytest.mark.parametrize(("graph", "slots"), [(UNEQUAL, 3), ("path", 2), ("path", 3)])
-def test_few_rows_hold_the_neighbours_in_index_order(graph, slots):
+def test_few_rows_hold_neighbours_in_order(graph, slots):
     """Those of the same robots with a row for everybody, the empty ones left out; then zeros."""
     few = five("single_integrator-2d", graph=graph, neighbour_slots=slots, local_frames="global")
     wide = few.replace(neighbour_slots=4)
@@ -75,7 +75,7 @@ def test_few_rows_hold_the_neighbours_in_index_order(graph, slots):
         assert len(rows) >= 1 and not seen[robot, len(rows) :].any()
 
 
-def test_obstacles_within_range_and_beyond():
+def test_obstacles_are_visible_within_range():
     world = [Disc((0.0, 9.0), 1.0), Disc((0.0, 2.0), 1.0)]
     scenario = Scenario(n_robots=2, obstacles=world, local_frames="global", obstacle_range=2.0)
     seen = started(scenario, positions=[[0.0, 0.0], [30.0, 0.0]]).observe()[0]
@@ -86,7 +86,7 @@ def test_obstacles_within_range_and_beyond():
     np.testing.assert_allclose(points[0, 1], [[-0.5, up], [0.5, up]], atol=1e-6)
 
 
-def test_zero_is_never_the_negative_zero(kind):
+def test_zero_rows_have_positive_zeros(kind):
     scenario = five(kind)
     if not scenario.model.nonholonomic:  # bodies among discs are kinds that no other test needs
         scenario = scenario.replace(obstacle_slots=1)
@@ -106,14 +106,14 @@ def test_zero_is_never_the_negative_zero(kind):
         (ObservationLayout(3, 2, 1, True), (0, 2), (2, 10), (10, 11), (11, 3)),
     ],
 )
-def test_layouts_by_hand(layout, neighbours, obstacles, gravity, shape):
+def test_layouts_match_hand_computation(layout, neighbours, obstacles, gravity, shape):
     assert layout.neighbours == slice(*neighbours)
     assert layout.obstacles == slice(*obstacles)
     assert layout.gravity == slice(*gravity)
     assert layout.shape == shape
 
 
-def test_splitting_gives_views_and_checks_the_shape():
+def test_split_returns_views_and_checks_shape():
     layout = ObservationLayout(3, 2, 1, True)
     table = np.arange(2 * 11 * 3.0).reshape(2, 11, 3)
     split = layout.split(table)
@@ -139,7 +139,7 @@ def test_splitting_gives_views_and_checks_the_shape():
             call(given)
 
 
-def test_the_layout_of_a_scenario():
+def test_scenario_has_layout():
     scenario = Scenario(n_robots=3, dim=3, obstacles=[Sphere((9.0, 0, 0), 1.0)], obstacle_slots=2)
     assert scenario.observation_layout == ObservationLayout(3, 2, 2, False)
     assert five("nonholonomic_3d").observation_layout == ObservationLayout(3, 4, 0, True)

@@ -33,11 +33,11 @@ TRUNK = Capsule(((-1.0, 0.0, 1.0), (1.0, 2.0, 3.0)), 0.5)
 
 
 class TestValidation:
-    def test_clockwise_vertices_are_turned_round(self):
+    def test_clockwise_vertices_are_reversed(self):
         assert Polygon(TRIANGLE[::-1]) == Polygon(((0, 3), (0, 0), (3, 0)))
         assert Polygon(((0, 0), (0, 3), (3, 0))) == Polygon(TRIANGLE)
 
-    def test_rounding_makes_no_polygon_concave(self):
+    def test_rounding_does_not_make_polygon_concave(self):
         """Long, thin and turned: the area of such a rectangle is known to fewer digits."""
         long = np.array([(-1000.0, -0.005), (1000.0, -0.005), (1000.0, 0.005), (-1000.0, 0.005)])
         along = np.array([(-1.0, -1.0), (0.3, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
@@ -52,7 +52,7 @@ class TestValidation:
                 Polygon(corners @ turn.T + away)
 
     @pytest.mark.parametrize("scale", [1e-2, 1.0, 1e3])
-    def test_a_small_dent_is_not_taken_for_rounding(self, scale):
+    def test_small_dent_is_rejected(self, scale):
         corners = np.array([(0.0, 0.0), (1.0, 1e-10), (2.0, 0.0), (2.0, 1.0), (0.0, 1.0)])
         with pytest.raises(ValueError, match="not convex"):
             Polygon(scale * corners)
@@ -77,19 +77,19 @@ class TestPlainData:
             (ObstacleField(4, (1, 1), 8, 0), 3),
         ],
     )
-    def test_round_trip_is_exact(self, value, dim):
+    def test_plain_data_round_trip_is_exact(self, value, dim):
         assert parse(to_plain(value), dim) == value
         assert parse(value, dim) == value
 
     @pytest.mark.parametrize("one", [LOG, TRUNK, Disc((1, 2), 3), Sphere((1, 2, 0), 3)])
-    def test_one_needs_no_list_and_the_keys_tell_the_kind(self, one):
+    def test_single_obstacle_and_keys_are_parsed(self, one):
         (plain,) = to_plain((one,))
         plain.pop("kind", None)
         assert parse(plain, one.dim) == parse(one, one.dim) == (one,)
 
 
 class TestPacking:
-    def test_hand_computed(self):
+    def test_packing_matches_hand_computation(self):
         rows = pack([Polygon(TRIANGLE), Disc((5, 6), 7)], 3)
         polygon = [POLYGON, 3, math.sqrt(5), 1, 1, 0, 0, 0, 3, 0, 0, 3]
         np.testing.assert_allclose(rows[0], polygon, atol=1e-15)
@@ -101,24 +101,24 @@ class TestPacking:
         upright = pack([Capsule(((1, 2, 0), (1, 2, 4)), 0.5)], 1)
         assert upright.tolist() == [[CAPSULE, 0, 2.5, 1, 2, 2, 0, 0, 2, 0.5]]
 
-    def test_a_world_is_the_table_again(self):
+    def test_world_and_table_round_trip(self):
         table = pack([Polygon(TRIANGLE), Disc((5, 6), 7), Capsule(((1, 0), (5, 0)), 0.5)], 4)
         tables = np.stack([table, table[[2, 0, 3, 1]]])
         np.testing.assert_array_equal(table_of(world_of(tables)), tables)
 
-    def test_width_and_count(self):
+    def test_width_and_count_are_bounds(self):
         few = (Disc((0, 0), 1), Polygon(TRIANGLE))
         assert (row_width(few), max_count(few)) == (12, 2)
         assert (row_width(()), max_count(())) == (6, 0)
         assert (row_width(FIELD), max_count(FIELD)) == (6, 5)
 
-    def test_no_room_is_refused(self):
+    def test_missing_slots_are_rejected(self):
         with pytest.raises(ValueError, match="2 given, but the scenario has room for 1; set its"):
             pack([Disc((0, 0), 1)] * 2, 1)
         with pytest.raises(ValueError, match=r"obstacles\[0\] is .*a polygon of no more corners"):
             pack([Polygon(TRIANGLE)], 1, width=8)
 
-    def test_positions_inside_are_refused_by_name(self):
+    def test_positions_inside_obstacles_are_named(self):
         check_outside("positions", np.array([[2.0, 0.0], [0.0, 3.0]]), (Disc((0, 0), 2),))
         with pytest.raises(ValueError, match=r"positions: robot_1 at \[0.0, 1.5\] is 0.5 m inside"):
             check_outside("positions", np.array([[2.0, 0.0], [0.0, 1.5]]), (Disc((0, 0), 2),))
@@ -135,7 +135,7 @@ def draw(field, episode, starts):
 
 class TestDrawField:
     @pytest.mark.parametrize("dim", [2, 3])
-    def test_keeps_count_radius_region_distance_and_apart(self, dim):
+    def test_random_field_respects_constraints(self, dim):
         starts = np.random.default_rng(dim).uniform(-6, 6, (4, dim))
         counts = []
         for episode in range(300):
@@ -154,14 +154,14 @@ class TestDrawField:
         assert np.all(np.bincount(counts, minlength=6)[2:] > 40)
         assert set(counts) == {2, 3, 4, 5}
 
-    def test_only_the_first_starts_count(self):
+    def test_only_given_number_of_starts_counts(self):
         starts, key = np.array([[9.0, 9.0], [0.0, 0.0]]), np.uint64(stream_key(0, 0, OBSTACLES))
         rules = ObstacleField(1, (1.0, 1.0), 0.1, 0.5).rules
         obstacles = world_of(pack([], 6), only_balls=True)
         assert draw_field(key, rules, starts, 1, obstacles)
         assert not draw_field(key, rules, starts, 2, obstacles)
 
-    def test_a_full_place_fails_and_leaves_what_was_placed(self):
+    def test_full_region_fails_and_keeps_placed_obstacles(self):
         drawn, rows = draw(ObstacleField(6, (1, 1), 2.5, 0, False), 0, np.empty((0, 2)))
         assert not drawn
         count = int((rows[:, KIND] == BALL).sum())
@@ -169,7 +169,7 @@ class TestDrawField:
         assert np.all(rows[count:, KIND] == ABSENT)
 
 
-def test_outlines_are_those_of_the_capsule():
+def test_capsule_outline_is_exact():
     (outline,) = outlines(pack((LOG,), 1), 2)
     away = [distance(corner, LOG) for corner in outline.vertices]
     np.testing.assert_allclose(away, 0.5)
@@ -191,7 +191,7 @@ def distance(point, capsule: Capsule) -> float:
     return float(np.linalg.norm(point - first - share * along))
 
 
-def test_given_at_a_reset():
+def test_obstacles_can_be_given_at_reset():
     moved, disc = Capsule(((5.0, 5.0), (6.0, 5.0)), 0.25), Disc((0.0, 0.0), 1.0)
     scenario = Scenario(n_robots=2, obstacles=[LOG], obstacle_slots=2, spawn_size=20.0)
     sim = started(scenario, obstacles=[moved, disc])

@@ -1,4 +1,4 @@
-"""A family of graphs, an imperfection and a reward term from a user's own file."""
+"""Custom graph family, sensor imperfection and reward term from a user's file."""
 
 from itertools import islice
 
@@ -15,26 +15,26 @@ from rendezvous_env.trajectory import run
 
 @graphs.family("hexagon-and-chords")
 def ring_with_chords(n, random):
-    """A ring, and one chord from robot 0."""
+    """Ring graph with one chord from robot 0."""
     ring = [(i, (i + 1) % n) for i in range(n)]
     return [*ring, (0, int(random.integers(2, n - 1)))]
 
 
 @rv.sensor_imperfection("blind-behind")
 def blind_behind(seen):
-    """Misses robots behind the y axis of the robot's frame."""
+    """Sensor that misses robots behind the y axis of the robot's frame."""
     seen.neighbours[seen.neighbours[..., 0] < 0.0] = 0.0
 
 
 @rv.sensor_imperfection("half-lost")
 def half_lost(seen):
-    """Loses every second row, by chance."""
+    """Sensor that loses half of the rows at random."""
     seen.neighbours[seen.uniform(*seen.neighbours.shape[1:3]) < 0.5] = 0.0
 
 
 @rv.reward_term("effort")
 def effort(step):
-    """What each robot asks for, m/s."""
+    """Commanded speed of each robot, m/s."""
     return np.linalg.norm(step.actions, axis=-1)
 
 
@@ -59,7 +59,7 @@ def towards(scenario):
 
 
 def walk(scenario, seed, num_envs):
-    """Observations, rewards and rewards of robots of 12 steps, (12, B, …)."""
+    """Observations, team rewards and robot rewards of 12 steps, (12, B, …)."""
     simulator, found = started(scenario, num_envs, seed), []
     for step in islice(run(simulator, towards(scenario), simulator.observe()), 12):
         given = step.outcome
@@ -67,7 +67,7 @@ def walk(scenario, seed, num_envs):
     return [np.array(each) for each in zip(*found, strict=True)]
 
 
-def test_a_family_is_drawn_for_every_seed_and_episode_and_no_batch():
+def test_custom_family_is_sampled_per_seed_and_episode():
     graph = {"kind": "hexagon-and-chords", "weight_range": [0.5, 2.0]}
     simulator = started(FAMILY.replace(graph=graph), 40, seed=3)
     weights = simulator.weights
@@ -81,13 +81,13 @@ def test_a_family_is_drawn_for_every_seed_and_episode_and_no_batch():
     assert not np.array_equal(simulator.weights, weights)
 
 
-def test_what_is_a_users_own_is_written_to_files(tmp_path):
+def test_custom_extensions_are_written_to_files(tmp_path):
     OWN.to_toml(tmp_path / "mine.toml")
     assert Scenario.from_toml(tmp_path / "mine.toml") == OWN
     assert hash(OWN) == hash(Scenario.from_plain(OWN.to_plain()))
 
 
-def test_a_family_is_a_graph_like_any_other():
+def test_custom_family_acts_as_graph():
     assert FAMILY.max_degree == 5.0 and FAMILY.bottleneck_weight == 1.0
     assert FAMILY.observation_layout.neighbour_slots == 5
     met = rv.rollout(FAMILY, towards(FAMILY), seed=0, num_envs=3)
@@ -95,7 +95,7 @@ def test_a_family_is_a_graph_like_any_other():
     assert rv.certificate(FAMILY).guaranteed and np.isfinite(rv.certificate(FAMILY).time_bound)
 
 
-def test_a_family_that_fails_later_leaves_everything_as_it_was():
+def test_failing_family_changes_nothing():
     graphs.family("moody", lambda n, random: [(i, i + 1) for i in range(n - 1)])
     simulator = started(FAMILY.replace(graph="moody"), 2, seed=5)
     graphs.family("moody", lambda n, random: [])
@@ -103,7 +103,7 @@ def test_a_family_that_fails_later_leaves_everything_as_it_was():
         simulator.reset(9)
 
 
-def test_who_is_behind_is_not_seen():
+def test_custom_imperfection_hides_robots_behind():
     scenario = Scenario(n_robots=4)
     blind = scenario.replace(sensing=Sensing(custom=["blind-behind"]))
     assert not blind.sensing.exact and "blind-behind" in blind.sensing.departures()
@@ -117,7 +117,7 @@ def test_who_is_behind_is_not_seen():
     assert (seen[..., 0] | ~seen[..., 1]).all() and not seen.all()  # those left stand first
 
 
-def test_batches_see_and_earn_what_single_teams_do():
+def test_batch_equals_single_environments():
     batch = walk(OWN, 3, 4)
     for team in range(4):
         single = walk(OWN, 3 + team, 1)
@@ -127,7 +127,7 @@ def test_batches_see_and_earn_what_single_teams_do():
 
 @pytest.mark.kernels
 @pytest.mark.parametrize("teams", [2, 7])  # 5 and more stand side by side, in blocks
-def test_what_is_seen_follows_from_the_state(teams):
+def test_observations_follow_from_state(teams):
     simulator = Simulator(Scenario(n_robots=4, sensing=Sensing(custom=("half-lost",))), teams)
     first = simulator.reset(0)
     np.testing.assert_array_equal(first, simulator.observe())
@@ -140,7 +140,7 @@ def test_what_is_seen_follows_from_the_state(teams):
     np.testing.assert_array_equal(outcome.observations, simulator.observe())
 
 
-def test_numbers_are_drawn_of_as_many_obstacles_as_there_are():
+def test_random_numbers_cover_all_obstacles():
     shapes = []
     rv.sensor_imperfection(
         "counts", lambda seen: shapes.append(seen.uniform(*seen.obstacles.shape[1:4]).shape)
@@ -150,14 +150,14 @@ def test_numbers_are_drawn_of_as_many_obstacles_as_there_are():
     assert shapes == [(2, 5, 0, 2), (2, 5, 1, 2)]
 
 
-def test_what_one_imperfection_hides_the_next_does_not_bring_back():
+def test_later_imperfection_does_not_restore_rows():
     rv.sensor_imperfection("sees nobody", lambda seen: seen.neighbours.fill(0.0))
     rv.sensor_imperfection("sees all", lambda seen: seen.neighbours.fill(0.5))
     for names, rows in ((("sees nobody", "sees all"), 0.0), (("sees all",), 0.5)):
         assert (Simulator(Scenario(sensing=Sensing(custom=names))).reset(0) == rows).all()
 
 
-def test_no_theorem_covers_a_custom_sensor():
+def test_custom_sensor_has_no_theorem():
     scenario = Scenario(sensing=Sensing(custom=("blind-behind",)))
     for by in ("law", "heading", "tank", "gains", "links"):
         margin = 0.5 if by in ("heading", "tank") else 1.0
@@ -166,7 +166,7 @@ def test_no_theorem_covers_a_custom_sensor():
 
 
 @pytest.mark.parametrize("on_merge", ["remove", "follow"])
-def test_terms_are_added_with_their_weights(on_merge):
+def test_custom_terms_are_added_with_weights(on_merge):
     plain = Scenario(n_robots=3, on_merge=on_merge, time_limit=20.0)
     paid = plain.replace(reward=rv.RewardWeights(custom={"effort": -0.5, "spread": 2.0}))
     simulator, other = (started(scenario, 2, seed=1) for scenario in (plain, paid))
@@ -192,7 +192,7 @@ def family_of(draw):
 
 
 def stepped(role, term):
-    """A step of a team that is paid by a term, or told its cost."""
+    """A step of a team with a custom reward term or cost."""
     rv.reward_term("mine", term)
     paid = {"reward": {"custom": {"mine": 1.0}}, "costs": ("mine",)}
     simulator = started(Scenario(**{role: paid[role]}))
@@ -235,14 +235,14 @@ def seen_by(imperfection):
         (lambda: rv.sensor_imperfection("x", 5), "imperfection 'x' is 5; it must be a function"),
     ],
 )
-def test_what_does_not_fit_is_named(make, said):
+def test_invalid_extensions_are_rejected(make, said):
     with pytest.raises(ValueError, match=said):
         make()
 
 
 @pytest.mark.parametrize("field", [name for name in RewardStep._fields if name != "scenario"])
 @pytest.mark.parametrize("role", ["reward", "costs"])
-def test_a_term_may_change_nothing(field, role):
+def test_reward_step_is_read_only(field, role):
     def meddler(step):
         getattr(step, field)[...] = 1
         return step.time

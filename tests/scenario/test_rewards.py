@@ -11,7 +11,7 @@ from rendezvous_env.trajectory import run
 
 
 @pytest.mark.parametrize("name", ["progress", "time", "bonus"])
-def test_progress_telescopes_and_each_term_is_its_own(kind, name):
+def test_progress_telescopes_and_terms_are_separate(kind, name):
     """Over an episode that ends in a rendezvous progress is 1, whatever happened on the way."""
     alone = {"progress": (1, 0, 0, 0), "time": (0, 1, 0, 0), "bonus": (0, 0, 0, 1)}
     reward = RewardWeights(*alone[name])
@@ -39,7 +39,7 @@ def team(**changes: object) -> Scenario:
     return Scenario(**given | {"local_frames": "global", "time_limit": 5.0} | changes)
 
 
-def test_each_robot_in_contact_costs_in_each_step():
+def test_contact_costs_per_robot_and_step():
     walls, paid = (Disc((-3.0, 0.0), 1.0), Disc((3.0, 0.0), 1.0)), RewardWeights(0.0, 0.0, 0.5, 0.0)
     pressed = team(obstacles=walls, obstacle_contact="stop", reward=paid)
     sim = started(pressed, positions=[[-1.9, 0.0], [1.9, 0.0], [0.0, 5.0]])
@@ -51,7 +51,7 @@ def test_each_robot_in_contact_costs_in_each_step():
     assert sim.contacts[0] >= 6
 
 
-def test_it_follows_the_clearances_of_every_step():
+def test_clearance_penalty_follows_clearances():
     sim, random, paid = started(team(), 6, seed=1), np.random.default_rng(0), np.zeros(6)
     for _ in range(80):
         running, took_part = ~sim.ended, sim.active
@@ -64,7 +64,7 @@ def test_it_follows_the_clearances_of_every_step():
     assert (paid < 0).sum() >= 2
 
 
-def test_who_has_merged_pays_nothing_and_the_survivor_once():
+def test_merged_robots_pay_nothing():
     sim = started(team(), 6, positions=[[1.5, 0.0], [1.5, 0.1], [8.0, 0.0]])
     sim.step(np.zeros((6, 3, 2)))
     assert sim.active[0].tolist() == [True, False, True]
@@ -74,12 +74,12 @@ def test_who_has_merged_pays_nothing_and_the_survivor_once():
 
 
 @pytest.mark.parametrize("changes", [{"obstacles": ()}, {"reward": RewardWeights(0, 0, 0, 0)}])
-def test_without_weight_or_obstacles_it_is_nothing(changes):
+def test_clearance_penalty_is_zero_without_weight_or_obstacles(changes):
     sim = started(team(**changes), 6, positions=[[1.5, 0.0], [0.0, 4.5], [8.0, 0.0]])
     assert sim.step(np.zeros((6, 3, 2))).rewards[0] == 0
 
 
-def test_what_a_step_may_cost_on_a_directed_graph():
+def test_reward_is_bounded_on_directed_graph():
     """All 18 that see the robot which merges, and which it does not see, end up farther from it."""
     n, r = 20, 0.2
     sees = np.zeros((n, n))

@@ -61,7 +61,7 @@ def sizes():
     return np.linalg.norm(sides, axis=-1).sum(axis=-1)
 
 
-def test_at_a_small_margin_it_grows_at_the_rate_of_the_equilateral_triangle(sizes):
+def test_small_margin_grows_at_triangle_rate(sizes):
     """9.7-fold in 400 s, and in every round of three dwell times."""
     margin = MARGINS[0]
     rate = np.sqrt(3) * margin * np.sqrt(1 - margin**2) - 6 * margin**2
@@ -70,7 +70,7 @@ def test_at_a_small_margin_it_grows_at_the_rate_of_the_equilateral_triangle(size
     assert (np.diff(sizes[::60, 0]) > 0).all()
 
 
-def test_above_the_threshold_it_does_not_grow(sizes):
+def test_margin_above_threshold_does_not_grow(sizes):
     """1/√13 = 0.277."""
     assert sizes[:, 1].max() == sizes[0, 1] and sizes[-1, 1] < 0.3 * sizes[0, 1]
     assert sizes[-1, 2] > 1.05 * sizes[0, 2], "just below it"

@@ -20,7 +20,7 @@ from train.compare.settings import DEFAULT_SCENARIOS
 TRIANGLE = Polygon(((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))
 
 
-def test_a_long_step_warns_and_says_the_certified_one():
+def test_long_step_warns_with_certified_step():
     message = r"time_step is 0\.05 s, longer than the certified step 0\.025 s.*allow_long_step=True"
     with pytest.warns(TimeStepWarning, match=message) as caught:
         scenario = Scenario(time_step=0.05)
@@ -32,14 +32,14 @@ def test_a_long_step_warns_and_says_the_certified_one():
 
 
 @pytest.mark.parametrize(("step", "allowed"), [(0.025, False), (9.0, True)])
-def test_other_steps_do_not(step, allowed):
+def test_other_steps_do_not_warn(step, allowed):
     assert Scenario(time_step=step, allow_long_step=allowed).tau == step
 
 
 @pytest.mark.parametrize(
     ("limit", "tau", "steps"), [(1.0, 0.1, 10), (1.0, 0.3, 4), (0.3, 0.1, 3), (1e-6, 0.1, 1)]
 )
-def test_the_time_limit_is_rounded_up_to_whole_steps(limit, tau, steps):
+def test_time_limit_is_rounded_up_to_steps(limit, tau, steps):
     scenario = Scenario(n_robots=2, time_limit=limit, time_step=tau, allow_long_step=True)
     assert scenario.max_steps == steps
 
@@ -63,7 +63,7 @@ CONSTANTS = [
 
 
 @pytest.mark.parametrize(("graph", "n", "degree", "bottleneck"), CONSTANTS)
-def test_derived_constants(graph, n, degree, bottleneck):
+def test_derived_constants_match_hand_computation(graph, n, degree, bottleneck):
     scenario = Scenario(n_robots=n, graph=graph, merge_radius=0.3)
     assert scenario.max_degree == pytest.approx(degree, rel=1e-12)
     assert scenario.bottleneck_weight == pytest.approx(bottleneck, rel=1e-12)
@@ -83,13 +83,13 @@ def test_derived_constants(graph, n, degree, bottleneck):
         ("nonholonomic_3d", 3, [0.5, 7.0, 0.7]),
     ],
 )
-def test_action_bounds(model, dim, bounds):
+def test_action_bounds_match_model(model, dim, bounds):
     scenario = Scenario(robot_model=model, dim=dim, max_speed=0.5, max_turn_rate=0.7)
     np.testing.assert_allclose(scenario.action_bounds, bounds)
     assert scenario.action_size == len(bounds)
 
 
-def test_equal_fields_make_equal_hashable_scenarios():
+def test_equal_scenarios_are_equal_and_hashable():
     a = Scenario(graph=UNEQUAL, obstacles=[TRIANGLE], time_limit=10)
     b = Scenario(graph=UNEQUAL.tolist(), obstacles=(TRIANGLE,), time_limit=10.0)
     assert a == b and hash(a) == hash(b) and len({a, b}) == 1
@@ -101,7 +101,7 @@ def test_equal_fields_make_equal_hashable_scenarios():
 
 
 @pytest.mark.parametrize("name", scenarios.names())
-def test_named_scenarios_survive_toml(name, tmp_path):
+def test_named_scenarios_round_trip_toml(name, tmp_path):
     scenario = scenarios.get(name)
     assert scenario.name == name
     scenario.to_toml(tmp_path / "scenario.toml")
@@ -110,7 +110,7 @@ def test_named_scenarios_survive_toml(name, tmp_path):
     assert list(tmp_path.iterdir()) == [tmp_path / "scenario.toml"]
 
 
-def test_toml_by_hand(tmp_path):
+def test_toml_matches_hand_written_file(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text("n_robots = 3\n")
     assert Scenario.from_toml(path).name == "mine"  # without a name it is that of its file
@@ -157,7 +157,7 @@ UNLIKE = {
 }  # fmt: skip
 
 
-def test_the_fields_and_defaults_of_the_design():
+def test_fields_and_defaults_are_stable():
     fields = {field.name: field.default for field in dataclasses.fields(rv.Sensing)}
     assert fields == {
         "range": None, "field_of_view": 2 * math.pi, "noise": 0.0, "bias": 0.0, "error": 0.0,
@@ -166,7 +166,7 @@ def test_the_fields_and_defaults_of_the_design():
     assert rv.Sensing().exact and rv.Scenario().sensing == rv.Sensing()
 
 
-def test_the_camera_is_a_sensor_like_any_other():
+def test_camera_is_a_sensing_preset():
     """Its numbers are those of docs/worlds.md, and what is hidden has no row."""
     camera = rv.Sensing.camera()
     assert camera.occlusion == "both" and not camera.exact
@@ -182,7 +182,7 @@ def test_the_camera_is_a_sensor_like_any_other():
 
 
 @pytest.mark.parametrize("field", UNLIKE)
-def test_each_field_makes_another_sensor_and_survives_a_file_and_json(field, tmp_path):
+def test_each_sensing_field_round_trips(field, tmp_path):
     one = rv.Sensing(**{field: UNLIKE[field]})
     assert not one.exact and one != rv.Sensing()
     again = rv.Sensing(**{field: UNLIKE[field]})
@@ -199,7 +199,7 @@ def test_each_field_makes_another_sensor_and_survives_a_file_and_json(field, tmp
 
 
 @pytest.mark.parametrize(("field", "value"), [(f, v) for f, vs in WRONG.items() for v in vs])
-def test_a_wrong_value_is_refused_by_field_and_value(field, value):
+def test_invalid_value_is_named(field, value):
     with pytest.raises(ValueError, match=rf"^sensing\.{field} is .*; it must be ") as refused:
         rv.Sensing(**{field: value})
     shown = "whole number of about" if value == 10**400 else repr(value)
@@ -220,7 +220,7 @@ QUICK = ("clutter-8", "clutter-16")
         for name in scenarios.names()
     ],
 )
-def test_a_field_is_what_its_version_was(name):
+def test_scenario_matches_its_version(name):
     kept = versioned(name).removeprefix("rendezvous/")
     found = digest(name)
     assert found == digests()[kept], (
@@ -236,7 +236,7 @@ def test_every_scenario_has_one_version():
     assert all(json.dumps(entry).isascii() for entry in digests())
 
 
-def test_a_digest_sees_starts_and_physics_and_not_what_learners_are_told():
+def test_digest_covers_physics_not_learning_settings():
     base = rv.scenarios.get("duo")
     same = base.replace(name="other", costs="contact", reward=rv.RewardWeights(progress=2.0))
     assert digest(same) == digest(base) == digests()["duo-v1"]
@@ -247,13 +247,13 @@ def test_a_digest_sees_starts_and_physics_and_not_what_learners_are_told():
 @pytest.mark.parametrize(
     "name", ["clutter-16-v1", "rendezvous/clutter-16-v1", "rendezvous/clutter-16"]
 )
-def test_a_name_may_have_its_version(name):
+def test_versioned_name_is_accepted(name):
     assert scenarios.get(name) == scenarios.get("clutter-16")
     env, plain = rv.make_vec(name, 2), rv.make_vec("clutter-16", 2)
     np.testing.assert_array_equal(env.reset(seed=5)[0], plain.reset(seed=5)[0])
 
 
-def test_other_versions_and_names_are_refused():
+def test_other_versions_and_names_are_rejected():
     for call, name, said in (
         (scenarios.get, "clutter-16-v2", "is of another version; .* rendezvous/clutter-16-v1"),
         (scenarios.get, "rendezvous/cluter-16-v1", "is unknown; did you mean 'clutter-16"),
@@ -264,7 +264,7 @@ def test_other_versions_and_names_are_refused():
             call(name)
 
 
-def test_gymnasium_and_pettingzoo_know_every_field():
+def test_gymnasium_and_pettingzoo_register_every_scenario():
     for name in scenarios.names():
         assert versioned(name) in gymnasium.registry
     one = gymnasium.make("rendezvous_env:rendezvous/clutter-8-v1", obstacle_range=1.5)
@@ -276,5 +276,5 @@ def test_gymnasium_and_pettingzoo_know_every_field():
         assert named.unwrapped.scenario == scenarios.get("clutter-8")
 
 
-def test_a_comparison_takes_fields_of_others_on_request_only():
+def test_compare_takes_other_scenarios_on_request():
     assert set(FIELD) <= set(scenarios.names()) and not set(FIELD) & set(DEFAULT_SCENARIOS)

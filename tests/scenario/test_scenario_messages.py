@@ -139,12 +139,12 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("fields", "message"), REFUSED)
-def test_a_scenario_says_what_is_wrong_with_a_value_of_any_kind(fields, message):
+def test_invalid_values_of_any_kind_are_explained(fields, message):
     said = refusal(Scenario, **fields)
     assert re.search(message, said), said
 
 
-def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
+def test_unknown_field_names_closest_match():
     for call in (Scenario, Scenario().replace, lambda **f: Scenario.from_plain(f)):
         for kind in (TypeError, ValueError, UnknownFieldError):
             assert "scenario has no field 'n_robot'; did you mean 'n_robots'" in refusal(
@@ -229,7 +229,7 @@ def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
         (lambda: g.from_matrix([[0, 1], [2, 0]]), "graphs.directed takes others"),
     ],
 )  # fmt: skip
-def test_obstacles_and_graphs_say_what_is_wrong(make, message):
+def test_invalid_obstacles_and_graphs_are_explained(make, message):
     said = refusal(make)
     assert re.search(message, said), said
 
@@ -243,7 +243,7 @@ def test_obstacles_and_graphs_say_what_is_wrong(make, message):
         ("size", 9.0, lambda size: checks.number("size", size, most=math.pi / 2)),
     ],
 )
-def test_a_limit_is_taken_as_the_refusal_of_another_value_writes_it(name, value, make):
+def test_limit_in_message_is_accepted(name, value, make):
     said = refusal(lambda: make(value))
     limits = [float(number) for number in re.findall(r"[-+.e\d]*\d", said.split("must be")[1])]
     make(min(limits, key=lambda limit: abs(limit - value)))
@@ -271,7 +271,7 @@ DRAWN = [Scenario(obstacles=one) for one in (ObstacleField(2, (7.0, 8.0), 20.0, 
 
 
 @pytest.mark.parametrize("expected", [EVERY_FIELD, *DRAWN], ids=["every field", "discs", "walls"])
-def test_numpy_numbers_become_pythons_own_in_every_field(expected, tmp_path):
+def test_numpy_scalars_become_python(expected, tmp_path):
     given = in_numpy(expected.to_plain())
     made = Scenario(**given | {"require_connected": np.bool_(True)})
     assert made == expected and hash(made) == hash(expected)
@@ -297,7 +297,7 @@ def test_numpy_numbers_become_pythons_own_in_every_field(expected, tmp_path):
         ("name = '\\ud800'\nx", "not a TOML file"),
     ],
 )
-def test_toml_of_the_wrong_kind(text, message, tmp_path):
+def test_toml_of_wrong_type_is_rejected(text, message, tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(text)
     said = refusal(Scenario.from_toml, path)
@@ -308,7 +308,7 @@ def test_toml_of_the_wrong_kind(text, message, tmp_path):
     assert "scenario has no field 5; known are name" in refusal(Scenario.from_plain, {5: 5})
 
 
-def test_names_and_paths_that_no_file_can_have(tmp_path):
+def test_impossible_names_and_paths_are_rejected(tmp_path):
     long, nul = str(tmp_path / ("x" * 300 + ".toml")), str(tmp_path / "a\0b.toml")
     for call in (Scenario.from_toml, Scenario().to_toml, rv.parallel_env, scenarios.resolve):
         assert "it is too long for a file" in refusal(call, long)
@@ -325,7 +325,7 @@ def test_names_and_paths_that_no_file_can_have(tmp_path):
         Scenario().to_toml(tmp_path / "absent" / "x.toml")
 
 
-def test_what_cannot_be_written_leaves_what_was_there(tmp_path):
+def test_failed_write_keeps_old_file(tmp_path):
     """A disk is full; a folder has the name."""
     (tmp_path / "taken.toml").mkdir()
     Scenario(n_robots=2).to_toml(tmp_path / "x.toml")
@@ -342,7 +342,7 @@ def test_what_cannot_be_written_leaves_what_was_there(tmp_path):
     assert Scenario.from_toml(tmp_path / "x.toml").n_robots == 2
 
 
-def test_simulators_and_certificates_take_names_and_files(tmp_path):
+def test_simulators_and_certificates_accept_names_and_files(tmp_path):
     PAIR.to_toml(tmp_path / "pair.toml")
     for one in (PAIR, tmp_path / "pair.toml"):
         assert rv.Simulator(one).scenario == PAIR
@@ -353,7 +353,7 @@ def test_simulators_and_certificates_take_names_and_files(tmp_path):
         assert "it must be a Scenario, the name of one, or the path" in refusal(call, 5)
 
 
-def test_a_limit_that_is_named_is_taken():
+def test_named_limit_is_accepted():
     """Rounded to six digits, it was refused in its turn where that rounds it up."""
 
     def named(message: str) -> float:

@@ -9,7 +9,7 @@ import rendezvous_env as rv
 from rendezvous_env import ObstacleField, Scenario, WallField
 from rendezvous_env.obstacles.obstacle_set import world_of
 from rendezvous_env.obstacles.parsing import max_count, only_balls, parse, row_width, to_plain
-from rendezvous_env.obstacles.reachability import none_walled_in
+from rendezvous_env.obstacles.reachability import all_reachable
 from rendezvous_env.obstacles.shape import CENTRE, DETAILS, KIND, RADIUS
 
 LAYOUTS = {"trap": 3, "corridor": 2, "rooms": 8}
@@ -49,7 +49,7 @@ def together(table, positions, wider=0.0):
 
 class TestField:
     @pytest.mark.parametrize(("layout", "boxes"), LAYOUTS.items())
-    def test_round_trip_and_size(self, layout, boxes):
+    def test_wall_field_round_trips(self, layout, boxes):
         walls = field(layout)
         assert parse(to_plain(walls), 2) == walls == parse(walls, 2)
         assert (max_count(walls), row_width(walls), only_balls(walls)) == (boxes, 14, False)
@@ -58,14 +58,14 @@ class TestField:
         assert Scenario.from_plain(scenario.to_plain()) == scenario
 
     @pytest.mark.kernels
-    def test_positions_are_given_and_walls_keep_clear_of_them(self):
+    def test_walls_avoid_given_positions(self):
         walls = field("rooms", region=10.0)
         starts = np.array([[0.0, 0.0], [3.0, 1.0], [-2.0, 4.0]])
         simulator = started(Scenario(n_robots=3, obstacles=walls), 200, positions=starts)
         assert (simulator.positions == starts).all()
         assert simulator.clearance.min() >= 0.4
 
-    def test_walls_that_find_no_place_are_an_error(self):
+    def test_impossible_walls_are_error(self):
         crowd = np.stack(np.meshgrid(*2 * [np.linspace(-9, 9, 10)]), axis=-1).reshape(-1, 2)
         walls = field("trap", keep_out=2.0)
         with pytest.raises(RuntimeError, match="no room for the start of team 0"):
@@ -76,7 +76,7 @@ class TestLayouts:
     """Measured in the frame of the first box, whose first edge runs along its length."""
 
     @pytest.mark.parametrize("layout", LAYOUTS)
-    def test_boxes_are_as_long_and_thick_as_asked(self, layout):
+    def test_boxes_have_given_size(self, layout):
         simulator = started(Scenario(n_robots=2, obstacles=field(layout)), 300)
         corners = simulator.obstacles[..., DETAILS:].reshape(300, -1, 4, 2)
         edges = np.roll(corners, -1, axis=2) - corners
@@ -91,7 +91,7 @@ class TestLayouts:
         reach = np.linalg.norm(corners - centres[:, :, None], axis=-1)
         np.testing.assert_allclose(reach, simulator.obstacles[..., [RADIUS]] + 0 * reach)
 
-    def test_a_trap_is_a_u(self):
+    def test_trap_is_u_shaped(self):
         table, _ = drawn("trap", 300)
         for rows in table:
             bottom, one, other = solids(rows)
@@ -102,14 +102,14 @@ class TestLayouts:
             assert bottom.area == pytest.approx(0.5 * (mouth + 1.0))
             assert shapely.union_all([bottom, one, other]).geom_type == "Polygon"
 
-    def test_a_corridor_is_as_wide_as_asked(self):
+    def test_corridor_has_given_width(self):
         table, _ = drawn("corridor", 300)
         widths = [shapely.distance(*solids(rows)) for rows in table]
         assert 2.0 - 1e-9 <= min(widths) < 2.1 and 3.9 < max(widths) <= 4.0
         lengths = [wall.area / 0.5 for rows in table for wall in solids(rows)]
         assert 16.0 - 1e-9 <= min(lengths) < 16.2 and 19.8 < max(lengths) <= 20.0 + 1e-9
 
-    def test_rooms_have_a_door_in_each_of_four_walls(self):
+    def test_rooms_have_four_doors(self):
         table, _ = drawn("rooms", 300)
         for rows in table:
             boxes = solids(rows)
@@ -124,17 +124,17 @@ class TestLayouts:
 class TestNobodyIsWalledIn:
     @pytest.mark.kernels
     @pytest.mark.parametrize("name", ["trap", "corridor", "rooms"])
-    def test_in_a_thousand_starts(self, name):
+    def test_no_robot_is_enclosed_in_thousand_starts(self, name):
         tables, positions = drawn(name, 1000)
         assert all(map(together, tables, positions))
 
-    def test_gaps_are_as_wide_as_promised(self):
+    def test_gaps_have_promised_width(self):
         """Discs made wider by half a passage still wall nobody in."""
         tables, positions = drawn("clutter-32", 200)
         assert all(together(*start, wider=0.0999) for start in zip(tables, positions, strict=True))
 
     @pytest.mark.kernels
-    def test_the_check_agrees_with_shapely(self):
+    def test_reachability_agrees_with_shapely(self):
         """On discs that nearly close two rings, one in the other, a robot in the middle and
         two outside; where a little smaller and larger ones give the same answer.
         """
@@ -149,14 +149,14 @@ class TestNobodyIsWalledIn:
             table[:, CENTRE] = far * np.cos(around)
             table[:, CENTRE + 1] = far * np.sin(around)
             positions = np.array([[0.0, 0.0], [9.0, 1.0], [-8.0, 5.0]])
-            found = none_walled_in(world_of(table, only_balls=True), positions, 0.0, chains)
+            found = all_reachable(world_of(table, only_balls=True), positions, 0.0, chains)
             one, other = (together(table, positions, wider) for wider in (-0.005, 0.005))
             if one == other:
                 answers.append(found)
                 assert found == one
         assert len(answers) > 180 and 0.2 < np.mean(answers) < 0.8
 
-    def test_a_ring_of_discs_by_hand(self):
+    def test_ring_of_discs_matches_hand_computation(self):
         around = 2 * np.pi * np.arange(8) / 8
         table = np.zeros((8, 6))
         table[:, KIND], table[:, RADIUS] = 1, 1.0
@@ -164,14 +164,14 @@ class TestNobodyIsWalledIn:
         chains = np.empty((8, 2), np.int64)  # neighbours are 1.913 m apart: they overlap
         split, out = np.array([[0.0, 0.0], [5.0, 5.0]]), np.array([[5.0, 5.0], [-5.0, 4.0]])
         ring = world_of(table, only_balls=True)
-        assert not none_walled_in(ring, split, 0.0, chains)
-        assert none_walled_in(ring, out, 0.0, chains)
+        assert not all_reachable(ring, split, 0.0, chains)
+        assert all_reachable(ring, out, 0.0, chains)
         table[3, KIND] = 0  # a gap of 3.536 − 2 = 1.536 m
         gap = world_of(table, only_balls=True)
-        assert none_walled_in(gap, split, 1.53, chains)
-        assert not none_walled_in(gap, split, 1.54, chains)
+        assert all_reachable(gap, split, 1.53, chains)
+        assert not all_reachable(gap, split, 1.54, chains)
 
-    def test_a_hopeless_field_is_an_error(self):
+    def test_hopeless_field_is_error(self):
         """One robot in the midst of so many discs, and one outside."""
         closed = ObstacleField(400, (0.8, 0.9), 12, 0.3, passage=0.6)
         with pytest.raises(RuntimeError, match="no room for the start"):

@@ -1,10 +1,9 @@
-"""How borders are fuzzed: whatever comes in, it is refused in words or gives finite numbers.
+"""Fuzzing of public interfaces: inputs are rejected with a message or give finite numbers.
 
-Every case asserts the same rule. A refusal is an exception of the kinds that the interface names,
-raised by a ``raise`` of this project and not by what happens to fail inside, with a message of
-readable length, and nothing has changed; what is accepted then runs without a number that is not
-finite; and neither takes longer than a few seconds, compiling aside. A few cases run by default,
-thousands under the ``slow`` marker.
+Every case asserts the same rule. A rejection is an exception of the documented kinds, raised by a
+``raise`` of this project, with a message of readable length, and leaves the state unchanged. An
+accepted input runs with finite numbers. Neither takes longer than a few seconds, except for
+compilation. A few cases run by default, thousands under the ``slow`` marker.
 """
 
 import time
@@ -29,7 +28,7 @@ from rendezvous_env.envs.gymnasium_env import make_env
 
 MANY = pytest.param(14, id="many", marks=pytest.mark.slow)
 LONGEST = 5.0
-"""Seconds of its thread's processor time that one call may take."""
+"""Maximum processor time of one call's thread, s."""
 OURS = tuple(str(Path(module.__file__).parent) for module in (rv, baselines))
 TEAMS = {
     "plane": Scenario(
@@ -46,7 +45,7 @@ teams = st.sampled_from(sorted(TEAMS))
 
 
 def guaranteed(name: str, scenario: Scenario, num_envs: int | None = None) -> Any:
-    """A PettingZoo environment under a guarantee, or so many teams."""
+    """A PettingZoo environment with a guarantee, or a batch."""
     if num_envs is None:
         return rv.GuaranteeWrapper(rv.parallel_env(scenario), name, **GUARANTEES[name])
     env = rv.make_vec(scenario, num_envs, max_cycles=3)
@@ -70,13 +69,13 @@ DOORS: dict[str, tuple[int, Callable[[Scenario, int], Any]]] = {
     **{name: (1, lambda scenario, _, n=name: guaranteed(n, scenario)) for name in GUARANTEES},
     **{f"vector {name}": (2, partial(guaranteed, name)) for name in GUARANTEES},
 }
-"""How many teams stand behind each kind of environment, and how it is made."""
+"""Number of environments of each kind, and their factory."""
 
 
 def fuzzed(
     count: int, *values: st.SearchStrategy, kernels: bool = False
 ) -> Callable[[Callable[..., None]], Any]:
-    """Make a test of a check of one case: so many for each effort, the same in every run.
+    """Decorator: run a check on a number of reproducible cases per effort.
 
     Args:
         count: cases for an effort of one.
@@ -99,7 +98,7 @@ def fuzzed(
 
 
 def attempt(call: Callable[[], Any], *kinds: type[Exception]) -> Any:
-    """What a call returns, or the error with which it refused; any other end is a failure."""
+    """Result of a call, or its rejection; any other outcome is a failure."""
     begun, refusals = time.thread_time(), kinds or (ValueError,)
     try:
         with warnings.catch_warnings(), install_recorder("numba:compile") as compiling:
@@ -124,7 +123,7 @@ def assert_finite(*arrays: Any) -> None:
 
 
 def play(simulator: Simulator, steps: int, seed: int = 0) -> None:
-    """Steps under wild actions, of which every number must be finite."""
+    """Steps under extreme actions; every number must be finite."""
     random, shape = np.random.default_rng(seed), actions_shape(simulator)
     largest = np.finfo(np.float32).max
     for k in range(steps):
@@ -141,7 +140,7 @@ def play(simulator: Simulator, steps: int, seed: int = 0) -> None:
 
 
 def start_and_play(simulator: Simulator, steps: int = 6) -> None:
-    """An episode, if there is room for its start, which may be too little."""
+    """An episode, if the initial positions fit, which may fail."""
     begun = attempt(lambda: simulator.reset(0), ValueError, RuntimeError)
     if not isinstance(begun, Exception):
         assert_finite(begun, simulator.positions, simulator.lyapunov())

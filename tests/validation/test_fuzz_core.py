@@ -37,7 +37,7 @@ FILE = Path(tempfile.mkdtemp()) / "any.toml"
 
 
 @fuzzed(60, strategies.scenario_fields())
-def test_scenarios(fields):
+def test_fuzz_scenarios(fields):
     plain = isinstance(fields.get("reward"), dict)
     scenario = attempt(lambda: Scenario.from_plain(fields) if plain else Scenario(**fields))
     if isinstance(scenario, Exception):
@@ -53,7 +53,7 @@ def test_scenarios(fields):
 
 
 @fuzzed(40, strategies.toml_texts([field.name for field in dataclasses.fields(Scenario)]))
-def test_toml(text):
+def test_fuzz_toml(text):
     FILE.write_bytes(text)
     scenario = attempt(lambda: Scenario.from_toml(FILE))
     if not isinstance(scenario, Exception):
@@ -123,7 +123,7 @@ def options_of(draw: st.DrawFn, team: str, num_envs: int) -> Any:
 
 
 @fuzzed(60, names, teams, st.data(), kernels=True)
-def test_options_of_a_reset(name, team, data):
+def test_fuzz_reset_options(name, team, data):
     it = door(name, team)
     it.env.reset(seed=1)
     options = data.draw(options_of(team, it.num_envs))
@@ -154,7 +154,7 @@ def actions_of(draw: st.DrawFn, it: Door) -> Any:
 
 
 @fuzzed(60, names, teams, st.data(), kernels=True)
-def test_actions(name, team, data):
+def test_fuzz_actions(name, team, data):
     it = door(name, team)
     it.env.reset(seed=data.draw(st.integers(0, 3)))
     for _ in range(data.draw(st.integers(1, 4))):
@@ -202,7 +202,7 @@ def _whole(dtype: np.dtype) -> st.SearchStrategy:
 @fuzzed(
     40, st.sampled_from([name for name in NAMES if name != "aec"]), teams, st.data(), kernels=True
 )
-def test_states(name, team, data):
+def test_fuzz_states(name, team, data):
     it = door(name, team)
     it.env.reset(seed=data.draw(st.integers(0, 3)))
     play(it.simulator, data.draw(st.integers(0, 2)))
@@ -237,7 +237,7 @@ WRAPPERS = ("HeadingVectorWrapper", "EnergyTankWrapper", "GainWrapper", "LinkKee
 
 
 @fuzzed(60, teams, st.booleans(), st.sampled_from(WRAPPERS), st.data())
-def test_arguments_of_wrappers(team, alone, name, data):
+def test_fuzz_wrapper_arguments(team, alone, name, data):
     scenario = TEAMS[team]
     base = rv.parallel_env(scenario) if alone else rv.make_vec(scenario, 2, max_cycles=3)
     wrap = getattr(rv if alone else vector, name)
@@ -271,7 +271,7 @@ CONSTANTS = {
     30, st.tuples(*[any_table(2) | any_table(3)] * 3), st.fixed_dictionaries(CONSTANTS),
     nearly(margins), st.sampled_from(list(TEAMS.values())) | absurd,
 )  # fmt: skip
-def test_headings_and_certificates(vectors, given, margin, scenario):
+def test_fuzz_headings_and_certificates(vectors, given, margin, scenario):
     heading = attempt(lambda: rv.certified_heading(*vectors, **given))
     if not isinstance(heading, Exception):
         assert np.allclose(np.linalg.norm(heading, axis=-1), 1.0)
@@ -297,7 +297,7 @@ fields_of_shapes = st.sampled_from(sorted({name for fields in SHAPES.values() fo
 
 
 @fuzzed(4, st.sampled_from(list(SHAPES)), fields_of_shapes, absurd, st.booleans())
-def test_obstacles(shape, name, value, as_data):
+def test_fuzz_obstacles(shape, name, value, as_data):
     fields = SHAPES[shape] | {name: value} if name in SHAPES[shape] else SHAPES[shape]
     made = attempt(lambda: shape(**fields))
     if not isinstance(made, Exception):
@@ -316,7 +316,7 @@ wild = st.sampled_from([1e-3, 1.0, 30.0, 1e3, 1e6])
 
 @fuzzed(4, wild, wild, wild, st.integers(0, 99))
 @example(1e3, 1e3, 1e3, 0)
-def test_extreme_steps_among_obstacles(speed, turn_rate, step, seed):
+def test_fuzz_extreme_steps_among_obstacles(speed, turn_rate, step, seed):
     """Any speed, turn rate and step: finite, outside, and over within seconds."""
     scenario = rv.Scenario(
         robot_model="unicycle",

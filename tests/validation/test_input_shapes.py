@@ -1,4 +1,4 @@
-"""What reaches compiled code has been checked: outcomes, masks, actions, and what robots see."""
+"""Validation of inputs of compiled code: outcomes, masks, actions, and observations."""
 
 import re
 
@@ -36,7 +36,7 @@ AMONG = {"obstacles": (rv.Disc((0.0, 5.0), 1.0), SQUARE), "obstacle_slots": 3}
     ],
     ids=["batch", "dimension", "obstacles", "robots"],
 )
-def test_an_outcome_of_other_teams_is_refused(other):
+def test_step_output_of_other_environment_is_rejected(other):
     sim = Simulator(five("single_integrator-2d"), TEAMS)
     for each in (sim, other):
         each.reset(0)
@@ -56,7 +56,7 @@ def test_an_outcome_of_other_teams_is_refused(other):
     "mask",
     [np.ones(TEAMS - 1, bool), np.ones(TEAMS), [0, 1], True, {}, [[True], [True, False]], DEEP],
 )
-def test_a_bad_mask_is_refused_everywhere(mask):
+def test_bad_mask_is_rejected_everywhere(mask):
     sim, perception = started(CLUTTER, TEAMS), Features(CLUTTER, TEAMS, decision_time=0.2)
     for refuse in (
         sim.restart,
@@ -69,7 +69,7 @@ def test_a_bad_mask_is_refused_everywhere(mask):
             refuse(mask)
 
 
-def test_bad_actions_send_no_team_on_to_its_next_episode():
+def test_bad_actions_do_not_start_next_episode():
     venv = rv.make_vec("fig3", 3, autoreset_mode="NextStep", max_cycles=2)
     venv.reset(seed=0)
     actions = np.zeros(venv.action_space.shape, np.float32)
@@ -82,7 +82,7 @@ def test_bad_actions_send_no_team_on_to_its_next_episode():
 
 
 @pytest.mark.parametrize("batch", [1, TEAMS - 1, TEAMS + 1])
-def test_observations_of_another_batch_are_refused(kind, batch):
+def test_observations_of_other_batch_are_rejected(kind, batch):
     scenario = five(kind)
     steering = HeadingFilter(scenario, TEAMS)
     seen = np.zeros((batch, 5, *scenario.observation_layout.shape), np.float32)
@@ -93,7 +93,7 @@ def test_observations_of_another_batch_are_refused(kind, batch):
             refuse(np.zeros((TEAMS, 5, *scenario.observation_layout.shape), np.int64))
 
 
-def test_perception_refuses_other_teams():
+def test_features_reject_other_environments():
     perception = Features(CLUTTER, TEAMS, decision_time=0.2)
     seen = started(CLUTTER, TEAMS).observe()
     for wrong, carried, name in (
@@ -105,7 +105,7 @@ def test_perception_refuses_other_teams():
             perception.see(wrong, carried)
 
 
-def test_heading_rules_refuse_what_does_not_fit_together():
+def test_heading_rules_reject_inconsistent_shapes():
     f, points = np.ones((3, 4, 2)), np.ones((3, 4, 5, 2, 2))
     for rule in (
         obstacle_avoidance.tangent_heading,
@@ -126,7 +126,7 @@ def test_heading_rules_refuse_what_does_not_fit_together():
     assert "carried has shape (2, 4, 2)" in said
 
 
-def test_alignments_refuse_a_step_of_other_robots(kind):
+def test_alignments_reject_step_of_other_robots(kind):
     sim = Simulator(five(kind), 2)
     seen = sim.reset(0)
     actions = np.zeros(actions_shape(sim), np.float32)
@@ -141,7 +141,7 @@ def test_alignments_refuse_a_step_of_other_robots(kind):
             alignments(sim.scenario, wrong)
 
 
-def test_what_does_not_fit_into_memory_is_told_before_it_is_taken():
+def test_memory_shortage_is_reported_before_allocation():
     crowded = Scenario(n_robots=2, obstacle_slots=MOST_OBSTACLES)
     for scenario, num_envs in ((PAIR, 10**9), (crowded, 10**6), (Scenario(n_robots=1000), 10**6)):
         message = refusal(Simulator, scenario, num_envs)
@@ -151,7 +151,7 @@ def test_what_does_not_fit_into_memory_is_told_before_it_is_taken():
 
 
 @pytest.mark.parametrize(("n", "num_envs"), [(2, 1), (40, 1), (3, 500)])
-def test_the_memory_foreseen_is_no_less_than_the_state(n, num_envs):
+def test_needed_bytes_bounds_state_size(n, num_envs):
     scenario = Scenario(n_robots=n, obstacle_slots=3)
     simulator = Simulator(scenario, num_envs)
     given_out = simulator.reset(0).nbytes

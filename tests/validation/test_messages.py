@@ -1,4 +1,4 @@
-"""What the borders of the core say to values of the wrong kind: field, value and remedy."""
+"""Error messages for values of the wrong kind: field, value and remedy."""
 
 import math
 import re
@@ -14,7 +14,7 @@ from strategies import DEEP, HUGE, UNWRITABLE, refusal
 import baselines
 import rendezvous_env as rv
 from rendezvous_env import Scenario
-from rendezvous_env.checks import shown
+from rendezvous_env.checks import short_repr
 from rendezvous_env.limits import MOST_STEPS
 from rendezvous_env.simulator import Simulator
 
@@ -31,12 +31,12 @@ PAIR = Scenario(n_robots=2)
         (True, "True"),
         (DEEP, "[[[[[[...]]]]]]"),
     ],
-    ids=lambda value: shown(value)[:30],
+    ids=lambda value: short_repr(value)[:30],
 )
-def test_values_are_shown_as_they_are_but_never_at_any_length(value, text):
-    assert shown(value) == text
-    assert len(shown("x" * 10**6)) < 100 and len(shown(list(range(10**6)))) < 100
-    assert len(shown(np.zeros((40, 40)))) < 250
+def test_short_repr_shows_value_with_limited_length(value, text):
+    assert short_repr(value) == text
+    assert len(short_repr("x" * 10**6)) < 100 and len(short_repr(list(range(10**6)))) < 100
+    assert len(short_repr(np.zeros((40, 40)))) < 250
 
 
 WRONG_ACTIONS = [
@@ -46,7 +46,7 @@ WRONG_ACTIONS = [
 ]  # fmt: skip
 
 
-def test_pettingzoo_without_robots_takes_no_array():
+def test_pettingzoo_step_without_agents_rejects_array():
     env = rv.parallel_env(PAIR, max_cycles=1)
     env.reset(seed=0)
     env.step({name: np.zeros(2, np.float32) for name in env.agents})
@@ -56,7 +56,7 @@ def test_pettingzoo_without_robots_takes_no_array():
 
 
 @pytest.mark.parametrize("make", [rv.rendezvous_v0.env, rv.rendezvous_v0.raw_env])
-def test_one_after_another_a_wrong_action_is_refused_at_once(make):
+def test_aec_step_rejects_wrong_action_immediately(make):
     env = make(PAIR, max_cycles=1)
     env.reset(seed=0)
     base = env.unwrapped
@@ -79,7 +79,7 @@ def test_one_after_another_a_wrong_action_is_refused_at_once(make):
     "name",
     ["gymnasium", "simulator", "vector", "vector heading", "vector tank", "vector links"],
 )
-def test_arrays_of_actions_of_any_wrong_kind_are_refused(name):
+def test_invalid_action_arrays_are_rejected(name):
     env = DOORS[name][1](PAIR, 1)
     env.reset(seed=0)
     before = env.get_state()
@@ -100,7 +100,7 @@ WRONG_SEEDS = [5.0, True, "5", b"5", -1, -HUGE, [], [1, 2, 3], {}, [0.5], [True]
 
 
 def state_of(env):
-    """The running episode behind any door."""
+    """Running episode of any environment."""
     return (env if hasattr(env, "get_state") else env.unwrapped).get_state()
 
 
@@ -113,7 +113,7 @@ def door(request):
     return env
 
 
-def test_every_reset_refuses_what_is_no_seed_and_takes_whole_numbers_of_any_type(door):
+def test_reset_accepts_integers_of_any_type_as_seed(door):
     before = state_of(door)
     for wrong in WRONG_SEEDS:
         assert re.match("seed .*must be", refusal(door.reset, seed=wrong)), wrong
@@ -131,7 +131,7 @@ LARGE_SEEDS = [2**63, 2**63 + 1, 2**64 - 1, 2**64, 2**130, HUGE, UNWRITABLE]
 
 @pytest.mark.parametrize("seed", LARGE_SEEDS, ids=range(7))
 def test_every_reset_folds_large_seeds_as_seed_sequence_does(door, seed):
-    """Bitwise the episode of the folded seed, which is in use."""
+    """Bitwise equal to the episode of the folded seed, which is in use."""
     used = int(np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]) >> 1
     door.reset(seed=used)
     wanted = state_of(door)
@@ -142,7 +142,7 @@ def test_every_reset_folds_large_seeds_as_seed_sequence_does(door, seed):
 
 
 def test_seeds_in_use_are_those_of_np_random():
-    """Of seeds that were given, drawn, or put back, in every form that has random numbers."""
+    """Given, random, and restored seeds, in every form with random numbers."""
     from rendezvous_env.envs.gymnasium_env import make_env
 
     for env in (rv.parallel_env("duo"), make_env("duo"), rv.training_env("duo")):
@@ -191,7 +191,7 @@ WRONG_OPTIONS = [
 ]
 
 
-def test_every_reset_refuses_options_of_the_wrong_kind_and_ignores_unknown_ones(door):
+def test_reset_rejects_invalid_options_and_ignores_unknown(door):
     before = state_of(door)
     for options, message in WRONG_OPTIONS:
         said = refusal(door.reset, seed=1, options=options)
@@ -232,14 +232,14 @@ CLUTTER = Scenario(n_robots=2, obstacle_slots=2)
         ("x" * 10**5, {}, "policy 'x.* is unknown"),
     ],
 )
-def test_policies_refuse_options_when_they_are_made(name, options, message):
+def test_policy_options_are_validated_on_construction(name, options, message):
     assert re.search(message, refusal(baselines.make, name, CLUTTER, **options))
 
 
 @pytest.mark.parametrize(
     "name", [name for name in baselines.names(CLUTTER) if not name.startswith("privileged")]
 )
-def test_policies_refuse_observations_of_another_shape_or_kind(name):
+def test_policies_reject_observations_of_other_shape(name):
     policy = baselines.make(name, CLUTTER)
     rows, d = CLUTTER.observation_layout.shape
     for wrong in (
@@ -256,7 +256,7 @@ def test_policies_refuse_observations_of_another_shape_or_kind(name):
     assert np.isfinite(policy(np.zeros((2, rows, d)), np.zeros(()))).all()
 
 
-def test_policies_that_remember_refuse_masks_of_other_teams_and_laws_of_time_what_is_none():
+def test_policies_reject_invalid_masks_and_times():
     policy = baselines.make("tangent-certified", CLUTTER)
     policy(np.zeros((3, 2, *CLUTTER.observation_layout.shape)), 0.0)
     for wrong in ([True], "abc", [[True, False, True]], [1, 0, 1], 5):
@@ -270,8 +270,8 @@ def test_policies_that_remember_refuse_masks_of_other_teams_and_laws_of_time_wha
 
 
 @pytest.mark.parametrize("value", [0, -1, True, 2.0, "2", math.nan, math.inf, HUGE, [1]])
-def test_counts_of_the_wrong_kind(value):
-    assert f"max_cycles is {shown(value)}" in refusal(Simulator(PAIR).set_max_steps, value)
+def test_invalid_counts_are_rejected(value):
+    assert f"max_cycles is {short_repr(value)}" in refusal(Simulator(PAIR).set_max_steps, value)
     assert "num_envs is" in refusal(Simulator, PAIR, value)
     assert "num_threads is" in refusal(Simulator, PAIR, 1, num_threads=value)
     env = rv.parallel_env(PAIR, max_cycles=MOST_STEPS)
@@ -281,7 +281,7 @@ def test_counts_of_the_wrong_kind(value):
     assert "num_envs is" in refusal(rv.rollout, PAIR, lambda o, t: o, num_envs=value)
 
 
-def test_modes_and_policies_of_the_wrong_kind():
+def test_invalid_modes_and_policies_are_rejected():
     assert "max_cycles is None" in refusal(Simulator(PAIR).set_max_steps, None)
     for mode in ("Next", 5, None, ["NextStep"]):
         said = refusal(rv.make_vec, PAIR, autoreset_mode=mode)

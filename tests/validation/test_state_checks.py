@@ -80,12 +80,12 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("team", "name", "place", "value", "message"), WRONG)
-def test_an_entry_that_no_episode_has_is_refused(team, name, place, value, message):
+def test_impossible_state_entry_is_rejected(team, name, place, value, message):
     sim = started(*SIMULATORS[team])
     refused(sim, changed(sim.get_state(), name, place, value), re.escape(message))
 
 
-def test_entries_are_those_of_the_team_in_shape_and_type():
+def test_state_entries_must_match_shape_and_type():
     sim = started(*SIMULATORS["late"])
     state = sim.get_state()
     for wrong, message in (
@@ -97,7 +97,7 @@ def test_entries_are_those_of_the_team_in_shape_and_type():
         refused(sim, wrong, message)
 
 
-def test_survivors_are_their_own():
+def test_survivors_must_be_their_own_representative():
     sim = started(five("single_integrator-2d"), 1)
     state = sim.get_state()
     state["weights"][:] = 0.0
@@ -106,7 +106,7 @@ def test_survivors_are_their_own():
     assert sim.active.tolist() == [[True, False, False, True, True]]
 
 
-def test_lists_are_taken_or_refused_as_a_whole():
+def test_edge_lists_are_accepted_or_rejected_as_whole():
     sim, ragged = started(*SIMULATORS["team"]), [[1.0], [2.0, 3.0]]
     sim.step(np.ones((TEAMS, 5, 2)))
     state = sim.get_state()
@@ -119,14 +119,14 @@ def test_lists_are_taken_or_refused_as_a_whole():
     assert_same_state(sim, state)
 
 
-def test_what_is_no_state_is_refused():
+def test_non_state_is_rejected():
     filtered = HeadingFilter(five("unicycle"), 1)
     for target in (Simulator(five("unicycle")), parallel_env("fig3"), filtered):
         for wrong in (None, 3, [], "state"):
             refused(target, wrong, "must be a mapping")
 
 
-def test_states_of_all_moments_are_taken(kind):
+def test_states_of_all_phases_are_accepted(kind):
     """Before the first reset, in part reset, resting, running, merged, met, timed out."""
     scenario = five(kind, time_limit=1.0, spawn_size=3.0)
     sim, other = Simulator(scenario, TEAMS), Simulator(scenario, TEAMS)
@@ -158,7 +158,7 @@ def test_states_of_all_moments_are_taken(kind):
     assert anew.seeds.min() > 1
 
 
-def test_a_parallel_environment_takes_a_state_as_a_whole():
+def test_parallel_env_state_is_set_atomically():
     env = parallel_env("fig3")
     env.reset(seed=0)
     state = env.get_state()
@@ -208,7 +208,7 @@ def leaves(state, path=()):
 
 
 @pytest.mark.parametrize("make", NESTED.values(), ids=NESTED)
-def test_every_entry_of_a_nested_state_is_checked_before_any_is_taken(make):
+def test_nested_state_is_validated_before_use(make):
     """Entries of another moment, one of them spoilt: none of the others may get in."""
     target, other = make(), make()
     other.reset()  # the next episode: every entry that can differs
@@ -229,7 +229,7 @@ def test_every_entry_of_a_nested_state_is_checked_before_any_is_taken(make):
             refused(target, state, path[-1])
 
 
-def test_no_episode_of_robots_as_slots_has_these_counts():
+def test_robot_slots_reject_impossible_counts():
     target = robots()
     for name, value, what in (("returns", np.nan, "finite"), ("lengths", -1, "0 or more")):
         message = re.escape(f"{name}[1] is {value}; it must be {what}")

@@ -1,4 +1,4 @@
-"""``rendezvous reproduce bounds``: certified times over those that teams take, in docs."""
+"""``rendezvous reproduce bounds``: certified over simulated times, in docs."""
 
 import pytest
 from conftest import ROOT
@@ -16,7 +16,7 @@ def rows():
     return list(bounds.measure(FEW, teams=6, seed=0))
 
 
-def test_teams_meet_within_their_own_bounds(rows):
+def test_teams_meet_within_their_bounds(rows):
     for row in rows:
         assert set(row) == set(bounds.COLUMNS)
         assert 0 < row["median"] <= row["longest"] < row["own_bound"] < row["bound"]
@@ -25,7 +25,7 @@ def test_teams_meet_within_their_own_bounds(rows):
     assert rows[0]["bound"] == law.time_bound
 
 
-def test_the_command_writes_the_table_and_the_page(rows, tmp_path, monkeypatch, capsys):
+def test_command_writes_table_and_page(rows, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(bounds, "ROWS", FEW)
     table, page = bounds.table_of(rows), tmp_path / "page.md"
     page.write_text("\n".join(["# A", "", *table[:2], "| old | row |", "", "after"]))
@@ -39,7 +39,7 @@ def test_the_command_writes_the_table_and_the_page(rows, tmp_path, monkeypatch, 
     assert main([*flags[:2], "--policy", "zero"]) == 2
 
 
-def test_the_page_shows_the_bounds_of_today():
+def test_page_shows_current_bounds():
     head, rule, *_ = bounds.table_of([])
     lines = (ROOT / "docs/guarantees.md").read_text(encoding="utf-8").split("\n")
     first = lines.index(head)

@@ -1,7 +1,6 @@
-"""Mistakes that certificates once made, put back one at a time: ``verify --any`` finds each in a
-scenario as it draws them.
+"""Former errors of certificates, injected again: ``verify --any`` finds each of them.
 
-A search over some thousand numbers found those below; if what is drawn changes they are others.
+The seeds below were found by a search over some thousand; they change with the sampled scenarios.
 """
 
 from dataclasses import replace
@@ -16,7 +15,7 @@ from train.verify.random_scenarios import trials_of
 
 
 def exchange(monkeypatch, before, after):
-    """Give every theorem that has these bounds, or this assumption, others."""
+    """Replace the bounds or an assumption of every theorem that has them."""
     changed = tuple(
         replace(
             theorem,
@@ -30,16 +29,14 @@ def exchange(monkeypatch, before, after):
 
 
 def merges_at_midpoints(monkeypatch):
-    """Theorem R: as if a merge in an obstacle, too, were at the midpoint."""
+    """Theorem R: as if merges inside obstacles were at the midpoint."""
     monkeypatch.setattr(
         links, "merge_growth", lambda team: (team.n_robots - 1) * team.merge_radius / 2
     )
 
 
 def the_nearest_has_a_heavy_link(monkeypatch):
-    """Theorem G of robots that hide each other: a* for the lightest link, and the time of
-    continuous inputs.
-    """
+    """Theorem G with mutual occlusion: a* for the lightest link, and continuous inputs."""
     bounds = gains.bounds
 
     def followed(scenario, asked):
@@ -52,7 +49,7 @@ def the_nearest_has_a_heavy_link(monkeypatch):
 
 
 def a_speed_limit_bounds_gains(monkeypatch):
-    """Theorem G of law (1): min(D̄, v_max) τ ≤ r for D̄ τ ≤ r."""
+    """Theorem G of law (1): min(D̄, v_max) τ ≤ r in place of D̄ τ ≤ r."""
     within = assumptions.within_neighbours
 
     def slow(scenario, asked):
@@ -63,7 +60,7 @@ def a_speed_limit_bounds_gains(monkeypatch):
 
 
 EVERYBODY_IS_SEEN = {"graph": graphs.complete(13.0), "sensing": Sensing()}
-"""Of a kind that other tests compile."""
+"""Scenario of a kind that other tests compile."""
 
 
 @pytest.mark.parametrize(
@@ -77,7 +74,7 @@ EVERYBODY_IS_SEEN = {"graph": graphs.complete(13.0), "sensing": Sensing()}
         (a_speed_limit_bounds_gains, "law", 1101, {}, "nested"),
     ],
 )
-def test_a_mistake_that_is_put_back_is_found(mistake, by, number, changes, broken, monkeypatch):
+def test_planted_mistake_is_found(mistake, by, number, changes, broken, monkeypatch):
     drawn = next(one for one in trials_of(0, number) if one.by == by)
     scenario, *starts = (one.replace(**changes) for one in (drawn.scenario, *drawn.starts))
     trial = replace(drawn, scenario=scenario, starts=tuple(starts))

@@ -1,4 +1,4 @@
-"""``rendezvous verify --policy``: counterexamples of a policy, found, made small and repeated."""
+"""``rendezvous verify --policy``: counterexamples of a policy, minimised and reproduced."""
 
 import io
 import json
@@ -63,7 +63,7 @@ def of_three(scenario):
 
 @pytest.fixture
 def own(tmp_path, monkeypatch):
-    """The policies above as a module of a user."""
+    """The policies above as a user's module."""
     (tmp_path / "searched_policies.py").write_text(POLICIES, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "searched_policies", raising=False)
@@ -71,7 +71,7 @@ def own(tmp_path, monkeypatch):
 
 
 def search(out, policy, trials=24, **options):
-    """Exit status, rows of the table and what is printed."""
+    """Exit status, rows of the table, and output."""
     printed = io.StringIO()
     config = Config(trials=trials, policy=policy, out=out, jobs=1, **options)
     status = run(config, console=Console(file=printed, width=200))
@@ -88,7 +88,7 @@ def test_search_finds_nothing_wrong_with_a_law_that_converges(own, tmp_path):
 
 
 def test_search_looks_for_what_it_is_asked_for(own, tmp_path):
-    """Certified headings keep V from rising, and not the hull from growing."""
+    """Certified headings prevent increases of V, but not of the hull perimeter."""
     wanted = ("rise", "deadlock")
     status, rows, _ = search(tmp_path / "kept", own + "certified", search=wanted)
     assert status == 0

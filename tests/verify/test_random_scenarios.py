@@ -41,7 +41,7 @@ def promising(monkeypatch, **limits):
     monkeypatch.setattr(falsification, "ask", wrong)
 
 
-def test_scenarios_are_of_every_kind():
+def test_random_scenarios_cover_all_kinds():
     drawn = [trials_of(0, number, number)[0].scenario for number in range(600)]
     assert {scenario.sensing_graph.kind for scenario in drawn} == {
         *("complete", "edges", "path", "cycle", "star", "random_tree", "erdos_renyi"),
@@ -64,14 +64,14 @@ def test_scenarios_are_of_every_kind():
     assert 300 < len(given) < 600
 
 
-def test_the_same_number_is_the_same_scenario():
+def test_equal_seed_gives_equal_scenario():
     assert trials_of(3, 17) == trials_of(3, 17) != trials_of(3, 18)
     assert [one.by for one in trials_of(3, 17)] == list(CHOICES)
     assert trials_of(3, 17)[0].scenario != trials_of(4, 17)[0].scenario
 
 
 @pytest.mark.parametrize("by", CHOICES)
-def test_a_certificate_that_holds_is_checked_to_its_bound(by):
+def test_valid_certificate_is_checked_to_its_bound(by):
     played = play(trial(PAIR, by))
     timed = {name for name, what in played.counts if what == "time"}
     assert timed and all(name.startswith(f"{by}: ") for name in timed)
@@ -89,7 +89,7 @@ def test_a_certificate_that_holds_is_checked_to_its_bound(by):
         ("links", {"R"}),
     ],
 )
-def test_every_theorem_that_applies_is_named_with_what_it_promises(by, theorems):
+def test_applicable_theorems_are_named(by, theorems):
     found = ask(SQUARE, by, trial(by=by).arguments)
     assert set(found.theorems) == {f"{by}: {name}" for name in theorems}
     assert {number for own in found.theorems.values() for number in own} == set(found.limits)
@@ -115,7 +115,7 @@ NOISY = trial(PAIR.replace(sensing=rv.Sensing(noise=0.3)))
         ("ledger", -0.02, trial(by="tank", budget=1.0, min_alignment=0.05)),
     ],
 )
-def test_what_is_promised_in_vain_is_found(number, limit, given, monkeypatch):
+def test_false_bound_is_found(number, limit, given, monkeypatch):
     if given is NOISY:  # of means the others see nothing
         played = play(given)
         assert played.violation is None and played.counts["law: E[T]", number]
@@ -127,7 +127,7 @@ def test_what_is_promised_in_vain_is_found(number, limit, given, monkeypatch):
 @pytest.mark.parametrize(
     ("by", "number"), [("law", "time"), ("heading", "descent"), ("tank", "ledger")]
 )
-def test_bearings_that_are_more_wrong_than_allowed_are_found(by, number, monkeypatch):
+def test_excessive_bearing_errors_are_found(by, number, monkeypatch):
     path = SQUARE.replace(graph="path")
     off = 0.5 * rv.certificate(path, by=by, **trial(by=by).arguments).tolerated_bearing_error
     misled = trial(path, by, bearing_error=off)
@@ -137,7 +137,7 @@ def test_bearings_that_are_more_wrong_than_allowed_are_found(by, number, monkeyp
     assert play(misled).violation.number == number
 
 
-def test_starts_are_bettered_until_one_breaks_a_bound(monkeypatch, tmp_path):
+def test_search_improves_initial_conditions(monkeypatch, tmp_path):
     """What the bound is too small by shows from other starts only."""
     time = max(play(trial()).ratio.values()) * ask(SQUARE, "law", {}).limits["time"]
     promising(monkeypatch, time=time + 0.05)
@@ -160,7 +160,7 @@ def from_elsewhere(play):
 
 
 @pytest.mark.parametrize("generations", [0, 3])
-def test_what_turned_bearings_break_is_repeated_alone(generations, monkeypatch, tmp_path):
+def test_violation_by_rotated_bearings_repeats_alone(generations, monkeypatch, tmp_path):
     """The team errs alone as it did among others, wherever it stood among them."""
     path, teams = SQUARE.replace(graph="path"), set()
     off = 0.5 * rv.certificate(path, 0.7).tolerated_bearing_error
@@ -179,7 +179,7 @@ def test_what_turned_bearings_break_is_repeated_alone(generations, monkeypatch, 
     assert teams != {0}
 
 
-def test_a_violation_is_made_small_and_repeats_itself(monkeypatch, tmp_path):
+def test_violation_is_shrunk_and_repeatable(monkeypatch, tmp_path):
     promising(monkeypatch, lyapunov=(0.3,))
     large = SQUARE.replace(
         max_speed=3.0, time_step=0.01, on_merge="follow",
@@ -199,7 +199,7 @@ def test_a_violation_is_made_small_and_repeats_itself(monkeypatch, tmp_path):
     assert repeat(file).violation is None  # of the right certificate
 
 
-def test_what_is_not_promised_is_not_played():
+def test_refused_certificate_is_not_simulated():
     alone = SQUARE.replace(graph=rv.graphs.from_edges([(0, 1)], 4), require_connected=False)
     played = play(trial(alone, "tank"))
     assert not played.counts and played.steps == 0
@@ -214,7 +214,7 @@ def one_kind(monkeypatch):
     monkeypatch.setattr(random_scenarios, "draw_kind", lambda random: PLANE)
 
 
-def test_nothing_is_violated(tmp_path, one_kind):
+def test_no_violation_is_found(tmp_path, one_kind):
     status, rows, printed = command(tmp_path, trials=120)
     assert status == 0 and printed.count("0 violations") == 1
     assert sum(int(row["granted"]) for row in rows) > 1000
@@ -224,7 +224,7 @@ def test_nothing_is_violated(tmp_path, one_kind):
     assert [path.name for path in tmp_path.iterdir()] == ["any.csv"]
 
 
-def test_violations_are_written_and_end_with_status_1(tmp_path, monkeypatch, one_kind):
+def test_violations_are_written_with_status_1(tmp_path, monkeypatch, one_kind):
     promising(monkeypatch, lyapunov=(0.5,))
     status, rows, printed = command(tmp_path, trials=36)
     assert status == 1 and sum(int(row["violations"]) for row in rows) > 0
@@ -234,7 +234,7 @@ def test_violations_are_written_and_end_with_status_1(tmp_path, monkeypatch, one
 
 
 @pytest.mark.slow
-def test_thousands_of_scenarios_of_all_kinds(tmp_path):
+def test_thousands_of_random_scenarios_hold(tmp_path):
     """As many as a core plays in two minutes, once the kernels of their kinds are compiled."""
     status, rows, printed = command(tmp_path, trials=10_000, kinds=8, jobs=None)
     assert status == 0, printed
@@ -243,7 +243,7 @@ def test_thousands_of_scenarios_of_all_kinds(tmp_path):
 
 
 @pytest.mark.slow
-def test_scenarios_of_larger_teams(tmp_path, monkeypatch):
+def test_scenarios_of_larger_teams_hold(tmp_path, monkeypatch):
     """Among many neighbours those of a robot may be all round in ever thinner ways."""
     monkeypatch.setattr(random_scenarios, "_SIZES", (8, 12, 16))
     status, rows, printed = command(tmp_path, trials=300, kinds=3)

@@ -63,7 +63,7 @@ def stopped(settings, after):
 
 
 @pytest.mark.parametrize("after", [1, 4, 8])
-def test_what_is_finished_is_not_done_again(after, tmp_path):
+def test_finished_claims_are_not_repeated(after, tmp_path):
     whole, _ = checked(config(tmp_path / "whole"))
     out = tmp_path / "out"
     notes = stopped(config(out), after).__notes__
@@ -76,7 +76,7 @@ def test_what_is_finished_is_not_done_again(after, tmp_path):
     assert [path.name for path in out.iterdir()] == ["verify.csv"]
 
 
-def test_so_it_is_with_any(tmp_path):
+def test_finished_random_scenarios_are_not_repeated(tmp_path):
     settings = {"any": True, "claims": (), "trials": 72}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(verify, "DRAWS", 4)
@@ -88,7 +88,7 @@ def test_so_it_is_with_any(tmp_path):
     assert printed.split(" of 24 teams")[0] in again and "72 random scenarios" in again
 
 
-def test_another_command_or_program_is_refused(tmp_path, monkeypatch):
+def test_other_command_or_program_is_rejected(tmp_path, monkeypatch):
     stopped(config(tmp_path), 1)
     before = contents(tmp_path)
     for changes, field in (
@@ -108,8 +108,8 @@ def test_another_command_or_program_is_refused(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("first", [None, 0, 2**40])
 @pytest.mark.parametrize("numbers", [(40, -0.0, math.nan, 0), (1, -1 / 3, math.inf, 1)])
-def test_a_task_reads_back_bit_by_bit(numbers, first, tmp_path):
-    part = resume.Part(tmp_path / "part", {}, "test")
+def test_task_round_trips_bitwise(numbers, first, tmp_path):
+    part = resume.RunCheckpoint(tmp_path / "part", {}, "test")
     trials, margin, ratio, violations = numbers
     seen = Tally(trials, 0.1 + 0.2, 7, margin, violations, first, ratio={"one": ratio})
     with part.at_work(tmp_path, Console(), fresh=False):
@@ -118,9 +118,9 @@ def test_a_task_reads_back_bit_by_bit(numbers, first, tmp_path):
         assert part.load("another") is None
 
 
-def test_a_folder_on_its_way_out_can_still_be_gone_on_with(tmp_path, monkeypatch):
+def test_folder_being_removed_can_be_resumed(tmp_path, monkeypatch):
     """It is there with all that it holds, or not at all."""
-    part = resume.Part(tmp_path / "part", {"seed": 1}, "test")
+    part = resume.RunCheckpoint(tmp_path / "part", {"seed": 1}, "test")
     with part.at_work(tmp_path, Console(), fresh=False):
         part.save("one", {"x": 1})
     for name, stays in (("rename", True), ("rmtree", False)):

@@ -43,7 +43,7 @@ def caught(tmp_path, claim, trials=4 * BATCH):
     return int(row["violations"]) / int(row["trials"]), float(row["worst_margin"])
 
 
-def test_nothing_is_violated(tmp_path):
+def test_no_claim_is_violated(tmp_path):
     status, rows, printed = command(tmp_path, trials=40)
     assert status == 0 and "0 violations" in printed
     assert [row["claim"] for row in rows] == list(BY_NAME)
@@ -60,13 +60,13 @@ def test_nothing_is_violated(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["verify.csv"]
 
 
-def test_the_same_seed_finds_the_same(tmp_path):
+def test_equal_seed_gives_equal_results(tmp_path):
     found = [command(tmp_path, BY_NAME["theorem-2"], seed=seed)[1][0] for seed in (5, 5, 6)]
     margins = [row["worst_margin"] for row in found]
     assert margins[0] == margins[1] != margins[2]
 
 
-def test_the_trials_are_of_every_kind():
+def test_trials_cover_all_kinds():
     """Sizes, dimensions, graphs, frames, speed limits and starts all vary."""
     random = np.random.default_rng(0)
     drawn = [cases.draw_team(random, batch, 0.3) for batch in range(60)]
@@ -82,7 +82,7 @@ def test_the_trials_are_of_every_kind():
     assert {trial.frame for trial in drawn} == {"net_bearing", "local"}
 
 
-def test_merges_do_raise_v_and_stay_below_their_bound():
+def test_merges_raise_v_within_bound():
     """The row merge-rise has something to look at."""
     trial = BY_NAME["merge-rise"].draw(np.random.default_rng(3), 0, 0.3)
     wrapped, seen, policy = begin(trial, 0.0, 64)
@@ -121,7 +121,7 @@ def bare(trial, random):
 
 
 @pytest.mark.parametrize("name", ["theorem-1", "certified-step"])
-def test_a_law_with_a_flipped_sign_is_caught(tmp_path, name):
+def test_flipped_law_is_detected(tmp_path, name):
     claim = dataclasses.replace(BY_NAME[name], law=flipped)
     found, worst = caught(tmp_path, claim, trials=2 * BATCH)
     assert found == 1.0 and worst < -1e-3
@@ -130,7 +130,7 @@ def test_a_law_with_a_flipped_sign_is_caught(tmp_path, name):
 @pytest.mark.parametrize(
     ("name", "bound", "share"), [("theorem-2", 20.0, 1.0), ("gate", 60.0, 0.9)]
 )
-def test_robots_that_nothing_certifies_are_caught(tmp_path, name, bound, share, monkeypatch):
+def test_uncertified_headings_are_detected(tmp_path, name, bound, share, monkeypatch):
     mistaken(monkeypatch, HeadingFilter, lambda known: {"certified": False})
 
     def draw(random, batch, least_margin):
@@ -149,7 +149,7 @@ def test_robots_that_nothing_certifies_are_caught(tmp_path, name, bound, share, 
     assert caught(tmp_path, claim, trials=2 * BATCH)[0] >= share
 
 
-def test_a_step_four_times_too_long_without_scaling_is_caught(tmp_path, monkeypatch):
+def test_long_unscaled_step_is_detected(tmp_path, monkeypatch):
     draw = partial(cases.draw_team, step_factors=(4.0, 4.0 + 1e-9))
     claim = dataclasses.replace(BY_NAME["local-scaling"], draw=draw)
     assert command(tmp_path, claim, trials=4 * BATCH)[0] == 0
@@ -175,7 +175,7 @@ def with_max_a(trial, teams):
     return bound_a(trial, teams) * (scenario.bottleneck_weight / heaviest) ** 2
 
 
-def test_max_a_in_place_of_the_bottleneck_weight_is_caught(tmp_path):
+def test_wrong_bottleneck_weight_is_detected(tmp_path):
     right = dataclasses.replace(BY_NAME["bound-A"], draw=light_link_left)
     status, (row,), _ = command(tmp_path, right)
     assert status == 0 and float(row["worst_time_over_bound"]) < 0.6
@@ -186,7 +186,7 @@ def test_max_a_in_place_of_the_bottleneck_weight_is_caught(tmp_path):
     assert "bound-A is violated" in printed and row["worst_time_over_bound"] == "inf"
 
 
-def test_a_graph_of_links_one_way_is_caught_and_its_batch_repeats_it(tmp_path):
+def test_directed_graph_violation_repeats_from_batch(tmp_path):
     """Of which lemma 1 says nothing."""
     soon = lambda *given: np.ones(BATCH)  # noqa: E731
     claim = dataclasses.replace(BY_NAME["lemma-1"], draw=one_sided, bound=soon)
@@ -198,7 +198,7 @@ def test_a_graph_of_links_one_way_is_caught_and_its_batch_repeats_it(tmp_path):
     assert again["first_violation"] == row["first_violation"]
 
 
-def test_the_command_line(tmp_path, capsys, monkeypatch):
+def test_command_line_options_work(tmp_path, capsys, monkeypatch):
     flags = ["verify", "--trials", "3", "--claims", "lemma-1", "bound-A", "--out", str(tmp_path)]
     assert main(flags) == 0
     rows = read_csv(tmp_path / "verify.csv")

@@ -18,7 +18,7 @@ from rich.table import Table
 import rendezvous_env as rv
 from rendezvous_env.engine.threads import available_cores
 
-from ..checks import Bounds, Flags, UserError, installed, unknown
+from ..checks import Bounds, Flags, UserError, installed, unknown_name
 from ..console import Console
 from ..results import prepare_file, provenance, write_json
 from . import cases, learners
@@ -63,7 +63,7 @@ median over turns of this rate divided by that of the case against which it is m
 def check(config: Config) -> None:
     """Validate the settings."""
     if others := sorted(set(config.only) - set(GROUPS)):
-        raise unknown("--only: group", others[0], GROUPS)
+        raise unknown_name("--only: group", others[0], GROUPS)
     if not config.robots:
         raise UserError("--robots names none; give sizes of teams, 2 or more")
     if (bearings := config.num_envs * max(config.robots) ** 2) > _MOST_BEARINGS:

@@ -105,12 +105,12 @@ def heading_ppo(size: Size) -> list[Case]:
     def build_theirs() -> Running:
         from stable_baselines3 import PPO
 
-        from ..learn.teams import make_teams
+        from ..learn.teams import make_environments
         from ..learn.trainer import SAME_NAME
 
         alike = {name: getattr(config, name) for name in SAME_NAME}
         alike |= {"batch_size": min(config.batch_size, samples), "n_epochs": config.epochs}
-        return learning(PPO("MlpPolicy", _free(make_teams(config, 0)), **alike))
+        return learning(PPO("MlpPolicy", _free(make_environments(config, 0)), **alike))
 
     def learning(model: Any) -> Running:
         model.set_logger(Logger(None, []))

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from .. import results
 from ..console import Console, counted
-from ..resume import Part
-from ..tasks import Workers, each
+from ..resume import RunCheckpoint
+from ..tasks import Workers, parallel_map
 from . import out_folder, statistics, sweep, tables, upper_bound
 from .playing import Played, blocks_of, by_scenario, joined, plan_of, play_all, play_job, summary
 from .ranking import Ranking, answer, rank
@@ -57,7 +57,7 @@ def run(config: Config) -> int:
     console, clock = Console(), _Clock()
     jobs = plan(config)
     out = out_folder.destination(config.out)
-    part = Part(out_folder.part_of(out), plan_of(jobs, config), "comparison")
+    part = RunCheckpoint(out_folder.part_of(out), plan_of(jobs, config), "comparison")
     with part.at_work(config.out, console, fresh=config.fresh):
         results.put_back(out)
         clock.now("setting up")
@@ -109,7 +109,9 @@ class Found:
         )
 
 
-def _play(config: Config, jobs: Sequence[Job], part: Part, console: Console) -> tuple[Found, float]:
+def _play(
+    config: Config, jobs: Sequence[Job], part: RunCheckpoint, console: Console
+) -> tuple[Found, float]:
     """Results, and the time that workers spent on compiling or loading kernels, s."""
     blocks = [blocks_of(number, job, config) for number, job in enumerate(jobs)]
     bounded = filter(upper_bound.applies, dict.fromkeys(job.scenario for job in jobs))
@@ -156,7 +158,7 @@ def _show(found: Found, config: Config, console: Console) -> None:
     console.print()
 
 
-def write(part: Part, found: Found, config: Config) -> list[str]:
+def write(part: RunCheckpoint, found: Found, config: Config) -> list[str]:
     """Write all tables and trajectories.npz; returns their names."""
     episodes = (
         {"scenario": done.job.scenario.name, "policy": done.job.name} | row
@@ -231,12 +233,12 @@ def _plain(row: Row, columns: Sequence[str]) -> Row:
     return {column: None if cell == "" else cell for column, cell in cells.items()}
 
 
-def _draw(part: Part, found: Found, config: Config, console: Console) -> list[str]:
+def _draw(part: RunCheckpoint, found: Found, config: Config, console: Console) -> list[str]:
     """Draw all figures; returns the names of their files."""
     pictures, endings = list(_pictures(found, config)), ("png", "pdf") if config.pdf else ("png",)
     work = partial(_draw_one, folder=part.whole, run=part.run, endings=endings)
     # on this machine, wherever was played: its files are wanted here
-    drawn = each(work, pictures, Workers(jobs=config.jobs))
+    drawn = parallel_map(work, pictures, Workers(jobs=config.jobs))
     with console.status("drawing …"), closing(drawn):
         list(drawn)
     return [f"{title}.{ending}" for title, _ in pictures for ending in endings]

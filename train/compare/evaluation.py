@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rendezvous_env.compilation import kernel
 from rendezvous_env.engine.memory import RENDEZVOUS
-from rendezvous_env.engine.preparation import begins_alike
+from rendezvous_env.engine.preparation import has_fixed_start
 from rendezvous_env.engine.state_checks import check_mask, check_numbers, check_observations
 from rendezvous_env.physics.neighbour_rows import net_bearing_of
 from rendezvous_env.physics.vectors import X_AXIS, dot, load
@@ -22,7 +22,7 @@ from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, Step, run
 
 from ..checks import user_error
-from ..recording import Recorder, Recording, seen_again, state_of
+from ..recording import Recorder, Recording, is_recomputable, state_of
 
 CHUNK = 1024
 """Maximum batch size; further initial conditions are simulated in later chunks."""
@@ -97,27 +97,27 @@ def play(
 
     Args:
         scenario: the experiment.
-        make_policy: gives a fresh policy for each chunk of teams.
-        margin: alignment margin ε that the policy promises, 1 for law (1), None if none.
+        make_policy: creates a policy for each chunk of environments.
+        margin: minimum alignment ε that the policy guarantees, 1 for law (1), None if none.
         episodes: N.
-        seed: of the first start.
-        keep: how many of the first starts to record.
-        steps: most steps of an episode; None plays to the end.
-        promised: time by which the policy has met from any start, s; it counts where ``margin``
-            promises none.
+        seed: seed of the first initial condition.
+        keep: number of first initial conditions to record.
+        steps: maximum number of steps of an episode; None runs to the end.
+        promised: guaranteed rendezvous time from any initial condition, s; it applies if ``margin``
+            guarantees none.
 
     Raises:
-        UserError: if the scenario has no room for a start.
+        UserError: if the scenario has no room for an initial condition.
     """
     episodes = starts_of(scenario, episodes)
     parts: list[Episodes] = []
     recordings: list[Recording] = []
     for first in range(0, episodes, CHUNK):
         simulator = Simulator(scenario, min(CHUNK, episodes - first))
-        with user_error(f"{scenario.name}: ", RuntimeError):  # no room for a start
+        with user_error(f"{scenario.name}: ", RuntimeError):  # no room for an initial condition
             observations = simulator.reset(seed + first)
         kept = range(min(keep, episodes)) if first == 0 else ()
-        exact = seen_again(scenario)
+        exact = is_recomputable(scenario)
         recorders = [Recorder(simulator, team, observations, exact) for team in kept]
         meter = _Meter(simulator)
         for step in islice(run(simulator, make_policy(), observations), steps):
@@ -131,7 +131,7 @@ def play(
 
 def starts_of(scenario: Scenario, asked: int) -> int:
     """Number of distinct initial conditions, at most the requested number."""
-    return 1 if begins_alike(scenario) else asked
+    return 1 if has_fixed_start(scenario) else asked
 
 
 def counts_contacts(scenario: Scenario) -> bool:
@@ -149,7 +149,7 @@ class _Meter:
         self._merge_rise, self._merge_excess = np.zeros((2, batch))
         self._alignment = np.full(batch, np.inf)
         sized = not simulator.scenario.sensing_graph.undirected
-        # a hull for every team and step costs more than a step
+        # computing a hull per environment and step is slower than a step
         self._size = simulator.size() if sized else None
 
     def see(self, step: Step) -> NDArray[np.float64]:

@@ -12,26 +12,29 @@ from rendezvous_env.baselines.learned import checkpoints
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.simulator import Simulator
 
 from .. import policies
 from ..checks import UserError
 from ..console import Console
 from ..recording import Recording
 from ..results import entry
-from ..resume import Part, program
-from ..tasks import Workers, each
+from ..resume import RunCheckpoint, program
+from ..tasks import Workers, parallel_map
 from . import statistics
 from .evaluation import Episodes, play
 from .settings import Config, Job
 
 BLOCK = 128
-"""Maximum number of initial conditions per task, independent of the number of workers: rounding of
-matrix products may depend on their size."""
+"""Maximum number of initial conditions per task, independent of the number of workers.
+
+Rounding of matrix products may depend on their size."""
 TOGETHER = 8
 """Batch size that uses the SIMD code path."""
 _MANY = 32
-"""Number of tasks from which worker processes start at once. With fewer, this process starts alone,
-since compiling may dominate the first task."""
+"""Number of tasks from which worker processes start at once.
+
+With fewer, this process starts alone, since compiling may dominate the first task."""
 
 
 @dataclass(frozen=True)
@@ -120,18 +123,18 @@ def _weights(policy: str, scenarios: Sequence[Scenario]) -> str | None:
 class Task:
     """Part of a comparison that can run in any process."""
 
-    name: str  # of the file in OUT.part that keeps its result
-    label: str  # for the progress bar, once it is done
+    name: str  # of the file in OUT.part with its result
+    label: str  # for the progress bar when it is done
     scenario: Scenario
-    count: int  # of starts
+    count: int  # number of initial conditions
     work: Callable[[], Any]  # pickled, as its result
-    stays: bool = False  # whether only this process can do it
+    stays: bool = False  # whether it must run in this process
 
 
 def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
     """Tasks of a job, one per block of initial conditions; ``number`` is the job's index."""
     starts, kept = config.starts(job.scenario), config.kept(job.scenario)
-    # what was registered from outside is known to this process alone
+    # external registrations exist in this process only
     has_file = ":" in job.policy and not job.policy.startswith("__main__:")
     stays = policies.kind_of(job.policy) == "own" and not has_file
     stays |= bool(policies.registered(job.scenario))
@@ -170,7 +173,7 @@ def play_block(
     if first == 0 and keep > 0 and failed.size and failed[0] >= keep:
         start = int(failed[0])
         again = play_job(job, episodes=1, seed=seed + start, keep=1)
-        # played alone, a network may round otherwise: a replay that differs is not shown
+        # a network may round differently with one environment; a differing replay is discarded
         if again.episodes.time[0] == done.episodes.time[start] and not again.episodes.good[0]:
             kept[start] = again.recordings[0]
     if weights is not None and _weights(job.policy, [job.scenario]) != weights:
@@ -183,8 +186,9 @@ def play_block(
 
 @cache
 def make_ready(job: Job, starts: int) -> None:
-    """Compile or load the kernels of a job by running two steps."""
+    """Compile or load all kernels of a job, those of contacts and merges included."""
     play_job(job, episodes=starts, seed=0, steps=2)
+    Simulator(job.scenario, starts).compile()
 
 
 def joined(blocks: Sequence[Played]) -> Played:
@@ -194,7 +198,7 @@ def joined(blocks: Sequence[Played]) -> Played:
 
 
 def play_all(
-    tasks: Sequence[Task], workers: Workers, part: Part, console: Console
+    tasks: Sequence[Task], workers: Workers, part: RunCheckpoint, console: Console
 ) -> tuple[dict[str, Any], float]:
     """Run all unfinished tasks with a progress bar.
 
@@ -204,7 +208,7 @@ def play_all(
 
     def do(left: Sequence[Task]) -> Generator[tuple[int, Any], None, None]:
         long = len(left) >= _MANY
-        return each(methodcaller("work"), left, workers, attrgetter("stays"), long=long)
+        return parallel_map(methodcaller("work"), left, workers, attrgetter("stays"), long=long)
 
     found, ready = {}, 0.0
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())

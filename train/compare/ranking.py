@@ -16,7 +16,7 @@ from .statistics import best_policy, clean_difference
 _MOST_NAMED = 4
 """Maximum number of tied policies named in the summary."""
 ONE_START, NONE_MET = "one start decides nothing", "no policy met without a collision"
-"""Why a scenario has no best policy."""
+"""Reasons why a scenario has no best policy."""
 
 
 @dataclass(frozen=True)
@@ -26,17 +26,17 @@ class Ranking:
     scenario: str
     starts: int
     share: dict[str, float]  # collision-free success, 0 to 1; NaN where contacts do not count
-    best: str | None  # of those that know no map
+    best: str | None  # among policies that are not oracles
     tied: tuple[str, ...]
     """Policies whose paired difference from the best has an interval that contains 0."""
     references: tuple[str, ...]
     """Oracles, which are shown but not ranked."""
     undecided: str = ""
-    """Why there is no best, where policies compete: ONE_START or NONE_MET."""
+    """Reason why there is no best policy, where policies compete: ONE_START or NONE_MET."""
 
     @property
     def is_contest(self) -> bool:
-        """Whether there was something to win."""
+        """Whether policies compete on the scenario."""
         return self.best is not None and len(self.share) - len(self.references) > 1
 
     @property
@@ -55,7 +55,7 @@ def rank(played: Sequence[Played]) -> list[Ranking]:
 def _rank_one(
     scenario: Scenario, episodes: dict[str, Episodes], kinds: Mapping[str, str]
 ) -> Ranking:
-    """The ranking of the policies on one scenario; ``kinds`` by name."""
+    """Ranking of the policies on one scenario; ``kinds`` by name."""
     share = {name: float(own.clean.mean()) for name, own in episodes.items()}
     references = tuple(name for name in episodes if kinds[name] == "privileged")
     competing = {name: own for name, own in episodes.items() if name not in references}
@@ -73,11 +73,11 @@ def _rank_one(
 
 
 def _tied(best: str, competing: dict[str, Episodes]) -> tuple[str, ...]:
-    """Those whose paired interval of the difference from the best contains 0."""
+    """Policies whose paired interval of the difference from the best contains 0."""
     found = []
     for name in (name for name in competing if name != best):
         difference, (low, high) = clean_difference(competing[name], competing[best])
-        if difference == 0 or low <= 0 <= high:  # the only start of a scenario has no interval
+        if difference == 0 or low <= 0 <= high:  # no interval for one episode
             found.append(name)
     return tuple(found)
 

@@ -8,7 +8,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from rendezvous_env import baselines
-from rendezvous_env.checks import meant
+from rendezvous_env.checks import closest_match
 from rendezvous_env.scenario import scenarios as named_scenarios
 from rendezvous_env.scenario.scenario import Scenario
 
@@ -52,17 +52,15 @@ class Config(Workers):
     scenarios: Annotated[tuple[str, ...], arg(aliases=("--scenario",))] = DEFAULT_SCENARIOS
     """Names of scenarios, or paths of TOML files; in Python also Scenario objects."""
     policies: Annotated[tuple[str, ...], arg(aliases=("--policy",))] = ()
-    """Names of policies, learned:PATH of a run, or module:function of your own: a function of a
-    scenario that gives a policy, or None where it does not fit. LABEL=NAME has tables, figures and
-    the report call it LABEL. Without this flag every policy that
-    fits is compared, but for those that see nothing and for references, which see everything. Where
-    no scenarios are named either, policies without a chance are left out to save time: laws of the
-    literature among obstacles, which they do not see, and policies made for sensors that err where
-    sensors are exact."""
+    """Names of policies, learned:PATH of a run, or module:function of a custom one: a function of a
+    scenario that returns a policy, or None where it does not fit. With LABEL=NAME, tables, figures
+    and the report use LABEL. Default: every policy that fits, except oracles and those without
+    observations. If scenarios are not named either, policies without a chance are skipped: laws
+    of the literature in scenarios with obstacles, which they do not sense, and policies for
+    imperfect sensors in scenarios with exact ones."""
     episodes: Annotated[int | None, Bounds(1)] = None
-    """How many starts of each scenario are played: 100 by default, and fewer for more than
-    eight robots among obstacles, 800 over their number. A scenario whose start is given is played
-    once."""
+    """Number of initial conditions per scenario. Default: 100; with obstacles and more than eight
+    robots, 800 divided by their number. A scenario with given initial positions is run once."""
     seed: Annotated[int, Bounds(0)] = 0
     """First seed: initial condition k of every scenario has seed SEED + k for all policies."""
     out: Path = Path("out/compare")
@@ -110,7 +108,7 @@ class Config(Workers):
 
 
 def _fewer(usual: int, scenario: Scenario) -> int:
-    """As many as usual, or fewer for a large team among obstacles."""
+    """Default number, reduced for many robots among obstacles."""
     large = scenario.obstacles and scenario.n_robots > _LARGE
     return max(1, usual * _LARGE // scenario.n_robots) if large else usual
 
@@ -122,7 +120,7 @@ class Job:
     scenario: Scenario
     policy: str
     label: str = ""
-    """What tables, figures and the report call it, if not by its name."""
+    """Label in tables, figures and the report, if different from the name."""
 
     @property
     def name(self) -> str:
@@ -151,7 +149,7 @@ def plan(config: Config) -> list[Job]:
         jobs += [Job(scenario, name, labels.get(name, "")) for name in fitting]
     played = list(dict.fromkeys(job.name for job in jobs))
     if config.against is not None and config.against not in played:
-        near = meant(config.against, played, after=" ")
+        near = closest_match(config.against, played, after=" ")
         raise UserError(
             f"--against {config.against!r} is not compared; {near}these are: {', '.join(played)}"
         )

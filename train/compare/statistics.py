@@ -98,7 +98,7 @@ def rounding_of_v(scenario: Scenario) -> float:
 
 
 def rounding_of_clearance(scenario: Scenario) -> float:
-    """The largest clearance, a number, m, that counts as that of a contact: r/1000."""
+    """Largest clearance, a number, m, that counts as a contact: r/1000."""
     return 1e-3 * scenario.merge_radius
 
 
@@ -149,7 +149,7 @@ def compare_pairs(
     The default reference is law (1), or else the best policy. Two failures tie.
     """
     against = against or ("bearing-only" if "bearing-only" in played else best_policy(played))
-    # a rendezvous that is not good is later than any
+    # without success, an episode ranks after any rendezvous
     costs = {name: np.where(own.good, own.time, np.inf) for name, own in played.items()}
     rows = []
     for name in (name for name in played if name != against):

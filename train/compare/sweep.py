@@ -7,7 +7,7 @@ from typing import Any
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.sensors.sensing import Sensing
 
-from ..checks import UserError, unknown, user_error
+from ..checks import UserError, unknown_name, user_error
 
 Level = float | str | None
 _EXACT = "none"
@@ -28,7 +28,7 @@ class Sweep:
 
     base: Scenario
     field: str  # of ``rv.Sensing``
-    levels: tuple[Level, ...]  # in the order in which they were named
+    levels: tuple[Level, ...]  # in the order given
     scenarios: tuple[Scenario, ...]  # the base at each level
 
     @property
@@ -48,7 +48,7 @@ def sweeps(scenarios: Sequence[Scenario], words: Sequence[str]) -> list[Sweep]:
     for word in words:
         name, _, listed = word.partition("=")
         if name not in _FIELDS:
-            raise unknown(f"--sensing {word}: field of a sensor", name, _FIELDS)
+            raise unknown_name(f"--sensing {word}: field of a sensor", name, _FIELDS)
         levels = tuple(_level(name, text) for text in listed.split(",") if text)
         if len(levels) < 2 or len(set(levels)) < len(levels):
             raise UserError(f"--sensing {word}: name two or more levels, as in {name}=0,0.1")

@@ -85,7 +85,7 @@ def _metres(value: float, digits: int) -> str:
 
 
 def _clearance(value: float, scenario: Scenario) -> str:
-    """A clearance, m; that of a contact is 0 but for rounding."""
+    """Format a clearance, m; that of a contact is 0 up to rounding."""
     return _metres(0.0 if abs(value) < rounding_of_clearance(scenario) else value, 2)
 
 

@@ -29,7 +29,7 @@ from .settings import Config
 MIN_ALIGNMENT = 0.05
 """Minimum alignment ε of every run."""
 _LEAST_CLEARANCE, _MOST_CLEARANCE = 0.02, 0.4  # rad
-_SPREADS = (0.3, 0.6, 1.0)  # rad; of the bias that a robot keeps for an episode
+_SPREADS = (0.3, 0.6, 1.0)  # rad; of the constant bias of a robot in an episode
 _WANDER = 0.3
 """Standard deviation of the varying bias relative to the constant one."""
 _WANDER_TIME = 1.0  # s

@@ -1,4 +1,4 @@
-"""``rendezvous reproduce bounds``: what certificates promise, over what teams take."""
+"""``rendezvous reproduce bounds``: certified time bounds over simulated rendezvous times."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -24,15 +24,15 @@ ROWS = (
     *[("tank", team) for team in ("complete-10", "cycle-10")],
     *[("links", team) for team in ("complete-10", "cycle-10")],
 )
-"""What keeps the guarantee, and teams."""
+"""Guarantees and scenarios of the rows."""
 COLUMNS = {
     "by": "law or filter", "graph": "graph", "median": "median (s)", "longest": "longest (s)",
     "bound": "bound (s)", "own_bound": "own bound (s)", "ratio": "own bound / median",
 }  # fmt: skip
-"""Of bounds.csv, and what the page calls them. The bounds are that of any start in the spawn area
-and the median of those of the teams' own starts, which stands in the ratios."""
+"""Columns of bounds.csv and their headings on the page. The bounds are that of any initial
+condition in the spawn area, and the median over the simulated ones, which the ratios use."""
 _MARGIN = 0.1
-"""ε of headings and tanks."""
+"""Minimum alignment ε of headings and tanks."""
 _MOST_STEPS = 100_000
 _NAMES = {
     "law": "law (1)",

@@ -245,7 +245,7 @@ def sweep_figure(
         own.sort(key=lambda row: numbers[row["scenario"]])
         x = [numbers[row["scenario"]] for row in own]
         shares = 100.0 * columns_of(own, "clean_success", "clean")
-        policy_line(axes, policy, x, shares, own_of_all)
+        draw_policy(axes, policy, x, shares, own_of_all)
     places = sorted(numbers.values())
     if min(np.diff(places)) < _CROWDED * (places[-1] - places[0]):
         axes.set_xscale("log")
@@ -262,7 +262,7 @@ def sweep_figure(
     return figure
 
 
-def policy_line(
+def draw_policy(
     axes: Axes,
     policy: str,
     x: Sequence[float] | NDArray[Any],
@@ -315,10 +315,10 @@ def level_figure(sweep: Any, rows: Sequence[dict[str, Any]]) -> Figure:
     names = ("clean_success", "clean") if counts else ("success", "success")
     for policy, own in found.items():
         x = np.arange(len(own))
-        policy_line(above, policy, x, 100.0 * columns_of(own, *names), own_of_all)
+        draw_policy(above, policy, x, 100.0 * columns_of(own, *names), own_of_all)
         times = columns_of(own, "median_time", "time")
         met = times[0] < limit
-        policy_line(below, policy, x[met], times[:, met], own_of_all)
+        draw_policy(below, policy, x[met], times[:, met], own_of_all)
     above.set(ylim=(-2, 102), ylabel=f"{'collision-free ' if counts else ''}success (%)")
     unit = f" ({_UNITS[sweep.field]})" if sweep.field in _UNITS else ""
     below.set(ylabel="median time (s)", xlabel=f"{sweep.field.replace('_', ' ')}{unit}")

@@ -35,32 +35,33 @@ if TYPE_CHECKING:
     from rendezvous_env import Certificate, Trajectory
 
 _MOST_NAMES = 8
-"""Robots up to which each has its number beside its start."""
+"""Maximum number of robots with a number beside the initial position."""
 _PATHS, _VALUE = 3.1, 2.2
-"""Heights of both parts of the picture of a team, inch."""
+"""Heights of both parts of an episode figure, inch."""
 _ARROWS = 4
-"""Headings drawn along each path."""
+"""Number of headings drawn along each path."""
 _LEAST_SHARE = 0.2
-"""Of the larger side of a picture of paths that the other one has, so that a row has room, too."""
+"""Minimum length of the shorter side of a path panel relative to the longer side."""
 _NARROW = 0.6
-"""A panel whose sides have a smaller ratio has fewer ticks on the short one."""
+"""Panels with a smaller aspect ratio have fewer ticks on the short side."""
 _FAR = 3.0
-"""Times the length of an episode from which a bound on the time needs a logarithmic axis."""
+"""Ratio of time bound and episode length from which the time axis is logarithmic."""
 _DECADES = 300.0
-"""Times that the end of an episode is later than the left end of a logarithmic axis."""
+"""Ratio of the end of an episode and the left end of a logarithmic axis."""
 _JUMPS = ("lyapunov_before_merge", "lyapunov_after_merge")
 _MOST_COLUMNS = 5
-"""Panels of a row."""
+"""Maximum number of panels in a row."""
 _LATE = 0.7
-"""Share of an episode after which merges are so close together that they are shown enlarged."""
+"""Fraction of an episode after which merges are close together and shown enlarged."""
 
 
 @styled
 def trajectories_figure(
     scenario: Scenario, recordings: Mapping[str, Recording], own: Sequence[str] = ()
 ) -> Figure:
-    """What every policy does on the same start of a scenario in the plane, a panel each; ``own``
-    as in ``figures.policy_colour``.
+    """Paths of every policy from one initial condition of a planar scenario, one panel each.
+
+    ``own`` is as in ``figures.policy_colour``.
     """
     columns = columns_of(len(recordings))
     rows = math.ceil(len(recordings) / columns)
@@ -94,18 +95,17 @@ def trajectories_figure(
 
 
 def columns_of(count: int) -> int:
-    """Panels in a row of so many: four, or three or five where that leaves fewer places free."""
+    """Number of panels in a row: four, or three or five if that leaves fewer places free."""
     if count <= _MOST_COLUMNS:
         return count
     return min((4, 3, 5), key=lambda columns: -count % columns)
 
 
 def draw_paths(axes: Any, recording: Mapping[str, NDArray[Any]], scenario: Scenario) -> None:
-    """Paths of the robots of one team among orange obstacles, in axes of equal scale, which have
-    three dimensions for robots in 3-D.
+    """Draw the paths of the robots of one environment among orange obstacles, at equal scale.
 
-    Filled circles are starts, crosses are merges; a robot's path ends where it merged. Arrows are
-    headings, of robots that have one.
+    The axes are three-dimensional for 3-D robots. Filled circles are initial positions, crosses are
+    merges; a robot's path ends where it merged. Arrows are the headings of robots that have one.
     """
     positions, active = recording["positions"], recording["active"]
     flat = scenario.dim == 2
@@ -129,7 +129,7 @@ def draw_paths(axes: Any, recording: Mapping[str, NDArray[Any]], scenario: Scena
 
 
 def _draw_headings(axes: Any, path: NDArray[np.float64], arrows: NDArray[np.float64]) -> None:
-    """Arrows at the start of a path and at equal times after it, in m."""
+    """Arrows at the start of a path and at equal times after it, lengths in m."""
     frames = np.unique(np.linspace(0, len(path) - 1, _ARROWS + 1).astype(int)[:-1])
     where, along = path[frames], arrows[frames]
     if path.shape[1] == 3:
@@ -160,8 +160,9 @@ def _draw_spheres(axes: Any, obstacles: NDArray[np.float64]) -> None:
 
 @styled
 def team_figure(scenario: Scenario, recording: Mapping[str, NDArray[Any]], policy: str) -> Figure:
-    """One episode with every step kept, as in figures 3 and 4 of the paper: (a) paths, (b) V(t) and
-    its jumps at merges.
+    """Figure of one episode with all steps, as figures 3 and 4 of the paper.
+
+    Part (a) shows the paths, part (b) V(t) and its jumps at merges.
     """
     figure = new_figure(COLUMN, _PATHS + _VALUE)
     space = scenario.dim == 3
@@ -191,7 +192,7 @@ def trajectory_figure(trajectory: Trajectory, env: int = 0) -> Figure:
 
 
 def recording_of(trajectory: Trajectory, env: int = 0) -> Recording:
-    """One environment of a rollout, every step a frame, up to its end."""
+    """Recording of one environment of a rollout, with all steps up to its end."""
     steps = int(trajectory.running[:, env].sum())
     merged = (trajectory.active[:-1, env] != trajectory.active[1:, env]).any(axis=-1)[:steps]
     kept = ("positions", "headings", "active", "lyapunov", *trajectory.recorded)
@@ -211,9 +212,9 @@ def recording_of(trajectory: Trajectory, env: int = 0) -> Recording:
 
 @styled
 def lyapunov_figure(trajectory: Trajectory, certificate: Certificate | None = None) -> Figure:
-    """V(t) of every environment of a rollout; beside it, if given, the bounds of a certificate.
+    """V(t) of every environment of a rollout, with the bounds of a certificate if given.
 
-    Lines end where an environment does; a circle marks a rendezvous.
+    Lines end with their episodes; a circle marks a rendezvous.
     """
     figure = new_figure(COLUMN, 2.6)
     axes = figure.subplots()
@@ -240,7 +241,7 @@ def lyapunov_figure(trajectory: Trajectory, certificate: Certificate | None = No
 
 
 def _draw_bounds(axes: Axes, certificate: Certificate, end: float) -> None:
-    """Bounds on V and on the time, the axis of which becomes logarithmic where that is far off."""
+    """Draw bounds on V and on the time; for a large time bound the time axis is logarithmic."""
     style: Any = {"color": VERMILLION, "linewidth": 1.2}
     if math.isfinite(bound := certificate.lyapunov_bound):
         label = f"bound on V: {at_most(bound)} m²/s"
@@ -254,12 +255,12 @@ def _draw_bounds(axes: Axes, certificate: Certificate, end: float) -> None:
 
 
 def _certified(certificate: Certificate) -> str:
-    """What a certificate guarantees, in a few words."""
+    """Short description of a certificate's guarantee."""
     return "rendezvous is certified" if certificate.guaranteed else "no rendezvous is certified"
 
 
 def _name_robots(axes: Axes, recording: Mapping[str, NDArray[Any]]) -> None:
-    """The number of each robot beside its start, on the side with most room."""
+    """Write the number of each robot beside its initial position, on the side with most room."""
     positions = recording["positions"]
     away = 0.06 * np.ptp(positions, axis=(0, 1)).max()
     angles = np.arange(16) * np.pi / 8
@@ -278,7 +279,7 @@ def _name_robots(axes: Axes, recording: Mapping[str, NDArray[Any]]) -> None:
 
 
 def draw_lyapunov(axes: Axes, recording: Mapping[str, NDArray[Any]]) -> None:
-    """V(t) of one team, the part with the merges enlarged."""
+    """Plot V(t) of one environment, with the merges enlarged."""
     times, before = recording["times"], recording["lyapunov_before_merge"]
     merges = np.flatnonzero(~np.isnan(before))
     _plot_lyapunov(axes, recording, merges)

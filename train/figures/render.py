@@ -32,7 +32,7 @@ _LEAST_STEPS = 15  # in a second of such a video; fewer would not look like moti
 _LAST_PICTURE = 1.5  # s, for which a video shows the end of the episode
 
 Frame = NDArray[np.uint8]
-"""(height, width, 3); those of a video are of equal and even size."""
+"""Image array (height, width, 3); frames of a video have equal and even sizes."""
 
 EXAMPLES = (
     "--scenario fig4",
@@ -42,26 +42,25 @@ EXAMPLES = (
 
 @dataclass(frozen=True)
 class Config(Flags):
-    """Make a video (.gif, .mp4) or a figure (.png, .pdf) of one episode."""
+    """Render one episode as a video (.gif, .mp4) or a figure (.png, .pdf)."""
 
     scenario: Annotated[str, arg(aliases=("--scenarios",))] = "fig4"
-    """The name of a scenario, or the path of a TOML file."""
+    """Name of a scenario, or path of a TOML file."""
     policy: Annotated[str | None, arg(aliases=("--policies",))] = None
-    """The name of a policy; learned and learned:PATH are among them. Without it the best that fits
-    is taken."""
+    """Name of a policy, including learned and learned:PATH. Default: the best policy that fits."""
     seed: Annotated[int, Bounds(0, 2**63 - 1)] = 0
-    """The seed of the start."""
+    """Seed of the initial condition."""
     out: Path = Path("out/render.gif")
-    """The file to write; its ending says what: .gif, .mp4, .png or .pdf."""
+    """File to write; its extension selects the format: .gif, .mp4, .png or .pdf."""
     size: Annotated[int, Bounds(120, 4096)] = 600
-    """The edge of a video's square picture, pixels; an odd one is made even."""
+    """Edge of a video frame, pixels; rounded to an even number."""
     fps: Annotated[int, Bounds(1, 100)] = 25
-    """How many pictures a second of video has."""
+    """Frames per second of the video."""
     speed: Annotated[float | None, Bounds(1e-3, 1e3)] = None
-    """How many simulated seconds a second of video shows. Without it the video is 8 s long, or
-    shorter if the episode has few steps."""
+    """Simulated seconds per second of video. Default: a video of 8 s, or shorter if the episode has
+    few steps."""
     set: tuple[str, ...] = ()
-    """Other values for fields of the scenario, as in n_robots=9 time_limit=60."""
+    """Overrides of scenario fields, for example n_robots=9 time_limit=60."""
 
 
 def run(config: Config) -> int:
@@ -85,7 +84,7 @@ def run(config: Config) -> int:
 
 
 def _check(config: Config) -> tuple[Scenario, str]:
-    """The scenario and the policy's name, once everything is known to be right."""
+    """Validate the settings; returns the scenario and the policy's name."""
     ending, known = config.out.suffix.lower(), (*VIDEOS, *STILLS)
     if ending not in known:
         raise UserError(
@@ -102,7 +101,7 @@ def _check(config: Config) -> tuple[Scenario, str]:
 
 
 def _write_video(config: Config, name: str, trajectory: Trajectory, console: Console) -> None:
-    """Play the episode once more, with a renderer looking on."""
+    """Repeat the episode with a renderer."""
     length, steps = float(trajectory.times[-1]), len(trajectory.times) - 1
     fps = video_rate(config.out, config.fps)
     speed = config.speed or length / min(_USUAL_LENGTH, steps / _LEAST_STEPS)
@@ -122,8 +121,9 @@ def _write_video(config: Config, name: str, trajectory: Trajectory, console: Con
 def _pictures(
     renderer: Renderer, simulator: Simulator, steps: Iterator[Step], interval: float, last: int
 ) -> Iterator[Frame]:
-    """Pictures at equal intervals, s, of the first state and those after each step; so many of the
-    last one.
+    """Frames at equal intervals, s, of the first state and of those after each step.
+
+    The last frame is repeated the given number of times.
     """
     renderer.reset()
     shown = 0
@@ -142,11 +142,11 @@ def _pictures(
 
 VIDEOS = (".gif", ".mp4")
 _SHARES = (0.0, 0.15, 0.3, 0.5, 0.65, 0.8)
-"""Of white in a colour: paths are lighter than robots, and edges are smooth."""
+"""Fractions of white in a colour: paths are lighter than robots, and edges are smooth."""
 
 
 def video_rate(path: Path, fps: int) -> float:
-    """Pictures a second that a file can have: a GIF counts in hundredths of a second, from two."""
+    """Frame rate of the file format; GIF delays are multiples of 0.01 s, at least 0.02 s."""
     return 100 / max(2, round(100 / fps)) if path.suffix.lower() == ".gif" else float(fps)
 
 
@@ -162,7 +162,7 @@ def _write_gif(path: Path, frames: Iterable[Frame], fps: float) -> None:
 
 
 def _palette() -> list[int]:
-    """Red, green, blue, red, …: the colours of the pictures and what they fade into."""
+    """Palette as red, green, blue, red, …: colours of the frames and their blends with white."""
     white, black = (255, 255, 255), (0, 0, 0)
     greys = [mixed(black, white, step / 15) for step in range(16)]
     dark = [mixed(robot, black, 0.5) for robot in ROBOTS]

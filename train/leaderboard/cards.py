@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from rendezvous_env.baselines.learned import plain_data
 
-from rendezvous_env.checks import whole
+from rendezvous_env.checks import check_int
 from rendezvous_env.scenario import scenarios
 
 from .. import results
@@ -33,7 +33,7 @@ _BOUNDS = ("seed", 0, MOST_SEED), ("decisions", 0, 2**62), ("starts", 1, 2**62)
 _RESULTS = ("success", "clean", "time", "touches", "risen", "rise", "steps")
 
 
-class Place(NamedTuple):
+class RunKey(NamedTuple):
     """Identity of a run: algorithm, scenario and seed."""
 
     algorithm: str
@@ -57,7 +57,7 @@ class Place(NamedTuple):
         )
 
 
-def run_of(place: Place, record: bool) -> Run:
+def run_of(place: RunKey, record: bool) -> Run:
     """Train and evaluate one run.
 
     The record contains everything needed to repeat the run and the raw result of every initial
@@ -133,7 +133,7 @@ def read_card(path: Path) -> Card:
         if field["field"] != card["field"]:
             raise ValueError(f"field is {card['field']!r}; it must be {field['field']!r}")
         for key, least, most in _BOUNDS:
-            whole(key, card[key], least, most)
+            check_int(key, card[key], least, most)
         if any(len(card["results"][name]) != card["starts"] for name in _RESULTS):
             raise ValueError("other number of starts")
         numbers = np.array([card["results"][name] for name in _RESULTS], np.float64)
@@ -145,7 +145,7 @@ def read_card(path: Path) -> Card:
     return card
 
 
-def place_of(card: Card) -> Place:
+def place_of(card: Card) -> RunKey:
     """Identity of the run that a record describes."""
     field = card["field"].partition("/")[2]
-    return Place(card["algorithm"], field, card["seed"], card["decisions"], card["starts"])
+    return RunKey(card["algorithm"], field, card["seed"], card["decisions"], card["starts"])

@@ -20,10 +20,10 @@ from ..compare.playing import Task, play_all
 from ..console import Console, counted
 from ..learn.settings import MOST_SEED
 from ..policies import resolve_scenario
-from ..resume import Part, program
+from ..resume import RunCheckpoint, program
 from ..tasks import Workers
 from . import registry, tables
-from .cards import Card, Place, Run, has_replay, place_of, read_card, read_cards, run_of, write_run
+from .cards import Card, Run, RunKey, has_replay, place_of, read_card, read_cards, run_of, write_run
 from .replays import path_of, write_replay
 
 Tier = Literal["smoke", "mini", "full"]
@@ -87,7 +87,7 @@ class Config(Workers):
     """Discard the unfinished results of another command in OUT.part."""
 
 
-def plan(config: Config) -> list[Place]:
+def plan(config: Config) -> list[RunKey]:
     """Runs requested by a configuration; a UserError if no algorithm fits any scenario."""
     tier = TIERS[config.tier]
     able = tuple(name for name, one in registry.known().items() if not one.missing)
@@ -103,7 +103,7 @@ def plan(config: Config) -> list[Place]:
             field = named["field"].partition("/")[2]
             if algorithm.fits(scenario):
                 own, much = (seeds, decisions) if algorithm.learns else (seeds[:1], 0)
-                places += [Place(name, field, seed, much, starts) for seed in own]
+                places += [RunKey(name, field, seed, much, starts) for seed in own]
     if not places:
         raise UserError("none of these algorithms fits any of these fields")
     if len(set(places)) < len(places):
@@ -128,7 +128,7 @@ def run(config: Config) -> int:
         wanted = ", ".join(sorted({package for own in lacking.values() for package in own}))
         console.print(f"left out without {wanted}: {', '.join(lacking)}", soft_wrap=True)
     asked = {**program(), "cells": [list(p) for p in places], "record": config.record}
-    part = Part(out_folder.part_of(out), asked, "leaderboard")
+    part = RunCheckpoint(out_folder.part_of(out), asked, "leaderboard")
     with part.at_work(config.out, console, fresh=config.fresh):
         if out.exists():
             results.prepare_folder(out, f"--out {config.out}")
@@ -155,7 +155,7 @@ def run(config: Config) -> int:
     return 0
 
 
-def _kept(out: Path, places: Sequence[Place]) -> dict[Place, Card]:
+def _kept(out: Path, places: Sequence[RunKey]) -> dict[RunKey, Card]:
     """Runs stored in a folder; a UserError if their budget or initial conditions differ."""
     kept = {place_of(card): card for card in read_cards(out)}
     for what in ("decisions", "starts"):

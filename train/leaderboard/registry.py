@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..checks import UserError, unknown
+from ..checks import UserError, unknown_name
 from .playing import Player
 
 
@@ -62,7 +62,7 @@ def known() -> dict[str, Algorithm]:
 def find(name: str) -> Algorithm:
     """Algorithm by name; a UserError if it is unknown or a package is missing."""
     if name not in known():
-        raise unknown("algorithm", name, known())
+        raise unknown_name("algorithm", name, known())
     if missing := known()[name].missing:
         raise UserError(
             f"algorithm {name!r} needs {', '.join(missing)}; pip install {' '.join(missing)}"

@@ -40,7 +40,7 @@ def can_learn(field: Scenario) -> bool:
     return field.dim == 2 and can_steer(field)
 
 
-def guarded(field: Scenario, safety: str) -> dict[str, Any]:
+def filter_arguments(field: Scenario, safety: str) -> dict[str, Any]:
     """Arguments of ``vector.training_env`` for a safety filter.
 
     Without a guarantee it is a tank that is never empty. All robots get the energy of single
@@ -52,7 +52,7 @@ def guarded(field: Scenario, safety: str) -> dict[str, Any]:
     return {"guarantee": "tank", "budget": level * unit_of_tanks(field)}
 
 
-class Unled(FeatureVectorEnv):
+class WithoutBaseController(FeatureVectorEnv):
     """Environments without the base controller: robots move in the chosen direction."""
 
     _pilot = None
@@ -63,13 +63,13 @@ class Unled(FeatureVectorEnv):
         return self.guided.apply(seen)
 
 
-def unled(teams: TrainingTeams) -> TrainingTeams:
+def without_base_controller(teams: TrainingTeams) -> TrainingTeams:
     """The same environments without the base controller."""
     led: Any = teams.env
-    return TrainingTeams(Unled(led.env, led.settings), teams.touch_penalty)
+    return TrainingTeams(WithoutBaseController(led.env, led.settings), teams.touch_penalty)
 
 
-def teams_to_learn_in(
+def make_training_envs(
     field: Scenario,
     num_envs: int,
     *,
@@ -90,7 +90,7 @@ def teams_to_learn_in(
         touch_penalty: cost of a first contact; None is that of the shipped policies.
         wrap: wrapper between robots and policy, such as an action filter.
     """
-    learnt, how = ShippedPreset(), guarded(field, safety)
+    learnt, how = ShippedPreset(), filter_arguments(field, safety)
     guarantee = how.pop("guarantee")
     reward, price = learnt.earnings(guarantee)
     scenario = field.replace(on_merge="follow", reward=reward, costs=COSTS)
@@ -98,4 +98,4 @@ def teams_to_learn_in(
     base = wrap(rv.make_vec(scenario, num_envs, mode, num_threads=1))
     chosen = learnt.wrap(base, guarantee, True, how)
     teams = TrainingTeams(chosen, price if touch_penalty is None else touch_penalty)
-    return unled(teams) if safety == "none" else teams
+    return without_base_controller(teams) if safety == "none" else teams

@@ -7,11 +7,11 @@ from pathlib import Path
 from rendezvous_env.baselines.learned import shipped
 
 from .. import policies, results
-from ..checks import UserError, check_unused, written
+from ..checks import UserError, check_unused, format_argument
 from ..compare.playing import TOGETHER, make_ready
 from ..compare.settings import Job
 from ..console import Console, counted
-from ..tasks import Workers, each
+from ..tasks import Workers, parallel_map
 from . import ppo
 from .settings import CONFIG, check, read_config, same_run
 from .settings import EXAMPLES as EXAMPLES
@@ -41,7 +41,7 @@ def run(config: Config) -> int:
     console = Console(soft_wrap=True)
     console.print(f"{counted(len(runs), 'run')}; {_log_of(runs[0])} and so on tell of them")
     try:
-        with closing(each(_train, runs, config, _stays_here, long=True)) as found:
+        with closing(parallel_map(_train, runs, config, _stays_here, long=True)) as found:
             for number, status in found:
                 if status:
                     return status
@@ -59,7 +59,7 @@ def runs_of(settings: Settings, seeds: tuple[int, ...]) -> list[Settings]:
         UserError: for a repeated seed, a flag of single runs, or a folder with other settings.
     """
     if len(set(seeds)) < len(seeds):
-        raise UserError(f"--seeds {written(seeds)}: name each once")
+        raise UserError(f"--seeds {format_argument(seeds)}: name each once")
     check_unused(settings, dict.fromkeys(("seed", "resume"), "--seeds says which runs there are"))
     runs = []
     for seed in seeds:

@@ -18,7 +18,7 @@ from rendezvous_env.safety.settings import SMALLEST_MARGIN
 from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..checks import Bounds, Flags, UserError, check_unused, flag, user_error, written
+from ..checks import Bounds, Flags, UserError, check_unused, flag, format_argument, user_error
 from ..policies import resolve_scenario
 from .sensing_ranges import Ranges, check_ranges
 
@@ -62,7 +62,7 @@ FLAG_GROUPS = {
 }  # fmt: skip
 
 
-class Unsaid(int):
+class DefaultInt(int):
     """Marker for a default value, distinguishable from the same number given explicitly."""
 
 
@@ -77,7 +77,7 @@ class Config(Flags):
     scenario's."""
     fewest_obstacles: Annotated[int | None, Bounds(0, 2**10)] = None
     """Minimum number of obstacles per episode of a curriculum. Default: the maximum."""
-    total_steps: Annotated[int, Bounds(1, 2**62)] = Unsaid(3_000_000)
+    total_steps: Annotated[int, Bounds(1, 2**62)] = DefaultInt(3_000_000)
     """Number of decisions of single robots in the run, rounded up to whole updates."""
     seed: Annotated[int, Bounds(0, MOST_SEED)] = 0
     """Seed of weights, exploration and initial conditions, below 2²⁹."""
@@ -176,13 +176,13 @@ class Config(Flags):
     rendezvous_bonus: float | None = None
     """Team reward at rendezvous."""
 
-    eval_every: Annotated[int, Bounds(0, 2**62)] = Unsaid(500_000)
+    eval_every: Annotated[int, Bounds(0, 2**62)] = DefaultInt(500_000)
     """Number of decisions between evaluations; 0 disables evaluation."""
-    eval_starts: Annotated[int, Bounds(1, 2**32)] = Unsaid(200)
+    eval_starts: Annotated[int, Bounds(1, 2**32)] = DefaultInt(200)
     """Number of held-out initial conditions in an evaluation."""
     eval_scenarios: tuple[str, ...] = ()
     """Evaluation scenarios. Default: the training scenario."""
-    checkpoint_every: Annotated[int, Bounds(1, 2**62)] = Unsaid(500_000)
+    checkpoint_every: Annotated[int, Bounds(1, 2**62)] = DefaultInt(500_000)
     """Number of decisions between checkpoints."""
     tensorboard: bool = True
     """Write TensorBoard events in addition to metrics.csv."""
@@ -349,10 +349,11 @@ def resumed(config: Config, stored: Config) -> Config:
     for name in (field.name for field in fields(Config)):
         given, kept = getattr(config, name), getattr(stored, name)
         if name in MAY_CHANGE:
-            changed[name] = kept if given is None or isinstance(given, Unsaid) else given
+            changed[name] = kept if given is None or isinstance(given, DefaultInt) else given
         elif name not in ("out", "resume") and given not in (getattr(default, name), kept):
             raise UserError(
-                f"{flag(name)} is {written(given)}; {folder} was trained with {written(kept)}: "
+                f"{flag(name)} is {format_argument(given)}; {folder} was trained with "
+                f"{format_argument(kept)}: "
                 "leave it out, or begin a new run"
             )
     return replace(stored, **changed, out=folder, resume=None)

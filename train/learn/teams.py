@@ -138,7 +138,7 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
         self.generations, self._blind = own["generations"].copy(), own["blind"].copy()
 
 
-def make_teams(config: Config, stage: int) -> FeatureVectorEnv | SensingGroups:
+def make_environments(config: Config, stage: int) -> FeatureVectorEnv | SensingGroups:
     """Environments of a curriculum stage.
 
     A robot that merges during an action repeat earns the team reward until the decision ends.
@@ -169,7 +169,7 @@ def make_teams(config: Config, stage: int) -> FeatureVectorEnv | SensingGroups:
     return SensingGroups(make_group, sizes, config.sensing_updates)
 
 
-class WatchedRobots(RobotVecEnv):
+class TimedRobotVecEnv(RobotVecEnv):
     """``RobotVecEnv`` that also accumulates environment time (s) and alignment."""
 
     seconds, alignment, aligned = 0.0, 0.0, 0

@@ -34,7 +34,7 @@ from .checkpoint import STATE_FILES, flatten, tensors, unflatten
 from .log import EVALUATION, METRICS, OnUpdate, Result, Table, read_evaluations
 from .recurrent import learner_of
 from .settings import CONFIG, EVALUATION_SEEDS, Config, read_config
-from .teams import WatchedRobots, make_teams
+from .teams import TimedRobotVecEnv, make_environments
 
 _DOES_NOT_FIT = (
     KeyError, TypeError, ValueError, RuntimeError, IndexError, AttributeError, OverflowError,
@@ -63,7 +63,7 @@ class Trainer:
         self.config = config
         self.settings = config.policy_settings()
         self.stage = 0
-        self.robots = WatchedRobots(make_teams(config, 0))
+        self.robots = TimedRobotVecEnv(make_environments(config, 0))
         algorithm, network, arguments = learner_of(config, self.robots.teams)
 
         def learning_rate(_: float) -> float:  # the model asks for it while it is made, too
@@ -100,7 +100,7 @@ class Trainer:
         self.model._last_episode_starts = np.ones(self.robots.num_envs, dtype=np.bool_)
 
     def _enter_stage(self, stage: int) -> None:
-        self.stage, self.robots = stage, WatchedRobots(make_teams(self.config, stage))
+        self.stage, self.robots = stage, TimedRobotVecEnv(make_environments(self.config, stage))
         self.model.set_env(self.robots, force_reset=False)
 
     def _open_log(self, step: int) -> None:

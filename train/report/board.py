@@ -16,7 +16,7 @@ from ..console import counted
 from ..leaderboard import cards, tables
 from ..leaderboard.replays import path_of, read_replay
 from ..learn.settings import EVALUATION_SEEDS
-from .skeleton import PLAYER, Replay, elements, figures, part, player_data, terms, whole
+from .skeleton import PLAYER, Replay, assemble, elements, figures, part, player_data, terms
 
 _FIGURES = ("price.png", "profiles.png")
 
@@ -60,7 +60,7 @@ def page(folder: Path) -> str:
     }
     links = ("Results", "Replay", "Figures", "Runs", "About")
     scripts = ("data", "choice", "save", *PLAYER, "tables", "board", "replay")
-    return whole(
+    return assemble(
         "Rendezvous: leaderboard", links, sections, data, scripts, recordings=elements(replays)
     )
 

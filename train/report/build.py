@@ -21,7 +21,7 @@ from ..recording import MAX_FRAMES
 from ..results import write_text
 from . import board
 from .input import Comparison, half_written, read
-from .skeleton import PLAYER, Replay, elements, figures, part, player_data, terms, whole
+from .skeleton import PLAYER, Replay, assemble, elements, figures, part, player_data, terms
 
 _OUTCOME = (
     "success", "clean", "time", "path_length", "contacts", "clearance", "min_alignment",
@@ -101,7 +101,7 @@ def page(found: Comparison) -> str:
         "results": found.rows,
         "paired": found.paired,
     }
-    return whole(
+    return assemble(
         f"Rendezvous: {', '.join(found.scenarios)}",
         ("Replay", "Results", "Figures", "About"),
         sections,

@@ -12,7 +12,7 @@ from rendezvous_env.scenario.scenario import Scenario
 from .. import results
 from ..checks import UserError
 from ..compare.out_folder import RUN, is_ours, part_of
-from ..recording import Recording, whole
+from ..recording import Recording, with_observations
 
 Key = tuple[str, str, int]
 """Scenario, policy and number of the initial condition."""
@@ -121,7 +121,7 @@ def _read_recordings(path: Path, scenarios: dict[str, Scenario]) -> dict[Key, Re
             found.setdefault((scenario, policy, int(start)), {})[kind] = arrays[name]
     for key, recording in found.items():
         try:
-            found[key] = whole(recording, scenarios[key[0]])
+            found[key] = with_observations(recording, scenarios[key[0]])
         except ValueError as error:
             raise half_written(path, f"{'/'.join(map(str, key))}: {error}") from error
     return found

@@ -15,7 +15,7 @@ from ..compare.evaluation import alignments
 from ..encoding import encode_all
 from ..recording import Recorder, Recording, state_of
 from ..results import write_text
-from .skeleton import PLAYER, Replay, elements, part, player_data, terms, whole
+from .skeleton import PLAYER, Replay, assemble, elements, part, player_data, terms
 
 _REMEDY = 'record its actions: rollout(…, record="actions")'
 
@@ -60,7 +60,7 @@ def page(trajectory: Trajectory, envs: int = 8) -> str:
     }
     scripts = ("data", "choice", "save", *PLAYER, "tables", "replay")
     title, links = f"Rendezvous: {scenario.name}", ("Replay", "Results", "About")
-    return whole(title, links, sections, data, scripts, recordings=elements(shown))
+    return assemble(title, links, sections, data, scripts, recordings=elements(shown))
 
 
 def _outcome(row: dict[str, Any]) -> dict[str, str]:

@@ -33,7 +33,7 @@ def part(name: str) -> str:
     return (_PAGE / name).read_text(encoding="utf-8")
 
 
-def whole(
+def assemble(
     title: str,
     links: Sequence[str],
     sections: str,

@@ -1,4 +1,4 @@
-"""A policy as one Python file that needs NumPy alone: ``rendezvous export --standalone``."""
+"""Export of a policy as one NumPy-only Python file (``rendezvous export --standalone``)."""
 
 import base64
 import hashlib
@@ -26,7 +26,7 @@ from .bundle import Bundle, Name, add_module, module_of
 Network = tuple[Mapping[str, NDArray[Any]], PolicySettings]
 """Weights and settings of a learned policy."""
 CLOSE = 1e-5
-"""m/s by which a file may differ from the policy that it was made of."""
+"""Maximum difference between a file and its policy, m/s."""
 _ACTOR = ("features_extractor.", "mlp_extractor.policy_net.", "action_net.", "memory.")
 _STAND_INS = {
     Name("rendezvous_env.compilation", "kernel"): '''
@@ -96,7 +96,7 @@ NUMBERS = (
     "max_degree", "speed_limit", "max_turn_rate", "scales_velocity", "drops_neighbours",
     "action_size",
 )  # fmt: skip
-"""Of a scenario, that policies of one robot ask for."""
+"""Scenario quantities used by single-robot policies."""
 
 _MADE_BY = "rendezvous export --standalone"
 _HEAD = '''"""The policy {policy} for a robot of the scenario {scenario}: bearings in, velocity out.
@@ -209,9 +209,11 @@ def text_of(
     network: Network | None,
     build: Callable[..., Any] | None = None,
 ) -> str:
-    """The file of a policy, by name, for a robot of a scenario; without a network it is a law or a
-    rule, or what a user's function ``build`` makes of a scenario. A ValueError for robots or a
-    policy that ``RobotPolicy`` does not take either, or what cannot stand in one file.
+    """Content of the file of a policy, by name, for a robot of a scenario.
+
+    Without a network it is a law, a rule, or the result of a user's function ``build`` of a
+    scenario. A ValueError names robots or a policy that ``RobotPolicy`` does not support either, or
+    code that cannot be in one file.
     """
     check_steerable(scenario, "a RobotPolicy steers")
     stand_ins, roots, extra = _STAND_INS | _OF_OTHER_DIMENSIONS[scenario.dim], list(_ROOTS), ""
@@ -256,7 +258,7 @@ def text_of(
 
 
 def _own_root(build: Callable[..., Any]) -> Name:
-    """The name of a user's function, whose module counts as ours from now on."""
+    """Name of a user's function, whose module is included from now on."""
     root = Name(build.__module__, getattr(build, "__name__", ""))
     add_module(root.module)
     try:
@@ -269,7 +271,7 @@ def _own_root(build: Callable[..., Any]) -> Name:
 
 
 def _bundle(roots: Sequence[Name], stand_ins: Mapping[Name, str]) -> Bundle:
-    """A bundle that needs NumPy alone; modules that lie beside those of users are taken over."""
+    """Bundle that needs only NumPy; modules next to the user's are included."""
     bundle = Bundle(roots, stand_ins)
     while bundle.foreign:
         beside = [name for name in bundle.foreign if _lies_beside(name, roots)]
@@ -285,7 +287,7 @@ def _bundle(roots: Sequence[Name], stand_ins: Mapping[Name, str]) -> Bundle:
 
 
 def _lies_beside(module: str, roots: Sequence[Name]) -> bool:
-    """Whether a module is a file in a folder of a user's."""
+    """Whether a module is a file in a folder with a user's module."""
     place, own = sys.modules.get(module), sys.modules[roots[-1].module]
     files = [getattr(one, "__file__", None) for one in (place, own)]
     return None not in files and Path(files[0] or "").parent == Path(files[1] or "").parent
@@ -303,28 +305,28 @@ def _learned(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> s
 
 
 def _written(plain: Any) -> str:
-    """Plain data as Python writes it; numbers that are read back are the same."""
+    """Plain data as a Python literal, with numbers that round-trip."""
     return pprint.pformat(plain, width=96, sort_dicts=False)
 
 
 def _in_docstring(name: str) -> str:
-    """A name as Python writes it, without a quote that ends the docstring it stands in."""
+    """Name as a Python literal, without a quote that would end its docstring."""
     return repr(name).replace('"', r"\"")
 
 
 def is_written(path: Path) -> bool:
-    """Whether a file is one of this kind, of any version, and may be overwritten."""
+    """Whether a file is a standalone file, of any version, and may be overwritten."""
     begin, text = _HEAD.partition("{")[0].encode(), path.read_bytes()
     return text.startswith(begin) and _MADE_BY.encode() in text[: text.find(b'"""', len(begin))]
 
 
 def load(path: Path) -> Any:
-    """A file as a module of its own, read again."""
+    """Load a file as a separate module."""
     return SimpleNamespace(**runpy.run_path(str(path), run_name="_robot"))
 
 
 def compare(path: Path, robot: RobotPolicy, ticks: int) -> float:
-    """The largest difference, m/s, between a file and a policy in drawn ticks."""
+    """Largest difference, m/s, between a file and a policy in random ticks."""
     written, worst = load(path).RobotPolicy(), 0.0
     for *seen, told in drawn_ticks(robot.scenario, ticks):
         apart = written.act(*seen, **told) - robot.act(*seen, **told)
@@ -333,8 +335,9 @@ def compare(path: Path, robot: RobotPolicy, ticks: int) -> float:
 
 
 def drawn_ticks(scenario: Scenario, ticks: int) -> Iterator[tuple[Any, ...]]:
-    """Bearings, obstacles, dt, and by name what else ``act`` takes, as a robot could measure them
-    among things that move; from time to time all is elsewhere.
+    """Random bearings, obstacles, dt, and further arguments of ``act`` by name.
+
+    The scene moves as a robot could measure it; from time to time it is replaced.
     """
     random, layout = np.random.default_rng(0), scenario.observation_layout
     most = layout.neighbour_slots, layout.obstacle_slots
@@ -354,7 +357,7 @@ def drawn_ticks(scenario: Scenario, ticks: int) -> Iterator[tuple[Any, ...]]:
 
 
 def _silhouettes(middles: NDArray[np.float64], widths: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Edges (m, S, d) of round things about directions (m, d), of half so many rad, (m, 1, 1)."""
+    """Edges (m, S, d) of round obstacles in directions (m, d), of half angles (m, 1, 1), rad."""
     if middles.shape[1] == 2:
         left = np.stack([-middles[:, 1], middles[:, 0]], axis=-1)
         rims = np.stack([left, -left], axis=1)

@@ -1,7 +1,7 @@
-"""One Python file of some functions and classes, and of all that they need of this project.
+"""Single-file bundles of functions and classes with their dependencies in this project.
 
-The text is the project's own, word for word: the definitions of each module that the roots lead to,
-and of each class those methods whose names occur. Kernels are plain functions there.
+The text is that of the project, verbatim: the definitions in each module on which the roots depend.
+Classes contain only the methods whose names occur. Kernels become plain functions.
 """
 
 import ast
@@ -19,28 +19,28 @@ from typing import NamedTuple
 
 PROJECT = ("rendezvous_env", "baselines", "train")
 _own: set[str] = set()
-"""Modules of users whose definitions are taken over, too."""
+"""Modules of users whose definitions are included."""
 _DROPPED = ("kernel", "inner_kernel", "register")
-"""Decorators that mean nothing in one file."""
+"""Decorators without effect in one file."""
 _FUTURE = "from __future__ import annotations\n"
 Definition = ast.FunctionDef | ast.ClassDef | ast.Assign | ast.AnnAssign
 
 
 class Name(NamedTuple):
-    """A word of a module; an empty word is the module as a whole."""
+    """Word of a module; an empty word is the module as a whole."""
 
     module: str
     word: str
 
     @property
     def is_ours(self) -> bool:
-        """Whether it is of this project, or of a module that was added."""
+        """Whether it belongs to this project, or to an added module."""
         return self.module.partition(".")[0] in PROJECT or self.module in _own
 
 
 @dataclass
 class Module:
-    """The definitions of a module of this project."""
+    """Definitions of a module."""
 
     name: str
     lines: list[str]
@@ -48,8 +48,9 @@ class Module:
     imports: dict[str, Name] = field(default_factory=dict)
 
     def cut(self, node: Definition, methods: set[str]) -> str:
-        """The text of a statement, without decorators that mean nothing in one file, and of a class
-        with these methods only and those that Python itself calls.
+        """Text of a statement, without decorators that have no effect in one file.
+
+        A class keeps these methods and those that Python itself calls.
         """
         dropped: list[ast.AST] = [
             one for one in _decorators(node) if ast.unparse(one).partition("(")[0] in _DROPPED
@@ -78,14 +79,14 @@ def _rows(node: ast.AST) -> range:
 
 
 def add_module(name: str) -> None:
-    """Take over definitions of a user's module, as it stands in its file now."""
+    """Include definitions of a user's module, from the current content of its file."""
     _own.add(name)
     module_of.cache_clear()
 
 
 @cache
 def module_of(name: str) -> Module:
-    """A module, read and taken apart."""
+    """Read and parse a module."""
     loaded = import_module(name)
     source, name = inspect.getsource(loaded), loaded.__name__
     module = Module(name, source.splitlines())
@@ -108,7 +109,7 @@ def module_of(name: str) -> Module:
 
 
 def resolve(name: Name) -> Name:
-    """Where a name of this project is defined; a name from elsewhere as it is."""
+    """Module in which a name of this project is defined; other names are unchanged."""
     while name.is_ours and name.word:
         module = module_of(name.module)
         if name.word in module.definitions:
@@ -120,7 +121,7 @@ def resolve(name: Name) -> Name:
 
 
 def _meaning(module: str, word: str) -> Name:
-    """What a word means in a module; a word that it does not define is of no module."""
+    """Definition of a word in a module; a word without one belongs to no module."""
     here = module_of(module)
     if word in here.definitions:
         return Name(module, word)
@@ -128,8 +129,10 @@ def _meaning(module: str, word: str) -> Name:
 
 
 class Bundle:
-    """Everything that some names lead to, as the text of one file; a ValueError names what cannot
-    stand in one. ``stand_ins`` are texts that take the place of a definition.
+    """Definitions on which some names depend, as the text of one file.
+
+    A ValueError names code that cannot be in one file. ``stand_ins`` are texts that replace a
+    definition.
     """
 
     def __init__(self, roots: Iterable[Name], stand_ins: Mapping[Name, str]) -> None:
@@ -141,7 +144,7 @@ class Bundle:
         self._attributes: set[str] = set()
         self._read: set[tuple[str, str]] = set()
         known = -1
-        while known != (known := len(self._read)):  # each word may lead to further methods
+        while known != (known := len(self._read)):  # each word may add further methods
             for name in list(self._reached):
                 for text in self._parts(name).values():
                     if (name.module, text) not in self._read:
@@ -149,20 +152,20 @@ class Bundle:
                         self._follow(name, text)
 
     def _parts(self, name: Name) -> dict[int, str]:
-        """The text of a definition by the lines at which its statements begin."""
+        """Text of a definition by the first lines of its statements."""
         nodes = module_of(name.module).definitions[name.word]
         if name in self._stand_ins:
             return {nodes[0].lineno: self._stand_ins[name]}
         return {n.lineno: module_of(name.module).cut(n, self._wanted(name, n)) for n in nodes}
 
     def _wanted(self, name: Name, node: Definition) -> set[str]:
-        """Methods whose names occur, and of a root those that its users call."""
+        """Methods whose names occur, and for a root those of its interface."""
         parts = node.body if isinstance(node, ast.ClassDef) and name in self._roots else []
         names = {part.name for part in parts if isinstance(part, ast.FunctionDef)}
         return self._attributes | {method for method in names if not method.startswith("_")}
 
     def _follow(self, name: Name, text: str) -> None:
-        """Reach for what a part of a definition needs of this project; note its other imports."""
+        """Add the dependencies of a part of a definition in this project; record other imports."""
         nodes = ast.walk(ast.parse(text))
         self._attributes |= {node.attr for node in nodes if isinstance(node, ast.Attribute)}
         for word in sorted(_free_names(text)):
@@ -188,12 +191,12 @@ class Bundle:
 
     @property
     def foreign(self) -> list[str]:
-        """Modules that are imported and come neither with Python nor with NumPy."""
+        """Imported modules that are part of neither Python nor NumPy."""
         tops = {name.module.partition(".")[0] for name in self._imports.values()}
         return sorted(tops - sys.stdlib_module_names - {"numpy"})
 
     def text(self) -> str:
-        """Imports, and all definitions in an order in which they can be run."""
+        """Imports, and all definitions in an executable order."""
         lines = []
         for word, name in sorted(self._imports.items()):
             line = (
@@ -216,7 +219,7 @@ class Bundle:
         return "\n".join(parts) + "\n"
 
     def _called(self) -> dict[Name, str]:
-        """What each definition is called in the file: words that occur twice get their module's."""
+        """Name of each definition in the file; ambiguous words are qualified by their module."""
         called: dict[Name, str] = {}
         for name in self._reached:
             word = name.word
@@ -228,7 +231,7 @@ class Bundle:
 
 
 def _free_names(text: str) -> set[str]:
-    """Global names that a piece of code uses when it is run; annotations are not."""
+    """Global names that code uses at run time; annotations do not count."""
 
     def of(table: symtable.SymbolTable) -> Iterator[str]:
         top = table.get_type() == "module"
@@ -243,7 +246,7 @@ def _free_names(text: str) -> set[str]:
 
 
 def _renamed(name: Name, text: str, called: Mapping[Name, str]) -> str:
-    """A definition with the words that the file has for what it needs; attributes stay."""
+    """Definition with the names of the file for its dependencies; attributes are unchanged."""
 
     def word_here(found: re.Match[str]) -> str:
         return called.get(_meaning(name.module, found[0]), found[0])

@@ -17,7 +17,7 @@ from rendezvous_env.safety.theorems.constants import merge_rise_allowance
 from rendezvous_env.safety.theorems.descent import time_bound
 
 from .falsification import Policy, Tally, begin
-from .monitors import Watch, across, unit
+from .monitors import Monitor, across, unit
 from .random_scenarios import Trial
 from .random_starts import log_uniform
 
@@ -210,7 +210,7 @@ def check(claim: Claim, seed: int, batch: int, trials: int, least_margin: float)
     teams = wrapped.unwrapped.simulator
     limit = claim.bound(trial, teams)
     kept = {name: np.zeros(BATCH) for name in claim.numbers if name != "time"}
-    watch = Watch(wrapped.unwrapped, kept, 1, 0.0)
+    watch = Monitor(wrapped.unwrapped, kept, 1, 0.0)
     # one step more: a bound falls within a step
     teams.set_max_steps(math.ceil(limit.max() / watch.held) + 1)
     wrong = np.zeros(BATCH, dtype=np.bool_)

@@ -30,7 +30,7 @@ from rendezvous_env.trajectory import begin as begin_policy
 
 from .. import policies
 from .adversaries import Adversary, Misled
-from .monitors import NUMBERS, REPEATED, SEARCHED, Moment, Watch
+from .monitors import NUMBERS, REPEATED, SEARCHED, Moment, Monitor
 from .random_scenarios import Trial, other_starts
 
 Array = NDArray[np.float64]
@@ -237,7 +237,7 @@ def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> P
     }
     last = _last_steps(trial, limits) if choices is None else np.full(teams, len(choices))
     simulator.set_max_steps(trial.period * int(last.max()) + 1)
-    watch = Watch(wrapped.unwrapped, limits, trial.period, trial.arguments.get("budget", 0.0))
+    watch = Monitor(wrapped.unwrapped, limits, trial.period, trial.arguments.get("budget", 0.0))
     kept: list[Any] = []
     wrong, began = None, watch.now.positions
     while wrong is None and ((last > len(kept)) & ~simulator.ended).any():

@@ -122,7 +122,7 @@ def across(ahead: Array, axis: Array) -> Array:
     return np.cross(ahead, axis)
 
 
-class Watch:
+class Monitor:
     """Monitor of a batch after reset and after every step.
 
     ``limits`` are the bounds (B,) by quantity; a step is ``period`` base steps; energy tanks start

@@ -99,7 +99,7 @@ def _varied(random: np.random.Generator, scenario: rv.Scenario) -> rv.Scenario:
     if random.random() < _DRAWN:
         return varied.replace(start_positions=None)
     reach = reach_of(scenario.sensing.range, n, r)
-    return varied.replace(start_positions=places_of.starts(random, n, dim, r, reach))
+    return varied.replace(start_positions=places_of.random_positions(random, n, dim, r, reach))
 
 
 def first_of_each(tally: Tally) -> Iterator[Found]:

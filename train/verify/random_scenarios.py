@@ -130,7 +130,9 @@ def other_starts(random: Random, scenario: rv.Scenario, places: Array, anew: flo
     n, dim, r = scenario.n_robots, scenario.dim, scenario.merge_radius
     reach, found = reach_of(scenario.sensing.range, n, r), list[rv.Scenario]()
     for k in range(4 * STARTS):
-        start = places_of.starts(random, n, dim, r, reach) if random.random() < anew else None
+        start = (
+            places_of.random_positions(random, n, dim, r, reach) if random.random() < anew else None
+        )
         if start is None:
             start = places_of.changed(random, places[k % len(places)], r)
         with suppress(ValueError):  # robots would stand in an obstacle, or in one place
@@ -213,7 +215,7 @@ def _scenario(random: Random, kind: Kind) -> rv.Scenario:
     }
     if random.random() < _CORNERS:
         return _corner(random, kind, fields, reach)
-    fields["start_positions"] = places = places_of.starts(random, n, dim, r, reach)
+    fields["start_positions"] = places = places_of.random_positions(random, n, dim, r, reach)
     fields["spawn_size"] = side = r * log_uniform(random, 4.0, 25.0)
     fields["on_merge"] = pick(random, "remove", "follow")
     if kind.obstacles != "none":

@@ -107,7 +107,7 @@ def in_wedge(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
 STARTS = (None, _in_box, on_line, _in_clusters, _in_clusters, _on_ring, _in_tree, in_wedge)
 
 
-def starts(random: Random, n: int, dim: int, r: float, reach: float) -> Array | None:
+def random_positions(random: Random, n: int, dim: int, r: float, reach: float) -> Array | None:
     """Positions of a random kind, permuted and rotated; None samples them per episode."""
     if (place := pick(random, *STARTS)) is None:
         return None

@@ -16,11 +16,11 @@ from rich.table import Table
 from tyro.conf import arg
 
 from .. import policies
-from ..checks import Bounds, check_unused, unknown
+from ..checks import Bounds, check_unused, unknown_name
 from ..console import Console, counted
 from ..results import write_csv
-from ..resume import Part, program
-from ..tasks import Workers, each
+from ..resume import RunCheckpoint, program
+from ..tasks import Workers, parallel_map
 from . import claims as cases
 from . import policy_search
 from .claims import BATCH, CLAIMS, Claim
@@ -114,7 +114,7 @@ def check_config(config: Config) -> None:
     known = [claim.name for claim in CLAIMS]
     for name in config.claims:
         if name not in known:
-            raise unknown("claim", name, known)
+            raise unknown_name("claim", name, known)
 
 
 def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | None = None) -> int:
@@ -183,7 +183,7 @@ def _finish(
     """Do the tasks, or what is left of them, and write the rows of their tallies."""
     asked = ("trials", "seed", "min_alignment", "only_batch", "any", "kinds", "policy", "search")
     plan = program() | {name: getattr(config, name) for name in asked} | dict(plan)
-    part = Part(path.with_suffix(".part"), plan, "verification")
+    part = RunCheckpoint(path.with_suffix(".part"), plan, "verification")
     tallies = {task.group: Tally() for task in tasks}
     with (
         part.at_work(config.out, console, fresh=config.fresh),
@@ -191,7 +191,7 @@ def _finish(
     ):
         count = config.trials if config.only_batch is None else min(config.trials, BATCH)
         bars = {group: progress.add_task(group, total=count) for group in tallies}
-        for task, found, _ in part.finish(tasks, lambda left: each(look, left, config)):
+        for task, found, _ in part.finish(tasks, lambda left: parallel_map(look, left, config)):
             tallies[task.group].join(found)
             progress.advance(bars[task.group], found.trials)
         rows = rows_of(tallies)

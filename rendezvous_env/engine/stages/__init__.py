@@ -1,1 +1,1 @@
-"""The stages of a step, over the lanes of a block."""
+"""Stages of a step, over the lanes of a block."""

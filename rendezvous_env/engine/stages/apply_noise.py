@@ -1,9 +1,8 @@
-"""The stage that applies range, field of view and random errors to the exact rows of a block,
-before they are written out.
+"""Stage that applies range, field of view and random errors to the exact rows of a block.
 
-All environments of a block at once: loops over lanes become SIMD. A *couple* is what shares the
-words of a stream: the rows that two robots see of each other, or two silhouette points side by
-side.
+It runs before rows are written out, for all environments of a block at once: loops over lanes
+become SIMD. A *couple* shares the words of a stream: the rows of two robots about each other, or
+two adjacent points of an obstacle.
 """
 
 import math
@@ -19,11 +18,11 @@ from ...sensors.imperfections import in_sectors, is_in_view, is_seen
 from ..memory import lane_count, load_fields, read_row, sensed_step, write_row
 
 _EPISODE, _STEP = range(2)
-"""Keys: of an environment's episode, and of its step."""
+"""Key indices: of an environment's episode, and of its step."""
 _BIAS, _NOISE, _MISSED = range(3)
-"""What is drawn for a couple."""
+"""Random quantities of a couple."""
 _DRAWS = 3
-"""Words of a stream for one couple: two to turn it (one in the plane), one for what is missed."""
+"""Words of a stream for one couple: two for its rotation (one in 2-D), one for dropout."""
 _UPPER_HALF, _WORDS = np.uint64(32), 2.0**32
 _ZERO = np.float32(0.0)
 
@@ -51,11 +50,12 @@ def apply_noise(
     words,
     rows,
 ):
-    """Drop rows of neighbours, and turn them. It may be done again for the same step: the random
-    numbers are a function of the number of the step.
+    """Drop and rotate rows of neighbours.
 
-    Rows of ``slots`` neighbours are in the order of links if ``in_order``, else each robot has its
-    own. Working memory: listed (2, E), weights (E,), counts (n,), keys (2, L), words (3, 4, L).
+    It may be repeated for the same step: the random numbers are a function of the step number.
+
+    Rows of ``slots`` neighbours are in the order of links if ``in_order``, else in that of robots.
+    Working memory: listed (2, E), weights (E,), counts (n,), keys (2, L), words (3, 4, L).
     """
     n = robots.shape[1]
     for block in range(first, last):
@@ -85,7 +85,7 @@ def apply_noise(
 
 @inner_kernel
 def _begin(width, block, moves, seeds, episodes, environment, keys):
-    """The keys of the streams of sensing."""
+    """Keys of the sensing streams."""
     lanes = lane_count(width)
     for lane in range(min(lanes, len(seeds) - block * lanes)):
         key = stream_key(seeds[block * lanes + lane], episodes[block * lanes + lane], SENSING)
@@ -95,8 +95,9 @@ def _begin(width, block, moves, seeds, episodes, environment, keys):
 
 @inner_kernel(inline="code")
 def _draw(width, axes, couple, errors, keys, words):
-    """Random words of a couple, of the two sides alternately: words[purpose, side], and in space
-    the other half of the same words, words[purpose, 2 + side].
+    """Random words of a couple, for alternating sides: words[purpose, side].
+
+    In 3-D, words[purpose, 2 + side] is the other half of the same words.
     """
     first = couple * _DRAWS
     if errors.bias > 0.0:
@@ -126,7 +127,7 @@ def _halve(width, keys, counter, upper, lower):
 
 @inner_kernel
 def _turn(width, axes, deviation, words, others, row):
-    """Turn a row (L·d,) of every lane by an angle of this standard deviation, rad."""
+    """Rotate a row (L·d,) of every lane by an angle of this standard deviation, rad."""
     deviation = np.float32(deviation)
     if is_small(deviation):
         _turn_by(width, axes, deviation, True, words, others, row)
@@ -144,7 +145,7 @@ def _turn_by(width, axes, deviation, small, words, others, row):
 
 @inner_kernel(inline="code")
 def _turn_side(width, axes, side, errors, words, row):
-    """Turn a row of one side of a couple by its bias of the episode and its noise of the step."""
+    """Rotate a row of one side of a couple by its episode bias and its step noise."""
     if errors.bias > 0.0:
         _turn(width, axes, errors.bias, words[_BIAS, side], words[_BIAS, 2 + side], row)
     if errors.noise > 0.0:
@@ -153,7 +154,7 @@ def _turn_side(width, axes, side, errors, words, row):
 
 @inner_kernel(inline="code")
 def _hide(width, axes, entries, errors, robot, other, row):
-    """Drop the row of a robot that is out of range or of the field of view of another one."""
+    """Drop the row of a robot out of range or outside the field of view of another one."""
     if errors.half_field < math.pi:
         _see_within(width, axes, entries, errors.reach, errors.half_field, robot, other, row)
     elif errors.reach < np.inf:
@@ -173,7 +174,7 @@ def _see_within(width, axes, entries, reach, half_field, robot, other, row):
 
 @inner_kernel(inline="code")
 def _miss(width, axes, chance, words, row):
-    """Drop a row of the lanes whose words are among the lowest."""
+    """Drop a row in the lanes with the lowest words."""
     highest = np.uint32(math.ceil(chance * _WORDS) - 1)
     for lane in range(lane_count(width)):
         _keep(words[lane] > highest, axes, row, lane)
@@ -181,7 +182,7 @@ def _miss(width, axes, chance, words, row):
 
 @inner_kernel(inline="code")
 def _keep(there, axes, row, lane):
-    """Make a lane of a row zero unless it is there."""
+    """Set a lane of a row to zero unless it is present."""
     for k in range(len(axes)):
         value = row[len(axes) * lane + k]
         row[len(axes) * lane + k] = value if there else _ZERO
@@ -204,11 +205,12 @@ def apply_noise_to_silhouettes(
     words,
     rows,
 ):
-    """Silhouettes, ``points`` rows each from the row ``own`` on: in the field of view, turned, and
-    rounded. Working memory as ``apply_noise``.
+    """Apply field of view, rotation and rounding to angular extents of obstacles.
+
+    They have ``points`` rows each from the row ``own`` on. Working memory as ``apply_noise``.
     """
     lanes, n = lane_count(width), rows.shape[1]
-    slots = (rows.shape[2] - own) // points  # the remaining row, if any, is of the robot itself
+    slots = (rows.shape[2] - own) // points  # a remaining row is proprioception
     turns = errors.bias > 0.0 or errors.noise > 0.0
     for block in range(first, last):
         count = min(lanes, len(seeds) - block * lanes)
@@ -231,7 +233,7 @@ def apply_noise_to_silhouettes(
 
 @inner_kernel
 def _see_in_view(axes, count, half_field, rows):
-    """An obstacle is seen with all its points as soon as one of them is in the field of view."""
+    """Keep all points of an obstacle if one of them is in the field of view."""
     for lane in range(count):
         seen = False
         for s in range(rows.shape[0]):

@@ -1,5 +1,6 @@
-"""The stages that change the observations of one environment at a time: occlusion, an adversary,
-sectors, rows that close up, and delay.
+"""Stages for the observations of one environment at a time.
+
+Occlusion, adversarial errors, sectors, compact rows, and delay.
 """
 
 from ...compilation import kernel
@@ -38,9 +39,10 @@ def apply_occlusion(
     counts,
     observations,
 ):
-    """Both ends of every link, in the order of their rows; of a one-way link one. ``radius`` is
-    that of a robot that hides others, m. Working memory: vectors (3, n, d), listed (2, E), weights
-    (E,), counts (n,).
+    """Apply occlusion to both ends of every link, in row order; of an arc to one end.
+
+    ``radius`` is that of an occluding robot, m. Working memory: vectors (3, n, d), listed (2, E),
+    weights (E,), counts (n,).
     """
     n, positions, outward = robots.shape[1], vectors[0], vectors[1]
     for block in range(first, last):
@@ -69,7 +71,7 @@ def apply_occlusion(
 
 @kernel
 def close_rows(first, last, slots, observations):
-    """Let the rows of the neighbours that a robot sees come first; environments first to last."""
+    """Move the rows of visible neighbours to the front, environment by environment."""
     for b in range(first, last):
         for i in range(observations.shape[1]):
             rows, filled = observations[b, i], 0
@@ -87,8 +89,10 @@ def close_rows(first, last, slots, observations):
 
 @kernel
 def delay_observations(lanes, first, last, moves, merged_into, environments, past, observations):
-    """Keep the rows of this step, and replace them by those of some steps before; inactive robots
-    see nothing. ``past`` is (B, delay + 1, n, K + M·S, d): step t is at t mod (delay + 1).
+    """Store the rows of this step, and replace them by those of an earlier step.
+
+    Inactive robots observe nothing. ``past`` is (B, delay + 1, n, K + M·S, d): step t is at t mod
+    (delay + 1).
     """
     length, n, sensed, d = past.shape[1:]
     for block in range(first, last):
@@ -99,7 +103,7 @@ def delay_observations(lanes, first, last, moves, merged_into, environments, pas
                 active = merged_into[b, i] == i
                 for row in range(sensed):
                     for k in range(d):
-                        if step == 0:  # nothing else has been seen
+                        if step == 0:  # there is no earlier observation
                             for t in range(length):
                                 past[b, t, i, row, k] = rows[i, row, k]
                         now[i, row, k] = rows[i, row, k]

@@ -1,5 +1,6 @@
-"""The second stage, for environments in which something can meet: swept contacts, then merges, or
-bodies that touch. One environment at a time, by exact geometry; one compiled form each.
+"""Second stage, for environments with possible contact: contacts, then merges or packing.
+
+One environment at a time, by exact geometry, with one compiled form each.
 """
 
 import math
@@ -29,7 +30,7 @@ from ..memory import (
 )
 
 _ROUNDING = 1.0 + 1e-9
-_NEAREST = 3e-6  # m, more than a skin; nearer to what it could reach, a robot is moved exactly
+_NEAREST = 3e-6  # m, more than a skin; margin of reachable distances for exact motion
 
 
 @kernel
@@ -47,8 +48,9 @@ def stop_at_obstacles(
     normals,
     contact,
 ):
-    """Replace straight displacements by those that obstacles leave; ``normals``, (2M, 3), is
-    working memory.
+    """Replace straight displacements by those that obstacles allow.
+
+    ``normals``, (2M, 3), is working memory.
     """
     n = robots.shape[1]
     for block in range(first, last):
@@ -83,7 +85,7 @@ def stop_curves_at_obstacles(
     normals,
     contact,
 ):
-    """The same for robot models that move along curves."""
+    """Replace curved displacements of robot models by those that obstacles allow."""
     n, d = robots.shape[1], len(robot.axes)
     for block in range(first, last):
         for lane in range(_lanes_near(block, lanes, len(merged_into), environments[block])):
@@ -113,7 +115,7 @@ def stop_curves_at_obstacles(
 
 @inner_kernel
 def _lanes_near(block, lanes, batch, environment):
-    """Lanes of a block to look at one by one: all, or none where nothing can meet."""
+    """Lanes of a block to process individually: all, or none without possible contact."""
     near = 0.0
     for lane in range(lanes):
         near += environment[PROXIMITY * lanes + lane]
@@ -122,8 +124,9 @@ def _lanes_near(block, lanes, batch, environment):
 
 @inner_kernel
 def _execute(met, executed, move, lane, lanes, d):
-    """Write a displacement, a triple, and after a contact its length: the chord's, since the path
-    along a surface is not kept.
+    """Write a displacement, a triple, and after a contact its length.
+
+    That is the length of the chord, since the path along a surface is not stored.
     """
     for k in range(d):
         move[k * lanes + lane] = executed[k]
@@ -150,10 +153,10 @@ def merge_robots(
     listed,
     resting,
 ):
-    """Carry the displacements out, and merge robots that come within the merge radius, m.
+    """Apply the displacements, and merge robots within the merge radius, m.
 
-    With ``merges_through`` they merge through obstacles, too. ``took_part``, (B, n), receives which
-    robots were active before the step: those that merge in it still receive its reward.
+    With ``merges_through`` they also merge through obstacles. ``took_part``, (B, n), receives the
+    robots that were active before the step: those that merge in it still receive its reward.
     Working memory: vectors (3, n, d), numbers (4 + n, max(n, E)), listed (2, max(n, E)), and
     resting (n,).
     """
@@ -213,8 +216,10 @@ def pack_robots(
     listed,
     resting,
 ):
-    """Carry the displacements out as discs that do not overlap; ``sizes`` are the diameter of a
-    body and the distance at which two count as touching, m. Working memory as ``merge_robots``.
+    """Apply the displacements as discs that do not overlap.
+
+    ``sizes`` are the body diameter and the distance at which two bodies are in contact, m. Working
+    memory as ``merge_robots``.
     """
     n, d = robots.shape[1], vectors.shape[2]
     positions, displacements, lengths = vectors[0], vectors[1], numbers[2, :n]
@@ -236,8 +241,10 @@ def pack_robots(
 
 
 def reaches(rules, has_contacts):
-    """Square distance of neighbours, m², and clearance, m, below which something can meet in a
-    step: they close in by 2 v_max τ, or v_max τ. Of ``rules``, the ``Constants``.
+    """Square distance of neighbours, m², and clearance, m, below which contact is possible.
+
+    In a step, distances decrease by at most 2 v_max τ, clearances by v_max τ. ``rules`` are the
+    ``Constants``.
     """
     reach = rules.speed_limit * rules.duration * _ROUNDING
     square = (rules.merge_radius * _ROUNDING + 2.0 * reach) ** 2

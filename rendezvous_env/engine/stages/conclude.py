@@ -1,4 +1,4 @@
-"""The last stage: reward, rendezvous, time limit, and the output of the step."""
+"""Last stage: reward, rendezvous, time limit, and the output of the step."""
 
 from ...compilation import inner_kernel, kernel
 from ...rewards.terms import team_reward
@@ -30,7 +30,7 @@ from ..memory import (
     lane_count,
 )
 
-_RUNNING, _AWAITING = float(RUNNING), float(AWAITING_RESET)  # as they are in environments
+_RUNNING, _AWAITING = float(RUNNING), float(AWAITING_RESET)  # as stored in environments
 _RENDEZVOUS, _TIME_OUT = float(RENDEZVOUS), float(TIME_OUT)
 
 
@@ -52,8 +52,9 @@ def conclude_step(
     robot_rewards,
     contacts,
 ):
-    """Bring environments up to date and write all output but observations, contacts and
-    clearances, of which ``active`` is true where nothing has merged.
+    """Update environments and write all output except observations, contacts and clearances.
+
+    ``active`` is initialised to True, which stays where nothing has merged.
     """
     lanes, n = lane_count(width), merged_into.shape[1]
     for block in range(first, last):
@@ -74,7 +75,7 @@ def conclude_step(
                 earned[lane, i] = environment[REWARD * lanes + lane]
         for lane in range(end - start):
             b = start + lane
-            if environment[ACTIVE * lanes + lane] < n:  # who exists, and earns
+            if environment[ACTIVE * lanes + lane] < n:  # robots that are active and earn
                 merged = environment[PROXIMITY * lanes + lane] == MERGED
                 for i in range(n):
                     active[b, i] = merged_into[b, i] == i
@@ -85,7 +86,7 @@ def conclude_step(
 
 @inner_kernel(inline="code")
 def _conclude(width, duration, max_steps, reward_weights, environment):
-    """Reward, rendezvous and time limit over lanes: the one place where an episode ends."""
+    """Reward, rendezvous and time limit over lanes: the only code that ends episodes."""
     lanes, time_share = lane_count(width), 1.0 / max_steps
     for lane in range(lanes):
         status = environment[STATUS * lanes + lane]
@@ -97,7 +98,7 @@ def _conclude(width, duration, max_steps, reward_weights, environment):
         steps = environment[STEPS * lanes + lane] + (1.0 if running else 0.0)
         met = running & ((environment[ACTIVE * lanes + lane] == 1.0) | (proximity == PACKED))
         over = running & (steps >= max_steps)
-        # where edges come and go there may be none at the start
+        # a switching graph may have no links initially
         progress = (before - now) / initial if initial > 0.0 else 0.0
         closeness = environment[CLOSENESS * lanes + lane]
         reward = team_reward(progress, time_share, touched, closeness, met, reward_weights)

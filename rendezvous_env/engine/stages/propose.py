@@ -1,5 +1,6 @@
-"""The first stage of a step, the motion of every robot if nothing were in its way; and the memory
-and frames of robot models after it.
+"""First stage of a step: the motion of every robot without obstacles and contacts.
+
+Also the update of robot model memory and frames after the step.
 """
 
 from ...compilation import inner_kernel, kernel
@@ -30,12 +31,13 @@ from ..memory import (
 def propose_motion(
     width, robot, first, last, reach, robots, merged_into, environments, moves, actions
 ):
-    """Write displacement (d), length of the path, and action (a) of every robot of some blocks to
-    ``moves``, (blocks, n, (d + 1 + a)·L), and mark the environments in which something can meet:
-    their number. Nothing else changes.
+    """Write displacement (d), path length, and action (a) of every robot of some blocks.
 
-    ``reach`` is the square distance of neighbours and the clearance below which that is so.
-    Actions are (B, n, a); those of finished environments and of merged-away robots count as zero.
+    The output is ``moves``, (blocks, n, (d + 1 + a)·L). It also marks the environments with
+    possible contact and returns their number. Nothing else changes.
+
+    ``reach`` is the square distance of neighbours and the clearance below which contact is
+    possible. Actions are (B, n, a); those of ended environments and of merged robots count as zero.
     """
     lanes, d, n = lane_count(width), len(robot.axes), robots.shape[1]
     near = 0.0
@@ -57,7 +59,7 @@ def propose_motion(
 
 @inner_kernel(inline="code")
 def _propose_robot(width, robot, state, move):
-    """One robot in every lane."""
+    """Propose the motion of one robot in every lane."""
     lanes, d = lane_count(width), len(robot.axes)
     for lane in range(lanes):
         moved, length = propose(
@@ -72,8 +74,9 @@ def _propose_robot(width, robot, state, move):
 
 @inner_kernel
 def _hold_still(move, count, lanes, start, environment, merged_into):
-    """Make motion and action of robots that do not move zero: of all robots of an environment that
-    is not running, and those that have merged away.
+    """Zero the motion and action of robots that do not move.
+
+    These are merged robots, and all robots of an environment that is not running.
     """
     n = move.shape[0]
     for lane in range(count):
@@ -88,8 +91,9 @@ def _hold_still(move, count, lanes, start, environment, merged_into):
 
 @inner_kernel(inline="code")
 def _begin_step(width, reach, environment):
-    """Begin the fields of the step. Distances are those of the last observation, which is of the
-    positions where this step begins.
+    """Initialise the fields of the step.
+
+    Distances are those of the last observation, at the current positions.
     """
     lanes, count = lane_count(width), 0.0
     for lane in range(lanes):
@@ -109,7 +113,7 @@ def _begin_step(width, reach, environment):
 
 @kernel
 def advance_free(width, axes, first, last, robots, environments, moves):
-    """Carry out the displacements where nothing can meet; and add up the lengths of all paths."""
+    """Apply the displacements where no contact is possible, and sum up all path lengths."""
     lanes, d = lane_count(width), len(axes)
     for block in range(first, last):
         environment = environments[block]
@@ -124,7 +128,7 @@ def _advance_robot(width, d, move, environment, state):
     lanes = lane_count(width)
     for k in range(d):
         for lane in range(lanes):
-            # others are at their ends already; a choice, not a branch, keeps it SIMD
+            # others have moved already; selection instead of a branch keeps it SIMD
             free = environment[PROXIMITY * lanes + lane] == FREE
             state[k * lanes + lane] += move[k * lanes + lane] if free else 0.0
 
@@ -133,7 +137,7 @@ def _advance_robot(width, d, move, environment, state):
 def update_robots(
     width, robot, first, last, mode, robots, merged_into, environments, moves, contact
 ):
-    """Memory and frames of robot models at the end of the step."""
+    """Update memory and frames of robot models at the end of the step."""
     lanes, d = lane_count(width), len(robot.axes)
     met = STOPPED if mode == STOP else SLID
     for block in range(first, last):
@@ -157,7 +161,7 @@ def update_robots(
 
 @kernel
 def refresh_frames(robot, lanes, first, last, robots):
-    """Frames from the memory of robot models, of environments that do not move."""
+    """Recompute frames from robot model memory in environments that do not move."""
     d = len(robot.axes)
     for block in range(first, last):
         for i in range(robots.shape[1]):

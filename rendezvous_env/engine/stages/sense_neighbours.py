@@ -1,4 +1,4 @@
-"""The stage that senses neighbours: their bearings, V, and the closest pair."""
+"""Stage that senses neighbours: their bearings, V, and the closest pair."""
 
 import math
 
@@ -22,15 +22,15 @@ from ..memory import (
     write_row,
 )
 
-_ROUNDING = 1e-9  # Share of a dwell time by which a step may miss its end
+_ROUNDING = 1e-9  # fraction of a dwell time by which a step may miss its end
 
 
 @kernel
 def sense_pairs(width, axes, entries, first, last, robots, weights, pair, environments, rows):
-    """Every pair of robots once, in index order, in all lanes; a link that is absent weighs 0.
+    """Sense every pair of robots once, in index order, in all lanes; absent links have weight 0.
 
-    Rows, (blocks, n, rows, L·d) float32, are those of neighbours in index order. Working memory is
-    ``pair``, ((d + 3)·L,): offset (m), factor (1/s), V/2 and least square distance so far.
+    Rows, (blocks, n, rows, L·d) float32, are those of neighbours in index order. ``pair``, ((d +
+    3)·L,), is working memory: offset (m), factor (1/s), V/2 and least square distance so far.
     """
     d, n = len(axes), robots.shape[1]
     for block in range(first, last):
@@ -57,7 +57,7 @@ def _begin_pairs(width, d, pair):
 def _end_pairs(width, d, pair, environment):
     lanes = lane_count(width)
     for lane in range(lanes):
-        # each pair was seen once, and V counts each edge twice
+        # each pair is visited once, and V counts each edge twice
         environment[SENSED_LYAPUNOV * lanes + lane] = 2.0 * pair[(d + 1) * lanes + lane]
         environment[SQUARE_CLOSEST * lanes + lane] = pair[(d + 2) * lanes + lane]
 
@@ -82,8 +82,9 @@ def _sight(width, axes, here, there, gain, pair):
 
 @inner_kernel(inline="code")
 def _store_sight(width, axes, entries, pair, sign, robot, row):
-    """Write what a robot of a pair sees of the other one in its own frame; the sign is −1 for the
-    second one.
+    """Write one robot's row about the other robot of a pair, in its local frame.
+
+    The sign is −1 for the second robot.
     """
     lanes, d = lane_count(width), len(axes)
     for lane in range(lanes):
@@ -94,9 +95,10 @@ def _store_sight(width, axes, entries, pair, sign, robot, row):
 
 @kernel
 def sense_links(axes, entries, first, last, slots, links, robots, counts, environments, rows, over):
-    """Every link of environments with a list of links or a matrix of arcs, in the order of its
-    robots, which is that of the rows. ``counts``, (n,), is working memory; a robot with more
-    neighbours than ``slots`` is left in ``over``, (B,).
+    """Sense every link of environments with a list of links or a matrix of arcs.
+
+    The order of robots is that of the rows. ``counts``, (n,), is working memory. ``over``, (B,),
+    receives a robot with more neighbours than ``slots``.
     """
     n = robots.shape[1]
     for block in range(first, last):
@@ -155,7 +157,7 @@ def update_links(
     environments,
     links,
 ):
-    """Replace arcs by those of the moment at which environments are sensed."""
+    """Replace arcs by those at the time of sensing."""
     for block in range(first, last):
         time = sensed_step(environments[block], 0, 1, moves) * duration
         key = seeds[block], episodes[block]
@@ -164,8 +166,9 @@ def update_links(
 
 @inner_kernel
 def _follow(axes, entries, time, key, changes, robots, into, links, block):
-    """Write the arcs of one environment at a time (s) of its episode: those of the graph that holds
-    then, contracted to the robots that are left, and of these the ones in sight.
+    """Write the arcs of one environment at a time (s) of its episode.
+
+    They are those of the current graph, contracted to active robots, and visible.
 
         a_IJ = max over i in I, j in J of a_ij                       (assumption 2)
     """
@@ -188,7 +191,7 @@ def _follow(axes, entries, time, key, changes, robots, into, links, block):
 
 @inner_kernel
 def _current_graph(time, key, changes):
-    """Index of the graph that holds at a time of the episode."""
+    """Index of the graph at a time of the episode."""
     count, period = changes.bases.shape[0], math.floor(time / changes.dwell + _ROUNDING)
     if changes.at_random:
         return int(uniform(key, period) * count)
@@ -197,15 +200,16 @@ def _current_graph(time, key, changes):
 
 @inner_kernel
 def drawn_factor(key, counter, i, j, n, low, high):
-    """What the weights a_ij and a_ji of an episode are multiplied by, from low to high: the same
-    numbers of the stream as for a fixed graph whose weights are drawn.
+    """Factor of the weights a_ij and a_ji in an episode, from low to high.
+
+    It uses the same numbers of the stream as a fixed graph with sampled weights.
     """
     return low + (high - low) * uniform(key, counter + pair_index(min(i, j), max(i, j), n))
 
 
 @inner_kernel
 def _keep_in_sight(axes, entries, robots, arcs, changes):
-    """Drop arcs to robots out of range or of the field of view."""
+    """Drop arcs to robots out of range or outside the field of view."""
     for i in range(arcs.shape[0]):
         here = load_fields(robots[i], 0, 0, 1, axes)
         frame = load_fields(robots[i], len(axes), 0, 1, entries)
@@ -218,11 +222,12 @@ def _keep_in_sight(axes, entries, robots, arcs, changes):
 
 @kernel
 def hide_docked(lanes, first, last, docked, robots, positions, rows):
-    """Zero the rows of robots whose bodies touch, as a link is gone with a merge; a robot that
-    touches all others keeps its rows, or it would have nothing to go by.
+    """Zero the rows of robots whose bodies touch, as a link ends with a merge.
 
-    ``docked``, m, is halfway into the merge radius: bodies held at its edge would count as met now
-    and then, not all at once. ``positions``, (n, 2), is working memory.
+    A robot in contact with all others keeps its rows, because it would observe nothing otherwise.
+
+    ``docked``, m, is halfway into the merge radius: bodies at its edge would alternate between
+    contact and no contact. ``positions``, (n, 2), is working memory.
     """
     n = positions.shape[0]
     for block in range(first, last):
@@ -240,7 +245,7 @@ def hide_docked(lanes, first, last, docked, robots, positions, rows):
 
 @kernel
 def list_links(links, block, n, first, second, weights):
-    """``load_links`` of a block's rows: of DENSE all pairs; how many."""
+    """``load_links`` of a block's rows, with all pairs for DENSE; returns their number."""
     if links.form == 0:
         for e in range(links.first.shape[1]):
             first[e], second[e] = links.first[0, e], links.second[0, e]

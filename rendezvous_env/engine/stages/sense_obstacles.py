@@ -1,4 +1,4 @@
-"""The stages that sense obstacles: discs of the plane in lanes, other shapes one by one."""
+"""Stages that sense obstacles: 2-D discs in lanes, other shapes individually."""
 
 import numpy as np
 
@@ -27,15 +27,16 @@ from ..memory import (
 
 _FRAME = (0, 1, 2, 3)
 _LEFT, _RIGHT, _NEAREST, _REACH = 0, 2, 4, 5
-"""Fields of what a robot in every lane sees of a disc, (6·L,): bearings of the counter-clockwise
-and the clockwise edge, zero if it is not seen; distance to the nearest disc so far, m; range of
-sight, m, −inf for a robot that has merged away."""
+"""Fields of a disc's observation in every lane, (6·L,): bearings of the counterclockwise and the
+clockwise edge, zero if not visible; distance to the nearest disc so far, m; sensing range, m,
+−inf for a merged robot."""
 
 
 @kernel
 def sense_discs(width, first, last, reach, own, robots, merged_into, discs, seen, rows, clearance):
-    """Discs in the plane, over lanes, into the rows from ``own`` on: those of all other shapes are
-    zero. Distances to the nearest disc go to ``clearance``, (B, n); ``seen`` is working memory.
+    """Sense 2-D discs, over lanes, into the rows from ``own`` on; other shapes have zero rows.
+
+    ``clearance``, (B, n), receives distances to the nearest disc, m; ``seen`` is working memory.
     """
     lanes, n = lane_count(width), robots.shape[1]
     for block in range(first, last):
@@ -79,7 +80,7 @@ def _see_disc(width, robot, disc, seen):
 
 @inner_kernel(inline="code")
 def _turn_into(width, seen, field, robot, row):
-    """Write bearings of the plane into a row of observations, in the robots' own frames."""
+    """Write 2-D bearings into a row of observations, in the robots' local frames."""
     lanes = lane_count(width)
     for lane in range(lanes):
         bearing = seen[field * lanes + lane], seen[(field + 1) * lanes + lane]
@@ -106,7 +107,8 @@ def sense_shapes(
     rows,
     clearance,
 ):
-    """Polygons and capsules of the plane, and everything in 3-D, into the rows from ``own`` on.
+    """Sense 2-D polygons and capsules, and all 3-D shapes, into the rows from ``own`` on.
+
     Working memory: silhouette (S, d), vectors (3, n, d), listed (2, E) and weights (E,).
     """
     n, positions, net = robots.shape[1], vectors[0], vectors[1]
@@ -152,7 +154,7 @@ def _has_discs_only(world):
 def _see_all(
     axes, entries, lane, lanes, reach, own, active, robot, world, net, row, clearance, silhouette
 ):
-    """All obstacles of one robot that ``sense_discs`` leaves out."""
+    """Sense all obstacles of one robot that ``sense_discs`` omits."""
     d, points = len(axes), silhouette.shape[0]
     point = load_point(robot, 0, lane, lanes, d)
     frame = load_fields(robot, d, lane, lanes, entries)
@@ -177,8 +179,9 @@ def _see_all(
 
 @kernel
 def measure_clearance(lanes, first, last, reach, weighs, environments, clearance):
-    """Least clearance, of now and of the episode, and, if it ``weighs`` in the reward, closeness
-    to obstacles.
+    """Minimum clearance, current and of the episode.
+
+    Also closeness to obstacles, if it ``weighs`` in the reward.
     """
     for block in range(first, last):
         environment = environments[block]

@@ -1,4 +1,4 @@
-"""The stages that write observations: rows of all lanes, and the row of oneself."""
+"""Stages that write observations: rows of all lanes, and the proprioceptive row."""
 
 import numpy as np
 
@@ -6,13 +6,13 @@ from ...compilation import inner_kernel, kernel
 from ...robots.motion import proprioception
 from ..memory import lane_count, load_fields
 
-_MANY_ROWS = 256  # which with those of the other lanes no longer fit into the nearest cache
+_MANY_ROWS = 256  # rows that, with those of the other lanes, exceed the L1 cache
 
 
 @kernel
 def write_observations(width, axes, first, last, rows, observations):
     """Copy rows, (blocks, n, rows, L·d), to observations, (B, n, rows, d)."""
-    if len(axes) == 2:  # both numbers of a row in one piece: half as many to copy
+    if len(axes) == 2:  # copy both numbers of a row at once
         _copy_rows(width, 1, first, last, rows.view(np.float64), observations.view(np.float64))
     else:
         _copy_rows(width, 3, first, last, rows, observations)
@@ -35,7 +35,7 @@ def _copy_rows(width, parts, first, last, rows, observations):
 
 @inner_kernel(inline="code")
 def _copy_together(source, target, parts, count):
-    """So many rows of a lane at a time, which lie side by side, and the last few one by one."""
+    """Copy several adjacent rows of a lane at a time, and the remaining ones individually."""
     whole = len(source) - len(source) % count
     for k in range(0, whole, count):
         for lane in range(len(target)):
@@ -50,9 +50,10 @@ def _copy_together(source, target, parts, count):
 
 @kernel
 def write_packed(lanes, first, last, slots, links, rows, counts, observations, over):
-    """The same where there are fewer neighbour rows, ``slots``, than other robots: those present
-    come first, in index order, and the other rows behind them. A robot with more neighbours is left
-    in ``over``, (B,); ``counts``, (n,), is working memory.
+    """Copy rows if there are fewer neighbour rows, ``slots``, than other robots.
+
+    Rows of present neighbours come first, in index order, followed by the other rows. ``over``,
+    (B,), receives a robot with more neighbours; ``counts``, (n,), is working memory.
     """
     n, d, others = rows.shape[1], observations.shape[3], observations.shape[2] - slots
     for block in range(first, last):
@@ -83,7 +84,7 @@ def write_packed(lanes, first, last, slots, links, rows, counts, observations, o
 
 @kernel
 def sense_oneself(robot, lanes, first, last, robots, merged_into, observations):
-    """The last row of models that sense something of themselves; zero for inactive robots."""
+    """Last row of models with proprioception; zero for inactive robots."""
     d = len(robot.axes)
     for block in range(first, last):
         for lane in range(min(lanes, len(merged_into) - block * lanes)):

@@ -121,7 +121,7 @@ def robots_turn(scenario: Scenario, asked: Asked) -> str:
     return "none: theorems 3 and 4 are for robots that turn" if scenario.model.bounded else ""
 
 
-def nothing_in_the_way(scenario: Scenario, asked: Asked) -> str:
+def no_obstacles(scenario: Scenario, asked: Asked) -> str:
     """There are no obstacles, or robots pass through them."""
     if not scenario.obstacles or scenario.obstacle_contact == "ignore":
         return ""
@@ -191,7 +191,7 @@ def bounded_errors(scenario: Scenario, asked: Asked) -> str:
     return ""
 
 
-def all_neighbours_seen(scenario: Scenario, asked: Asked) -> str:
+def all_neighbours_visible(scenario: Scenario, asked: Asked) -> str:
     """No neighbour row is ever missing."""
     if departs_in(scenario, "error", "sectors"):
         return ""
@@ -201,16 +201,16 @@ def all_neighbours_seen(scenario: Scenario, asked: Asked) -> str:
     )
 
 
-def nearest_hides(scenario: Scenario) -> bool:
+def nearest_always_visible(scenario: Scenario) -> bool:
     """Whether only occlusion hides robots, so the nearest is always visible (guarantees 13)."""
     hidden = scenario.sensing.occlusion == "robots" and scenario.model.bounded
     alone = hidden and departs_in(scenario, "occlusion", "error")
     return alone and is_complete(scenario)
 
 
-def somebody_seen(scenario: Scenario, asked: Asked) -> str:
+def some_neighbour_visible(scenario: Scenario, asked: Asked) -> str:
     """All neighbours are visible, or the nearest of all other robots."""
-    return "" if nearest_hides(scenario) else all_neighbours_seen(scenario, asked)
+    return "" if nearest_always_visible(scenario) else all_neighbours_visible(scenario, asked)
 
 
 def exact_bearings(scenario: Scenario, asked: Asked) -> str:
@@ -257,7 +257,7 @@ def rows_for_all(scenario: Scenario, asked: Asked) -> str:
     slots = scenario.observation_layout.neighbour_slots
     if slots >= scenario.sensing_graph.most_neighbours(scenario.n_robots):
         return ""  # as with rows that no one has given, and without a look at all links
-    if slots >= (most := known.most_neighbours(scenario)):
+    if slots >= (most := known.max_neighbours(scenario)):
         return ""
     return (
         f"none: merged robots may have up to {most} neighbours, and an episode ends with an error "
@@ -287,7 +287,9 @@ def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> s
     straight = margin if scenario.n_robots == 2 else asked.min_alignment
     largest = _largest_coordinate(scenario)
     apart = scenario.spawn_size if starts is None else float(np.ptp(starts, axis=0).max())
-    unseen = nearest_hides(scenario) or (asked.by == "links" and scenario.sensing.range is not None)
+    unseen = nearest_always_visible(scenario) or (
+        asked.by == "links" and scenario.sensing.range is not None
+    )
     speed = known.lightest_link(scenario) if unseen else scenario.bottleneck_weight
     if asked.by == "tank":
         budget = min(asked.budget, LARGEST)
@@ -302,7 +304,7 @@ def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> s
     moved = scenario.tau * speed * asked.min_alignment
     k = 2.0
     if asked.by in ("heading", "tank"):
-        slowness = known.robots_left(scenario) / known.least_degrees(scenario)
+        slowness = known.robots_left(scenario) / known.min_degrees(scenario)
         k = scenario.bottleneck_weight * float(slowness.max())
     needed = max(_LEAST_MOVE, k * _LEAST_GAIN / margin) * largest
     gained = _LEAST_GAIN if asked.by == "tank" else _FAR_OUT_GAIN
@@ -361,11 +363,11 @@ JOINED = (without_range, connected, one_leader_at_most, velocity_inputs, *IN_STE
 """Assumptions of theorems about L: all robots but one leader always have a visible neighbour."""
 TEAM = (undirected, connected, velocity_inputs, *IN_STEPS)
 """Assumptions about permanent links."""
-LASTING_LINKS = (undirected, connected, known_bodies, bounded_errors, all_neighbours_seen)
+LASTING_LINKS = (undirected, connected, known_bodies, bounded_errors, all_neighbours_visible)
 """Assumptions of theorems about V."""
 KEPT = (*LASTING_LINKS, merges_everywhere, outlasts_rounding)
 """Assumptions of bounds on V or V + ΣA, including rounding."""
-UNHINDERED = (*LASTING_LINKS, nothing_in_the_way, velocity_inputs, *IN_STEPS)
+UNHINDERED = (*LASTING_LINKS, no_obstacles, velocity_inputs, *IN_STEPS)
 """Assumptions of time bounds from V."""
-TURNING = (*LASTING_LINKS, nothing_in_the_way, robots_turn, exact_bearings, rows_for_all)
+TURNING = (*LASTING_LINKS, no_obstacles, robots_turn, exact_bearings, rows_for_all)
 """Assumptions for nonholonomic robots."""

@@ -1,4 +1,4 @@
-"""What is guaranteed for a scenario, by which theorem, or why nothing is."""
+"""Certificates: guarantees of a scenario, their theorems, or the reasons why none applies."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from ...checks import choice, real, refuse
+from ...checks import choice, raise_invalid, to_float
 from ...field_docs import lists_fields
 from ...scenario.scenario import Scenario
 from ...scenario.scenarios import resolve
@@ -24,7 +24,7 @@ THEOREMS: tuple[Theorem, ...] = tuple(
     for file in (gains, descent, turning, tank, links, noise, delay)
     for theorem in file.THEOREMS
 )
-"""All that certificates ask, in turn; the first that promises a rendezvous gives the words."""
+"""All theorems in order of precedence; the first that guarantees rendezvous is cited."""
 _KEPT = {
     "lyapunov": "V never exceeds {} m²/s{}",
     "hull": "L never exceeds {} m",
@@ -44,58 +44,61 @@ def _renamed(old: str, new: str) -> Any:
 @lists_fields
 @dataclass(frozen=True)
 class Certificate:
-    """What is guaranteed for a scenario, and why or why not; a bound is infinite where none is."""
+    """Guarantees of a scenario with their theorem or the missing assumption; inf means no bound."""
 
     min_alignment: float
-    """ε, without unit: least alignment |hᵀf|/‖f‖ that the guarantee assumes; 1 for law (1)."""
+    """ε, without unit: assumed minimum alignment |hᵀf|/‖f‖; 1 for law (1)."""
     dead_zone: float
-    """δ = a*/(2n), m/s: below it a certified heading need not follow the net bearing f."""
+    """δ = a*/(2n), m/s: a certified heading need not follow a net bearing f shorter than δ."""
     certified_step: float
-    """r/(2D̄), s: longest step for which V is proven not to rise between merges."""
+    """r/(2D̄), s: longest step for which V provably does not increase between merges."""
     bottleneck_weight: float
-    """a*, m/s: bottleneck weight of the graph (theory 3)."""
+    """Bottleneck weight a* of the graph, m/s (theory 3)."""
     time_bound: float
-    """Bound on the time to rendezvous in the environment as it steps, s, from the start that the
-    scenario gives or any that its episodes draw."""
+    """Bound on the rendezvous time in discrete time, s, from the given initial condition or from
+    any that episodes sample; inf if none is proven."""
     guaranteed: bool
     """Whether rendezvous is guaranteed."""
     theorem: str
-    """Theorem that covers the scenario, or why none does."""
+    """Theorem that applies to the scenario, or the missing assumption."""
     by: str = "law"
-    """What keeps the guarantee: "law", "heading", "tank", "gains", "links"; "policy" where nothing
-    does."""
+    """Mechanism of the guarantee: "law", "heading", "tank", "gains" or "links"; "policy" if
+    there is none."""
     continuous_time_bound: float = math.inf
-    """``time_bound`` for velocities that follow the bearings in continuous time."""
+    """Bound on the rendezvous time if velocities follow the bearings in continuous time, s."""
     continuous_time_only: bool = False
-    """Whether the guarantee is proven in continuous time only, so that ``time_bound`` is inf."""
+    """Whether the guarantee is proven in continuous time only; ``time_bound`` is then inf."""
     lyapunov_bound: float = math.inf
-    """Bound on V at any time, m²/s; among obstacles, in motion without a contact."""
+    """Bound on V at any time, m²/s; with obstacles, for motion without contact."""
     hull_bound: float = math.inf
     """Bound on the perimeter L of the convex hull at any time, m."""
     link_growth_bound: float = math.inf
-    """Bound on how much longer a link ever is than at the start, m; for links that would be within
-    the sensing range if they were longer by this."""
+    """Bound on the growth of a link over its initial length, m; it holds for links that remain
+    within sensing range if lengthened by this amount."""
     bearing_error: float = 0.0
-    """η, rad: largest bearing error that the guarantee allows for. Give it to the wrapper too."""
+    """η, rad: largest bearing error covered by the guarantee. Pass the same value to the
+    wrapper."""
     tolerated_bearing_error: float = 0.0
-    """Bearing error below which a theorem still guarantees a rendezvous, inputs held, rad; rounding
-    takes 2⁻²² rad of it, more in short steps."""
+    """Bearing error below which a theorem still guarantees rendezvous in discrete time, rad.
+    Rounding reduces it by 2⁻²² rad, more for short steps."""
     expected_time_bound: float = math.inf
-    """Bound on the mean time to rendezvous under noise that is drawn anew in every step, s."""
+    """Bound on the mean rendezvous time under noise sampled independently in each step, s."""
     scenario: str = "custom"
     """Name of the scenario."""
     time_limit: float = math.inf
     """Time limit of its episodes, s."""
     touches_obstacles: bool = False
-    """Whether robots may touch obstacles; ``lyapunov_bound`` then holds up to the first contact."""
+    """Whether contact with obstacles is possible; ``lyapunov_bound`` then holds up to the first
+    contact."""
     policy: str = ""
-    """Name of the policy that was asked about; empty if none was given."""
+    """Name of the certified policy; empty if none was given."""
 
     @property
     def promises(self) -> dict[str, float]:
-        """Every number that is promised of the environment as it steps, by what it bounds: time, s;
-        V ("lyapunov"), m²/s, but for contacts, and L ("hull"), m, at any time; "link_growth", m;
-        "expected_time", s.
+        """Every guaranteed discrete-time bound by name.
+
+        "time", s; "lyapunov" (V without contacts), m²/s; "hull" (L), m, at any time; "link_growth",
+        m; "expected_time", s.
         """
         found = {name: getattr(self, f"{name}_bound") for name in PROMISED}
         return {name: bound for name, bound in found.items() if math.isfinite(bound)}
@@ -108,7 +111,7 @@ class Certificate:
     continuous_time = _renamed("continuous_time", "continuous_time_only")
 
     def __str__(self) -> str:
-        """What is promised, by when, and how that compares with the episode's limit."""
+        """Summary of the guarantee: bounds, and comparison with the time limit of episodes."""
         promises, free = self.promises.items(), " in motion without a contact"
         free *= self.touches_obstacles
         known = [(name, at_most(bound)) for name, bound in promises if name in _KEPT]
@@ -151,47 +154,45 @@ def certificate(
     bearing_error: float = 0.0,
     policy: Any = None,
 ) -> Certificate:
-    """What is guaranteed for a scenario under law (1), or whatever a policy does under a wrapper,
-    or of a given policy.
+    """Return the guarantees of a scenario under law (1), under a wrapper, or for a given policy.
 
         certificate("ring-12")                                      # law (1)
         certificate("ring-12", 0.1)                                 # any policy under a wrapper
         certificate("ring-12", policy=HeadingPolicy("ring-12", f))  # with that policy's settings
 
-    For the scenario's own graph and obstacles, and the start that it gives or those that episodes
-    draw: in its spawn area, linked robots 2r or more apart, connected on a proximity graph where
-    ``require_connected``. Of other starts, weights or obstacles, as ``reset(options=…)`` takes
-    them, nothing is said: ask for ``scenario.replace(start_positions=…, graph=…, obstacles=…)``.
-    Of other weights or obstacles that is true of an environment made of that scenario: steps, gains
-    and levels of tanks follow from a scenario's own. Each number is the best that one of the
-    theorems gives; the wrapper is to be given the same numbers as ``certificate``.
+    The certificate covers the scenario's own graph and obstacles. It covers the given initial
+    condition, or those that episodes sample: in the spawn area, with linked robots at least 2r
+    apart. On a proximity graph with ``require_connected`` they are connected.
+
+    Initial conditions, weights or obstacles passed to ``reset(options=…)`` are not covered. Certify
+    ``scenario.replace(start_positions=…, graph=…, obstacles=…)`` instead. For weights and
+    obstacles, also create the environment from that scenario: steps, gains and tank levels depend
+    on it. Each bound is the best that any theorem gives. Pass the same arguments to the wrapper as
+    to ``certificate``.
 
     Args:
         scenario: a Scenario, the name of one or the path of a TOML file.
-        min_alignment: a number without unit: 1 for the paper's own laws, gains and links, ε in
-            [10⁻⁶, 1) for certified headings of that margin and for a tank, where 1 stands for the
-            0.05 of a tank that is given no other.
+        min_alignment: ε, a number without unit. 1 for the paper's laws, gains and links; in [10⁻⁶,
+            1) for certified headings and tanks. For a tank, 1 is replaced by the default of 0.05.
         by: "law", "heading", "tank", "gains" or "links"; None is "law" if ``min_alignment`` is 1,
             else "heading".
-        budget: B_i that each robot's tank begins with, m²/s.
-        min_gain: the least that a robot's gains add up to, m/s; None is a*.
-        max_gain: the most, m/s; None is D̄.
-        share: λ in [10⁻⁶, 1], how much of a velocity is the link-keeping law's.
-        bearing_error: by how much bearings may be wrong, rad; η is the larger of it and of the
-            bounded errors of the scenario's sensor.
-        policy: a policy or any function of observations and time, in place of all other arguments:
-            its attribute ``guarantee``, a mapping of such arguments, says what its filter keeps. Of
-            a function without one nothing is guaranteed; ``theorem`` then names the wrappers that
-            guarantee a rendezvous whatever it chooses, and the command that searches for
-            counterexamples.
+        budget: initial stored energy B_i of each robot's tank, m²/s.
+        min_gain: lower bound on the sum of a robot's gains, m/s; None is a*.
+        max_gain: upper bound on the sum of a robot's gains, m/s; None is D̄.
+        share: λ in [10⁻⁶, 1], velocity share of the connectivity-maintaining law.
+        bearing_error: bound on the bearing error, rad; η is the maximum of it and the bounded
+            errors of the scenario's sensor.
+        policy: a policy or any function of observations and time, in place of all other arguments.
+            Its attribute ``guarantee``, a mapping of these arguments, describes its filter. Without
+            the attribute there is no guarantee; ``theorem`` then lists wrappers that provide one
+            for any policy, and the command that searches for counterexamples.
 
     Returns:
-        A Certificate, each of whose fields says its unit.
+        A Certificate; its fields document their units.
 
     Raises:
-        TypeError: for a policy that cannot be called.
-        ValueError: naming the argument that is out of its range, or does not go with ``by`` or
-            ``policy``.
+        TypeError: if ``policy`` is not callable.
+        ValueError: for an argument out of range or incompatible with ``by`` or ``policy``.
     """
     scenario = resolve(scenario)
     given: dict[str, Any] = {"min_alignment": min_alignment, "budget": budget, "share": share}
@@ -200,7 +201,7 @@ def certificate(
         return answer(scenario, question(scenario, by, given, bearing_error))[0]
     for name, value in (given | {"by": by, "bearing_error": bearing_error}).items():
         if value != (usual := getattr(LAW, name) if name in given else _UNASKED[name]):
-            refuse(name, value, f"{usual} with a policy, which has settings of its own")
+            raise_invalid(name, value, f"{usual} with a policy, which has settings of its own")
     return of_policy(scenario, policy)
 
 
@@ -208,7 +209,7 @@ _UNASKED = {"by": None, "bearing_error": 0.0}
 
 
 def of_policy(scenario: Scenario, policy: object) -> Certificate:
-    """The certificate of a policy's own guarantee, or one that promises nothing."""
+    """Return the certificate of a policy's ``guarantee``, or one without guarantees."""
     guarantee = policies.guarantee_of(scenario, policy)
     lacks = "" if guarantee is None else policies.unmet(scenario, guarantee)
     if guarantee is not None and not lacks:
@@ -222,48 +223,47 @@ def of_policy(scenario: Scenario, policy: object) -> Certificate:
 
 
 def _time_bound(scenario: Scenario, by: str) -> float | None:
-    """By which a rendezvous is guaranteed under a filter of usual settings, s, or None."""
+    """Guaranteed rendezvous time under a filter with default settings, s, or None."""
     margin = {"min_alignment": 0.1 if by == "heading" else LAW.min_alignment}
     try:
         found, _ = answer(scenario, question(scenario, by, margin, 0.0))
-    except ValueError:  # such a filter has no settings here
+    except ValueError:  # no settings are valid for this filter
         return None
     return found.time_bound if found.guaranteed else None
 
 
 def question(scenario: Scenario, by: Any, given: Mapping[str, Any], bearing_error: Any) -> Asked:
-    """What is asked, if the arguments of ``certificate`` go together (theorem A: LAW), η a number,
-    rad.
-    """
+    """Query from consistent arguments of ``certificate`` (theorem A: LAW), with η a number, rad."""
     margin = check_share("min_alignment", given.get("min_alignment", LAW.min_alignment))
     by = choice("by", ("law" if margin == 1 else "heading") if by is None else by, CHOICES)
     if by in ("law", "gains", "links") and margin != 1:
-        refuse("min_alignment", margin, f'exactly 1 with by="{by}"')
+        raise_invalid("min_alignment", margin, f'exactly 1 with by="{by}"')
     if by == "tank" and margin == 1:
-        margin = TANK_MARGIN  # no tank has 1
+        margin = TANK_MARGIN  # 1 is invalid for a tank
     if by == "heading" and margin == 1:
-        refuse("min_alignment", margin, 'less than 1 with by="heading"')
+        raise_invalid("min_alignment", margin, 'less than 1 with by="heading"')
     asked = LAW._replace(by=by, **given)
-    if not 0 <= (budget := real(asked.budget)) < math.inf:
-        refuse("budget", asked.budget, "finite and at least 0 m²/s")
+    if not 0 <= (budget := to_float(asked.budget)) < math.inf:
+        raise_invalid("budget", asked.budget, "finite and at least 0 m²/s")
     share, own = check_share("share", asked.share), bounded_error(scenario.sensing, scenario.dim)
     error = max(check_bearing_error(bearing_error), own)
     asked = asked._replace(min_alignment=margin, budget=budget, share=share, error=error)
     if by != "tank" and budget != 0:
-        refuse("budget", asked.budget, f'0 with by="{by}": only a tank has one')
+        raise_invalid("budget", asked.budget, f'0 with by="{by}": only a tank has one')
     for name, only in (("min_gain", "gains"), ("max_gain", "gains"), ("share", "links")):
         value, usual = getattr(asked, name), getattr(LAW, name)
         if by != only and value != usual:
-            refuse(name, value, f'{usual} with by="{by}": only {only} have one')
+            raise_invalid(name, value, f'{usual} with by="{by}": only {only} have one')
     if by == "gains":
         gain_range(scenario, asked.min_gain, asked.max_gain)
     return asked
 
 
 def answer(scenario: Scenario, asked: Asked) -> tuple[Certificate, list[tuple[Theorem, Bounds]]]:
-    """The best of all that is promised, with the words of the first theorem that promises a
-    rendezvous, or what the one that comes nearest lacks, of several that apply the one that bears
-    the largest error; and all theorems that apply.
+    """Return the best of all bounds, the theorem text, and all theorems that apply.
+
+    The text is that of the first theorem that guarantees rendezvous, or the missing assumption of
+    the closest one. If several apply, the one with the largest admissible bearing error is cited.
     """
     applies, nearest, words = [], (-1.0, 0.0), ""
     for theorem in THEOREMS:
@@ -284,7 +284,7 @@ def answer(scenario: Scenario, asked: Asked) -> tuple[Certificate, list[tuple[Th
 def _certificate(
     scenario: Scenario, asked: Asked, lacks: str, found: list[Bounds], policy: str = ""
 ) -> Certificate:
-    """The best of the bounds that apply, or in words what is lacking."""
+    """Certificate with the best applicable bounds, or with the missing assumption."""
     promised = [bounds.words for bounds in found if bounds.meets]
     least = {
         name: min((getattr(bounds, name) for bounds in found), default=math.inf)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...checks import floats, refuse
+from ...checks import floats, raise_invalid
 from ...graphs import Graph
 from ...physics.hull_perimeter import size
 from ...scenario.scenario import Scenario
@@ -59,7 +59,7 @@ def robots_left(scenario: Scenario) -> Array:
     return np.arange(2.0, scenario.n_robots + 1.0)
 
 
-def least_degrees(scenario: Scenario) -> Array:
+def min_degrees(scenario: Scenario) -> Array:
     """Minimum degrees c_m ≤ D_i = Σ_j a_ij, an array (n − 1,), m/s.
 
     Complete graphs and cycles keep their structure; otherwise one link of weight a* (theory 3).
@@ -70,7 +70,7 @@ def least_degrees(scenario: Scenario) -> Array:
     return np.maximum(links * lightest_link(scenario), scenario.bottleneck_weight)
 
 
-def most_neighbours(scenario: Scenario) -> int:
+def max_neighbours(scenario: Scenario) -> int:
     """Maximum number of neighbours of a robot, merges included, without unit.
 
     k merged robots of a fixed graph were joined by at least k − 1 links, so the maximum is
@@ -87,15 +87,15 @@ def most_neighbours(scenario: Scenario) -> int:
     return min(most, int(np.minimum(n - merged, np.cumsum(counts) - 2 * (merged - 1)).max()))
 
 
-def most_degrees(scenario: Scenario) -> Array:
+def max_degrees(scenario: Scenario) -> Array:
     """Maximum degrees min(D̄, (m − 1) max a_ij), an array (n − 1,), m/s (theory 3)."""
     heaviest = scenario.sensing_graph.extreme_weights(scenario.n_robots)[1]
     return np.minimum(scenario.max_degree, (robots_left(scenario) - 1.0) * heaviest)
 
 
-def least_bearing_square(scenario: Scenario) -> float:
+def min_bearing_square(scenario: Scenario) -> float:
     """min_m 4 c_m²/m ≤ Σ‖f_i‖² at any time before rendezvous, (m/s)² (lemma 2)."""
-    return float((4.0 * least_degrees(scenario) ** 2 / robots_left(scenario)).min())
+    return float((4.0 * min_degrees(scenario) ** 2 / robots_left(scenario)).min())
 
 
 def degrees_stay_equal(scenario: Scenario) -> bool:
@@ -232,7 +232,7 @@ def checked(name: str, given: ArrayLike, unit: str) -> Array:
     """Validated V(0) ≥ 0, m²/s, or L(0) ≥ 0, m, as an array (...)."""
     initial = floats(name, given)
     if not (np.isfinite(initial) & (initial >= 0)).all():
-        refuse(name, given, f"finite and at least 0 {unit}")
+        raise_invalid(name, given, f"finite and at least 0 {unit}")
     return initial
 
 

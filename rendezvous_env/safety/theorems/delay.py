@@ -16,7 +16,7 @@ from . import constants as known
 from .theorem import Asked, Bounds, Theorem
 
 
-def young(scenario: Scenario, asked: Asked) -> str:
+def small_delay(scenario: Scenario, asked: Asked) -> str:
     """(k+1) τ ≤ r/(2D̄): the age of delayed and held bearings is small enough."""
     age = (scenario.sensing.delay + 1) * scenario.tau
     oldest = scenario.merge_radius / (2.0 * scenario.max_degree)
@@ -34,12 +34,12 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     meanwhile = (n - 1) * n * scenario.merge_radius * degree / 2.0
     most = float(known.lyapunov_bound(scenario))
     most += 2.0 * known.merge_rise_allowance(scenario) + meanwhile
-    slowest = min(1.0, scenario.speed_limit / degree) * known.least_bearing_square(scenario)
+    slowest = min(1.0, scenario.speed_limit / degree) * known.min_bearing_square(scenario)
     time = float(known.over_rate(most, slowest) + (n - 1) * (late + 1) * scenario.tau)
     words = f"theorem E1: law (1) meets in finite time on bearings that are {late} steps late"
     return Bounds(words, meets=True, time=time, lyapunov=most)
 
 
 _late = given.flawed_by("delay", "theorem E1 is for bearings that are late and nothing else")
-_LATE = *given.TEAM, _late, given.nothing_in_the_way, young, given.frames_stay
+_LATE = *given.TEAM, _late, given.no_obstacles, small_delay, given.frames_stay
 THEOREMS = (Theorem("E1", ("law",), _LATE, bounds),)

@@ -17,7 +17,7 @@ nonholonomic robots under headings. Proof: docs/proofs.md, A to C.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...checks import refuse
+from ...checks import raise_invalid
 from ...scenario.scenario import Scenario
 from ..settings import bounded_error, check_share
 from . import assumptions as given
@@ -39,7 +39,7 @@ def time_bound(
     """
     check_share("min_alignment", min_alignment)
     if not isinstance(scenario, Scenario):
-        refuse("scenario", scenario, "a Scenario; scenarios.resolve() takes names and files")
+        raise_invalid("scenario", scenario, "a Scenario; scenarios.resolve() takes names and files")
     initial = known.checked("initial_lyapunov", initial_lyapunov, "m²/s")
     theorem = _A if min_alignment == 1 else _C
     error = bounded_error(scenario.sensing, scenario.dim)
@@ -52,7 +52,7 @@ def time_bound(
     most, square = known.lyapunov_bound(scenario, initial), min_alignment**2
     bound = np.minimum(
         known.over_rate(n * most, 4.0 * square * a**2 / slowed),
-        known.held_time(scenario, most, square * known.least_bearing_square(scenario) / slowed),
+        known.held_time(scenario, most, square * known.min_bearing_square(scenario) / slowed),
     )
     if known.merges_at_midpoints(scenario):
         alike = known.over_rate(initial, 2.0 * (n - 1) * square * a**2 / slowed)

@@ -74,11 +74,11 @@ def _gains(scenario: Scenario, asked: Asked) -> tuple[Array, float]:
     if asked.by == "gains":
         least, most = gain_range(scenario, asked.min_gain, asked.max_gain)
         return gains * min(least, scenario.speed_limit), most
-    if given.nearest_hides(scenario):
+    if given.nearest_always_visible(scenario):
         # behind others all but the nearest may be hidden, and its link may be the lightest
         gains *= known.lightest_link(scenario)
     elif known.kind_of_links(scenario.sensing_graph) == known.UNDIRECTED:
-        gains = known.least_degrees(scenario)
+        gains = known.min_degrees(scenario)
     else:
         gains *= scenario.bottleneck_weight
     if scenario.scales_velocity:
@@ -106,7 +106,9 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     who, first = "every policy that weighs neighbours", "theorem G"
     if asked.by == "law":
         mutual = known.kind_of_links(scenario.sensing_graph) == known.UNDIRECTED
-        first = "theorems 1 and G" if mutual and not given.nearest_hides(scenario) else first
+        first = (
+            "theorems 1 and G" if mutual and not given.nearest_always_visible(scenario) else first
+        )
         who = "law (1)" + ", with velocities scaled to the step," * scenario.scales_velocity
     words = (
         f"{first}: {who} meets in finite time, and the hull does not grow while linked robots are "
@@ -117,11 +119,11 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     return Bounds(words, meets=True, time=time, continuous_time=continuous, hull=hull)
 
 
-_HULL = given.velocity_inputs, given.bounded_errors, given.nothing_in_the_way
+_HULL = given.velocity_inputs, given.bounded_errors, given.no_obstacles
 _WITHIN = given.within_neighbours, given.exact_bearings
 _NESTED = *_WITHIN, given.outlasts_rounding  # or robots leave the hull, as far as they like
-_SEEN = given.bounded_errors, given.somebody_seen, given.nothing_in_the_way
-_LAW_HULL = *_HULL, given.all_neighbours_seen, *_NESTED
+_SEEN = given.bounded_errors, given.some_neighbour_visible, given.no_obstacles
+_LAW_HULL = *_HULL, given.all_neighbours_visible, *_NESTED
 THEOREMS = (
     Theorem("G", ("law", "gains"), (*given.JOINED, *_SEEN, *_WITHIN), bounds, every_step="nested"),
     Theorem("G, the hull", ("gains",), (*_HULL, *_NESTED), hull_bounds, False, "nested"),

@@ -30,7 +30,7 @@ from . import constants as known
 from .theorem import Asked, Bounds, Theorem, bounds_with_errors
 
 
-def sight_is_mutual(scenario: Scenario, asked: Asked) -> str:
+def visibility_is_mutual(scenario: Scenario, asked: Asked) -> str:
     """Visibility within range is mutual."""
     reason = asymmetric_sight(scenario)
     return f"none: {reason}" if reason else ""
@@ -86,7 +86,7 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     n, reach, radius = scenario.n_robots, scenario.sensing.range, scenario.merge_radius
     if reach is None:
         most = float(known.lyapunov_bound(scenario))
-        degrees = known.least_degrees(scenario)
+        degrees = known.min_degrees(scenario)
     else:
         heaviest, pairs = scenario.sensing_graph.extreme_weights(n)[1], n * (n - 1) / 2.0
         merges = radius * (2.0 if scenario.obstacles else 1.0)
@@ -110,7 +110,7 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     return bounds_with_errors(asked, time, tolerated, words, "theorem R", even_so, **kept)
 
 
-_SIGHT = sight_is_mutual, given.nothing_in_the_way, starts_linked, neighbours_apart
+_SIGHT = visibility_is_mutual, given.no_obstacles, starts_linked, neighbours_apart
 _TEAM = given.connected, given.velocity_inputs, given.bounded_errors, *given.IN_STEPS
 _GRAPHS = given.on_graphs(known.UNDIRECTED, known.PROXIMITY)
 THEOREMS = (Theorem("R", ("links",), (_GRAPHS, *_TEAM, *_SIGHT), bounds, every_step="links"),)

@@ -65,7 +65,7 @@ def equal_gains(scenario: Scenario, asked: Asked) -> Array | None:
         gains, even = np.full(scenario.n_robots - 1, least), least == most
     else:
         even = known.degrees_stay_equal(scenario) and not scenario.scales_velocity
-        gains = known.least_degrees(scenario)
+        gains = known.min_degrees(scenario)
     return gains if even and scenario.speed_limit >= gains.max(initial=0.0) else None
 
 
@@ -108,11 +108,11 @@ def tolerated_error(
     N1    sin(η/2) < min_m c_m/(m D̄_m)
     N1'   sin(η/2) < min_m ε (2c_m − β a* m/n)/(2 (1+ε) m D̄_m),      β = ``dead_zone``
     """
-    left, share = known.robots_left(scenario), known.least_degrees(scenario)
+    left, share = known.robots_left(scenario), known.min_degrees(scenario)
     if margin is not None:
         faded = dead_zone * scenario.bottleneck_weight * left / scenario.n_robots
         share = margin * (2.0 * share - faded) / (2.0 * (1.0 + margin))
-    sine = (share / (left * known.most_degrees(scenario))).min()
+    sine = (share / (left * known.max_degrees(scenario))).min()
     return float(2.0 * np.arcsin(min(sine, 1.0)))
 
 
@@ -122,8 +122,8 @@ def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     as_it_is = scenario.speed_limit >= scenario.max_degree and not known.long_step(scenario)
     most = known.lyapunov_bound(scenario)
     most += (n - 1) * scenario.tau * n * (chord * scenario.max_degree) ** 2
-    feigned = left * (chord * known.most_degrees(scenario)) ** 2
-    rates = 4.0 * known.least_degrees(scenario) ** 2 / left - feigned
+    feigned = left * (chord * known.max_degrees(scenario)) ** 2
+    rates = 4.0 * known.min_degrees(scenario) ** 2 / left - feigned
     time = known.held_time(scenario, most, rates) if as_it_is else math.inf
     tolerated = tolerated_error(scenario) if as_it_is else 0.0
     words = f"law (1) meets in finite time although bearings err by {asked.error:.4g} rad"
@@ -140,9 +140,9 @@ def certified_bounds(
     """
     left, margin = known.robots_left(scenario), asked.min_alignment
     faded = dead_zone * scenario.bottleneck_weight * left / scenario.n_robots
-    wrong = left * error_chord(asked.error) * known.most_degrees(scenario)
+    wrong = left * error_chord(asked.error) * known.max_degrees(scenario)
     tolerated = tolerated_error(scenario, margin, dead_zone)
-    pull = 2.0 * known.least_degrees(scenario)
+    pull = 2.0 * known.min_degrees(scenario)
     q = margin * (pull - faded) - (1.0 + margin) * wrong
     sure = asked._replace(min_alignment=float((q / pull).min()))
     if lost := given.errors_outlasted(scenario, sure, tolerated):
@@ -177,15 +177,15 @@ def noisy_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     noise, weights = scenario.sensing.noise, graph.links(n)[2] * graph.weight_range[1]
     gamma = math.exp(-0.5 * noise**2) - ROUNDED * noise
     scattered = theta * (1.0 - gamma**2) * 2.0 * float(weights @ weights)
-    fall = known.least_bearing_square(scenario) * gamma * (2.0 - theta * gamma) - scattered
+    fall = known.min_bearing_square(scenario) * gamma * (2.0 - theta * gamma) - scattered
     most = known.lyapunov_bound(scenario, reach=degree * scenario.tau)
     most += (n - 1) * scenario.merge_radius * theta * degree * n  # cut short by merges
     return Bounds(expected_time=float(known.over_rate(most, fall)))
 
 
-_SEEN = given.bounded_errors, given.all_neighbours_seen, given.nothing_in_the_way
+_SEEN = given.bounded_errors, given.all_neighbours_visible, given.no_obstacles
 _noise = given.flawed_by("noise", "the mean time is known of noise alone")
-_NOISY = *given.TEAM, _noise, given.nothing_in_the_way
+_NOISY = *given.TEAM, _noise, given.no_obstacles
 THEOREMS = (
     Theorem("N", ("law", "gains"), (*given.JOINED, *_SEEN, gains_are_equal), equal_gain_bounds),
     Theorem("N1", ("law",), (*given.TEAM, *_SEEN, given.certified_or_scaled), law_bounds),

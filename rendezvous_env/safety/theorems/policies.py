@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from ...checks import refuse, shown
+from ...checks import raise_invalid, short_repr
 from ...scenario.scenario import Scenario
 from ..settings import MAX_TURN_RATE, bounded_error
 from .theorem import at_most
@@ -43,11 +43,13 @@ def guarantee_of(scenario: Scenario, policy: object) -> Guarantee | None:
     """
     if isinstance(policy, str) or not callable(policy):
         wanted = "a function of observations and time; baselines.make(name, scenario) makes one"
-        raise TypeError(f"policy is {shown(policy)}; it must be {wanted}")
+        raise TypeError(f"policy is {short_repr(policy)}; it must be {wanted}")
     own = getattr(policy, "scenario", None)
     if isinstance(own, Scenario) and _filters_differ(own, scenario):
         wanted = f"made for this scenario, {scenario.name!r}: filters follow from a scenario's own"
-        refuse("policy", name_of(policy), f"{wanted} step and gains; it was made for {own.name!r}")
+        raise_invalid(
+            "policy", name_of(policy), f"{wanted} step and gains; it was made for {own.name!r}"
+        )
     found = getattr(policy, "guarantee", None)
     return dict(found) if isinstance(found, Mapping) else None
 

@@ -38,7 +38,7 @@ def turning_window(dim: int, turned: float) -> tuple[int, float]:
 
 def _pull_and_turn(scenario: Scenario) -> tuple[float, float]:
     """F, m/s, and p, rad (theorem T)."""
-    least = float((2.0 * known.least_degrees(scenario) / known.robots_left(scenario)).min())
+    least = float((2.0 * known.min_degrees(scenario) / known.robots_left(scenario)).min())
     most = (0.7 * scenario.tau * least, math.pi / 3.0) if scenario.dim == 2 else (math.pi / 2.0,)
     return least, min(min(scenario.turn_limit, MAX_TURN_RATE) * scenario.tau, *most)
 

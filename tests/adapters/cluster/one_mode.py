@@ -1,7 +1,8 @@
-"""All processes of these tests have one token, whatever the machine and its Ray are set to.
+"""Common Ray authentication mode of all processes of these tests.
 
-A process has the mode in which it first met Ray, and processes of different modes do not hear each
-other: cluster, commands and this process must begin with the same one. To be imported before Ray.
+The mode of a process is that of its first contact with Ray, and processes of different modes cannot
+communicate. Cluster, commands and this process must therefore start with the same mode and token,
+independent of the machine's settings. Import this module before Ray.
 """
 
 import os

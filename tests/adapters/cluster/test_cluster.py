@@ -24,7 +24,7 @@ from ray.cluster_utils import Cluster
 from rendezvous_env.engine.threads import available_cores
 from train import tasks as cluster_tasks
 from train.checks import UserError
-from train.tasks import Workers, each
+from train.tasks import Workers, parallel_map
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # Ray's own
 cloudpickle.register_pickle_by_value(sys.modules[__name__])  # workers do not have this file
@@ -136,10 +136,10 @@ def refuses(task):
 
 
 class TestEach:
-    def test_a_lost_worker_costs_the_task_it_was_at(self, two, tmp_path, monkeypatch):
+    def test_parallel_map_repeats_only_task_of_lost_worker(self, two, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
         tasks = [(number, tmp_path, 2 * (number == 5)) for number in range(16)]
-        found = dict(each(tried, tasks, Workers(on="ray", address=two.address)))
+        found = dict(parallel_map(tried, tasks, Workers(on="ray", address=two.address)))
         assert sorted(found) == [found[number][0] for number in range(16)] == list(range(16))
         times = Counter({number: (tmp_path / str(number)).stat().st_size for number in range(16)})
         assert times == Counter(range(16)) + Counter([5])
@@ -148,31 +148,31 @@ class TestEach:
         assert len({result[2] for result in found.values()} - {os.getpid()}) >= 2
         assert {Path(result[3]) for result in found.values()} == {tmp_path}
 
-    def test_one_that_is_always_lost_is_an_error(self, two, tmp_path):
+    def test_parallel_map_raises_after_repeated_worker_loss(self, two, tmp_path):
         tasks = [(0, tmp_path, 100)]
         with pytest.raises(UserError, match="workers of the cluster ended 3 times at one task"):
-            list(each(tried, tasks, Workers(on="ray", address=two.address)))
+            list(parallel_map(tried, tasks, Workers(on="ray", address=two.address)))
         assert (tmp_path / "0").stat().st_size == 3
 
-    def test_one_of_this_machine_is_started_with_single_threads(self):
-        found = dict(each(threads, range(8), Workers(jobs=2, on="ray")))
+    def test_parallel_map_starts_local_cluster_with_single_threads(self):
+        found = dict(parallel_map(threads, range(8), Workers(jobs=2, on="ray")))
         assert sorted(found) == list(range(8))
         assert {result[:2] for result in found.values()} == {("1", 1)}
         processes = {result[2] for result in found.values()}
         assert os.getpid() not in processes and 1 <= len(processes) <= 2
 
-    def test_what_a_task_raises_is_raised(self, two):
+    def test_parallel_map_propagates_task_error(self, two):
         with pytest.raises(UserError, match=r"^task \d cannot be$"):
-            list(each(refuses, range(4), Workers(on="ray", address=two.address)))
+            list(parallel_map(refuses, range(4), Workers(on="ray", address=two.address)))
 
-    def test_a_cluster_that_cannot_reach_this_process(self, open_to_all, tmp_path):
+    def test_parallel_map_rejects_unreachable_cluster(self, open_to_all, tmp_path):
         """It has no token, and this process answers nobody without one."""
         tasks = [(number, tmp_path, 0) for number in range(8)]
         said = r"did not reach this process to fetch a result: RAY_AUTH_MODE is token here"
         with pytest.raises(UserError, match=said):
-            list(each(tried, tasks, Workers(on="ray", address=open_to_all)))
+            list(parallel_map(tried, tasks, Workers(on="ray", address=open_to_all)))
 
-    def test_a_cluster_that_does_not_let_this_process_in(self, two, tmp_path):
+    def test_parallel_map_rejects_cluster_without_token(self, two, tmp_path):
         asks = ("verify", "--trials", 1, "--backend", "ray", "--address", two.address)
         done = command(*asks, "--out", tmp_path, RAY_AUTH_MODE="disabled")
         said, _ = done.communicate(timeout=600)
@@ -180,12 +180,12 @@ class TestEach:
         assert f"--address {two.address}: " in said
         assert "RAY_AUTH_MODE is disabled here and must be that of the cluster" in said
 
-    def test_no_cluster(self):
+    def test_parallel_map_rejects_missing_cluster(self):
         with pytest.raises(UserError, match=r"--address 127\.0\.0\.1:9: no cluster answers there"):
-            list(each(refuses, range(4), Workers(on="ray", address="127.0.0.1:9")))
+            list(parallel_map(refuses, range(4), Workers(on="ray", address="127.0.0.1:9")))
 
 
-def test_a_comparison_that_loses_a_worker_is_that_of_one_process(two, tmp_path):
+def test_compare_with_lost_worker_equals_single_process(two, tmp_path):
     alone(*PLAYED, "--out", tmp_path / "one")
     cells = tmp_path / "ray.part" / "cells"
     with_a_kill(
@@ -195,7 +195,7 @@ def test_a_comparison_that_loses_a_worker_is_that_of_one_process(two, tmp_path):
         assert (tmp_path / "ray" / name).read_bytes() == (tmp_path / "one" / name).read_bytes()
 
 
-def test_runs_of_several_seeds_write_where_they_are_told(two, tmp_path, monkeypatch):
+def test_train_seeds_write_into_given_folders(two, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     small = (
         "train", "--scenario", "clutter-4", "--num-teams", 4, "--n-steps", 8, "--batch-size", 64,

@@ -1,4 +1,4 @@
-"""The search with Ray Tune, in a small setting."""
+"""Hyperparameter search with Ray Tune, in a small setting."""
 
 import re
 from pathlib import Path
@@ -9,7 +9,7 @@ from test_examples import run
 pytest.importorskip("ray")
 
 
-def test_a_search_finds_a_policy(tmp_path, monkeypatch):
+def test_search_finds_policy(tmp_path, monkeypatch):
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
     small = (
         "--scenario", "clutter-4", "--trials", "2", "--steps", "2048", "--teams", "8",

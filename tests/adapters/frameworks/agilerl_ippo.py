@@ -1,4 +1,4 @@
-"""AgileRL: IPPO, whose network the robots of a group share, over many teams at once."""
+"""AgileRL: IPPO with one network per group of robots, over many environments."""
 
 import numpy as np
 import torch
@@ -16,7 +16,7 @@ frames = HORIZON * given.teams * len(names)
 
 
 def by_name(table):
-    """Columns of (B, n, …), one for each robot."""
+    """Columns of (B, n, …) per robot."""
     return {name: table[:, i] for i, name in enumerate(names)}
 
 
@@ -44,7 +44,7 @@ learner = IPPO(
 
 
 def policy(seen):
-    """Actions of the robots of one team, each seen as a batch of one."""
+    """Actions of the robots of one environment, each as a batch of one."""
     learner.set_training_mode(False)
     return table_of(learner.get_action(by_name(seen[None]))[0])[0]
 

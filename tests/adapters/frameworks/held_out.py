@@ -1,4 +1,4 @@
-"""What the scripts of all frameworks share: how speed and success are measured."""
+"""Common measurement of speed and success for the framework scripts."""
 
 import argparse
 import json
@@ -14,11 +14,11 @@ import rendezvous_env as rv
 SCENARIO = "clutter-16"
 """Four robots among sixteen discs."""
 Policy = Callable[[NDArray[np.float32]], NDArray[Any]]
-"""Observations of robots, (n, size), to their actions."""
+"""Observations of robots, (n, size) → actions."""
 
 
 def settings(description: str | None, **defaults: int) -> argparse.Namespace:
-    """Options of a script and their defaults; ``starts`` is how many held-out starts are played."""
+    """Options of a script with defaults; ``starts`` counts held-out initial conditions."""
     parser = argparse.ArgumentParser(description=description)
     for name, default in (defaults | {"starts": 100}).items():
         parser.add_argument(f"--{name}", type=int, default=default)
@@ -26,7 +26,7 @@ def settings(description: str | None, **defaults: int) -> argparse.Namespace:
 
 
 def clean_success(policy: Policy, starts: int) -> float:
-    """Share of held-out starts on which all robots meet and none touches an obstacle."""
+    """Fraction of held-out initial conditions with collision-free rendezvous."""
     env, clean = rv.training_env(SCENARIO), 0
     for seed in range(10_000, 10_000 + starts):
         observations, infos = env.reset(seed=seed)

@@ -1,4 +1,4 @@
-"""Gymnasium's vector API and NumPy alone: evolution strategies on a linear policy."""
+"""NumPy with Gymnasium's vector API: evolution strategies on a linear policy."""
 
 import numpy as np
 from held_out import SCENARIO, measure, settings
@@ -21,7 +21,7 @@ def random_steps():
 
 
 def returns(weights, seed):
-    """Mean return of each candidate's teams over one episode; weights (candidates, size, 2)."""
+    """Mean return of each candidate in one episode; weights (candidates, size, 2)."""
     observations, _ = envs.reset(seed=seed)
     total, running = np.zeros(envs.num_envs), np.ones(envs.num_envs, dtype=bool)
     steps = 0

@@ -1,9 +1,9 @@
-"""The table of frameworks: each script of this folder, run in an environment of its own.
+"""Table of frameworks: runs each script of this folder in a separate environment.
 
     python tests/adapters/frameworks/run_table.py [--only JAX Tianshou] [--venvs FOLDER]
 
-Prints a row of docs/results.md for each; a frame is a decision of one robot. Of a framework that
-does not install or run the row has the last line of its output.
+Prints a row of docs/results.md for each; a frame is one decision of one robot. If a framework
+cannot be installed or run, the row holds the last line of its output.
 """
 
 import argparse
@@ -21,14 +21,14 @@ TORCH = "torch==2.13.0"
 
 
 class Framework(NamedTuple):
-    """A script and what it needs."""
+    """A script and its requirements."""
 
     script: str
     algorithm: str
     needs: tuple[str, ...] = ()
-    """Pins; they hold against those of constraints.txt."""
+    """Pinned versions, which override those of constraints.txt."""
     frees: tuple[str, ...] = ()
-    """Packages of constraints.txt that the framework needs in another version."""
+    """Packages of constraints.txt in another version required by the framework."""
 
 
 FRAMEWORKS = {
@@ -50,7 +50,7 @@ FRAMEWORKS = {
 
 
 def run(*command: str | Path) -> str:
-    """What a command prints; a RuntimeError with the last line of its output, if it fails."""
+    """Output of a command; a RuntimeError holds its last line if the command fails."""
     words = [str(word) for word in command]
     done = subprocess.run(words, capture_output=True, text=True, cwd=HERE, check=False)
     if done.returncode:
@@ -59,7 +59,7 @@ def run(*command: str | Path) -> str:
 
 
 def install(framework: Framework, folder: Path) -> float:
-    """Make the environment anew; s."""
+    """Recreate the environment; returns the duration, s."""
     began = time.perf_counter()
     run(sys.executable, "-m", "venv", "--clear", folder)
     own = {re.split(r"[\[=<>]", pin)[0] for pin in framework.needs} | set(framework.frees)
@@ -74,7 +74,7 @@ def install(framework: Framework, folder: Path) -> float:
 
 
 def row(name: str, framework: Framework, folder: Path) -> str:
-    """A row of the table."""
+    """Row of the table."""
     text = re.sub(r'\A""".*?"""', "", (HERE / framework.script).read_text(), flags=re.DOTALL)
     lines = sum(1 for line in text.splitlines() if re.match(r"\s*[^\s#]", line))
     learning = f"{framework.algorithm}, `{framework.script}`, {lines} lines"

@@ -1,4 +1,4 @@
-"""stable-baselines3: PPO over the robots of many teams, through the VecEnv of ``adapters.sb3``."""
+"""stable-baselines3: PPO over the robots of many environments (VecEnv of ``adapters.sb3``)."""
 
 import numpy as np
 from held_out import SCENARIO, measure, settings

@@ -1,4 +1,4 @@
-"""skrl: PPO over the robots of many teams, each of which is one of its environments."""
+"""skrl: PPO over the robots of many environments, each robot as a separate environment."""
 
 import gymnasium
 import numpy as np
@@ -18,7 +18,7 @@ HORIZON = 32
 
 
 class Robots(Wrapper):
-    """Slot = team · n + robot; a team begins anew in the step in which it ends."""
+    """Slot = environment · n + robot; environments reset in the step in which they end."""
 
     def __init__(self, teams):
         super().__init__(teams)

@@ -1,4 +1,4 @@
-"""The scripts of the table of frameworks run, those of frameworks that are installed."""
+"""Smoke tests of the framework scripts, for installed frameworks."""
 
 import json
 from importlib.util import find_spec
@@ -20,7 +20,7 @@ SMALL = {  # by the module that each needs
 
 
 @pytest.mark.parametrize("needed", [module for module in SMALL if find_spec(module)])
-def test_script(needed):
+def test_framework_script_runs(needed):
     assert {framework.script for framework in FRAMEWORKS.values()} == {s[0] for s in SMALL.values()}
     said = run_python(HERE, *SMALL[needed], "--starts", "2").stdout
     found = json.loads(said.splitlines()[-1])

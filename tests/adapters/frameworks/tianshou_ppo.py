@@ -1,4 +1,4 @@
-"""Tianshou: PPO over the robots of many teams, each of which is one of its environments."""
+"""Tianshou: PPO over the robots of many environments, each as a separate environment."""
 
 import numpy as np
 import torch
@@ -19,7 +19,7 @@ given = settings(__doc__, epochs=12, teams=64)
 
 
 class Robots(BaseVectorEnv):
-    """Slot = team · n + robot. The robots of a team end together, and begin anew together."""
+    """Slot = environment · n + robot. The robots of an environment end and reset together."""
 
     is_async = False
     is_closed = False

@@ -1,4 +1,4 @@
-"""Four differential drives meet in ir-sim, without a touch, by what their lidars return."""
+"""Collision-free rendezvous of four differential drives with lidars in ir-sim."""
 
 import re
 from importlib import util
@@ -12,7 +12,7 @@ if util.find_spec("irsim") is None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("policy", ["tangent-joined-tuned", "learned"])
-def test_robots_meet_in_its_obstacles(policy):
+def test_robots_meet_in_irsim_without_contact(policy):
     told, last = run("13_ir_sim.py", "--policy", policy, "--episodes", "1").splitlines()
     assert 3.0 < float(re.fullmatch(r"0: met True, touched False, (\S+) s", told)[1]) < 90.0
     assert last == f"{policy}: 1 of 1 teams met without a touch"

@@ -51,7 +51,7 @@ def turned(angles):
     return (np.degrees(angles) + 180.0) % 360.0 - 180.0
 
 
-def test_lamps_all_around_are_found():
+def test_detector_finds_lamps_in_all_directions():
     """Near and far, across the seams of pictures, whichever way the cameras look."""
     places = ((0.0, 0.0), (2.0, 2.0), (-0.7, 0.0), (1.0, -6.0))
     (seen, edges), *_ = sight(places)
@@ -61,7 +61,7 @@ def test_lamps_all_around_are_found():
         assert abs(turned(np.radians(seen[lamp] - angle))) < 1.0, lamp
 
 
-def test_edges_of_a_near_disc_are_found_and_a_far_one_is_left_out():
+def test_detector_reports_near_disc_and_ignores_far_one():
     near = rv.Disc(centre=(2.0, 0.0), radius=1.0)
     far = rv.Disc(centre=(-4.0, 0.0), radius=1.0)
     (seen, edges), (other, theirs) = sight(((0.0, 0.0), (0.0, 5.0)), (near, far))
@@ -75,21 +75,21 @@ def test_edges_of_a_near_disc_are_found_and_a_far_one_is_left_out():
 
 
 @pytest.mark.parametrize(("reach", "found"), [(0.0, False), (0.3, True)])
-def test_a_lamp_that_is_cut_is_thrown_away(reach, found):
+def test_detector_rejects_truncated_lamp(reach, found):
     """The edge of a disc passes through the middle of a lamp, or beside it."""
     disc = rv.Disc(centre=(1.0, 0.5 + reach), radius=0.5)
     (seen, _), _ = sight(((0.0, 0.0), (2.0, 0.0)), (disc,))
     assert (1 in seen) == found
 
 
-def test_stretches_go_on_where_the_ring_closes():
+def test_stretches_wrap_around_ring():
     there = np.array([True, False, True, True, False, True])
     assert [list(run) for run in stretches(there)] == [[2, 3], [5, 0]]
     assert [list(run) for run in stretches(np.ones(3, bool))] == [[0, 1, 2]]
     assert stretches(np.zeros(3, bool)) == []
 
 
-def test_robots_that_see_nobody_go_where_they_saw_somebody_then_seek():
+def test_last_seen_holds_bearing_then_searches():
     scenario = pixels.SCENARIO.replace(obstacles=(), obstacle_slots=None)
     seen = np.zeros((1, *(4, *scenario.observation_layout.shape)), np.float32)
     seen[0, 0, 0] = 0.0, 1.0
@@ -106,7 +106,7 @@ def test_robots_that_see_nobody_go_where_they_saw_somebody_then_seek():
     assert policy(nobody, 0.0)[0, 0] == pytest.approx([1.0, 0.0])
 
 
-def test_a_crowd_has_no_lamps():
+def test_eyes_reject_more_robots_than_lamps():
     simulator = rv.Simulator(pixels.SCENARIO.replace(n_robots=7, time_step=0.02))
     simulator.reset(0)
     with pytest.raises(ValueError, match="n_robots is 7; lamps have 6 colours"):
@@ -114,7 +114,7 @@ def test_a_crowd_has_no_lamps():
 
 
 @pytest.mark.slow
-def test_teams_meet_by_pixels_alone(tmp_path):
+def test_policies_meet_from_pixels(tmp_path):
     film = tmp_path / "film.gif"
     words = ["--policy", "tangent-joined-tuned", "--episodes", "4", "--film", str(film)]
     said = run_python(ROOT, "examples/12_pixels.py", *words).stdout
@@ -126,7 +126,7 @@ def test_teams_meet_by_pixels_alone(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_command_compares_pixels_with_the_preset(tmp_path):
+def test_reproduce_pixels_compares_with_camera_preset(tmp_path):
     words = ["pixels", "--policy", "tangent-joined-tuned", "--episodes", "2", "--seed", "3"]
     said = run_python(ROOT, "-m", "train.cli", "reproduce", *words, "--out", tmp_path).stdout
     assert "100.0% by Sensing.camera()" in said

@@ -21,7 +21,7 @@ def actions_of(steps, agents):
     return random.uniform(-2, 2, (steps, agents, 2)).astype(np.float32)
 
 
-def test_buffers_and_infos_hold_what_the_teams_give():
+def test_buffers_and_infos_match_environment():
     options = BARE | {"costs": ("rise",)}
     env, teams = make(SCENARIO, TEAMS, **options), training_env(SCENARIO, TEAMS, **options)
     seen, infos = env.reset(SEED)
@@ -52,7 +52,7 @@ def test_buffers_and_infos_hold_what_the_teams_give():
     assert counts.min() >= 3
 
 
-def test_two_environments_in_one_vectorisation_share_its_buffers():
+def test_two_environments_share_vectorization_buffers():
     both = vector.make(
         make,
         env_args=[SCENARIO, TEAMS],
@@ -77,7 +77,7 @@ def test_two_environments_in_one_vectorisation_share_its_buffers():
             np.testing.assert_array_equal(rewards[part], own[1])
 
 
-def test_native_vectorisation_with_a_guarantee_and_angles():
+def test_native_vectorization_supports_filter_and_discrete_angles():
     env = vector.make(
         make, env_args=["clutter-8", 2], env_kwargs={"discrete": True}, backend=PufferEnv
     )
@@ -89,7 +89,7 @@ def test_native_vectorisation_with_a_guarantee_and_angles():
     assert env.slots.simulator.time.min() > 0.0 and (env.observations != before).any()
 
 
-def test_seeds_and_what_is_refused():
+def test_seeds_apply_and_bad_arguments_are_rejected():
     seeded, other = make(SCENARIO, 2, seed=7, **BARE), make(SCENARIO, 2, **BARE)
     first = seeded.reset()[0].copy()
     np.testing.assert_array_equal(first, other.reset(7)[0])
@@ -102,7 +102,7 @@ def test_seeds_and_what_is_refused():
 
 
 @pytest.mark.slow
-def test_the_example_learns():
+def test_example_learns():
     """Judged on starts that it never saw."""
     told = run("09_pufferlib_ppo.py", "--updates", "15", "--teams", "64", "--held-out", "100")
     (_, met, clean), (_, met_after, clean_after) = JUDGED.findall(told)

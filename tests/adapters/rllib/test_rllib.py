@@ -37,7 +37,7 @@ def local_ray():
     ray.shutdown()
 
 
-def test_episodes_are_those_of_each_robot_on_its_own():
+def test_episodes_match_each_robot_alone():
     robots = RobotSlots(rv.make_vec(SCENARIO, TEAMS, autoreset_mode="SameStep"))
     rollout = Rollout(robots, robots.reset(SEED))
     lives = [Lives(team) for team in range(TEAMS)]
@@ -98,7 +98,7 @@ def module_of(sets, context, actions, **config):
 
 
 @pytest.mark.parametrize("actions", [Box(-1, 1, (2,), np.float32), Discrete(5)])
-def test_the_order_and_the_number_of_elements_do_not_matter(actions):
+def test_set_module_is_permutation_invariant(actions):
     few, many = (module_of(((k, 3), (m, 4)), 2, actions) for k, m in ((4, 3), (6, 5)))
     many.load_state_dict(few.state_dict())
     random = np.random.default_rng(0)
@@ -129,7 +129,7 @@ def test_the_order_and_the_number_of_elements_do_not_matter(actions):
     assert (changed[0] != first[0]).any(dim=1).all() and (changed[1] != first[1]).all()
 
 
-def test_sets_of_layouts():
+def test_sets_of_splits_layouts():
     rows = training_env("clutter-8", **BARE).layout
     assert sets_of(rows) == ((rows.neighbour_slots, 2), (rows.obstacle_slots, 4))
     shown = training_env("clutter-8").layout
@@ -144,7 +144,7 @@ def small(**arguments):
     )
 
 
-def test_ppo_trains_what_it_samples(local_ray):
+def test_ppo_trains_on_sampled_episodes(local_ray):
     algorithm = small().debugging(seed=SEED).build_algo()
     before = {k: v.clone() for k, v in algorithm.get_module().state_dict().items()}
     told = algorithm.train()["env_runners"]
@@ -157,7 +157,7 @@ def test_ppo_trains_what_it_samples(local_ray):
     algorithm.stop()
 
 
-def test_evaluation_plays_whole_episodes_with_the_likeliest_choices(local_ray):
+def test_evaluation_runs_full_greedy_episodes(local_ray):
     algorithm = small().debugging(seed=SEED).build_algo()
     runner = algorithm.env_runner
     first = runner.sample(num_episodes=5, explore=False)
@@ -171,7 +171,7 @@ def test_evaluation_plays_whole_episodes_with_the_likeliest_choices(local_ray):
     algorithm.stop()
 
 
-def test_runners_have_starts_of_their_own(local_ray):
+def test_env_runners_have_distinct_seeds(local_ray):
     config = small().debugging(seed=SEED)
     runners = [rllib.RobotEnvRunner(config=config, worker_index=index) for index in (1, 2)]
     seeds = []
@@ -182,14 +182,14 @@ def test_runners_have_starts_of_their_own(local_ray):
 
 
 @pytest.mark.slow
-def test_a_remote_runner_samples(local_ray):
+def test_remote_env_runner_samples(local_ray):
     algorithm = small().env_runners(num_env_runners=1).debugging(seed=SEED).build_algo()
     assert algorithm.train()["env_runners"]["num_env_steps_sampled"] >= 600
     algorithm.stop()
 
 
 @pytest.mark.slow
-def test_the_example_learns():
+def test_example_learns():
     """Judged on starts that it never saw."""
     told = run("08_rllib_ppo.py", "--updates", "28", "--held-out", "100")
     (_, met, clean), (_, met_after, clean_after) = JUDGED.findall(told)
@@ -197,7 +197,7 @@ def test_the_example_learns():
     assert float(clean_after) > float(clean) + 20
 
 
-def test_infos_hold_what_the_step_before_them_cost():
+def test_infos_hold_cost_of_previous_step():
     scenario = SCENARIO.replace(costs=("rise",))
     robots = RobotSlots(rv.make_vec(scenario, TEAMS, autoreset_mode="SameStep"))
     rollout, paid = Rollout(robots, robots.reset(SEED)), 0.0
@@ -212,7 +212,7 @@ def test_infos_hold_what_the_step_before_them_cost():
     np.testing.assert_allclose(told, paid)
 
 
-def test_what_is_refused(local_ray):
+def test_env_runner_rejects_bad_configuration(local_ray):
     with pytest.raises(ValueError, match="env_to_module_connector is given"):
         small().env_runners(env_to_module_connector=lambda *_: []).build_algo()
     register_env("other mode", lambda settings: rv.make_vec(SCENARIO, settings["num_envs"]))

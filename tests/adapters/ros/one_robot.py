@@ -1,4 +1,4 @@
-"""One robot's process: examples/14_ros_node.py, with a watch at its ticks.
+"""Process of one robot: examples/14_ros_node.py with measured ticks.
 
 python one_robot.py WRITTEN --ros-args -r __ns:=/robot0
 """
@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[3]
 
 
 def node_of():
-    """The names of the node's program."""
+    """Names in the node's program."""
     return runpy.run_path(str(ROOT / "examples/14_ros_node.py"), run_name="rendezvous_node")
 
 
@@ -24,8 +24,10 @@ def main(written):
     tick = names["RendezvousNode"].tick
 
     def timed(self):
-        """A tick, and what it took: s by the clock on the wall, s of this process's work, and
-        how often a kernel was compiled or read.
+        """Run a tick, and record its cost.
+
+        The record holds wall-clock and processor time, s, and the number of compiled or loaded
+        kernels.
         """
         with install_recorder("numba:compiler_lock") as compiled:
             began, worked = time.perf_counter(), time.process_time()

@@ -1,8 +1,8 @@
-"""Four robots and a world, a process each: runs, counted.
+"""Repeated runs of four robots and a world, each in a separate process.
 
     python team.py [RUNS] [differential_drive]
 
-prints how many met, how many met without a contact, and what a tick took.
+Prints the numbers of rendezvous and of collision-free rendezvous, and the duration of a tick.
 """
 
 import json
@@ -75,7 +75,7 @@ def run(seed, folder, *parameters):
 
 
 def percentile(values, share):
-    """The value below which this share lies; NaN of none, where every run hung."""
+    """Quantile of the values for this fraction; NaN without values, if every run hung."""
     return sorted(values)[min(int(share * len(values)), len(values) - 1)] if values else math.nan
 
 

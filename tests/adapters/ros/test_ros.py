@@ -1,4 +1,4 @@
-"""The node of examples/14_ros_node.py, run: four of them and a world, each its own process."""
+"""Node of examples/14_ros_node.py: four nodes and a world in separate processes."""
 
 import ctypes
 import signal
@@ -18,7 +18,7 @@ from one_robot import node_of
 from team import percentile, run
 
 TICK = 5e-3
-"""s that 99 of 100 ticks keep within, of the processor: what else runs here is not the node's."""
+"""Limit of 99 % of the ticks, s of processor time, independent of other processes."""
 
 
 @pytest.fixture
@@ -29,7 +29,7 @@ def alone(monkeypatch):
 
 @pytest.fixture
 def node(alone, request):
-    """A node that hears what it is told, and what it publishes; its parameters may be given."""
+    """A node with messages and its published commands; parameters are optional."""
     import rclpy
 
     with rclpy.init(args=getattr(request, "param", [])):
@@ -40,7 +40,7 @@ def node(alone, request):
 
 
 def look(made, bearings, edges=()):
-    """Tell a node, whose body points along x, all that it waits for."""
+    """Publish all required topics to a node whose body points along x."""
     from sensor_msgs.msg import Imu
     from std_msgs.msg import Float64MultiArray
 
@@ -50,7 +50,7 @@ def look(made, bearings, edges=()):
 
 
 @pytest.mark.parametrize("topic", ["imu", "bearings", "edges"])
-def test_who_has_not_heard_a_topic_rests(node, topic):
+def test_node_rests_without_topics(node, topic):
     made, sent = node
     made.tick()
     look(made, [0.5])
@@ -110,7 +110,7 @@ ON_WHEELS = ["--ros-args", "-p", "differential_drive:=true"]
 
 
 @pytest.mark.parametrize("node", [ON_WHEELS], indirect=True)
-def test_wheels_turn_towards_what_is_seen_and_stop_when_nothing_is(node):
+def test_node_turns_wheels_towards_bearing_and_stops_without(node):
     made, sent = node
     machine, wheels = made.drive.machine, []
     most = machine.wheel_acceleration * machine.timeout  # by which wheels change in a tick
@@ -139,14 +139,14 @@ def test_wheels_turn_towards_what_is_seen_and_stop_when_nothing_is(node):
 
 @pytest.fixture
 def handlers():
-    """Of signals, as they were before."""
+    """Restore the previous signal handlers."""
     kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     yield
     for number, handler in kept.items():
         signal.signal(number, handler)
 
 
-def test_a_ctrl_c_that_raises_nothing_ends_the_node(alone, handlers):
+def test_node_ends_on_sigint(alone, handlers):
     names, ticks = node_of(), []
 
     @ctypes.CFUNCTYPE(None)  # as kernels call back: what is raised within is printed and lost

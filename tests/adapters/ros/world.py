@@ -1,11 +1,10 @@
-"""The world of four nodes: moves the robots as ``cmd_vel`` says, and tells them what they see.
+"""World of four nodes: moves the robots by ``cmd_vel`` and publishes their measurements.
 
     python world.py SEED SECONDS
 
-It runs by the clock on the wall, and prints how the run ended as JSON; if not all topics have two
-ends by READY, it says which. Which way a robot's body
-points is its own affair: it turns on the spot at random, and the node has to undo that. Bearings
-are those from LEAD ahead of the axle, about which a base on wheels turns.
+The world runs in real time and prints the result of the run as JSON. If a topic has only one end at
+READY, it prints the topic. The yaw of each body is random and changes at random, which the node has
+to compensate. Bearings are measured LEAD ahead of the axle, about which a wheeled base turns.
 """
 
 import json
@@ -45,7 +44,7 @@ SCENARIO = rv.Scenario(
 
 
 class World(Node):
-    """Simulator in, angles out."""
+    """Node that publishes the simulator's bearings as angles."""
 
     def __init__(self, seed, seconds):
         super().__init__("world")
@@ -78,13 +77,13 @@ class World(Node):
         self.heard_at[robot] = time.monotonic()
 
     def missing(self):
-        """Topics of which one end has not been found yet."""
+        """Topics with an end that has not been found yet."""
         told = [one for sent in self.sent for one in sent.values()]
         unheard = [one.topic_name for one in told if not one.get_subscription_count()]
         return unheard + [f"/robot{i}/cmd_vel" for i in np.flatnonzero(np.isinf(self.heard_at))]
 
     def go_on(self):
-        """Steps as time has passed; it begins once all robots are there."""
+        """Step in real time, after all robots are present."""
         now = time.monotonic()
         if self.began is None:
             self.tell()

@@ -64,7 +64,7 @@ def experiment(algorithm, folder, *callbacks, scenario="duo", iterations=1, **ch
         ("Vdn", False, {"guarantee": "tank"}),
     ],
 )
-def test_algorithms_run(algorithm, continuous, choices, tmp_path):
+def test_algorithm_runs(algorithm, continuous, choices, tmp_path):
     run = experiment(getattr(algorithms, f"{algorithm}Config"), tmp_path, HeldOut(), **choices)
     before = [each.clone() for each in run.losses[GROUP].parameters()]
     run.run()
@@ -73,7 +73,7 @@ def test_algorithms_run(algorithm, continuous, choices, tmp_path):
     assert any(not torch.equal(old, new) for old, new in zip(before, after, strict=True))
 
 
-def test_evaluations_have_starts_of_their_own_and_always_the_same(tmp_path):
+def test_evaluation_uses_fixed_heldout_seeds(tmp_path):
     held_out = Watched(seed=500)
     run = experiment(algorithms.IppoConfig, tmp_path, held_out, iterations=2)
     run.run()
@@ -84,7 +84,7 @@ def test_evaluations_have_starts_of_their_own_and_always_the_same(tmp_path):
     assert [found.frames for found in held_out.evaluations] == [FRAMES, 2 * FRAMES]
 
 
-def test_an_evaluation_tells_who_met_and_when(tmp_path):
+def test_evaluation_reports_success_and_time(tmp_path):
     """A rollout that ends with the first meeting: that team has met, the others have not."""
     held_out = HeldOut()
     run = experiment(algorithms.IppoConfig, tmp_path, held_out)
@@ -105,7 +105,7 @@ def test_an_evaluation_tells_who_met_and_when(tmp_path):
     assert found.median_time == np.median(times)
 
 
-def test_a_task_asks_the_scenario_what_it_can_do():
+def test_task_properties_follow_scenario():
     assert RendezvousTask("clutter-8").supports_discrete_actions()
     assert RendezvousTask("uav-6").supports_discrete_actions()
     bare = {"scenario": rv.scenarios.get("uav-6"), "learning_preset": False}

@@ -1,4 +1,4 @@
-"""BenchMARL's learners on the leaderboard: the teams of all others, and runs that repeat."""
+"""BenchMARL algorithms on the leaderboard: common initial conditions, reproducible runs."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from rendezvous_env import scenarios
 from rendezvous_env.adapters.torchrl import GROUP
 from train.leaderboard import cards, command, registry
 from train.leaderboard.algorithms import multi_agent
-from train.leaderboard.teams import teams_to_learn_in
+from train.leaderboard.teams import make_training_envs
 
 NAMES = tuple(
     f"{learner}-{safety}"
@@ -26,10 +26,10 @@ pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::U
 
 
 @pytest.mark.parametrize("safety", ["none", "heading"])
-def test_they_learn_in_the_teams_of_all_others(safety):
+def test_learners_train_in_common_environments(safety):
     field = scenarios.get("clutter-8")
     price = 0.0 if safety == "none" else None
-    teams = teams_to_learn_in(field, 3, safety=safety, anew=True, touch_penalty=price)
+    teams = make_training_envs(field, 3, safety=safety, anew=True, touch_penalty=price)
     env = multi_agent.task_of(field, safety).get_env_fun(3, False, 7, "cpu")()
     assert env.teams.touch_penalty == teams.touch_penalty == (0.0 if safety == "none" else 1.0)
     seen, _ = teams.reset(seed=7)
@@ -53,7 +53,7 @@ def board(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", ["ippo-none", "mappo-heading", "masac-none", "qmix-heading"])
-def test_a_run_repeats_bit_by_bit(name, board, capsys):
+def test_run_is_bitwise_reproducible(name, board, capsys):
     out, card = board[name]
     assert card["settings"]["num_teams"] == 64 and "benchmarl" in card["versions"]
     per_update = 4 * 64 * (16 if "ppo" in name else 4)
@@ -63,7 +63,7 @@ def test_a_run_repeats_bit_by_bit(name, board, capsys):
     assert "bit for bit" in capsys.readouterr().out
 
 
-def test_seeds_and_safety_make_a_difference(board):
+def test_seed_and_filter_change_result(board):
     for learner in ("ippo", "mappo", "masac", "qmix"):
         bare, headed = (board[f"{learner}-{safety}"][1] for safety in ("none", "heading"))
         assert bare["results"] != headed["results"] and not sum(headed["results"]["risen"])
@@ -71,6 +71,6 @@ def test_seeds_and_safety_make_a_difference(board):
     assert cards.run_of(place, False)[0]["results"] != board["ippo-none"][1]["results"]
 
 
-def test_all_are_known():
+def test_all_algorithms_are_registered():
     assert set(NAMES) <= set(registry.known())
     assert not [name for name in NAMES if registry.known()[name].missing]

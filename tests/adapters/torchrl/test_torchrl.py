@@ -36,7 +36,7 @@ def _same_random_actions():
         {"guarantee": None, "learning_preset": False, "flatten": False, "return_state": True},
     ],
 )
-def test_it_keeps_torchrls_contract(choices):
+def test_environment_passes_check_env_specs(choices):
     env = RendezvousEnv("clutter-8", 3, seed=1, **choices)
     check_env_specs(env)
     start = env.reset()
@@ -55,7 +55,7 @@ def drive(env, steps, seed=0):
         return env.rollout(steps, policy, break_when_any_done=False), tape.numpy()
 
 
-def test_a_rollout_is_the_vector_environment_step_by_step():
+def test_rollout_equals_vector_environment():
     """Teams meet and run out of time on the way; what was seen last is theirs, not the next
     episode's.
     """
@@ -87,7 +87,7 @@ def test_a_rollout_is_the_vector_environment_step_by_step():
     assert data["next", "contacts"].any() and data["next", GROUP, "info", "cost"].any()
 
 
-def test_a_partial_reset_leaves_the_other_teams_alone():
+def test_partial_reset_keeps_other_environments():
     env = RendezvousEnv("fig3", 4, seed=0, **SHORT)
     now = env.reset()
     for _ in range(3):
@@ -100,7 +100,7 @@ def test_a_partial_reset_leaves_the_other_teams_alone():
     np.testing.assert_array_equal(env.simulator.steps, np.where(mask[:, 0], 0, steps))
 
 
-def test_seeds_are_the_teams_own():
+def test_seeds_are_per_environment():
     env = RendezvousEnv("fig3", 3, **SHORT)
     env.set_seed(11)
     first = env.reset()[SEEN]
@@ -114,14 +114,14 @@ def test_seeds_are_the_teams_own():
     torch.testing.assert_close(RendezvousEnv("fig3", 1, seed=12, **SHORT).reset()[SEEN], first[1:2])
 
 
-def test_a_rollout_can_wait_for_all_teams():
+def test_rollout_waits_for_all_environments():
     env = RendezvousEnv("duo", 5, seed=0)
     with torch.no_grad():
         data = env.rollout(env.max_steps, break_when_any_done=False, break_when_all_done=True)
     assert data["next", "done"][:, -1].all() and not data["next", "done"][:, -2].all()
 
 
-def test_a_start_can_be_given():
+def test_reset_takes_initial_condition():
     env = RendezvousEnv("duo", 2, **SHORT)
     env.reset(options={"positions": [[0.0, 0.0], [3.0, 4.0]]})
     np.testing.assert_allclose(env.simulator.positions, [[[0, 0], [3, 4]]] * 2)
@@ -129,7 +129,7 @@ def test_a_start_can_be_given():
         env.reset(options={"positions": [[0.0, 0.0]]})
 
 
-def test_the_last_state_of_an_episode_is_told():
+def test_final_state_is_reported():
     """A time-out is valued by where the robots are then, not by where they begin anew."""
     env = RendezvousEnv("fig3", 2, seed=3, return_state=True, **SHORT)
     data, _ = drive(env, env.max_steps + 2)
@@ -139,7 +139,7 @@ def test_the_last_state_of_an_episode_is_told():
     assert (data["state"][:, begun, -1] == 0.0).all()
 
 
-def test_actions_of_other_kinds_are_refused_by_name():
+def test_invalid_actions_are_rejected():
     env = RendezvousEnv("fig3", 2, seed=0, **SHORT)
     now = env.reset()
     bad = torch.zeros(env.full_action_spec[ACTION].shape)
@@ -150,7 +150,7 @@ def test_actions_of_other_kinds_are_refused_by_name():
     assert not env.step(now.clone().set(ACTION, desired * 2))["next", SEEN].requires_grad
 
 
-def test_a_wrapper_of_the_teams_changes_the_rewards_of_robots():
+def test_reward_wrapper_changes_robot_rewards():
     found, more = [], lambda teams: TransformReward(teams, lambda rewards: rewards + 5.0)
     for options in ({}, {"wrap": more}):
         env = RendezvousEnv("clutter-4", 3, seed=0, **options)
@@ -161,7 +161,7 @@ def test_a_wrapper_of_the_teams_changes_the_rewards_of_robots():
     assert found[0].shape == (3, 4, 1)
 
 
-def test_torchrl_is_timed_over_what_it_adapts(tmp_path):
+def test_bench_times_torchrl_over_base_environment(tmp_path):
     path = tmp_path / "bench.json"
     small = {"robots": (3,), "num_envs": 16, "num_threads": 1, "repeats": 1, "seconds": 0.01}
     bench.run(bench.Config(json=path, only=("adapters",), **small))

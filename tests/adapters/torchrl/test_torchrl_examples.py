@@ -1,4 +1,4 @@
-"""The examples with TorchRL and BenchMARL learn, judged on starts they were not trained on."""
+"""TorchRL and BenchMARL examples: learning, evaluated on held-out initial conditions."""
 
 import re
 
@@ -12,14 +12,14 @@ SMALL = ("--updates", "14", "--teams", "64", "--held-out", "50")
 
 
 def judged(told):
-    """Shares of the held-out teams that met, and cleanly, before and after."""
+    """Fractions of held-out teams with (collision-free) rendezvous, before and after."""
     found = re.findall(r"^(.+): (\S+)% met, (\S+)% cleanly, median \S+ s$", told, re.M)
     assert [moment for moment, *_ in found] == ["before", "after"]
     return [tuple(map(float, shares)) for _, *shares in found]
 
 
 @pytest.mark.slow
-def test_torchrl_learns():
+def test_torchrl_example_learns():
     (before, _), after = judged(told := run("06_torchrl_ppo.py", *SMALL))
     assert after[0] > max(before, 90.0)
     (played,) = re.findall(r"^as a policy: (\S+)% met, (\S+)% cleanly$", told, re.M)
@@ -28,7 +28,7 @@ def test_torchrl_learns():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["mappo", "vdn"])
-def test_benchmarl_learns(algorithm, tmp_path):
+def test_benchmarl_example_learns(algorithm, tmp_path):
     choices = ("--algorithm", algorithm, "--out", str(tmp_path))
     (before, _), (after, _) = judged(run("07_benchmarl.py", *choices, *SMALL))
     assert after > max(before, 90.0)

@@ -1,4 +1,4 @@
-"""Checkpoints are whole or not there; nothing that was changed is read."""
+"""Checkpoints: atomic, and protected against modification."""
 
 import errno
 import json
@@ -27,7 +27,7 @@ def place(tmp_path):
     return checkpoint.write(tmp_path, 12, {"step": 12}, TABLES)
 
 
-def test_what_is_written_is_read(place, tmp_path):
+def test_checkpoint_round_trips(place, tmp_path):
     about, tables = checkpoints.read(place, TABLES)
     assert about["step"] == 12 and about["format_version"] == checkpoints.FORMAT_VERSION
     for name, arrays in TABLES.items():
@@ -40,7 +40,7 @@ def test_what_is_written_is_read(place, tmp_path):
     assert written == {"checkpoint.json", "network.safetensors", "state.safetensors"}
 
 
-def test_two_are_kept_and_the_pointer_names_the_newest(tmp_path):
+def test_two_checkpoints_are_kept_and_pointer_is_newest(tmp_path):
     for step in (5, 40, 300):
         checkpoint.write(tmp_path, step, {"step": step}, TABLES)
     names = [path.name for path in checkpoints.candidates(tmp_path)]
@@ -53,7 +53,7 @@ def test_two_are_kept_and_the_pointer_names_the_newest(tmp_path):
 
 
 @pytest.mark.parametrize("when", ["fsync", "replace"])
-def test_a_full_disk_leaves_the_last_one(place, tmp_path, monkeypatch, when):
+def test_full_disk_keeps_last_checkpoint(place, tmp_path, monkeypatch, when):
     def full(*arguments, **options):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -66,7 +66,7 @@ def test_a_full_disk_leaves_the_last_one(place, tmp_path, monkeypatch, when):
     assert [path.name for path in place.parent.glob(".*.part")] == []
 
 
-def test_what_a_kill_leaves_behind_goes_with_the_next(place, tmp_path):
+def test_leftovers_of_killed_write_are_removed(place, tmp_path):
     left = place.with_name(".step-000000000099.part")
     shutil.copytree(place, left)
     assert checkpoints.candidates(tmp_path) == [place]
@@ -91,7 +91,7 @@ NETWORK, DESCRIPTION = "network.safetensors", "checkpoint.json"
           for said in (b"", b"{", b"[]", b"{}", b'"text"')),
     ],
 )  # fmt: skip
-def test_what_was_changed_is_refused(place, file, change, message):
+def test_modified_checkpoint_is_rejected(place, file, change, message):
     if change is None:
         (place / file).unlink()
     else:
@@ -100,7 +100,7 @@ def test_what_was_changed_is_refused(place, file, change, message):
         checkpoints.read(place, ["network"])
 
 
-def test_what_is_not_there_is_refused(place, tmp_path, without_rights):
+def test_missing_checkpoint_is_rejected(place, tmp_path, without_rights):
     with pytest.raises(CheckpointError, match="is not part of this checkpoint"):
         checkpoints.read(place, ["optimizer"])
     with pytest.raises(CheckpointError, match="no checkpoint in it"):

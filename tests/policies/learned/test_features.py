@@ -34,7 +34,7 @@ def perceive(perception, observations):
     return perception.layout.split(perception.see(observations, NOTHING))
 
 
-def test_a_robot_by_hand():
+def test_features_match_hand_computation():
     """Neighbours along 30° and 150°, gains 1 and 1: f points to 90° with length 1."""
     perception = Features(PAIR, 1, decision_time=0.2)
     shown = perceive(perception, look(30, 100, 85, other=150))
@@ -51,7 +51,7 @@ def test_a_robot_by_hand():
     assert not any(part[0, 1:].any() for part in shown)  # robots without neighbours
 
 
-def test_how_fast_edges_turn():
+def test_edge_rates_are_measured():
     """The counter-clockwise edge turns by 4° in 0.2 s, f with the frame by −30°."""
     perception = Features(PAIR, 1, decision_time=0.2)
     perceive(perception, look(0, 50, 20))
@@ -64,7 +64,7 @@ def test_how_fast_edges_turn():
     assert not again.obstacles[0, 0, 0, 4:].any()
 
 
-def test_what_a_robot_remembers_of_its_motion():
+def test_motion_memory_matches_hand_computation():
     """f along the local y axis and then along x, at 1 m/s; the heading carried is along y."""
     perception = Features(PAIR, 1, decision_time=TIME)
     headings = NOTHING.copy()
@@ -91,12 +91,12 @@ def test_what_a_robot_remembers_of_its_motion():
         ((89, -89, -160, 70, -70, 170), [1, 0, 0, 0, 0, 0]),
     ],
 )
-def test_silhouettes_joined_before_f(edges, expected):
+def test_silhouettes_before_f_are_merged(edges, expected):
     shown = perceive(Features(PAIR, 1, decision_time=0.2), look(0, *edges))
     np.testing.assert_allclose(shown.context[0, 0, 16:], expected, atol=1e-6)
 
 
-def test_further_obstacle_slots_are_absent():
+def test_unused_obstacle_slots_are_absent():
     observations = Simulator(CLUTTER, TEAMS).reset(3)
     wide = Features(CLUTTER, TEAMS, decision_time=0.2, obstacle_slots=24)
     shown = wide.layout.split(wide.see(observations, NO_HEADINGS))
@@ -126,7 +126,7 @@ def see_tank(perception, observations, level=0.0, heading=0.0, velocity=None):
 
 
 @pytest.mark.parametrize("walls", [0, WALL_COLUMNS])
-def test_a_tank_adds_columns_to_those_of_perception_first_its_level(walls):
+def test_tank_adds_energy_columns(walls):
     own = Features(PAIR, 1, decision_time=TIME)
     tank = tank_features(LEVEL_COLUMNS + walls)
     velocities, headings = NOTHING + 0.3, NOTHING + np.sqrt(0.5)
@@ -140,7 +140,7 @@ def test_a_tank_adds_columns_to_those_of_perception_first_its_level(walls):
         assert context[CONTEXT_COLUMNS] == pytest.approx(np.log1p(level), rel=1e-6)
 
 
-def test_a_wall_is_met_walked_along_and_left():
+def test_wall_memory_tracks_contact_with_wall():
     """It stands before f for two decisions, while f turns by 30° and the heading by −90°."""
     perception = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
     away = see_tank(perception, look(0), level=3.0)
@@ -163,7 +163,7 @@ def test_a_wall_is_met_walked_along_and_left():
     np.testing.assert_allclose(again[1:4], [1, np.log1p(9), TIME / 30], rtol=1e-6)
 
 
-def test_long_averages_are_in_the_frame_along_f():
+def test_long_averages_rotate_with_f():
     perception = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
     kept = np.exp(-TIME / 20)
     np.testing.assert_allclose(see_tank(perception, look(0), velocity=[0.0, 0.0])[9:], [0, 0, 1, 0])
@@ -172,7 +172,7 @@ def test_long_averages_are_in_the_frame_along_f():
     np.testing.assert_allclose(turned[9:], expected, atol=1e-6)
 
 
-def test_memory_runs_in_seconds_not_in_decisions():
+def test_memory_decays_in_seconds():
     """Five seconds of the same motion along the same wall, however they are cut."""
     told, headings, moving = [], NOTHING.copy(), NOTHING.copy()
     headings[0, 0], moving[0, 0] = along(150), [0.0, 0.5]

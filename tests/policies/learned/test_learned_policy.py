@@ -31,7 +31,7 @@ CLUTTER = scenarios.get("clutter-12").replace(time_limit=10.0)
 
 
 @pytest.mark.parametrize("margin", [1e-9, 1.0])
-def test_settings_have_a_margin_that_filters_take(margin):
+def test_settings_have_valid_min_alignment(margin):
     with pytest.raises(ValueError, match=r"min_alignment is .* at least 1e-06 and less than 1"):
         replace(SETTINGS, min_alignment=margin)
 
@@ -68,7 +68,7 @@ def episode(scenario, teams=6, seed=2, steps=150):
 
 
 class TestActions:
-    def test_choosing_nothing_it_acts_as_the_tuned_rule(self):
+    def test_choice_zero_equals_tuned_rule(self):
         """Only sums in another order differ."""
         made = network(trained=False)
         with torch.no_grad():
@@ -87,7 +87,7 @@ class TestActions:
 
     @pytest.mark.parametrize("period", [1, 4])
     @pytest.mark.parametrize("changes", [{}, TANK], ids=["heading", "tank"])
-    def test_it_acts_as_in_the_environment_it_was_trained_in(self, period, changes):
+    def test_policy_equals_training_environment(self, period, changes):
         """Fed with the network's choices; with a tank bit for bit."""
         venv = make_vec(CLUTTER, 6, autoreset_mode=AutoresetMode.SAME_STEP)
         policy = learned(decision_time=0.05 * period, **changes)
@@ -110,7 +110,7 @@ class TestActions:
             np.testing.assert_array_equal(teams.guided.steering.levels, policy.levels)
             assert (teams.guided.steering.levels != 1.2).any()
 
-    def test_teams_that_begin_at_different_moments_decide_at_different_moments(self):
+    def test_environments_decide_at_their_own_times(self):
         together = learned(decision_time=0.2)
         alone = [learned(decision_time=0.2) for _ in range(6)]
         starts = np.array([0, 1, 1, 3, 6, 7])
@@ -122,7 +122,7 @@ class TestActions:
                 own = alone[team](observations[team], 0.0)
                 np.testing.assert_allclose(actions[team], own, atol=1e-6)
 
-    def test_with_a_tank_it_promises_no_margin_and_uses_its_freedom(self):
+    def test_tank_policy_promises_no_margin(self):
         """The budget is in units of r D̄, so that a network is shown the same full tank in a team of
         any size."""
         for name, unit in (("clutter-12", 0.2 * 3), ("clutter-16-team-8", 0.2 * 7)):
@@ -139,7 +139,7 @@ class TestActions:
 
 
 class TestFiles:
-    def test_what_was_written_acts_the_same_and_is_read_without_pickle(self, tmp_path, monkeypatch):
+    def test_saved_policy_acts_the_same_without_pickle(self, tmp_path, monkeypatch):
         place = write(tmp_path)
         for name in ("load", "loads", "Unpickler"):
             monkeypatch.setattr(pickle, name, None)
@@ -164,7 +164,7 @@ class TestFiles:
             ({}, r"action_net\.bias must be finite"),
         ],
     )
-    def test_a_checkpoint_that_is_whole_but_of_another_policy(self, tmp_path, changes, message):
+    def test_checkpoint_of_other_policy_is_rejected(self, tmp_path, changes, message):
         place = write(tmp_path)
         about, tables = checkpoints.read(place, ["network"])
         if not changes:
@@ -174,7 +174,7 @@ class TestFiles:
             learned_policy.load(tmp_path, CLUTTER)
 
 
-def test_a_command_takes_it_by_path(tmp_path):
+def test_command_loads_policy_by_path(tmp_path):
     write(tmp_path)
     name = f"learned:{tmp_path}"
     policies.check_names([name, "bearing-only"])

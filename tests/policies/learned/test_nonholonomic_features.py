@@ -12,7 +12,7 @@ import rendezvous_env as rv
 from baselines.learned import checkpoints, shipped
 from baselines.learned.guide import CommandedTank, GuidedTeams
 from baselines.learned.policy_settings import PolicySettings
-from baselines.steady_frames import SteadyFrames, SteadyPlanes
+from baselines.steady_frames import OdometryFrame, SteadyPlanes
 from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.safety.tank import certain_descent
 from train.learn.settings import Config
@@ -30,9 +30,9 @@ TANK = replace(HEADING, guarantee="tank", budget=2.0, memory="features")
 EVERY = np.arange(1)
 
 
-def test_what_a_unicycle_sees_does_not_turn_with_its_body():
+def test_unicycle_features_do_not_rotate_with_body():
     """For 190 steps of any inputs: rows in the frames of the start."""
-    simulator, frames = rv.Simulator(CARS, 3), SteadyFrames(CARS, 3, 0.2)
+    simulator, frames = rv.Simulator(CARS, 3), OdometryFrame(CARS, 3, 0.2)
     seen, random = simulator.reset(5), np.random.default_rng(0)
     start = simulator.frames.copy()
     for _ in range(190):
@@ -59,7 +59,7 @@ def robots_that_see(bearings):
     return scenario, rows
 
 
-def test_what_lies_in_the_plane_stays_where_it_is_while_f_turns_there():
+def test_directions_in_plane_are_steady_while_f_rotates():
     """Gains change, so f turns between two bearings; theirs stay what they were."""
     first, second = np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0])
     scenario, _ = robots_that_see([first, second])
@@ -73,7 +73,7 @@ def test_what_lies_in_the_plane_stays_where_it_is_while_f_turns_there():
     assert abs(np.linalg.det(found[0])) == pytest.approx(1.0, abs=1e-6)  # at a right angle, too
 
 
-def test_f_in_the_plane_is_f_whatever_lies_outside_it():
+def test_f_in_plane_ignores_outside_components():
     random = np.random.default_rng(0)
     scenario, rows = robots_that_see(random.normal(size=(4, 3)))
     planes = SteadyPlanes(scenario, 1, 0.1)
@@ -86,7 +86,7 @@ def test_f_in_the_plane_is_f_whatever_lies_outside_it():
 
 
 @pytest.mark.kernels
-def test_a_plane_is_kept_while_something_in_it_is_before_f():
+def test_plane_is_kept_while_blocked():
     """Then the one with least to turn is taken."""
     scenario, rows = robots_that_see([[1.0, 0.0, 0.0]])
     scenario = scenario.replace(obstacle_slots=1, obstacles=())
@@ -109,7 +109,7 @@ def test_a_plane_is_kept_while_something_in_it_is_before_f():
 @pytest.mark.kernels
 @pytest.mark.parametrize("scenario", [POINTS, UAV], ids=["points", "nonholonomic"])
 @pytest.mark.parametrize("share", [1.0, 0.25])
-def test_a_plane_does_not_turn_with_the_body(scenario, share):
+def test_plane_does_not_rotate_with_body(scenario, share):
     """A robot that hardly moves and turns at any rates sees its plane where it was; ticks that come
     early are told.
     """
@@ -128,7 +128,7 @@ def test_a_plane_does_not_turn_with_the_body(scenario, share):
 
 
 @pytest.mark.parametrize("settings", [HEADING, TANK], ids=["heading", "tank"])
-def test_robots_turn_to_where_they_choose(settings):
+def test_robots_turn_to_chosen_heading(settings):
     """Choice 0 in the open: the body comes to point along f, and the team meets."""
     free = CARS.replace(obstacles=(), time_limit=60.0)
     guided, simulator = GuidedTeams(settings, free, 4), rv.Simulator(free, 4)
@@ -152,7 +152,7 @@ def test_robots_turn_to_where_they_choose(settings):
         (UAV, None, 20, 5, 21),
     ],
 )
-def test_v_and_the_tanks_together_never_rise(scenario, budget, every, least_apart, least_rises):
+def test_v_plus_tanks_never_increases(scenario, budget, every, least_apart, least_rises):
     """Theorem D under arbitrary choices without obstacles, until the first merge."""
     settings = replace(TANK, budget=5.0 if budget is None else budget / 0.6)  # in units of r D̄
     free = scenario.replace(obstacles=(), time_step=None, time_limit=60.0)
@@ -178,12 +178,12 @@ def test_v_and_the_tanks_together_never_rise(scenario, budget, every, least_apar
 @pytest.mark.parametrize(
     ("scenario", "kind", "most", "shares"),
     [
-        (CARS, SteadyFrames, 0.03, (0.1, 0.5, 0.9, 1.0, 2.0)),
+        (CARS, OdometryFrame, 0.03, (0.1, 0.5, 0.9, 1.0, 2.0)),
         (UAV, SteadyPlanes, 0.08, (0.1, 0.5, 0.9)),
     ],
     ids=["unicycle", "space"],
 )
-def test_an_arc_that_is_cut_short_books_no_more_than_it_earned(scenario, kind, most, shares):
+def test_truncated_arc_books_at_most_its_gain(scenario, kind, most, shares):
     """Against the displacement that the simulator makes in a share of the step."""
     scenario = scenario.replace(obstacles=())
     tank, bodies = CommandedTank(scenario, 50, budget=100.0), kind(scenario, 50, 0.1)
@@ -222,7 +222,7 @@ def test_an_arc_that_is_cut_short_books_no_more_than_it_earned(scenario, kind, m
         ("clutter-16", 60, 57),
     ],
 )
-def test_the_weights_of_unicycles_serve_them_and_space(name, starts, least):
+def test_unicycle_weights_serve_3d_robots(name, starts, least):
     scenario = rv.scenarios.get(name)
     if scenario.dim == 2:
         scenario = scenario.replace(robot_model="unicycle", max_turn_rate=1.0)
@@ -237,7 +237,7 @@ def test_the_weights_of_unicycles_serve_them_and_space(name, starts, least):
 
 
 @pytest.mark.kernels
-def test_a_robot_that_ticks_sooner_turns_its_memory_by_what_it_turned():
+def test_early_tick_rotates_memory_by_actual_turn():
     """Ten ticks of τ/4: the body has turned by ω τ/4 in each."""
     robot, turned = baselines.RobotPolicy(CARS, "learned-tank"), 0.0
     for _ in range(10):

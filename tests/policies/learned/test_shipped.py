@@ -15,7 +15,7 @@ from train.learn.settings import Config
 
 
 @pytest.mark.parametrize("name", shipped.NAMES)
-def test_it_fits_and_says_how_it_was_trained(name):
+def test_shipped_policy_fits_and_documents_training(name):
     clutter = scenarios.get("clutter-16")
     assert name in baselines.names(clutter)
     policies.check_names([name])
@@ -27,7 +27,7 @@ def test_it_fits_and_says_how_it_was_trained(name):
 
 
 @pytest.mark.parametrize("name", shipped.NAMES)
-def test_it_steers_robots_whose_sensors_err(name):
+def test_shipped_policy_tolerates_sensor_errors(name):
     """Finite velocities within the limit whatever is seen, none from a robot that sees nothing."""
     sensing = Sensing(noise=0.2, dropout=0.5, delay=2, occlusion="both", field_of_view=4.0)
     scenario = scenarios.get("clutter-8").replace(sensing=sensing, time_limit=5.0)
@@ -45,7 +45,7 @@ def test_it_steers_robots_whose_sensors_err(name):
 
 
 @pytest.mark.slow
-def test_the_tank_meets_cleanly_where_headings_do_not():
+def test_tank_policy_succeeds_where_headings_fail():
     """On 100 starts that no training used; certified headings reach about 80 %."""
     scenario = scenarios.get("clutter-24")
     tank = partial(policies.make, "learned-tank", scenario)

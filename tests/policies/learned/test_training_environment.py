@@ -45,7 +45,7 @@ def tape(length, seed=0, choices=CHOICES):
     return np.random.default_rng(seed).integers(choices, size=shape)
 
 
-def test_it_is_the_heading_wrapper_with_guide_and_perception():
+def test_environment_is_heading_wrapper_with_features():
     """Episodes end, and what is shown last is what perception shows with the old memory."""
     ours = teams()
     venv = rv.make_vec(SCENARIO, TEAMS, autoreset_mode=AutoresetMode.DISABLED)
@@ -86,7 +86,7 @@ PRICED = {
 
 @pytest.mark.parametrize("mode", AutoresetMode)
 @pytest.mark.parametrize("form", PRICED)
-def test_a_first_touch_costs_the_robot_once_and_nobody_else(form, mode):
+def test_first_contact_costs_robot_once(form, mode):
     held, made = PRICED[form]
     free, paid = (made(mode, price) for price in (0.0, 7.0))
     for env in (free, paid):
@@ -111,7 +111,7 @@ def test_a_first_touch_costs_the_robot_once_and_nobody_else(form, mode):
     assert touches > 1
 
 
-def test_with_a_tank_robots_go_where_they_choose_as_fast_as_law_one():
+def test_tank_robots_move_at_speed_of_law_1():
     """In a field without obstacles, away from f too; and the velocity is along R(φ) f."""
     free = SCENARIO.replace(obstacles=())
     settings = replace(TANK, budget=1e6)
@@ -139,7 +139,7 @@ def test_with_a_tank_robots_go_where_they_choose_as_fast_as_law_one():
         (UAV, TANK, 20),
     ],
 )
-def test_robots_go_on_bit_by_bit_from_their_state(scenario, settings, steps):
+def test_state_resumes_bitwise(scenario, settings, steps):
     robots, other = (
         RobotVecEnv(teams(settings, scenario=scenario, touch_penalty=1.0)) for _ in range(2)
     )
@@ -163,7 +163,7 @@ def test_robots_go_on_bit_by_bit_from_their_state(scenario, settings, steps):
             other.set_state(state)
 
 
-def test_autoreset_modes_differ_only_after_an_end():
+def test_autoreset_modes_agree_until_episode_end():
     """What is shown at an end is the same; a masked reset leaves what the others are shown."""
     modes = (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
     same, following, held = (teams(mode=mode) for mode in modes)
@@ -187,7 +187,7 @@ def test_autoreset_modes_differ_only_after_an_end():
     np.testing.assert_array_equal(begun[~one], rested[~one])
 
 
-def test_a_masked_reset_of_teams_put_back_shows_the_others_what_they_saw():
+def test_masked_reset_keeps_features_of_others():
     """It showed what they had seen before their state was put back, or zeros."""
     env, again = teams(mode=AutoresetMode.DISABLED), teams(mode=AutoresetMode.DISABLED)
     env.reset(seed=1)
@@ -207,7 +207,7 @@ def test_a_masked_reset_of_teams_put_back_shows_the_others_what_they_saw():
     np.testing.assert_array_equal(env.step(choices[3])[0][~one], again.step(choices[3])[0][~one])
 
 
-def test_what_a_team_earns_hangs_on_no_other_team():
+def test_rewards_are_independent_of_other_environments():
     """Who touched something elsewhere in the batch made all rewards a mean of robots'."""
 
     @rv.reward_term("effort of some")

@@ -22,7 +22,7 @@ from rendezvous_env.scenario.scenario import Scenario
 
 from ..playing import Player
 from ..registry import Algorithm, Budget
-from ..teams import can_learn, guarded, teams_to_learn_in, unled
+from ..teams import can_learn, filter_arguments, make_training_envs, without_base_controller
 
 _PPO = {"lmbda": 0.95, "entropy_coef": 0.003}
 LEARNERS: dict[str, dict[str, Any]] = {"Ippo": _PPO, "Mappo": _PPO, "Masac": {}, "Qmix": {}}
@@ -44,7 +44,7 @@ def learn(
 ) -> tuple[Callable[[int], Player], dict[str, Any]]:
     """Train one of ``LEARNERS``, see ``Algorithm.learn``.
 
-    ``safety`` is that of ``teams_to_learn_in``; under "none" a first contact has no cost.
+    ``safety`` is that of ``make_training_envs``; under "none" a first contact has no cost.
     """
     import torch
     from benchmarl import algorithms
@@ -75,15 +75,22 @@ def learn(
     told = asdict(config) | {"save_folder": None, "net_arch": network.num_cells}
     told |= {"algorithm": name, **asdict(algorithm), "num_teams": budget.num_teams}
     how = {"safety": safety, "anew": False, **_price(safety)}
-    return (lambda n: Player(teams_to_learn_in(field, n, **how), choose)), told
+    return (lambda n: Player(make_training_envs(field, n, **how), choose)), told
 
 
 def task_of(field: Scenario, safety: str) -> Any:
-    """Environments of ``teams_to_learn_in`` as a BenchMARL task."""
+    """Environments of ``make_training_envs`` as a BenchMARL task."""
     from rendezvous_env.adapters.benchmarl import RendezvousTask
 
-    config = {"scenario": field, "num_threads": 1, **guarded(field, safety), **_price(safety)}
-    return RendezvousTask(field.name, config | ({"wrap": unled} if safety == "none" else {}))
+    config = {
+        "scenario": field,
+        "num_threads": 1,
+        **filter_arguments(field, safety),
+        **_price(safety),
+    }
+    return RendezvousTask(
+        field.name, config | ({"wrap": without_base_controller} if safety == "none" else {})
+    )
 
 
 def _price(safety: str) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from rendezvous_env.scenario.scenario import Scenario
 from ...learn.settings import TRAINING_SEEDS
 from ..playing import Player
 from ..registry import Algorithm, Budget
-from ..teams import can_learn, teams_to_learn_in
+from ..teams import can_learn, make_training_envs
 
 SETTINGS: dict[str, Any] = {
     "n_steps": 16, "batch_size": 1024, "n_epochs": 5, "learning_rate": 1e-3, "gamma": 0.99,
@@ -52,7 +52,7 @@ def learn(
     from ...learn.rollout_buffer import RobotPPO
 
     torch.set_num_threads(1)  # a run repeats bit by bit, and does not wait for other cores
-    paid = Paid(teams_to_learn_in(field, budget.num_teams, anew=True, **safety))
+    paid = Paid(make_training_envs(field, budget.num_teams, anew=True, **safety))
     robots = RobotVecEnv(paid)
     robots.seed(TRAINING_SEEDS + 2**32 * seed)
     rule = multiplier_of(paid, robots, limit) if limit is not None else None
@@ -70,7 +70,7 @@ def learn(
         chosen: NDArray[np.int64] = actions.reshape(seen.shape[:2])
         return chosen
 
-    return (lambda n: Player(teams_to_learn_in(field, n, anew=False, **safety), choose)), settings
+    return (lambda n: Player(make_training_envs(field, n, anew=False, **safety), choose)), settings
 
 
 def multiplier_of(paid: Paid, robots: Any, limit: float) -> Any:
@@ -106,7 +106,7 @@ def algorithm(
     fits: Callable[[Scenario], bool] = can_learn,
     **how: Any,
 ) -> Algorithm:
-    """This PPO as an ``Algorithm``; ``safety`` and ``how`` are passed to ``teams_to_learn_in``."""
+    """This PPO as an ``Algorithm``; ``safety`` and ``how`` are passed to ``make_training_envs``."""
     proven: Literal["none", "heading", "tank"] = "none" if safety == "rule" else safety
     learned = partial(learn, safety=safety, **how)
     packages = ("torch", "stable-baselines3")

@@ -1,23 +1,23 @@
-"""One step of B environments: which stages there are, and in which order.
+"""One step of B environments: its stages and their order.
 
 From the action to the new observation, over the blocks of one thread after another:
 
-    propose_motion              displacement of every robot if nothing were in its way
+    propose_motion              displacement of every robot without contacts
     stop_at_obstacles           exact contacts, where an obstacle is within reach
     merge_robots, pack_robots   exact merges, or bodies that touch, where robots are within reach
     advance_free                all other environments
     update_robots               memory and frames of robot models
     update_links                arcs that change with time
     sense_pairs, sense_links    bearings of neighbours, V, the closest pair
-    sense_discs, sense_shapes   silhouettes of obstacles, clearance
+    sense_discs, sense_shapes   angular extents of obstacles, clearance
     apply_noise                 range, field of view, random errors
     write_observations          from lanes to one array for each environment
-    apply_occlusion             occlusion, rows that close up, delay
+    apply_occlusion             occlusion, compact rows, delay
     conclude_step               reward, rendezvous, time limit
 
-Each is a kernel of its own with the arrays it uses as arguments, compiled when it is first called
-for; what a scenario does not have is not called. Between stages numbers are in the scratch memory
-of a thread. An observation without a step leaves out the first five and the last.
+Each stage is a separate kernel with the arrays it uses as arguments, compiled on first use. Stages
+that a scenario does not need are skipped. Between stages numbers are in the scratch memory of a
+thread. An observation without a step omits the first five and the last.
 """
 
 from collections.abc import Callable, Iterator
@@ -28,39 +28,39 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ...compilation import entry_point, kernel
-from ...graphs.edges import DENSE
-from ...obstacles.contact import IGNORE
-from ...outcome import StepOutput
-from ...physics.random_streams import ignore_overflow
-from ...robots.motion import frame_turns
-from ..memory import Robot
-from ..memory_layout import Scratch
-from ..preparation import Constants, Sensor
-from ..state import State
-from .apply_noise import apply_noise, apply_noise_to_silhouettes
-from .apply_occlusion import apply_occlusion, close_rows, delay_observations
-from .collide import (
+from ..compilation import entry_point, kernel
+from ..graphs.edges import DENSE
+from ..obstacles.contact import IGNORE
+from ..outcome import StepOutput
+from ..physics.random_streams import ignore_overflow
+from ..robots.motion import frame_turns
+from .memory import Robot
+from .memory_layout import Scratch
+from .preparation import Constants, Sensor
+from .stages.apply_noise import apply_noise, apply_noise_to_silhouettes
+from .stages.apply_occlusion import apply_occlusion, close_rows, delay_observations
+from .stages.collide import (
     merge_robots,
     pack_robots,
     reaches,
     stop_at_obstacles,
     stop_curves_at_obstacles,
 )
-from .conclude import conclude_step
-from .propose import advance_free, propose_motion, refresh_frames, update_robots
-from .sense_neighbours import hide_docked, sense_links, sense_pairs, update_links
-from .sense_obstacles import measure_clearance, sense_discs, sense_shapes
-from .write_observations import sense_oneself, write_observations, write_packed
+from .stages.conclude import conclude_step
+from .stages.propose import advance_free, propose_motion, refresh_frames, update_robots
+from .stages.sense_neighbours import hide_docked, sense_links, sense_pairs, update_links
+from .stages.sense_obstacles import measure_clearance, sense_discs, sense_shapes
+from .stages.write_observations import sense_oneself, write_observations, write_packed
+from .state import State
 
 _LARGEST = np.finfo(np.float32).max
 Call = Callable[[], Any]
 
 
 class _Late(NamedTuple):
-    """An argument that is another one in each step, the last ones of a stage."""
+    """Trailing argument of a stage that changes in each step."""
 
-    place: int  # Among the output, the actions, and the rows
+    place: int  # index among outputs, actions and rows
 
 
 _OUTPUT: Any = StepOutput(*map(cast(Any, _Late), range(len(StepOutput._fields))))
@@ -68,14 +68,14 @@ _ACTIONS, _ROWS = _Late(len(_OUTPUT)), _Late(len(_OUTPUT) + 1)
 
 
 class StepStages:
-    """The stages of the steps of B environments, as calls."""
+    """Stages of the steps of B environments, as calls."""
 
     def __init__(
         self, state: State, robot: Robot, constants: Constants, sensor: Sensor | None
     ) -> None:
         self._state, self._robot, self._constants, self._sensor = state, robot, constants, sensor
         self.all_compiled = False
-        """Whether those of contacts and merges are compiled, too."""
+        """Whether the stages of contacts and merges are also compiled."""
         self._entries: dict[Any, Callable[..., Any]] = {}
         self._plans: dict[Any, list[tuple[Call, Any]]] = {}
         place = state.place
@@ -83,7 +83,7 @@ class StepStages:
         self._has_obstacles = state.obstacles.kinds.shape[1] > 0
         self._has_contacts = constants.contact_mode != IGNORE and self._has_obstacles
         self._dense = state.links.form == DENSE
-        # where blocks have one lane, and rows are in their order, they are sensed in the output
+        # with one lane and ordered rows, sensing writes directly to the output
         self._direct = place.lanes == 1 and not (self._dense and place.packed)
 
     def calls(
@@ -95,9 +95,10 @@ class StepStages:
         scratch: Scratch,
         collides: bool,
     ) -> list[Call]:
-        """The calls of some blocks, in order: of a step under actions (B, n, a), with contacts and
-        merges if it ``collides``, or, if actions are None, of an observation. What has not been
-        compiled is compiled here.
+        """Calls of some blocks, in order; missing kernels are compiled.
+
+        With actions (B, n, a), those of a step, including contacts and merges if it ``collides``.
+        Without actions, those of an observation.
         """
         rows = scratch.rows
         if self._direct:
@@ -108,12 +109,14 @@ class StepStages:
         if (plan := self._plans.get(key)) is None:
             stages = self._stages_of(first, last, actions is not None, collides, scratch)
             plan = self._plans[key] = [self._bound(given, *stage) for stage in stages]
-        # of a partial call a further one is as quick, and to make one takes 0.2 µs
+        # a nested partial call is as fast, and creating one takes 0.2 µs
         return [call if late is None else partial(call, *late(given)) for call, late in plan]
 
     def _bound(self, given: tuple[Any, ...], kernel: Any, *arguments: Any) -> tuple[Call, Any]:
-        """A call of a kernel with all arguments but the late ones, and what takes these out of
-        those ``given`` in a step; the kernel is compiled here if it has not been.
+        """Call of a kernel with all arguments except the late ones.
+
+        Also the function that selects these from those ``given`` in a step. A missing kernel is
+        compiled.
         """
         late: list[Any] = [one.place for one in arguments if isinstance(one, _Late)]
         fixed = arguments[: len(arguments) - len(late)]
@@ -290,7 +293,7 @@ def _writable(value: Any) -> Any:
 @kernel
 def first_not_finite(values):
     """Index of the first number that is infinite or NaN, or −1."""
-    # to count has no branch and becomes SIMD; the place is looked for only if there is one
+    # counting has no branch and becomes SIMD; the index is searched only if there is one
     finite = 0
     for k in range(len(values)):
         finite += abs(values[k]) <= _LARGEST

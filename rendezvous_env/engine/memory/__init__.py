@@ -1,14 +1,14 @@
-"""How the numbers of B environments lie in memory, and accessors for kernels.
+"""Memory layout of B environments, and accessors for kernels.
 
-Environments are stored in *blocks* of L lanes, so that the innermost loop over them vectorises:
-L = 32 (``LaneBlock``), or 1 where there are too few environments, or too large ones, for that to
-pay (``ScalarBlock``). Environment b is lane b % L of block b // L. Two arrays hold nearly all of
-the state, and each row of them is a list of fields of L numbers:
+Environments are stored in *blocks* of L lanes, so that the innermost loop over them vectorises. L
+is 32 (``LaneBlock``), or 1 for few or large environments (``ScalarBlock``). Environment b is lane b
+% L of block b // L. Two arrays hold nearly all of the state, and each of their rows is a list of
+fields of L numbers:
 
     robots[block, i, field·L + lane]         position (d), frame (d²), memory (k) of robot i
     environments[block, field·L + lane]      the fields below
 
-L is a constant of the compiled code, so fields of one row are known not to overlap.
+L is a compile-time constant, so LLVM can rule out aliasing between fields of one row.
 """
 
 from typing import Any, NamedTuple
@@ -16,28 +16,28 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import by_type, inner_kernel
+from ...compilation import by_type, inner_kernel
 
 RUNNING, RENDEZVOUS, TIME_OUT, AWAITING_RESET = range(4)
-"""Status of an environment. AWAITING_RESET: reset in this very step, in which it does not move."""
+"""Status of an environment. AWAITING_RESET: reset in this step, in which it does not move."""
 
 FREE, MOVED, MERGED, PACKED = 0.0, 1.0, 2.0, 3.0
-"""Whether anything could meet in an environment in this step: nothing; something, so that it was
-moved by exact geometry; robots have merged; all bodies lie in one packed cluster."""
+"""Proximity events of an environment in this step: none possible; possible, so it was moved by
+exact geometry; robots merged; all bodies are in one packed cluster."""
 
 EPISODE_FIELDS = (
     "status",  # RUNNING, RENDEZVOUS, TIME_OUT or AWAITING_RESET
-    "steps",  # Done in this episode
-    "active",  # Robots that exist on their own
-    "contacts",  # In this episode, one for each robot and step
-    "path_length",  # Of all robots together in this episode, m
-    "initial_lyapunov",  # V at the start of the episode, m²/s
-    "lyapunov",  # V now, m²/s; follows from positions and weights
-    "min_clearance",  # Least distance to an obstacle in this episode, m
-    "clearance",  # Of the robot nearest to an obstacle as of the last observation, m
-    "square_closest",  # Least square distance of two neighbours as of the last observation, m²
+    "steps",  # in this episode
+    "active",  # number of active (not merged) robots
+    "contacts",  # in this episode, one per robot and step
+    "path_length",  # sum over robots in this episode, m
+    "initial_lyapunov",  # initial V of the episode, m²/s
+    "lyapunov",  # current V, m²/s; derived from positions and weights
+    "min_clearance",  # minimum distance to an obstacle in this episode, m
+    "clearance",  # minimum over robots at the last observation, m
+    "square_closest",  # minimum square distance of neighbours at the last observation, m²
 )
-"""Fields of an environment that outlast a step; float64, since they are computed over lanes."""
+"""Persistent fields of an environment; float64 for computation over lanes."""
 (
     STATUS,
     STEPS,
@@ -52,8 +52,8 @@ EPISODE_FIELDS = (
 ) = range(10)
 
 PROXIMITY, STEP_LENGTH, STEP_CONTACTS, CLOSENESS, SENSED_LYAPUNOV = range(10, 15)
-"""Fields of one step: FREE to PACKED; m, of all robots together; robots in contact; how close
-robots are to obstacles, see ``rewards.team_reward``; V as sensed, m²/s."""
+"""Fields of one step: FREE to PACKED; path length of all robots, m; robots in contact; closeness
+to obstacles, see ``rewards.team_reward``; V as sensed, m²/s."""
 REWARD, BEFORE_MERGE, AFTER_MERGE, MERGE_RISE, MERGE_EXCESS, ELAPSED, WALKED, FINAL = range(15, 23)
 """Rows of ``StepOutput.scores``."""
 N_FIELDS = 23
@@ -63,30 +63,30 @@ Floats = NDArray[np.float64]
 
 
 class LaneBlock(NamedTuple):
-    """A block holds 32 environments side by side."""
+    """Block of 32 environments."""
 
     lanes: int = 32
 
 
 class ScalarBlock(NamedTuple):
-    """A block holds one environment."""
+    """Block of one environment."""
 
     lanes: int = 1
 
 
 @by_type("width", lambda kind: kind().lanes)
 def lane_count(width):
-    """L, environments of a block: a constant of the compiled code."""
+    """L, environments per block: a compile-time constant."""
 
 
 class Robot(NamedTuple):
-    """The robot model of a scenario; loops over the tuples of indices unroll."""
+    """Robot model of a scenario; loops over its index tuples are unrolled."""
 
-    model: Any  # Its constants; their type names its equations (``robots.motion``)
-    inputs: tuple[int, ...]  # (0, …, a − 1), the numbers of an action
+    model: Any  # its constants; their type selects the equations (``robots.motion``)
+    inputs: tuple[int, ...]  # (0, …, a − 1), indices of action components
     axes: tuple[int, ...]  # (0, 1) or (0, 1, 2)
-    entries: tuple[int, ...]  # (0, …, d² − 1), the numbers of a frame
-    memories: tuple[int, ...]  # (0, …, k − 1), the numbers that the model keeps
+    entries: tuple[int, ...]  # (0, …, d² − 1), indices of frame entries
+    memories: tuple[int, ...]  # (0, …, k − 1), indices of the model's memory
 
 
 def _of_one(kind: type) -> Any:
@@ -96,12 +96,12 @@ def _of_one(kind: type) -> Any:
 
 @by_type("obstacles", _of_one)
 def obstacles_of(obstacles, b):
-    """The obstacles of one environment, from those of all with a leading axis."""
+    """Obstacles of one environment, from those of all with a leading axis."""
 
 
 @inner_kernel(inline="code")
 def load_fields(row, field, lane, lanes, parts):
-    """Consecutive fields of one lane of a row as a tuple as long as ``parts``."""
+    """Load consecutive fields of one lane of a row as a tuple, as long as ``parts``."""
     k, s = field * lanes + lane, lanes
     if len(parts) == 0:
         return ()
@@ -119,7 +119,7 @@ def load_fields(row, field, lane, lanes, parts):
 
 @inner_kernel(inline="code")
 def store_fields(values, row, field, lane, lanes):
-    """Put a tuple into consecutive fields of one lane of a row."""
+    """Store a tuple in consecutive fields of one lane of a row."""
     k, s = field * lanes + lane, lanes
     if len(values) == 2:
         row[k], row[k + s] = values[0], values[1]
@@ -132,7 +132,7 @@ def store_fields(values, row, field, lane, lanes):
 
 @inner_kernel(inline="code")
 def load_point(row, field, lane, lanes, d):
-    """A position or displacement of one lane as a triple, z = 0 in the plane."""
+    """Position or displacement of one lane as a triple, z = 0 in 2-D."""
     k = field * lanes + lane
     return row[k], row[k + lanes], row[k + 2 * lanes] if d == 3 else 0.0
 
@@ -155,8 +155,9 @@ def store_positions(values, robots, lane, lanes):
 
 @inner_kernel(inline="code")
 def sensed_step(environment, lane, lanes, moves):
-    """Number of the step that an environment is sensed in: while it moves, ``moves``, it is not
-    counted yet.
+    """Step number at which an environment is sensed.
+
+    While it moves, ``moves``, the current step is not counted yet.
     """
     running = environment[STATUS * lanes + lane] == RUNNING
     return int(environment[STEPS * lanes + lane]) + (1 if moves & running else 0)
@@ -164,7 +165,7 @@ def sensed_step(environment, lane, lanes, moves):
 
 @inner_kernel(inline="code")
 def read(buffer, lane, parts):
-    """The numbers of one lane of a buffer, (numbers, L), as a tuple as long as ``parts``."""
+    """Numbers of one lane of a buffer, (numbers, L), as a tuple, as long as ``parts``."""
     if len(parts) == 0:
         return ()
     if len(parts) == 1:
@@ -182,7 +183,7 @@ def read(buffer, lane, parts):
 
 @inner_kernel(inline="code")
 def write(values, buffer, lane):
-    """Put a tuple of numbers into one lane of a buffer, (numbers, L)."""
+    """Store a tuple of numbers in one lane of a buffer, (numbers, L)."""
     if len(values) == 2:
         buffer[0, lane], buffer[1, lane] = values[0], values[1]
     elif len(values) == 3:
@@ -202,10 +203,11 @@ def read_row(row, lane, axes):
 
 @inner_kernel(inline="code")
 def write_row(values, row, lane):
-    """Put a pair or triple into one lane of a row of observations, (L·d,), without the negative
-    zero.
+    """Store a pair or triple in one lane of a row of observations, (L·d,).
+
+    Negative zeros become positive.
     """
-    # by one index: with two, the compiler gives up the SIMD of a store that leaves gaps
+    # one index: with two, the compiler does not vectorise a strided store
     d = len(values)
     row[d * lane], row[d * lane + 1] = values[0] + _ZERO, values[1] + _ZERO
     if len(values) == 3:
