@@ -10,7 +10,7 @@ from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from ..checks import choice, flag, whole
+from ..checks import check_int, choice, flag
 from ..engine.memory import RENDEZVOUS, RUNNING, TIME_OUT
 from ..envs.guarantee import settings_of
 from ..envs.gymnasium_env import _autoreset_mode
@@ -24,7 +24,7 @@ from ..safety.heading import HeadingFilter
 from ..safety.safety_filter import FILTERS
 from ..scenario.scenario import Scenario
 from ..scenario.scenarios import ScenarioLike, resolve
-from ..scenario.start_options import seeds_of_teams
+from ..scenario.start_options import seeds_of_environments
 from .array_form import Array, array_form, quotient
 from .coverage import REMEDY, check_covered
 from .heading import Heading
@@ -150,7 +150,7 @@ class RendezvousJaxEnv:
             return jax.random.bits(seed, (2, *self._batch), jnp.uint32)
         teams = 1 if self.num_envs is None else self.num_envs
         seeds = np.array(
-            seeds_of_teams(np.asarray(seed) if isinstance(seed, jax.Array) else seed, teams),
+            seeds_of_environments(np.asarray(seed) if isinstance(seed, jax.Array) else seed, teams),
             np.uint64,
         )
         words = np.stack([seeds >> np.uint64(32), seeds & np.uint64(0xFFFFFFFF)])
@@ -389,7 +389,7 @@ def make(
     if mode is AutoresetMode.NEXT_STEP:
         raise NotImplementedError(f"autoreset_mode is {mode}: not covered by JAX; {REMEDY}")
     if num_envs is not None:
-        whole("num_envs", num_envs, 1, MOST_TEAMS)
+        check_int("num_envs", num_envs, 1, MOST_TEAMS)
     safety_filter = None
     if guarantee is not None:
         if resolved.model.nonholonomic:

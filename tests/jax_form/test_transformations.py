@@ -69,6 +69,7 @@ def test_gradients_are_finite_for_coincident_robots_and_zero_actions(rj):
     assert all(np.isfinite(slope).all() for slope in slopes)
 
 
+@pytest.mark.slow
 def test_one_team_equals_its_row_in_a_batch_and_under_vmap(rj):
     import jax
     import jax.numpy as jnp
