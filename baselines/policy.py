@@ -235,7 +235,7 @@ def kind_of(name: str) -> str:
 
 
 def on_request(name: str) -> bool:
-    """Whether a comparison includes a policy only if named."""
+    """True if a comparison includes a policy only if named."""
     return _registry[name].on_request
 
 
@@ -302,11 +302,11 @@ def of_model(*models: str, dim: int | None = None) -> Callable[[Scenario], bool]
 
 
 is_single_integrator = of_model("single_integrator")
-"""Whether actions are velocities."""
+"""True if actions are velocities."""
 in_the_plane = of_model("single_integrator", dim=2)
-"""Whether actions are velocities in the plane."""
+"""True if actions are velocities in the plane."""
 is_double_integrator = of_model("double_integrator")
-"""Whether actions are accelerations."""
+"""True if actions are accelerations."""
 
 
 def within_limits(actions: NDArray[np.float64], scenario: Scenario) -> Float32:

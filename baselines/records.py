@@ -9,16 +9,30 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def make_records(
-    robots: tuple[int, int], fields: Mapping[str, tuple[int, ...]]
-) -> tuple[Array, dict[str, Array]]:
-    """Zeros (B, n, size) for consecutive fields of these shapes, and a view of each.
+class Records:
+    """Consecutive fields of each robot in one array.
 
-    The view of a field of one number is (B, n).
+    Copies and pickles are independent, since views are made on request.
+
+    Args:
+        robots: B and n.
+        fields: shape of each field by name.
+
+    Attributes:
+        array: (B, n, total size), zeros at first.
     """
-    sizes = [math.prod(shape) for shape in fields.values()]
-    memory, views = np.zeros((*robots, sum(sizes))), {}
-    for (name, shape), size, end in zip(fields.items(), sizes, np.cumsum(sizes), strict=True):
-        view = memory[..., end - size : end].reshape(*robots, *shape)
-        views[name] = view[..., 0] if size == 1 else view
-    return memory, views
+
+    def __init__(self, robots: tuple[int, int], fields: Mapping[str, tuple[int, ...]]) -> None:
+        self._fields = dict(fields)
+        self.array = np.zeros((*robots, sum(map(math.prod, fields.values()))))
+
+    @property
+    def views(self) -> dict[str, Array]:
+        """View (B, n, ...) of each field by name; (B, n) for a field of one number."""
+        views, start = {}, 0
+        for name, shape in self._fields.items():
+            size = math.prod(shape)
+            view = self.array[..., start : start + size].reshape(*self.array.shape[:2], *shape)
+            views[name] = view[..., 0] if size == 1 else view
+            start += size
+        return views

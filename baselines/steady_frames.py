@@ -1,9 +1,8 @@
-"""Frames and planes that do not turn with their robots, where they see and remember directions.
+"""Frames and planes that do not turn with nonholonomic robots, for remembered directions.
 
-A robot that turns has no compass, but it knows from the rates that it commanded by how much it has
-turned since its episode began; so a unicycle remembers directions in the frame that its body had
-then. A robot of space passes obstacles in a plane that holds f (``planes_in_space``), where the
-same policy steers it.
+A nonholonomic robot has no compass, but its commanded rates determine its rotation since the start
+of the episode. A unicycle stores directions in its initial body frame. A 3-D robot passes obstacles
+in a plane that contains f (``planes_in_space``), where the same policy controls it.
 """
 
 import math
@@ -47,12 +46,12 @@ from .obstacle_rules.planes_in_space import (
 )
 from .obstacle_rules.silhouettes import is_seen
 from .policy import Float32
-from .records import Array, make_records
+from .records import Array, Records
 from .steering import ALIGNED_IN_SPACE, WITHIN, inputs_towards
 
 
 class _Way(NamedTuple):
-    """How the kernels steer robots."""
+    """Steering parameters for kernels."""
 
     robot: Robot
     aligned: float  # as ``inputs_towards``, rad
@@ -61,11 +60,11 @@ class _Way(NamedTuple):
 
 
 class _Bodies(StatefulMixin):
-    """What the kernels of a subclass remember of the bodies of B teams.
+    """Memory of the bodies in B environments, for the kernels of a subclass.
 
-    Within the ``clearance``, rad, of where it is to go a unicycle drives; in space cones are
-    widened by it. ``most`` limits turn rates, rad/s, beside the scenario; ``keeps``, rad, of space,
-    is as ``kept_azimuth`` has it: PASSABLE under headings.
+    A unicycle drives within the ``clearance``, rad, of its desired direction; in 3-D cones are
+    widened by it. ``most`` is an additional limit of turn rates, rad/s. ``keeps``, rad, applies in
+    3-D, as in ``kept_azimuth``: PASSABLE for heading policies.
     """
 
     _fields: Mapping[str, tuple[int, ...]]  # shapes of what is remembered of a robot
@@ -83,42 +82,49 @@ class _Bodies(StatefulMixin):
         keeps: float = math.inf,
     ) -> None:
         robots, robot = (num_envs, scenario.n_robots), robot_of(scenario, most=most)
-        self._records, self._remembered = make_records(robots, self._fields)
+        self._records = Records(robots, self._fields)
         aligned = clearance if scenario.dim == 2 else ALIGNED_IN_SPACE
         self._way = _Way(robot, float(aligned), float(clearance), float(keeps))
         self.headings: Array = np.zeros((*robots, 2))
-        """Where they are to go, (B, n, 2), in that frame or plane; zero where there is none yet."""
+        """Desired headings, (B, n, 2), in that frame or plane; zero where undefined."""
         self.velocities: Array = np.zeros((*robots, 2))
-        """Their mean velocities over the previous step, (B, n, 2), m/s."""
+        """Mean velocities over the previous step, (B, n, 2), m/s."""
         rows = robot.neighbour_slots + 2 * robot.obstacle_slots
         self._seen = np.zeros((*robots, rows, 2), np.float32)
 
     @property
     def _memory(self) -> dict[str, Array]:
         return {
-            "headings": self.headings, "velocities": self.velocities, **self._remembered,
+            "headings": self.headings, "velocities": self.velocities, **self._records.views,
         }  # fmt: skip
 
     def seen(self, observations: Float32, teams: NDArray[np.intp]) -> Float32:
-        """What some teams see in that frame or plane, (B, n, K + 2M, 2), until the next call."""
-        self._look(teams, observations, self._way, self._records, self._seen)
+        """Observations of some environments in that frame or plane, (B, n, K + 2M, 2).
+
+        The array is valid until the next call.
+        """
+        self._look(teams, observations, self._way, self._records.array, self._seen)
         return self._seen
 
     def follow(self, teams: Slice, observations: Float32, held: Array) -> None:
-        """Write what some teams are to do, at law (1)'s speed, in units of their bounds: velocities
-        of points; (v, ω), or where another sets the speed ω alone.
+        """Write actions of some environments with the speed of law (1), in units of their bounds.
+
+        These are velocities of single integrators, (v, ω), or ω alone where the speed is set
+        elsewhere.
         """
-        self._follow(teams, observations, self._way, self._records, self.headings, held)
+        self._follow(teams, observations, self._way, self._records.array, self.headings, held)
 
     def turn(self, teams: Slice, actions: Float32) -> None:
-        """Note the actions that these teams take for τ."""
-        self._turn(teams, actions, self._way, self._records, self.velocities)
+        """Record the actions of these environments, which last τ."""
+        self._turn(teams, actions, self._way, self._records.array, self.velocities)
 
     def settle(self, share: float) -> Array:
-        """Correct the last step, which lasted only a share of τ; |v| ‖ω‖ τ² of it, (B, n), m, which
-        is how far its arc may have been from a straight line.
+        """Correct the last step, which lasted only a fraction of τ.
+
+        Returns |v| ‖ω‖ τ² of the step, (B, n), m, which bounds the distance of its arc from a
+        straight line.
         """
-        kept = self._remembered
+        kept = self._records.views
         bends = kept["bends"].copy()
         kept[self._yaws][...] += (min(share, 1.0) - 1.0) * kept["turns"]
         kept["turns"][...], kept["bends"][...] = 0.0, 0.0
@@ -127,15 +133,16 @@ class _Bodies(StatefulMixin):
 
 @inner_kernel
 def _law_speed(rows, robot):
-    """Law (1)'s speed in a step of τ, min(1, r/(2 D τ)) ‖f‖, m/s."""
+    """Speed of law (1) in a step of τ, min(1, r/(2 D τ)) ‖f‖, m/s."""
     degree = degree_of(rows, robot.neighbour_slots)
     scale = scale_of_step(degree, robot.merge_radius, robot.gate.duration)
     return norm(net_bearing_of(rows, robot.neighbour_slots)) * scale
 
 
 _IN_FRAMES = {"angles": (1,), "turns": (1,), "bends": (1,)}
-"""What a unicycle remembers of its body: by how much it has turned, rad, and in the previous step;
-|v ω| τ² of that step, m."""
+"""Memory of a unicycle's body.
+
+Its rotation, rad, and that of the previous step; |v ω| τ² of that step, m."""
 
 
 @kernel
@@ -185,7 +192,7 @@ def _turn_in_frames(teams, actions, way, memory, velocities):
 
 
 class OdometryFrame(_Bodies):
-    """Headings of the unicycles of B teams, in frames that stay as the bodies were at first.
+    """Headings of the unicycles of B environments, in their initial body frames.
 
     u = R(θ) u_body,   θ ← θ + ω τ
     """
@@ -199,10 +206,11 @@ _IN_PLANES = {
     **{"towards": (3,), "aside": (3,)},
     **{name: (1,) for name in ("angles", "blocked", "yaws", "pitches", "turns", "bends")},
 }
-"""What a robot remembers of its plane; triples are in the level frame with the yaw that its body
-had at first: f/‖f‖, zero before the first step; the unit vector of the plane across f; by how much
-f has turned in the plane, rad; whether something there is before f; yaw of the body, from its first
-one, and pitch, rad; the yaw of the previous step, rad, and |v| ‖ω‖ τ² of that step, m."""
+"""Memory of a robot's plane, with triples in the level frame of the body's initial yaw.
+
+f/‖f‖, zero before the first step; the unit vector of the plane across f; rotation of f in the
+plane, rad. Whether an obstacle there blocks f. Yaw of the body, from the initial one, and pitch,
+rad. Yaw of the previous step, rad, and |v| ‖ω‖ τ² of that step, m."""
 _ASIDE, _ANGLE, _BLOCKED, _YAW, _PITCH, _TURNED, _BEND = 3, *range(6, 12)
 
 
@@ -244,7 +252,7 @@ def _look_in_planes(teams, observations, way, memory, seen):
 
 @inner_kernel
 def _plane_of(kept):
-    """A robot's frame, and its plane in the body frame: f/‖f‖, the unit vector across it, θ."""
+    """Frame of a robot, and its plane in the body frame: f/‖f‖, the unit vector across it, θ."""
     frame = body_frame_3d(kept[_YAW], kept[_PITCH])
     u, aside = load(kept[:_ASIDE]), load(kept[_ASIDE:_ANGLE])
     return frame, (to_local(frame, u), to_local(frame, aside), kept[_ANGLE])
@@ -252,7 +260,7 @@ def _plane_of(kept):
 
 @inner_kernel
 def _write_plane(rows, plane, silhouettes, cut, out):
-    """What is seen of neighbours and obstacles in a plane, (K + 2 M, 2)."""
+    """Write the neighbours and obstacles in a plane, (K + 2 M, 2)."""
     M, count = silhouettes.shape[0], 0
     K = out.shape[0] - 2 * M
     for k in range(K):
@@ -270,7 +278,7 @@ def _write_plane(rows, plane, silhouettes, cut, out):
 
 @inner_kernel
 def _in_plane(vector, plane):
-    """The part of a triple in a plane, a triple in its frame with z = 0."""
+    """Projection of a triple onto a plane, as a triple in its frame with z = 0."""
     u, aside, angle = plane
     return rotated((dot(vector, u), dot(vector, aside), 0.0), angle)
 
@@ -320,12 +328,12 @@ def _turn_in_planes(teams, actions, way, memory, velocities):
 
 
 class SteadyPlanes(_Bodies):
-    """Planes of the robots of B teams in space; as ``OdometryFrame`` has it for unicycles.
+    """Planes of the 3-D robots of B environments; the counterpart of ``OdometryFrame``.
 
-        (cos θ, sin θ) = f/‖f‖ in the plane,   θ ← θ + ∠ in the plane that f has turned
+        (cos θ, sin θ) = f/‖f‖ in the plane,   θ ← θ + rotation of f in the plane
 
-    While something in its plane is before f, but not too wide, a robot keeps to it, as f turns;
-    else it takes the one with least to turn, and what it remembers turns with it about f.
+    While an obstacle in its plane blocks f, but is not too wide, a robot keeps the plane as f
+    turns. Otherwise it takes the plane with the smallest turn, and its memory is rotated about f.
     """
 
     _fields, _yaws = _IN_PLANES, "yaws"

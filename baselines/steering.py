@@ -36,9 +36,9 @@ Rounding to float32 then exceeds no limit, and commands equal the values booked 
 
 
 turns = of_model("unicycle", "nonholonomic_3d")
-"""Whether a scenario's robots are unicycles or 3-D nonholonomic robots, whose frames rotate."""
+"""True if a scenario's robots are unicycles or 3-D nonholonomic robots, whose frames rotate."""
 can_steer = of_model("single_integrator", "unicycle", "nonholonomic_3d")
-"""Whether ``Steering`` supports a scenario's robot model."""
+"""True if ``Steering`` supports a scenario's robot model."""
 
 
 def check_steerable(scenario: Scenario, what_steers: str = "learned policies steer") -> None:

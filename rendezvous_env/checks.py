@@ -1,4 +1,4 @@
-"""Checks that all borders share; a refusal names the field, its value and what would be right."""
+"""Validation of arguments; an error gives the field, its value and a remedy."""
 
 import dataclasses
 import difflib
@@ -32,16 +32,16 @@ _SYNONYMS = {
     "proximity": ("disk", "geometric"),
     "error": ("adversarial_error",),
 }
-"""What other packages call things."""
+"""Names of the same concepts in other packages."""
 _Made = TypeVar("_Made")
 
 
 class UnknownFieldError(TypeError, ValueError):
-    """A field that does not exist: a TypeError as Python has it, and a ValueError as we do."""
+    """Unknown field: a TypeError, as in Python, and a ValueError, as elsewhere in this package."""
 
 
 class _Shown(reprlib.Repr):
-    """``repr``, shortened, that never fails and never recurses far."""
+    """Shortened ``repr`` that never fails and has limited recursion."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -49,35 +49,36 @@ class _Shown(reprlib.Repr):
         self.maxlist = self.maxtuple = self.maxdict = self.maxset = self.maxarray = 12
 
     def repr_int(self, x: int, level: int) -> str:
-        """A whole number; Python itself refuses to write very long ones."""
+        """An integer; Python rejects the conversion of very long ones."""
         if abs(x) < 10**self.maxlong:
             return repr(x)
         return f"a whole number of about {int(x.bit_length() * 0.30103) + 1} digits"
 
     def repr_instance(self, x: Any, level: int) -> str:
-        """Anything else, in one line."""
+        """Any other value, on one line."""
         return " ".join(super().repr_instance(x, level).split())
 
 
 short_repr = _Shown().repr
-"""A value as messages show it: its repr, shortened if long."""
+"""Value for messages: its repr, shortened if long."""
 
 
 def raise_invalid(field: str, value: Any, wanted: str) -> NoReturn:
-    """Raise the ValueError that names a field, its wrong value and what would be right."""
+    """Raise a ValueError with a field, its invalid value and the requirement."""
     raise ValueError(f"{field} is {short_repr(value)}; it must be {wanted}")
 
 
 def format_limit(limit: float) -> str:
-    """A limit, with all of its digits, so that who copies it is not refused once more."""
+    """Limit with all digits, so that the printed value is accepted as input."""
     short = f"{limit:g}"
     return short if float(short) == limit else repr(float(limit))
 
 
 def to_float(value: Any) -> float:
-    """One number of any type as Python's own; infinite beyond float64, NaN for what is no number.
+    """Number of any type as a Python float; infinite beyond float64, NaN for other values.
 
-    What is compared with bounds goes through this: NumPy would round the bounds to a smaller type.
+    Values are compared with bounds in this form, because NumPy would round the bounds to a smaller
+    type.
     """
     numeric = isinstance(value, int | float | np.integer | np.floating)
     if not numeric or isinstance(value, bool):
@@ -89,12 +90,12 @@ def to_float(value: Any) -> float:
 
 
 def is_int(value: Any) -> bool:
-    """Whether it is one whole number, and no bool."""
+    """True if a value is one integer, and not a bool."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def is_sequence(value: Any) -> bool:
-    """Whether it is a sequence of anything but letters."""
+    """True if a value is a sequence other than a string."""
     if isinstance(value, np.ndarray):
         return value.ndim > 0
     return isinstance(value, Sequence) and not isinstance(value, str | bytes)
@@ -106,7 +107,7 @@ def is_sequence(value: Any) -> bool:
 def number(
     field: str, value: Any, least: float = -LARGEST, most: float = LARGEST, unit: str = ""
 ) -> float:
-    """A finite number within bounds."""
+    """Finite number within bounds."""
     if not least <= to_float(value) <= most:
         bounds = f"from {format_limit(least)} to {format_limit(most)} {unit}".rstrip()
         raise_invalid(field, value, f"a finite number {bounds}")
@@ -114,7 +115,7 @@ def number(
 
 
 def positive(field: str, value: Any, unit: str = "") -> float:
-    """A positive number within the limits."""
+    """Positive number within the limits."""
     if not SMALLEST <= to_float(value) <= LARGEST:
         bounds = f"from {SMALLEST:g} to {LARGEST:g} {unit}".rstrip()
         raise_invalid(field, value, f"a positive, finite number, {bounds}")
@@ -122,7 +123,7 @@ def positive(field: str, value: Any, unit: str = "") -> float:
 
 
 def check_int(field: str, value: Any, least: int, most: int) -> int:
-    """A whole number within bounds."""
+    """Integer within bounds."""
     if not is_int(value) or not least <= value <= most:
         raise_invalid(field, value, f"a whole number, {least} or more, at most {most}")
     return int(value)
@@ -136,7 +137,7 @@ def flag(field: str, value: Any) -> bool:
 
 
 def choice(field: str, value: Any, choices: Iterable[str]) -> str:
-    """One of some words."""
+    """One of several words."""
     known = tuple(choices)
     if not isinstance(value, str) or value not in known:
         raise_invalid(
@@ -146,7 +147,7 @@ def choice(field: str, value: Any, choices: Iterable[str]) -> str:
 
 
 def text(field: str, value: Any) -> str:
-    """A text."""
+    """String."""
     if not isinstance(value, str):
         raise_invalid(field, value, "a text")
     return value
@@ -155,7 +156,7 @@ def text(field: str, value: Any) -> str:
 def number_range(
     field: str, value: Any, least: float = SMALLEST, unit: str = ""
 ) -> tuple[float, float]:
-    """The lowest and highest of a range of positive numbers, from two of them or from one."""
+    """Minimum and maximum of a range of positive numbers, from two numbers or one."""
     pair = tuple(value) if is_sequence(value) else (value, value)
     if len(pair) != 2 or not least <= to_float(pair[0]) <= to_float(pair[1]) <= LARGEST:
         bounds = f"{format_limit(least)} <= low <= high <= {LARGEST:g} {unit}".rstrip()
@@ -164,15 +165,16 @@ def number_range(
 
 
 def mapping(field: str, value: Any, wanted: str) -> Mapping[Any, Any]:
-    """A mapping."""
+    """Mapping."""
     if not isinstance(value, Mapping):
         raise_invalid(field, value, wanted)
     return value
 
 
 def floats(field: str, value: Any, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
-    """Numbers of any shape as an array, infinite where they do not fit the type; anything else is
-    refused.
+    """Numbers of any shape as an array, infinite where they exceed the type.
+
+    Other values are rejected.
     """
     try:
         array = np.asarray(value)
@@ -188,7 +190,7 @@ def floats(field: str, value: Any, dtype: type[np.floating[Any]] = np.float64) -
 
 
 def check_shape(name: str, array: NDArray[Any], *shapes: tuple[int, ...], axes: str = "") -> None:
-    """Refuse an array, called by its name, of another shape than these, whose axes are ``axes``."""
+    """Reject a named array of another shape; ``axes`` names the axes."""
     if array.shape not in shapes:
         wanted = f"{axes} = " * bool(axes) + " or ".join(dict.fromkeys(map(str, shapes)))
         has, it = ("have", "they") if name.endswith("s") else ("has", "it")
@@ -196,7 +198,7 @@ def check_shape(name: str, array: NDArray[Any], *shapes: tuple[int, ...], axes: 
 
 
 def _unreadable(value: Any) -> str:
-    """What keeps NumPy from reading a tensor, and what to do; nothing for anything else."""
+    """Reason why NumPy cannot read a tensor, with a remedy; empty for other values."""
     if not all(hasattr(value, name) for name in ("detach", "requires_grad", "device", "dtype")):
         return ""
     grad = " that requires grad" if value.requires_grad else ""
@@ -205,7 +207,7 @@ def _unreadable(value: Any) -> str:
 
 
 def check_action(robot: str, value: Any, size: int) -> None:
-    """Refuse a robot's action that is not ``size`` finite numbers, naming robot and value."""
+    """Reject a robot's action that is not ``size`` finite numbers, with robot and value."""
     try:
         action = floats("action", value, np.float32)
     except ValueError:
@@ -217,7 +219,7 @@ def check_action(robot: str, value: Any, size: int) -> None:
 
 
 def bools(field: str, value: Any, shape: tuple[int, ...] | None, of_what: str) -> NDArray[np.bool_]:
-    """True or False for each of some things, of any shape if None is asked for."""
+    """Array of bools, of any shape if None is required."""
     try:
         array = np.asarray(value)
     except (TypeError, ValueError, OverflowError, RecursionError):
@@ -231,8 +233,10 @@ def bools(field: str, value: Any, shape: tuple[int, ...] | None, of_what: str) -
 
 
 def nearest_word(word: Any, words: Iterable[str], cutoff: float = 0.65) -> str | None:
-    """The known word that other packages call ``word``, or the one most like it (at least
-    ``cutoff`` of 1), or one of which it is a part, between - and _.
+    """Known word for ``word``: a synonym, a similar word, or one that contains it.
+
+    A similar word has a similarity of at least ``cutoff`` (at most 1). Parts are separated by - and
+    _.
     """
     if not isinstance(word, str) or len(word) > _LONGEST_WORD:
         return None
@@ -246,7 +250,7 @@ def nearest_word(word: Any, words: Iterable[str], cutoff: float = 0.65) -> str |
 
 
 def closest_match(word: Any, words: Iterable[str], before: str = "", after: str = "") -> str:
-    """The question whether the ``nearest_word`` was meant, between two texts; empty without one."""
+    """Question that suggests the ``nearest_word``, between two texts; empty without one."""
     near = nearest_word(word, words)
     return f"{before}did you mean {near!r}?{after}" if near else ""
 
@@ -254,7 +258,7 @@ def closest_match(word: Any, words: Iterable[str], before: str = "", after: str 
 def known_fields(
     given: Iterable[Any], known: Iterable[str], what: str, noun: str = "field"
 ) -> None:
-    """Raise an UnknownFieldError for a field that does not exist, with the one most like it."""
+    """Raise an UnknownFieldError for an unknown field, with the most similar known one."""
     known = list(known)
     for key in given:
         if key not in known:
@@ -265,7 +269,7 @@ def known_fields(
 
 
 def load(library: str, what: str, extra: str) -> Any:
-    """A library of an extra; an ImportError says what needs it, and how to get it."""
+    """Import a library of an extra; an ImportError gives its purpose and how to install it."""
     try:
         return import_module(library)
     except ImportError as error:
@@ -278,13 +282,13 @@ Seconds = Annotated[float, partial(positive, unit="s")]
 
 
 def from_plain(made: type[_Made], plain: Mapping[str, Any], what: str) -> _Made:
-    """A dataclass from plain data, some keys left out; an unknown one is refused."""
+    """Dataclass from plain data, with defaults for absent keys; unknown keys are rejected."""
     known_fields(plain, [field.name for field in dataclasses.fields(cast(Any, made))], what)
     return made(**plain)
 
 
 def of_class(made: Any) -> Callable[[str, Any], Any]:
-    """A check for an instance of a class, or a table of its fields."""
+    """Check for an instance of a class, or a table of its fields."""
 
     def check(field: str, value: Any) -> Any:
         if isinstance(value, Mapping):
@@ -297,7 +301,7 @@ def of_class(made: Any) -> Callable[[str, Any], Any]:
 
 
 def names_unknown_fields(what: str) -> Callable[[type[_Made]], type[_Made]]:
-    """For a dataclass: unknown keywords of its constructor are refused with the nearest field."""
+    """Decorate a dataclass to suggest the most similar field for unknown keywords."""
 
     def decorate(made: type[_Made]) -> type[_Made]:
         make = made.__init__
@@ -315,13 +319,14 @@ def names_unknown_fields(what: str) -> Callable[[type[_Made]], type[_Made]]:
 
 
 def check_fields(made: Any, label: str = "{}") -> None:
-    """Check and convert the fields of a frozen dataclass, in its ``__post_init__``: NumPy's scalars
-    become Python's own, and each value goes through the check of its annotation. None is kept where
-    it is the default.
+    """Validate and convert the fields of a frozen dataclass, in its ``__post_init__``.
 
-    ``Annotated[kind, check]`` names a function of field and value that returns what is kept; bool,
-    Literal, float and str stand for ``flag``, ``choice``, ``number`` and ``text``. Messages call a
-    field what ``label`` makes of its name.
+    NumPy scalars become Python ones, and each value passes the check of its annotation. None is
+    kept where it is the default.
+
+    ``Annotated[kind, check]`` gives a function of field and value that returns the stored value.
+    bool, Literal, float and str correspond to ``flag``, ``choice``, ``number`` and ``text``.
+    Messages name a field by ``label`` of its name.
     """
     checks = _checks_of(cast(Any, type(made)))
     for field in dataclasses.fields(made):
@@ -352,8 +357,9 @@ def _check_of(hint: Any) -> Callable[[str, Any], Any] | None:
 
 
 class Registry(dict[str, Any]):
-    """Functions of users, or their models, by name: what they are, and the function that registers
-    one, as users write it.
+    """Registry of custom functions or models by name.
+
+    It stores their kind, and the public name of its registration function.
     """
 
     def __init__(self, what: str, register: str) -> None:
@@ -365,7 +371,7 @@ class Registry(dict[str, Any]):
         raise ValueError(f"{self.what} {name!r} is not registered here; {remedy}")
 
     def add(self, name: Any, function: Any) -> Any:
-        """Register a function, which is returned; without one a decorator is."""
+        """Register a function and return it; without a function return a decorator."""
         if not isinstance(name, str) or not name or not name.isprintable():
             raise_invalid(f"name of a {self.what}", name, "a word")
         if function is None:
@@ -376,7 +382,7 @@ class Registry(dict[str, Any]):
         return function
 
     def check(self, field: str, name: Any) -> None:
-        """Refuse a name that nobody has registered, with the nearest one or how to register it."""
+        """Reject an unregistered name, with the most similar one or how to register it."""
         if not isinstance(name, str) or name not in self:
             hint = closest_match(name, self) or f"register it with {self._register}"
             raise ValueError(f"{field}: {short_repr(name)} is unknown; {hint}")

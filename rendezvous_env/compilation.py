@@ -1,4 +1,4 @@
-"""How all kernels are compiled: serial, cached on disk, IEEE arithmetic."""
+"""Compilation of all kernels: serial, cached on disk, IEEE arithmetic."""
 
 import gc
 import inspect
@@ -28,13 +28,12 @@ _COMPILER: Any = Compiler
 _PATIENCE = 2.0  # s; a compilation that takes longer is announced
 
 Inline = Literal["never", "code", "text"]
-"""Whether a kernel becomes part of its callers.
+"""Inlining of a kernel into its callers.
 
-"code": its machine code does, in the optimiser. "text": its source takes the place of the call
-before anything is compiled, which costs no compilation of its own; for long kernels with a single
-caller. In a "text" kernel no branch may depend on whether an argument is None, nor on the length of
-a tuple: types are not known yet.
-"""
+"code": the optimiser inlines its machine code. "text": its source replaces the call before
+compilation, without a compilation of its own; for long kernels with a single caller. In a "text"
+kernel no branch may depend on whether an argument is None, or on the length of a tuple: types
+are not known yet."""
 
 
 def kernel(
@@ -46,15 +45,15 @@ def kernel(
 ) -> Any:
     """Compile a function on first use: nogil, IEEE division, no fastmath; cached on disk.
 
-    It counts no references to arrays, which would take longer than the arithmetic of a few robots.
-    So it can neither allocate nor return arrays, and the compiler refuses both.
+    It does not count references to arrays, which would take longer than the arithmetic of a few
+    robots. It can therefore neither allocate nor return arrays; the compiler rejects both.
 
     Args:
         function: a function of numbers, arrays and tuples of these; None to give options first.
-        inline: whether it becomes part of its callers.
+        inline: inlining into callers.
         allocates: whether it may allocate and return arrays, and counts references.
-        slp: whether numbers that lie side by side outside of loops over lanes become SIMD too
-            (superword-level parallelism): for rows of one robot; loops over lanes get slower.
+        slp: whether adjacent numbers outside of loops over lanes also become SIMD (superword-level
+            parallelism). For rows of one robot; loops over lanes get slower.
     """
     return _decorated(function, _options(inline, allocates=allocates), slp)
 
@@ -62,8 +61,10 @@ def kernel(
 def inner_kernel(
     function: Callable[..., Any] | None = None, *, inline: Inline = "never", slp: bool = False
 ) -> Any:
-    """A kernel for other kernels only: it has no entry for Python, which takes arguments apart and
-    may be longer than the kernel. Python calls the function that was decorated.
+    """Compile a kernel for use by other kernels only.
+
+    It has no Python entry, whose argument conversion may take longer than the kernel. Python calls
+    the decorated function instead.
     """
     return _decorated(function, _options(inline, inner=True), slp)
 
@@ -79,10 +80,10 @@ def _decorated(function: Callable[..., Any] | None, options: dict[str, Any], slp
 
 
 def _options(inline: Inline, *, allocates: bool = False, inner: bool = False) -> dict[str, Any]:
-    """Options of numba; one that is missing here would be inherited from the first caller.
+    """Options of numba; a missing option would be inherited from the first caller.
 
-    Three are not documented: ``_nrt`` (count references), and two that leave out the entries for
-    callers in C and in Python. Without them everything works, slower (decision 11).
+    Three are undocumented: ``_nrt`` (count references), and two that omit the entries for callers
+    in C and in Python. Without them everything works, slower (decision 11).
     """
     undocumented = {"_nrt": allocates, "no_cfunc_wrapper": True, "no_cpython_wrapper": inner}
     return {
@@ -94,10 +95,10 @@ def _options(inline: Inline, *, allocates: bool = False, inner: bool = False) ->
 
 
 class _KernelCompiler(_COMPILER):
-    """numba's compiler, which names the symbols of a function by its content.
+    """Compiler of numba with symbol names derived from the content of a function.
 
-    numba itself numbers functions, from 1 on in every process: machine code that two processes have
-    kept, linked together, could hold two functions of one name.
+    numba itself numbers functions from 1 in every process. Cached machine code of two processes,
+    linked together, could then contain two functions of one name.
     """
 
     def define_pipelines(self) -> Any:
@@ -108,15 +109,15 @@ class _KernelCompiler(_COMPILER):
 
 
 OVERLOADED: Any = _options("code", inner=True) | {"pipeline_class": _KernelCompiler}
-"""Options of numba's ``overload``, for what becomes part of a kernel."""
+"""Options of numba's ``overload`` for functions inlined into kernels."""
 del OVERLOADED["nopython"]
 
 
 class _Kernel(_DISPATCHER):
-    """numba's dispatcher, with the rules of this project."""
+    """Dispatcher of numba with the rules of this project."""
 
     slp = False
-    """Whether it is compiled with ``kernel(slp=True)``."""
+    """True if it is compiled with ``kernel(slp=True)``."""
 
     def __init__(self, py_func: Any, locals: Any = None, targetoptions: Any = None) -> None:
         super().__init__(py_func, locals, targetoptions, _KernelCompiler)
@@ -124,7 +125,7 @@ class _Kernel(_DISPATCHER):
         self._inner = targetoptions.get("no_cpython_wrapper", False)
 
     def compile(self, sig: Any) -> Any:
-        """The entry point for a signature, from disk or compiled anew."""
+        """Entry point for a signature, from disk or newly compiled."""
         arguments, _ = sigutils.normalize_signature(sig)
         with global_compiler_lock:
             if (known := self.overloads.get(tuple(arguments))) is not None:
@@ -133,8 +134,10 @@ class _Kernel(_DISPATCHER):
                 return super().compile(arguments)
 
     def add_overload(self, cres: Any) -> None:
-        """Take compiled code in, with an entry for Python unless it is inner; an error if it
-        returns an array, of which no reference is counted: it would be freed while in use.
+        """Add compiled code, with a Python entry unless it is inner.
+
+        An error if it returns an array: no reference is counted, so the array would be freed while
+        in use.
         """
         returned = cres.signature.return_type
         if not self.targetoptions.get("_nrt", True) and _holds_array(returned):
@@ -147,7 +150,7 @@ class _Kernel(_DISPATCHER):
             super().add_overload(cres)
 
     def typeof_pyval(self, val: Any) -> Any:
-        """The type of an argument; a read-only array has that of a writable one."""
+        """Type of an argument; a read-only array has that of a writable one."""
         return _writable(super().typeof_pyval(val))
 
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
@@ -158,10 +161,10 @@ class _Kernel(_DISPATCHER):
 
 
 def _writable(kind: Any) -> Any:
-    """A type in which all arrays are writable.
+    """Type with all arrays writable.
 
-    JAX and pandas give read-only arrays. Compiled code is the same for them, since kernels write to
-    memory of the package only; so none is compiled twice.
+    JAX and pandas return read-only arrays. Kernels write only to memory of the package, so the same
+    compiled code is used for both.
     """
     if isinstance(kind, types.Array):
         return kind.copy(readonly=False)
@@ -173,8 +176,9 @@ def _writable(kind: Any) -> Any:
 
 @contextmanager
 def _compiling(slp: bool) -> Iterator[None]:
-    """Set numba's option, for this compilation, and pause Python's collector of reference cycles,
-    which would go through a million objects in use, again and again.
+    """Set numba's option for this compilation, and pause Python's cyclic garbage collector.
+
+    The collector would traverse a million objects in use repeatedly.
     """
     collects, before = gc.isenabled(), _CONFIG.SLP_VECTORIZE
     gc.disable()
@@ -189,7 +193,7 @@ def _compiling(slp: bool) -> Iterator[None]:
 
 @contextmanager
 def _announced(function: _Kernel) -> Iterator[None]:
-    """Announce, once, a compilation that took long."""
+    """Log, once, a compilation that took long."""
     begun = time.monotonic()
     yield
     if function._cache_misses and time.monotonic() - begun > _PATIENCE:
@@ -211,15 +215,15 @@ def _holds_array(kind: Any) -> bool:
 
 
 def by_type(argument: str, choose: Callable[[type], Any]) -> Any:
-    """Make a function the one that is chosen by the type of one of its arguments.
+    """Decorate a function to dispatch on the type of one of its arguments.
 
-    What this decorates gives name, arguments and docstring. Compiled code chooses while it is being
-    compiled: what is not chosen is not compiled.
+    The decorated function provides name, arguments and docstring. Compiled code dispatches during
+    compilation: other branches are not compiled.
 
     Args:
-        argument: name of the one that decides.
-        choose: its class, NoneType for None → a function of the same arguments, a kernel or plain;
-            or a value, which is a constant of the compiled code.
+        argument: name of the argument to dispatch on.
+        choose: maps its class, NoneType for None, to a function of the same arguments, a kernel or
+            plain; or to a value, which is a constant of the compiled code.
     """
 
     def decorate(described: Callable[..., Any]) -> Callable[..., Any]:
@@ -247,9 +251,10 @@ def by_type(argument: str, choose: Callable[[type], Any]) -> Any:
 
 
 def entry_point(function: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:
-    """What a kernel runs for arguments of these types, without numba's look at all types in each
-    call, which takes as long as a small team's step. Later arguments must have the same types, but
-    for arrays that may not be written to.
+    """Entry point of a kernel for arguments of these types.
+
+    It avoids numba's type lookup in each call, which takes as long as a step of a small
+    environment. Later arguments must have the same types, except that arrays may be read-only.
     """
     if not compiled():
         return function
@@ -259,10 +264,10 @@ def entry_point(function: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]
 
 
 def is_kernel(function: Any) -> bool:
-    """Whether this is a kernel, and compiled."""
+    """True if this is a compiled kernel."""
     return isinstance(function, _Kernel)
 
 
 def compiled() -> bool:
-    """Whether kernels are compiled; ``NUMBA_DISABLE_JIT=1`` leaves them plain Python."""
+    """True if kernels are compiled; ``NUMBA_DISABLE_JIT=1`` keeps them as plain Python."""
     return not _CONFIG.DISABLE_JIT

@@ -35,7 +35,7 @@ class StepOutput(NamedTuple):
     "follow" all take part."""
     contacts: NDArray[np.int64]
     """Contacts in the episode so far, one per robot and step, (B,)."""
-    crowded: NDArray[np.int64]
+    neighbour_overflow: NDArray[np.int64]
     """A robot with more neighbours than observation rows, (B,), or −1. The memory is the same in
     every step and is read once."""
 

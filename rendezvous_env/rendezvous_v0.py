@@ -1,4 +1,4 @@
-"""PettingZoo: ``parallel_env``, ``env`` and ``raw_env``, one team by name."""
+"""PettingZoo: ``parallel_env``, ``env`` and ``raw_env`` of one environment."""
 
 from typing import Any
 
@@ -23,20 +23,20 @@ def parallel_env(
     flatten: bool = False,
     **overrides: Any,
 ) -> RendezvousParallelEnv:
-    """The parallel environment: all robots act at once.
+    """Create the parallel environment, in which all robots act simultaneously.
 
     Args:
         scenario: a Scenario, the name of one (``scenarios.names()``), the path of a TOML file, or
             plain data (``Scenario.to_plain``).
-        render_mode: "human" for a window, "rgb_array" for pictures, None for neither.
-        max_cycles: time limit in steps, instead of the scenario's.
-        flatten: whether observations are vectors (rows·d,), row by row, for libraries that take no
-            tables; ``scenario.observation_layout.split`` reads both.
+        render_mode: "human" for a window, "rgb_array" for images, None for neither.
+        max_cycles: time limit in steps, in place of the scenario's.
+        flatten: whether observations are vectors (rows·d,), row by row, for libraries without
+            matrix observations; ``scenario.observation_layout.split`` reads both.
         **overrides: fields of the scenario to change.
 
     Raises:
-        TypeError: for an unknown argument or field, with the nearest known one.
-        ValueError: for an unknown scenario or render mode, or an impossible value.
+        TypeError: for an unknown argument or field; the message gives the closest known one.
+        ValueError: for an unknown scenario or render mode, or an invalid value.
     """
     check_one_team(overrides, "rendezvous_env.make_vec")
     check_overrides(parallel_env, overrides)
@@ -46,12 +46,12 @@ def parallel_env(
 def env(
     *arguments: Any, **options: Any
 ) -> AECEnv[str, NDArray[np.float32], NDArray[np.float32] | None]:
-    """One robot after another (PettingZoo's AEC); arguments and errors as ``parallel_env``."""
+    """Create PettingZoo's AEC environment; arguments and errors as ``parallel_env``."""
     return wrappers.OrderEnforcingWrapper(RendezvousAECEnv(parallel_env(*arguments, **options)))
 
 
 raw_env = env
-"""PettingZoo's name for the form without wrappers; this one checks the order of calls, too."""
+"""PettingZoo's unwrapped AEC environment; this one also validates the order of calls."""
 
 
 def register() -> None:

@@ -54,7 +54,7 @@ class _SafeNames(MetaPathFinder):
 
 
 def _is_hidden(top: str) -> bool:
-    """Whether another module shadows the short name."""
+    """True if another module shadows the short name."""
     ours = str(_BESIDE / top / "__init__.py")
     if (module := sys.modules.get(top)) is not None:
         return getattr(module, "__file__", None) != ours

@@ -18,7 +18,7 @@ from .engine.memory import RENDEZVOUS, RUNNING
 from .engine.memory_layout import MemoryLayout, check_memory
 from .engine.state import State
 from .engine.state_checks import check_actions, check_entries, check_output, check_teams
-from .limits import MOST_STEPS, MOST_TEAMS
+from .limits import MAX_STEPS, MAX_TEAMS
 from .observation_fit import ObservationFit
 from .outcome import ELAPSED, LYAPUNOV, StepOutput
 from .rewards.costs import costs_of, no_costs
@@ -50,9 +50,9 @@ class Simulator(StateView):
         self, scenario: ScenarioLike, num_envs: int = 1, *, num_threads: int | None = None
     ) -> None:
         self.scenario = scenario = resolve(scenario)
-        self.num_envs = check_int("num_envs", num_envs, 1, MOST_TEAMS)
+        self.num_envs = check_int("num_envs", num_envs, 1, MAX_TEAMS)
         given = num_threads is not None
-        self.num_threads = check_int("num_threads", num_threads, 1, MOST_TEAMS) if given else None
+        self.num_threads = check_int("num_threads", num_threads, 1, MAX_TEAMS) if given else None
         check_memory(scenario, self.num_envs)
         self.max_steps = scenario.max_steps
         self.changes = 0
@@ -213,7 +213,7 @@ class Simulator(StateView):
 
     @property
     def supports_step_n(self) -> bool:
-        """Whether ``step_n`` is available.
+        """True if ``step_n`` is available.
 
         It requires that no user code runs in a step, that observations are those of the engine, and
         that no robot can exceed its neighbour rows.
@@ -326,12 +326,13 @@ class Simulator(StateView):
     def _refuse_crowds(self, output: StepOutput) -> None:
         """Raise an error for a robot with more neighbours than observation rows."""
         slots = self._sensed.observation_layout.neighbour_slots
-        if slots == self.scenario.n_robots - 1 or not (output.crowded >= 0).any():
+        if slots == self.scenario.n_robots - 1 or not (output.neighbour_overflow >= 0).any():
             return
-        team = int(np.argmax(output.crowded >= 0))
+        team = int(np.argmax(output.neighbour_overflow >= 0))
         raise RuntimeError(
-            f"robot_{output.crowded[team]} of team {team} has more than neighbour_slots = {slots} "
-            f"neighbours after step {self.steps[team]}; give the scenario more neighbour_slots"
+            f"robot_{output.neighbour_overflow[team]} of team {team} has more than "
+            f"neighbour_slots = {slots} neighbours after step {self.steps[team]}; "
+            "give the scenario more neighbour_slots"
         )
 
     def observe(self) -> NDArray[np.float32]:
@@ -363,12 +364,12 @@ class Simulator(StateView):
 
     @property
     def begun(self) -> bool:
-        """Whether a reset has taken place."""
+        """True if a reset has taken place."""
         return self._ready or bool((self._state.number >= 0).any())
 
     @property
     def all_running(self) -> bool:
-        """Whether the episodes of all environments are running; faster than ``ended``."""
+        """True if the episodes of all environments are running; faster than ``ended``."""
         return self._all_running
 
     @property
@@ -413,7 +414,7 @@ class Simulator(StateView):
         Raises:
             ValueError: if it is not a positive integer.
         """
-        self.max_steps = check_int("max_cycles", max_steps, 1, MOST_STEPS)
+        self.max_steps = check_int("max_cycles", max_steps, 1, MAX_STEPS)
         self._runner.limit(self.max_steps)
 
     def __getstate__(self) -> dict[str, Any]:

@@ -2,9 +2,9 @@
 
     python research/claims.py --trials 1000 --seed 0 gains stale links
 
-``rendezvous verify --any`` validates certificates in the environment. This script covers more
-general claims: adversarial edge weights and graphs, delayed bearings, bearing errors, and headings
-in a cone. Exit status 1 if a claim is violated.
+``rendezvous verify --random-scenarios`` validates certificates in the environment. This script
+covers more general claims: adversarial edge weights and graphs, delayed bearings, bearing errors,
+and headings in a cone. Exit status 1 if a claim is violated.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
-"""Robots pressed against closed unions of obstacles: does any get through, is any stop unreported?
+"""Robustness test of closed unions of obstacles: penetrations and unreported stops.
 
     python research/union_presses.py --presses 1000000
 
-Each union is closed, but its shapes only just meet: they share edges, touch, or overlap by up to a
-micrometre, turned and moved at random. Robots inside and outside go in random directions at 10⁻³ to
-10⁶ m/s. A surface within the union (its spine) says on which side of it each robot is.
+Each union is closed, but its shapes barely meet: they share edges, touch, or overlap by up to a
+micrometre, with random orientation and position. Robots inside and outside move in random
+directions at 10⁻³ to 10⁶ m/s. A surface within the union (its spine) determines the side of each
+robot.
 """
 
 import argparse
@@ -29,13 +30,13 @@ MODELS = {
     3: ("single_integrator", "nonholonomic_3d", "double_integrator"),
 }
 TEAMS = {"single_integrator": 256, "unicycle": 128, "nonholonomic_3d": 64, "double_integrator": 16}
-"""Environments for each model; curves take longer."""
+"""Number of environments for each robot model; curved paths are slower."""
 SLOWEST, FASTEST = 1e-3, 1e6
 _ON_THE_SPOT = 1e-12  # m
 
 
 class Union(NamedTuple):
-    """A closed union of obstacles, its centre, and how far out the robots outside start."""
+    """Closed union of obstacles, its centre, and the initial distance of the robots outside."""
 
     obstacles: list[Obstacle]
     is_inside: Callable[[Array], NDArray[np.bool_]]
@@ -44,7 +45,7 @@ class Union(NamedTuple):
 
 
 class Count(NamedTuple):
-    """Steps in which a robot pressed, crossings of the spine, and stops without a contact."""
+    """Numbers of steps with contact, crossings of the spine, and stops without a contact."""
 
     presses: int = 0
     crossings: int = 0
@@ -52,7 +53,7 @@ class Count(NamedTuple):
 
 
 def overlap(random: np.random.Generator) -> float:
-    """0, or 1 nm to 1 µm, m."""
+    """Random overlap: 0, or 1 nm to 1 µm, m."""
     return float(random.choice([0.0, 10.0 ** random.uniform(-9.0, -6.0)]))
 
 
@@ -64,7 +65,7 @@ def _turned(random: np.random.Generator, points: Any, turn: float, shift: Array)
 def _in_the_plane(
     random: np.random.Generator, polygons: list[Array], more: list[tuple[Any, float]], spine: Array
 ) -> Union:
-    """Polygons, and points or segments with a radius, turned and moved."""
+    """Polygons, and points or segments with a radius, rotated and translated."""
     turn, shift = random.uniform(0.0, 2.0 * math.pi), random.uniform(-5.0, 5.0, 2)
     shapes: list[Obstacle] = [
         rv.Polygon(tuple(map(tuple, _turned(random, points, turn, shift)))) for points in polygons
@@ -84,7 +85,7 @@ def _box(x0: float, x1: float, y0: float, y1: float) -> Array:
 
 
 def room(random: np.random.Generator) -> Union:
-    """A room of four rectangles."""
+    """Room of four rectangles."""
     o, size = overlap(random), 10.0 ** random.uniform(-1.0, 1.0)
     boxes = [
         _box(-2, 2, -2, -1), _box(-2, 2, 1, 2), _box(-2, -1, -1 - o / size, 1 + o / size),
@@ -96,7 +97,7 @@ def room(random: np.random.Generator) -> Union:
 
 
 def tiles(random: np.random.Generator) -> Union:
-    """A room whose walls are tiles."""
+    """Room with walls of tiles."""
     o, side, count = overlap(random), 10.0 ** random.uniform(-2.0, 0.0), int(random.integers(4, 14))
     places = range(count)
     boxes = [
@@ -110,7 +111,7 @@ def tiles(random: np.random.Generator) -> Union:
 
 
 def fan(random: np.random.Generator) -> Union:
-    """A ring of triangles that share edges."""
+    """Ring of triangles with common edges."""
     count = int(random.integers(6, 20))
     angles = np.sort(random.uniform(0.0, 1.0, count)) / 2.0 + np.arange(count)
     angles *= 2.0 * math.pi / count
@@ -132,7 +133,7 @@ def _corners(random: np.random.Generator) -> Array:
 
 
 def discs(random: np.random.Generator) -> Union:
-    """A ring of discs that touch."""
+    """Ring of touching discs."""
     spine = _corners(random)
     apart = float(np.linalg.norm(spine[1] - spine[0]))
     share = random.uniform(0.35, 0.65)
@@ -145,7 +146,7 @@ def discs(random: np.random.Generator) -> Union:
 
 
 def capsules(random: np.random.Generator) -> Union:
-    """A ring of capsules, end to end."""
+    """Ring of capsules, end to end."""
     spine = _corners(random)
     after = np.roll(spine, -1, axis=0)
     side = float(np.linalg.norm(after[0] - spine[0]))
@@ -160,7 +161,7 @@ def capsules(random: np.random.Generator) -> Union:
 
 
 def diamonds(random: np.random.Generator) -> Union:
-    """A ring of squares that touch by their corners."""
+    """Ring of squares that touch at their corners."""
     spine = _corners(random)
     after, o = np.roll(spine, -1, axis=0), 0.5 * overlap(random)
     shapes = []
@@ -192,7 +193,7 @@ def _in_space(
 
 
 def spheres(random: np.random.Generator) -> Union:
-    """A shell of spheres that leaves nothing between three of them."""
+    """Shell of spheres without gaps between three of them."""
     if random.random() < 0.5:
         points = np.concatenate([np.eye(3), -np.eye(3)])
     else:
@@ -209,7 +210,7 @@ def spheres(random: np.random.Generator) -> Union:
 
 
 def logs(random: np.random.Generator) -> Union:
-    """A box whose sides are layers of capsules that lie side by side."""
+    """Box with sides of parallel capsules."""
     count, o = int(random.integers(3, 7)), overlap(random)
     radius = 1.0 / (count - 1)
     step, reach = 2.0 * radius - o / 2.0, 1.0 + 2.0 * radius
@@ -229,7 +230,7 @@ UNIONS = {2: (room, tiles, fan, discs, capsules, diamonds), 3: (spheres, logs)}
 
 
 def pressed(union: Union, dim: int, model: str, mode: str, random: np.random.Generator) -> Count:
-    """Let teams press against a union for some steps."""
+    """Simulate teams pressed against a union for some steps."""
     places = _starts(union, (TEAMS[model], ROBOTS), dim, random)
     simulator = rv.Simulator(
         rv.Scenario(
@@ -278,7 +279,7 @@ def pressed(union: Union, dim: int, model: str, mode: str, random: np.random.Gen
 
 
 def _starts(union: Union, shape: tuple[int, int], dim: int, random: np.random.Generator) -> Array:
-    """Half of the robots near the centre, half of them outside, (*shape, dim), m."""
+    """Initial positions, half near the centre, half outside, (*shape, dim), m."""
     rays = random.normal(size=(*shape, dim))
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     reach = np.full((*shape, 1), 0.05 * union.size)
@@ -289,7 +290,7 @@ def _starts(union: Union, shape: tuple[int, int], dim: int, random: np.random.Ge
 def _actions(
     model: str, simulator: Any, random: np.random.Generator
 ) -> Iterator[tuple[Array, Array]]:
-    """Actions, and the lengths of the displacements that they ask for, m; 0 where not known."""
+    """Actions, and the lengths of the commanded displacements, m; 0 where not known."""
     shape = TEAMS[model], ROBOTS
     wide = simulator.scenario.action_size
     speed = rays = np.zeros(())
@@ -312,7 +313,7 @@ def _actions(
 
 
 def main() -> None:
-    """Print a line for each kind of union, model and mode, and what they add up to."""
+    """Print a line for each kind of union, robot model and mode, and the totals."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--presses", type=int, default=1_000_000)
     parser.add_argument("--seed", type=int, default=0)

@@ -16,6 +16,12 @@ def triple(vector: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
     return x, y, z
 
 
+def separate(obstacles: Sequence[Obstacle]) -> ObstacleSet:
+    """Obstacles as a world in which each is alone, without skins where two only just meet."""
+    alone = world_of(pack(obstacles, len(obstacles))[:, None], only_balls(tuple(obstacles)))
+    return type(alone)(*(array[:, 0] for array in alone))
+
+
 def along(*degrees: float) -> np.ndarray:
     """Unit vectors (k, 2) at these angles."""
     angles = np.radians(degrees)

@@ -1,4 +1,4 @@
-"""What README and docs show is true: code runs, commands parse, names and links exist."""
+"""README and docs: code runs, commands parse, names and links exist."""
 
 import re
 import shlex
@@ -28,7 +28,7 @@ def blocks(page: Path, language: str) -> list[str]:
 
 
 def shortened(block: str) -> str:
-    """A block whose training, if it has one, ends after one rollout."""
+    """A block with its training, if any, limited to one rollout."""
     return block.replace("100_000", "4_096")
 
 
@@ -42,7 +42,7 @@ def with_blocks(language: str, pages: list[Path] = PAGES) -> list[object]:
 
 @pytest.fixture
 def own_modules(monkeypatch, tmp_path, registry):
-    """What a page registers, or imports from its own folder, is gone after it."""
+    """Remove the registrations and imports of a page after it."""
     monkeypatch.syspath_prepend(tmp_path)
     yield
     for name, module in list(sys.modules.items()):
@@ -53,7 +53,7 @@ def own_modules(monkeypatch, tmp_path, registry):
 @pytest.mark.slow
 @pytest.mark.parametrize("page", with_blocks("python", PAGES[1:]))
 def test_every_python_block_runs(page, tmp_path, monkeypatch, own_modules):
-    """One page is one program, in a folder of its own; README.md has a test of its own.
+    """Each page is one program in a separate folder; README.md has a separate test.
 
     A block that begins with the name of a file is that file.
     """
@@ -94,7 +94,7 @@ def test_readme_names_every_command_and_existing_scenarios():
 
 @pytest.mark.parametrize("page", with_blocks("bash"))
 def test_every_command_parses(page, monkeypatch):
-    """Long ones are not run; their own parser reads them, also where Ray is not installed."""
+    """Long commands are not run, only parsed, also without Ray."""
     monkeypatch.setattr(tasks, "check_installed", lambda *needed: None)
     seen = 0
     for line in "\n".join(blocks(page, "bash")).replace("\\\n", " ").splitlines():
@@ -117,7 +117,7 @@ def test_every_command_parses(page, monkeypatch):
 
 
 def test_every_toml_block_is_a_scenario(tmp_path, monkeypatch):
-    """Of a file that has been imported before is the term of rewards.md."""
+    """The reward term of rewards.md requires an imported file."""
     monkeypatch.setitem(TERMS, "effort", lambda step: -step.time)
     file, found = tmp_path / "shown.toml", {}
     for page in PAGES:
@@ -150,7 +150,7 @@ MODULE = re.compile(r"`((?:train|rendezvous_env|baselines)(?:\.\w+)+)`")
 
 @pytest.mark.parametrize("page", each(PAGES))
 def test_modules_and_files_exist(page):
-    """Of a page about the past the first cells of tables, which name what was, are left out."""
+    """The first cells of tables in migration pages, which hold old names, are excluded."""
     text = page.read_text(encoding="utf-8")
     for path in re.findall(r"`((?:train|rendezvous_env|baselines)/[\w./]+)`", text):
         assert "__pycache__" in path or (ROOT / path).exists(), path  # with NUMBA_CACHE_DIR none

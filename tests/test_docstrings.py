@@ -15,7 +15,8 @@ LEAST_SHARE = 0.9
 KIND = re.compile(
     r"\(\.\.\.[,)]"  # (..., d)
     r"|\((?:[nNBMESdkK]|2M|\d|count|width)[^()\s]*,[^()]*\)"  # (n, d), (B,)
-    r"|\b(?:pairs?|triples?|numbers?|arrays?|tuples?|any shape|uint64|bool|unit vectors?)\b"
+    r"|\b(?:[Pp]airs?|[Tt]riples?|[Nn]umbers?|arrays?|tuples?)\b"
+    r"|\b(?:any shape|uint64|bool|unit vectors?)\b"
 )
 UNIT = re.compile(
     r"\bm\b|\bm²|\b1/s\b|\brad\b|, s[,;:.)\n]|, s$|\bin s\b"

@@ -1,4 +1,4 @@
-"""The house: who imports whom, what an import costs, what is public, and the wheel."""
+"""Package structure: import layers, import costs, public names, and the wheel."""
 
 import ast
 import inspect
@@ -17,7 +17,7 @@ import baselines
 import rendezvous_env as rv
 
 PACKAGES = {"rendezvous_env": 0, "baselines": 1, "train": 2}
-"""Each may import what stands on a lower floor."""
+"""Layers of packages; each may import from lower layers only."""
 HEAVY = {"torch", "stable_baselines3", "tensorboard"}
 LAZY = {
     "torch", "stable_baselines3", "matplotlib", "pygame", "shapely", "PIL", "tyro", "networkx",
@@ -53,9 +53,9 @@ ROOMS = (
     {"jax"},
     {"adapters"},
 )
-"""Folders and files of the environment, from the ground up: each imports what stands below it."""
+"""Folders and files of the environment in order; each imports earlier ones only."""
 LEVEL = {room: level for level, rooms in enumerate(ROOMS) for room in rooms}
-MOST_MODULES = 12
+MAX_MODULES = 12
 
 
 def source_of(module: str) -> Path:
@@ -65,7 +65,7 @@ def source_of(module: str) -> Path:
 
 @cache
 def imported_names(module: str) -> set[str]:
-    """Full names that a module imports anywhere in its source, in functions and for types too."""
+    """Full names of all imports of a module, in functions and for types as well."""
     package = module if source_of(module).name == "__init__.py" else module.rpartition(".")[0]
     found = set()
     for node in ast.walk(ast.parse(source_of(module).read_text(encoding="utf-8"))):
@@ -79,13 +79,13 @@ def imported_names(module: str) -> set[str]:
 
 
 def imports(module: str) -> set[str]:
-    """Top-level packages that a module imports."""
+    """Top-level packages imported by a module."""
     return {name.split(".")[0] for name in imported_names(module)}
 
 
 @cache
 def ours(module: str) -> set[str]:
-    """Modules of our packages that a module imports; a package itself if a name of it is."""
+    """Imported modules of this project; a package itself if one of its names is imported."""
     names = imported_names(module)
     found = {name if name in MODULES else name.rpartition(".")[0] for name in names}
     return (found & set(MODULES)) - {module}
@@ -93,7 +93,7 @@ def ours(module: str) -> set[str]:
 
 @cache
 def all_imported(module: str) -> set[str]:
-    """Modules of ours that are imported by it, directly or through others."""
+    """Modules of this project that are imported by it, directly or indirectly."""
     seen, left = set(), {module}
     while left:
         seen |= left
@@ -102,7 +102,7 @@ def all_imported(module: str) -> set[str]:
 
 
 def room_of(module: str) -> str:
-    """The folder that a module stands in; a file beside folders is a room of its own."""
+    """Folder of a module; a file next to folders counts separately."""
     if source_of(module).name == "__init__.py":
         return module
     folder = module.rpartition(".")[0]
@@ -110,7 +110,7 @@ def room_of(module: str) -> str:
 
 
 def level_of(room: str) -> int:
-    """How high a room of the environment stands; what is not listed gives out public names."""
+    """Layer of a folder of the environment; unlisted ones export public names."""
     return LEVEL.get(room.removeprefix("rendezvous_env."), len(ROOMS))
 
 
@@ -130,7 +130,7 @@ def test_commands_print_without_markup():
 
 
 def test_short_names_are_not_used_internally():
-    """Which mean files of a user where there are such; the safe names never do."""
+    """Short names may refer to a user's files; the safe names never do."""
     for module in MODULES:
         words = []
         for node in ast.walk(ast.parse(source_of(module).read_text(encoding="utf-8"))):
@@ -144,9 +144,10 @@ def test_short_names_are_not_used_internally():
 
 
 def test_laws_do_not_read_positions():
-    """Policies know the scenario and what their robots see, not the simulator; those that do say
-    so in their names. What policies are trained in wraps an environment; what plays a model that
-    was trained there asks it how, and no other knows it.
+    """Policies import the scenario and observations, not the simulator, except oracles.
+
+    Training environments of policies wrap an environment. Policies of trained models import them;
+    no others do.
     """
     environment = "baselines.learned.training_environment"
     privileged = "baselines.references.privileged"
@@ -191,7 +192,7 @@ def test_environment_packages_are_layered():
 
 def test_no_package_is_crowded():
     rooms = [room_of(name) for name in MODULES if source_of(name).name != "__init__.py"]
-    crowded = {room: rooms.count(room) for room in set(rooms) if rooms.count(room) > MOST_MODULES}
+    crowded = {room: rooms.count(room) for room in set(rooms) if rooms.count(room) > MAX_MODULES}
     assert crowded == {}
 
 
@@ -219,7 +220,7 @@ def test_train_import_is_light(tmp_path):
 
 
 def test_heavy_libraries_are_not_imported(tmp_path):
-    """Not even a learned one, which reads a file of weights."""
+    """This includes learned policies, which read weights from files."""
     code = (
         "import sys, rendezvous_env as rv, baselines;"
         "tell = lambda: print(*{m.split('.')[0] for m in sys.modules}); tell();"
@@ -237,7 +238,7 @@ def test_heavy_libraries_are_not_imported(tmp_path):
 
 
 BESIDE = {"PYTHONSAFEPATH": "", "PYTHONPATH": str(ROOT)}
-"""Environment in which files beside a script come before the packages."""
+"""Environment variables with which files next to a script shadow the packages."""
 OWN_TRAIN = """
 import baselines, rendezvous_env as rv
 from rendezvous_env.adapters import sb3
@@ -252,7 +253,7 @@ for policy in (own, baselines.make("learned", scenario), baselines.make("learned
 
 
 def test_user_train_script_can_use_the_library(tmp_path):
-    """Also where it is imported, and so stands under that name among the modules."""
+    """Also when it is imported, and thus registered under that module name."""
     for name in ("compare.py", "graphs.py", "kernels.py", "policy.py"):
         (tmp_path / name).write_text("raise RuntimeError('the wrong module was imported')\n")
     (tmp_path / "train.py").write_text(OWN_TRAIN)
@@ -261,7 +262,7 @@ def test_user_train_script_can_use_the_library(tmp_path):
 
 
 def test_console_script_works_beside_train_py(tmp_path):
-    """And finds a policy in a file beside it."""
+    """It also finds a policy in a neighbouring file."""
     (tmp_path / "train.py").write_text("raise RuntimeError('the wrong train')\n")
     (tmp_path / "mine.py").write_text(
         "import baselines\ndef make(scenario):\n    return baselines.make('learned', scenario)\n"
@@ -277,7 +278,7 @@ def test_console_script_works_beside_train_py(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("script", ["main.py", "train.py"])
 def test_safe_names_work_beside_user_files(script, tmp_path):
-    """Or in a script that is called so; workers load it under another name."""
+    """Also in a script of that name; workers load it under another name."""
     for name in ("train.py", "baselines.py"):
         (tmp_path / name).write_text("raise RuntimeError('the wrong module was imported')\n")
     compare = "compare --scenarios duo --episodes 2 --no-figures --jobs 2 --out out"

@@ -28,7 +28,7 @@ def user_error(beginning: str, *kinds: type[Exception]) -> Iterator[None]:
 
 
 def installed(module: str) -> bool:
-    """Whether a library can be imported; a plain folder of the same name does not count."""
+    """True if a library can be imported; a plain folder of the same name does not count."""
     found = importlib.util.find_spec(module)
     return found is not None and found.origin is not None
 
@@ -110,7 +110,7 @@ class Flags:
 
 
 def _is_one(value: Any) -> bool:
-    """Whether a value is a single name, a text or a Scenario, for a field of several."""
+    """True if a value is a single name, a text or a Scenario, for a field of several."""
     return isinstance(value, str) or _named(value) is not value
 
 

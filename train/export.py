@@ -87,7 +87,7 @@ def run(config: Config) -> int:
 
 
 def _is_written(path: Path) -> bool:
-    """Whether a file is an ONNX file written by any version of this command."""
+    """True if a file is an ONNX file written by any version of this command."""
     content = path.read_bytes()
     return SETTINGS_KEY.encode() in content or trained_policy.ARGUMENTS_KEY.encode() in content
 

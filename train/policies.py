@@ -133,7 +133,7 @@ def fitting(scenario: Scenario, wanted: Sequence[str], *, brief: bool = False) -
 
 
 def _is_hopeless(name: str, scenario: Scenario) -> bool:
-    """Whether a policy lacks the sensing that a scenario requires, or is made for other sensors.
+    """True if a policy lacks the sensing that a scenario requires, or is made for other sensors.
 
     These are laws from the literature, which sense no obstacles, among obstacles; and policies for
     imperfect sensors where sensors are exact.
@@ -258,7 +258,7 @@ def digest_of(function: Callable[..., Any], path: Path | None = None) -> str | N
 
 
 def is_user_policy(name: str) -> bool:
-    """Whether a name has the form ``module:function``."""
+    """True if a name has the form ``module:function``."""
     return ":" in name and not name.startswith(AT_PATH)
 
 
@@ -321,7 +321,7 @@ def _make_own(name: str, scenario: Scenario) -> Policy | None:
 
 
 def _fits_own(name: str, scenario: Scenario) -> bool:
-    """Whether a custom policy can control the robots of a scenario, tested for one step."""
+    """True if a custom policy can control the robots of a scenario, tested for one step."""
     if not name.startswith("__main__:"):  # otherwise it runs in this process and cannot be reloaded
         _check_fresh(name)
     if (policy := _make_own(name, scenario)) is None:

@@ -51,7 +51,7 @@ LINKS = ("weights", "first", "second")
 
 
 def is_recomputable(scenario: Scenario) -> bool:
-    """Whether observations can be recomputed from recorded states.
+    """True if observations can be recomputed from recorded states.
 
     This holds for exact sensors, fixed links and robot models without further state.
     """

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import check_int
 from rendezvous_env.compilation import kernel
-from rendezvous_env.limits import MOST_SECTORS
+from rendezvous_env.limits import MAX_SECTORS
 from rendezvous_env.scenario.observation_layout import ObservedRows
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.sensors.imperfections import in_sectors
@@ -149,7 +149,7 @@ class _Quantised(Law):
     sectors: int = 8
 
     def __post_init__(self) -> None:
-        check_int("sectors", self.sectors, 2, MOST_SECTORS)
+        check_int("sectors", self.sectors, 2, MAX_SECTORS)
 
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         rows = rounded_bearings(seen.neighbours, self.sectors)
@@ -157,7 +157,7 @@ class _Quantised(Law):
 
 
 def _tells_robots_apart(scenario: Scenario) -> bool:
-    """Whether there is a row for each other robot, or a single row."""
+    """True if there is a row for each other robot, or a single row."""
     slots = scenario.observation_layout.neighbour_slots
     return is_single_integrator(scenario) and slots in (1, scenario.n_robots - 1)
 

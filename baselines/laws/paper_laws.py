@@ -180,7 +180,7 @@ def _no_farther(rate: Array, angle: Array, duration: float) -> Array:
 
 
 is_unicycle = of_model("unicycle")
-"""Whether actions are a speed and a turn rate in the plane."""
+"""True if actions are a speed and a turn rate in the plane."""
 
 
 @register("unicycle", fits=is_unicycle, kind="law")

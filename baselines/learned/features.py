@@ -1,6 +1,7 @@
-"""Features that a learned policy is shown, made from what a robot observes and remembers.
+"""Features of learned policies, computed from observations and memory.
 
-They are in the frame with x along f, so a policy that reads them is invariant to rotations.
+They are expressed in the frame with x along f, so a policy that reads them is invariant to
+rotations.
 """
 
 from dataclasses import replace
@@ -21,7 +22,7 @@ from rendezvous_env.safety.turning import robot_of
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..policy import Float32, Mask
-from ..records import Array, make_records
+from ..records import Array, Records
 from ..steering import check_steerable
 from .feature_kernels import (
     CONTEXT_COLUMNS,
@@ -38,7 +39,7 @@ _WEIGHT = 8  # a robot that is shown something costs as much as so many that a f
 
 
 class FeatureParts(NamedTuple):
-    """What one robot is shown, taken apart; every part is a view, zero rows are absent."""
+    """Features of one robot by set; each part is a view, and absent rows are zero."""
 
     neighbours: Any  # (..., K, NEIGHBOUR_COLUMNS)
     obstacles: Any  # (..., M, OBSTACLE_COLUMNS)
@@ -46,7 +47,7 @@ class FeatureParts(NamedTuple):
 
 
 class FeatureLayout(NamedTuple):
-    """Which part of a flat row of numbers is what."""
+    """Layout of a flat feature row."""
 
     neighbour_slots: int  # K
     obstacle_slots: int  # M
@@ -54,17 +55,17 @@ class FeatureLayout(NamedTuple):
 
     @property
     def context_columns(self) -> int:
-        """Numbers that belong to no set."""
+        """Number of columns that belong to no set."""
         return CONTEXT_COLUMNS + self.tank_columns
 
     @property
     def size(self) -> int:
-        """Numbers for each robot."""
+        """Number of features of each robot."""
         sets = self.neighbour_slots * NEIGHBOUR_COLUMNS + self.obstacle_slots * OBSTACLE_COLUMNS
         return sets + self.context_columns
 
     def split(self, shown: Any) -> FeatureParts:
-        """The parts of (..., size), an array or a tensor."""
+        """Split an array or tensor (..., size) into its parts."""
         leading, K, M = shown.shape[:-1], self.neighbour_slots, self.obstacle_slots
         stop, context = K * NEIGHBOUR_COLUMNS, shown.shape[-1] - self.context_columns
         return FeatureParts(
@@ -75,18 +76,18 @@ class FeatureLayout(NamedTuple):
 
 
 class Features(StatefulMixin):
-    """Shows B teams of n robots to a network, once for each decision.
+    """Features of B environments of n robots, computed once per decision.
 
     Args:
-        scenario: whose robots see; those of space see planes (``SteadyPlanes``).
+        scenario: defines the sensors; 3-D robots observe planes (``SteadyPlanes``).
         num_envs: B.
-        decision_time: s between two decisions of a team, unless ``see`` is told otherwise.
-        obstacle_slots: M; further rows than the scenario's are absent. None is the scenario's.
+        decision_time: default time between two decisions of an environment, s.
+        obstacle_slots: M; rows beyond those of the scenario are absent. None uses the scenario's.
         tank_columns: 0, LEVEL_COLUMNS, or LEVEL_COLUMNS + WALL_COLUMNS with a memory of walls.
-        num_threads: most threads that may be used; None is one for each core.
+        num_threads: maximum number of threads; None is one per core.
 
     Raises:
-        ValueError: for robots that it cannot show, or too few obstacle slots.
+        ValueError: for an unsupported robot model, or too few obstacle slots.
     """
 
     def __init__(
@@ -112,16 +113,14 @@ class Features(StatefulMixin):
         self._known = robot_of(scenario), self.layout.size - self.layout.context_columns
         robots = num_envs, scenario.n_robots
         self._edges = np.zeros((*robots, rows.obstacle_slots, 2, 2))
-        self._records, self._remembered = make_records(robots, MEMORY)
-        self._walls, self._of_walls = make_records(
-            robots, WALLS if tank_columns > LEVEL_COLUMNS else {}
-        )
+        self._records = Records(robots, MEMORY)
+        self._walls = Records(robots, WALLS if tank_columns > LEVEL_COLUMNS else {})
         self._num_threads = num_threads
 
     @property
     def _memory(self) -> dict[str, Array]:
-        walls = {f"wall_{name}": array for name, array in self._of_walls.items()}
-        return {"edges": self._edges, **self._remembered, **walls}
+        walls = {f"wall_{name}": array for name, array in self._walls.views.items()}
+        return {"edges": self._edges, **self._records.views, **walls}
 
     def see(
         self,
@@ -134,21 +133,21 @@ class Features(StatefulMixin):
         elapsed: Array | None = None,
         shown: Float32 | None = None,
     ) -> Float32:
-        """What the robots are shown, (B, n, layout.size), or zeros; updates the memory.
+        """Compute features (B, n, layout.size) and update the memory.
 
         Args:
             observations: (B, n, rows, 2), in the robots' own frames.
-            headings: those carried, (B, n, 2), in the same frames; zero where there is none.
-            which: (B,), whose memory moves on; None is all teams.
-            velocities: of the robots, (B, n, 2), m/s; None is those of law (4).
-            levels: A/(r D̄) of their tanks, (B, n); None without.
-            elapsed: since the previous decision, (B,), s; None is ``decision_time``.
-            shown: what to write to and return, other teams' rows stay; None is zeros.
+            headings: carried headings, (B, n, 2), in the same frames; zero where undefined.
+            which: (B,), the environments whose memory is updated; None is all.
+            velocities: velocities of the robots, (B, n, 2), m/s; None is those of law (4).
+            levels: stored energies A/(r D̄), (B, n); None without tanks.
+            elapsed: time since the previous decision, (B,), s; None is ``decision_time``.
+            shown: output array, returned, with rows of other environments unchanged; None is zeros.
 
         Raises:
-            ValueError: for arrays of another shape or type; nothing has changed then.
+            ValueError: for arrays of another shape or type; the state is then unchanged.
         """
-        robots, slots = self._records.shape[:2], self._rows.obstacle_slots
+        robots, slots = self._records.array.shape[:2], self._rows.obstacle_slots
         observations = check_observations(observations, (*robots, *self._rows.shape))
         headings = check_numbers("headings", headings, (*robots, 2), "(B, n, 2)")
         teams = np.arange(len(observations))
@@ -162,17 +161,17 @@ class Features(StatefulMixin):
         if shown is None:
             shown = np.zeros((*robots, self.layout.size), dtype=np.float32)
         given = (teams, times), observations, moving, self._known
-        tanks = nothing if levels is None else levels[..., np.newaxis], self._walls
+        tanks = nothing if levels is None else levels[..., np.newaxis], self._walls.array
         weight = _WEIGHT * robots[1]
 
         def calls_of(part: Slice) -> Calls:
-            memory = self._edges, self._records, np.empty((slots, 2))
+            memory = self._edges, self._records.array, np.empty((slots, 2))
             return [partial(show, part, *given, memory, tanks, shown)]
 
         over_teams(calls_of, len(teams), weight, self._num_threads)
         return shown
 
     def note(self, angles: Array) -> None:
-        """Remember the angles (B, n) that were chosen, rad."""
-        if self._of_walls:
-            self._of_walls["angle"][...] = angles
+        """Store the chosen angles (B, n), rad."""
+        if self._walls.array.size:
+            self._walls.views["angle"][...] = angles

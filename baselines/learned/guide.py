@@ -1,5 +1,7 @@
-"""From a choice to an action: the joined rule with f turned by a chosen angle, kept to a guarantee;
-the same in training and in use.
+"""Base controller of learned policies: from a choice to a certified action.
+
+The controller applies the rule of merged intervals with f rotated by a chosen angle. It is
+identical in training and in use.
 """
 
 import math
@@ -32,9 +34,7 @@ Array = NDArray[np.float64]
 
 
 class CommandedTank(EnergyTank):
-    """``EnergyTank`` of robots that learn of no contact and no merge: every step is booked as
-    commanded.
-    """
+    """``EnergyTank`` without feedback about contacts and merges: steps are booked as commanded."""
 
     uses_feedback = False
 
@@ -50,12 +50,13 @@ class CommandedTank(EnergyTank):
         self._booked[which] = 0.0
 
     def settle(self, share: float, bends: Any = 0.0) -> None:
-        """Correct what the previous step booked, which lasted only a share σ of τ.
+        """Correct the tank update of the previous step, which lasted only a fraction σ of τ.
 
-        On a straight line G is concave in time and 0 at first: in a share σ ≤ 1 of a step a robot
-        has earned at least σ G, which is what stays booked; on an arc, which is off its chord by
-        σ (1 − σ) |v ω| τ²/2 at most, σ G − σ (1 − σ) D̄ |v ω| τ². A longer step books G. What a tank
-        cannot pay is remitted. ``bends`` are |v ω| τ² of arcs less than 2 rad long, (B, n), m.
+        On a straight line G is concave in time and 0 at first. In a fraction σ ≤ 1 of a step a
+        robot therefore gains at least σ G, which remains booked. An arc deviates from its chord by
+        at most σ (1 − σ) |v ω| τ²/2, so σ G − σ (1 − σ) D̄ |v ω| τ² remains. A longer step books G.
+        A deficit of a tank is remitted. ``bends`` are |v ω| τ² of arcs of less than 2 rad, (B, n),
+        m.
         """
         left = 1.0 - min(share, 1.0)
         lost = left * self._booked + left * (1.0 - left) * self.scenario.max_degree * bends
@@ -65,7 +66,7 @@ class CommandedTank(EnergyTank):
     def apply_calls(
         self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
-        """As ``EnergyTank.apply_calls``; the step is booked at once, as one that lasts τ."""
+        """As ``EnergyTank.apply_calls``; the step is booked immediately, with duration τ."""
         mine = slice(*part[:2])
         note = partial(np.copyto, self._booked[mine], self._deposits[mine])
         acted = super().apply_calls(part, observations, actions)
@@ -73,7 +74,7 @@ class CommandedTank(EnergyTank):
 
 
 class HeadingTankFilter(CommandedTank):
-    """Robots want to go along their headings as fast as law (1) goes along f (theorem D).
+    """Velocities along chosen headings, as fast as law (1) moves along f (theorem D).
 
     Δ = τ min(v_max, s ‖f‖) h,   s = min(1, r/(2 D τ))
     """
@@ -81,12 +82,12 @@ class HeadingTankFilter(CommandedTank):
     def __init__(self, scenario: Scenario, num_envs: int, **arguments: Any) -> None:
         super().__init__(scenario, num_envs, **arguments)
         self.carried = np.zeros((num_envs, scenario.n_robots, scenario.dim))
-        """h_i last wanted, (B, n, d), in the robots' own frames; zero where there is none yet."""
+        """Last desired headings h_i, (B, n, d), in the robots' own frames; zero where undefined."""
         self._velocities = np.zeros_like(self.carried)
 
     @property
     def velocities(self) -> Array:
-        """Actions last given, (B, n, d), m/s."""
+        """Last actions, (B, n, d), m/s."""
         return self._velocities.copy()
 
     @property
@@ -109,7 +110,7 @@ class HeadingTankFilter(CommandedTank):
 
 @kernel
 def _desired_velocities(teams, observations, robot, headings, held):
-    """The velocities of a HeadingTankFilter, in units of v_max, along headings (B, n, d)."""
+    """Desired velocities of a HeadingTankFilter, in units of v_max, along headings (B, n, d)."""
     K = robot.neighbour_slots
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
@@ -123,7 +124,7 @@ def _desired_velocities(teams, observations, robot, headings, held):
 
 
 class _Rule(NamedTuple):
-    """What the kernel knows of the joined rule."""
+    """Parameters of the rule of merged intervals for kernels."""
 
     neighbour_slots: int
     clearance: float  # rad
@@ -132,7 +133,7 @@ class _Rule(NamedTuple):
 
 @kernel
 def _aim(teams, observations, directions, rule, headings, raw, intervals):
-    """Where the joined rule leads robots if f is turned by directions (B, n, 2): raw (B, n, 2)."""
+    """Directions of the rule for f rotated by (B, n, 2), to raw (B, n, 2)."""
     K, M = rule.neighbour_slots, intervals.shape[0]
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
@@ -146,15 +147,15 @@ def _aim(teams, observations, directions, rule, headings, raw, intervals):
 
 
 class GuidedTeams:
-    """B teams whose robots are shown something, choose by it, and head where the rule of
-    ``tangent-joined-tuned`` does if f is turned as they chose.
+    """Base controller of B environments: features, choices, and certified actions.
 
-        show → (a network chooses) → choose, or head → apply:  raw = joined rule(R(φ) f)
+        show → (a network chooses) → choose, or head → apply:  raw = rule(R(φ) f)
 
-    The raw vector becomes a certified heading, or with tanks any heading that they pay for;
-    unicycles turn there as their gate or their tank allows, and remember in ``OdometryFrame``; in
-    space all that happens in a plane (``SteadyPlanes``). ``show`` updates the memory, so it is
-    called once in each decision, ``apply`` in every step. Arguments and errors as ``Features``.
+    The robots follow the rule of ``tangent-joined-tuned`` with f rotated by their choices. The raw
+    vector becomes a certified heading, or with tanks any heading that they can pay for. Unicycles
+    turn as their gate or their tank allows, with memory in ``OdometryFrame``. In 3-D all of this
+    takes place in a plane (``SteadyPlanes``). ``show`` updates the memory, so it is called once per
+    decision, and ``apply`` in every step. Arguments and errors are those of ``Features``.
     """
 
     uses_feedback = False  # as ``CommandedTank``
@@ -206,14 +207,14 @@ class GuidedTeams:
         self._directions = self._turns[self.choices]
 
     def settle(self, share: float) -> None:
-        """Account for the previous step, which lasted this share of τ."""
+        """Account for the previous step, which lasted this fraction of τ."""
         bends = 0.0 if self.bodies is None else self.bodies.settle(share)
         if self.tank is not None:
             self.tank.settle(share, bends)
 
     @property
     def _carried(self) -> Array:
-        """Headings carried, (B, n, 2)."""
+        """Carried headings, (B, n, 2)."""
         steering: Any = self.steering
         return steering.carried if self.bodies is None else self.bodies.headings
 
@@ -224,7 +225,7 @@ class GuidedTeams:
         which: Mask | None = None,
         elapsed: Array | None = None,
     ) -> Float32:
-        """What the robots are shown before they choose; arguments as ``Features.see``."""
+        """Features of the robots before a decision; arguments as ``Features.see``."""
         moving = self.steering if self.bodies is None else self.bodies
         if self.bodies is not None:
             teams = np.arange(self._batch[0]) if which is None else np.flatnonzero(which)
@@ -240,7 +241,7 @@ class GuidedTeams:
         )
 
     def choose(self, choices: ArrayLike) -> None:
-        """Take choices (B, n) until the next ones; a ValueError names the robot of a wrong one."""
+        """Set choices (B, n) until the next call; a ValueError names the robot of a wrong one."""
         numbers, given, count = floats("actions", choices), np.asarray(choices), len(self.angles)
         check_shape("actions", given, self.choices.shape, axes="(B, n)")
         is_choice = (numbers >= 0) & (numbers < count) & (numbers == np.floor(numbers))
@@ -254,8 +255,9 @@ class GuidedTeams:
         self.perception.note(self.angles[self.choices])
 
     def head(self, vectors: ArrayLike) -> None:
-        """Take directions (B, n, 2), with x along f, in place of choices; zero is straight ahead. A
-        ValueError names the robot whose vector is not finite.
+        """Set directions (B, n, 2), with x along f, in place of choices; zero is along f.
+
+        A ValueError names the robot whose vector is not finite.
         """
         given = floats("actions", vectors)
         check_shape("actions", given, (*self.choices.shape, 2), axes="(B, n, 2)")
@@ -269,8 +271,9 @@ class GuidedTeams:
         self.perception.note(np.arctan2(turned[..., 1], turned[..., 0]))
 
     def apply(self, observations: Float32, *, elapsed: float | None = None) -> Float32:
-        """Actions (B, n, a) of robots that see (B, n, rows, d); ``elapsed`` as
-        ``SafetyFilter.apply``.
+        """Actions (B, n, a) for observations (B, n, rows, d).
+
+        ``elapsed`` is as for ``SafetyFilter.apply``.
         """
         observations = check_observations(observations, self._seen)
         actions = np.zeros((*self._seen[:2], self._action_size), np.float32)
@@ -282,7 +285,7 @@ class GuidedTeams:
     def apply_calls(
         self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
-        """As ``apply``, into ``actions``, for a slice, unchecked."""
+        """As ``apply``, unchecked, for a slice, with output ``actions``."""
         carried, intervals = self._carried, np.empty((self._obstacle_slots, 2))
         aim, bodies = (self._directions, self._rule), self.bodies
         steer = self.steering.apply_calls(part, observations, actions, elapsed)
@@ -298,11 +301,11 @@ class GuidedTeams:
         return [follow, *steer, partial(bodies.turn, part, actions)]
 
     def update_calls(self, part: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:
-        """Nothing, see ``uses_feedback``."""
+        """No operation, see ``uses_feedback``."""
         return ()
 
     def forget(self, which: Mask | None = None) -> None:
-        """Forget headings and what was seen, of all teams or of those of a mask (B,)."""
+        """Clear headings and memory of all environments or of those of a mask (B,)."""
         for memory in (self.steering, self.perception, self.bodies):
             if memory is not None:
                 memory.forget(which)

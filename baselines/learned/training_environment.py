@@ -15,7 +15,7 @@ from rendezvous_env.envs.spaces import team_box
 from rendezvous_env.envs.training import charge_first_contacts
 from rendezvous_env.envs.vector_env import Info, RendezvousVectorEnv
 from rendezvous_env.envs.vector_wrappers import GuaranteeWrapper
-from rendezvous_env.limits import MOST_HELD_STEPS
+from rendezvous_env.limits import MAX_HELD_STEPS
 from rendezvous_env.rewards.terms import RewardWeights
 from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
@@ -146,7 +146,7 @@ class ShippedPreset:
         return preset(guarantee).reward, preset(guarantee).touch_penalty
 
     def shows(self, scenario: Scenario, guarantee: str | None) -> bool:
-        """Whether observations and actions are those of this guarantee's shipped policy."""
+        """True if observations and actions are those of this guarantee's shipped policy."""
         return guarantee in POLICIES and can_steer(scenario)
 
     def held_arguments(self, scenario: Scenario, guarantee: str) -> dict[str, Any]:
@@ -180,7 +180,7 @@ class ShippedPreset:
         changes: dict[str, Any] = {}
         for key, value in arguments.items():
             if key == "decision_period":
-                changes["decision_time"] = check_int(key, value, 1, MOST_HELD_STEPS) * scenario.tau
+                changes["decision_time"] = check_int(key, value, 1, MAX_HELD_STEPS) * scenario.tau
             elif key == "budget" and key == own:
                 changes[key] = number(key, value, 0.0) / unit_of_tanks(scenario)
             elif key in ("min_alignment", own):

@@ -61,7 +61,7 @@ def joined_heading_2d(towards, silhouettes, carried, rule, intervals):
 
 @inner_kernel
 def is_clear(towards, silhouettes, clearance):
-    """Whether all of (M, 2, 2) are certainly farther from a unit triple than the clearance, rad.
+    """True if all of (M, 2, 2) are certainly farther from a unit triple than the clearance, rad.
 
     The same then holds for their merged intervals. The test computes no angle and applies to most
     robots in most steps.
@@ -87,7 +87,7 @@ def is_clear(towards, silhouettes, clearance):
 
 @inner_kernel
 def axis_is_clear(rates, silhouettes, gate):
-    """Whether a unicycle's axis, and its mean over a step with these rates, miss (M, 2, 2)."""
+    """True if a unicycle's axis, and its mean over a step with these rates, miss (M, 2, 2)."""
     on_the_way = mean_axis(rates, 0.0, gate)
     return is_clear(X_AXIS, silhouettes, 0.0) and is_clear(on_the_way, silhouettes, 0.0)
 

@@ -1,5 +1,6 @@
-"""Rules that go round obstacles by the bearings of their edges alone, and the policies they make:
-law (4), h hᵀf, along the heading h of a rule, or along h made certified by theorem C.
+"""Obstacle avoidance from the bearings of obstacle edges, and the corresponding policies.
+
+The policies apply law (4), h hᵀf, along the heading h of a rule, or along h certified by theorem C.
 """
 
 from collections.abc import Callable
@@ -38,19 +39,22 @@ from .silhouettes import tangent_headings
 FLAT = 0.04  # rad; the flat sides between eight boundary rays lie within a round cone by no more
 Array = NDArray[np.float64]
 HeadingRule = Callable[[Array, NDArray[Any]], Array]
-"""Net bearings fᵢ, (..., d), m/s, and silhouettes, (..., M, S, d), unit vectors, zero where no
-obstacle is seen → headings hᵢ, (..., d), unit vectors."""
+"""Heading rule: net bearings and silhouettes → headings hᵢ, (..., d), unit vectors.
+
+Net bearings fᵢ are (..., d), m/s; silhouettes are (..., M, S, d), unit vectors, zero where not
+visible."""
 
 
 def tangent_heading(net_bearing: Array, silhouettes: NDArray[Any]) -> Array:
-    """Section IV-C read literally: the edge nearest to f of the most prominent obstacle in sight,
-    the one with the largest angular width, whether it stands in the way or not.
+    """Edge nearest to f of the most prominent visible obstacle (section IV-C, literally).
+
+    The most prominent obstacle has the largest angular width; it need not block f.
     """
     return _over_robots(tangent_headings, net_bearing, silhouettes, False)
 
 
 def tangent_blocking_heading(net_bearing: Array, silhouettes: NDArray[Any]) -> Array:
-    """Section IV-C for obstacles in the way only: the most prominent that f points into."""
+    """Section IV-C restricted to blocking obstacles: the most prominent one that f points into."""
     return _over_robots(tangent_headings, net_bearing, silhouettes, True)
 
 
@@ -62,12 +66,12 @@ def tangent_joined_heading(
     carried: Array | None = None,
     persistence: float = 0.0,
 ) -> Array:
-    """Overlapping silhouettes are one obstacle; pass it on the nearer side (theory 6), as
-    ``joined_headings_2d`` and ``joined_headings_3d``.
+    """Nearer edge of the merged interval that blocks f (theory 6).
 
-    The clearance, rad, is kept to edges. In the plane ``carried`` are the headings of the previous
-    step, (..., d), zero where there is none; with a ``persistence`` the angles of edges from these
-    count beside those from f.
+    See ``joined_headings_2d`` and ``joined_headings_3d``. The clearance from edges is in rad. In
+    the plane ``carried`` are the headings of the previous step, (..., d), zero where undefined.
+    With a ``persistence``, the angles of edges from these headings count in addition to those from
+    f.
     """
     f = check_vectors("net_bearing", net_bearing)
     if f.shape[-1] == 3:
@@ -91,7 +95,7 @@ def _over_robots(
 
 
 def check_clearance(clearance: Any) -> None:
-    """Refuse a clearance that is no angle in [0, π) rad."""
+    """Validate a clearance: an angle in [0, π) rad."""
     if not 0 <= to_float(clearance) < np.pi:
         raise ValueError(f"clearance is {short_repr(clearance)}; it must be an angle in [0, π) rad")
 
@@ -99,8 +103,8 @@ def check_clearance(clearance: Any) -> None:
 def steered(steering: Steering, wanted: NDArray[Any], observations: NDArray[Any]) -> Float32:
     """Actions (..., n, a) that follow velocities (..., n, d), m/s, given (..., n, rows, d).
 
-    A robot outside a shape that moves along a ray outside its silhouette never enters it. So one
-    that turns on the spot until its axis is clear hits nothing that it sees.
+    A robot outside a shape never enters it along a ray outside its silhouette. A robot that turns
+    on the spot until its axis is clear therefore hits no visible obstacle.
     """
     layout = steering.scenario.observation_layout
     actions = within_limits(steering.actions(wanted, observations), steering.scenario)
@@ -128,7 +132,7 @@ def _hold_back(actions, silhouettes, pitches, gate):
 
 @dataclass(frozen=True)
 class BareHeadingPolicy(TeamPolicy):
-    """A heading rule with law (4), ṗᵢ = hᵢ hᵢᵀ fᵢ, which a robot that turns follows as it can."""
+    """Heading rule with law (4), ṗᵢ = hᵢ hᵢᵀ fᵢ, which nonholonomic robots approximate."""
 
     scenario: Scenario
     rule: HeadingRule
@@ -143,12 +147,12 @@ class BareHeadingPolicy(TeamPolicy):
 
 @dataclass
 class CertifiedHeadingPolicy(StatefulPolicy):
-    """A heading rule certified by theorem C, with velocities scaled where the step is long.
+    """Heading rule certified by theorem C, with velocities scaled for long steps.
 
         vᵢ = min(1, r/(2 Dᵢ τ)) hᵢ hᵢᵀ fᵢ                             (theory 3 and 4)
 
-    The rule means a line, so its heading is flipped to the side of f before it is certified. Robots
-    that turn lag behind their headings, and no theorem covers them.
+    The rule defines a line, so its heading is flipped to the side of f before certification.
+    Nonholonomic robots lag behind their headings, and no theorem covers them.
     """
 
     scenario: Scenario
@@ -163,7 +167,7 @@ class CertifiedHeadingPolicy(StatefulPolicy):
 
     @property
     def guarantee(self) -> dict[str, Any] | None:
-        """As ``TeamPolicy``: certified headings, of robots that do not turn."""
+        """As ``TeamPolicy``: certified headings, for holonomic robots."""
         if self.scenario.model.nonholonomic:
             return None
         return {"by": "heading", "min_alignment": self.min_alignment}
@@ -206,35 +210,35 @@ class CertifiedHeadingPolicy(StatefulPolicy):
 
     @property
     def headings(self) -> Array:
-        """Of the previous step, (..., n, d); zero for a robot that has none yet."""
+        """Headings of the previous step, (..., n, d); zero where undefined."""
         return np.zeros(0) if self._leading is None else self._as_given(self._previous).copy()
 
 
 def can_pass_obstacles(scenario: Scenario) -> bool:
-    """Whether ``Steering`` knows a scenario's robots, and they may see obstacles."""
+    """True if ``Steering`` supports a scenario's robots, and they sense obstacles."""
     return can_steer(scenario) and scenario.observation_layout.obstacle_slots > 0
 
 
 def _among_obstacles(scenario: Scenario) -> bool:
-    """Whether actions are velocities, and obstacles may be seen."""
+    """True if actions are velocities, and robots sense obstacles."""
     return is_single_integrator(scenario) and can_pass_obstacles(scenario)
 
 
 @register("tangent", fits=_among_obstacles, kind="rule")
 def _tangent(scenario: Scenario) -> Policy:
-    """Section IV-C read literally: to the nearer edge of an obstacle that is near."""
+    """Along the nearer edge of the widest visible obstacle (section IV-C)."""
     return BareHeadingPolicy(scenario, tangent_heading)
 
 
 @register("tangent-blocking", fits=_among_obstacles, kind="rule")
 def _tangent_blocking(scenario: Scenario) -> Policy:
-    """The same, only for an obstacle that stands in the way of f."""
+    """As tangent, but only for obstacles that block f."""
     return BareHeadingPolicy(scenario, tangent_blocking_heading)
 
 
 @register("tangent-joined", fits=can_pass_obstacles, kind="rule")
 def _tangent_joined(scenario: Scenario, clearance: float = 0.05) -> Policy:
-    """The same, with silhouettes that overlap taken for one."""
+    """As tangent-blocking, with overlapping obstacles merged."""
     check_clearance(clearance)
     return BareHeadingPolicy(scenario, partial(tangent_joined_heading, clearance=clearance))
 
@@ -243,7 +247,7 @@ def _tangent_joined(scenario: Scenario, clearance: float = 0.05) -> Policy:
 def _tangent_certified(
     scenario: Scenario, min_alignment: float = 0.1, max_turn_rate: float = 3.0
 ) -> Policy:
-    """The rule tangent through the certified heading of theorem C."""
+    """As tangent, with the certified heading of theorem C."""
     return CertifiedHeadingPolicy(scenario, tangent_heading, min_alignment, max_turn_rate)
 
 
@@ -251,7 +255,7 @@ def _tangent_certified(
 def _tangent_blocking_certified(
     scenario: Scenario, min_alignment: float = 0.1, max_turn_rate: float = 3.0
 ) -> Policy:
-    """The rule tangent-blocking through the certified heading of theorem C."""
+    """As tangent-blocking, with the certified heading of theorem C."""
     return CertifiedHeadingPolicy(scenario, tangent_blocking_heading, min_alignment, max_turn_rate)
 
 
@@ -262,7 +266,7 @@ def _tangent_joined_certified(
     min_alignment: float = 0.1,
     max_turn_rate: float = 3.0,
 ) -> Policy:
-    """The rule tangent-joined through the certified heading of theorem C."""
+    """As tangent-joined, with the certified heading of theorem C."""
     check_clearance(clearance)
     rule = partial(tangent_joined_heading, clearance=clearance)
     return CertifiedHeadingPolicy(scenario, rule, min_alignment, max_turn_rate)
@@ -270,11 +274,11 @@ def _tangent_joined_certified(
 
 @register("tangent-joined-tuned", fits=can_pass_obstacles, kind="rule")
 class TunedJoinedPolicy(CertifiedHeadingPolicy):
-    """The joined rule, certified and tuned: it keeps to a side once taken.
+    """As tangent-joined-certified, tuned and persistent in its choice of side.
 
-    That is what the ``persistence`` is for, λ of ``joined_headings_2d``; in space a robot keeps to
-    a plane as well (``headings_in_planes``). An edge beyond the cap is aimed at as it is: the robot
-    slows down at the edge of the cap instead of turning round into what lies behind it.
+    The persistence is λ of ``joined_headings_2d``; in 3-D a robot keeps its plane as well
+    (``headings_in_planes``). An edge beyond the cap is used unmodified. The robot then slows down
+    at the boundary of the cap and does not turn into an obstacle behind it.
     """
 
     def __init__(

@@ -136,7 +136,7 @@ def _best_azimuth(towards, first, clearance, views):
 
 @inner_kernel
 def lies_outside(direction, rays):
-    """Whether a triple lies outside all cones, (K, 8, 3), with rays in right-handed order."""
+    """True if a triple lies outside all cones, (K, 8, 3), with rays in right-handed order."""
     for m in range(rays.shape[0]):
         for s in range(8):
             if dot(direction, cross(load(rays[m, s]), load(rays[m, (s + 1) % 8]))) < 0.0:

@@ -43,7 +43,7 @@ def direction_of(net_bearing):
 
 @inner_kernel
 def is_seen(points):
-    """Whether the obstacle with these silhouette points is visible."""
+    """True if the obstacle with these silhouette points is visible."""
     for k in range(points.shape[1]):
         if points[0, k] != 0.0:
             return True

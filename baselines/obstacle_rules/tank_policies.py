@@ -1,5 +1,6 @@
-"""The joined rule under an energy tank (theorem D): round walls, turning back when they cost too
-much; in space in a plane that holds f (``planes_in_space``).
+"""Rule of merged intervals under an energy tank (theorem D): wall following with a cost limit.
+
+In 3-D it applies in a plane that contains f (``planes_in_space``).
 """
 
 import math
@@ -42,10 +43,12 @@ from .obstacle_avoidance import Array, can_pass_obstacles, check_clearance
 from .planes_in_space import axis_is_clear_3d, kept_azimuth, widened_rays
 
 SIDE, WORK, PATIENCE, SHORT, HEADING, ASIDE, MEMORY = 0, 1, 2, 3, 4, 7, 10
-"""Places in a robot's memory, and its size: the side on which it passes what blocks f (1
-counter-clockwise, −1 clockwise, 0 nothing blocks f); ∫ f·v dt since it met the wall, m²/s; over ‖f‖
-how far that may fall before it turns back, m; whether its tank was too low for the previous step;
-its heading (3); in space the unit vector across f of the plane that it keeps to (3)."""
+"""Indices in a robot's memory, and its size.
+
+The side of passing (1 counter-clockwise, −1 clockwise, 0 if f is free). ∫ f·v dt since the robot
+reached the wall, m²/s; its maximum decrease before the robot turns back, over ‖f‖, m. Whether the
+tank was too low in the previous step; the heading (3); in 3-D the unit vector across f of the kept
+plane (3)."""
 
 _JUMP = 1.5  # rad; an edge so far from the heading is another wall's
 _LOST = 2.4  # rad; farther round than this no wall is felt for
@@ -54,15 +57,16 @@ _LARGEST_PATIENCE = 1e3  # of the first try's
 _BUDGET = 250.0  # in units of r max a_ij: 50 m²/s where r is 0.2 m and weights are 1 m/s
 _PATIENCE = 5.0  # in units of r
 _ROUNDING = 5e-6
-"""In units of r max a_ij; what a tank must have left, as actions are sent in float32."""
+"""Reserve of a tank for rounding of actions to float32, in units of r max a_ij."""
 _REST_TIME = 30.0  # s for which the tank must last at rest after any step that costs something
 _TOIL = 0.15
-"""Share of ‖f‖ times its way that a robot that turns counts as lost: two that go round one thing on
-one side, ever opposite, would otherwise never turn back."""
+"""Fraction of ‖f‖ times path length that counts as lost for nonholonomic robots.
+
+Otherwise two opposite robots could circle one obstacle for ever."""
 
 
 class _Settings(NamedTuple):
-    """How robots follow walls."""
+    """Parameters of wall following."""
 
     robot: Robot
     clearance: float  # rad; in space within the plane, and across it
@@ -75,14 +79,15 @@ class _Settings(NamedTuple):
 def wall_following_velocities(
     net_bearing, degrees, silhouettes, levels, settings, pitches, memory, out
 ):
-    """Desired velocities: along f where nothing blocks it, else along the wall; of robots that turn
-    the speeds and turn rates with which they follow them.
+    """Desired velocities: along f where it is free, otherwise along the wall.
 
         vᵢ = sᵢ ‖fᵢ‖ hᵢ                                                            (guarantees 8)
 
-    A robot rests where its tank would not last, and turns back after that. Of fᵢ, (N, d), and Dᵢ,
-    (N,), m/s, silhouettes (N, M, S, d), Aᵢ, (N,), m²/s, and βᵢ, (N,), rad, of robots of space that
-    turn; ``memory``, (N, MEMORY), changes. To ``out``, (N, a), m/s, or m/s and rad/s.
+    For nonholonomic robots the outputs are the speeds and turn rates that follow them. A robot
+    rests where its tank would not suffice, and turns back afterwards. Inputs are fᵢ, (N, d), and
+    Dᵢ, (N,), m/s, silhouettes (N, M, S, d), Aᵢ, (N,), m²/s, and βᵢ, (N,), rad, of 3-D nonholonomic
+    robots. ``memory``, (N, MEMORY), is updated. The output is ``out``, (N, a), m/s, or m/s and
+    rad/s.
     """
     dim, slots, robot = net_bearing.shape[1], silhouettes.shape[1], settings.robot
     rays, cut, intervals = np.empty((slots, 8, 3)), np.empty((slots, 2, 2)), np.empty((slots, 2))
@@ -123,7 +128,7 @@ def wall_following_velocities(
 
 @inner_kernel
 def _way_in_space(towards, before, spent, settings, memory, views):
-    """Whether any direction is free, the heading, and the unit vector across f of its plane."""
+    """True if any direction is free, the heading, and the unit vector across f of its plane."""
     held, keeps = memory[SIDE], TWO_PI if memory[SIDE] != 0.0 else 0.0
     aside, kept = kept_azimuth(towards, load(memory[ASIDE:]), keeps, settings.clearance, views)
     if held != 0.0 and not kept:
@@ -140,7 +145,7 @@ def _way_in_space(towards, before, spent, settings, memory, views):
 
 @inner_kernel
 def _turn(towards, before, spent, silhouettes, settings, memory, intervals):
-    """Whether any direction is free, and the angle from f to the heading, rad."""
+    """True if any direction is free, and the angle from f to the heading, rad."""
     joined = joined_interval_2d(towards, silhouettes, intervals)
     low, high = joined[0], joined[1]
     clearance, held = settings.clearance, memory[SIDE]
@@ -168,7 +173,7 @@ def _turn(towards, before, spent, silhouettes, settings, memory, intervals):
 
 @inner_kernel
 def _along_wall(towards, kept, edge, gap, silhouettes, settings, side, intervals):
-    """Edge of the wall beside the heading, rad from f, and the gap beyond; else as given."""
+    """Edge of the wall next to the heading, rad from f, and the gap beyond; else the defaults."""
     feeler = kept - side * _BEHIND_EDGE * settings.clearance
     felt = joined_interval_2d(rotated(towards, feeler), silhouettes, intervals)
     if felt[1] - felt[0] >= TWO_PI:
@@ -184,7 +189,7 @@ def _along_wall(towards, kept, edge, gap, silhouettes, settings, side, intervals
 
 @inner_kernel
 def _edge(joined, side):
-    """The edge of a joined interval on a side, and the free angle beyond it, rad."""
+    """Edge of a merged interval on a side, and the free angle beyond it, rad."""
     if side > 0.0:
         return joined[1], joined[3]
     return joined[0], joined[2]
@@ -192,8 +197,9 @@ def _edge(joined, side):
 
 @inner_kernel
 def _affordable(f, plane, account, heading, free, robot, memory):
-    """The velocity along a heading, or rest where the tank would not last; ``plane`` is f/‖f‖ and a
-    unit vector across it, ``account`` D, m/s, and A, m²/s.
+    """Velocity along a heading, or zero where the tank would not suffice.
+
+    ``plane`` is f/‖f‖ and a unit vector across it; ``account`` is D, m/s, and A, m²/s.
     """
     (towards, aside), (degree, level), strength = plane, account, norm(f)
     r, margin, duration = robot.merge_radius, robot.gate.min_alignment, robot.gate.duration
@@ -215,7 +221,7 @@ def _affordable(f, plane, account, heading, free, robot, memory):
 
 @inner_kernel
 def _inputs(f, account, heading, free, pitch, settings, memory):
-    """Speed and turn rates to a heading, where a robot that turns drives while its tank lasts."""
+    """Speed and turn rates towards a heading; the robot drives only while its tank suffices."""
     (degree, level), strength = account, norm(f)
     robot, gate, r = settings.robot, settings.robot.gate, settings.robot.merge_radius
     speed = strength * descent_scale(strength, degree, r, gate.duration, robot.speed_limit)
@@ -229,28 +235,33 @@ def _inputs(f, account, heading, free, pitch, settings, memory):
 
 @register("tank-joined", fits=can_pass_obstacles, kind="tank")
 class TankJoinedPolicy(StatefulPolicy):
-    """Follows walls under an energy tank, the one side or the other, ever farther.
+    """Wall following under an energy tank, on alternating sides and ever farther.
 
-    What blocks f is passed on one side, along the wall, until f is free, away from f too while the
-    tank lasts; in space at one azimuth, the one with least to turn (``planes_in_space``). The robot
-    turns back when it has lost more than ``patience``‖f‖ of its own work ∫ f·v dt since it met the
-    wall, twice as much after each turn, or when its tank is low; so it tries both sides ever
-    farther, in space then those across them. Where the tank would not last it rests instead of
-    pressing against a wall.
+    An obstacle that blocks f is passed on one side, along the wall, until f is free. The path may
+    lead away from f while the tank suffices. In 3-D the path has one azimuth, the one with the
+    smallest turn (``planes_in_space``).
 
-    A nonholonomic robot turns into that direction, drives where its axis points past all
-    silhouettes, and does not change its mind while it turns on the spot. Some of its way counts as
-    lost, so that two do not go round one thing for ever. Its tank owes nothing: it may always rest.
+    The robot turns back when its tank is low, or when ∫ f·v dt since it reached the wall has
+    decreased by more than ``patience``‖f‖. This limit doubles after each turn, so the robot
+    explores both sides with growing distance, in 3-D then those across them. Where the tank would
+    not suffice, the robot rests instead of pressing against a wall.
 
-    It books what it commanded, knows neither contacts nor steps that a merge cut short, and what an
-    absorbed robot had left is lost.
+    A nonholonomic robot turns towards that direction and drives where its axis is outside all
+    silhouettes. While it turns on the spot, the direction is fixed. A fraction of its path counts
+    as lost, which prevents two robots from circling an obstacle for ever. Its tank has no minimum
+    alignment, so it may always rest.
+
+    Each step is booked as commanded, without feedback about contacts or steps shortened by a merge.
+    The stored energy of an absorbed robot is lost.
 
     Args:
-        scenario: whose robots it steers.
-        budget: B of each robot, m²/s; None is 250 r max a_ij, which is 50 in the shipped fields.
+        scenario: the experiment.
+        budget: initial energy B of each robot, m²/s; None is 250 r max a_ij, which is 50 in the
+            shipped scenarios.
         min_alignment: ε of the tank, at least 10⁻⁶ and less than 1.
-        clearance: angle by which to stay clear of an edge, rad.
-        patience: how far from f a first try may lead, m; None is 5 r, which is 1 there.
+        clearance: minimum angle from an edge, rad.
+        patience: maximum distance against f of a first attempt, m; None is 5 r, which is 1 in the
+            shipped scenarios.
     """
 
     def __init__(
@@ -280,7 +291,7 @@ class TankJoinedPolicy(StatefulPolicy):
 
     @property
     def guarantee(self) -> dict[str, Any]:
-        """As ``TeamPolicy``: a tank that is told of no merge."""
+        """As ``TeamPolicy``: a tank that does not observe merges."""
         own = {"budget": self.budget, "min_alignment": self._margin}
         return {"by": "tank", "observes_merges": False} | own
 
@@ -327,5 +338,5 @@ class TankJoinedPolicy(StatefulPolicy):
 
     @property
     def levels(self) -> Array:
-        """A, (..., n), m²/s; without an episode there are none."""
+        """Stored energies A, (..., n), m²/s; empty before the first action."""
         return np.zeros(0) if self._leading is None else self._as_given(self._tank.levels)

@@ -26,7 +26,7 @@ _APART = 0.4  # rad; half the angle between two of these that are neighbours
 _SPIKE = 1e3  # longest corner of a pointed obstacle, in clearances
 _KEPT = 0.9  # share of the clearance that a way must keep: corners lie at all of it, up to rounding
 _MOST_SIDES = 16  # polygons with more corners are simplified, by less than half the clearance
-MOST_CORNERS = 4_000
+MAX_CORNERS = 4_000
 """Maximum number of corners of a roadmap, since the graph is quadratic: 250 discs or 16-gons."""
 _HALVINGS = 12
 _ROUNDING = 1.0 + 1e-9
@@ -44,9 +44,9 @@ class Roadmap:
         self._clearance = clearance
         self._spikes = _spikes(world)
         corners = _corners(world, clearance) if dim == 2 else _points_around(table, clearance)
-        if len(corners) > MOST_CORNERS:
+        if len(corners) > MAX_CORNERS:
             raise ValueError(
-                f"the obstacles have {len(corners)} corners; ways are planned among {MOST_CORNERS} "
+                f"the obstacles have {len(corners)} corners; ways are planned among {MAX_CORNERS} "
                 "at most: give fewer obstacles, or polygons of fewer corners"
             )
         self.corners: Array = corners[self._margins(corners) == _KEPT * clearance]  # (C, d), m
@@ -199,7 +199,7 @@ def _margins_at(world, around, points, most, out):
 
 @inner_kernel
 def _in_the_way(world, spikes, order, here, way, margin):
-    """Whether a path violates the clearance to an obstacle, with sharp polygon corners."""
+    """True if a path violates the clearance to an obstacle, with sharp polygon corners."""
     length = dot(way, way)
     for m in order:
         if world.kinds[m] == ABSENT:

@@ -27,7 +27,7 @@ EDGE = code(OBSTACLE_EDGE)
 TEXT = 9
 THUMBNAIL = 1.5
 """Width and height of a scenario's thumbnail, inch."""
-MOST_LINKS = 70
+MAX_LINKS = 70
 """Thumbnails of denser graphs have no links, which would hide the robots."""
 
 
@@ -403,7 +403,7 @@ def thumbnail(name: str) -> Any:
                 Circle(shape.centre, shape.radius, facecolor=ORANGE, edgecolor=EDGE, lw=0.4)
             )
     links = np.argwhere(np.triu((weights > 0) | (weights.T > 0)))
-    if len(links) <= MOST_LINKS:
+    if len(links) <= MAX_LINKS:
         for pair in links:
             axes.plot(*positions[pair].T, color=GREY, linewidth=0.5)
     for k, place in enumerate(positions):

@@ -59,7 +59,7 @@ class RendezvousTask(TaskClass):
         return True
 
     def supports_discrete_actions(self) -> bool:
-        """Whether the robots support discrete directions."""
+        """True if the robots support discrete directions."""
         try:
             self.make(1, discrete=True).close()
         except ValueError:

@@ -77,7 +77,7 @@ class RobotVecEnv(VecEnv):
     costs: dict[str, NDArray[np.float64]]
     """Costs of the last step, as in ``SlotStep``."""
     tell_bootstraps = True
-    """Whether infos contain ``terminal_observation`` and ``TimeLimit.truncated``."""
+    """True if infos contain ``terminal_observation`` and ``TimeLimit.truncated``."""
 
     def __init__(self, teams: VectorEnv[Any, Any, Any]) -> None:
         self.slots = slots = RobotSlots(teams)
@@ -246,7 +246,7 @@ class RobotVecEnv(VecEnv):
         return [method(*method_args, **method_kwargs)] * len(slots)
 
     def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:
-        """Whether this class wraps the environment, for each slot; True for ``Monitor``."""
+        """True if this class wraps the environment, for each slot; True for ``Monitor``."""
         layers = layers_of(self.teams)
         wrapped = wrapper_class is Monitor or any(isinstance(one, wrapper_class) for one in layers)
         return [wrapped] * len(self._get_indices(indices))

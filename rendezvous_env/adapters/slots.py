@@ -1,4 +1,4 @@
-"""Robots as single slots, for libraries that know no teams."""
+"""Robots as single slots, for single-agent learning libraries."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from ..state_view import STANDING
 
 _ROUNDING = 1e-6  # of a ratio of rewards, in float32
 _COUNTED = {"cost": "costs"}
-"""What states of slots call the sum of a key of infos."""
+"""State keys of sums over an episode, by infos key."""
 _TOLD = {"returns": "return", "lengths": "length", "costs": "cost"}
-"""What infos of an episode call it."""
+"""Episode infos keys, by state key."""
 
 
 class SlotStep(NamedTuple):
-    """A step of B·n slots."""
+    """Step of B·n slots."""
 
     observations: NDArray[np.float32]  # (slots, ...), for the next actions; zeros if gone
     rewards: NDArray[np.float32]  # (slots,), of the robots
@@ -51,30 +51,30 @@ class SlotStep(NamedTuple):
     met: NDArray[np.bool_]  # (B,), teams whose episode ended with a rendezvous
     late: NDArray[np.bool_]  # (B,), teams whose episode ended at the time limit
     finished: dict[int, dict[str, Any]]
-    """Of each team that is over: "return" (sum of team rewards), "length" (steps), STANDING, and
-    with ``Scenario.costs`` "cost", the sum over its robots."""
+    """Results of each ended environment: "return" (sum of team rewards), "length" (steps) and
+    STANDING. With ``Scenario.costs`` also "cost", the sum over its robots."""
     costs: dict[str, NDArray[np.float64]]  # (slots,) each, of the step, by key of infos
 
 
 class RobotSlots:
-    """B teams of n robots as B·n slots; slot = team · n + robot.
+    """B environments of n robots as B·n slots; slot = environment · n + robot.
 
-    A team is reset in the step in which it ends. Rendezvous is a true end. A time-out and a merge
-    are none: the slot is cut off, and its future is valued by its own last observation at a
-    time-out and by its survivor's at a merge, so that meeting early is not punished. Where a
-    decision is held for several steps that needs ``on_merge="follow"``: else the robot earns
-    nothing in the rest of them.
+    An environment is reset in the step in which it ends. Rendezvous is a termination; a time-out
+    and a merge are truncations. Such a slot is bootstrapped from its own last observation at a
+    time-out and from its survivor's at a merge, so an early merge is not penalised. With action
+    repeat this requires ``on_merge="follow"``: otherwise the robot earns nothing in the remaining
+    steps.
 
     Args:
-        teams: a vector environment of teams with SAME_STEP autoreset, wrapped or not; a ValueError
-            for another mode, a TypeError for what is none. A wrapper of your own that changes
-            observations changes ``infos["final_obs"]`` alike; the step in which an episode ends
-            refuses others with a TypeError.
+        teams: a vector environment with SAME_STEP autoreset, wrapped or not; a ValueError for
+            another mode, a TypeError for another type. A custom wrapper that changes observations
+            must change ``infos["final_obs"]`` alike. Otherwise the step in which an episode ends
+            raises TypeError.
         values_ends: whether ``last`` is used; False accepts such wrappers.
     """
 
     active: NDArray[np.bool_]
-    """(B, n), robots that exist on their own."""
+    """Active (not merged) robots, (B, n)."""
     observation_space = batched_space("single_observation_space")  # of all slots, for RLlib
     action_space = batched_space("single_action_space")
 
@@ -107,8 +107,9 @@ class RobotSlots:
         seeds: int | Sequence[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> NDArray[np.float32]:
-        """Begin a new episode in all teams, or in those of a mask, with their arguments;
-        observations (slots, ...).
+        """Start a new episode in all environments, or in those of a mask.
+
+        Arguments are those of the vector environment. Returns observations (slots, ...).
         """
         mask = (given := as_options(options)).get("reset_mask")  # some wrappers take it out
         observations, infos = self.teams.reset(seed=seeds, options=given)
@@ -117,15 +118,16 @@ class RobotSlots:
         return self.by_slot(observations)
 
     def begin(self, which: NDArray[np.bool_]) -> None:
-        """Take note of new episodes of these teams, (B,), that began by other means."""
+        """Register new episodes, (B,), that were started by other means."""
         which = check_mask(which, self.num_teams)
         self.active[which] = True
         for count in self._counts.values():
             count[which] = 0
 
     def step(self, actions: NDArray[Any]) -> SlotStep:
-        """Advance every team with actions (slots, a), or (slots,) where they are discrete; errors
-        as the teams.
+        """Advance every environment with actions (slots, a), or (slots,) if discrete.
+
+        Errors are those of the vector environment.
         """
         given = actions if isinstance(actions, np.ndarray) else floats("actions", actions)
         by_slot = self.num_envs, *self._acting[2:]
@@ -169,7 +171,7 @@ class RobotSlots:
         )
 
     def _finish(self, over: NDArray[np.bool_], infos: Mapping[str, Any]) -> dict[int, Any]:
-        """How the episodes of these teams went; their counts start again."""
+        """Results of ended episodes; their accumulators are reset."""
         finished: dict[int, Any] = {}
         for team in np.flatnonzero(over).tolist():
             counts = {_TOLD.get(name, name): c[team].item() for name, c in self._counts.items()}
@@ -180,7 +182,7 @@ class RobotSlots:
         return finished
 
     def by_slot(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Observations of teams, (B, n, ...), as those of slots."""
+        """Reshape observations of environments, (B, n, ...), to slots."""
         return observations.reshape(-1, *observations.shape[2:])
 
     @property
@@ -189,11 +191,11 @@ class RobotSlots:
 
     @property
     def _stateful(self) -> Any:
-        """The outermost layer that has a state, as wrappers of Gymnasium's have not."""
+        """Outermost layer with a state; Gymnasium's wrappers have none."""
         return next(layer for layer in layers_of(self.teams) if hasattr(layer, "get_state"))
 
     def get_state(self) -> dict[str, Any]:
-        """The running episodes, as copies: nested arrays."""
+        """Copy of the running episodes: nested arrays."""
         return {"teams": self._stateful.get_state(), **deepcopy(self._memory)}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
@@ -207,13 +209,14 @@ class RobotSlots:
             array[...] = checked[name]
 
     def close(self) -> None:
-        """Close the teams."""
+        """Close the vector environment."""
         self.teams.close()
 
 
 def team_options(options: Sequence[Mapping[str, Any]], dim: int) -> dict[str, Any]:
-    """Options of all teams, stacked, from those of each; keys, shapes and obstacles must be the
-    same. A mask of teams is none of them.
+    """Stack the reset options of each environment.
+
+    Keys, shapes and obstacles must be equal. A reset mask is not allowed.
     """
 
     def of_all(own: Mapping[str, Any]) -> tuple[Any, ...]:
@@ -247,19 +250,19 @@ def team_options(options: Sequence[Mapping[str, Any]], dim: int) -> dict[str, An
 
 
 class RewardShaping:
-    """Rewards of single robots where wrappers of a user's own have changed those of their teams.
+    """Robot rewards under custom wrappers that change the team reward.
 
-    | wrapper | robots earn |
+    | wrapper | robot rewards |
     |---|---|
-    | Gymnasium's ``NormalizeReward`` | their rewards, divided by the same number |
-    | ``VectorRewardWrapper``, such as ``TransformReward`` | ``rewards`` of it, of their rewards |
-    | any other | their rewards, plus what it adds to that of their team; times its factor, where |
-    | | it multiplies different rewards by the same number |
+    | Gymnasium's ``NormalizeReward`` | divided by the same number |
+    | ``VectorRewardWrapper``, as ``TransformReward`` | its ``rewards``, applied to each robot |
+    | any other | plus the change of the team reward, or times a common factor |
 
-    A wrapper that changes ``infos["robot_rewards"]`` itself has the last word; so does best what
-    multiplies each team's reward by another number. With ``on_merge="remove"`` robots
-    that are gone earn nothing. A recorder is put under each wrapper that is not of this package, so
-    that its changes are seen; one that changes observations must change ``infos["final_obs"]``.
+    The last row uses a factor if different rewards are multiplied by the same number. A wrapper
+    that changes ``infos["robot_rewards"]`` itself takes precedence. A wrapper that scales the
+    environments by different factors should do so. With ``on_merge="remove"`` inactive robots earn
+    nothing. A recorder is inserted beneath each external wrapper to detect its changes. A wrapper
+    that changes observations must also change ``infos["final_obs"]``.
     """
 
     def __init__(self, teams: VectorEnv[Any, Any, Any]) -> None:
@@ -281,18 +284,21 @@ class RewardShaping:
     def robot_rewards(
         self, rewards: NDArray[np.float64], infos: Mapping[str, Any], acted: NDArray[np.bool_]
     ) -> NDArray[np.float64]:
-        """Of the last step, (B, n), from what the outermost wrapper gave and who (B, n) acted."""
+        """Robot rewards of the last step, (B, n).
+
+        They follow from the result of the outermost wrapper and the robots (B, n) that acted.
+        """
         given: NDArray[np.float64] = infos["robot_rewards"]
         return given if self._top is None else self._top.rewards(rewards, given, acted)
 
     def check_final(self, observations: NDArray[np.float32], infos: Mapping[str, Any]) -> None:
-        """Refuse an outermost wrapper that changes observations, but not the last ones of teams."""
+        """Reject an outermost wrapper that changes observations, but not the final ones."""
         if self._top is not None:
             self._top.check_final(observations, infos)
 
 
 class _Given(NamedTuple):
-    """What a step of the teams gave to the wrapper above."""
+    """Result of a step, passed to the wrapper above."""
 
     rewards: NDArray[np.float64]  # (B,)
     robot_rewards: NDArray[np.float64]  # (B, n)
@@ -302,7 +308,7 @@ class _Given(NamedTuple):
 
 
 class _Recorder(VectorWrapper):
-    """Keeps what the last step gave to the wrapper above."""
+    """Wrapper that records the result of the last step for the wrapper above."""
 
     given: _Given
 
@@ -312,7 +318,7 @@ class _Recorder(VectorWrapper):
         return getattr(self.env, name)
 
     def step(self, actions: Any) -> Transition:
-        """As the teams."""
+        """As the vector environment."""
         simulator = self.env.unwrapped.simulator  # type: ignore[attr-defined]
         acted = simulator.active | (simulator.scenario.on_merge == "follow")
         seen, rewards, ends, cuts, infos = self.env.step(actions)
@@ -328,14 +334,14 @@ class _Recorder(VectorWrapper):
 
 
 class _Shaper(_Recorder):
-    """Hands on the rewards of robots as the wrapper beneath has changed them."""
+    """Wrapper that passes on robot rewards, as changed by the wrapper beneath."""
 
     def __init__(self, env: VectorEnv[Any, Any, Any], changes: _Changes) -> None:
         super().__init__(env)
         self._changes = changes
 
     def step(self, actions: Any) -> Transition:
-        """As the teams, with ``robot_rewards`` in agreement."""
+        """As the vector environment, with consistent ``robot_rewards``."""
         seen, rewards, ends, cuts, infos = self.env.step(actions)
         self._changes.check_final(seen, infos)
         given = infos["robot_rewards"]
@@ -344,7 +350,7 @@ class _Shaper(_Recorder):
 
 
 class _Changes:
-    """What one wrapper has changed in the last step."""
+    """Changes by one wrapper in the last step."""
 
     def __init__(self, layer: Any, recorder: _Recorder) -> None:
         self._layer, self._recorder, self._factor = layer, recorder, _Factor()
@@ -358,8 +364,9 @@ class _Changes:
         given: NDArray[np.float64],
         acted: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.float64]:
-        """Those of robots, (B, n), from what the wrapper gave and who (B, n) acted, None is as the
-        recorder saw.
+        """Robot rewards, (B, n), from the wrapper's result and the robots (B, n) that acted.
+
+        None means the same robots as recorded.
         """
         layer, below = self._layer, self._recorder.given
         if not np.array_equal(given, below.robot_rewards):
@@ -379,7 +386,7 @@ class _Changes:
         return np.where(acted, changed, given)
 
     def check_final(self, observations: NDArray[np.float32], infos: Mapping[str, Any]) -> None:
-        """Refuse a wrapper that changes observations, but not the last ones of teams that ended."""
+        """Reject a wrapper that changes observations, but not the final ones."""
         below = self._recorder.given
         if below.observations is None or np.array_equal(below.observations, observations):
             return
@@ -395,15 +402,16 @@ class _Changes:
 
 
 class _Factor:
-    """Tells a wrapper that multiplies rewards from one that adds to them: the first gives the same
-    ratio for different rewards, of a batch or of two steps.
+    """Detector of wrappers that multiply rewards rather than add to them.
+
+    A factor is the same ratio for different rewards, of a batch or of two steps.
     """
 
     def __init__(self) -> None:
         self._multiplies, self._reward, self._ratio = False, 0.0, 0.0
 
     def between(self, before: NDArray[np.float64], after: NDArray[np.float64]) -> float | None:
-        """The number by which rewards (B,) of a step were multiplied; None if they were not."""
+        """Factor applied to the rewards (B,) of a step; None if there is none."""
         counts = before != 0.0
         if not counts.any():
             return None
@@ -420,12 +428,12 @@ class _Factor:
 
 
 def _final_of(infos: Mapping[str, Any]) -> list[Any]:
-    """The last observations of the teams that ended in a step, (n, ...) each."""
+    """Final observations of environments that ended in a step, (n, ...) each."""
     return [each for each in infos.get("final_obs", ()) if each is not None]
 
 
 def _twin(layer: Any) -> Any:
-    """A wrapper like this one, with memory of its own: what it computes leaves no trace."""
+    """Copy of a wrapper with separate memory, for side-effect-free evaluation."""
     twin = copy(layer)
     for name, value in vars(layer).items():
         if not (callable(value) or isinstance(value, Env | VectorEnv | Space)):

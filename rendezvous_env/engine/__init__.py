@@ -1,1 +1,1 @@
-"""How the physics is done for many teams: memory, the step, threads."""
+"""Physics of a batch of environments: memory, stages of a step, threads."""

@@ -37,7 +37,7 @@ class BatchController(Protocol):
     """Controller that maps observations to actions by slices of the batch, as safety filters do."""
 
     uses_feedback: bool
-    """Whether ``update_calls`` follow every step."""
+    """True if ``update_calls`` follow every step."""
 
     @property
     def action_diagnostics(self) -> Sequence[NDArray[Any]]:
@@ -116,7 +116,7 @@ class BatchRunner:
         self._overflow = np.full(place.batch, -1)
         self._last: StepOutput | None = None
         self._near = False
-        """Whether something could meet in the last step."""
+        """True if something could meet in the last step."""
         self._may_overflow = place.scenario.observation_layout.neighbour_slots < n - 1
         self._actions = np.zeros((place.batch, n, place.scenario.action_size), np.float32)
         self.limit(max_steps)
@@ -139,7 +139,7 @@ class BatchRunner:
         self._stages = StepStages(self._state, self.robot, found, self._sensor)
 
     def new_output(self) -> StepOutput:
-        """Allocate the output of a step, new except for ``crowded``.
+        """Allocate the output of a step, new except for ``neighbour_overflow``.
 
         It is initialised without contacts and merges, as in most steps. Kernels write everything
         else.
@@ -257,7 +257,7 @@ class BatchRunner:
 
     def _observe(self, blocks: Iterable[int], output: StepOutput) -> None:
         if self._may_overflow:
-            output.crowded.fill(-1)
+            output.neighbour_overflow.fill(-1)
         calls = [
             one
             for block in blocks
@@ -274,7 +274,7 @@ class BatchRunner:
         nothing.
         """
         if self._may_overflow:
-            output.crowded.fill(-1)
+            output.neighbour_overflow.fill(-1)
         stages, scratch, group = self._stages, self._scratch, self._state.place.group
 
         def calls_of(part: Slice) -> list[Callable[[], Any]]:
@@ -303,7 +303,7 @@ class BatchRunner:
         if blocks > self._state.place.group:
             return self._step_calls(actions, output)((0, blocks, 0))
         if self._may_overflow:
-            output.crowded.fill(-1)
+            output.neighbour_overflow.fill(-1)
         calls = stages.calls(0, blocks, actions, output, self.scratch, self._near)
         near = calls[0]() > 0.0
         if near and not self._near:

@@ -1,4 +1,4 @@
-"""From a scenario to what the kernels need to know of it: constants, robot model, rules."""
+"""Kernel inputs of a scenario: constants, robot model, rules of initial conditions."""
 
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ from .state import State
 
 
 class Constants(NamedTuple):
-    """What stages need to know of a scenario besides its robot model."""
+    """Constants of a scenario for stages, without its robot model."""
 
     duration: float
     merge_radius: float
@@ -38,17 +38,17 @@ class Constants(NamedTuple):
 
 
 class Sensor(NamedTuple):
-    """A sensor that is not exact."""
+    """Imperfect sensor."""
 
     errors: Imperfections
     listed: bool
-    """Whether the rows of a block are in the order of links, rather than each in its own."""
+    """True if the rows of a block are in the order of links, rather than of robots."""
     packed: bool
-    """Whether the rows of neighbours that are seen come first, rather than each in its own."""
+    """True if the rows of visible neighbours come first, rather than each in its own."""
 
 
 def robot(scenario: Scenario) -> Robot:
-    """The robot model of a scenario."""
+    """Robot model of a scenario."""
     d = scenario.dim
     return Robot(
         model=constants_of(scenario),
@@ -60,7 +60,7 @@ def robot(scenario: Scenario) -> Robot:
 
 
 def sensor(state: State) -> Sensor | None:
-    """The sensor of a scenario's robots; None is the exact one."""
+    """Sensor of a scenario's robots; None if it is exact."""
     errors, place = imperfections_of(state.scenario.sensing), state.place
     if errors is None:
         return None
@@ -69,7 +69,7 @@ def sensor(state: State) -> Sensor | None:
 
 
 def constants(scenario: Scenario, robot: Robot, max_steps: int) -> Constants:
-    """The constants of a scenario."""
+    """Constants of a scenario."""
     weights = scenario.reward.built_in
     return Constants(
         duration=float(scenario.tau),
@@ -89,7 +89,7 @@ def constants(scenario: Scenario, robot: Robot, max_steps: int) -> Constants:
 
 
 class StartRules(NamedTuple):
-    """How an episode begins: what is drawn, and from where."""
+    """Rules of initial conditions: sampled quantities and their ranges."""
 
     draw_positions: bool
     draw_frames: bool
@@ -101,15 +101,15 @@ class StartRules(NamedTuple):
     keep_out: float
     factors: tuple[float, float] | None  # The range of what given arcs are multiplied by, or None
     reach: float | None
-    """Where links change all robots keep apart from each other, and links up to this length, m,
-    connect the start, inf if that is not asked for; None where robots keep apart from their
-    neighbours alone."""
+    """For changing links: length up to which links must connect the initial condition, m; inf
+    without this requirement. All robots then keep their distance from each other. None: robots
+    keep their distance from neighbours only."""
     graph: GraphRules | None  # None where no episode draws anything of its graph
     field: Rules | None  # None where no episode draws obstacles
 
 
 def start_rules(scenario: Scenario) -> StartRules:
-    """The rules of a start of which nothing is given."""
+    """Rules of an initial condition without given parts."""
     graph = scenario.sensing_graph
     field = scenario.obstacles if isinstance(scenario.obstacles, Field) else None
     if not scenario.observation_layout.obstacle_slots:
@@ -131,15 +131,16 @@ def start_rules(scenario: Scenario) -> StartRules:
 
 
 def _factors(scenario: Scenario) -> tuple[float, float] | None:
-    """The range of weights of a directed graph; None where nothing of it is drawn at the start."""
+    """Weight range of a directed graph; None if no weights are sampled initially."""
     graph = scenario.sensing_graph
     drawn = graph.directed and not graph.changes and graph.weight_range[0] < graph.weight_range[1]
     return graph.weight_range if drawn else None
 
 
 def fixed_links(scenario: Scenario) -> LinkList | None:
-    """The links of every episode; None if they are drawn or change. Those of a directed graph are
-    still to be multiplied by what is drawn for them.
+    """Links of every episode; None if they are sampled or change.
+
+    Those of a directed graph are still to be multiplied by sampled factors.
     """
     graph = scenario.sensing_graph
     if graph.changes or (_draws_links(scenario) and not graph.directed):
@@ -149,8 +150,9 @@ def fixed_links(scenario: Scenario) -> LinkList | None:
 
 
 def has_fixed_start(scenario: Scenario) -> bool:
-    """Whether all episodes are one and the same: places, attitudes, graph and obstacles are given.
-    Frames may be drawn all the same: they turn what a robot sees and what it does alike.
+    """True if all episodes are identical: positions, attitudes, graph and obstacles are given.
+
+    Frames may be sampled: they rotate observations and actions alike.
     """
     rules, model = start_rules(scenario), scenario.model
     if scenario.start_positions is None or _draws_links(scenario) or rules.draw_obstacles:
@@ -164,7 +166,7 @@ def has_fixed_start(scenario: Scenario) -> bool:
 
 
 def _draws_links(scenario: Scenario) -> bool:
-    """Whether anything of an episode's links is drawn."""
+    """True if any part of an episode's links is sampled."""
     graph = scenario.sensing_graph
     if not (graph.fixed or graph.changes):
         return True
@@ -174,7 +176,7 @@ def _draws_links(scenario: Scenario) -> bool:
 
 
 def fixed_obstacles(scenario: Scenario) -> ObstacleSet | None:
-    """The scenario's obstacles, leading axis 1; None if they are drawn, or have no room."""
+    """The scenario's obstacles, leading axis 1; None if they are sampled, or have no slots."""
     slots = scenario.observation_layout.obstacle_slots
     if isinstance(scenario.obstacles, Field) or slots == 0:
         return None

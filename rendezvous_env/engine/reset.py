@@ -158,7 +158,7 @@ def _is_clear(position, b, obstacles, margin):
 
 @inner_kernel
 def _is_apart(i, positions, apart, links, b, lanes, least_distance):
-    """Whether robot i is far enough from its neighbours with a position.
+    """True if robot i is far enough from its neighbours with a position.
 
     With ``apart``, from all robots with a position.
     """

@@ -1,4 +1,4 @@
-"""What makes arrays from outside fit to be handed to compiled code, which checks nothing itself."""
+"""Validation of external arrays for compiled code, which does not validate."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -27,13 +27,16 @@ _MOST = {
     "obstacles": 1e9,
     "past": 1e13,
 }
-"""Absolute values up to which nothing overflows in a step."""
+"""Absolute values up to which a step does not overflow."""
 _FLOAT32 = np.dtype(np.float32)
 _FLOATS = _FLOAT32, np.dtype(np.float64)
 
 
 def check_keys(state: Any, names: tuple[str, ...], *, exactly: bool = False) -> None:
-    """Refuse, with a ValueError, what is no mapping with these entries, ``exactly`` also others."""
+    """Reject a value that is not a mapping with these entries, with a ValueError.
+
+    ``exactly`` also rejects further entries.
+    """
     if not isinstance(state, Mapping):
         raise ValueError(
             f"state is {short_repr(state)}; it must be a mapping with {', '.join(names)}"
@@ -51,11 +54,12 @@ def check_keys(state: Any, names: tuple[str, ...], *, exactly: bool = False) -> 
 def check_entries(
     own: Mapping[str, NDArray[Any]], state: Any, *, exactly: bool = False
 ) -> dict[str, NDArray[Any]]:
-    """The entries of a state, of shape and type as in ``own``; lists of numbers will do.
-    ``exactly`` refuses further entries, and other types instead of converting them.
+    """Entries of a state, with shape and type as in ``own``; lists of numbers are accepted.
+
+    ``exactly`` rejects further entries, and other types instead of converting them.
 
     Raises:
-        ValueError: naming the entry, and what would be right.
+        ValueError: for an invalid entry; the message gives its name and a remedy.
     """
     check_keys(state, tuple(own), exactly=exactly)
     return {name: _entry(name, state[name], array, exactly) for name, array in own.items()}
@@ -76,7 +80,10 @@ def _entry(name: str, given: Any, own: NDArray[Any], exactly: bool) -> NDArray[A
 
 
 def refuse_first(name: str, wrong: NDArray[np.bool_], values: NDArray[Any], what: str) -> None:
-    """Name the first wrong place, (team,), (team, robot), (team, slot) or deeper, if any is."""
+    """Raise an error for the first wrong index, if there is any.
+
+    An index is (environment,), (environment, robot), (environment, slot) or longer.
+    """
     if wrong.any():
         place = tuple(int(k) for k in np.argwhere(wrong)[0])
         where = ", ".join(map(str, place))
@@ -84,13 +91,13 @@ def refuse_first(name: str, wrong: NDArray[np.bool_], values: NDArray[Any], what
 
 
 def check_finite(state: Mapping[str, NDArray[Any]], names: Iterable[str]) -> None:
-    """Refuse entries that are not finite."""
+    """Reject entries that are not finite."""
     for name in names:
         refuse_first(name, ~np.isfinite(state[name]), state[name], "finite")
 
 
 def check_rotations(state: Mapping[str, NDArray[Any]], teams: Any, tolerance: float) -> None:
-    """Refuse frames, (B, n, d, d) or (B, n, d·d), of these teams that are no rotations."""
+    """Reject frames, (B, n, d, d) or (B, n, d·d), of these environments that are not rotations."""
     given = state["frames"]
     d = 3 if given.shape[-1] % 3 == 0 else 2
     frames = given.reshape(*given.shape[:2], d, d)
@@ -101,42 +108,42 @@ def check_rotations(state: Mapping[str, NDArray[Any]], teams: Any, tolerance: fl
 
 
 class StatefulMixin:
-    """What remembers something of B teams from step to step, in ``_memory``."""
+    """Mixin for components with memory of B environments, in ``_memory``."""
 
     @property
     def _memory(self) -> dict[str, NDArray[np.float64]]:
-        """The arrays (B, ...) by name, not copied."""
+        """Arrays (B, ...) by name, not copied."""
         raise NotImplementedError
 
     def _begin(self, which: Any) -> None:
-        """Remember of these teams, a mask or a slice, what is known before an episode."""
+        """Initialise the memory of these environments, a mask or a slice, before an episode."""
         for array in self._memory.values():
             array[which] = 0.0
 
     def forget(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget everything about all teams, or about those of a mask (B,).
+        """Reset the memory of all environments, or of those of a mask (B,).
 
         Raises:
-            ValueError: for a bad mask; nothing has changed then.
+            ValueError: for an invalid mask; the memory is unchanged.
         """
         teams = len(next(iter(self._memory.values())))
         self._begin(slice(None) if mask is None else check_mask(mask, teams))
 
     def get_state(self) -> dict[str, NDArray[np.float64]]:
-        """The memory, as copies."""
+        """Copies of the memory."""
         return {name: array.copy() for name, array in self._memory.items()}
 
     def set_state(self, state: Mapping[str, ArrayLike]) -> None:
-        """Put back what ``get_state`` took out; what ``check_state`` refuses changes nothing."""
+        """Restore a result of ``get_state``; an error of ``check_state`` leaves it unchanged."""
         checked = self.check_state(state)
         for name, array in self._memory.items():
             array[...] = checked[name]
 
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
-        """The arrays of a state that ``set_state`` would put back.
+        """Validate a state and return its arrays.
 
         Raises:
-            ValueError: naming an entry that is missing, unknown, of another shape or not finite.
+            ValueError: for an entry that is missing, unknown, of another shape or not finite.
         """
         check_keys(state, tuple(self._memory), exactly=True)
         checked = check_entries(self._memory, state)
@@ -145,8 +152,9 @@ class StatefulMixin:
 
 
 def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
-    """Refuse a state as ``Simulator.get_state`` gives it, of the right shapes and types, that no
-    episode can be in, with a ValueError that names the entry, its value, and what would be right.
+    """Reject a state of ``Simulator.get_state`` that no episode can have.
+
+    Shapes and types are already valid. The ValueError gives the entry, its value and a remedy.
     """
 
     def refuse(name: str, wrong: Any, what: str) -> None:
@@ -180,7 +188,7 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
 
 
 def _check_lists(n: int, state: Mapping[str, NDArray[Any]]) -> None:
-    """Links are indices of two robots, the lower one first, sorted, those in use first."""
+    """Check lists of links: indices of two robots, the lower first, sorted, unused entries last."""
     first, second, used = state["first"], state["second"], state["weights"] > 0
     refuse_first("first", (first < 0) | (first >= n), first, f"from 0 to {n - 1}")
     refuse_first("second", (second < 0) | (second >= n), second, f"from 0 to {n - 1}")
@@ -192,7 +200,7 @@ def _check_lists(n: int, state: Mapping[str, NDArray[Any]]) -> None:
 
 
 def _check_merges(state: Mapping[str, NDArray[Any]], packs: bool) -> None:
-    """Robots are part of one with a lower index, which is itself; bodies stay on their own."""
+    """Check merges: robots are part of an active robot with a lower index; bodies do not merge."""
     into, status = state["merged_into"], state["status"]
     n = into.shape[1]
     if packs:
@@ -208,7 +216,7 @@ def _check_merges(state: Mapping[str, NDArray[Any]], packs: bool) -> None:
 
 
 def _check_neighbours(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
-    """No robot has itself or one that has merged away as neighbour, nor more than rows for them."""
+    """Check links: none to the robot itself or a merged one, and no more than neighbour rows."""
     n, weights = scenario.n_robots, state["weights"]
     slots, used = scenario.observation_layout.neighbour_slots, weights > 0
     gone = state["merged_into"] != np.arange(n)
@@ -234,8 +242,9 @@ def _check_neighbours(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> 
 
 
 def check_output(output: Any, wanted: tuple[tuple[tuple[int, ...], Any], ...]) -> None:
-    """Refuse the output of other teams, which compiled code would write to; ``wanted`` has shape
-    and type of each of its arrays.
+    """Reject the output of other environments, which compiled code would write to.
+
+    ``wanted`` has shape and type of each of its arrays.
     """
     if not isinstance(output, StepOutput):
         raise ValueError(
@@ -251,14 +260,12 @@ def check_output(output: Any, wanted: tuple[tuple[tuple[int, ...], Any], ...]) -
 
 
 def check_observations(value: Any, shape: tuple[int, ...]) -> NDArray[Any]:
-    """Observations (B, n, rows, d) of the right teams; a ValueError refuses others."""
+    """Observations (B, n, rows, d) of the right environments; ValueError otherwise."""
     return check_numbers("observations", value, shape, "(B, n, rows, d)")
 
 
 def check_numbers(name: str, value: Any, shape: tuple[int, ...], axes: str) -> NDArray[Any]:
-    """An array of float32 or float64 of a shape, whose axes are called ``axes``; a ValueError
-    refuses others by name.
-    """
+    """Array of float32 or float64 of a shape with ``axes`` as names; ValueError otherwise."""
     array = np.asarray(value)
     check_shape(name, array, shape, axes=axes)
     if array.dtype not in _FLOATS:
@@ -267,11 +274,11 @@ def check_numbers(name: str, value: Any, shape: tuple[int, ...], axes: str) -> N
 
 
 def check_actions(actions: ArrayLike, shape: tuple[int, ...], axes: str) -> NDArray[np.float32]:
-    """Actions (B, n, ...) of a shape, whose axes are called ``axes``, as kernels take them.
+    """Actions (B, n, ...) of a shape with ``axes`` as names, for kernels.
 
     Raises:
-        ValueError: for a wrong shape, what is no number, or a number that is not finite in float32,
-            naming the robot.
+        ValueError: for a wrong shape, non-numeric input, or a number that is not finite in float32,
+            with the robot.
     """
     plain = getattr(actions, "dtype", None) is not _FLOAT32
     given = floats("actions", actions, np.float32) if plain else actions
@@ -289,5 +296,5 @@ def check_actions(actions: ArrayLike, shape: tuple[int, ...], axes: str) -> NDAr
 
 
 def check_mask(mask: ArrayLike, num_envs: int) -> NDArray[np.bool_]:
-    """A mask (B,), which says yes or no to each team; a ValueError refuses others."""
+    """Mask (B,) of bools; ValueError otherwise."""
     return bools("mask", mask, (num_envs,), "teams")

@@ -75,7 +75,7 @@ class StepStages:
     ) -> None:
         self._state, self._robot, self._constants, self._sensor = state, robot, constants, sensor
         self.all_compiled = False
-        """Whether the stages of contacts and merges are also compiled."""
+        """True if the stages of contacts and merges are also compiled."""
         self._entries: dict[Any, Callable[..., Any]] = {}
         self._plans: dict[Any, list[tuple[Call, Any]]] = {}
         place = state.place
@@ -201,7 +201,7 @@ class StepStages:
             yield sense_pairs, state.place.width, *shape, *blocks, *given, _ROWS
         else:
             given = rules.neighbour_slots, links, robots, work.counts, state.environments
-            yield sense_links, *shape, *blocks, *given, _ROWS, _OUTPUT.crowded
+            yield sense_links, *shape, *blocks, *given, _ROWS, _OUTPUT.neighbour_overflow
         if rules.packs:
             docked = rules.body_radius + 0.5 * rules.merge_radius
             yield hide_docked, state.lanes, *blocks, docked, robots, work.vectors[0], _ROWS
@@ -247,7 +247,7 @@ class StepStages:
         seen, blocks = _OUTPUT.observations, (first, last)
         if self._dense and place.packed:
             given = self._constants.neighbour_slots, state.links, work.rows, work.counts
-            yield write_packed, state.lanes, *blocks, *given, seen, _OUTPUT.crowded
+            yield write_packed, state.lanes, *blocks, *given, seen, _OUTPUT.neighbour_overflow
         elif not self._direct:
             yield write_observations, place.width, robot.axes, *blocks, work.rows, seen
         if place.scenario.model.senses:

@@ -89,7 +89,7 @@ def _run(own: list[Callable[[], Any]], others: list[list[Callable[[], Any]]]) ->
 
 
 def _is_compiled_call(one: Any) -> bool:
-    """Whether Python executes no instruction of its own during a call."""
+    """True if Python executes no instruction of its own during a call."""
     return isinstance(one, partial) and (
         isinstance(one.func, BuiltinFunctionType) or is_kernel(one.func)
     )

@@ -139,7 +139,7 @@ class BaseParallelEnv(
         }
 
     def _is_over(self, actions: Any) -> bool:
-        """Whether there are no agents and no actions; a RuntimeError before the first reset."""
+        """True if there are no agents and no actions; a RuntimeError before the first reset."""
         if not self.simulator.begun:
             raise RuntimeError("call reset() before step()")
         return not self.agents and isinstance(actions, Mapping) and not actions

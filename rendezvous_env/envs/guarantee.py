@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..checks import check_int, choice, known_fields, raise_invalid
 from ..engine.state_checks import check_entries, check_finite, check_keys
-from ..limits import MOST_HELD_STEPS
+from ..limits import MAX_HELD_STEPS
 from ..safety.gains import Gains
 from ..safety.heading import HeadingFilter
 from ..safety.links import LinkKeeping
@@ -39,7 +39,7 @@ _OF_INFOS = (
 
 def check_period(decision_period: int) -> int:
     """Validated decision period, a positive integer."""
-    return check_int("decision_period", decision_period, 1, MOST_HELD_STEPS)
+    return check_int("decision_period", decision_period, 1, MAX_HELD_STEPS)
 
 
 def layers_of(env: Any) -> Iterator[Any]:
@@ -115,7 +115,7 @@ class FilterWrapperMixin:
         self._checks_passage = env is not base and not any(
             getattr(type(layer), "part_of_world", False) for layer in layers_of(env)
         )
-        """Whether wrappers beneath may change nothing that passes through them."""
+        """True if wrappers beneath may change nothing that passes through them."""
         if self._checks_passage:
             self._teams_of(base).records_passage = True
         super().__init__(env)  # type: ignore[call-arg]  # the wrapper of the API

@@ -41,9 +41,9 @@ def sorted_overrides(
 
 
 def as_plain(value: Any) -> Any:
-    """An argument of a factory as plain data, which the factory takes too; what is none as it is.
+    """Argument of a factory as plain data that the factory accepts; other values unchanged.
 
-    Scenarios and their parts, arrays, paths and enumerations become what JSON holds.
+    Scenarios and their parts, arrays, paths and enumerations become JSON values.
     """
     if callable(getattr(value, "to_plain", None)):
         return value.to_plain()
@@ -71,7 +71,7 @@ class PlainSpec:
 
     @property
     def spec(self) -> EnvSpec | None:
-        """How Gymnasium made it; None if it did not."""
+        """Specification by which Gymnasium made the environment, or None."""
         return self._spec
 
     @spec.setter

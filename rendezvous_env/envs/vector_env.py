@@ -106,12 +106,12 @@ class RendezvousVectorEnv(
         self.scenario, self.num_envs = simulator.scenario, simulator.num_envs
         self.renderer, self.render_mode = Renderer(simulator, render_mode), render_mode
         self.metadata = render_metadata(simulator) | {"autoreset_mode": autoreset_mode}
-        self.begins_anew = True
-        """Whether this environment performs autoresets itself, not a wrapper (``begin_anew``)."""
+        self.autoresets = True
+        """True if this environment performs autoresets itself, not a wrapper (``autoreset``)."""
         self.outcome: StepOutput | None = None
         """Output of the last step; None before the first."""
         self.records_passage = False
-        """Whether ``passage`` is kept, for guarantees with wrappers beneath them."""
+        """True if ``passage`` is kept, for guarantees with wrappers beneath them."""
         self.passage: tuple[NDArray[np.float32] | None, NDArray[np.float32]] | None = None
         """Copies of the actions (None at a reset) and observations that passed here last."""
         self.flatten, n = flag("flatten", flatten), self.scenario.n_robots
@@ -165,7 +165,7 @@ class RendezvousVectorEnv(
                 is unchanged.
             RuntimeError: before every environment has been reset.
         """
-        simulator, mode = self.simulator, self.autoreset_mode if self.begins_anew else _DISABLED
+        simulator, mode = self.simulator, self.autoreset_mode if self.autoresets else _DISABLED
         if mode is AutoresetMode.NEXT_STEP and not simulator.all_running:
             actions = simulator.check_actions(actions)  # before any team is reset
             simulator.restart(simulator.ended)
@@ -177,7 +177,7 @@ class RendezvousVectorEnv(
         if not simulator.all_running:
             ended = terminations | truncations
             if add_final_info(observations, ended, infos, mode):
-                self.begin_anew(ended, infos)
+                self.autoreset(ended, infos)
         add_summary(infos)
         return observations, rewards, terminations, truncations, infos
 
@@ -191,7 +191,7 @@ class RendezvousVectorEnv(
 
     @property
     def can_drive(self) -> bool:
-        """Whether no renderer sees every step, and ``Simulator.supports_step_n``."""
+        """True if no renderer sees every step, and ``Simulator.supports_step_n``."""
         return self.render_mode is None and self.simulator.supports_step_n
 
     def drive(
@@ -227,7 +227,7 @@ class RendezvousVectorEnv(
         infos = masked(infos, np.ones(self.num_envs, dtype=np.bool_))
         return observations, outcome.rewards, terminations, truncations, infos
 
-    def begin_anew(self, which: NDArray[np.bool_], infos: Info) -> NDArray[np.float32]:
+    def autoreset(self, which: NDArray[np.bool_], infos: Info) -> NDArray[np.float32]:
         """Reset the given environments (B,) and update arrays and infos of the last step in place.
 
         Returns its observations.

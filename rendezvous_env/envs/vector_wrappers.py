@@ -114,21 +114,21 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
         base, mode = self._base, self._base.autoreset_mode
         resting = None if base.simulator.all_running else base.simulator.ended
         self._take(actions)
-        base.begins_anew = False
+        base.autoresets = False
         try:
             shown, rewards, terminations, truncations, infos = self._drive()
         finally:
-            base.begins_anew = True
+            base.autoresets = True
         self._note_seen()
         if resting is not None:
             terminations, truncations = terminations & ~resting, truncations & ~resting
         if resting is not None and mode is AutoresetMode.NEXT_STEP:
-            self._begin_anew(resting, infos)
+            self._autoreset(resting, infos)
             shown = None
         ended = terminations | truncations
         seen = self._see(None) if shown is None else maybe_flatten(shown, base.flatten)
         if add_final_info(seen, ended, infos, mode):
-            self._begin_anew(ended, infos)
+            self._autoreset(ended, infos)
             seen[ended] = self._see(ended)[ended]
         add_summary(infos)
         return seen, rewards, terminations, truncations, infos
@@ -227,9 +227,9 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
             kept.put_back(still)
         return told
 
-    def _begin_anew(self, which: NDArray[np.bool_], infos: Info) -> None:
+    def _autoreset(self, which: NDArray[np.bool_], infos: Info) -> None:
         """Reset the given environments and update observations and infos."""
-        fresh = self._base.begin_anew(which, infos).reshape(self._observed.shape)
+        fresh = self._base.autoreset(which, infos).reshape(self._observed.shape)
         self._observed[which] = fresh[which]
         self._forget(which)
         for key, values in self.filter.diagnostics.items():

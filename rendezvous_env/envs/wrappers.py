@@ -19,27 +19,29 @@ from .vector_env import RendezvousVectorEnv
 
 
 class GuaranteeWrapper(FilterWrapperMixin, SpacesByName[Box], BaseParallelWrapper):
-    """Robots choose; for ``decision_period`` base steps a safety filter turns choices into actions.
+    """Safety filter with action repeat: the filter maps policy actions to base actions.
 
-    Observations are the filter's view of the rows, actions its choices; infos add the filter's
-    numbers of the last base step; ``contact`` and costs are those of the whole decision.
+    Observations are the filter's view of the rows, and actions are its inputs. Infos add the
+    filter's diagnostics of the last base step; ``contact`` and costs cover the whole agent step.
 
     Args:
-        env: a rendezvous parallel environment, in other wrappers or not. These must change neither
-            observations nor actions nor their spaces, step once a step and not reset: each step is
-            compared with the environment's, and a wrapper that changes them is refused. One that
-            stands for sensors or actuators, whose class has ``part_of_world = True``, is not.
-        safety_filter: a filter of one team of this scenario, its class, or its name
-            (``register_filter``): "heading", "tank", "gains", "links" or a user's own.
-        decision_period: base steps for which a choice is held; the filter computes an action in
-            each. Rewards are summed; a robot that merges on the way ends with its last observation.
-        **settings: of a filter given by class or name. All four have ``frame``, in which robots see
-            and choose: "net_bearing" (x along f_i, single integrators only) or "local".
+        env: a rendezvous parallel environment, wrapped or not. Wrappers beneath must not change
+            observations, actions or spaces. They must step once per step and not reset. Each step
+            is compared with the base environment; a wrapper that changes it is rejected. Exempt are
+            models of sensors or actuators, with the class attribute ``part_of_world = True``.
+        safety_filter: a filter for one environment of this scenario, its class, or its name:
+            "heading", "tank", "gains", "links" or a registered one (``register_filter``).
+        decision_period: number of base steps per agent step; the filter computes an action in each.
+            Rewards are summed. A robot that merges during an agent step ends with its last
+            observation.
+        **settings: of a filter given by class or name. All four have ``frame``, the frame of
+            observations and actions: "net_bearing" (x along f_i, single integrators only) or
+            "local".
 
     Raises:
-        TypeError: for another kind of environment, one already under a guarantee or a wrapper that
-            changes its spaces, or an unknown setting.
-        ValueError: naming the argument, its value and what would be right.
+        TypeError: for another type of environment, an environment with a safety filter, a wrapper
+            that changes its spaces, or an unknown setting.
+        ValueError: for an invalid argument; the message gives its value and a remedy.
     """
 
     _base: RendezvousParallelEnv
@@ -78,7 +80,7 @@ class GuaranteeWrapper(FilterWrapperMixin, SpacesByName[Box], BaseParallelWrappe
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, Infos]:
-        """Start an episode with cleared memory."""
+        """Start an episode and reset the filter."""
         observations, infos = self.env.reset(seed=seed, options=options)
         self.filter.forget()
         self._remember(observations)
@@ -169,8 +171,8 @@ class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
     r/(2 D_i τ) if the step is longer than certified (theory 4). Nonholonomic robots choose turn
     rates, limited by the gate of theory 3, and drive with v = mᵀf.
 
-    * Actions: ``Box(−1, 1, (d,))``, a raw vector in the observed frame, of which only the direction
-      is used. For nonholonomic robots ``Box(−1, 1, (1,))`` or ``(2,)``: turn rates in units of
+    * Actions: ``Box(−1, 1, (d,))``, a raw vector in the observed frame; only its direction is
+      used. For nonholonomic robots ``Box(−1, 1, (1,))`` or ``(2,)``: turn rates in units of
       ``max_turn_rate``.
     * Observations: the base environment's rows. With ``frame="net_bearing"`` (single integrators) x
       is along f_i, so that any network is rotation-equivariant: exactly in 2-D; in 3-D the second
@@ -236,22 +238,22 @@ class GainWrapper(GainSettings, GuaranteeWrapper):
         v_i = Σ_j c_ij g_ij,   c_ij ∝ w_j a_ij,   min_gain ≤ Σ_j c_ij ≤ max_gain    (theorem G)
 
     With exact bearings, without obstacles and while linked robots are at least r apart, the convex
-    hull does not grow on any graph: directed, switching, or never connected at once. While every
-    robot has a visible neighbour, rendezvous occurs in finite time. V may increase.
+    hull does not grow on any graph: directed, switching, or never connected at one time. While
+    every robot has a visible neighbour, rendezvous occurs in finite time. V may increase.
 
-    * Actions: ``Box(0, 1, (K,))``, a weight for each neighbour row, in the order of the rows that
-      are seen. Absent rows do not count; if the others are all zero, they count alike. Then all are
-      scaled as a whole. Observations as under ``HeadingVectorWrapper``.
-    * Infos: ``gain`` = Σ_j c_ij, m/s, 0 for a robot that sees nobody; ``alignment`` =
-      |h_iᵀf_i|/‖f_i‖, h_i the direction of motion, NaN without any; ``lyapunov_rate`` = −2 f_iᵀv_i,
-      m²/s², positive where V is made to rise.
+    * Actions: ``Box(0, 1, (K,))``, a weight for each neighbour row, in observed order. Absent rows
+      are ignored; if all other weights are zero, they are set equal. All gains of a robot are then
+      scaled by a common factor. Observations as under ``HeadingVectorWrapper``.
+    * Infos: ``gain`` = Σ_j c_ij, m/s, 0 for a robot without visible neighbours. ``alignment`` =
+      |h_iᵀf_i|/‖f_i‖, h_i the direction of motion, NaN if there is none. ``lyapunov_rate`` = −2
+      f_iᵀv_i, m²/s², positive if V increases.
 
     Args:
-        env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``; its robots'
-            action is their velocity.
-        min_gain: m/s; None is a*. The promised time is in inverse proportion to it.
-        max_gain: m/s; None is D̄. Never more than r/τ: a robot that goes farther in one step may
-            leave the hull. At r/τ itself no time is promised.
+        env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``; the robots'
+            action must be their velocity.
+        min_gain: m/s; None is a*. The time bound is inversely proportional to it.
+        max_gain: m/s; None is D̄. At most r/τ: with longer steps a robot may leave the hull. At r/τ
+            itself there is no time bound.
     """
 
 
@@ -260,26 +262,28 @@ class LinkKeepingWrapper(LinkSettings, GuaranteeWrapper):
 
         v_i = λ min(d_i, r/(2τ), v_max) q_i + (1 − λ) P(desired)    (theorem R c, guarantees 12)
 
-    P is the projection onto the velocities with which no link in sight grows longer whatever the
-    others do, as long as they do the same, and q_i the point of least norm of the robot's bearings.
-    So with a sensor of limited range, and linked robots that start r or more apart, a link of
-    range − (n − 1) r/2 or less is never lost but by a merge (range − (n − 1) r beside obstacles
-    that robots pass through), and if such links connect the team at the start, all meet in finite
-    time whatever the policy does. Claimed for motion without contacts: an obstacle turns robots
-    aside.
+    P is the projection onto velocities for which no visible link grows, provided that all robots
+    use the same constraint. q_i is the point of least norm in the convex hull of the robot's
+    bearings.
+
+    The guarantee assumes a limited sensing range, linked robots that start at least r apart, and
+    motion without contacts. A link of at most range − (n − 1) r/2 is then lost only by a merge.
+    Beside obstacles that robots pass through, the limit is range − (n − 1) r. If such links connect
+    the robots initially, rendezvous occurs in finite time for any policy.
+
     Actions as under ``EnergyTankWrapper``, observations as under ``HeadingVectorWrapper``, infos
-    ``alignment`` and ``lyapunov_rate`` as under ``GainWrapper``; the rate is never positive while
-    no bearing errs by more than ``bearing_error``.
+    ``alignment`` and ``lyapunov_rate`` as under ``GainWrapper``. The rate is never positive for
+    bearing errors up to ``bearing_error``.
 
     Args:
-        env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``; its robots'
-            action is their velocity, and sight is mutual and ends only with distance: no field of
-            view, dropout or occlusion.
-        share: λ, in [10⁻⁶, 1]: how much of the velocity is the link-keeping law's. The promised
-            time is in inverse proportion to it.
-        bearing_error: η, rad: links are kept while no bearing is wrong by more. For η < π/(2n) all
-            meet (theorem R d).
+        env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``. The robots'
+            action must be their velocity. Visibility must be mutual and limited only by distance:
+            no field of view, dropout or occlusion.
+        share: λ, in [10⁻⁶, 1], velocity share of the connectivity-maintaining law. The time bound
+            is inversely proportional to it.
+        bearing_error: η, rad: links are maintained for bearing errors up to η. For η < π/(2n)
+            rendezvous is guaranteed (theorem R d).
 
     Raises:
-        ValueError: why the robots of this scenario cannot keep their links.
+        ValueError: if links cannot be maintained in this scenario, with the reason.
     """

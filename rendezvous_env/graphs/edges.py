@@ -97,7 +97,7 @@ def store_links(links, block, lane, n, first, second, weights, count):
 
 @inner_kernel
 def are_linked(links, block, lane, n, i, j):
-    """Whether two robots i < j are linked."""
+    """True if two robots i < j are linked."""
     if links.form == DENSE:
         return links.weights[block, pair_index(i, j, n), lane] > 0.0
     if links.form == ARCS:

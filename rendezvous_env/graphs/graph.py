@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from .. import checks
 from ..checks import short_repr
-from ..limits import MOST_ROBOTS
+from ..limits import MAX_ROBOTS
 from . import reading
 from . import weights as matrices
 from .weights import Edges, checked_edges, weighted_links
@@ -105,11 +105,11 @@ class Graph:
     listed: ClassVar[str] = ""
     """Kind with listed edges, if any."""
     fixed: ClassVar[bool] = True
-    """Whether all episodes have the same edges."""
+    """True if all episodes have the same edges."""
     directed: ClassVar[bool] = False
-    """Whether visibility may be one-way."""
+    """True if visibility may be one-way."""
     changes: ClassVar[bool] = False
-    """Whether edges change within an episode other than by merging."""
+    """True if edges change within an episode other than by merging."""
     keys: ClassVar[tuple[str, ...]] = ("edges", "kind", "n_nodes", "probability", "weight_range")
     """Keys of plain data."""
 
@@ -128,7 +128,7 @@ class Graph:
         if self.kind == self.listed:
             edges = self.edges if isinstance(self.edges, Edges) else matrices.read_edges(self.edges)
             count = self.n_nodes or (1 + max(max(0, i, j) for i, j, _ in edges) if edges else None)
-            n = checks.check_int("graph: n_nodes", count, 1, MOST_ROBOTS)
+            n = checks.check_int("graph: n_nodes", count, 1, MAX_ROBOTS)
             object.__setattr__(self, "n_nodes", n)
             kept = checked_edges(edges, n, directed=self.directed)
             object.__setattr__(self, "edges", kept)
@@ -143,7 +143,7 @@ class Graph:
 
     @property
     def undirected(self) -> bool:
-        """Whether it is neither directed nor time-varying, as theorems A, C and D require."""
+        """True if it is neither directed nor time-varying, as theorems A, C and D require."""
         return not (self.directed or self.changes)
 
     def links(self, n: int) -> LinkArrays:
@@ -176,7 +176,7 @@ class Graph:
         """Groups of robots without edges to other robots, see ``weights.closed_groups``."""
         return [list(group) for group in _groups(self, n, matrices.closed_groups)]
 
-    def why_not_joined(self, n: int) -> str | None:
+    def connectivity_error(self, n: int) -> str | None:
         """Reason why rendezvous is impossible on this graph (theorem 1), or not guaranteed if it is
         directed or time-varying (guarantees, section 10); None if there is none.
         """

@@ -104,7 +104,7 @@ def _meeting_moments(positions, displacements, links, radius, moments):
 
 @inner_kernel
 def _comes_before(first, second, e, best):
-    """Whether the robots of link e precede those of another one by index; −1 is none."""
+    """True if the robots of link e precede those of another one by index; −1 is none."""
     # by robots, not by e: a contraction leaves the links unsorted, and ties must not depend on that
     if best < 0 or first[e] != first[best]:
         return best < 0 or first[e] < first[best]
@@ -125,7 +125,7 @@ def _earliest(moments, first, second, resting):
 
 @inner_kernel
 def _may_merge(i, j, positions, world, through):
-    """Whether merges go through obstacles, or none is between two robots."""
+    """True if merges go through obstacles, or none is between two robots."""
     if world is not None:
         if not through:
             here = load(positions[i])

@@ -97,7 +97,7 @@ class CustomFamily(DrawnGraph):
         except ValueError as error:
             raise ValueError(f"family {self.kind!r} drew for {n} robots: {error}") from error
         low, high = self.weight_range
-        why = Graph("edges", edges=edges, n_nodes=n).why_not_joined(n) if connected else None
+        why = Graph("edges", edges=edges, n_nodes=n).connectivity_error(n) if connected else None
         if why is not None:
             raise ValueError(f"family {self.kind!r} drew a graph that is not connected: {why}")
         return edges.first, edges.second, low + (high - low) * random.random(len(edges))
@@ -219,7 +219,7 @@ def _add_tree(key, counter, n, first, second, count, places):
 
 @kernel
 def are_linked(i, j, links):
-    """Whether robots i < j are linked, given sorted links (first, second, …)."""
+    """True if robots i < j are linked, given sorted links (first, second, …)."""
     first, second = links[0], links[1]
     low, high = 0, len(first)
     while low < high:
@@ -233,7 +233,7 @@ def are_linked(i, j, links):
 
 @inner_kernel
 def _is_connected(first, second, count, places):
-    """Whether the links connect all robots; ``places`` holds the union-find parents."""
+    """True if the links connect all robots; ``places`` holds the union-find parents."""
     n = len(places)
     for i in range(n):
         places[i] = i

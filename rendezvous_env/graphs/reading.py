@@ -16,13 +16,13 @@ REMEDY = "graphs.from_edges takes lists of (i, j) or (i, j, weight)"
 
 
 def is_networkx(value: Any) -> bool:
-    """Whether a value is a networkx graph, or has the same methods."""
+    """True if a value is a networkx graph, or has the same methods."""
     names = ("is_directed", "nodes", "edges", "adj")
     return all(hasattr(value, name) for name in names) and not isinstance(value, type)
 
 
 def is_sparse(value: Any) -> bool:
-    """Whether a value is a sparse matrix or array of SciPy."""
+    """True if a value is a sparse matrix or array of SciPy."""
     return hasattr(value, "tocsr") and hasattr(value, "dtype")
 
 
@@ -47,18 +47,18 @@ def weight_of(given: Any) -> Any:
 
 
 def is_edge_view(value: Any) -> bool:
-    """Whether a value is an edge view of a networkx graph."""
+    """True if a value is an edge view of a networkx graph."""
     made = type(value)
     return made.__module__.partition(".")[0] == "networkx" and "Edge" in made.__name__
 
 
 def is_directed_view(value: Any) -> bool:
-    """Whether a value is an edge view of a directed networkx graph."""
+    """True if a value is an edge view of a directed networkx graph."""
     return is_edge_view(value) and type(value).__name__.startswith(("Out", "In"))
 
 
 def is_plain(value: Any) -> bool:
-    """Whether a value is a mapping of plain data, as opposed to edge views and sparse matrices."""
+    """True if a value is a mapping of plain data, as opposed to edge views and sparse matrices."""
     return isinstance(value, Mapping) and not (is_edge_view(value) or is_sparse(value))
 
 
@@ -81,7 +81,7 @@ def edge_rows(value: Any) -> list[Any] | None:
 
 
 def is_square(value: Any) -> bool:
-    """Whether a value is a table with as many columns as rows."""
+    """True if a value is a table with as many columns as rows."""
     if hasattr(value, "shape"):
         return len(value.shape) == 2 and value.shape[0] == value.shape[1]
     rows = value if is_sequence(value) else ()

@@ -65,7 +65,7 @@ class SwitchingGraph(Graph, kinds=("switching",)):
 
     @property
     def directed(self) -> bool:  # type: ignore[override]
-        """Whether any graph of the list is directed."""
+        """True if any graph of the list is directed."""
         return any(graph.directed for graph in self.graphs)
 
     def links(self, n: int) -> LinkArrays:

@@ -147,7 +147,7 @@ def _cone(row, corners, point, axes, out):
 
 @kernel
 def _is_hit(ray, offset, half, radius):
-    """Whether a half-line from the origin along a unit vector intersects a capsule."""
+    """True if a half-line from the origin along a unit vector intersects a capsule."""
     across, half_across = without(offset, ray), without(half, ray)
     share = _nearest_share(combine(-1.0, across, 0.0, across), half_across)
     if dot(combine(1.0, offset, share, half), ray) < 0.0:

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..compilation import kernel
 from ..physics.vectors import ORIGIN, add, cross, dot, load, norm, store, subtract, triple
-from ..robots.motion import chord_error_bound, closes, displacement_at
+from ..robots.motion import chord_error_bound, displacement_at, period
 from .obstacle_set import (
     clear_of_obstacles,
     distance_to,
@@ -111,7 +111,7 @@ def _out_of_skins(point, world):
 
 @kernel
 def _is_held(point, executed, way, world):
-    """Whether obstacles block a displacement.
+    """True if obstacles block a displacement.
 
     They leave less than a thousandth of it, or less than half where touched obstacles meet others.
     """
@@ -127,7 +127,7 @@ def _is_held(point, executed, way, world):
 
 @kernel
 def _first_contact(point, way, world, depth):
-    """Whether a straight path comes near any obstacle, and its fraction before contact, or inf."""
+    """True if a straight path comes near any obstacle, and its fraction before contact, or inf."""
     near, first = False, np.inf
     reach = norm(way) + max(0.0, -depth)
     for m in range(world.kinds.shape[0]):
@@ -195,7 +195,7 @@ def _first_contact_on_curve(point, curve, world):
     """
     model, action, _, memory = curve
     bent = chord_error_bound(model, action, memory)
-    duration = min(model.duration, closes(model, action, memory))
+    duration = min(model.duration, period(model, action, memory))
     here, time, piece = point, 0.0, duration
     work = 1
     for m in range(world.kinds.shape[0]):
@@ -247,7 +247,7 @@ def free_part(velocity, point, world, touched):
 
 @kernel
 def _is_free(velocity, touched, count):
-    """Whether a velocity enters no touched obstacle: one of its two half-spaces contains it."""
+    """True if a velocity enters no touched obstacle: one of its two half-spaces contains it."""
     rounding = 1e-12 * math.sqrt(dot(velocity, velocity))
     for i in range(0, count, 2):
         one, other = load(touched[i]), load(touched[i + 1])

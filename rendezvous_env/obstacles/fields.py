@@ -8,7 +8,7 @@ from typing import Annotated, Any, NamedTuple
 from ..checks import format_limit, is_int, is_sequence, raise_invalid
 from ..compilation import by_type, inner_kernel, kernel
 from ..field_docs import lists_fields
-from ..limits import MOST_OBSTACLES
+from ..limits import MAX_OBSTACLES
 from ..physics.random_streams import uniform
 from ..physics.vectors import load
 from .disc import BALL
@@ -23,8 +23,8 @@ _TRIES_PER_OBSTACLE = 1000
 def _check_count(field: str, value: Any) -> int | tuple[int, int]:
     pair = tuple(value) if is_sequence(value) else (value, value)
     whole = len(pair) == 2 and all(map(is_int, pair))
-    if not whole or not 0 <= pair[0] <= pair[1] <= MOST_OBSTACLES:
-        most = f"a pair (low, high) with 0 <= low <= high <= {MOST_OBSTACLES}"
+    if not whole or not 0 <= pair[0] <= pair[1] <= MAX_OBSTACLES:
+        most = f"a pair (low, high) with 0 <= low <= high <= {MAX_OBSTACLES}"
         raise_invalid(field, value, f"a whole number, or {most}")
     return int(value) if is_int(value) else (int(pair[0]), int(pair[1]))
 
@@ -48,7 +48,7 @@ class ObstacleField(Drawn):
     keep_out: Length = 0.5
     """Minimum distance of initial positions to a surface, m."""
     overlap: bool = True
-    """Whether obstacles may overlap."""
+    """True if obstacles may overlap."""
     passage: Length = 0.0
     """Minimum passage width, m: initial conditions in which some robots cannot reach each other
     through such gaps are sampled again. 0 disables the check; 3-D requires 0."""
@@ -135,7 +135,7 @@ def draw_field(key, rules, starts, n_starts, world):
 
 @inner_kernel
 def _fits(world, m, rules, starts, n_starts):
-    """Whether ball m is clear of initial positions and, if required, of earlier balls."""
+    """True if ball m is clear of initial positions and, if required, of earlier balls."""
     for i in range(n_starts):
         if distance_to(world, m, load(starts[i])) < rules.keep_out:
             return False
@@ -160,7 +160,7 @@ def draw_obstacles(key, rules, starts, n_starts, world):
 
 @kernel
 def is_possible(rules, world, positions, chains):
-    """Whether robots at positions (n, d), m, can reach each other, if the field guarantees that.
+    """True if robots at positions (n, d), m, can reach each other, if the field guarantees that.
 
     ``chains`` is (M, 2) int64 working memory.
     """

@@ -158,7 +158,7 @@ def normals(world, m, point):
 
 @kernel
 def is_hidden_by_obstacles(world, point, way):
-    """Whether the straight path from a point, triples, m, goes into an obstacle beyond contact."""
+    """True if the straight path from a point, triples, m, goes into an obstacle beyond contact."""
     for m in range(world.kinds.shape[0]):
         if world.kinds[m] != ABSENT and entry(world, m, point, way, CONTACT_DEPTH) <= 1.0:
             return True
@@ -179,7 +179,7 @@ def distances_to(world, points, out):
 
 @kernel
 def clear_of_obstacles(point, world, margin):
-    """Whether a point (a triple, m) has distances ≥ ``margin`` (m, signed) to all obstacles.
+    """True if a point (a triple, m) has distances ≥ ``margin`` (m, signed) to all obstacles.
 
     Skins are included.
     """
@@ -222,7 +222,7 @@ def close_seams(world, dim):
 
 @inner_kernel
 def _near(world, k, m):
-    """Whether bounding balls leave at most a gap that is closed."""
+    """True if bounding balls leave at most a gap that is closed."""
     if world.kinds[k] == ABSENT:
         return False
     return within(world, m, centre_of_row(world.shapes[k]), world.shapes[k, BOUND] + 2.0 * _GAP)
@@ -240,7 +240,7 @@ def _close(world, group, dim):
 
 @inner_kernel
 def _only_just_meet(world, group, dim):
-    """Whether −1.1 µm < ρ < 0.9 µm, ρ the least maximum of signed distances to a few shapes.
+    """True if −1.1 µm < ρ < 0.9 µm, ρ the least maximum of signed distances to a few shapes.
 
     True also if ρ cannot be determined.
     """
@@ -300,7 +300,7 @@ def clear(world):
 
 @kernel
 def within(world, m, point, reach):
-    """Whether the bounding ball (c, R) of obstacle m with skin is near: ‖p − c‖ ≤ R + reach, m."""
+    """True if the bounding ball (c, R) of obstacle m with skin is near: ‖p − c‖ ≤ R + reach, m."""
     if world.kinds[m] == ABSENT:
         return False
     square, bound = 0.0, world.shapes[m, BOUND] + world.skins[m] + reach

@@ -96,7 +96,7 @@ def row_width(value: Obstacles) -> int:
 
 
 def only_balls(value: Obstacles) -> bool:
-    """Whether a scenario's obstacles are discs or spheres, sampled or given."""
+    """True if a scenario's obstacles are discs or spheres, sampled or given."""
     if isinstance(value, Field):
         return value.only_balls
     return all(isinstance(obstacle, Disc | Sphere) for obstacle in value)

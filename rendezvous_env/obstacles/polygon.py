@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..checks import is_sequence, raise_invalid, short_repr
 from ..compilation import inner_kernel, kernel
-from ..limits import MOST_VERTICES
+from ..limits import MAX_VERTICES
 from ..physics.crossings import capsule_crossing
 from ..physics.vectors import combine
 from . import shape
@@ -66,8 +66,8 @@ def _check_vertices(field: str, value: Any) -> tuple[tuple[float, ...], ...]:
     """Validated vertices of a convex polygon, counterclockwise; errors give the simplest fault."""
     import shapely  # slow to import, and only polygons need it
 
-    if not is_sequence(value) or not 3 <= len(value) <= MOST_VERTICES:
-        raise_invalid(field, value, f"at least 3 points, at most {MOST_VERTICES}")
+    if not is_sequence(value) or not 3 <= len(value) <= MAX_VERTICES:
+        raise_invalid(field, value, f"at least 3 points, at most {MAX_VERTICES}")
     vertices = tuple(shape.check_point(f"{field}[{k}]", one, 2) for k, one in enumerate(value))
     points = shapely.points(vertices)
     near = shapely.STRtree(points).query(points, predicate="dwithin", distance=LEAST_THICKNESS)

@@ -19,7 +19,7 @@ _BEFORE, _SIDE = 0, 1
 
 @kernel
 def all_reachable(world, positions, passage, chains):
-    """Whether every robot can reach every other through gaps at least ``passage``, m, wide.
+    """True if every robot can reach every other through gaps at least ``passage``, m, wide.
 
     Positions, (n, 2), m, are at least half a passage from every disc; ``chains`` is (M, 2) int64
     working memory.
@@ -32,7 +32,7 @@ def all_reachable(world, positions, passage, chains):
 
 @inner_kernel
 def _apart(world, p, q, passage, chains):
-    """Whether discs separate two points: whether a chain has contradicting sides.
+    """True if discs separate two points: whether a chain has contradicting sides.
 
     Discs less than a passage apart count as connected.
     """
@@ -70,11 +70,11 @@ def _first_of_chain(chains, m):
 
 @kernel
 def _is_left(a, b, point):
-    """Whether a point is strictly to the left of the line from a to b."""
+    """True if a point is strictly to the left of the line from a to b."""
     return (b[0] - a[0]) * (point[1] - a[1]) - (b[1] - a[1]) * (point[0] - a[0]) > 0.0
 
 
 @kernel
 def crosses(a, b, p, q):
-    """Whether the segments a b and p q of the plane cross, each with its ends on both sides."""
+    """True if the segments a b and p q of the plane cross, each with its ends on both sides."""
     return _is_left(p, q, a) != _is_left(p, q, b) and _is_left(a, b, p) != _is_left(a, b, q)

@@ -132,7 +132,7 @@ def _nearest_of_segment(a, b):
 
 @inner_kernel
 def _holds_origin(a, b, c, d):
-    """Whether the origin lies inside a tetrahedron, with a margin for rounding."""
+    """True if the origin lies inside a tetrahedron, with a margin for rounding."""
     weights = (
         dot(b, cross(c, d)),
         -dot(a, cross(c, d)),

@@ -45,7 +45,7 @@ def move_apart(positions, displacements, lengths, size, work):
 
 @kernel
 def is_packed(positions, radius, work):
-    """Whether all discs are connected by contacts and each touches two others (one for n = 2).
+    """True if all discs are connected by contacts and each touches two others (one for n = 2).
 
     Contacts have ‖p_i − p_j‖ ≤ radius, m. Working memory is (order (n,) int64, reached (n,) bool).
     """

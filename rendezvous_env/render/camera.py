@@ -74,7 +74,7 @@ class Camera(NamedTuple):
         return moved / (1e-3 * self.nearness(points)[..., None])
 
     def hidden(self, points: Floats, obstacles: Floats) -> Bools:
-        """Whether a sphere hides each point (m, d), m, from view, (m,); False in the plane."""
+        """True if a sphere hides each point (m, d), m, from view, (m,); False in the plane."""
         spheres = [] if math.isinf(self.distance) else outlines(obstacles, 3)
         if not spheres:
             return np.zeros(len(points), dtype=np.bool_)

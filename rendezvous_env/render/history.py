@@ -21,7 +21,7 @@ class Moment(NamedTuple):
 
     @property
     def active(self) -> Bools:
-        """Whether each robot is active (not merged), (n,)."""
+        """True if each robot is active (not merged), (n,)."""
         return self.merged_into == np.arange(len(self.merged_into))
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 RENDER_MODES = ["human", "rgb_array"]
 """Render modes: a live window, or pictures as arrays."""
-MOST_TEAMS = 16
+MAX_TEAMS = 16
 """Maximum number of environments in a picture; the first ones are shown."""
 
 
@@ -41,7 +41,7 @@ class Renderer:
     robots that have become one, a cross is where they did; a ring is where one touched an obstacle.
     The view is fitted to the start and the obstacles. A legend explains wedges, arrows and lines.
     Space is seen in perspective, with plumb lines to the ground. Of more than one team the first
-    ``MOST_TEAMS`` stand side by side.
+    ``MAX_TEAMS`` stand side by side.
 
     Its owner calls ``reset`` and ``see`` after each reset and step. Nothing is kept without a
     render mode; a copy of it has the paths, but no window until its next reset.
@@ -65,7 +65,7 @@ class Renderer:
             raise_invalid("render_mode", render_mode, f"None or one of {RENDER_MODES}")
         self.render_mode, self.size = render_mode, size
         self._simulator, self._horizon = simulator, horizon
-        self._teams = min(simulator.num_envs, MOST_TEAMS)
+        self._teams = min(simulator.num_envs, MAX_TEAMS)
         self.policy = ""
         """Name of the policy, which the header of a picture shows."""
         self._histories: list[History] = []
@@ -118,7 +118,7 @@ class Renderer:
     def pictures(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Pictures of the single environments; errors and "human" mode as ``render``.
 
-        Environments beyond the first ``MOST_TEAMS`` share one blank picture.
+        Environments beyond the first ``MAX_TEAMS`` share one blank picture.
         """
         if (picture := self.render()) is None:
             return None

@@ -42,10 +42,10 @@ def ended(flags: Bools) -> NDArray[np.int64]:
 
 
 def sights(rows: Floats, positions: Floats, linked: Bools, in_order: bool) -> Bools:
-    """Whether robot i sees robot j, (n, n).
+    """True if robot i sees robot j, (n, n).
 
     Args:
-        rows: neighbour rows, (n, K, d), in the global frame; zero where nobody is seen.
+        rows: neighbour rows, (n, K, d), in the global frame; zero where no robot is visible.
         positions: (n, d), m.
         linked: whether i has a link to j, (n, n).
         in_order: whether row k of robot i is of robot k, or k + 1 from i on; else a row is taken

@@ -19,12 +19,12 @@ class Window:
 
     @property
     def closed(self) -> bool:
-        """Whether the window is closed."""
+        """True if the window is closed."""
         return self.screen is None
 
     @property
     def wants_picture(self) -> bool:
-        """Whether the next picture is due."""
+        """True if the next picture is due."""
         self._read_events()
         return self.paused or time.monotonic() - self._shown >= _LEAST_PAUSE
 
@@ -50,7 +50,7 @@ class Window:
         time.sleep(self._due - now)
 
     def is_held(self) -> bool:
-        """Whether it is paused without a pending single step."""
+        """True if it is paused without a pending single step."""
         self._read_events()
         if not self.paused or self.closed:
             return False

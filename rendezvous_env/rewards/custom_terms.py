@@ -21,17 +21,17 @@ class RewardStep(NamedTuple):
     positions: NDArray[np.float64]
     """Positions after the step, (B, n, d), m; a merged robot has that of its survivor."""
     took_part: NDArray[np.bool_]
-    """Whether each robot was active before the step, (B, n)."""
+    """True if each robot was active before the step, (B, n)."""
     active: NDArray[np.bool_]
-    """Whether each robot is active after the step, (B, n)."""
+    """True if each robot is active after the step, (B, n)."""
     contact: NDArray[np.bool_]
-    """Whether each robot had a contact in the step, (B, n)."""
+    """True if each robot had a contact in the step, (B, n)."""
     clearance: NDArray[np.float64]
     """Distance to the nearest obstacle, (B, n), m; inf without obstacles."""
     time: NDArray[np.float64]
     """Time since the start of the episode, (B,), s."""
     met: NDArray[np.bool_]
-    """Whether rendezvous occurred in the step, (B,)."""
+    """True if rendezvous occurred in the step, (B,)."""
     rise: NDArray[np.float64]
     """Increase of V before any merge relative to the initial V, (B,), at least 0."""
     links_lost: NDArray[np.int64]

@@ -63,7 +63,7 @@ def earned_in_episode(
     contacts: float,
     met: bool,
 ) -> dict[str, float]:
-    """What each built-in term but the penalty of clearance adds up to in an episode, by name.
+    """Sums of the built-in terms over an episode, by name, without the clearance penalty.
 
     Args:
         weights: w.

@@ -82,11 +82,11 @@ class _Equations(NamedTuple):
     init: Callable[..., Any] = _start_with_nothing
     """(model, key, counter) → memory at the start of an episode, sampled from at most three
     numbers of the stream ``key`` from ``counter`` on."""
-    closes: Callable[..., Any] = _never
+    period: Callable[..., Any] = _never
     """(model, action, memory) → period of the path, s, inf if it never closes; the contact
     search is limited to it."""
     drifts: bool = True
-    """Whether a robot may move under zero action; False allows skipping resting robots."""
+    """True if a robot may move under zero action; False allows skipping resting robots."""
 
 
 _RENAMED = {  # names of equations in version 0.2
@@ -94,6 +94,7 @@ _RENAMED = {  # names of equations in version 0.2
     "bend": "chord_error_bound",
     "remember": "update",
     "begin": "init",
+    "closes": "period",
 }
 
 
@@ -149,13 +150,13 @@ def motion_of(model: type) -> Motion | None:
 
 
 def frame_turns(model: type) -> bool:
-    """Whether frames of robots whose constants are of this type may rotate: ``Motion.frame``."""
+    """True if frames of robots whose constants are of this type may rotate: ``Motion.frame``."""
     return _MOTIONS[model].frame is not _fixed
 
 
 @by_type("model", lambda kind: _MOTIONS[kind].drifts)
 def drifts(model):
-    """Whether a robot may move under zero action, ‖Δ‖ > 0 m: ``Motion.drifts``."""
+    """True if a robot may move under zero action, ‖Δ‖ > 0 m: ``Motion.drifts``."""
 
 
 # Equations of the model with these constants; see ``Motion``.
@@ -180,8 +181,8 @@ def chord_error_bound(model, action, memory):
     """β, m/s², with ‖p(t) − chord‖ ≤ β h² within any time h of the step; 0 for straight paths."""
 
 
-@_equation("closes")
-def closes(model, action, memory):
+@_equation("period")
+def period(model, action, memory):
     """Period T, s, with p(t + T) = p(t) under a constant action; inf if there is none."""
 
 

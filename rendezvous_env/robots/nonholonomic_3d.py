@@ -32,8 +32,9 @@ def arc_3d(speed, yaw, pitch, yaw_rate, pitch_rate, duration):
 
         ẋ = v cos β cos α,  ẏ = v cos β sin α,  ż = v sin β,  α̇ = ω_α,  β̇ = ω_β     (eq. 9)
 
-    The products of cosines are written as sums of cosines of α + β and α − β, each of which grows
-    evenly. Speed v in m/s, yaw α and pitch β at the start in rad, rates in rad/s, duration in s.
+    The products of cosines are written as sums of cosines of α + β and α − β, which grow at
+    constant rates. Speed v in m/s, yaw α and pitch β at the start in rad, rates in rad/s, duration
+    in s.
     """
     distance = speed * duration
     cos_sum, sin_sum = mean_cos_sin(yaw + pitch, (yaw_rate + pitch_rate) * duration)

@@ -26,7 +26,7 @@ from ..checks import (
 )
 from .motion import FREE, STOPPED, Motion, check_function, motion_of
 
-MOST_KEPT = 4  # numbers that a robot model may keep from step to step
+MAX_KEPT = 4  # numbers that a robot model may keep from step to step
 _SAMPLES = 12
 _ROUNDING = 1e-9
 
@@ -55,12 +55,12 @@ class RobotModel:
     ``speed_limit`` (m/s, never exceeded)."""
     bounds: Annotated[Callable[[Any], list[float]], check_function]
     """Scenario → symmetric bound of each action component."""
-    n_angles: Annotated[int, partial(check_int, least=0, most=MOST_KEPT)] = 0
+    n_angles: Annotated[int, partial(check_int, least=0, most=MAX_KEPT)] = 0
     """Number of attitude angles, the first entries of the memory; 0 for a fixed frame."""
     n_kept: Annotated[Callable[[int], int], check_function] | None = None
     """Dimension → size of the memory; None is ``n_angles``."""
     keeps_velocity: bool = False
-    """Whether the memory after the angles is the velocity in the global frame, m/s, within the
+    """True if the memory after the angles is the velocity in the global frame, m/s, within the
     speed limit."""
     senses: Literal["gravity", "velocity"] | None = None
     """Last row of an observation: "gravity", "velocity", or nothing."""
@@ -69,7 +69,7 @@ class RobotModel:
     theorem: str | None = None
     """Theorem that covers its law in continuous time, for example "theorem 3"."""
     bounded: bool = False
-    """Whether the action is the velocity with bounds v_max, as assumed by theorems 1, 2, A and C
+    """True if the action is the velocity with bounds v_max, as assumed by theorems 1, 2, A and C
     and the bounds of theory 3."""
 
     def __post_init__(self) -> None:
@@ -78,8 +78,8 @@ class RobotModel:
         check_fields(self, f"{{}} of robot model {self.name!r}")
         for dim in self.dims:
             size = self.memory_size(dim)
-            wanted = f"from {self.n_angles}, its angles, to {MOST_KEPT}"
-            right = is_int(size) and self.n_angles <= size <= MOST_KEPT
+            wanted = f"from {self.n_angles}, its angles, to {MAX_KEPT}"
+            right = is_int(size) and self.n_angles <= size <= MAX_KEPT
             if right and self.keeps_velocity:
                 right, wanted = size == self.n_angles + dim, f"{self.n_angles + dim} with velocity"
             if not right:
@@ -92,7 +92,7 @@ class RobotModel:
 
     @property
     def nonholonomic(self) -> bool:
-        """Whether the robot moves along its body axis only; a ``bounded`` one is holonomic."""
+        """True if the robot moves along its body axis only; a ``bounded`` one is holonomic."""
         return self.n_angles > 0 and not self.bounded
 
 
@@ -133,7 +133,7 @@ def register_robot_model(model: RobotModel, *, replace: bool = False) -> None:
 
 
 def is_custom(model: RobotModel) -> bool:
-    """Whether a robot model is custom."""
+    """True if a robot model is custom."""
     return not getattr(model.constants, "__module__", "").startswith(__package__)
 
 
@@ -300,9 +300,9 @@ class _Asked(NamedTuple):
         bent = to_float(self.ask("chord_error_bound", self.action, memory))
         if not 0.0 <= bent < math.inf:
             self.refuse("chord_error_bound", bent, "a finite number, 0 or more")
-        closes = self.ask("closes", self.action, memory)
-        if not to_float(closes) > 0.0:
-            self.refuse("closes", closes, "a positive number, inf for never")
+        period = self.ask("period", self.action, memory)
+        if not to_float(period) > 0.0:
+            self.refuse("period", period, "a positive number, inf for never")
         slack = 1e-6 * (1.0 + float(np.linalg.norm(displacement)))
         for share in (0.0, 0.3, 0.5, 1.0):
             given = self.action, frame, memory, share * tau

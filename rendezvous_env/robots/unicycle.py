@@ -86,7 +86,7 @@ def _chord_error_bound(model, action, memory):
 
 
 @kernel
-def _closes(model, action, memory):
+def _period(model, action, memory):
     """2π/|ω|: a circle."""
     turn_rate = abs(clip(action[1], model.turn_limit))
     return 2.0 * math.pi / turn_rate if turn_rate > 0.0 else math.inf
@@ -116,7 +116,7 @@ describe(
         update=_update,
         frame=_frame,
         init=_init,
-        closes=_closes,
+        period=_period,
         drifts=False,
     ),
 )

@@ -18,7 +18,7 @@ from ..compilation import entry_point, kernel
 from ..engine import threads
 from ..engine.state_checks import StatefulMixin, check_actions, check_observations, check_rotations
 from ..engine.threads import Calls, Slice
-from ..limits import MOST_TEAMS
+from ..limits import MAX_TEAMS
 from ..physics.vectors import dot, load
 from ..scenario.scenario import Scenario
 from .frames import FRAMES, look_along_net_bearing
@@ -131,9 +131,9 @@ class SafetyFilter(StatefulMixin):
 
     Choices are held until the next ones; ``apply`` without choices uses them again. A subclass
     writes ``compute``, in NumPy, or ``apply_calls``, compiled; and adds to ``_memory`` and
-    ``diagnostics``. Its constructor takes ``(scenario, num_envs, *, num_threads=None, …)``, the
-    rest being its settings by name, of which a ValueError names the one that is wrong;
-    ``register_filter`` gives it a name.
+    ``diagnostics``. Its constructor takes ``(scenario, num_envs, *, num_threads=None, …)`` and
+    settings by name. A ValueError names an invalid setting. ``register_filter`` gives the class a
+    name.
 
     The methods ``observe_calls``, ``apply_calls`` and ``update_calls`` are those of the same name
     for the environments of one slice, unchecked: calls of compiled code, which threads make.
@@ -164,7 +164,7 @@ class SafetyFilter(StatefulMixin):
         choice("frame", frame, FRAMES)
         check_sees_all_neighbours(scenario)
         if num_threads is not None:
-            num_threads = check_int("num_threads", num_threads, 1, MOST_TEAMS)
+            num_threads = check_int("num_threads", num_threads, 1, MAX_TEAMS)
         n, d, layout = scenario.n_robots, scenario.dim, scenario.observation_layout
         self.scenario, self.action_size = scenario, action_size
         self.turns_body = scenario.model.nonholonomic
@@ -326,7 +326,7 @@ class SafetyFilter(StatefulMixin):
 
     @cached_property
     def supports_multi_step(self) -> bool:
-        """Whether ``apply``, ``compute``, ``observe`` and ``update`` are those above, so that a
+        """True if ``apply``, ``compute``, ``observe`` and ``update`` are those above, so that a
         thread can take its slice through many steps without waiting (``Simulator.drive``).
         """
         own, names = type(self), ("apply", "compute", "observe", "update")

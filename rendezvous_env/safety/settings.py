@@ -83,19 +83,19 @@ def error_chord(bearing_error: float) -> float:
 
 
 def is_complete(scenario: Scenario) -> bool:
-    """Whether every robot is always linked to every other (theory 2)."""
+    """True if every robot is always linked to every other (theory 2)."""
     graph, n = scenario.sensing_graph, scenario.n_robots
     return graph.fixed and not graph.directed and graph.most_links(n) == n * (n - 1) // 2
 
 
 def has_one_weight(scenario: Scenario) -> bool:
-    """Whether all links have the same weight, in m/s."""
+    """True if all links have the same weight, in m/s."""
     least, largest = scenario.sensing_graph.extreme_weights(scenario.n_robots)
     return bool(least == largest)
 
 
 def levels_follow_v(scenario: Scenario) -> bool:
-    """Whether stored energy follows V at merges (theorem D).
+    """True if stored energy follows V at merges (theorem D).
 
     This holds for single integrators on complete graphs of equal weights without obstacles.
     """

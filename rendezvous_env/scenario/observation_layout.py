@@ -44,9 +44,9 @@ class ObservationLayout:
     obstacle_slots: int = 0
     """M, obstacles that an observation has room for."""
     senses_gravity: bool = False
-    """Whether the last row is the direction of gravity (3-D nonholonomic robots)."""
+    """True if the last row is the direction of gravity (3-D nonholonomic robots)."""
     senses_velocity: bool = False
-    """Whether the last row is the robot's own velocity (double integrators)."""
+    """True if the last row is the robot's own velocity (double integrators)."""
 
     @property
     def silhouette_points(self) -> int:

@@ -1,4 +1,4 @@
-"""Scenario: everything one experiment is, checked once and then immutable."""
+"""Scenario: the complete, immutable and validated description of one experiment."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .. import checks, graphs
 from ..checks import Metres, Seconds, check_int, positive
 from ..field_docs import lists_fields
 from ..graphs import Graph, GraphLike
-from ..limits import LONGEST_NAME, MOST_OBSTACLES, MOST_ROBOTS, MOST_STEPS
+from ..limits import LONGEST_NAME, MAX_OBSTACLES, MAX_ROBOTS, MAX_STEPS
 from ..obstacles import parsing as obstacles
 from ..obstacles.parsing import Obstacles
 from ..rewards.costs import as_costs
@@ -36,7 +36,7 @@ Table = tuple[tuple[float, ...], ...]
 
 
 class TimeStepWarning(UserWarning):
-    """The time step is longer than the certified one, so V may rise between merges."""
+    """Time step longer than the certified one, so V may increase between merges."""
 
 
 def _check_name(field: str, value: Any) -> str:
@@ -55,104 +55,110 @@ def _check_dim(field: str, value: Any) -> int:
 @checks.names_unknown_fields("scenario")
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """One experiment: the team, its graph, the world, the clock and the reward.
+    """Complete description of an experiment: robots, graph, obstacles, time step and reward.
 
-    Instances are immutable, hashable and equal when their fields are. Derived constants of
+    Instances are immutable and hashable; equality compares all fields. Derived constants of
     theory.md sections 3 and 4 (``certified_step``, ``bottleneck_weight``, …) are properties.
-    The largest and smallest numbers that a field takes stand in ``limits.py``.
+    Numeric limits of the fields are constants in ``limits.py``.
 
     Raises:
-        ValueError: naming the field, its value and what would be right.
-        UnknownFieldError: for an unknown field, naming the nearest one; it is both a ValueError and
-            a TypeError.
+        ValueError: for an invalid field; the message gives the field, its value and a remedy.
+        UnknownFieldError: for an unknown field; the message gives the closest known one. It is both
+            a ValueError and a TypeError.
     """
 
     name: Annotated[str, _check_name] = "custom"
-    """What tables and files call it."""
-    n_robots: Annotated[int, partial(check_int, least=2, most=MOST_ROBOTS)] = 5
+    """Name in tables and files."""
+    n_robots: Annotated[int, partial(check_int, least=2, most=MAX_ROBOTS)] = 5
     """Number of robots n, at least 2."""
     dim: Annotated[int, _check_dim] = 2
-    """Dimension d of the space, 2 or 3."""
+    """Dimension d of the workspace, 2 or 3."""
     robot_model: Annotated[str, partial(checks.choice, choices=ROBOT_MODELS)] = "single_integrator"
-    """single_integrator or double_integrator (2-D or 3-D), unicycle (2-D), nonholonomic_3d (3-D),
-    or one that has been registered."""
+    """Robot model: single_integrator or double_integrator (2-D or 3-D), unicycle (2-D),
+    nonholonomic_3d (3-D), or a registered name."""
     graph: GraphLike = dataclasses.field(default_factory=graphs.complete)
-    """Who sees whom: a Graph, the name of one, a symmetric (n, n) matrix of weights a_ij in m/s,
-    dense or sparse, a list of edges (i, j) or (i, j, a_ij), or a networkx graph."""
+    """Sensing graph: a Graph, a name, a list of edges (i, j) or (i, j, a_ij), or a networkx
+    graph. Also a symmetric (n, n) matrix of weights a_ij in m/s, dense or sparse."""
     require_connected: bool = True
-    """Refuse a graph that is not connected: its robots can never all meet (theorem 1). A directed
-    one must have a robot that is reached from all, a switching one taken together; with a proximity
-    graph starts are drawn connected."""
+    """True if to reject a graph that is not connected, on which rendezvous is impossible
+    (theorem 1). A directed graph needs a robot that is reachable from all others; a switching
+    graph is judged by its union. With a proximity graph, initial conditions are sampled
+    connected."""
     merge_radius: Metres = 0.2
-    """r in m: neighbours that come this close become one robot."""
+    """Merge radius r, m: neighbours at most this far apart merge into one robot."""
     body_radius: Metres | None = None
-    """Of the disc or sphere that a robot is, m, at most r/2; everyone has to see everyone then.
-    None is a point, which hides others as a disc of r/2 where ``sensing`` lets robots hide."""
+    """Radius of each robot's disc or sphere, m, at most r/2; requires a complete graph. None is
+    a point robot; with occlusion by robots in ``sensing``, points occlude as discs of radius
+    r/2."""
     meeting: Literal["merge", "pack"] = "merge"
-    """merge, or pack: bodies stop where they would touch, and have met when they lie in one cluster
-    in which each is within r of two others. Robots see none of those they touch, unless they touch
-    all. In the plane, without obstacles."""
+    """Terminal condition. "merge": robots merge within r. "pack": bodies stop on contact and
+    rendezvous is one cluster in which each robot is within r of two others. With "pack", robots
+    do not observe robots in contact, unless all are. "pack" requires 2-D and no obstacles."""
     time_step: Seconds | None = None
-    """τ in s; None is the certified step r/(2D̄), with which V cannot rise between merges under
-    laws (1) and (4) on fixed undirected graphs; for 48 single integrators or more on a sparse graph
-    r/(2D), D the ``step_degree``, to which laws and wrappers scale velocities."""
+    """Time step τ, s. None is the certified step r/(2D̄), for which V cannot increase between
+    merges under laws (1) and (4) on fixed undirected graphs. For sparse graphs of 48 or more
+    single integrators, None is r/(2D), with D the ``step_degree``; laws and wrappers then scale
+    velocities."""
     allow_long_step: bool = False
-    """Do not warn about a time step longer than the certified one: it is meant."""
+    """True if to suppress the warning about a time step longer than the certified one."""
     time_limit: Seconds = 30.0
-    """Length of an episode in s; rounded up to whole steps."""
+    """Episode length, s, rounded up to whole steps."""
     max_speed: Annotated[float, partial(positive, unit="m/s")] | None = None
-    """v_max in m/s, direction kept; None is D̄, which law (1) never exceeds; from 48 single
-    integrators on, where the graph is sparse, the ``step_degree``, to which it is then cut."""
+    """Speed limit v_max, m/s; limiting preserves the direction. None is D̄, which law (1) never
+    exceeds. For sparse graphs of 48 or more single integrators, None is the ``step_degree``."""
     max_turn_rate: Annotated[float, partial(positive, unit="rad/s")] | None = None
-    """Largest ω, ω_β in rad/s (ω_α may be ten times larger, see nonholonomic_3d); None is D̄."""
+    """Turn rate limit of ω and ω_β, rad/s; None is D̄. The limit of ω_α is up to ten times
+    larger, see nonholonomic_3d."""
     max_acceleration: Annotated[float, partial(positive, unit="m/s²")] | None = None
-    """a_max in m/s² of a double integrator, direction kept; None is v_max per 0.25 s."""
+    """Acceleration limit a_max of double integrators, m/s²; limiting preserves the direction.
+    None, the default, is v_max per 0.25 s."""
     obstacles: Obstacles = ()
-    """Discs, convex polygons, capsules or spheres, or a random field drawn for every episode."""
+    """Discs, convex polygons, capsules or spheres, or a random field sampled in each episode."""
     obstacle_range: Metres = 2.0
-    """An obstacle is seen while its nearest point is within this distance, m."""
+    """Sensing range of obstacles, m, measured to the nearest point."""
     obstacle_slots: int | None = None
-    """M, obstacles that an observation has room for; None is as many as there can be. Rows beyond
-    those are zero."""
+    """Number of obstacles M in an observation; None is the maximum number of obstacles. Unused
+    rows are zero."""
     obstacle_overflow: Literal["error", "nearest"] = "error"
-    """Whether fewer ``obstacle_slots`` than obstacles are an error, or show the nearest of those in
-    range."""
+    """Handling of more obstacles than ``obstacle_slots``: an error, or only the nearest in range
+    are observed."""
     obstacle_contact: Literal["slide", "stop", "ignore"] = "slide"
-    """At an obstacle: slide along it, stop at it, or ignore it. Obstacles that touch or overlap act
-    as their union; gaps of less than 1.8 µm are closed."""
+    """Contact model: slide along the obstacle, stop, or ignore it. Touching or overlapping
+    obstacles act as their union; gaps below 1.8 µm are closed."""
     merge_through_obstacles: bool = True
-    """Whether robots merge through an obstacle thinner than ``merge_radius``. With False they merge
-    only where no obstacle is between them; until then they may be nearer than r, where V can rise,
-    so that the bounds on V (theorems A, C and D) no longer hold. Without obstacles, or where robots
-    ignore them, it has no effect. Theorems promise no rendezvous among obstacles either way."""
+    """True if robots merge through an obstacle thinner than ``merge_radius``. With False they
+    merge only if no obstacle is between them. Until then they may be closer than r and V can
+    increase, so the bounds on V (theorems A, C and D) do not hold. No effect without obstacles
+    or if contact is ignored. Rendezvous among obstacles is not guaranteed in either case."""
     neighbour_slots: int | None = None
-    """K, neighbour rows of an observation; None is the most neighbours that a robot can have in any
-    episode, merges included. Rows beyond n − 1 are zero. With fewer, a robot that comes to have
-    more neighbours is an error, unless ``neighbour_overflow`` is "nearest"."""
+    """Number of neighbour rows K in an observation. None is the maximum number of neighbours in
+    any episode, merges included. Rows beyond n − 1 are zero. Exceeding it raises an error,
+    unless ``neighbour_overflow`` is "nearest"."""
     neighbour_overflow: Literal["error", "nearest"] = "error"
-    """Whether more neighbours than ``neighbour_slots`` are an error, or the nearest are shown. Rows
-    that are left out no longer add up to f_i: no theorem holds then."""
+    """Handling of more neighbours than ``neighbour_slots``: an error, or only the nearest are
+    observed. The sum of incomplete rows differs from f_i, so no theorem holds."""
     spawn_size: Metres = 10.0
-    """Starts are drawn from a square or cube of this edge length about the origin, m."""
+    """Edge length of the square or cube about the origin in which initial positions are sampled,
+    m."""
     start_positions: Table | None = None
-    """(n, d) in m, if the start is given rather than drawn."""
+    """Fixed initial positions, (n, d), m; None samples them."""
     start_headings: Table | None = None
-    """(n, 1) yaw or (n, 2) yaw and pitch in rad, if they are given rather than drawn."""
+    """Fixed initial headings, rad: (n, 1) yaw, or (n, 2) yaw and pitch; None samples them."""
     local_frames: Literal["random", "global"] = "random"
-    """Frames of single integrators: a random fixed rotation for each robot, or the global frame."""
+    """Frames of single integrators: a random fixed rotation per robot, or the global frame."""
     on_merge: Literal["remove", "follow"] = "remove"
-    """A merged-away robot ends (remove), or stays with zero observations (follow)."""
+    """Agent of a merged robot: it ends ("remove"), or stays with zero observations ("follow")."""
     sensing: Annotated[Sensing, checks.of_class(Sensing)] = dataclasses.field(
         default_factory=Sensing
     )
-    """What the robots' sensors get wrong; by default nothing."""
+    """Sensor imperfections; none by default."""
     reward: Annotated[RewardWeights, checks.of_class(RewardWeights)] = dataclasses.field(
         default_factory=RewardWeights
     )
     """Weights of the reward terms."""
     costs: Annotated[tuple[str, ...], as_costs] = ()
-    """Costs beside rewards, for learners with constraints: "contact", "rise", "link_lost", or
-    registered reward terms; see ``rewards.costs``."""
+    """Costs for constrained learning: "contact", "rise", "link_lost", or registered reward
+    terms; see ``rewards.costs``."""
 
     def __post_init__(self) -> None:
         checks.check_fields(self)
@@ -168,60 +174,67 @@ class Scenario:
 
     @property
     def sensing_graph(self) -> Graph:
-        """The field ``graph`` as a Graph, which it is after construction."""
+        """``graph`` as a Graph, which it is after construction."""
         return cast(Graph, self.graph)
 
     @property
     def model(self) -> RobotModel:
-        """The robot model; a ValueError where it is not registered, as after another's pickle."""
+        """Robot model; ValueError if it is not registered, e.g. after unpickling."""
         return cast(RobotModel, ROBOT_MODELS[self.robot_model])
 
     @cached_property
     def max_degree(self) -> float:
-        """D̄, m/s: the largest D_i = Σ_j a_ij that an episode can produce (theory 4)."""
+        """Largest weighted degree D_i = Σ_j a_ij possible in an episode, D̄, m/s (theory 4)."""
         return float(self.sensing_graph.max_degree(self.n_robots))
 
     @cached_property
     def bottleneck_weight(self) -> float:
-        """a*, m/s, in the worst case, see ``GraphNumbers.bottleneck_weight`` (theory 3)."""
+        """Worst-case bottleneck weight a*, m/s; see ``GraphNumbers.bottleneck_weight`` (theory
+        3).
+        """
         return float(self.sensing_graph.bottleneck_weight(self.n_robots))
 
     @property
     def start_reach(self) -> float:
-        """Links up to this length, m, connect every start that is drawn, see ``Graph``."""
+        """Link length that connects every sampled initial condition, m; see ``Graph``."""
         return self.sensing_graph.start_reach(self)
 
     @property
     def dead_zone(self) -> float:
-        """δ = a*/(2n), m/s: below it a certified heading need not follow the net bearing."""
+        """δ = a*/(2n), m/s: a certified heading need not follow a net bearing shorter than δ."""
         return self.bottleneck_weight / (2 * self.n_robots)
 
     @property
     def certified_step(self) -> float:
-        """τ = r/(2D̄), s: the longest step for which it is proven that V cannot rise between merges
-        under laws (1) and (4) (theory 4); on graphs that are directed or change, half the longest
-        with which the hull cannot grow.
+        """Certified step r/(2D̄), s.
+
+        It is the longest step for which V provably cannot increase between merges under laws (1)
+        and (4) (theory 4). On directed or switching graphs it is half the longest step for which
+        the hull cannot grow.
         """
         return self._step_for(self.max_degree)
 
     @cached_property
     def step_degree(self) -> float:
-        """The D_i, m/s, that default step and speed are made for: D̄, or less in large sparse graphs
-        of single integrators (``GraphNumbers.step_degree``).
+        """Degree D_i, m/s, for the default step and speed.
+
+        It is D̄, or less on large sparse graphs of single integrators
+        (``GraphNumbers.step_degree``).
         """
         graph = self.sensing_graph
         return float(graph.step_degree(self.n_robots)) if self.model.bounded else self.max_degree
 
     @property
     def scales_velocity(self) -> bool:
-        """Whether the step in force is the default one of a large sparse graph, longer than
-        certified: laws then scale their velocities by r/(2 D_i τ) where that is below 1 (theory 4).
+        """True if the default step of a large sparse graph is in use, longer than certified.
+
+        Laws then scale their velocities by min(1, r/(2 D_i τ)) (theory 4).
         """
         return self.time_step is None and self.step_degree < self.max_degree
 
     @property
     def tau(self) -> float:
-        """τ, s: the step in force, r/(2D) with D the ``step_degree`` if none is given."""
+        """Time step τ in use, s; by default r/(2D), with D the ``step_degree``."""
         return self._step_for(self.step_degree) if self.time_step is None else self.time_step
 
     def _step_for(self, degree: float) -> float:
@@ -229,43 +242,43 @@ class Scenario:
 
     @property
     def merges_through(self) -> bool:
-        """Whether any two neighbours that come within r merge."""
+        """True if any two neighbours within r merge, obstacles or not."""
         nothing = not self.obstacles and not self.obstacle_slots  # nor given to any reset
         return self.merge_through_obstacles or nothing or self.obstacle_contact == "ignore"
 
     @property
     def max_steps(self) -> int:
-        """Steps until the time limit."""
+        """Time limit in steps."""
         return max(1, math.ceil(self.time_limit / self.tau - 1e-9))
 
     @property
     def speed_limit(self) -> float:
-        """v_max in force, m/s."""
+        """Speed limit v_max in use, m/s."""
         return self.step_degree if self.max_speed is None else self.max_speed
 
     @property
     def acceleration_limit(self) -> float:
-        """Largest acceleration in force, m/s²."""
+        """Acceleration limit in use, m/s²."""
         return 4.0 * self.speed_limit if self.max_acceleration is None else self.max_acceleration
 
     @property
     def turn_limit(self) -> float:
-        """Largest turn rate in force, rad/s."""
+        """Turn rate limit in use, rad/s."""
         return self.max_degree if self.max_turn_rate is None else self.max_turn_rate
 
     @property
     def action_size(self) -> int:
-        """Numbers in one robot's action."""
+        """Number of action components of one robot."""
         return len(self.action_bounds)
 
     @cached_property
     def action_bounds(self) -> NDArray[np.float64]:
-        """Symmetric bound on each number of an action, (a,): m/s, m/s², or m/s and rad/s."""
+        """Symmetric bounds of the action components, (a,): m/s, m/s², or m/s and rad/s."""
         return np.array(self.model.bounds(self), dtype=np.float64)
 
     @cached_property
     def observation_layout(self) -> ObservationLayout:
-        """Which row of an observation is what."""
+        """Layout of the observation rows."""
         slots, most = self.obstacle_slots, self.sensing_graph.most_neighbours(self.n_robots)
         return ObservationLayout(
             dim=self.dim,
@@ -277,14 +290,17 @@ class Scenario:
 
     @property
     def drops_neighbours(self) -> bool:
-        """Whether a robot may have more neighbours than rows, and only the nearest are shown."""
+        """True if a robot may have more neighbours than rows, so that only the nearest are
+        observed.
+        """
         slots, most = self.neighbour_slots, self.sensing_graph.most_neighbours(self.n_robots)
         return self.neighbour_overflow == "nearest" and slots is not None and slots < most
 
     @cached_property
     def with_all_rows(self) -> Scenario:
-        """The scenario itself, or with a row for each other robot and each obstacle where its own
-        layout has more rows than robots, or drops some.
+        """Scenario with one row for each other robot and each obstacle.
+
+        It is the scenario itself, unless its layout has more rows than robots or omits some.
         """
         changes: dict[str, Any] = {}
         if self.drops_neighbours or (self.neighbour_slots or 0) > self.n_robots - 1:
@@ -296,16 +312,19 @@ class Scenario:
         return self.replace(allow_long_step=True, **changes) if changes else self
 
     def replace(self, **changes: Any) -> Scenario:
-        """A copy with some fields changed; starts of another shape have to be given anew."""
+        """Return a copy with changed fields.
+
+        Given initial conditions of another shape must be given again.
+        """
         return dataclasses.replace(self, **changes)
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> Scenario:
-        """Read a scenario from a TOML file, whose name it has if none is given.
+        """Read a scenario from a TOML file; its default name is the file name.
 
         Raises:
-            FileNotFoundError: if there is no such file.
-            ValueError: for text that is not TOML, an unknown key or an impossible value.
+            FileNotFoundError: if the file does not exist.
+            ValueError: for invalid TOML, an unknown key or an invalid value.
         """
         plain = scenario_files.read(path)
         try:
@@ -315,12 +334,12 @@ class Scenario:
 
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> Scenario:
-        """A scenario from plain data, as TOML or JSON hold it; checked as ever."""
+        """Create a scenario from plain TOML or JSON data, with validation."""
         checks.mapping("a scenario's plain data", plain, "a mapping of fields to values")
         return checks.from_plain(cls, plain, "scenario")
 
     def to_plain(self) -> dict[str, Any]:
-        """Plain data, of which ``from_plain`` makes an equal scenario; None is an absent key."""
+        """Return plain data for ``from_plain``; fields of None are omitted."""
         plain = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         plain["graph"] = self.sensing_graph.to_plain()
         plain["obstacles"] = obstacles.to_plain(self.obstacles) or None
@@ -335,16 +354,16 @@ class Scenario:
         return {key: value for key, value in plain.items() if value is not None}
 
     def to_toml(self, path: str | os.PathLike[str]) -> None:
-        """Write a TOML file that ``from_toml`` reads back as an equal scenario."""
+        """Write a TOML file from which ``from_toml`` reads an equal scenario."""
         scenario_files.write(path, self.to_plain())
 
     def _check_graph(self) -> None:
         graph = graphs.parse(self.graph, self.n_robots)
         object.__setattr__(self, "graph", graph)
-        why = graph.why_not_joined(self.n_robots)
+        why = graph.connectivity_error(self.n_robots)
         if why is not None and self.require_connected:
             raise ValueError(f"graph is not connected: {why}, or pass require_connected=False")
-        self._check_slots("neighbour_slots", 1, MOST_ROBOTS, "a whole number from 1 to")
+        self._check_slots("neighbour_slots", 1, MAX_ROBOTS, "a whole number from 1 to")
 
     def _check_slots(self, field: str, least: int, most: int, wanted: str) -> None:
         slots = getattr(self, field)
@@ -355,17 +374,19 @@ class Scenario:
         parsed = obstacles.parse(self.obstacles, self.dim)
         object.__setattr__(self, "obstacles", parsed)
         count = obstacles.max_count(parsed)
-        if count > MOST_OBSTACLES:
-            raise ValueError(f"obstacles: {count} were given; at most {MOST_OBSTACLES} may be")
+        if count > MAX_OBSTACLES:
+            raise ValueError(f"obstacles: {count} were given; at most {MAX_OBSTACLES} may be")
         wanted = (
             f"at least the number of obstacles, {count}, unless obstacle_overflow is 'nearest', "
             "and at most"
         )
         least = 0 if self.obstacle_overflow == "nearest" else count
-        self._check_slots("obstacle_slots", least, MOST_OBSTACLES, wanted)
+        self._check_slots("obstacle_slots", least, MAX_OBSTACLES, wanted)
 
     def _check_bodies(self) -> None:
-        """Bodies do not overlap: they dock at r, where every pair does, or stop (guarantees 13)."""
+        """Check that bodies cannot overlap: every pair docks at r, or bodies stop (guarantees
+        13).
+        """
         packs, n, radius = self.meeting == "pack", self.n_robots, self.body_radius
         if radius is None:
             if packs:
@@ -405,10 +426,10 @@ class Scenario:
             wanted = "given where the graph has no edge: no step is certified"
             checks.raise_invalid("time_step", None, wanted)
         self.sensing_graph.check_fits(self)
-        if self.max_steps > MOST_STEPS:
+        if self.max_steps > MAX_STEPS:
             raise ValueError(
                 f"time_limit is {self.time_limit:g} s: {self.max_steps:.3g} steps of {self.tau:g} "
-                f"s; it must be at most {MOST_STEPS:.3g} steps"
+                f"s; it must be at most {MAX_STEPS:.3g} steps"
             )
         allowed = self.allow_long_step or self.scales_velocity
         if not allowed and self.tau > self.certified_step * (1 + 1e-12):
@@ -422,7 +443,7 @@ class Scenario:
 
 
 def _frames_to_caller() -> int:
-    """How far up the stack the code stands that made the scenario: its line is warned of."""
+    """Stack depth of the code that created the scenario, to which warnings refer."""
 
     def inside(frame: Any) -> bool:
         module = frame.f_globals.get("__name__", "")

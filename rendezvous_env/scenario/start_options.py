@@ -151,7 +151,7 @@ def _check_within(scenario: Any, weights: NDArray[np.float64]) -> None:
     """Raise a ValueError if given weights exceed the scenario's D̄, a* or number of rows."""
     n, directed = scenario.n_robots, scenario.sensing_graph.directed
     given = graphs.directed(weights) if directed else graphs.from_matrix(weights)
-    if scenario.require_connected and (why := given.why_not_joined(n)) is not None:
+    if scenario.require_connected and (why := given.connectivity_error(n)) is not None:
         raise ValueError(f"weights are not connected: {why}")
     if scenario.body_radius is not None and given.most_links(n) < n * (n - 1) // 2:
         raise ValueError("weights must link all robots with a body_radius: others would not stop")

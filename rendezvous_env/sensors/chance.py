@@ -114,7 +114,7 @@ def _near_zero(angle):
 
 @kernel(inline="code")
 def is_small(deviation):
-    """Whether no angle of this standard deviation, rad, exceeds π/4."""
+    """True if no angle of this standard deviation, rad, exceeds π/4."""
     return deviation <= _SMALL
 
 

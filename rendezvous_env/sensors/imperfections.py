@@ -45,18 +45,18 @@ class Imperfections(NamedTuple):
 
     @property
     def over_lanes(self) -> bool:
-        """Whether range, field of view or noise changes the rows of neighbours."""
+        """True if range, field of view or noise changes the rows of neighbours."""
         limited = math.isfinite(self.reach) or self.half_field < math.pi
         return limited or max(self.noise, self.bias, self.dropout) > 0.0
 
     @property
     def one_by_one(self) -> bool:
-        """Whether other imperfections apply, which process one environment at a time."""
+        """True if other imperfections apply, which process one environment at a time."""
         return self.obstacles_hide or self.robots_hide or self.error > 0.0 or self.sectors > 0
 
     @property
     def changes_silhouettes(self) -> bool:
-        """Whether any imperfection changes the rows of obstacles."""
+        """True if any imperfection changes the rows of obstacles."""
         turned = max(self.noise, self.bias) > 0.0 or self.sectors > 0
         return turned or self.half_field < math.pi
 
@@ -99,7 +99,7 @@ def neighbour_seen(pair, row, frame, sensor, places, scene):
 
 @inner_kernel
 def _is_hidden(pair, offset, sensor, obstacles, merged_into, radius, positions):
-    """Whether an obstacle or another robot, of this radius (m), is between robots i and j."""
+    """True if an obstacle or another robot, of this radius (m), is between robots i and j."""
     i, j = pair
     if obstacles is not None:
         if sensor.obstacles_hide and is_hidden_by_obstacles(obstacles, load(positions[i]), offset):
@@ -123,7 +123,7 @@ def _like(row, v):
 
 @kernel(inline="code")
 def is_seen(offset, frame, reach, half_field):
-    """Whether a point at an offset, m, from a robot with this frame is in range and in view.
+    """True if a point at an offset, m, from a robot with this frame is in range and in view.
 
     ‖offset‖ ≤ range (inf without a limit)   and   ∠(Rᵀ offset, x) ≤ field of view/2
 
@@ -137,7 +137,7 @@ def is_seen(offset, frame, reach, half_field):
 
 @kernel(inline="code")
 def is_in_view(direction, half_field):
-    """Whether a direction, of any length, in a robot's own frame is in its field of view.
+    """True if a direction, of any length, in a robot's own frame is in its field of view.
 
     A half angle of π is the full circle.
     """
@@ -148,7 +148,7 @@ def is_in_view(direction, half_field):
 
 @kernel
 def is_hidden_by_robot(offset, other, radius):
-    """Whether a nearer robot, a disc or sphere, occludes another robot.
+    """True if a nearer robot, a disc or sphere, occludes another robot.
 
     The former has a radius (m) and the offset ``other``, the latter ``offset``, triples, m. The
     nearest robot is always visible.

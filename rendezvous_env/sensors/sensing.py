@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from .. import checks
 from ..checks import Metres
 from ..field_docs import lists_fields
-from ..limits import MOST_DELAY, MOST_SECTORS
+from ..limits import MAX_DELAY, MAX_SECTORS
 from .custom_sensors import as_custom
 
 _FULL_CIRCLE = 2.0 * math.pi
@@ -31,18 +31,18 @@ _Deviation = Annotated[float, partial(checks.number, least=0.0, most=_FULL_CIRCL
 @checks.names_unknown_fields("sensing")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Sensing:
-    """How the robots' sensors differ from exact ones, which see every neighbour and turn nothing.
+    """Sensor model: differences from exact sensors, which measure the bearing of every neighbour.
 
-    Links, merges and V follow the graph, not what a sensor misses. A missing row is zero, any other
-    keeps its length. What is drawn belongs to seed, episode, step and ordered pair, so that an
-    episode is the same in any batch.
+    Links, merges and V follow the graph, regardless of missed detections. A missing row is zero;
+    all others keep their length. Random numbers depend on seed, episode, step and ordered pair, so
+    an episode is the same in any batch.
 
     There is no constant error of a robot's compass: it turns what the robot measures and the
     velocity that it commands alike, and cancels for laws without memory of directions. With such a
     compass robots move as with random ``Scenario.local_frames``.
 
     Raises:
-        ValueError: naming the field, its value and what would be right.
+        ValueError: naming the field, its value and the allowed values.
         UnknownFieldError: for an unknown field, naming the nearest one.
     """
 
@@ -62,9 +62,9 @@ class Sensing:
     rad (theorem N; guarantees, section 11)."""
     dropout: Annotated[float, partial(checks.number, least=0.0, most=1.0)] = 0.0
     """Probability that a neighbour is not detected in a step."""
-    delay: Annotated[int, partial(checks.check_int, least=0, most=MOST_DELAY)] = 0
+    delay: Annotated[int, partial(checks.check_int, least=0, most=MAX_DELAY)] = 0
     """Delay of observations, steps; the first observation is held until then."""
-    sectors: Annotated[int, partial(checks.check_int, least=2, most=MOST_SECTORS)] | None = None
+    sectors: Annotated[int, partial(checks.check_int, least=2, most=MAX_SECTORS)] | None = None
     """Number of sectors to which bearings are quantised, in 3-D in yaw and elevation (± π/2); None
     disables quantisation."""
     occlusion: Literal["none", "obstacles", "robots", "both"] = "none"
@@ -82,12 +82,12 @@ class Sensing:
 
     @property
     def exact(self) -> bool:
-        """Whether the sensor has no imperfection."""
+        """True if the sensor has no imperfection."""
         return self == _EXACT
 
     @property
     def built_in_exact(self) -> bool:
-        """Whether the sensor has no built-in imperfection."""
+        """True if the sensor has no built-in imperfection."""
         return dataclasses.replace(self, custom=()).exact
 
     def departures(self) -> str:

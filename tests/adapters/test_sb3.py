@@ -1,4 +1,4 @@
-"""Slots, ends and advantages, recomputed from single environments in plain Python."""
+"""Slots, episode ends and advantages, recomputed from single environments in plain Python."""
 
 import sys
 from collections import Counter
@@ -33,7 +33,7 @@ def one_torch_thread(set_threads):
 
 
 def collected(algorithm, env):
-    """A model after it has filled its buffer once, before any update."""
+    """A model after the first rollout, before any update."""
     model = algorithm("MlpPolicy", env, **SETTINGS)
     with torch.no_grad():
         model.policy.value_net.weight *= 30.0  # values that matter
@@ -48,7 +48,7 @@ def value_of(model, observation):
 
 
 def lived(model, team):
-    """Advantages of one team's robots by (step, slot), and how their lives ended.
+    """Advantages of one environment's robots by (step, slot), and the ends of their episodes.
 
     A team of a filled buffer is played again, robot by robot, and generalised advantages are taken
     over each life backwards from the value of its future.
@@ -243,7 +243,7 @@ def test_invalid_discrete_action_is_rejected():
 
 
 def test_vec_video_recorder_works(tmp_path, monkeypatch):
-    """``moviepy`` only writes what was recorded."""
+    """``moviepy`` only writes the recording."""
     monkeypatch.setitem(sys.modules, "moviepy", ModuleType("moviepy"))
     robots = make_robots(SCENARIO, 2, render_mode="rgb_array")
     film = VecVideoRecorder(robots, str(tmp_path), lambda step: step == 0, video_length=9)
@@ -335,7 +335,7 @@ def test_robot_slots_reject_foreign_reset_and_step():
 
 
 def test_infos_of_every_slot_hold_costs():
-    """In infos and as arrays, those of the vector environment; episodes add them up."""
+    """Infos and arrays equal those of the vector environment; episodes accumulate them."""
     scenario = rv.scenarios.get("clutter-16").replace(costs=("contact", "rise"), time_limit=1.0)
     robots, teams = make_robots(scenario, 3), rv.make_vec(scenario, 3, autoreset_mode="SameStep")
     robots.seed(4), robots.reset(), teams.reset(seed=4)

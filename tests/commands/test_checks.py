@@ -117,9 +117,13 @@ MISTAKES = {
     f"verify --trials {10**12}": "it must be 100000000 or less",
     "verify --only-batch -2": "--only-batch is -2",
     "verify --min-alignment 1": "--min-alignment is 1.0; it must be less than 1",
-    "verify --any --only-batch 3": "--only-batch is 3; --any tries no claims: leave it out",
-    "verify --any --claims lemma-1 bound-A": "--claims is lemma-1 bound-A; --any tries no claims",
-    "verify --kinds 3": "--kinds is 3; add --any",
+    "verify --any --only-batch 3": (
+        "--only-batch is 3; --random-scenarios tries no claims: leave it out"
+    ),
+    "verify --any --claims lemma-1 bound-A": (
+        "--claims is lemma-1 bound-A; --random-scenarios tries no claims"
+    ),
+    "verify --kinds 3": "--kinds is 3; add --random-scenarios",
     "verify --claims bound-D": "claim 'bound-D' is unknown; did you mean 'bound-",
     "bench --only btached": "btached",
     "bench --json /dev/null/bench.json": "--json /dev/null/bench.json: cannot write there",

@@ -1,4 +1,4 @@
-"""The command line, as a user meets it."""
+"""Command line interface."""
 
 import importlib
 import re
@@ -83,7 +83,7 @@ class TestHelp:
 
 
 def test_names_and_paths_are_not_markup(tmp_path, monkeypatch, capsys):
-    """They are printed as they are, by every command that names one."""
+    """Every command prints names unchanged."""
     monkeypatch.chdir(tmp_path)
     policy, scenario, out = "runs/[s1]", "m[red]:cat:", "o[/b]"
     shutil.copytree(Path(baselines.__file__).parent / "learned" / "pretrained", policy)
@@ -118,7 +118,7 @@ def test_set_overrides_scenario_fields():
 
 @pytest.mark.parametrize("step", [1e-9, 6e8])
 def test_compare_accepts_any_time_step(step, tmp_path):
-    """Kernels are made ready on two steps of the scenario itself, whose times no limit refuses."""
+    """Kernels are compiled in two steps of the scenario itself, for any step length."""
     limit = min(3 * step, 1e9)  # the longest time that a scenario takes
     words = ["--policy", "zero", "--episodes", "1", "--no-figures", "--out", str(tmp_path / "out")]
     words += ["--set", f"time_step={step}", f"time_limit={limit}", "allow_long_step=true"]
@@ -179,7 +179,7 @@ def test_completion_covers_all_commands_and_flags(tmp_path, capsys):
 
 @pytest.mark.parametrize(("figure", "through"), [("fig3", True), ("fig4", False)])
 def test_reproduce_writes_figure_and_data(figure, through, tmp_path):
-    """Figure 3 goes through obstacles, figure 4 round them."""
+    """Robots pass through obstacles in figure 3, and around them in figure 4."""
     assert run("reproduce", figure, "--out", str(tmp_path)) == 0
     written = {path.name for path in tmp_path.iterdir()}
     assert written == {f"{figure}.{suffix}" for suffix in ("png", "pdf", "npz", "csv")}

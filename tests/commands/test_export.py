@@ -1,4 +1,4 @@
-"""``rendezvous export``: the file does what the policy does, for any number of rows."""
+"""``rendezvous export``: equality of file and policy for any number of rows."""
 
 import json
 import pickle
@@ -54,7 +54,7 @@ BEFORE_DIGEST = DIGEST_KEY.encode() + b'\x12\x42"'
 
 
 def signed(content):
-    """A file with a digest that fits, whatever else is in it."""
+    """A file with a valid digest and arbitrary content."""
     before, found, after = content.partition(BEFORE_DIGEST)
     blank = before + BEFORE_DIGEST + (after if found else b"0" * 64 + b'"')
     end = len(before + BEFORE_DIGEST)
@@ -62,7 +62,7 @@ def signed(content):
 
 
 def refused(path, content, message):
-    """A robot does not run what stands in a file now."""
+    """A robot rejects the current content of a file."""
     path.write_bytes(content)
     with pytest.raises(checkpoints.CheckpointError, match=message):
         RobotPolicy(CLUTTER, path)
@@ -71,7 +71,7 @@ def refused(path, content, message):
 class TestNetwork:
     @pytest.mark.parametrize("name", shipped.NAMES)
     def test_onnx_runtime_matches_network_choices(self, exported, name):
-        """With no line of ours between: inputs by name, and an argmax."""
+        """Without code of this project: inputs by name, and an argmax."""
         session = onnxruntime.InferenceSession(exported / f"{name}.onnx")
         weights, settings = shipped_network(name)
         random, choices = np.random.default_rng(1), set()
@@ -120,7 +120,7 @@ class TestPolicy:
          ("learned-tank", "clutter-3d-32"), ("learned-tank", "uav-clutter-16")],
     )  # fmt: skip
     def test_exported_policy_moves_as_original(self, name, field, tmp_path):
-        """The network is all there is to a file: planes, features and tanks stand around it."""
+        """The file contains only the network, without planes, features and tanks."""
         path, scenario = tmp_path / "x.onnx", rv.scenarios.get(field).replace(time_limit=8.0)
         words = ["export", "--policy", name, "--out", str(path), "--checks", "100"]
         assert cli.main([*words, "--scenario", field]) == 0
@@ -185,7 +185,7 @@ class TestErrors:
         assert path.stat().st_size > 1000
 
     def test_damaged_onnx_file_is_rejected(self, exported, tmp_path):
-        """Any byte; of the digest and its name every one: else it would not be found."""
+        """Any byte of the file, and each byte of the digest and its key."""
         content, path = (exported / "learned.onnx").read_bytes(), tmp_path / "x.onnx"
         first, random = content.index(BEFORE_DIGEST), np.random.default_rng(1)
         own = range(first - 2, first + len(BEFORE_DIGEST) + 65)
@@ -221,7 +221,7 @@ SIZE, BARE = 8, {"learning_preset": False, "guarantee": None}
 
 
 def network_policy(scenario, **arguments):
-    """A torch module as a policy, of what robots observe without any preset."""
+    """A torch module as a policy, on raw observations."""
     size = training_env(scenario, 1, **arguments).single_observation_space.shape[1]
     torch.manual_seed(0)
     layers = torch.nn.Linear(size, SIZE), torch.nn.Tanh(), torch.nn.Linear(SIZE, 2)
@@ -241,7 +241,7 @@ def plain_function(scenario):
 
 
 class TestModels:
-    """A model of one's own as a file that runs anywhere."""
+    """A custom model as a self-contained file."""
 
     @pytest.fixture
     def write(self, tmp_path):

@@ -1,7 +1,7 @@
-"""Damaged result folders and runs, and senseless command lines: one line each, nothing changed.
+"""Fuzzing of damaged folders and command lines: one-line errors without side effects.
 
-The damage is drawn anew for every case, the same in every run of the tests. Some of it is sealed
-again, as if ``compare`` or ``train`` had written it, so that what lies behind the digests is tried.
+The damage is random but equal in every test run. Some damaged files get valid digests, as if
+``compare`` or ``train`` had written them, which tests the checks behind the digests.
 """
 
 import dataclasses
@@ -25,12 +25,12 @@ from train.learn import ppo
 
 
 def cases(fast, slow):
-    """How many cases a test tries by default, and how many under the marker ``slow``."""
+    """Number of cases by default, and with the marker ``slow``."""
     return pytest.mark.parametrize("count", [fast, pytest.param(slow, marks=pytest.mark.slow)])
 
 
 def tried(count, *strategies):
-    """Call a function with so many drawn cases."""
+    """Call a function with a number of random cases."""
 
     def run(check):
         limits = settings(max_examples=count, suppress_health_check=list(HealthCheck))
@@ -40,7 +40,7 @@ def tried(count, *strategies):
 
 
 def lay(folder, files):
-    """Make a folder hold just these files; the folder."""
+    """Fill a folder with exactly these files; returns the folder."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     for name, content in files.items():
@@ -54,7 +54,7 @@ def lay(folder, files):
 
 
 def said_by(words, folder, capsys):
-    """Exit status of a command; if it refuses, in one line, it has changed nothing."""
+    """Exit status of a command; a rejection has one line and no side effect."""
     before = contents(folder)
     try:
         status = cli.main([str(word) for word in words])
@@ -92,7 +92,7 @@ PLAIN = st.recursive(
 
 
 def places(plain):
-    """Where something else can stand in plain data: containers and keys."""
+    """Positions of replaceable values in plain data: containers and keys."""
     keys = plain if isinstance(plain, dict) else range(len(plain) if isinstance(plain, list) else 0)
     for key in keys:
         yield plain, key
@@ -100,7 +100,7 @@ def places(plain):
 
 
 def spoilt(draw, name, content):
-    """What is in a file is wrong, and as a file of its kind it is right."""
+    """Wrong content in a valid file format."""
     if name.endswith(".json"):
         plain = json.loads(content)
         place, key = draw(st.sampled_from([*places(plain)]))
@@ -114,7 +114,7 @@ def spoilt(draw, name, content):
 
 @st.composite
 def damaged(draw, files):
-    """Files, one of which is a folder now (None), or other bytes, or says something else."""
+    """Files with one replaced by a folder (None), other bytes, or other data."""
     name = draw(st.sampled_from(sorted(name for name in files if files[name] is not None)))
     kind = draw(st.sampled_from(["inside", "inside", "inside", "folder", *BYTES]))
     if kind == "folder":
@@ -128,12 +128,12 @@ def damaged(draw, files):
 
 
 def often(files):
-    """Files with one damage, or another one upon it."""
+    """Files with one damage, or two."""
     return damaged(files) | damaged(files).flatmap(damaged)
 
 
 _NONE_ANY_MORE = (ValueError, TypeError, AttributeError, LookupError, OSError, RecursionError)
-"""What a damaged description raises where it is to be sealed."""
+"""Errors of a damaged description when its digest is renewed."""
 
 
 @pytest.fixture(scope="module")
@@ -164,14 +164,14 @@ TINY = {
 
 @pytest.fixture(scope="module")
 def run_files(tmp_path_factory):
-    """Files of a run that is finished, so that to go on with it takes no time."""
+    """Files of a finished run, so that resuming takes no time."""
     folder = tmp_path_factory.mktemp("fuzz") / "run"
     assert ppo.run(ppo.Config(**TINY, out=folder)).status == 0
     return {name: content for name, content in contents(folder).items() if content is not None}
 
 
 def sign(folder):
-    """Make the descriptions of checkpoints fit their files again, where they still are some."""
+    """Renew the digests in the descriptions of checkpoints, if they are still valid JSON."""
     for place in (folder / "checkpoints").glob("step-*"):
         path = place / checkpoints.DESCRIPTION
         with suppress(*_NONE_ANY_MORE):
@@ -196,7 +196,7 @@ class TestRuns:
 
     @cases(40, 200)
     def test_load_rejects_damaged_policies(self, count, run_files, tmp_path, capsys):
-        """What ``learned:PATH`` reads."""
+        """Files read by ``learned:PATH``."""
         place = checkpoints.find(lay(tmp_path / "run", run_files))
         whole = contents(place)
         read = {name: whole[name] for name in ("checkpoint.json", "network.safetensors")}
@@ -218,7 +218,7 @@ class TestRuns:
 
 
 def meant(files):
-    """Files by what they say: a damage may put into a description what stood there already."""
+    """Files by content, since a damage may replace a value by an equal one."""
     return files | {"checkpoint.json": json.loads(files["checkpoint.json"])}
 
 
@@ -234,7 +234,7 @@ COMMANDS = {name: import_module(f"train.{module}") for name, (module, _) in cli.
 
 @st.composite
 def command_lines(draw):
-    """A command with flags that it has, or nearly, and values that may fit."""
+    """A command with mostly valid flags and values."""
     command = draw(st.sampled_from(sorted(COMMANDS)))
     fields = dataclasses.fields(COMMANDS[command].Config)
     words = [command]
@@ -254,7 +254,7 @@ def command_lines(draw):
 
 @pytest.fixture
 def no_work(monkeypatch):
-    """Commands stop where their settings have been accepted and work would begin."""
+    """Commands stop after validation, before their work."""
     from train.bench import bench
     from train.figures import render, style
     from train.leaderboard import command as leaderboard

@@ -1,5 +1,6 @@
-"""Ctrl-C and SIGTERM end every command soon, with one line; what was finished is kept, after a
-kill as well.
+"""Ctrl-C and SIGTERM: commands end soon with one line, and finished work is kept.
+
+Finished work is also kept after SIGKILL.
 """
 
 import random
@@ -25,20 +26,20 @@ COMMANDS = {
     "render": ["--scenario", "clutter-16", "--speed", "0.01", "--out", "x.gif"],
     "bench": ["--seconds", "60", "--only", "one-team"],
 }
-"""Those that can take long; the others go through the same lines of cli.py."""
+"""Commands that may take long; the others share the same lines of cli.py."""
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 KILLS = 16
 
 
 def start(words, folder, before=""):
-    """A command in a process of its own, whether or not this one ignores Ctrl-C."""
+    """Start a command in a new process, whether or not this one ignores Ctrl-C."""
     code = f"import sys, train.cli as c\n{before}\nsys.exit(c.main())"
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     return subprocess.Popen([sys.executable, "-c", code, *words], cwd=folder, text=True, **pipes)
 
 
 def stop(process, number):
-    """Send a signal; the exit status, what was said, and how long it took, s."""
+    """Send a signal; returns the exit status, the output, and the duration, s."""
     began = time.monotonic()
     process.send_signal(number)
     try:
@@ -139,7 +140,7 @@ def test_angle_reduction_of_huge_values_terminates():
 
 
 def live(words, folder, seconds=None):
-    """The exit status of a command, which is killed after so many seconds, if any."""
+    """Exit status of a command, which is killed after a number of seconds, if given."""
     process = start(words, folder)
     try:
         _, wrong = process.communicate(timeout=seconds)
@@ -151,7 +152,7 @@ def live(words, folder, seconds=None):
 
 
 def files(folder):
-    """All but what tells of time."""
+    """All entries except times."""
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != RUN}
 
 
@@ -163,8 +164,9 @@ def comparison(out, seed):
 
 @pytest.mark.slow
 def test_killed_compare_leaves_complete_folder(tmp_path):
-    """It is the old one or the new one, the same command goes on, and what comes of it in the end
-    is equal to what an uninterrupted run finds, bit for bit.
+    """The folder is the old or the new one, and the same command resumes.
+
+    The final result is bitwise equal to that of an uninterrupted run.
     """
     whole = {}
     for seed in (0, 1):

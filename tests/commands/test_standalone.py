@@ -1,4 +1,4 @@
-"""``rendezvous export --standalone``: one file, NumPy alone, the same robot."""
+"""``rendezvous export --standalone``: one NumPy-only file with equal actions."""
 
 import ast
 import json
@@ -32,7 +32,7 @@ SHORT = [("learned", "unicycle-6"), ("learned", "uav-6")]
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
-    """path(policy, scenario) of a file, written once."""
+    """Function path(policy, scenario): path of a file, written once."""
     folder = tmp_path_factory.mktemp("standalone")
 
     def path(policy, scenario="clutter-12"):
@@ -46,7 +46,7 @@ def exported(tmp_path_factory):
 
 
 def act_along(file, scenario, policy, seed, steps):
-    """The largest difference of a file's robots from ``RobotPolicy`` along the way of a team."""
+    """Largest difference between a file's robots and ``RobotPolicy`` along an episode."""
     kinds = (lambda: RobotPolicy(scenario, policy), file.RobotPolicy)
     robots = [[make() for make in kinds] for _ in range(scenario.n_robots)]
     simulator, batch, worst, moved = rv.Simulator(scenario), baselines.make(policy, scenario), 0, 0
@@ -130,7 +130,7 @@ print(json.dumps(acted))
 
 
 def test_standalone_file_runs_with_numpy_only(exported, tmp_path):
-    """An isolated interpreter without site-packages, and a folder with nothing but NumPy."""
+    """An isolated interpreter without site-packages, and a folder with NumPy only."""
     library, here = Path(np.__file__).parents[1], tmp_path / "library"
     here.mkdir()
     for name in ("numpy", "numpy.libs"):
@@ -162,7 +162,7 @@ def test_standalone_file_imports_only_numpy(exported, policy):
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_modified_standalone_file_is_rejected(exported, tmp_path, seed):
-    """Any byte: of weights, equations, words, and of the line that looks for changes."""
+    """Any byte of weights, equations, text, and of the line that checks the digest."""
     content, path = exported("learned-tank").read_bytes(), tmp_path / "robot.py"
     random, last = np.random.default_rng(seed), content.rstrip(b"\n").rfind(b"\n") + 1
     places = [*random.integers(0, len(content), 6 + 30 * seed), last, len(content) - 2]
@@ -281,7 +281,7 @@ def test_standalone_file_of_long_path_is_recognised(exported, tmp_path):
 
 class TestBundle:
     def test_bundle_includes_steering_and_disambiguates_names(self, exported):
-        """The command compares the file with the policy on drawn ticks."""
+        """The command compares file and policy on random ticks."""
         path = exported("learned-tank", "unicycle-6")
         assert "def gated_rates" in path.read_text(encoding="utf-8")
         file = standalone.load(path)
@@ -295,18 +295,19 @@ class TestBundle:
 
 
 ARENA, TICK = np.array([1.6, 1.0]), 0.033
-"""Half its size, m; s."""
+"""Half its size, m; time step, s."""
 WHEEL, BASE, FASTEST = 0.016, 0.105, 12.5
-"""Radius and distance of wheels, m; rad/s."""
+"""Radius and distance of wheels, m; maximum wheel speed, rad/s."""
 AHEAD, COLLISION, NEAR = 0.025, 0.135, 0.17
-"""Where ahead of the axle collisions are counted, below which distance, and from where a robot's
-proximity sensors tell that another is near, m."""
+"""Offset of the collision point ahead of the axle, collision distance, and range of the proximity
+sensors, m."""
 
 
 def simulate(file, n, seed, seconds, careful=True):
-    """Robots of the Robotarium that a file drives: unicycles in Euler's steps, wheels cut off one
-    by one where they are too fast. How often they collided, were outside and had wheels too fast,
-    how close they came, and how wide they stand.
+    """Simulated Robotarium robots under a file: unicycles in Euler steps with clipped wheel speeds.
+
+    Returns the numbers of collisions, exits and clipped wheels, the smallest distance, and the
+    final diameter.
     """
     random, poses = np.random.default_rng(seed), np.zeros((0, 3))
     while len(poses) < n:
@@ -420,7 +421,7 @@ from scipy.linalg import expm  # noqa: E402
 
 @pytest.fixture
 def own(tmp_path, monkeypatch):
-    """A file of a user's own, with a helper beside it, in the current folder."""
+    """A user's file with a helper module, in the current folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     for name, text in (("own_helper", HELPER), ("own_laws", OWN)):

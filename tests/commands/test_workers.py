@@ -1,4 +1,4 @@
-"""Tasks done by other processes: the same results, whoever does them and whatever is lost."""
+"""Tasks in worker processes: results do not depend on workers or on losses."""
 
 import os
 import signal
@@ -23,7 +23,7 @@ from train.verify.claims import CLAIMS
 
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch):
-    """Workers begin at once."""
+    """Start workers immediately."""
     monkeypatch.setattr(tasks, "_ALONE", 0.0)
 
 
@@ -42,7 +42,7 @@ class TestEach:
         assert os.getpid() not in processes and 1 <= len(processes) <= 2
 
     def test_matrix_products_use_one_thread_everywhere(self, set_threads):
-        """OpenBLAS and torch round otherwise on several, as many as cores unless told."""
+        """OpenBLAS and torch round differently on several threads, by default one per core."""
         set_threads(3)
         with threadpool_limits(3, "blas"):
             found = [
@@ -88,7 +88,7 @@ class TestEach:
                 os.kill(process, 0)
 
     def test_unfinished_tasks_are_dropped(self):
-        """Of many that are short: nothing looks for them any more."""
+        """Many short tasks: discarded ones are not searched for."""
         with closing(parallel_map(abs, range(-3000, 0), Workers(jobs=2))) as found:
             assert len(list(islice(found, 5))) == 5
 
@@ -99,7 +99,7 @@ class TestEach:
 
 
 def test_compare_with_two_workers_equals_one(tmp_path, monkeypatch):
-    """Of three blocks of starts for each policy and scenario."""
+    """Three blocks of initial conditions for each policy and scenario."""
     monkeypatch.setattr(playing, "BLOCK", 8)
     given = {"scenarios": ("duo", "clutter-8"), "policies": ("bearing-only", "learned")}
     given |= {"episodes": 20, "keep": 2, "ceiling": 1, "set": ("time_limit=10",), "figures": False}
@@ -148,9 +148,7 @@ class TestSeeds:
 
 
 def test_many_tasks_start_workers_at_once(tmp_path, monkeypatch):
-    """Where nothing is compiled yet, the first task takes as long as many, and the other cores
-    would wait for it.
-    """
+    """The first task compiles kernels and may take as long as many tasks, with idle cores."""
     monkeypatch.setattr(tasks, "_ALONE", 60.0)
     monkeypatch.setattr(playing, "make_ready", lambda *_: 1 / 0)  # where the one that asked plays
     given = {"scenarios": ("duo",), "policies": ("bearing-only", "unit-mean"), "episodes": 2}

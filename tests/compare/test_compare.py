@@ -1,4 +1,4 @@
-"""``rendezvous compare``: what it measures, and what it writes."""
+"""``rendezvous compare``: metrics and files."""
 
 import json
 import math
@@ -22,7 +22,7 @@ from train.report.input import read
 
 
 def batch(**changed):
-    """Episodes of four starts: two clean, one with a contact, one time-out at 10 s."""
+    """Four episodes: two collision-free, one with a contact, one time-out at 10 s."""
     nothing = np.zeros(4)
     values = dict.fromkeys(Episodes.__dataclass_fields__, nothing)
     values |= {
@@ -178,7 +178,7 @@ class TestMeasures:
         assert np.isnan(done.time_bound).all()
 
     def test_unicycle_alignment_uses_body_axis(self):
-        """Both robots look along y at right angles to each other: alignment 0 at the start."""
+        """Both robots face along y at right angles to each other: initial alignment 0."""
         scenario = Scenario(
             n_robots=2,
             robot_model="unicycle",
@@ -274,7 +274,7 @@ class TestStatistics:
         assert (row["policy"], row["clean_difference"]) == ("bearing-only", -0.25)
 
     def test_bootstrap_of_many_samples_uses_little_memory(self):
-        """All resamples of 20,000 starts together would take 320 MB, and their indices as much."""
+        """All resamples of 20,000 episodes at once would take 320 MB, and as much for indices."""
         tracemalloc.start()
         low, high = statistics.bootstrap_interval((np.arange(20_000) % 2,), np.mean)
         most = tracemalloc.get_traced_memory()[1]
@@ -287,7 +287,7 @@ class TestStatistics:
 
 
 def test_wall_scenario_defeats_all_policies():
-    """Theory 6: V would have to rise."""
+    """Passing the wall would require an increase of V (theory 6)."""
     scenario = scenarios.get("wall")
     for name in baselines.names(scenario):
         done, _ = run_play(scenario, name, 64)
@@ -301,7 +301,7 @@ def test_wall_scenario_defeats_all_policies():
 def test_merge_excess_is_reported_as_error(
     tmp_path, monkeypatch, capsys, merge_radius, excess, status
 ):
-    """Of V as much is rounding as 10⁻⁹ r D̄, here of D̄ = 1 m/s."""
+    """Rounding of V is up to 10⁻⁹ r D̄, here with D̄ = 1 m/s."""
     scenario = scenarios.get("duo").replace(start_positions=None, merge_radius=merge_radius)
     scenario.replace(spawn_size=10 * merge_radius).to_toml(path := tmp_path / "a.toml")
     config = compare.Config(
@@ -321,7 +321,7 @@ def test_merge_excess_is_reported_as_error(
 
 
 def test_first_failure_is_recorded(tmp_path):
-    """The rule that ignores what stands in its way fails on some start, of which none is kept."""
+    """The rule without avoidance fails on an initial condition that is not recorded otherwise."""
     words = {"scenarios": ("clutter-8",), "policies": ("bearing-only",), "figures": False}
     config = compare.Config(**words, episodes=12, keep=1, seed=2, out=tmp_path / "out")
     assert compare.run(config) == 0

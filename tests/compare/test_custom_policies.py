@@ -1,4 +1,4 @@
-"""A user's own policies by ``module:function``, out of the folder in which the command runs."""
+"""Custom policies as ``module:function`` from the current folder."""
 
 import importlib
 import linecache
@@ -60,7 +60,7 @@ def of_one_team(scenario):
 
 @pytest.fixture
 def mine(tmp_path, monkeypatch):
-    """The name of a module in the current folder, one that no test has imported before."""
+    """Name of a module in the current folder that no test has imported before."""
     name = f"mine_{tmp_path.name.replace('-', '_')}"
     (tmp_path / f"{name}.py").write_text(MINE)
     monkeypatch.chdir(tmp_path)
@@ -98,7 +98,7 @@ def edit(mine):
 
 
 def test_changed_source_is_another_comparison(mine, tmp_path):
-    """Once it is imported: worker processes would import the one, this process has the other."""
+    """After the import, workers would import another version than this process has."""
     config = compare.Config(scenarios=("duo",), policies=(f"{mine}:law",), out=tmp_path / "out")
     first = playing.plan_of(compare.plan(config), config)
     edit(mine)
@@ -113,7 +113,7 @@ def test_changed_source_is_another_comparison(mine, tmp_path):
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_rows_come_from_one_source_version(jobs, mine, tmp_path, monkeypatch):
-    """An edit in the midst of a comparison reaches workers, which have imported nothing yet."""
+    """An edit during a comparison would reach workers, which import later."""
     monkeypatch.setattr(tasks, "_ALONE", 0.0)
     monkeypatch.setattr(compare, "plan_of", lambda *given: (playing.plan_of(*given), edit(mine))[0])
     given = {"scenarios": ("duo",), "policies": (f"{mine}:law",), "episodes": 3, "figures": False}
@@ -179,7 +179,7 @@ def test_user_module_does_not_shadow_others(mine, tmp_path):
 
 
 def test_registered_scenario_runs_in_this_process():
-    """Other processes import nothing that registers a sensor, a term, a graph or a model."""
+    """Other processes lack registered sensors, reward terms, graphs and models."""
 
     @rv.sensor_imperfection("of this process")
     def blank(seen):
@@ -193,7 +193,7 @@ def test_registered_scenario_runs_in_this_process():
 
 
 def test_function_of_main_runs_in_this_process(monkeypatch, tmp_path):
-    """In a worker, and in a notebook's, another program is ``__main__``."""
+    """``__main__`` is another program in a worker or in a notebook."""
     monkeypatch.setattr(tasks, "_ALONE", 0.0)
     main = sys.modules["__main__"]
     monkeypatch.setattr(main, "mine", lambda scenario: lambda seen, time: seen[..., 0, :], False)
@@ -228,7 +228,7 @@ def changed(scenario):
 
 @pytest.mark.parametrize("in_file", [True, False])
 def test_registered_extensions_are_part_of_plan(in_file, tmp_path, registry):
-    """Else an edit between Ctrl-C and the same command again mixes old cells with new ones."""
+    """Otherwise an edit before resuming would mix old and new results."""
     cell = tmp_path / "cell.py"
 
     def planned(source):
@@ -255,7 +255,7 @@ def test_registered_extensions_are_part_of_plan(in_file, tmp_path, registry):
 
 
 class TestLabels:
-    """What a policy is called in tables, figures and the report."""
+    """Label of a policy in tables, figures and the report."""
 
     def test_a_label_stands_for_the_name(self, tmp_path):
         wanted = ("my law=bearing-only", "zero")

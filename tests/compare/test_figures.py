@@ -1,4 +1,4 @@
-"""Figures of compare and reproduce: a policy has one colour, axes are equal, data are right."""
+"""Figures of compare and reproduce: consistent colours, equal axes, correct data."""
 
 import re
 from functools import cache
@@ -21,7 +21,7 @@ from train.figures import figures, path_figures, reproduce, style
 
 
 def row(scenario, policy, clean, **others):
-    """A row of results.csv."""
+    """Row of results.csv."""
     return {
         "scenario": scenario, "policy": policy, "success": 1.0, "success_low": 0.9,
         "success_high": 1.0, "clean_success": clean, "clean_low": clean - 0.1,
@@ -30,7 +30,7 @@ def row(scenario, policy, clean, **others):
 
 
 def lightness_and_hue(code):
-    """Where a colour-blind reader sees a colour: lightness, and blue against yellow."""
+    """Colour as perceived with colour blindness: lightness, and blue against yellow."""
     red, green, blue = to_rgb(code)
     light = 0.3 * red + 0.59 * green + 0.11 * blue
     return np.array([light, blue - (red + green) / 2])
@@ -98,7 +98,7 @@ class TestSweeps:
 
 
 def texts_of(figure):
-    """What is written and where, pixels: every visible text but the empty ones."""
+    """Text and position, pixels, of every visible text that is not empty."""
     figure.draw_without_rendering()
     outside = {
         id(label)
@@ -115,7 +115,7 @@ def texts_of(figure):
 
 
 def assert_readable(figure, across=style.COLUMN):
-    """It is so wide, inches, and no text covers another one, or leaves the picture."""
+    """Check the width, inches, and that no texts overlap or leave the figure."""
     assert figure.get_figwidth() == across
     found, (width, height) = texts_of(figure), figure.get_size_inches() * figure.dpi
     assert len(found) > 5
@@ -137,7 +137,7 @@ def recorded(name, policy):
 
 @cache
 def drawn(name, policy):
-    """Its picture."""
+    """Figure of the episode."""
     return path_figures.team_figure(rv.scenarios.get(name), recorded(name, policy), policy)
 
 
@@ -229,7 +229,7 @@ class TestPrint:
 
 class TestEpisodes:
     def test_dollar_in_name_is_literal(self, tmp_path):
-        """It is no formula, and every other text is none either."""
+        """No text of the figure is a formula."""
         name, policy = r"m$x$ $\bad{$", r"runs/$\worse{$"
         scenario = rv.scenarios.get("clutter-4").replace(name=name)
         recording = recorded("clutter-4", "zero")
@@ -245,7 +245,7 @@ class TestEpisodes:
     @pytest.mark.parametrize("axis", [0, 1])
     @pytest.mark.parametrize("u", [1e-6, 1.0, 1e6])
     def test_collinear_robots_have_readable_figure(self, u, axis):
-        """Its height was that of a line, and in a small world its width nothing."""
+        """The figure had the height of a line, and in a small world no width."""
         start = np.zeros((3, 2))
         start[:, axis] = u * np.arange(3)
         scenario = rv.Scenario(

@@ -1,4 +1,4 @@
-"""How many starts a scenario has: one, where an episode draws nothing that matters."""
+"""Number of initial conditions of a scenario: one without relevant randomness."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from train.compare.evaluation import counts_contacts, starts_of
 
 GIVEN = Scenario(n_robots=3, start_positions=((0.0, 0.0), (3.0, 0.0), (0.0, 4.0)))
 FAR = Capsule(((90.0, 0.0), (91.0, 0.0)), 0.1)
-"""Robots with inertia beside it are a kind of team that other tests have, too."""
+"""The double integrator needs no further compilation, as other tests have it."""
 CYCLIST = GIVEN.replace(robot_model="unicycle")
 CASES = {
     "fig3": scenarios.get("fig3"),
@@ -29,7 +29,7 @@ CASES = {
 
 
 def starts(scenario, seeds):
-    """What each of some starts consists of, the robots' frames aside."""
+    """Content of several initial conditions, without the robots' frames."""
     simulator = Simulator(scenario, seeds)
     simulator.reset(0)
     parts = (simulator.positions, simulator.headings, simulator.weights, simulator.obstacles)
@@ -44,7 +44,7 @@ def test_fixed_initial_condition_counts_once(case):
 
 
 def test_random_frames_do_not_count_as_randomness():
-    """They are drawn in fig4, and all teams of law (1) move the same to rounding."""
+    """fig4 samples the frames, and law (1) moves all teams equally up to rounding."""
     import baselines
     from rendezvous_env import rollout
 

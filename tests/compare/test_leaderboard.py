@@ -1,4 +1,4 @@
-"""Algorithms × fields × seeds: statistics by hand, cells that repeat, the filter's promise."""
+"""Leaderboard: statistics by hand, reproducible runs, guarantee of the filter."""
 
 import json
 import re
@@ -107,7 +107,7 @@ def test_filters_differ_in_contacts_and_rises():
 
 
 def test_lagrange_multiplier_grows_with_contacts_and_is_bounded():
-    """λ ← λ + 2 (J − 0.1)/16 after a rollout, with J touches an episode."""
+    """λ ← λ + 2 (J − 0.1)/16 after a rollout with J contacts per episode."""
     paid, robots = SimpleNamespace(multiplier=0.0), SimpleNamespace(costs={})
     rule = multiplier_of(paid, robots, 0.1)
     for touches, ended, expected in ((3, 2, 0.175), (0, 0, 0.175), (0, 1, 0.1625), (900, 1, 20.0)):
@@ -148,7 +148,7 @@ def test_leaderboard_writes_record_per_run_and_tables(board):
 
 
 def test_law_is_evaluated_as_in_compare(board):
-    """The same starts and policy give the same times, by another loop."""
+    """Another loop gives the same times for the same initial conditions and policy."""
     job = Job(scenarios.get("clutter-8"), "bearing-only")
     played = play_job(job, episodes=8, seed=EVALUATION_SEEDS).episodes
     law = cards_of.read_cards(board)[0]["results"]
@@ -240,7 +240,7 @@ def test_runs_without_replay_are_repeated_with_record(board, tmp_path):
 
 
 def test_foreign_files_are_not_overwritten(board, tmp_path, monkeypatch):
-    """And nothing is played for a folder that cannot be written to."""
+    """A folder that is not writable is reported before any episode."""
     monkeypatch.setattr(command, "play_all", lambda *given: 1 / 0)
     (tmp_path / "README.md").write_text("mine")
     with pytest.raises(UserError, match=r"holds 'README\.md', which leaderboard has not written"):
@@ -253,7 +253,7 @@ def test_foreign_files_are_not_overwritten(board, tmp_path, monkeypatch):
 
 
 def test_missing_libraries_are_skipped_or_named(monkeypatch, capsys, tmp_path):
-    """None of it where all names are meant; asked for by name it is an error."""
+    """Missing packages are skipped by default, and an error for explicit names."""
     monkeypatch.setattr(registry.Algorithm, "missing", property(lambda own: list(own.packages)))
     named = {place.algorithm for place in command.plan(command.Config())}
     assert named == {"bearing-only", "tangent-joined-tuned", "tank-joined"}

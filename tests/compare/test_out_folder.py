@@ -1,4 +1,4 @@
-"""OUT is whole or not there; what was finished is gone on with; one process at a time writes."""
+"""Output folder: atomic, resumable, and with one writing process at a time."""
 
 import json
 import os
@@ -33,14 +33,14 @@ def config(out, **changes):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """What a comparison that nothing stopped writes."""
+    """Files of an uninterrupted comparison."""
     out = tmp_path_factory.mktemp("whole") / "out"
     assert compare.run(config(out)) == 0
     return contents(out)
 
 
 def stopped(settings, after):
-    """Compare until some jobs are finished, and stop in the next one."""
+    """Run a comparison and interrupt it after some jobs."""
     real, done = playing.play_job, 0
 
     def play_job(job, **options):
@@ -136,17 +136,17 @@ class TestGoingOn:
 
 
 class TestPlace:
-    """What a kill at each moment of the end leaves, and how it is put right."""
+    """Results of a kill at each final stage, and their repair."""
 
     @pytest.fixture
     def finished(self, tmp_path):
-        """A finished OUT and the settings of another comparison into it."""
+        """A finished OUT, and settings of another comparison with the same OUT."""
         settings = config(tmp_path / "out", ceiling=0)
         assert compare.run(settings) == 0
         return settings
 
     def killed_at(self, settings, monkeypatch, name, call):
-        """Run another seed until call number ``call`` of a function with a folder."""
+        """Run another seed up to call number ``call`` of a function on a folder."""
         where = out_folder if name == "seal" else Path
         real, calls = getattr(where, name), 0
 
@@ -245,7 +245,7 @@ class TestRefusals:
 
 class TestLocks:
     def test_concurrent_compare_is_rejected(self, tmp_path, one_line):
-        """The lock of a process that is killed is free."""
+        """A killed process releases its lock."""
         out, words = tmp_path / "out", "compare --scenarios duo --episodes 1 --no-figures".split()
         code = (
             "import sys, time, pathlib, train.resume\n"

@@ -1,4 +1,4 @@
-"""The answer of ``compare``: who wins, who is tied with the winner, and how it is shown."""
+"""Ranking of ``compare``: winners, ties, and their display."""
 
 import io
 import json
@@ -19,7 +19,7 @@ STARTS = 200
 
 
 def played(scenario, policy, clean, time=5.0):
-    """Made-up episodes: clean on the given share of the starts, the first ones."""
+    """Synthetic episodes, collision-free on the given fraction, the first ones."""
     hits = clean if isinstance(clean, np.ndarray) else np.arange(STARTS) < clean * STARTS
     count = len(hits)
     values = dict.fromkeys(Episodes.__dataclass_fields__, np.zeros(count))
@@ -29,7 +29,7 @@ def played(scenario, policy, clean, time=5.0):
 
 
 def shown(table, width=tables.WIDTH):
-    """A table, or the matrix of some rankings, as it is printed."""
+    """Printed table, or printed matrix of rankings."""
     console = Console(file=io.StringIO(), width=width)
     tables.show_matrix(table, console) if isinstance(table, list) else console.print(table)
     return console.file.getvalue()
@@ -44,7 +44,7 @@ class TestRanking:
 
     @pytest.mark.parametrize(("worse", "tied"), [(0, True), (2, True), (8, False)])
     def test_tie_is_paired_interval_containing_zero(self, worse, tied):
-        """So many starts of 200 are lost; two of them are within what chance does."""
+        """Numbers of failures out of 200; two of them are within statistical error."""
         best = np.arange(STARTS) < 150
         other = best & (np.arange(STARTS) >= worse)
         pair = [played("fig4", "tangent", best, 1.0), played("fig4", "tangent-joined", other, 2.0)]
@@ -92,7 +92,7 @@ class TestRanking:
 
     @pytest.mark.parametrize(("starts", "tied"), [(2, True), (3, True), (4, False)])
     def test_few_unanimous_samples_may_be_chance(self, starts, tied):
-        """Of 4 of 4 Wilson's lower end is 4/(4 + 1.96²) = 0.51: more than half."""
+        """Wilson's lower end for 4 of 4 is 4/(4 + 1.96²) = 0.51: more than half."""
         hits = {"tangent": np.ones(starts, bool), "bearing-only": np.zeros(starts, bool)}
         pair = {name: played("fig4", name, hit) for name, hit in hits.items()}
         [found] = ranking.rank(list(pair.values()))
@@ -199,7 +199,7 @@ class TestTables:
         assert "fig4, one start" in text and "nan" not in text and "[" not in lines["tangent"]
 
     def test_tables_show_small_lengths(self):
-        """In one of micrometres V may double by a rise of 10⁻⁹ m²/s."""
+        """In a world of micrometres V may double by an increase of 10⁻⁹ m²/s."""
         tiny = scenarios.get("fig4").replace(merge_radius=1e-6, graph=graphs.complete(1e-6))
         found = played("fig4", "tangent", np.ones(1, bool))
         row = statistics.summarise(scenarios.get("fig4"), "tangent", found.episodes)
@@ -218,7 +218,7 @@ class TestTables:
 
 @pytest.fixture(scope="module")
 def said(tmp_path_factory):
-    """What a comparison prints, and its summary."""
+    """Output of a comparison, and its summary."""
     out = tmp_path_factory.mktemp("answer")
     names, short = ("bearing-only", "tangent-joined", "zero"), out / "new" / "short.json"
     how = {"episodes": 3, "keep": 0, "against": "tangent-joined", "figures": False}

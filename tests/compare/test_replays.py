@@ -1,4 +1,4 @@
-"""Replays of the leaderboard: what is kept of a run is what its card says, and nothing else."""
+"""Replays of the leaderboard, compared with the run records."""
 
 import json
 from dataclasses import replace
@@ -27,7 +27,7 @@ RULES = command.Config(
 
 
 def check_agreement(card, kept):
-    """What is shown of a run ends as its card says, on the starts that the docs promise."""
+    """Replays end as in the run record, on the documented initial conditions."""
     found = card["results"]
     other = [start for start, one in enumerate(found["clean"]) if one != found["clean"][0]]
     assert sorted(kept) == [0, *other[:1]]
@@ -73,7 +73,7 @@ def test_replay_matches_record_and_initial_condition(board):
 
 
 def led(field, count, safety, choose):
-    """Teams of which every robot does what is chosen from the shape of what it may choose."""
+    """Policy whose choices depend on the action space only."""
     teams = make_training_envs(scenarios.get(field), count, safety=safety, anew=False)
     return Player(teams, lambda seen, time: choose(seen.shape[:2]))
 

@@ -1,4 +1,4 @@
-"""What law (4) can reach: randomised runs, each of which keeps theorem C."""
+"""Upper bounds of law (4): randomised runs that satisfy theorem C."""
 
 from types import SimpleNamespace
 
@@ -15,14 +15,14 @@ CLUTTER = scenarios.get("clutter-12").replace(time_limit=40.0)
 
 
 def runs(scenario, count, episodes, seed):
-    """What so many runs and the planner's did, and the row that tells of them."""
+    """Results of several runs and of the planner, and the corresponding row."""
     settings = Config(episodes=episodes, seed=seed, ceiling=count)
     found = [task.work() for task in upper_bound.tasks_of(scenario, settings)]
     return found, upper_bound.row_of(scenario, found)
 
 
 def test_first_run_is_merged_interval_rule():
-    """And the others are different from it and from each other."""
+    """The other runs differ from it and from each other."""
     found, _ = runs(CLUTTER, 4, episodes=20, seed=5)
     assert len(found) == 4 + 1  # the planner's is the last
     assert all(run.clean.shape == (20,) and (run.clean <= run.success).all() for run in found)
@@ -67,7 +67,7 @@ def test_planner_is_upper_bound():
 
 
 def test_compare_writes_ceiling_and_planner(tmp_path, capsys):
-    """It is a row of its own, and the table says what the row means."""
+    """The bound has a separate row, with a legend in the table."""
     names = {job.policy for job in plan(Config(("duo",), out=tmp_path))}
     assert "bearing-only" in names and "privileged-planner" not in names
     words = ["--scenarios", "duo", "clutter-4", "--policies", "bearing-only", "privileged-planner"]

@@ -1,6 +1,4 @@
-"""Both compiled forms of the step, one team a block and 32, and the plain Python they are made of:
-the same numbers, bit for bit.
-"""
+"""Bitwise equality of the compiled step for single and batched environments with plain Python."""
 
 import os
 from pathlib import Path
@@ -56,12 +54,12 @@ SLOW = {
     "errors in space": five("nonholonomic_3d", obstacles=SOLIDS[:1], sensing=WORST, **TIGHT),
     "errors in two rows": Scenario(n_robots=6, graph="cycle", sensing=WORST, **TIGHT),
 }
-"""Covered by the others together, but for how they are compiled."""
+"""Covered by the other cases, except for compilation."""
 SCENARIOS = FAST | SLOW
 KERNELS = (
     "two rows", "packing", "flying among solids", "errors", "drawn graphs", "errors in space",
 )  # fmt: skip
-"""Together they call every kernel of a step."""
+"""Cases that together call every kernel of a step."""
 MEETS_NOTHING = (
     "nothing in the way", "two rows", "drawn graphs", "errors in the open", "errors in two rows",
     "packing",
@@ -69,7 +67,7 @@ MEETS_NOTHING = (
 
 
 def towards_neighbours(scenario: Scenario, observations: np.ndarray) -> np.ndarray:
-    """Actions with which robots of any model meet: along the net bearing, against the velocity."""
+    """Actions that lead any robot model to rendezvous: along f, against the velocity."""
     layout = scenario.observation_layout
     f = layout.net_bearing(observations)
     if scenario.model.senses == "velocity":
@@ -80,7 +78,7 @@ def towards_neighbours(scenario: Scenario, observations: np.ndarray) -> np.ndarr
 
 
 def episode(scenario: Scenario, batch: int, seed: int, steps: int, **how) -> dict[str, np.ndarray]:
-    """Everything that the steps of some teams give out, each (steps, batch, …)."""
+    """All outputs of the steps of some environments, each (steps, batch, …)."""
     sim = Simulator(scenario, batch, **how)
     observations, found = sim.reset(seed), []
     for _ in range(steps):
@@ -100,7 +98,7 @@ def assert_equal(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) 
 
 @pytest.fixture
 def shared(monkeypatch):
-    """How many threads each step was shared among, from here on; none if it was not."""
+    """Number of threads of each following step; none if it was not shared."""
     given, real_share = [], threads.share
 
     def share(calls_of, blocks, most, head_start=0.0):
@@ -126,7 +124,7 @@ def test_little_work_is_not_shared(shared):
     marked(SCENARIOS, slow=SLOW, kernels=KERNELS),
 )
 def test_batch_equals_singles(name, shared, monkeypatch):
-    """40 teams are one whole block and one that is filled up, each of them for a thread."""
+    """40 environments are one full block and one padded block, one per thread."""
     monkeypatch.setattr(batch_runner, "_WORK_PER_THREAD", 1)
     scenario, batch, steps = SCENARIOS[name], 40, 150 if compiled() else 20
     assert MemoryLayout(scenario, batch).width == LaneBlock()
@@ -148,11 +146,11 @@ BRIEFLY = {
     **dict(zip([(name, 1) for name in LANES[:4]], (40, 40, 12, 8), strict=True)),
     **{(name, 5): 3 for name in LANES},
 }
-"""Steps of so many teams of some scenarios."""
+"""Numbers of environments and scenarios of the test."""
 
 
 def save_brief(path: str) -> None:
-    """What these steps give out, into a file."""
+    """Write the outputs of these steps to a file."""
     found = {}
     for (name, batch), steps in BRIEFLY.items():
         brief = episode(SCENARIOS[name], batch, 3, steps)

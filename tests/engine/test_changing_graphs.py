@@ -1,5 +1,6 @@
-"""Episodes on graphs that are directed or change: against NumPy, against undirected ones, and as
-state that can be taken out, put back and begun again.
+"""Directed and changing graphs: compared with NumPy and undirected graphs, and as state.
+
+The state can be read, restored and reset.
 """
 
 import itertools
@@ -22,7 +23,7 @@ ARCS = np.array(
         [0.8, 0.0, 0.0, 0.0, 0.0],
     ]
 )
-"""Pairs that see each other with unequal gains, and pairs of which one sees the other."""
+"""Bidirectional pairs with unequal gains, and unidirectional pairs."""
 TURNS = graphs.switching(["path", graphs.directed_cycle(1.5), graphs.from_edges([(0, 4)], 5)], 0.3)
 RANGE, FIELD = 2.5, 4.0
 SIGHT = rv.Sensing(range=RANGE, field_of_view=FIELD)
@@ -32,18 +33,19 @@ KINDS = {
     "switching": FREE | {"graph": TURNS},
     "proximity": FREE | {"graph": graphs.proximity(0.8), "sensing": SIGHT},
 }
-"""Kinds of graphs, and what of a scenario goes with them."""
+"""Graph types with the corresponding scenario fields."""
 
 
 def scenario(**fields):
-    """Five robots in a small area, whose frames are the global one."""
+    """Five robots in a small area, with global frames."""
     usual = {"n_robots": 5, "spawn_size": 4.0, "time_limit": 8.0, "local_frames": "global"}
     return rv.Scenario(**(usual | fields))
 
 
 class Reference:
-    """One team under ṗ = f, written from the definitions, slowly: groups of robots that have merged
-    stand in one place, and every number is computed anew from the original arcs.
+    """Slow reference implementation of one team under ṗ = f.
+
+    Groups of merged robots share a position, and every number is recomputed from the original arcs.
     """
 
     def __init__(self, kind, positions, radius, duration):
@@ -52,7 +54,7 @@ class Reference:
         self.steps = 0
 
     def base(self):
-        """Arcs between the robots of the start, at this moment."""
+        """Arcs between the initial robots at this time."""
         if self.kind == "directed":
             return ARCS
         if self.kind == "proximity":
@@ -70,7 +72,7 @@ class Reference:
         return heaviest
 
     def look(self):
-        """Weights, and f of every group by its lowest robot; and V."""
+        """Weights, f of every group by its lowest robot, and V."""
         weights, f, v = np.zeros((5, 5)), np.zeros((5, 2)), 0.0
         for a, b in itertools.permutations(self.places, 2):
             gain, way = self.gain(a, b), self.places[b] - self.places[a]
@@ -80,8 +82,9 @@ class Reference:
         return weights, f, v
 
     def step(self, velocities):
-        """Pairs of which one sees the other merge when they come within r, the first ones first;
-        who is near enough at the end merges then.
+        """Merge linked pairs that come within r, in order of time.
+
+        Pairs within r at the end of the step merge then.
         """
         arcs, _, _ = self.look()
         linked = {
@@ -120,7 +123,7 @@ class Reference:
         return np.inf if slope >= 0 or root < 0 else (-slope - np.sqrt(root)) / square
 
     def merge(self, a, b, ends, linked, way):
-        """The links of both become links of one; where all links lead is kept."""
+        """A merge unites the links of both robots; the targets of links are kept."""
         both = a | b
         del self.places[a], self.places[b]
         self.places[both] = (ends[0] + ends[1]) / 2
@@ -158,7 +161,7 @@ def test_law_1_matches_numpy_reference(kind, seed):
 
 
 STEP = {"time_step": 0.015, "allow_long_step": True, "max_speed": 3.0, "neighbour_slots": 4}
-"""The same for graphs whose worst cases are known less well than an undirected one's."""
+"""The same for graphs with less accurate worst cases than undirected ones."""
 MATRIX = graphs.directed(UNEQUAL)
 SIGHTED = rv.Sensing(noise=0.1, range=3.0, field_of_view=4.0, occlusion="robots", sectors=16)
 FAR = rv.Sensing(range=1e3, noise=0.1, bias=0.05, dropout=0.1, delay=1)
@@ -177,7 +180,7 @@ ALIKE = {
     # the first ray of a silhouette stands on f
     "space": (UNEQUAL, MATRIX, {"dim": 3, "obstacles": BALLS}),
 }
-"""Undirected graphs, the same said in another way, and what of a scenario goes with them."""
+"""Equivalent definitions of undirected graphs with the corresponding scenario fields."""
 
 
 @pytest.mark.parametrize("name", marked(ALIKE, slow=["space", "a sensor, those present first"]))
@@ -207,7 +210,7 @@ def test_directed_visibility_merges_both_robots():
 
 @pytest.mark.parametrize("graph", ["proximity", "complete"])
 def test_range_boundary_is_mutual(graph):
-    """Whichever way their frames are turned: 3² + 4² = 5² has no rounding but in turned frames."""
+    """For any orientation of the frames: 3² + 4² = 5² rounds only in rotated frames."""
     near_and_far = ((0.0, 0.0), (3.0, 4.0), (1.0, 1.0))
     made = scenario(
         n_robots=3, graph=graph, sensing=rv.Sensing(range=5.0), start_positions=near_and_far,
@@ -237,7 +240,7 @@ def test_switching_graphs_follow_order():
 
 
 def test_switches_occur_at_multiples_of_dwell_time():
-    """And not so long after the last one, which was late: 0.3, 0.5, 0.8, 1 s, not 0.3, 0.6, 0.9."""
+    """Times are 0.3, 0.5, 0.8, 1 s; a delay does not accumulate to 0.3, 0.6, 0.9 s."""
     turns = graphs.switching(["path", graphs.from_edges([(1, 2)])], 0.25)
     places, long = ((0, 0), (100, 0), (0, 100)), {"time_step": 0.1, "allow_long_step": True}
     sim = started(scenario(n_robots=3, graph=turns, start_positions=places, **long))

@@ -1,4 +1,4 @@
-"""Robot models of a user's own, in files outside the package, and the code compiled from them."""
+"""Custom robot models in files outside the package, and their compiled code."""
 
 import dataclasses
 import importlib
@@ -144,7 +144,7 @@ rv.register_robot_model(
 
 @pytest.fixture
 def own(tmp_path, monkeypatch, registry):
-    """Import a module from a text in a folder of its own."""
+    """Import a module from a text in a new folder."""
     monkeypatch.syspath_prepend(tmp_path)
     made = []
 
@@ -262,11 +262,11 @@ from rendezvous_env.obstacles.contact import place_on
 curve = own_hover.Hover(0.1, 9.0), (0.0, 0.0), (1.0, 0.0, 0.0, 1.0), ()
 print(place_on(curve, (0.0, 0.0, 0.0), 0.1)[0], sum(place_on.stats.cache_misses.values()))
 """
-"""A small kernel of the package, in a file that imports no model."""
+"""A small kernel of the package, in a file without model imports."""
 
 
 def ran(folder: Path) -> tuple[float, int]:
-    """What the piece prints in a new process: a displacement, m, and kernels compiled anew."""
+    """Output of the code in a new process: a displacement, m, and newly compiled kernels."""
     way, anew = python(PIECE, folder).stdout.split()
     return float(way), int(anew)
 
@@ -274,9 +274,7 @@ def ran(folder: Path) -> tuple[float, int]:
 @pytest.mark.slow
 @pytest.mark.skipif(not compiled(), reason="nothing is kept")
 def test_edited_model_is_recompiled(tmp_path):
-    """Compiled code is kept on disk: it must follow the file that the model is in, and those that
-    it imports.
-    """
+    """Cached code must follow the file of the model, and the files that it imports."""
     text = HOVER.replace("WIND = 0.5\n", "from own_weather import WIND\n")
     (tmp_path / "own_hover.py").write_text(text, encoding="utf-8")
     for wind in (0.5, 0.25):

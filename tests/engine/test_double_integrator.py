@@ -1,4 +1,4 @@
-"""Teams of robots with inertia, step by step: contacts, merges, rest, state."""
+"""Double integrators, step by step: contacts, merges, rest, state."""
 
 import numpy as np
 import pytest
@@ -19,14 +19,13 @@ FLAT = (
 )
 SOLID = (Sphere((0.0, 0.0, 0.0), 1.0), Capsule(((-1.0, -0.5, 0.2), (1.0, 0.5, -0.2)), 0.4))
 FAR = {2: Capsule(((90.0, 0.0), (91.0, 0.0)), 0.1), 3: Capsule(((90.0, 0, 0), (91.0, 0, 0)), 0.1)}
-"""Beside it any obstacle is one of several kinds: what is compiled stays the same, as it does for
-many teams.
-"""
+"""With this obstacle, all obstacles are of several kinds, so compiled code is shared with larger
+batches."""
 TEAMS = 6
 
 
 def two(dim: int = 2, obstacles: tuple = (), **changes: object) -> Scenario:
-    """Two robots, the second one far away and idle."""
+    """Two robots, the second one far away and at rest."""
     given = {
         "n_robots": 2, "dim": dim, "robot_model": "double_integrator", "time_step": 0.1,
         "obstacles": (*obstacles, FAR[dim]), "max_speed": 3.0, "max_acceleration": 6.0,
@@ -36,7 +35,7 @@ def two(dim: int = 2, obstacles: tuple = (), **changes: object) -> Scenario:
 
 
 def begin(scenario: Scenario, position, velocity=None) -> Simulator:
-    """Robot 0 at a place with a velocity, robot 1 out of the way."""
+    """Robot 0 with a position and velocity, robot 1 far away."""
     d, sim = scenario.dim, Simulator(scenario, TEAMS, num_threads=1)
     sim.reset(0, {"positions": [[*position], [50.0] * d]})
     if velocity is not None:
@@ -87,7 +86,7 @@ def test_free_motion_matches_closed_form(dim):
 @pytest.mark.parametrize("mode", ["slide", "stop"])
 @pytest.mark.parametrize("obstacle", [*FLAT, *SOLID], ids=lambda o: f"{type(o).__name__}{o.dim}")
 def test_double_integrator_never_enters_obstacle(obstacle, mode):
-    """Robots that are driven at it from all sides, and then this way and that."""
+    """Robots move towards the obstacle from all sides, and then in varying directions."""
     dim = obstacle.dim
     scenario = two(dim, (obstacle,), obstacle_contact=mode, max_speed=30.0, max_acceleration=300.0)
     sim, random, touched = begin(scenario, [2.0] * dim), np.random.default_rng(1), 0
@@ -129,7 +128,7 @@ def test_head_on_contact_stops_at_surface(obstacle, mode):
 
 
 def test_sliding_contact_is_frictionless():
-    """Pressed against the wall it has the whole acceleration along it."""
+    """At the wall, the tangential acceleration is unchanged."""
     scenario = two(2, (FLAT[1],))
     sim = begin(scenario, (-0.9, 1.0))
     for k in range(1, 6):

@@ -1,4 +1,4 @@
-"""Robots with bodies: they stop where they would touch, and have met in one packed cluster."""
+"""Robots with bodies: no overlap, and rendezvous as one packed cluster."""
 
 import itertools
 
@@ -34,7 +34,7 @@ class TestMoving:
 
     @pytest.mark.parametrize("n", [2, 5, 20])
     def test_bodies_never_overlap(self, n):
-        """Not on the way either: the least distance of two straight ways in one step."""
+        """Also along the path: smallest distance of two straight paths in one step."""
         random, size = np.random.default_rng(n), 0.3
         places = 0.35 * np.array(list(itertools.product(range(5), range(4))), float)[:n]
         for _ in range(200):
@@ -74,7 +74,7 @@ class TestEpisodes:
 
     @pytest.mark.parametrize("batch", [1, 6])  # a team alone, and lanes side by side
     def test_touched_robots_are_hidden_unless_all_touch(self, batch):
-        """Robot 0 touches 1, which touches 0 and 2; robot 3 is alone: who sees whom, by row."""
+        """Visibility by row: robot 0 touches 1, which touches 0 and 2; robot 3 is separate."""
         four = rv.scenarios.get("robotarium-4").replace(local_frames="global")
         places = ((0.0, 0.0), (0.155, 0.0), (0.31, 0.0), (0.0, 1.0))
         for n, expected in (
@@ -89,7 +89,7 @@ class TestEpisodes:
                 np.testing.assert_allclose(seen[0, 0, 1:], to_others, rtol=1e-6)
 
     def test_bodies_occlude_each_other(self):
-        """In a row of three the outer two do not see each other past a body of 0.1 m."""
+        """In a row of three, a body of 0.1 m hides the outer robots from each other."""
         row = ((-1.0, 0.05), (0.0, 0.0), (1.0, 0.05))
         scenario = rv.Scenario(
             n_robots=3, start_positions=row, merge_radius=0.2, local_frames="global",
@@ -142,7 +142,7 @@ class TestScenario:
         simulator.reset(0, {"positions": places})
 
     def test_weights_unlinking_bodies_are_rejected_at_reset(self):
-        """Two that do not see each other would pass through each other."""
+        """Robots without a link would pass through each other."""
         simulator = rv.Simulator(rv.Scenario(n_robots=3, body_radius=0.1))
         path = rv.graphs.path().base_weights(3)
         with pytest.raises(ValueError, match="weights must link all robots with a body_radius"):

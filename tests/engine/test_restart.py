@@ -1,6 +1,4 @@
-"""Teams that begin anew beside others that go on, or go on from a copy; and teams that have ended,
-and rest.
-"""
+"""Partial resets, restored states, and finished environments, which rest."""
 
 import copy
 import pickle
@@ -37,7 +35,7 @@ def scenario(request) -> Scenario:
 
 
 def halfway(scenario: Scenario, merges: bool = True) -> tuple[Simulator, np.ndarray]:
-    """Teams that move, in some of which robots have merged."""
+    """Moving environments, some of them with merged robots."""
     sim = Simulator(scenario, TEAMS)
     observations = sim.reset(0)
     while sim.steps.max() < 10 or (merges and sim.active.all()):
@@ -51,7 +49,7 @@ def halfway(scenario: Scenario, merges: bool = True) -> tuple[Simulator, np.ndar
     indirect=True,
 )
 def test_partial_resets_agree_and_keep_other_environments(scenario):
-    """At once in what the last step gave out, in a step in which these teams rest, by a reset."""
+    """Immediately in the last step's outputs, in a step of rest, or by a reset."""
     (sim, seen), (other, _), (alone, _), (anew, _) = (halfway(scenario) for _ in range(4))
     actions = towards_neighbours(scenario, seen)
     for simulator in (sim, other, alone, anew):
@@ -87,7 +85,7 @@ def test_partial_resets_agree_and_keep_other_environments(scenario):
 
 
 def test_finished_environment_is_frozen(scenario):
-    """Whatever it is told, and with whatever velocity it ended."""
+    """For any actions and any final velocity."""
     sim, _ = halfway(scenario)
     sim.set_max_steps(int(sim.steps.max()) + 1)
     actions = np.ones((TEAMS, 5, scenario.action_size))
@@ -102,7 +100,7 @@ def test_finished_environment_is_frozen(scenario):
 
 
 def test_path_length_counts_active_robots(scenario):
-    """A robot that has merged away adds nothing, though it may have been moving."""
+    """A merged robot adds nothing, even if it was moving."""
     sim, observations = halfway(scenario)
     assert not sim.active.all()
     for _ in range(20):
@@ -117,7 +115,7 @@ def test_path_length_counts_active_robots(scenario):
 
 
 def test_obstacles_belong_to_episode():
-    """Those that stand anew in some teams, and those that a state brings back."""
+    """After a partial reset, and after restoring a state."""
     field = ObstacleField((1, 3), (0.2, 0.5), 6.0, 0.05, True)
     team = Scenario(n_robots=3, obstacles=field)
     sim, other = started(team, TEAMS), started(team, TEAMS, seed=100)
@@ -153,7 +151,7 @@ CASES = {
 
 
 def onwards(sim: Simulator, steps: int = 30) -> list[np.ndarray]:
-    """Everything that some steps give out, and the start of the next episodes."""
+    """All outputs of some steps, and the initial state of the next episodes."""
     found = [sim.observe()]
     for _ in range(steps):
         outcome = sim.step(towards_neighbours(sim.scenario, found[-1]))

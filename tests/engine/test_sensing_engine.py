@@ -1,6 +1,7 @@
-"""Sensors that err: against NumPy and SciPy, as part of a step, and as state.
+"""Imperfect sensors: compared with NumPy and SciPy, in a step, and as state.
 
-Teams are looked at many at a time: each kind of team that is stepped has to be compiled first.
+Many environments are observed at a time, since each kind of environment that is stepped has to be
+compiled first.
 """
 
 import itertools
@@ -73,33 +74,33 @@ def by_robot(rows: np.ndarray) -> np.ndarray:
 
 
 def turns(found: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """Signed angles from true rows of the plane to found ones."""
+    """Signed angles from true rows to measured rows in the plane."""
     cross = true[..., 0] * found[..., 1] - true[..., 1] * found[..., 0]
     return np.arctan2(cross, (true * found).sum(axis=-1))
 
 
 def angles(found: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """Angles between rows of space."""
+    """Angles between rows in 3-D."""
     return np.arctan2(np.linalg.norm(np.cross(true, found), axis=-1), (true * found).sum(axis=-1))
 
 
 def turned(sim: rv.Simulator) -> np.ndarray:
-    """Signed angles by which all see the others turned, (B, 20)."""
+    """Signed rotation of all bearings, (B, 20)."""
     return turns(by_robot(neighbours(sim)), true_rows(sim))[:, OTHERS]
 
 
 def silhouettes(sim: rv.Simulator) -> np.ndarray:
-    """Points that are seen of obstacles, (B, n, rows, d)."""
+    """Visible points of obstacles, (B, n, rows, d)."""
     return sim.observe()[:, :, sim.scenario.observation_layout.obstacles].astype(np.float64)
 
 
 def rest(sim: rv.Simulator) -> None:
-    """A step in which nobody moves."""
+    """A step without motion."""
     sim.step(np.zeros(actions_shape(sim)))
 
 
 def act(sim: rv.Simulator, step: int):
-    """A step with inputs that know nothing of what is seen."""
+    """A step with inputs independent of observations."""
     normal = np.random.default_rng(step).normal(size=actions_shape(sim)[1:])
     drawn = 0.3 * normal * sim.scenario.action_bounds
     target = np.array([1.5, 1.5, 0.0])[: sim.scenario.dim]  # clear of all obstacles
@@ -109,7 +110,7 @@ def act(sim: rv.Simulator, step: int):
 
 @pytest.mark.parametrize("sigma", [0.05, 0.3])
 def test_noise_is_gaussian_per_pair_and_step(sigma):
-    """σ on both sides of where a turn takes a shorter way; 10⁶ bearings of 500 teams that rest."""
+    """σ on both sides of the threshold of the faster code; 10⁶ bearings of teams at rest."""
     sim = simulator(sensing(PLANE, noise=sigma), batch=500)
     lengths, found = np.linalg.norm(by_robot(neighbours(sim)), axis=-1), []
     assert lengths == pytest.approx(sim.weights, rel=1e-6)
@@ -297,7 +298,7 @@ def test_sectors_quantise_bearings():
 )
 @pytest.mark.parametrize("fields", [{}, {"noise": 0.1, "dropout": 0.3, "bias": 0.1}])
 def test_delay_is_exact_number_of_steps(scenario, fields):
-    """But what a robot feels of itself, the last row of those in space."""
+    """Except gravity, the last row in 3-D, which is not delayed."""
     delay, steps, late_rows = 4, 90, scenario.observation_layout.obstacles.stop
     prompt, late = (
         simulator(sensing(scenario, delay=wait, **fields), seed=8) for wait in (0, delay)

@@ -1,4 +1,4 @@
-"""The simulator: symmetries, episodes, state; starts and actions, and what of them is refused."""
+"""Simulator: symmetries, episodes, state, and validation of initial conditions and actions."""
 
 import copy
 
@@ -18,13 +18,13 @@ TURN_ABOUT_Z = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
 
 
 def rotation(d: int) -> np.ndarray:
-    """A rotation about no special axis."""
+    """Rotation about a generic axis."""
     tilt = np.array([[1.0, 0.0, 0.0], [0.0, 0.28, -0.96], [0.0, 0.96, 0.28]])
     return (TURN_ABOUT_Z @ tilt @ TURN_ABOUT_Z)[:3, :3] if d == 3 else TURN_ABOUT_Z[:2, :2]
 
 
 def attitudes(scenario: Scenario, yaw_offset: float = 0.0) -> np.ndarray:
-    """Given headings, the same in each of 32 teams up to a shift."""
+    """Given headings, equal in each of 32 environments up to a shift."""
     width = scenario.model.n_angles
     angles = np.linspace(-1.0, 2.3, 32)[:, None, None] + np.linspace(0, 0.9, 5)[:, None]
     angles = np.broadcast_to(angles, (32, 5, 1)) + yaw_offset
@@ -37,13 +37,13 @@ def start(scenario: Scenario, positions: np.ndarray, **more: object) -> dict:
 
 
 def follow(scenario: Scenario, options: dict) -> Trajectory:
-    """60 steps under the paper's law."""
+    """Simulate 60 steps under the paper's law."""
     brief = scenario.replace(time_limit=60 * scenario.tau)
     return rollout(brief, law_of(scenario), 5, 32, options, record="observations")
 
 
 def test_observations_are_scale_invariant(kind):
-    """The bearing-only proof."""
+    """Observations contain bearings only."""
     scenario = five(kind, max_turn_rate=1.0)
     sim, positions = Simulator(scenario, 32), STARTS[scenario.dim]
     first = sim.reset(5, start(scenario, positions))
@@ -85,7 +85,7 @@ def test_observations_are_invariant_to_rotation_and_translation(kind):
 
 
 def test_relabelling_permutes_trajectories(kind):
-    """The others before anyone merges, for then the lower index keeps its heading."""
+    """Other models before the first merge, in which the lower index keeps its heading."""
     order, scenario = np.array([3, 0, 4, 2, 1]), five(kind, local_frames="global")
     begin = start(scenario, STARTS[scenario.dim])
     renamed = {name: table[:, order] for name, table in begin.items()}
@@ -138,7 +138,7 @@ def test_step_before_full_reset_raises():
 
 
 def test_step_after_unobserved_state_raises(monkeypatch):
-    """What may be met is known from the last observation, which Ctrl-C may prevent."""
+    """Possible merges follow from the last observation, which Ctrl-C may prevent."""
     sim, fresh = started(Scenario(n_robots=2), 2), Simulator(Scenario(n_robots=2), 2)
 
     def interrupted():
@@ -300,7 +300,7 @@ def test_failed_reset_of_one_environment_changes_none():
 
 
 def test_read_only_actions_are_accepted_without_compiling():
-    """Arrays of other libraries are often read-only; their contents are what counts."""
+    """Arrays of other libraries are often read-only; only their contents matter."""
     actions = np.random.default_rng(0).uniform(-1, 1, (3, 5, 2)).astype(np.float32)
     outcomes, variants = [], []
     for writeable in (True, False):

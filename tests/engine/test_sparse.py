@@ -1,6 +1,4 @@
-"""Large teams with few links keep lists of them: the same motions, in memory that follows the
-links.
-"""
+"""Large sparse graphs as lists of links: equal motion, memory proportional to the links."""
 
 import numpy as np
 import pytest
@@ -45,11 +43,11 @@ SLOW = {
     "ring in space": RING.replace(dim=3),
     "unicycles": RING.replace(robot_model="unicycle"),
 }
-"""Covered by the others together, but for how they are compiled."""
+"""Covered by the other cases, except for compilation."""
 
 
 def simulators(scenario: Scenario, batch: int, monkeypatch) -> tuple[Simulator, Simulator]:
-    """One that keeps lists of links, and one that keeps all pairs."""
+    """A simulator with lists of links, and one with all pairs."""
     lists = Simulator(scenario, batch)
     with monkeypatch.context() as patch:
         patch.setattr(memory_layout, "_SPARSE_FROM", 10**9)
@@ -99,7 +97,7 @@ def test_edge_lists_match_dense_pairs(name, monkeypatch):
     "graph", [graphs.erdos_renyi(0.05), graphs.erdos_renyi(0.01, (0.5, 2.0)), graphs.random_tree()]
 )
 def test_random_graphs_match_dense_sampling(graph, monkeypatch):
-    """Of 0.05 most are connected; of 0.01 none is, so that a tree is added."""
+    """With 0.05 most graphs are connected; with 0.01 none is, so a tree is added."""
     lists, pairs = simulators(Scenario(n_robots=80, graph=graph), 3, monkeypatch)
     for seed in (SEED, None):
         lists.reset(seed), pairs.reset(seed)
@@ -113,7 +111,7 @@ def test_random_graphs_match_dense_sampling(graph, monkeypatch):
 @pytest.mark.kernels
 @pytest.mark.parametrize("sparse", [False, True])
 def test_crowded_robot_is_named(sparse):
-    """A double star: when its two centres merge, robot 0 has the neighbours of both."""
+    """Double star: after its two centres merge, robot 0 has the neighbours of both."""
     n = 60 if sparse else 8
     links = [(0, 1)] + [(k % 2, k) for k in range(2, n)]
     star = graphs.from_edges(links)
@@ -137,9 +135,7 @@ def test_crowded_robot_is_named(sparse):
 
 @pytest.mark.kernels
 def test_crowded_initial_condition_is_rejected():
-    """A drawn one, one of arcs; and the star of the next episode, where rows were enough for this
-    one's path.
-    """
+    """A random graph, a directed one, and the star of the next episode after a path."""
     for robot, graph, slots in (("\\d", graphs.erdos_renyi(0.9), 1), (2, graphs.directed(ARCS), 2)):
         seen = Scenario(n_robots=5, graph=graph, neighbour_slots=slots)
         with pytest.raises(RuntimeError, match=rf"robot_{robot} of team 0 has more .*{slots} .* 0"):

@@ -1,4 +1,4 @@
-"""The motions of version 0.1, kept as numbers."""
+"""Stored trajectories of version 0.1, reproduced."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ NAMES = sorted({case.split("|")[0] for case in MOTIONS})
 
 
 def one_of_each_scenario() -> list[str]:
-    """A case for every scenario; of their policies, as many different ones as there are."""
+    """One case per scenario, with as many different policies as possible."""
     chosen = []
     for k, name in enumerate(NAMES):
         policies = sorted(case for case in MOTIONS if case.startswith(f"{name}|"))
@@ -39,7 +39,7 @@ def test_trajectories_match_version_01(case, steps):
 
 
 def test_stored_trajectories_are_motions():
-    """Of nearly all cases: "zero" stands still, and before a wall a rule may, too."""
+    """True for nearly all cases: "zero" rests, and a rule may rest at a wall."""
     still = {case for case, places in MOTIONS.items() if np.ptp(places, axis=0).max() < 0.01}
     moving_policies = {case.split("|")[1] for case in MOTIONS.keys() - still}
     assert len(MOTIONS) == 154

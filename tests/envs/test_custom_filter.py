@@ -1,4 +1,4 @@
-"""A safety filter of a user's own, from outside the package, and wrappers under a guarantee."""
+"""Custom safety filters from outside the package, and wrappers beneath a guarantee."""
 
 import copy
 import gc
@@ -16,7 +16,7 @@ from rendezvous_env.safety.tank import EnergyTank
 
 
 class HalfSpeed(rv.SafetyFilter):
-    """Law (1) at a share of its speed that the policy chooses, never less than ``least``."""
+    """Filter: law (1) at a fraction of its speed chosen by the policy, at least ``least``."""
 
     state_key = "half_speed"
     chooses_vectors = False
@@ -110,7 +110,7 @@ def test_invalid_filter_is_rejected():
 
 @pytest.mark.parametrize("wrapper", [rv.GuaranteeWrapper, rv.vector.GuaranteeWrapper])
 def test_filter_names_must_not_clash_with_environment(wrapper):
-    """It took the place of a method, or of what stands in states or infos."""
+    """The name would replace a method, or an entry of states or infos."""
     base = rv.parallel_env("fig3") if wrapper is rv.GuaranteeWrapper else rv.make_vec("fig3", 2)
     for key in ("env", "observed", "step", "simulator", "reset", "_seen", "no word", 3):
         named = type("Named", (HalfSpeed,), {"state_key": key})
@@ -127,7 +127,7 @@ def test_filter_names_must_not_clash_with_environment(wrapper):
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 @pytest.mark.parametrize("period", [1, 3])
 def test_gymnasium_wrappers_work_beneath_guarantee(mode, period):
-    """Rewards pass through them in each base step; everything else is as without."""
+    """Rewards pass through them in each step; everything else is unchanged."""
 
     def make(between):
         venv = rv.make_vec("fig3", num_envs=3, autoreset_mode=mode, time_limit=2.0)
@@ -153,7 +153,7 @@ def test_gymnasium_wrappers_work_beneath_guarantee(mode, period):
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 @pytest.mark.parametrize("period", [1, 3])
 def test_statistics_recorder_counts_each_end_once(mode, period):
-    """Also of those within a decision, for the rest of which the team stands still."""
+    """Including ends within a decision; the team rests for the remaining steps."""
     if gymnasium.__version__ < "1.3" and mode is AutoresetMode.SAME_STEP:
         pytest.skip("the recorder of Gymnasium 1.2 leaves out the first step of such episodes")
 
@@ -189,7 +189,7 @@ def test_inner_wrapper_may_end_episode_within_decision():
 
 
 def test_statistics_recorder_keeps_tanks_of_others():
-    """It takes the mask of teams out of the options that it is given."""
+    """The recorder removes the mask of environments from the given options."""
     venv = RecordEpisodeStatistics(rv.make_vec("fig3", num_envs=2, autoreset_mode="Disabled"))
     env = rv.vector.EnergyTankWrapper(venv, budget=1.0)
     env.reset(seed=4)
@@ -206,7 +206,7 @@ def test_statistics_recorder_keeps_tanks_of_others():
 
 
 def test_training_env_logs_missing_guarantee_once(caplog):
-    """Also of errors that its wrapper is not told of."""
+    """Including errors that are unknown to its wrapper."""
     erring = rv.Scenario(n_robots=2, sensing=rv.Sensing(error=0.01))
     for scenario, given, words in (
         ("noisy-8", {}, ["no rendezvous is certified in"]),

@@ -1,4 +1,4 @@
-"""What all factories have in common: flat observations, unknown words, tensors, state."""
+"""Common properties of all factories: flat observations, unknown arguments, tensors, state."""
 
 import gymnasium
 import numpy as np
@@ -69,7 +69,7 @@ def test_other_factories_accept_flatten():
 
 
 def test_heading_factory_equals_wrapper():
-    """Whatever the robots choose, the alignment is kept; numbers are those of the vector one."""
+    """The alignment holds for any choices, and numbers equal those of the vector environment."""
     settings = {"scenario": SCENARIO, "min_alignment": 0.3, "decision_period": 2}
     one, mode = gymnasium.make(HEADING, **settings), AutoresetMode.DISABLED
     entry = {"vectorization_mode": "vector_entry_point", "autoreset_mode": mode}
@@ -187,7 +187,7 @@ def test_batch_state_stacks_single_states():
 
 @pytest.mark.parametrize("name", ["duo", "swarm-20", "clutter-8", "unicycle-6"])
 def test_reward_range_bounds_rewards(name):
-    """Robots flee along −f at full speed; of two that face away from each other it is attained."""
+    """Robots move along −f at full speed; two opposite ones attain the bound."""
     scenario = rv.scenarios.get(name).replace(time_limit=3.0)
     teams = rv.make_vec(scenario, 4, autoreset_mode=AutoresetMode.DISABLED)
     rows, _ = teams.reset(seed=0)
@@ -218,7 +218,7 @@ def test_reward_range_bounds_rewards(name):
 
 @pytest.mark.parametrize("teams", [1, 2, 40])
 def test_state_view_equals_simulator(teams):
-    """Read at once or one by one; more teams than lanes in a block, or one."""
+    """Read together or separately; more environments than lanes in a block, or one."""
     simulator = rv.Simulator(rv.scenarios.get("clutter-8").replace(merge_radius=2.0), teams)
     law = baselines.make("bearing-only", simulator.scenario)
     rows = simulator.reset(0)

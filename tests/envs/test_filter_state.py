@@ -1,4 +1,4 @@
-"""What environments of every kind remember: in states, pickles and copies, and over resets."""
+"""State of environments of every kind: in states, pickles, copies, and over resets."""
 
 import copy
 import pickle
@@ -38,7 +38,7 @@ ENVIRONMENTS = {
 
 
 def spoil(given):
-    """Writes into every array of what an environment gave out, or was given."""
+    """Overwrite every array that an environment returned or received."""
     if isinstance(given, np.ndarray) and given.dtype != object:
         given[...] = ~given if given.dtype.kind == "b" else -7 - given
     elif isinstance(given, dict):
@@ -50,7 +50,7 @@ def spoil(given):
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_state_pickle_and_deepcopy_continue_alike(name):
-    """Whatever becomes of the arrays that the copies gave out and were given."""
+    """Independent of later changes to arrays returned or received by the copies."""
     build, random = ENVIRONMENTS[name], np.random.default_rng(0)
     env, fresh = build(), build()
     env.reset(seed=3)

@@ -1,4 +1,4 @@
-"""All guarantee wrappers alike: spaces, one API as the other, periods, refusals."""
+"""Common properties of guarantee wrappers: spaces, equal APIs, periods, errors."""
 
 import copy
 import itertools
@@ -18,7 +18,7 @@ from strategies import HUGE
 import rendezvous_env as rv
 from rendezvous_env.checks import short_repr
 from rendezvous_env.envs.gymnasium_env import make_env
-from rendezvous_env.limits import MOST_HELD_STEPS
+from rendezvous_env.limits import MAX_HELD_STEPS
 
 NUM_ENVS = 6
 CLUTTER = rv.scenarios.get("clutter-8").replace(time_limit=4.0)
@@ -191,7 +191,7 @@ def test_decision_period_repeats_action(which, kind):
         ("heading", "min_alignment", (0.0, 5e-324, 9e-7, 1.0, np.nan, "1", None, [1], True, HUGE)),
         ("heading", "min_alignment", (np.ones(2), 1j)),
         ("heading", "certified", ("no", 1, np.ones(2, bool))),
-        ("heading", "decision_period", (np.inf, True, MOST_HELD_STEPS + 1, HUGE)),
+        ("heading", "decision_period", (np.inf, True, MAX_HELD_STEPS + 1, HUGE)),
         ("heading", "max_turn_rate", (0.0, np.inf, np.nan)),
         ("tank", "budget", (-1.0, np.nan, "1", None)),
         ("tank", "min_alignment", (0.0, 9e-7, 1.0)),
@@ -248,7 +248,7 @@ def test_nested_guarantees_are_rejected(upper, lower):
 
 
 def test_activity_beneath_wrapper_requires_reset(which):
-    """Its robots would act on what they saw before it."""
+    """Its robots would otherwise act on earlier observations."""
     for around, base in zip(
         GUARANTEES[which].both, (rv.parallel_env("fig3"), rv.make_vec("fig3", 2)), strict=True
     ):
@@ -298,7 +298,7 @@ def test_partial_reset_does_not_excuse_other_environments(which):
 
 @pytest.mark.parametrize("around", [rv.vector.HeadingVectorWrapper, rv.vector.EnergyTankWrapper])
 def test_unicycles_rest_without_visible_neighbour(around):
-    """Whether a thread leads its teams through a decision, or a wrapper between hears of steps."""
+    """With multi-step execution in threads, or with an intermediate wrapper that observes steps."""
     sphere = rv.Sphere((9.0, 9.0, 9.0), 0.1)  # robots among spheres are of a kind with other tests'
     scenario = five("nonholonomic_3d", sensing=rv.Sensing(dropout=0.7), obstacles=sphere)
     ends = []
@@ -323,7 +323,7 @@ def anew(wrapper, actions):
 
 
 def anew_instead(wrapper, actions):
-    """As wrappers of other libraries have it at the end."""
+    """As wrappers of other libraries return it at the end."""
     seen, infos = wrapper.env.reset()
     nothing = np.zeros(wrapper.num_envs)
     return seen, nothing, nothing > 0, nothing > 0, infos
@@ -340,7 +340,7 @@ def restart(wrapper, actions):
     [(False, twice), (True, twice), (True, anew), (True, anew_instead), (True, restart)],
 )
 def test_multi_step_wrapper_between_is_rejected(which, teams, step):
-    """The filter would not see it: with frames skipped V rose above its bound."""
+    """The filter would not observe the step: with skipped frames V exceeded its bound."""
     wrapper = gymnasium.vector.VectorWrapper if teams else BaseParallelWrapper
     between = type("Between", (wrapper,), {"step": step})
     base = rv.make_vec("duo", 1) if teams else rv.parallel_env("duo")

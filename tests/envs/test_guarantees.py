@@ -1,4 +1,4 @@
-"""Each guarantee on its own: headings, tanks, gains, links; and graphs that change."""
+"""Guarantees one by one: headings, tanks, gains, links; and changing graphs."""
 
 from functools import partial
 
@@ -13,7 +13,7 @@ from rendezvous_env import vector
 
 
 def spy(env):
-    """The actions that reach the base environment, as they come."""
+    """Recorder of the actions of the base environment."""
     base, reached = env.unwrapped, []
     step = base.step
 
@@ -74,7 +74,7 @@ def rotation(dim, seed):
 
 
 def rotated_run(dim, world, turn, steps=25):
-    """Observations and positions of one episode, with the world and the local frames rotated."""
+    """Observations and positions of one episode, with rotated global and local frames."""
     random = np.random.default_rng(11)
     starts = random.uniform(-2, 2, (5, dim))
     turned = np.stack([world @ rotation(dim, k) @ turn(k) for k in range(5)])
@@ -108,7 +108,7 @@ def test_rotation_of_world_is_equivariant(dim):
 
 
 def test_weak_f_keeps_last_frame():
-    """The middle robot of three has f = 0 once it stands between the others."""
+    """The middle robot of three has f = 0 exactly between the others."""
     scenario = rv.Scenario(n_robots=3, graph="path", merge_radius=0.2)
     env = rv.HeadingVectorWrapper(rv.parallel_env(scenario))
     frames = np.stack([np.eye(2)] * 3)
@@ -176,7 +176,7 @@ def test_wall_along_f_does_not_fill_tank():
 
 
 def test_gains_weigh_rows_in_either_frame():
-    """They are numbers, not vectors: a frame turns what is seen and nothing else."""
+    """Weights are scalars, which a rotation of the frame does not change."""
     envs = [make("gains", frame=frame) for frame in ("net_bearing", "local")]
     for env in envs:
         env.reset(seed=4)
@@ -221,7 +221,7 @@ TANK = partial(vector.EnergyTankWrapper, budget=20.0)
     ],
 )
 def test_filters_hold_on_changing_graphs(wrap, scenario, expected):
-    """Whether all meet, whether L grows, and whether links are lost while nobody merges."""
+    """Whether all meet, whether L grows, and whether links are lost without a merge."""
     venv = wrap(rv.make_vec(scenario, 12, autoreset_mode="Disabled"))
     venv.reset(seed=3)
     simulator, random = venv.unwrapped.simulator, np.random.default_rng(0)

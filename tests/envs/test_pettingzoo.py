@@ -1,4 +1,4 @@
-"""The PettingZoo environment: whole-episode determinism, what a step returns."""
+"""PettingZoo environment: determinism of whole episodes, results of a step."""
 
 import hashlib
 import pickle
@@ -31,12 +31,12 @@ def by_law(env, observations):
 
 
 def merged(infos):
-    """Names of the robots that have become part of another."""
+    """Names of the merged robots."""
     return [name for name, info in infos.items() if name != f"robot_{info['merged_into']}"]
 
 
 def until_a_merge(env, seed=3):
-    """Follow the law up to the first step in which somebody merges; what that step returned."""
+    """Run the law up to the first merge; returns the result of that step."""
     result = env.reset(seed=seed)
     while not merged(result[-1]):
         result = env.step(by_law(env, result[0]))
@@ -52,7 +52,7 @@ print(*map(fingerprint, sys.argv[1:]))
 
 
 def fingerprint(kind):
-    """Hash of everything that two whole episodes give out."""
+    """Hash of all outputs of two episodes."""
     env, given = make(kind), []
     for seed in (12, None):
         given.append(env.reset(seed=seed))
@@ -69,7 +69,7 @@ def test_episodes_are_deterministic_across_processes():
 
 
 def test_environment_equals_simulator(kind):
-    """Dicts around a batch of one: no arithmetic of its own, and types of Python's own."""
+    """Dicts of a batch of one, with Python types and without further arithmetic."""
     rv.reward_term("speed asked for", lambda step: step.actions[..., 0])
     env = make(kind, reward=rv.RewardWeights(custom={"speed asked for": 1.0}))
     simulator, venv = Simulator(env.scenario), rv.make_vec(env.scenario, 1)
@@ -102,7 +102,7 @@ def test_environment_equals_simulator(kind):
 
 
 def test_reset_mask_is_not_an_option():
-    """It would leave an episode half begun."""
+    """The mask would leave an episode incomplete."""
     env, other = parallel_env("swarm-20"), parallel_env("swarm-20")
     env.reset(seed=1)
     env.step({name: env.action_space(name).sample() for name in env.agents})

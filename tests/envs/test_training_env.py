@@ -1,4 +1,4 @@
-"""Teams to train in: what generic learners see, do, earn and are told."""
+"""Training environments: observations, actions, rewards and infos of generic learners."""
 
 import dataclasses
 
@@ -99,7 +99,7 @@ def test_preset_has_energy_budget_of_robot_model(field):
 
 @pytest.mark.parametrize(("guarantee", "angles"), [("heading", ANGLES), ("tank", ALL_ROUND)])
 def test_direction_action_equals_its_angle(guarantee, angles):
-    """Of any length; and none at all is the rule itself."""
+    """Directions of any length; zero is the unmodified rule."""
     mode = {"guarantee": guarantee, "autoreset_mode": AutoresetMode.DISABLED}
     chosen = rv.vector.training_env(SCENARIO, 6, discrete=True, **mode)
     headed = rv.vector.training_env(SCENARIO, 6, **mode)

@@ -1,4 +1,4 @@
-"""Rollouts: what a trajectory holds, what is kept on request, what is announced."""
+"""Rollouts: contents of a trajectory, optional recordings, callbacks."""
 
 import numpy as np
 import pytest
@@ -65,7 +65,7 @@ def test_finished_environment_stays_constant():
 
 
 def test_largest_rise_is_per_environment_while_running():
-    """Law (1) lets V fall in every step; a team that has finished no longer counts."""
+    """V decreases in every step under law (1); finished environments do not count."""
     found = rollout(DUO, law_of(DUO), num_envs=2, options=STARTS)
     assert found.running.sum(axis=0).tolist() == [2, len(found.running)]
     rise = found.largest_rise_between_merges
@@ -76,7 +76,7 @@ def test_largest_rise_is_per_environment_while_running():
 
 
 def test_packed_robots_are_active_until_rendezvous():
-    """None of their robots merges."""
+    """Packed robots do not merge."""
     packing = rv.Scenario(n_robots=3, body_radius=0.1, meeting="pack", merge_radius=0.4)
     found = rollout(packing, law_of(packing), num_envs=3)
     steps = np.rint(found.rendezvous_time / packing.tau)
@@ -85,7 +85,7 @@ def test_packed_robots_are_active_until_rendezvous():
 
 
 class Still:
-    """A policy with memory, which says what it was shown since it was reset."""
+    """Stateful policy that returns its observations since the last reset."""
 
     def reset(self, mask=None):
         self.seen = []

@@ -1,4 +1,4 @@
-"""A critic that reads the global state: what it is told, and that nobody else is."""
+"""Critic with the global state, and absence of that state elsewhere."""
 
 from dataclasses import replace
 
@@ -49,7 +49,7 @@ def test_global_state_matches_hand_computation():
 
 
 def test_global_state_exists_without_visible_neighbours():
-    """V(0) is 0, and later V need not be."""
+    """V(0) is 0, and V may be positive later."""
     scenario = rv.Scenario(
         n_robots=2, graph=rv.graphs.proximity(), require_connected=False, max_speed=4.0,
         sensing=rv.Sensing(range=1.0), local_frames="global", time_step=0.1,
@@ -83,7 +83,7 @@ def test_merged_robots_are_absent_and_final_state_is_of_ended_episode():
 
 
 def judged(made, seen):
-    """Preferences and values, without a memory where there could be one."""
+    """Preferences and values, without an optional hidden state."""
     if made.units:
         starts, kept = torch.ones(1, len(seen)), torch.ones(1, len(seen), dtype=torch.bool)
         seen = Sequences(seen[None], starts, torch.zeros(len(seen), made.units), kept)

@@ -1,4 +1,4 @@
-"""A set network: order, absent rows and the world's orientation do not matter."""
+"""Set network: invariance to order, absent rows and orientation."""
 
 import numpy as np
 import pytest
@@ -88,7 +88,7 @@ def test_untrained_network_prefers_rule():
 
 @pytest.mark.parametrize("tank", [False, True])
 def test_numpy_actor_matches_torch(tank):
-    """The critic's weights are not asked for."""
+    """The critic's weights are not required."""
     settings = PolicySettings(
         **SETTINGS, clearance=0.1, persistence=0.5, min_alignment=0.1, max_turn_rate=3.0,
         decision_time=0.2, **({"guarantee": "tank", "memory": "features"} if tank else {}),
@@ -120,7 +120,7 @@ def test_numpy_actor_matches_torch(tank):
 
 
 def judged(made, seen):
-    """What an update asks of a network, and the gradients of all of it."""
+    """Outputs of a network in an update, and all gradients."""
     found = made.judged(seen)
     loss = (found[0].softmax(dim=-1).square().sum(dim=-1) + found[1][:, 0].square()).sum()
     return [*(told.detach() for told in found), *torch.autograd.grad(loss, made.parameters())]
@@ -129,7 +129,7 @@ def judged(made, seen):
 @pytest.mark.kernels
 @pytest.mark.parametrize("name", shipped.NAMES)
 def test_pooling_kernels_match_torch(name, monkeypatch):
-    """Outputs and gradients of the shipped weights; equal rows share those of the largest."""
+    """Outputs and gradients of the shipped weights; equal rows share those of the maximum."""
     about, tables = checkpoints.read(checkpoints.find(shipped.folder(name)), ["network"])
     settings = PolicySettings.from_plain(about["policy"])
     layout, own = settings.layout(K, M), {name: getattr(settings, name) for name in SETTINGS}

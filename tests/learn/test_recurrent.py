@@ -1,4 +1,4 @@
-"""Robots that remember: trained is what was done, and served is what was trained."""
+"""Recurrent policies: equality of rollout, update and inference."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ SCENARIO, SETTINGS = CONFIG.plain_scenario(), CONFIG.policy_settings()
 
 
 def model(steps=STEPS):
-    """PPO on teams that meet, or run out of time, within a rollout or two."""
+    """PPO on environments that end within one or two rollouts."""
     made = Trainer(replace(CONFIG, n_steps=steps, batch_size=4 * steps)).model
     made.train = lambda: None
     with torch.no_grad():
@@ -35,8 +35,9 @@ def model(steps=STEPS):
 
 @pytest.fixture(scope="module")
 def collected():
-    """A model after a rollout that it did not begin with, none of which was learned from, and how
-    many robots' episodes ended, and how many by a merge, in each step.
+    """A model after its second rollout, without an update.
+
+    Also returns the numbers of robots' episode ends, and of merges, in each step.
     """
     made, seen = model(), []
     robots = made.get_env()
@@ -50,7 +51,7 @@ def collected():
 
 
 def test_evaluation_reproduces_rollout(collected):
-    """Over resets, merges and the cut between rollouts: the ratio of the first pass is one."""
+    """The ratio of the first pass is one, over resets, merges and rollout boundaries."""
     made, seen = collected
     ended, merged = seen[STEPS:].sum(axis=0)
     assert ended > TEAMS and merged > 0
@@ -78,7 +79,7 @@ def test_merged_robot_has_no_memory(collected):
 
 
 def test_merged_robot_is_valued_by_survivor(monkeypatch):
-    """Its observation, and what it remembers before it forgets."""
+    """The value uses the survivor's observation, and its hidden state before the reset."""
     made, told, merges = model(steps=2), [], 0
     robots, real = made.get_env(), made.policy.predict_values
 
@@ -101,7 +102,7 @@ def test_merged_robot_is_valued_by_survivor(monkeypatch):
 
 
 def test_deployed_policy_matches_training():
-    """Bit by bit over several episodes: choices, motion, and when memory is lost."""
+    """Bitwise over several episodes: choices, motion, and resets of memory."""
     made = model()
     policy, robots = made.policy, made.get_env()
     served = rv.make_vec(SCENARIO, TEAMS, autoreset_mode=AutoresetMode.SAME_STEP)
@@ -128,7 +129,7 @@ def test_deployed_policy_matches_training():
 
 
 def test_memory_changes_decisions(collected):
-    """The same sight with another memory is another distribution, in torch and in NumPy."""
+    """Equal observations with another memory give another distribution, in torch and NumPy."""
     made, _ = collected
     seen = torch.as_tensor(made._last_obs)
     seen = seen[seen.any(dim=-1)]

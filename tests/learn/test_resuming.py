@@ -1,4 +1,4 @@
-"""A run can be stopped, killed and hurt at any moment: it goes on, or says what is wrong."""
+"""Resumption of stopped, killed and damaged training runs."""
 
 import errno
 import json
@@ -33,13 +33,13 @@ from train.learn import checkpoint, ppo, settings, trainer
 
 @pytest.fixture
 def copied(whole, tmp_path):
-    """Folder of a run that is finished, to be hurt."""
+    """Folder of a finished run, to be damaged."""
     return shutil.copytree(whole, tmp_path / "run")
 
 
 class TestResume:
     def test_signal_keeps_whole_updates(self, whole, tmp_path, capsys):
-        """It comes while the fourth is being told; checkpoints are written every other update."""
+        """The signal comes during the log of update four; every other update has a checkpoint."""
         folder = tmp_path / "run"
         assert stopped_after(config(folder), 4, signal.SIGINT) == 128 + signal.SIGINT
         assert checkpoints.find(folder).name == f"step-{3 * UPDATE:012d}"
@@ -60,7 +60,7 @@ class TestResume:
         ids=["features", "recurrent and global", "unicycle", "space", "nonholonomic"],
     )
     def test_tank_run_resumes_bitwise(self, tmp_path, more):
-        """Ledgers and memory of running episodes are part of a checkpoint."""
+        """Checkpoints contain stored energies and memory of running episodes."""
         tank = {"guarantee": "tank", "budget": 2.0, "prior": 0.5, "eval_every": 0} | more
         folder = assert_goes_on(tmp_path, 2, **tank, total_steps=3 * UPDATE)
         about, tables = checkpoints.read(checkpoints.find(folder), trainer.STATE_FILES)
@@ -93,7 +93,7 @@ class TestResume:
         assert signal.getsignal(signal.SIGINT) is before
 
     def test_rows_after_checkpoint_are_removed(self, tmp_path):
-        """What a kill leaves: rows of updates that will be done again, and half a row."""
+        """A kill leaves rows of updates that will be repeated, and half a row."""
         folder = tmp_path / "run"
         stopped_after(config(folder), 4)
         resumed(folder, total_steps=6 * UPDATE)
@@ -129,7 +129,7 @@ class TestResume:
         assert resumed(copied, total_steps=13 * UPDATE).steps == 13 * UPDATE
 
     def test_explicit_default_flag_counts_as_given(self, copied):
-        """Three million decisions more than the run was to take; one that says nothing is over."""
+        """An explicit default adds three million decisions; otherwise the run is finished."""
         asked = ppo.Config(resume=copied, total_steps=3_000_000, eval_starts=200, eval_every=0)
         assert ppo.run(asked, lambda update, metrics: True).steps == 13 * UPDATE
         stored = json.loads((copied / "config.json").read_text())
@@ -172,7 +172,7 @@ class TestResume:
         assert_same_run(whole, folder)
 
     def step_of(self, folder):
-        """Of the newest checkpoint."""
+        """Description of the newest checkpoint."""
         try:
             return checkpoints.describe(checkpoints.find(folder))["step"]
         except checkpoints.CheckpointError:
@@ -180,11 +180,11 @@ class TestResume:
 
 
 class TestRefusals:
-    """One line, and nothing is changed."""
+    """One-line error without side effects."""
 
     @pytest.fixture
     def refused(self, one_line):
-        """A function: what going on with a folder is refused with a message."""
+        """Function that asserts that resuming a folder fails with a message."""
 
         def refuse(message, folder, *words):
             before = contents(folder)

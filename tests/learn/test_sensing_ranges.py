@@ -1,4 +1,4 @@
-"""Training under sensors that are drawn: their ranges, their groups, and going on bit by bit."""
+"""Training with randomised sensors: ranges, groups, and bitwise resumption."""
 
 import math
 
@@ -19,7 +19,7 @@ DRAWN = {
     "sensing_noise": (0.05, 0.3), "sensing_dropout": (0.0, 0.5), "sensing_delay": (0, 2),
     "sensing_groups": 3, "sensing_updates": 2,
 }  # fmt: skip
-"""Three groups of 3, 3 and 2 teams, one or two of which have a new sensor in every update."""
+"""Three groups of 3, 3 and 2 environments; one or two get a new sensor in every update."""
 
 
 class TestRanges:
@@ -71,7 +71,7 @@ class TestGroups:
         assert generations == [[0, 0, 0], [0, 0, 1], [1, 1, 1], [1, 1, 2], [2, 2, 2]]
 
     def test_groups_equal_their_environments(self, tmp_path):
-        """With sensors that are all exact, groups do bit by bit what the teams do without them."""
+        """With exact sensors, groups are bitwise equal to environments without groups."""
         exact = {"sensing_noise": (0.1, 0.2), "sensing_chance": 0.0, "sensing_groups": 3}
         apart, together = (make_environments(config(tmp_path, **more), 0) for more in (exact, {}))
         seeds, choices = list(range(40, 48)), np.random.default_rng(0)
@@ -103,7 +103,7 @@ class TestGroups:
 
 
 def test_interrupted_training_resumes_bitwise(tmp_path):
-    """With memory, a critic that sees all and a curriculum: groups and their sensors are state."""
+    """With memory, a global critic and a curriculum: groups and their sensors are state."""
     more = {"total_steps": 6 * UPDATE, "eval_every": 0, "guarantee": "tank", "curriculum": (1, 3)}
     more |= {"memory": "recurrent", "memory_units": 4, "critic": "global"}
     run = assert_goes_on(tmp_path, 5, **DRAWN, **more)

@@ -1,4 +1,4 @@
-"""``rendezvous train``: it learns, repeats, and tells how it goes."""
+"""``rendezvous train``: learning, reproducibility and logs."""
 
 import json
 import math
@@ -50,7 +50,7 @@ class TestFiles:
             assert rows[-1][name] == str(results.plain(expected[name])), name
 
     def test_checkpoint_is_complete(self, whole):
-        """Starts of training from 2^62, of evaluation from 2^61, of compare from 0 are apart."""
+        """Seeds of training (from 2^62), evaluation (2^61) and compare (0) are disjoint."""
         own, place = config(whole), checkpoints.find(whole)
         about, tables = checkpoints.read(place, trainer.STATE_FILES)
         assert about["step"] == 12 * UPDATE and Config.from_plain(about["config"]) == own
@@ -82,7 +82,7 @@ class TestLearning:
             assert (network(whole)[name] != start.numpy()).any(), name
 
     def test_reward_is_learned(self, tmp_path):
-        """Where only progress counts, straight towards f is best, however random it begins."""
+        """With a reward for progress only, motion along f is optimal from any initialisation."""
         changed = config(
             tmp_path / "run", total_steps=16 * 2048, num_teams=32, prior=0.0, touch_penalty=0.0,
             learning_rate=3e-3, epochs=4, batch_size=512, progress=20.0, time_penalty=0.0,
@@ -110,7 +110,7 @@ class TestLearning:
             ppo.run(config(tmp_path / "wider", start_from=whole, set_width=9))
 
     def test_scenario_overrides_apply(self, tmp_path, capsys):
-        """As ``compare --set``; held-out starts are of the changed scenario, too."""
+        """As ``compare --set``; held-out initial conditions also use the changed scenario."""
         more = {"total_steps": 2 * 8 * 3 * 16, "eval_every": 1}
         words = flags(tmp_path / "run", **more, set=("n_robots=3", "time_limit=20"))
         assert cli.main(["train", *words]) == 0
@@ -138,7 +138,7 @@ class TestLearning:
 
 
 class TestResult:
-    """What the program that called gets, and what it is told on the way."""
+    """Results of the Python API, and its callbacks."""
 
     def test_result_holds_last_metrics_and_best_evaluation(self, tmp_path):
         told = []
@@ -159,7 +159,7 @@ class TestResult:
         assert result.best[0]["step"] == evaluated[clean.index(max(clean))]["step"]
 
     def test_progress_line_omits_missing_values(self, tmp_path, capsys):
-        """In two seconds nobody meets, and where robots pass through obstacles nothing is clean."""
+        """No rendezvous in two seconds, and no contacts where robots pass through obstacles."""
         fields = ("obstacle_contact=ignore", "time_limit=2")
         ppo.run(config(tmp_path, total_steps=UPDATE, eval_every=1, set=fields))
         said = capsys.readouterr().out
@@ -198,7 +198,7 @@ class TestResult:
         assert_same_run(tmp_path / "run", whole)
 
     def test_pruned_trial_exception_propagates(self, tmp_path):
-        """As Optuna's, which is raised in the middle."""
+        """As Optuna's exception, which is raised in the middle."""
         with pytest.raises(ZeroDivisionError):
             ppo.run(config(tmp_path / "run"), on_update=lambda update, metrics: 1 / 0)
         assert resumed(tmp_path / "run", total_steps=UPDATE).steps == UPDATE

@@ -1,4 +1,4 @@
-"""An update is that of stable-baselines3, however it is shared out."""
+"""PPO updates: equality with stable-baselines3, for any partition of the work."""
 
 import copy
 from functools import partial
@@ -18,7 +18,7 @@ STEPS = 40
 
 
 def collected(memory, batch_size=10**6):
-    """A model after it has filled its buffer, before it learns from that."""
+    """A model after a rollout, before its update."""
     config = Config(
         scenario="clutter-12", set=("time_limit=3",), guarantee="tank", budget=2.0, memory=memory,
         critic="global" if memory == "recurrent" else "local", set_width=8, hidden=(16,), seed=5,
@@ -33,14 +33,14 @@ def collected(memory, batch_size=10**6):
 
 
 def evaluated(policy, sequences, actions):
-    """What PPO asks of a network, here of whole sequences."""
+    """Outputs of a network for PPO, here of whole sequences."""
     preferences, values = policy.judged(sequences)
     chances = torch.distributions.Categorical(logits=preferences)
     return values, chances.log_prob(actions), chances.entropy()
 
 
 def after(model, train):
-    """Weights and what was told of an update, done to a copy."""
+    """Weights and log of an update of a copy."""
     model.rollout_buffer.part_size = 300  # several parts to a batch
     own = copy.copy(model)
     own.policy = copy.deepcopy(model.policy)
@@ -55,7 +55,7 @@ def after(model, train):
 
 @pytest.mark.parametrize("memory", ["none", "recurrent"])
 def test_update_equals_stable_baselines3(memory):
-    """One batch, over which both normalise advantages; three steps down."""
+    """One batch, over which both normalise advantages; three gradient steps."""
     model = collected(memory)
     ours, told = after(model, type(model).train)
     theirs, expected = after(model, PPO.train)
@@ -108,7 +108,7 @@ def test_gradients_equal_autograd():
 
 
 def test_merge_within_decision_keeps_team_reward():
-    """The bonus of a rendezvous later in the same decision among it."""
+    """Includes the bonus of a later rendezvous in the same decision."""
     robots = TimedRobotVecEnv(make_environments(Config(num_teams=64, touch_penalty=0.0), 0))
     robots.seed(0)
     robots.reset()

@@ -29,7 +29,7 @@ SPHERES = [Sphere((0, 1, 0), 2**0.5), Sphere((0, -1, 0), 2**0.5), Sphere((1, 0, 
 
 
 def move_one_straight(start, displacement, scene, mode):
-    """Displacement (d,) executed and contact of one straight motion in a world."""
+    """Executed displacement (d,) and contact of one straight motion in a world."""
     normals = np.empty((2 * len(scene.kinds), 3))
     contact, moved = move_straight(triple(start), triple(displacement), scene, mode, normals)
     return np.array(moved)[: len(start)], contact
@@ -52,14 +52,14 @@ def move_one_curved(start, inputs, scene, mode):
 
 
 def straight(position, displacement, obstacles, mode=SLIDE):
-    """End point and contact of one straight motion; one slot is left over."""
+    """End point and contact of one straight motion; one slot is empty."""
     scene = world(obstacles, len(obstacles) + 1)
     moved, contact = move_one_straight(position, displacement, scene, mode)
     return np.array(position, dtype=float) + moved, contact
 
 
 def curved(position, speed, yaw, yaw_rate, duration, obstacle, mode=SLIDE):
-    """Displacement and contact of one unicycle motion, likewise."""
+    """Displacement and contact of one unicycle motion; one slot is empty."""
     inputs = speed, yaw, 0.0, yaw_rate, 0.0, duration
     return move_one_curved(position, inputs, world([obstacle], 2), mode)
 
@@ -168,7 +168,7 @@ class TestStraightByHand:
 
 
 def half_plane(angle, left=True):
-    """A big block with an edge on the ray at an angle from the origin, free on one side."""
+    """Large block with an edge on the ray at an angle from the origin, free on one side."""
     along = 50 * np.array([math.cos(angle), math.sin(angle)])
     across = np.array([along[1], -along[0]]) * (1 if left else -1)
     corners = [-along, along, along + across, -along + across]
@@ -200,7 +200,7 @@ class TestCurvedByHand:
     @pytest.mark.parametrize("speed", [0.5, -0.5])
     @pytest.mark.parametrize("turn", [0.0, -3.0, 0.4])
     def test_touching_unicycle_drives_away(self, speed, turn):
-        """Tangentially: straight on, turning away, or on a wider circle than the disc's."""
+        """Tangential motion: straight, turning away, or on a wider circle than the disc's."""
         position, yaw = np.array([0.0, -1.0]), 0.0
         out, contact = curved(position, speed, yaw, turn * np.sign(speed), 0.5, self.DISC)
         expected = arc(2, speed, yaw, 0.0, turn * np.sign(speed), 0.0, 0.5)
@@ -214,7 +214,7 @@ class TestCurvedByHand:
         assert tuple(out) == (0, 0) and not contact
 
     def test_circling_along_surface_keeps_pace(self):
-        """A unicycle whose circle is the disc itself neither sinks in nor sticks."""
+        """A unicycle on the circle of the disc neither penetrates nor sticks."""
         position, yaw, duration = np.array([0.0, -1.0]), 0.0, 0.05
         for step in range(1, 41):
             out, contact = curved(position, 1.0, yaw, 1.0, duration, self.DISC)
@@ -224,7 +224,7 @@ class TestCurvedByHand:
             np.testing.assert_allclose(position, (math.sin(turned), -math.cos(turned)), atol=1e-9)
 
     def test_pressing_unicycle_slides(self):
-        """A tighter circle than the disc's makes contact, and still moves at nearly full speed."""
+        """A tighter circle than the disc's causes contact, at nearly full speed."""
         for mode, least, most in ((SLIDE, 0.09, 0.1 + 1e-6), (STOP, 0.0, 0.01)):
             out, contact = curved((0, -1), 1.0, 0.0, 1.5, 0.1, self.DISC, mode)
             assert contact and least <= np.linalg.norm(out) <= most

@@ -90,7 +90,7 @@ def test_simulator_size_counts_active_robots(dim):
     scenario = Scenario(n_robots=5, dim=dim, graph="path", neighbour_slots=4)
     simulator = started(scenario, 6, seed=4)
     # the last two are neighbours closer than r, so a step makes one robot of them
-    places = simulator.positions
+    places = simulator.positions.copy()
     places[:, 4] = places[:, 3] + 0.1 * scenario.merge_radius
     simulator.reset(4, {"positions": places})
     simulator.step(np.zeros((6, 5, dim)))

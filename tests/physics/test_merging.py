@@ -1,4 +1,4 @@
-"""Merging (theory 5), by hand and against its bound; f and contraction where a_ij is not a_ji."""
+"""Merging (theory 5), by hand and against its bound; also for asymmetric weights."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def linked(n, *links):
 
 
 def links_of(arcs):
-    """What takes pairs gets of them: mean weights."""
+    """Mean weights, for code that requires symmetric pairs."""
     mean = (arcs + arcs.T) / 2
     first, second = np.nonzero(np.triu(mean))
     return first, second, mean[first, second]
@@ -38,7 +38,7 @@ CHAIN = linked(4, (0, 1, 2.0), (1, 2, 0.5), (2, 3, 1.0))
 
 
 class Moved:
-    """What ``merge_swept`` makes of one team, r = 1."""
+    """Result of ``merge_swept`` for one team, r = 1."""
 
     def __init__(self, positions, displacements, weights=CHAIN, obstacles=None, radius=1.0):
         self.positions = np.array(positions, dtype=float)
@@ -146,7 +146,7 @@ def test_merge_at_lower_index_if_midpoint_is_in_obstacle():
 
 
 def test_merge_may_raise_v_within_bound():
-    """0 and 1 hang on far robots that pull both ways: joining them costs length."""
+    """Robots 0 and 1 have distant neighbours on opposite sides: merging increases lengths."""
     weights = linked(6, (0, 1, 0.2), (0, 2, 1.0), (0, 3, 1.0), (1, 4, 1.0), (1, 5, 1.0))
     positions = np.array([[-0.4, 0], [0.4, 0], [-0.4, 9], [-0.4, -9], [0.4, 9], [0.4, -9]])
     moved = Moved(positions, np.zeros((6, 2)), weights)
@@ -160,7 +160,7 @@ def test_merge_may_raise_v_within_bound():
 
 @pytest.mark.parametrize("in_an_obstacle", [False, True])
 def test_bound_is_attained_by_four_collinear_robots(in_an_obstacle):
-    """Midpoint: r (D_1 + D_2 − 4 a_12); the lower index's place: r (2 max D − 4 a_12)."""
+    """Midpoint: r (D_1 + D_2 − 4 a_12); position of the lower index: r (2 max D − 4 a_12)."""
     weights = linked(4, (0, 1, 0.2), (0, 2, 1.0), (1, 3, 1.5))
     disc = world([Disc((0.5, 0.0), 0.05)]) if in_an_obstacle else None
     start = [[0, 0], [1, 0], [-9, 0], [9, 0]]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import shapely
-from geometry import along, triple, world
+from geometry import along, separate, triple, world
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -60,7 +60,7 @@ def polygon_views():
     """Random polygons, each with a viewpoint anywhere near it."""
     rng = np.random.default_rng(1)
     polygons = [random_polygon(rng) for _ in range(N_VIEWS // 10)] * 10
-    obstacles = world(polygons[: N_VIEWS // 10])
+    obstacles = separate(polygons[: N_VIEWS // 10])
     positions = np.array([p.centroid for p in polygons]) + rng.normal(0, 3, (N_VIEWS, 2))
     shapes = np.array([shapely.Polygon(p.vertices) for p in polygons])
     return obstacles, positions, shapes
@@ -89,7 +89,7 @@ class TestDistanceAndNormal:
         rng = np.random.default_rng(2)
         centres, radii = rng.normal(0, 5, (1000, dim)), rng.uniform(0.1, 5, 1000)
         positions = rng.normal(0, 5, (1000, dim))
-        obstacles = world([kind(tuple(c), r) for c, r in zip(centres, radii, strict=True)])
+        obstacles = separate([kind(tuple(c), r) for c, r in zip(centres, radii, strict=True)])
         distances, normals, _ = views(obstacles, positions)
         offsets = positions - centres
         lengths = np.linalg.norm(offsets, axis=1)
@@ -132,7 +132,7 @@ class TestSilhouette2d:
     def test_disc_edges_are_at_half_angle(self):
         rng = np.random.default_rng(3)
         centres, radii = rng.uniform(-10, 10, (N_VIEWS, 2)), rng.uniform(0.05, 5, N_VIEWS)
-        discs = world([Disc(tuple(c), r) for c, r in zip(centres, radii, strict=True)])
+        discs = separate([Disc(tuple(c), r) for c, r in zip(centres, radii, strict=True)])
         turn, distance = rng.uniform(0, 7, N_VIEWS), radii * rng.uniform(1.001, 30, N_VIEWS)
         _, _, seen = views(discs, centres - distance[:, None] * direction(turn))
         half = np.arcsin(radii / distance)

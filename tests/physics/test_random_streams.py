@@ -22,7 +22,7 @@ PURPOSES = (START, FRAMES, OBSTACLES, GRAPH, SENSING, ACTUATION)
 
 
 def stream_key(seed, episode, purpose):
-    """Python gets a plain integer back, of which numba would make a signed one."""
+    """Plain integer in Python, as numba would return a signed one."""
     return np.uint64(compiled_stream_key(seed, episode, purpose))
 
 
@@ -32,7 +32,7 @@ def numbers(seed, episode, purpose, count=2000):
 
 
 def test_mix_is_splitmix64():
-    """The generator started at 0 gives these words (Vigna's reference implementation)."""
+    """The generator with seed 0 gives these words (Vigna's reference implementation)."""
     state = 0
     words = []
     for _ in range(3):

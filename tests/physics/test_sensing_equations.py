@@ -1,4 +1,4 @@
-"""What a sensor does not see, and how it turns bearings: as equations."""
+"""Equations of imperfect sensing: missed detections and bearing errors."""
 
 import math
 
@@ -161,7 +161,7 @@ def outward(positions, merged_into=None):
 
 
 def gradient_of_size(positions, i, step=1e-6):
-    """By central differences."""
+    """Gradient by central differences."""
     gradient = []
     for shift in np.eye(positions.shape[1]) * step:
         there, back = positions.copy(), positions.copy()
@@ -196,7 +196,7 @@ def test_outward_of_collinear_team_is_along_line(d):
 
 
 def test_outward_of_grid_counts_edges_once():
-    """The corners of a cube with the middles of its edges, faces and itself."""
+    """Corners of a cube with the midpoints of its edges and faces, and its centre."""
     grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     found = outward(grid)
     for place, direction in zip(grid, found, strict=True):

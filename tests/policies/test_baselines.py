@@ -1,4 +1,4 @@
-"""The paper's laws, by hand and on large sparse graphs, and the registry of scripted policies."""
+"""Laws of the paper, by hand and on large sparse graphs; registry of scripted policies."""
 
 import math
 
@@ -41,7 +41,7 @@ GRAVITY = [-math.sin(PITCH), 0.0, -math.cos(PITCH)]
     ],
 )  # fmt: skip
 def test_laws_match_hand_computation(name, scenario, rows, expected):
-    """Every robot of a team sees the same rows."""
+    """All robots of a team have the same rows."""
     shape = (scenario.n_robots, *scenario.observation_layout.shape)
     seen = np.broadcast_to(np.array(rows, dtype=np.float32), shape)
     actions = baselines.make(name, scenario)(seen, 2.5)
@@ -122,7 +122,7 @@ class TestRegistry:
         assert len(baselines.names()) == 31
 
     def test_policies_have_descriptions_in_order_of_kind(self):
-        """A reader of positions is privileged by its name and by its kind, and nobody else is."""
+        """Exactly the oracles, which read positions, have privileged in name and kind."""
         kinds = [policy.kind_of(name) for name in baselines.names()]
         assert kinds == sorted(kinds, key=list(policy.KINDS).index) and "own" not in kinds
         for name, kind in zip(baselines.names(), kinds, strict=True):
@@ -168,7 +168,7 @@ class TestRegistry:
 
 
 class TestLargeSparseGraphs:
-    """Their default step is made for the degrees there are, and law (1) is scaled to it."""
+    """Their default step depends on the degrees, and law (1) is scaled to it."""
 
     def sparse(self, n=60, **fields):
         graph = fields.pop("graph", rv.graphs.erdos_renyi(0.06))
@@ -202,7 +202,7 @@ class TestLargeSparseGraphs:
         assert (found.largest_rise_between_merges <= 0.0).all()
 
     def test_hub_scales_its_velocity(self):
-        """Thirty neighbours on the one side and 29 on the other: D_i = 59 m/s, ‖f_i‖ = 1 m/s."""
+        """Thirty neighbours on one side and 29 on the other: D_i = 59 m/s, ‖f_i‖ = 1 m/s."""
         scenario = self.sparse(graph=rv.graphs.erdos_renyi(0.03))
         seen = np.zeros((60, *scenario.observation_layout.shape), np.float32)
         seen[0, :30, 0], seen[0, 30:, 0], seen[1, 0, 0] = 1.0, -1.0, 1.0

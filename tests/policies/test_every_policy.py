@@ -1,6 +1,4 @@
-"""What every policy keeps to: taken elsewhere it goes on, a batch is its teams, it forgets the
-teams that it is told to, and it meets where nothing is in the way.
-"""
+"""Common properties of all policies: resumption, batching, resets, and rendezvous."""
 
 import copy
 import pickle
@@ -18,11 +16,11 @@ from rendezvous_env.trajectory import begin, run
 SCENARIOS = ("clutter-8", "clutter-3d", "unicycle-6", "uav-6", "duo")
 HEAVY = rv.Scenario(n_robots=3, robot_model="double_integrator")
 ROUNDED = ("learned", "learned-tank", "learned-tank-noise")
-"""A network's sums come in another order for other batches."""
+"""The order of a network's sums depends on the batch size."""
 
 
 def choose(observations):
-    """Depends on every row."""
+    """Choices that depend on every row."""
     return np.tanh(np.cumsum(observations, axis=-2)[..., -1, :])
 
 
@@ -45,12 +43,12 @@ ELSEWHERE = {
 ALSO_ELSEWHERE = [f"{name} {field}" for field, names in ELSEWHERE.items() for name in names]
 NAMES = [*baselines.names(), *FILTERED, *ALSO_ELSEWHERE]
 OTHER_KINDS = {"damped", *ALSO_ELSEWHERE}
-"""Kinds of environments that fast tests do without."""
+"""Kinds of environments excluded from fast tests."""
 SEES = [name for name in NAMES if not name.startswith(("privileged", "random"))]
 
 
 def made(name):
-    """A policy, and a scenario that it fits."""
+    """A policy, and a suitable scenario."""
     if name in FILTERED:
         scenario = rv.scenarios.get("clutter-8")
         return FILTERED[name](scenario), scenario
@@ -64,7 +62,7 @@ def made(name):
 
 
 def sights(policy, scenario, steps=5):
-    """What three teams see along an episode; the policy has seen it too."""
+    """Observations of three environments along an episode of the policy."""
     simulator = rv.Simulator(scenario, 3)
     seen = [simulator.reset(5)]
     for _ in range(steps):
@@ -78,7 +76,7 @@ def same(name, found, wanted):
 
 @pytest.mark.parametrize("name", marked([n for n in NAMES if n != "trained"], slow=OTHER_KINDS))
 def test_policy_resumes_bitwise_from_pickle(name):
-    """With the teams that it steers, which privileged ones read."""
+    """Pickled with its environments, which oracles read."""
     policy, scenario = made(name)
     simulator = rv.Simulator(scenario, 2)
     simulator.reset(5)
@@ -153,7 +151,7 @@ def test_memory_matters_and_foreign_batches_are_rejected():
     [name for name in SEES if name != "quantised" and is_single_integrator(made(name)[1])],
 )
 def test_policies_are_rotation_equivariant(name):
-    """Nothing depends on where local axes point; sectors are counted from there."""
+    """Actions do not depend on the orientation of local axes, except for sectors."""
     plain, scenario = made(name)
     turned, simulator = made(name)[0], rv.Simulator(scenario, 3)
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(scenario.dim, scenario.dim)))[0]
@@ -193,7 +191,7 @@ THROUGH = {"time_limit": 25.0, "obstacle_contact": "ignore"}
     ],
 )
 def test_certified_headings_keep_alignment_and_v_never_increases(name, field, changes):
-    """Theorem C, beside obstacles where nobody touches them."""
+    """Theorem C, with obstacles but without contacts."""
     scenario = rv.scenarios.get(field).replace(**changes)
     simulator, policy = rv.Simulator(scenario, 16), baselines.make(name, scenario)
     checked = aside = 0

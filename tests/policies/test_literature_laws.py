@@ -1,4 +1,4 @@
-"""Laws of others from bearings: against a few lines of NumPy, to the end, and where they fit."""
+"""Laws from the literature: compared with NumPy, full episodes, supported scenarios."""
 
 import math
 
@@ -27,7 +27,7 @@ TEAM = rv.Scenario(n_robots=6, max_speed=1.0, time_limit=60.0)
 
 
 def bearings(positions):
-    """(n, n, d), zero on the diagonal."""
+    """Bearings (n, n, d), zero on the diagonal."""
     return unit(positions[None] - positions[:, None])
 
 
@@ -36,7 +36,7 @@ def mean(g):
 
 
 def sector(g):
-    """Try every pair of neighbours as the two ends, and take the narrowest that holds all."""
+    """Narrowest sector that contains all neighbours, by trying every pair as its ends."""
     velocities = np.zeros((len(g), 2))
     for i, rows in enumerate(g):
         others = np.delete(rows, i, axis=0)
@@ -71,7 +71,7 @@ LAWS = {
 
 @pytest.mark.parametrize(("name", "law"), LAWS.items(), ids=LAWS)
 def test_law_matches_numpy_reference(name, law):
-    """In the global frame, as sectors are counted from each robot's own x axis."""
+    """In the global frame, as sectors start at each robot's own x axis."""
     simulator = rv.Simulator(TEAM.replace(local_frames="global"), 100)
     found = baselines.make(name, simulator.scenario)(simulator.reset(3), 0.0)
     for positions, actions in zip(simulator.positions, found, strict=True):
@@ -82,7 +82,7 @@ def test_law_matches_numpy_reference(name, law):
 
 @pytest.mark.parametrize("graph", ["path", "star", "random_tree"])
 def test_unit_mean_law_meets_within_bound(graph):
-    """T ≤ V0⁺/(4 v a*), twice that for the held step."""
+    """T ≤ V0⁺/(4 v a*), twice that for held steps."""
     team = TEAM.replace(graph=graph, n_robots=5)
     found = rv.rollout(team, baselines.make("unit-mean", team), 0, num_envs=40)
     n, links = 5, 4
@@ -92,7 +92,7 @@ def test_unit_mean_law_meets_within_bound(graph):
 
 @pytest.mark.parametrize("name", ["cyclic-pursuit", "nearest-pursuit"])
 def test_pursuit_meets_within_theorem_g_bound(name):
-    """Whom a robot pursues changes at merges; the sum of its gains is v all the time."""
+    """The target of a robot changes at merges; the sum of its gains is always v."""
     team = TEAM.replace(time_step=0.005)
     found = rv.rollout(team, baselines.make(name, team), 0, num_envs=30)
     simulator = rv.Simulator(team, 30)
@@ -125,7 +125,7 @@ class TestSmallestSector:
         np.testing.assert_allclose(smallest_sector_law(rows), [1, 1], atol=1e-12)
 
     def test_smallest_sector_never_lengthens_links(self):
-        """As the source proves; a step of r/2 for speeds of up to 2 m/s."""
+        """As proven in the source, for a step of r/2 at speeds of up to 2 m/s."""
         team = TEAM.replace(graph="path", max_speed=None, merge_radius=0.2, time_step=0.05)
         found = rv.rollout(team, baselines.make("smallest-sector", team), 2, num_envs=30)
         whole = found.active.all(axis=-1)
@@ -144,7 +144,7 @@ def test_equations_match_hand_computation():
 
 
 def test_too_few_sectors_fail():
-    """Theorem N: an error of π/k < π/n is tolerated; half-turns are no directions to go by."""
+    """An error of π/k < π/n is tolerated (theorem N); half-turns give no direction."""
     team = TEAM.replace(time_limit=20.0)
     coarse = rv.rollout(team, baselines.make("quantised", team, sectors=2), 0, num_envs=20)
     fine = rv.rollout(team, baselines.make("quantised", team, sectors=7), 0, num_envs=20)
@@ -195,13 +195,13 @@ CARS = Scenario(
 
 
 def view(scenario, *rows):
-    """One team; every robot sees the same rows."""
+    """One team with the same rows for all robots."""
     shape = (scenario.n_robots, *scenario.observation_layout.shape)
     return np.broadcast_to(np.array(rows, dtype=np.float32), shape)
 
 
 class TestPursuitByRobotsWithATurnLimit:
-    """One target at a time, aligned before it drives."""
+    """Robots pursue one target at a time, and align before they drive."""
 
     @pytest.mark.parametrize(("model", "dim"), [("unicycle", 2), ("nonholonomic_3d", 3)])
     def test_pursuit_meets_within_bound(self, model, dim):
@@ -212,7 +212,7 @@ class TestPursuitByRobotsWithATurnLimit:
         assert (found.rendezvous_time <= pursuit_bound(scenario, simulator.size(), 0.3)).all()
 
     def test_turns_match_hand_computation(self):
-        """At most ω_max; only what is left in the last step; drives to within a step's turn."""
+        """At most ω_max, and only the remaining angle in the last step before driving."""
         cars = CARS.replace(n_robots=2, time_step=0.1)
         policy = baselines.make("pursuit", cars)
         assert policy.speed == pytest.approx(0.3)  # the limit, less than 0.8 · 4 · 0.2/2

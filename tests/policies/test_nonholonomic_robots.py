@@ -1,6 +1,4 @@
-"""Robots that turn: inputs that follow velocities, memory that turns with the frame, and obstacles
-that they see and do not hit.
-"""
+"""Nonholonomic robots: inputs for velocities, rotated memory, and obstacle avoidance."""
 
 import math
 
@@ -96,8 +94,10 @@ def before_edges(obstacles):
 
 
 def before_spheres(obstacles):
-    """A sphere seen under half an angle θ about c is before an axis h with ∠(h, c) < θ: cos ∠ >
-    cos θ = ‖Σ rays‖/8."""
+    """A sphere of half angle θ about c blocks an axis h with ∠(h, c) < θ.
+
+    That is, cos ∠ > cos θ = ‖Σ rays‖/8.
+    """
     middles = obstacles.sum(axis=-2)
     lengths = np.linalg.norm(middles, axis=-1)
     within = middles[..., 0] > lengths**2 / 8 * (1 + 1e-4)
@@ -131,8 +131,9 @@ def test_rules_never_drive_into_visible_obstacles(name, field, is_before, least)
 
 
 def test_memory_is_steady_while_robot_turns():
-    """Beside a wall from −0.5 to 0.5 rad about f it means to go at 0.7 rad, however it has turned;
-    it turns on the spot, then drives.
+    """With a wall from −0.5 to 0.5 rad about f, the desired direction is 0.7 rad.
+
+    It does not depend on the robot's rotation: the robot turns on the spot, then drives.
     """
     scenario = rv.scenarios.get("unicycle-clutter-24-slower")
     policy = baselines.make("tank-joined", scenario, clearance=0.2)
@@ -155,7 +156,7 @@ def test_memory_is_steady_while_robot_turns():
 
 @pytest.mark.parametrize("name", ["tangent-joined", "tank-joined"])
 def test_touching_robot_drives_away(name):
-    """It starts on the surface, looking away from it; silhouettes are half of all directions."""
+    """It starts on the surface, facing away; silhouettes are half of all directions."""
     for dim, model, obstacle in (
         (2, "unicycle", rv.Disc((0.0, 0.0), 1.0)),
         (3, "nonholonomic_3d", rv.Sphere((0.0, 0.0, 0.0), 1.0)),

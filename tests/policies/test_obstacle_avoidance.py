@@ -1,4 +1,4 @@
-"""Headings at the edges of obstacles, by hand and against a brute-force oracle over angles."""
+"""Headings at obstacle edges, by hand and against a brute-force oracle over angles."""
 
 import math
 
@@ -77,7 +77,7 @@ def test_planar_rules_match_hand_computation(intervals, literal, blocking, joine
 
 
 def by_brute_force(intervals, clearance, samples=7200):
-    """The joined rule about f = 0 on a fine grid of directions.
+    """Merged-interval rule about f = 0 on a fine grid of directions.
 
     Walk from f both ways through covered directions; an edge is where the cover ends. Returns the
     angle of the heading, or None if the grid is too coarse to tell.
@@ -133,7 +133,7 @@ def test_merged_interval_rule_matches_brute_force():
 
 
 def test_rules_in_3d_match_hand_computation():
-    """A cone in the way, to be left at its edge nearest to f, and a wider one beside the way."""
+    """A blocking cone, passed at its edge nearest to f, and a wider one next to it."""
     f, beside, offset, half = np.array([1.0, 0, 0]), ring([0, 0, 1], 0.7), math.atan(0.2), 0.5
     points = np.zeros((4, 8, 3))
     points[0] = ring([1, 0.2, 0], half)
@@ -148,7 +148,7 @@ def test_rules_in_3d_match_hand_computation():
 
 
 def test_merged_cone_rule_takes_nearest_free_direction():
-    """Of rays around each cone that overlaps the one in the way, directly or through others."""
+    """Candidate rays of each cone that overlaps the blocking one, directly or through others."""
     random = np.random.default_rng(2)
     left = through = 0
     for _ in range(400):
@@ -179,7 +179,7 @@ def test_merged_cone_rule_takes_nearest_free_direction():
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_touching_robot_leaves_along_f_without_pressing(dim):
-    """Its silhouette is half of all directions, and opposite points add up to nothing."""
+    """Its silhouette is half of all directions, and opposite points sum to zero."""
     random = np.random.default_rng(3)
     axes = [*np.eye(dim), *-np.eye(dim)]
     for towards in [*axes, *unit(random.normal(size=(40, dim)))]:
@@ -200,7 +200,7 @@ def test_touching_robot_leaves_along_f_without_pressing(dim):
 
 @pytest.mark.parametrize("swapped", [-0.1, -1e-7, 1e-7, 0.1])
 def test_touched_obstacle_with_swapped_edges_still_blocks(swapped):
-    """By rounding, or by a sensor that errs: it stands at +x, and covers about half of all."""
+    """From rounding or sensor errors: the obstacle at +x covers about half of all directions."""
     angles = 0.5 * math.pi * np.array([1.0, -1.0]) + 0.5 * swapped * np.array([1.0, -1.0])
     points = np.stack([np.cos(angles), np.sin(angles)], axis=-1)[None]
     heading = tangent_joined_heading(np.array([1.0, 0.3]), points, clearance=CLEARANCE)

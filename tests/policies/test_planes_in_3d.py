@@ -1,4 +1,4 @@
-"""Cones of space as intervals of a plane, and the tuned rule that goes by them."""
+"""Cones in 3-D as intervals of a plane, and the tuned rule for them."""
 
 import math
 
@@ -23,7 +23,7 @@ NONE = (0.0, 0.0, 0.0)
 
 
 def at(yaw, elevation=0.0):
-    """A unit vector, rad."""
+    """Unit vector from angles, rad."""
     level = math.cos(elevation)
     return np.array([level * math.cos(yaw), level * math.sin(yaw), math.sin(elevation)])
 
@@ -34,12 +34,14 @@ def cone(centre, half_angle):
 
 
 ROW = [cone(at(yaw), 0.4) for yaw in (-1.2, -0.6, 0.0, 0.6, 1.2)]
-"""Along y; it closes the plane of f and y on both sides, not that of f and z."""
+"""Obstacle along y, which blocks both sides of the plane of f and y, not that of f and z."""
 
 
 def azimuth(cones, before=NONE, keeps=0.0, clearance=0.0):
-    """The azimuth about the x axis, whether it was kept, and the edges, rad, that its plane cuts of
-    the cones; none is (0, 0)."""
+    """Azimuth about the x axis, whether it was kept, and edges, rad.
+
+    The edges are intersections of the plane with the cones; (0, 0) without one.
+    """
     silhouettes = np.array(cones)
     rays, cut = np.zeros_like(silhouettes), np.zeros((len(cones), 2, 2))
     seen = widened_rays(silhouettes, clearance, rays)
@@ -49,8 +51,11 @@ def azimuth(cones, before=NONE, keeps=0.0, clearance=0.0):
 
 
 def test_plane_cuts_cone_within_half_angle():
-    """Between rays a cone is taken to be flat: half angles from atan(tan 0.4 cos 22.5°) to 0.4; at
-    the elevation δ of the centre above the plane cos ψ = cos θ / cos δ; beyond the cone nothing."""
+    """Between rays a cone is flat: half angles from atan(tan 0.4 cos 22.5°) to 0.4.
+
+    At the elevation δ of the centre above the plane cos ψ = cos θ / cos δ; beyond the cone there is
+    no intersection.
+    """
     for elevation, clearance, half in (
         (0.0, 0.0, 0.39), (0.0, 0.1, 0.49), (0.3, 0.0, math.acos(math.cos(0.4) / math.cos(0.3))),
         (0.5, 0.0, 0.0),
@@ -71,7 +76,7 @@ def test_plane_is_kept_while_free_direction_is_near():
 
 
 def test_azimuth_minimises_turn():
-    """A cone whose nearest edge lies along y, and one that closes that way."""
+    """A cone with its nearest edge along y, and one that blocks that direction."""
     seen = cone(at(-0.3), 0.4)
     aside, kept, _ = azimuth([seen], before=Z)
     assert not kept and aside @ Y > 0.9
@@ -84,7 +89,7 @@ def test_azimuth_minimises_turn():
 
 @pytest.mark.parametrize("half_angle", [0.05, 0.4, 0.77, 1.0, 1.4])
 def test_widened_eight_rays_contain_cone(half_angle):
-    """Hardly more than it where the cone is widest between two rays."""
+    """Slightly larger than the round cone where it is widest between two rays."""
     for turn, share in ((0.0, 1.0), (math.pi / 8, 0.999)):
         rays = np.array([cone(X, half_angle)])
         out = np.zeros_like(rays)
@@ -101,7 +106,7 @@ def test_lies_outside_matches_geometry():
 
 
 def heading_of(cones, carried=NONE, aside=NONE):
-    """Where the tuned rule leads from f along the x axis, and the azimuth that it keeps to."""
+    """Heading of the tuned rule for f along the x axis, and its kept azimuth."""
     out, asides = np.zeros((1, 3)), np.array([aside], float)
     silhouettes = np.array(cones, float).reshape(1, -1, 8, 3)
     arguments = 0.2, np.array([carried], float), 0.5, asides, out
@@ -110,8 +115,9 @@ def heading_of(cones, carried=NONE, aside=NONE):
 
 
 def test_tuned_rule_keeps_plane_and_side_while_blocked():
-    """Of a cone to pass at −y the edge lies at 0.1 rad, widened by 0.1 within a clearance of 0.2;
-    who has begun at +y goes on there, who keeps to z passes in that plane.
+    """The edge of a cone is at 0.1 rad on the side −y, widened by 0.1 with a clearance of 0.2.
+
+    A robot that started at +y stays on that side, and one that keeps z passes in that plane.
     """
     seen = [cone(at(0.3), 0.4)]
     heading, aside = heading_of(seen)
@@ -129,7 +135,7 @@ def test_tuned_rule_keeps_plane_and_side_while_blocked():
 
 
 def test_robot_touching_sphere_leaves_without_pressing():
-    """Eight rays in a plane add up to rounding."""
+    """Eight rays in a plane sum to zero up to rounding."""
     random = np.random.default_rng(4)
     for centre in unit(random.normal(size=(60, 3))):
         rays = cone(centre, math.pi / 2).astype(np.float32)[None]

@@ -1,4 +1,4 @@
-"""Privileged references: equations by hand, what they keep, and that nobody is sooner."""
+"""Oracle laws: equations by hand, invariants, and lower bounds on the time."""
 
 import math
 
@@ -21,7 +21,7 @@ NAMES = (
 
 
 def first_velocities(name, scenario, positions):
-    """In the global frame."""
+    """Scenario with global frames."""
     simulator, policy = rv.Simulator(scenario), baselines.make(name, scenario)
     seen = simulator.reset(0, {"positions": positions})
     policy.watch(simulator)
@@ -29,7 +29,7 @@ def first_velocities(name, scenario, positions):
 
 
 def test_consensus_is_exponential_of_laplacian():
-    """p(t) = exp(−L t) p(0), while nobody is at the speed limit or merges."""
+    """p(t) = exp(−L t) p(0), without a speed limit or a merge."""
     weights = np.array([[0, 0.5, 0, 0.2], [0.5, 0, 0.7, 0], [0, 0.7, 0, 0.3], [0.2, 0, 0.3, 0]])
     start = np.array([[0.0, 0.0], [3.0, 1.0], [4.0, -2.0], [-1.0, 2.0]])
     team = rv.Scenario(
@@ -68,7 +68,7 @@ def test_first_velocities_match_hand_computation(name, changes, start, wanted):
 class TestEnclosingBall:
     @given(st.integers(1, 12), st.integers(2, 3), st.integers(0, 10**6), st.booleans())
     def test_enclosing_ball_contains_points_and_is_minimal(self, count, d, seed, on_a_grid):
-        """A convex function that no small step lessens is at its least."""
+        """A convex function is minimal if no small step decreases it."""
         points = np.random.default_rng(seed).normal(size=(count, d)) * 4
         points = np.round(points) if on_a_grid else points
         centre, radius = smallest_enclosing_ball(points)
@@ -80,7 +80,7 @@ class TestEnclosingBall:
                 smallest_enclosing_ball(no_points)
 
     def test_enclosing_ball_is_time_optimal(self):
-        """T is at least (R − (n − 1) r/2)/v_max, and at most R/v_max and what merges cost."""
+        """T is between (R − (n − 1) r/2)/v_max and R/v_max plus the cost of merges."""
         policy = baselines.make("privileged-enclosing-ball", TEAM)
         found = rv.rollout(TEAM, policy, 0, num_envs=50)
         radii = np.array([smallest_enclosing_ball(p)[1] for p in found.positions[0]])
@@ -93,7 +93,7 @@ class TestEnclosingBall:
             assert other.rendezvous_time.mean() > found.rendezvous_time.mean() + TEAM.tau
 
     def test_centre_is_per_episode(self):
-        """Along straight lines to it; the second begins without a word to the policy."""
+        """On straight lines to the centre; the second episode starts without a policy reset."""
         simulator, policy = rv.Simulator(TEAM, 2), baselines.make(NAMES[2], TEAM)
         seen = simulator.reset(0)
         policy.watch(simulator)
@@ -109,7 +109,7 @@ class TestEnclosingBall:
             seen = simulator.reset()
 
     def test_mask_restarts_some_environments(self):
-        """Both teams are moved; the other one goes back to its old centre."""
+        """Both teams are moved; the team without reset returns to its old centre."""
         simulator, policy = rv.Simulator(TEAM, 2), baselines.make(NAMES[2], TEAM)
         seen = simulator.reset(0)
         policy.watch(simulator)
@@ -128,8 +128,10 @@ class TestCircumcentre:
         np.testing.assert_allclose(found, [[1, 0], [1, 2], [2, 2]], atol=1e-9)
 
     def test_farthest_steps_match_hand_computation(self):
-        """Straight at a neighbour d away as far as (d + R)/2; straight away (R − d)/2; across
-        √((R/2)² − (d/2)²)."""
+        """Towards a neighbour at distance d: (d + R)/2; away from it: (R − d)/2.
+
+        Across: √((R/2)² − (d/2)²).
+        """
         sight, d = 2.0, 1.2
         ways, linked = np.zeros((3, 3, 2)), np.zeros((3, 3), bool)
         ways[:, 1], linked[:, 1] = [d, 0.0], True
@@ -139,7 +141,7 @@ class TestCircumcentre:
         assert np.isinf(farthest_steps(towards, ways, ~linked & False, sight)).all()
 
     def test_circumcentre_law_keeps_links(self):
-        """Law (1) loses some, and so does consensus: who is at the edge lags behind."""
+        """Law (1) and consensus lose links, since outer robots lag behind."""
         sight = 2.0
         team = TEAM.replace(
             n_robots=10, spawn_size=7.0, sensing=rv.Sensing(range=sight), max_speed=20.0,

@@ -1,4 +1,4 @@
-"""The planner that knows the map: what it reads, which ways it takes, and that it passes."""
+"""Oracle planner with the map: inputs, paths, and success."""
 
 import math
 
@@ -29,14 +29,16 @@ def clean(found):
 
 
 def shortest(roadmap, here, there):
-    """Length of the shortest way from a point to another, m."""
+    """Length of the shortest path between two points, m."""
     here, there = np.atleast_2d(here), np.atleast_2d(there)
     return roadmap.distances(here, roadmap.to_corners(here)[0], there)[0, 0]
 
 
 def round_a_ball():
-    """Length of the tangents and the arc round a unit ball with a clearance of 0.1 m, from 3 m on
-    the one side to 3 m on the other."""
+    """Length of the tangents and the arc round a unit ball with a clearance of 0.1 m.
+
+    The end points are 3 m away on opposite sides.
+    """
     angle = math.acos(1.1 / 3)
     return 2 * math.sqrt(9 - 1.1**2) + 1.1 * (math.pi - 2 * angle)
 
@@ -74,7 +76,7 @@ class TestWays:
             assert np.linalg.norm(np.diff(turns, axis=0), axis=-1).sum() == pytest.approx(found)
 
     def test_polygons_are_simplified_within_clearance(self):
-        """A roadmap looks from each corner to each: of 49 such polygons ten thousand took hours."""
+        """A roadmap connects all corners: 49 such polygons took hours for ten thousand."""
         around = 2 * np.pi * np.arange(200) / 200
         ring = np.stack([np.cos(around), np.sin(around)], axis=-1)
         roadmap = Roadmap(pack([Polygon(ring + np.array([3 * k, 0.0])) for k in range(8)], 8), 0.1)
@@ -89,7 +91,7 @@ class TestWays:
             Roadmap(pack(discs, 300), 0.1)
 
     def test_pointed_obstacle_blocks_beyond_bounding_ball(self):
-        """Made fatter, a corner is pointed: ways are as if no obstacle were passed over."""
+        """An enlarged corner is pointed, and paths must respect all of it."""
         needle = Polygon(((0.0, -0.05), (4.0, 0.0), (0.0, 0.05)))
         roadmap = Roadmap(pack([needle], 1), 0.1)
         straight = roadmap.straight(np.array([[4.5, -1.0], [19.5, -1.0]]), np.array([[4.5, 1.0]]))
@@ -120,7 +122,7 @@ class TestItPasses:
         ],
     )  # fmt: skip
     def test_planner_solves_every_scenario(self, name, starts, fails):
-        """In some of them law (4) fails."""
+        """Includes scenarios in which law (4) fails."""
         scenario = rv.scenarios.get(name)
         for policy in (NAME, fails) if fails else (NAME,):
             law = baselines.make(policy, scenario)

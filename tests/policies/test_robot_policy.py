@@ -1,4 +1,4 @@
-"""One robot that ticks by itself: against the same robot in a batch, and in a team out of step."""
+"""Single-robot policy: compared with a batch, and in asynchronous teams."""
 
 import numpy as np
 import pytest
@@ -17,14 +17,16 @@ from rendezvous_env.trajectory import run
 CLUTTER = rv.scenarios.get("clutter-12")
 TURNING = CLUTTER.replace(robot_model="unicycle", max_turn_rate=1.5)
 ALL_ALONG = 500
-"""Steps that are enough of an episode."""
+"""Number of steps of an episode."""
 OPPOSITE = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]] * 4)
-"""Rays that go round nothing."""
+"""Rays that enclose no direction."""
 
 
 def measured(rows, layout, random):
-    """Arguments of ``act``: what a row of a batch shows, in any order, edges and rays from anywhere
-    on and either way round."""
+    """Arguments of ``act`` from a row of a batch, in random order.
+
+    Edges and rays start anywhere and have any orientation.
+    """
     seen = layout.split(rows)
     neighbours = seen.neighbours[seen.neighbours.any(axis=-1)]
     obstacles = random.permutation(seen.obstacles[seen.obstacles.any(axis=(1, 2))])
@@ -62,9 +64,7 @@ IN_SPACE = (
     ("name", "scenario"), [*IN_THE_PLANE, *(slow(*pair) for pair in (*UNICYCLES, *IN_SPACE))]
 )
 def test_robot_policy_equals_batch(name, scenario):
-    """In space but for rounding to float32, in whole episodes; in the plane but for sums in another
-    order, too.
-    """
+    """In 3-D up to float32 rounding, in whole episodes; in the plane also up to summation order."""
     if isinstance(scenario, str):
         scenario = rv.scenarios.get(scenario)
     simulator, random = rv.Simulator(scenario), np.random.default_rng(0)
@@ -118,7 +118,7 @@ def test_actions_are_float64_that_messages_of_robots_can_hold(policy, scenario):
 
 @pytest.mark.parametrize("name", ["learned", "tangent-joined-tuned", "learned-tank"])
 def test_asynchronous_team_keeps_margin_and_meets(name):
-    """Every robot ticks when it likes, 10 to 50 ms after its last tick, and holds its velocity."""
+    """Each robot ticks 10 to 50 ms after its last tick, and holds its velocity."""
     field = rv.scenarios.get("clutter-8")
     world = field.replace(time_step=0.01)
     layout, random = world.observation_layout, np.random.default_rng(1)
@@ -152,7 +152,7 @@ class TestTime:
             assert turned == pytest.approx(dt, abs=1e-5)
 
     def test_network_observes_rates(self):
-        """Edges that turn at 1 rad/s do so however often the robot looks."""
+        """A rotation rate of 1 rad/s does not depend on the tick rate."""
         rates = []
         for dt in (0.02, 0.05):
             robot, shown = RobotPolicy(CLUTTER), []
@@ -199,7 +199,7 @@ class TestSight:
     A, B, C = along(40, 20), along(80, 60), along(-100, -120)
 
     def shown(self, *looks):
-        """The obstacle slots after each look of one robot at some obstacles."""
+        """Obstacle slots after each tick of a robot among some obstacles."""
         sight = RobotSight(layout := CLUTTER.observation_layout, 3.0)
         return [layout.split(sight.rows(along(0), look, None)).obstacles for look in looks]
 
@@ -210,7 +210,7 @@ class TestSight:
         assert two.any(axis=(1, 2)).sum() == 3
 
     def test_vanished_obstacle_frees_slot_later(self):
-        """An obstacle that comes into sight as another goes does not turn as fast as that."""
+        """A newly visible obstacle has no rotation rate from the previous one in its slot."""
         one, two = self.shown([self.A], [self.C])
         assert not (one.any(axis=(1, 2)) & two.any(axis=(1, 2))).any()
 

@@ -1,4 +1,4 @@
-"""Policies in worlds whose lengths and speeds are all so many times those of a shipped field."""
+"""Invariance of policies to a common scale of lengths and speeds."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def times_larger(u):
 @pytest.mark.parametrize("policy", ["privileged-planner", "tank-joined"])
 @pytest.mark.parametrize("u", [2.0**-13, 2.0**10])
 def test_policies_are_scale_invariant(policy, u):
-    """A power of two is exact: the planner kept 0.1 m, the rule had 50 m²/s and lost 1 m."""
+    """A power of two is exact; formerly lengths and budgets were absolute."""
     found = [
         rv.rollout(scenario, baselines.make(policy, scenario), 0, num_envs=20)
         for scenario in (CLUTTER, times_larger(u))

@@ -1,4 +1,4 @@
-"""The joined rule under a tank: its ledger, its memory, and walls that law (4) cannot round."""
+"""Wall following under a tank: stored energy, memory, and walls too long for law (4)."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ BAY = {
     "start_positions": ((-1.0, 0.3), (1.0, 0.0)),
     "obstacles": tuple(rv.Capsule(ends=ends, radius=0.2) for ends in WALLS),
 }
-"""Two bays back to back: the only way out of either leads away from the robot in the other."""
+"""Two bays back to back: the only exit of each leads away from the other robot."""
 
 
 def made(scenario=CLUTTER, **options):
@@ -36,7 +36,7 @@ def made(scenario=CLUTTER, **options):
     ],
 )
 def test_v_plus_ledger_decreases_without_contact(name, budget, teams, least):
-    """V + ΣA, although what robots remember turns with their bodies and is never told."""
+    """V + ΣA decreases, although memory rotates with the bodies without feedback."""
     scenario = rv.scenarios.get(name).replace(time_limit=45.0)
     policy, simulator = made(scenario, budget=budget), Simulator(scenario, teams)
     steering, checked, away = Steering(scenario), 0, 0
@@ -59,7 +59,7 @@ def test_v_plus_ledger_decreases_without_contact(name, budget, teams, least):
 
 @pytest.mark.parametrize("field", ["clutter-8", "unicycle-clutter-24-slow"])
 def test_tank_leaves_bay_unlike_heading(field):
-    """A heading rests there for ever: V would have to rise."""
+    """A heading policy rests there for ever, as leaving would increase V."""
     bay = rv.scenarios.get(field).replace(name="bay", time_limit=60.0, **BAY)
     for name, meets in (("tangent-joined-tuned", False), ("tank-joined", True)):
         simulator, policy = Simulator(bay, 5), baselines.make(name, bay)
@@ -81,7 +81,7 @@ def test_free_path_follows_f():
 
 
 def in_a_corner():
-    """A scenario and what its first robot sees: f along x, and a wall from −2.5 to 2.4 rad."""
+    """A scenario and observations of its first robot: f along x, wall from −2.5 to 2.4 rad."""
     scenario = Scenario(n_robots=2, obstacle_slots=2, time_step=0.05, max_speed=1.0)
     layout = scenario.observation_layout
     free = np.zeros((2, *layout.shape), np.float32)
@@ -93,7 +93,7 @@ def in_a_corner():
 
 
 def test_rule_turns_back_after_enough_loss():
-    """A wall that never ends: 0.2 rad outside either end, first 1 m back from f, then 2 m."""
+    """Infinite wall: 0.2 rad outside either end, first 1 m against f, then 2 m."""
     scenario, _, walled = in_a_corner()
     policy = made(scenario, patience=1.0)
     sides = [float(np.sign(policy(walled, 0.0)[0, 1])) for _ in range(60)]

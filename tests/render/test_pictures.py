@@ -1,4 +1,4 @@
-"""Pictures show what the data say: colours stand where the robots and the obstacles are."""
+"""Images compared with data: colours at the positions of robots and obstacles."""
 
 import numpy as np
 import pytest
@@ -181,7 +181,7 @@ def test_capsule_is_drawn():
 
 @pytest.mark.parametrize(("radius", "count"), [(0.001, 99), (0.5, 37)])
 def test_capsule_in_3d_is_drawn_as_balls(radius, count):
-    """As few as do for a very thin one."""
+    """The minimum number of balls for a very thin one."""
     beads = outlines(pack((rv.Capsule(((0.0, 0.0, 0.0), (9.0, 0.0, 0.0)), radius),), 1), 3)
     assert len(beads) == count and beads[-1].centre.tolist() == [9.0, 0.0, 0.0]
     assert {bead.radius for bead in beads} == {radius}
@@ -214,7 +214,7 @@ def test_contacts_text_counts_robot_steps():
 
 
 def grey_between(frame, one, other):
-    """Which of 40 places on the way from one pixel to another have the grey of links."""
+    """Points among 40 between two pixels that have the grey of links."""
     shares = np.linspace(0.15, 0.85, 40)[:, None]
     return [near(frame, place, (205, 205, 205), 1) > 0 for place in one + shares * (other - one)]
 

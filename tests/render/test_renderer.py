@@ -1,4 +1,4 @@
-"""One interface of pictures for every kind of environment; tiles of teams; the drawing library."""
+"""Renderer interface for every kind of environment; tiles of environments; drawing library."""
 
 import copy
 import pickle
@@ -18,7 +18,7 @@ from rendezvous_env import rendezvous_v0
 from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.envs.gymnasium_env import make_env
 from rendezvous_env.render.palette import OBSTACLE, ROBOTS
-from rendezvous_env.render.renderer import MOST_TEAMS, Renderer
+from rendezvous_env.render.renderer import MAX_TEAMS, Renderer
 from rendezvous_env.vector import HeadingVectorWrapper
 
 
@@ -93,7 +93,7 @@ class TestPicture:
 
     @pytest.mark.parametrize("dim", [2, 3])
     def test_finished_environment_is_drawn(self, dim):
-        """All robots in one place, and no obstacle: nothing says how large the scene is."""
+        """All robots at one position without obstacles: the extent of the scene is undefined."""
         start, ahead = np.zeros((2, dim)), np.eye(dim, dtype=np.float32)[0]
         start[1, 0] = 0.3
         options = {"positions": start, "frames": np.tile(np.eye(dim), (2, 1, 1))}
@@ -161,18 +161,18 @@ class TestTile:
     def test_tile_shows_first_environments(self):
         few, many = (
             rv.make_vec("duo", num_envs=count, render_mode="rgb_array")
-            for count in (MOST_TEAMS, 3 * MOST_TEAMS)
+            for count in (MAX_TEAMS, 3 * MAX_TEAMS)
         )
         for venv in (few, many):
             venv.reset(seed=5)
         assert np.array_equal(few.renderer.render(), many.renderer.render())
-        first, rest = many.render()[:MOST_TEAMS], many.render()[MOST_TEAMS:]
-        assert np.array_equal(first, few.render()) and len(rest) == 2 * MOST_TEAMS
+        first, rest = many.render()[:MAX_TEAMS], many.render()[MAX_TEAMS:]
+        assert np.array_equal(first, few.render()) and len(rest) == 2 * MAX_TEAMS
         assert all(part.min() == 255 and part.shape == first[0].shape for part in rest)
 
     @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
     def test_autoreset_clears_old_path(self, mode):
-        """As if the renderer had looked for the first time after the last beginning."""
+        """As if the renderer had first observed the environment after the last reset."""
         scenario = rv.scenarios.get("clutter-4").replace(time_limit=0.2)
         venv = rv.make_vec(scenario, num_envs=4, autoreset_mode=mode, render_mode="rgb_array")
         venv.reset(seed=0)
@@ -194,7 +194,7 @@ class TestTile:
 
     @pytest.mark.parametrize("first_only", [False, True])
     def test_gymnasium_records_videos(self, first_only, tmp_path, monkeypatch):
-        """``moviepy`` only writes what was recorded."""
+        """``moviepy`` only writes the recording."""
         monkeypatch.setitem(sys.modules, "moviepy", ModuleType("moviepy"))
         venv = rv.make_vec("duo", num_envs=4, render_mode="rgb_array")
         options = {"episode_trigger": lambda episode: True, "record_first_only": first_only}
@@ -228,7 +228,7 @@ def test_missing_pygame_names_extra(monkeypatch):
 
 
 def test_tile_reports_packed_rendezvous():
-    """All its robots are left, and they were counted."""
+    """All its robots remain, and the tile counted them."""
     env = rv.make_vec("robotarium-4", 2, render_mode="rgb_array", autoreset_mode="Disabled")
     env.reset(seed=0)
     before, state = env.render(), env.get_state()

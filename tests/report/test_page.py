@@ -1,4 +1,4 @@
-"""Tables and looks of the page of ``rendezvous report``, and what it says of a sensor that errs."""
+"""Page of ``rendezvous report``: tables, layout, and imperfect sensors."""
 
 import re
 
@@ -168,7 +168,7 @@ def test_numbers_are_not_truncated(width, scenario, opened):
 
 
 def test_about_section_lists_scenario(opened, recorded):
-    """Orange obstacles at their place, the robot's own colour at its start."""
+    """Orange obstacles at their positions, a robot's colour at its initial position."""
     disc = next(one for one in outlines(recorded("obstacles"), 2) if not len(one.vertices))
     for position, right, colour in (
         (disc.centre, 0, [0xE6, 0x9F, 0x00]),
@@ -180,7 +180,7 @@ def test_about_section_lists_scenario(opened, recorded):
 
 @pytest.fixture(scope="module")
 def erring(tmp_path_factory):
-    """A comparison in which bearings are noisy and now and then missing, beside an exact one."""
+    """A comparison with noisy and missing bearings, and an exact one."""
     out = tmp_path_factory.mktemp("blurred")
     sensor = rv.Sensing(noise=0.3, dropout=0.3)
     scenario = rv.Scenario(name="blurred", n_robots=4, time_limit=1.0, sensing=sensor)
@@ -199,7 +199,7 @@ class TestErringSensor:
 
     @pytest.fixture
     def kept(self, erring):
-        """Arrays of the only start."""
+        """Arrays of the only initial condition."""
         with np.load(erring / "trajectories.npz") as arrays:
             yield lambda name, scenario: arrays[f"{scenario}/bearing-only/0/{name}"]
 
@@ -225,7 +225,7 @@ class TestErringSensor:
                 assert float(off.removesuffix("°")) == pytest.approx(angle, abs=0.7)
 
     def test_true_bearings_are_grey_rays(self, seen_page, kept):
-        """Where no arrow lies: towards a robot that this robot does not see."""
+        """A ray without an arrow, towards an undetected robot."""
         wait_for(seen_page, "blurred", [])
         times, hidden = kept("times", "blurred"), kept("observations", "blurred")[:, 0] == 0
         offsets = kept("positions", "blurred")[:, 1:] - kept("positions", "blurred")[:, :1]
@@ -256,7 +256,7 @@ class TestErringSensor:
 
 
 def test_rises_of_v_use_world_units(browser, tmp_path):
-    """Here V is about 10⁻⁸ m²/s, and a rise of 10⁻¹⁰ was called none."""
+    """V is about 10⁻⁸ m²/s here, and an increase of 10⁻¹⁰ was rounded to zero."""
     fields = {"merge_radius": 1e-5, "spawn_size": 1e-3, "time_limit": 30.0}
     small = rv.Scenario(name="small", n_robots=2, graph=rv.graphs.complete(1e-5), **fields)
     small.to_toml(tmp_path / "small.toml")
@@ -274,7 +274,7 @@ def test_rises_of_v_use_world_units(browser, tmp_path):
 
 
 def test_a_clearance_of_a_contact_is_0(opened):
-    """Less than a thousandth of the merge radius is rounding, whatever its sign."""
+    """Values below a thousandth of the merge radius are rounding, for either sign."""
     source = (ROOT / "train/report/page/tables.js").read_text(encoding="utf-8")
     data = "const DATA = {scenarios: {fig4: {contact: 2e-4}}};"
     cells = ["-4.4408920985006262e-16", "0.0000094", "0.0032", "0.1261", ""]

@@ -1,4 +1,4 @@
-"""The replay of ``rendezvous report`` in headless Chromium, used as a reader uses it."""
+"""Replay of ``rendezvous report`` in headless Chromium."""
 
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
@@ -241,7 +241,7 @@ class TestSight:
 
 
 def test_packed_team_counts_as_met(browser, tmp_path):
-    """All its robots are left, so that it was said to have run out of time."""
+    """All its robots remain, so it was reported as a time-out."""
     how = {"episodes": 1, "keep": 1, "figures": False}
     config = compare.Config(("robotarium-4",), ("bearing-only",), out=tmp_path, **how)
     assert compare.run(config) == 0 and report.run(report.Config(tmp_path)) == 0
@@ -252,7 +252,7 @@ def test_packed_team_counts_as_met(browser, tmp_path):
 
 
 def test_millimetre_world_fills_picture(browser):
-    """The room about it was 8 cm, and its numbers were zeros."""
+    """The margin was 8 cm, and displayed numbers were zeros."""
     page = browser.new_page()
     for name in ("tables.js", "world.js"):
         page.add_script_tag(path=Path(report.__file__).with_name("page") / name)

@@ -1,4 +1,4 @@
-"""``rendezvous report``: what the page holds, and what it says of folders that are not whole."""
+"""``rendezvous report``: contents of the page, and incomplete folders."""
 
 import base64
 import json
@@ -23,12 +23,12 @@ from train.report.input import read
 
 @pytest.fixture
 def folder(compared, tmp_path):
-    """A copy that a test may damage."""
+    """Copy for damage by a test."""
     return shutil.copytree(compared, tmp_path / "out", ignore=shutil.ignore_patterns("report.html"))
 
 
 def rows_of(shown):
-    """Observations in the plane: row k of robot i is turned from its bearing of k or k + 1."""
+    """Planar observations: row k of robot i is rotated from its bearing of k or k + 1."""
     angles, lengths = shown["angles"].copy(), shown["lengths"]
     n = angles.shape[1]
     for i in range(n):
@@ -46,7 +46,7 @@ def run_of(folder):
 
 
 def rewrite(folder, change):
-    """What says the names of scenarios and policies, with others in it."""
+    """Replace the names of scenarios and policies in the files."""
     for name in ("results.csv", "episodes.csv", "paired.csv", "run.json"):
         path = folder / name
         path.write_text(change(path.read_text()))
@@ -54,7 +54,7 @@ def rewrite(folder, change):
 
 @pytest.fixture(scope="module")
 def text(compared):
-    """The page of what ``compared`` holds."""
+    """Page of ``compared``."""
     return report.page(read(compared))
 
 
@@ -121,7 +121,7 @@ class TestPage:
         assert not re.findall(r'(?:src|href)="(?!data:|#)', text)
 
     def test_names_are_escaped_and_trajectories_optional(self, folder, reseal, capsys):
-        """A scenario called </script><b> stays a name."""
+        """The scenario name </script><b> is displayed as text."""
         name = "</script><b>&</b>"
         rewrite(folder, lambda text: re.sub(r'(?<=")fig4(?=")|fig4(?=,)', name, text))
         (folder / "trajectories-fig4.png").unlink()
@@ -173,7 +173,7 @@ def test_rounding_matches_hand_computation():
 
 @pytest.fixture
 def refused(one_line):
-    """A function: the one line that the command says of a folder; no page is left."""
+    """Function that returns the one-line message about a folder; no page is left."""
 
     def refuse(folder):
         said = one_line("report", folder)
@@ -218,7 +218,7 @@ def test_modified_description_is_rejected(content, message, folder, refused):
 
 
 class TestForged:
-    """One line, too, where digests were made to fit what ``compare`` would not have written."""
+    """One-line message also for invalid content with valid digests."""
 
     @pytest.mark.parametrize(
         ("changes", "message"),

@@ -129,7 +129,7 @@ def gains():
     def policy(scenario):
         filtered = Gains(scenario, 20, min_gain=2.0, max_gain=2.0, frame="local")
         filtered.hold(chosen)
-        return lambda observations, time: filtered.act(observations)
+        return lambda observations, time: filtered.apply(observations)
 
     def law(teams, step):
         return followed(teams.look().bearings, 2.0 * weights / weights.sum(axis=-1, keepdims=True))

@@ -1,4 +1,4 @@
-"""Claims tried in the free integrator hold, and are violated where something is made wrong."""
+"""Claims for the continuous-time integrator: satisfied, and violated by injected faults."""
 
 import dataclasses
 
@@ -22,7 +22,7 @@ BY_NAME = {claim.name: claim for claim in FREE}
 
 
 def findings(name, batches=(0, 1, 2, 3), broken=None):
-    """Violations and worst T/bound of a claim, with something broken in each of its trials."""
+    """Violations and worst T/bound of a claim, with a fault in each trial."""
     claim = BY_NAME[name]
 
     def draw(random, batch, least_margin):
@@ -59,17 +59,17 @@ def test_script_reports_every_claim(capsys):
 
 
 def soon(trial):
-    """No need to wait for what is broken at once."""
+    """Shorter limit for immediate violations."""
     trial.limit = np.minimum(trial.limit, 50 * np.max(trial.step))
 
 
 def too_soon(trial, random):
-    """A bound a hundred times too small."""
+    """Fault: a bound a hundred times too small."""
     trial.limit = trial.limit / 100
 
 
 def backwards(trial, random):
-    """Robots flee."""
+    """Fault: robots move away."""
     law = trial.law
     trial.law = lambda teams: -law(teams)
     soon(trial)
@@ -77,7 +77,7 @@ def backwards(trial, random):
 
 
 def sideways(trial, random):
-    """Velocities are turned by a little, outward."""
+    """Fault: velocities are rotated outward by a little."""
     law = trial.law
 
     def turning(teams):
@@ -91,13 +91,13 @@ def sideways(trial, random):
 
 
 def sideways_for_long(trial, random):
-    """The same where theorem N is claimed: errors beyond it."""
+    """Fault for theorem N: errors beyond its tolerance."""
     sideways(trial, random)
     trial.limit = 400 * trial.step * np.ones(BATCH)
 
 
 def one_rests(trial, random):
-    """Two robots see nobody."""
+    """Fault: two robots without neighbours."""
     law = trial.law
 
     def resting(teams):
@@ -109,7 +109,7 @@ def one_rests(trial, random):
 
 
 def outside_the_cone(trial, random):
-    """Law (4) at the margin to one side of f."""
+    """Fault: law (4) at the minimum alignment on one side of f."""
     attention = Attention(trial.teams, random)
     axis = random.normal(size=trial.teams.positions.shape)
 
@@ -125,7 +125,7 @@ def outside_the_cone(trial, random):
 
 
 def by_law_1(trial, random):
-    """It loses links."""
+    """Fault: links are lost."""
 
     def law(teams):
         sights = teams.look()
@@ -227,7 +227,7 @@ def test_headings_stay_in_cone_of_two_bearings():
 
 
 def test_bearings_have_maximum_age():
-    """A robot that goes by: its bearings tell when it was seen."""
+    """The bearing of a passing robot reveals its delay."""
     random = np.random.default_rng(3)
     places = random.uniform(-50.0, 50.0, (BATCH, 3, 2))  # so that nobody meets
     teams = Teams(places, 0.2, draw_weights(random, 3))

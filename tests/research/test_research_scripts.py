@@ -1,4 +1,4 @@
-"""Scripts: figures of learning, tables of the field's own measures, wrong arguments, Ctrl-C."""
+"""Research scripts: learning figures, tables of the literature, invalid arguments, Ctrl-C."""
 
 import math
 import runpy
@@ -81,7 +81,7 @@ def test_tank_figure_is_drawn():
 
 
 def test_reward_and_diameter_match_hand_computation():
-    """Three robots, r_c = 4: distances 3, 4 and 5, the last capped."""
+    """Three robots, r_c = 4: distances 3, 4 and 5, the last clipped."""
     positions = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 4.0]])
     actions = np.array([[1.0, 0.0], [0.5, -0.5], [0.0, 0.0]])
     wanted = -(3 / 4 + 1 + 1) / 3 - 0.001 * (1 + 0.25 + 0.25) / 6
@@ -102,7 +102,7 @@ def test_resting_team_earns_initial_value():
 
 
 def test_finished_environment_earns_nothing():
-    """Two that stand still once they have met, step by step in the simulator."""
+    """Two robots at rest after rendezvous, step by step in the simulator."""
     team = rv.scenarios.get("duo")
     simulator = rv.Simulator(team, 2)
     observations, total = simulator.reset(0), np.zeros(2)
@@ -164,7 +164,7 @@ def test_invalid_argument_is_one_line(words, said, monkeypatch, capsys):
 
 
 def test_interrupted_search_resumes(tmp_path):
-    """Nor tells a row of the run that was stopped."""
+    """The interrupted run has no row either."""
     words = "research/training_search.py --tried small-batch --seeds 0 1".split()
     command = [sys.executable, ROOT / words[0], *words[1:], "--out", tmp_path / "runs"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as search:

@@ -1,4 +1,4 @@
-"""A machine under a policy: wheels of a differential drive, and velocities that keep apart."""
+"""Differential drive under a policy: wheel speeds, and velocities that avoid collisions."""
 
 import itertools
 
@@ -12,7 +12,7 @@ FREE = PIONEER._replace(wheel_acceleration=np.inf)
 
 
 def test_point_ahead_follows_velocity():
-    """A body that turns by ω and drives by v carries P with v (c, s) + l ω (−s, c)."""
+    """A body with rates ω and v moves P with v (c, s) + l ω (−s, c)."""
     drive = DifferentialDrive(FREE._replace(wheel_speed=1e3))
     for x, y, yaw in itertools.product((-0.3, 0.2), (-0.1, 0.4), (0.0, 1.0, 3.0, -2.0)):
         v, omega = drive.command((x, y), yaw, 0.1)
@@ -22,7 +22,7 @@ def test_point_ahead_follows_velocity():
 
 
 def test_wheel_speeds_match_hand_computation():
-    """L = 0.4 m, R = 0.1 m: at 0.5 m/s and 1 rad/s the rims go 0.3 and 0.7 m/s."""
+    """L = 0.4 m, R = 0.1 m: at 0.5 m/s and 1 rad/s the rims move at 0.3 and 0.7 m/s."""
     drive = DifferentialDrive(FREE)
     assert drive.command((0.5, 0.2), 0.0, 0.05) == pytest.approx((0.5, 1.0))
     assert drive.wheels == pytest.approx((3.0, 7.0))
@@ -36,7 +36,7 @@ def test_wheel_speed_limit_preserves_direction():
 
 
 def test_acceleration_limit_synchronises_wheels():
-    """20 rad/s² for 0.05 s is 1 rad/s a tick: the faster wheel, at 7 rad/s, needs 7 of them."""
+    """20 rad/s² for 0.05 s is 1 rad/s per tick: the faster wheel, at 7 rad/s, needs 7 ticks."""
     drive, wheels = DifferentialDrive(PIONEER), []
     for _ in range(10):
         drive.command((0.5, 0.2), 0.0, 0.05)
@@ -91,7 +91,7 @@ class TestKeepApart:
         assert keep_apart((1.0, 2.0), all_round) == pytest.approx((0.0, 0.0))
 
     def test_keep_apart_is_closest_admissible(self):
-        """Against all there is: the desired one, its feet on the borders, where they cross."""
+        """Candidates: the desired velocity, its projections on the borders, their intersections."""
         random = np.random.default_rng(0)
         for _ in range(300):
             angles = random.uniform(-np.pi, np.pi, random.integers(1, 8))

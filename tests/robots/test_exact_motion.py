@@ -1,4 +1,4 @@
-"""One exact step of each robot model: against formulas by hand and fine numerical integration."""
+"""Exact step of each robot model: compared with formulas and numerical integration."""
 
 import math
 
@@ -23,7 +23,7 @@ rates = st.floats(-6.0, 6.0)
 @pytest.mark.parametrize("d", [2, 3])
 @given(st.floats(-3, 3), angles, angles, rates, rates, st.floats(0.01, 1.0))
 def test_nonholonomic_3d_follows_equation_9(d, v, yaw, pitch, yaw_rate, pitch_rate, duration):
-    """That of a unicycle is the same without a pitch."""
+    """A unicycle has the same equation without a pitch."""
 
     def velocity(t, _):
         a, b = yaw + yaw_rate * t, (pitch + pitch_rate * t) * (d == 3)
@@ -37,7 +37,7 @@ def test_nonholonomic_3d_follows_equation_9(d, v, yaw, pitch, yaw_rate, pitch_ra
 
 @pytest.mark.parametrize("rate", [1e-3, 1e-6, 1e-7, 1e-9, 1e-12, 1e-300, 0.0])
 def test_small_turn_rates_are_accurate(rate):
-    """Against the Taylor series, whose next term is below the last digit."""
+    """Compared with the Taylor series, whose next term is below the last digit."""
     x = rate * 1.0
     mean_cos, mean_sin = mean_cos_sin(0.0, x)
     assert mean_sin == pytest.approx(x / 2 - x**3 / 24, rel=1e-14, abs=1e-320)
@@ -82,7 +82,7 @@ def test_action_is_rotated_and_limited():
 
 @given(triples, triples, st.floats(0, 1))
 def test_motion_matches_numerical_integration(action, velocity, share):
-    """p̈ = a with the acceleration in force, by scipy."""
+    """p̈ = a with the applied acceleration, by scipy."""
     model = DoubleIntegrator(TAU, V_MAX, A_MAX, (0.0,) * 3)
     frame = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     velocity = within(velocity, V_MAX)
@@ -144,7 +144,7 @@ def test_chord_error_is_within_bound(action, velocity, start, share):
 
 @given(pairs, pairs, st.floats(0, 2 * math.pi), st.floats(0, 1))
 def test_contact_removes_normal_velocity_only(action, velocity, angle, kept):
-    """A flat wall with the normal n took all but a share of what of the way went into it."""
+    """A flat wall with normal n removed all but a fraction of the normal component."""
     velocity = within(velocity, V_MAX)
     normal = np.array([math.cos(angle), math.sin(angle)])
     way, _ = motion.propose(MODEL, action, GLOBAL, velocity)

@@ -1,4 +1,4 @@
-"""V, and theorems A, C and G by hand, and the facts that they rest on."""
+"""V, and theorems A, C and G by hand, with their lemmas."""
 
 import math
 
@@ -21,14 +21,14 @@ from rendezvous_env.safety.theorems.gains import kappa, shrinking_to_leader
 from research.time_bounds import pursuit_bound, rendezvous_time_lower_bound
 
 ALLOWANCE = 4 * 0.2 * 6.5
-"""(n − 1) r W of UNEQUAL, whose a* is 0.9 and D̄ 6.5."""
+"""(n − 1) r W of UNEQUAL, which has a* = 0.9 and D̄ = 6.5."""
 SQUARE = ((0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0))
 """L0 = 16 m, κ(4) = 1 + 3 sin²(π/6) = 1.75."""
 close = pytest.approx
 
 
 def started(scenario):
-    """The scenario from one start, robots 1 m or more apart, and its V(0), m²/s, and L(0), m."""
+    """The scenario with given positions at least 1 m apart, V(0), m²/s, and L(0), m."""
     n, graph = scenario.n_robots, scenario.sensing_graph
     start = np.random.default_rng(0).permuted(np.arange(n * scenario.dim, dtype=float))
     start = start.reshape(n, scenario.dim)
@@ -114,7 +114,7 @@ def test_complete_graph_bounds_match_hand_computation():
 
 
 def contracted(weights, random):
-    """The weights after one random link is contracted, by the max rule."""
+    """Weights after contraction of one random link, by the max rule."""
     i, j = random.permutation(np.argwhere(weights > 0))[0]
     union = np.maximum(weights[i], weights[j])
     union[[i, j]] = 0
@@ -223,7 +223,7 @@ def test_law_1_has_bounds_of_a_g_and_d1():
 
 
 def test_two_robots_have_closed_form_bound():
-    """Two robots close at 2a: T = d/(2a), held or not."""
+    """Two robots approach at 2a: T = d/(2a), also with held inputs."""
     pair = Scenario(n_robots=2, start_positions=[[0, 0], [3, 4]], graph=graphs.path(0.5))
     found = certificate(pair)
     assert found.continuous_time_bound == close(5 / (2 * 0.5))
@@ -231,7 +231,7 @@ def test_two_robots_have_closed_form_bound():
 
 
 def test_bound_g_is_at_most_bound_a():
-    """Of clusters, lines and clouds, on all graphs, with and without a speed limit."""
+    """Clusters, lines and clouds, on all graphs, with and without a speed limit."""
     random = np.random.default_rng(0)
     for trial in range(300):
         n, dim = int(random.integers(2, 9)), 2 + trial % 2

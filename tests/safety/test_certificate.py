@@ -1,4 +1,4 @@
-"""What a certificate says: which theorem, which numbers, or in words why none."""
+"""Certificates: theorem, numbers, or the reason why there is none."""
 
 import math
 import re
@@ -40,7 +40,7 @@ close = pytest.approx
 
 
 def alone(scenario, by, **settings):
-    """A team at its start under what keeps a guarantee, to play by hand, and its simulator."""
+    """A team with the filter of a guarantee, for manual steps, and its simulator."""
     env = GuaranteeWrapper(rv.make_vec(scenario, num_envs=1), by, **{"frame": "local"} | settings)
     env.reset(seed=0)
     return env, env.unwrapped.simulator
@@ -140,7 +140,7 @@ def test_bound_covers_every_initial_condition(name):
 
 @pytest.mark.parametrize("graph", ["cycle", "complete"])
 def test_certificates_scale_with_edges(graph):
-    """They took 31 s and 4.8 GB; a matrix of the robots alone is 0.8 GB."""
+    """Formerly 31 s and 4.8 GB; a matrix over all robots alone takes 0.8 GB."""
     team = Scenario(n_robots=10_000, graph=graph, spawn_size=1000.0)
     tracemalloc.start()
     for by in ("law", "heading", "tank", "gains"):
@@ -199,7 +199,7 @@ def test_switching_graphs_are_covered():
 
 
 def test_links_beside_obstacles_must_be_shorter_by_r_per_merge():
-    """tests/verify/test_mistakes.py plays what a certificate at midpoints would promise."""
+    """tests/verify/test_injected_faults.py simulates a certificate for midpoints."""
     start, discs = ((-0.402, 0.0), (-0.201, 0.0), (0.0, 0.0)), (-0.3015, -0.1005)
     passed = Scenario(
         n_robots=4, graph=graphs.proximity(), sensing=Sensing(range=3.0), obstacle_contact="ignore",
@@ -215,7 +215,7 @@ def test_links_beside_obstacles_must_be_shorter_by_r_per_merge():
 
 
 def test_hull_bound_allows_growth_for_starts_within_r():
-    """Some of them merge at once and rest, while others walk on past them."""
+    """Some robots merge at once and rest, while others move past them."""
     near = [(0.0, 0.0), (0.0, 0.002), (2.0, 0.0), (2.0, 0.002)]
     team = Scenario(n_robots=4, graph="complete", start_positions=near)
     assert certificate(team, by="gains").hull_bound == close(4.004 + 2 * math.pi * 0.2)
@@ -223,7 +223,7 @@ def test_hull_bound_allows_growth_for_starts_within_r():
 
 @pytest.mark.parametrize("model", ["unicycle", "nonholonomic_3d"])
 def test_nonholonomic_robots_need_gate(model):
-    """Of the paper's laws nothing is said for held inputs; the gate cannot overshoot."""
+    """The paper's laws have no certificate for held inputs; the gate cannot overshoot."""
     scenario = Scenario(robot_model=model, dim=2 if model == "unicycle" else 3)
     law = certificate(scenario)
     assert law.continuous_time_only and "in continuous time" in law.theorem and not law.promises
@@ -242,7 +242,7 @@ def test_nonholonomic_robots_need_gate(model):
 
 
 def test_theorem_n_tolerates_more_for_equal_degrees():
-    """In a step so short that a held bearing is wrong by a fifth of π/n."""
+    """With a step for which a held bearing has an error of a fifth of π/n."""
     team = Scenario(n_robots=6, graph="cycle")
     gain = float(min_degrees(team).max())
     step = team.merge_radius / (2 * gain) * math.sin(0.2 * math.pi / 6)
@@ -270,8 +270,10 @@ def test_bounded_sensor_errors_count():
     ("sensing", "error"), [(Sensing(error=1.8), 1.8), (Sensing(sectors=2, error=3.0), math.pi)]
 )
 def test_errors_above_right_angle_are_refused(sensing, error, by, dim):
-    """No angle is above π, although errors and sectors add up to more. A tank that charges for π/2
-    rad alone lets V rise by more than it holds: of more no wrapper can be told.
+    """Angles are at most π, although sums of errors and sectors may exceed it.
+
+    A tank with a margin for π/2 rad lets V increase by more than its energy, so wrappers reject
+    larger errors.
     """
     team = Scenario(n_robots=4, dim=dim, sensing=sensing)
     found = certificate(team, MARGINS[by], by=by)
@@ -284,7 +286,7 @@ def test_errors_above_right_angle_are_refused(sensing, error, by, dim):
 
 @pytest.mark.parametrize("delay", [1, 3])
 def test_small_delays_are_certified(delay):
-    """After a merge robots act on what was seen before it, which the bound pays for."""
+    """After a merge robots act on earlier observations, which the bound includes."""
     team = Scenario(sensing=Sensing(delay=delay), time_limit=100.0)
     oldest = team.merge_radius / (2 * team.max_degree)
     young = team.replace(time_step=oldest / (delay + 1))
@@ -325,7 +327,7 @@ def test_inconsistent_arguments_are_rejected(given, message):
 
 
 def test_text_begins_with_result():
-    """In three lines: what, what else, by when beside the episode's limit."""
+    """Summary in three lines: guarantee, further guarantees, time bound and time limit."""
     first, second, third = str(certificate("ring-12")).splitlines()
     assert first.startswith("ring-12 under law (1): theorems 1 and G")
     assert "V never exceeds" in second and "bearings may err by up to" in second
@@ -336,7 +338,7 @@ def test_text_begins_with_result():
 
 
 def test_v_bound_beside_obstacles_excludes_contacts():
-    """Headings within the margin of f slide two robots outward along two slanted walls."""
+    """Headings with the minimum alignment let two robots slide outward along slanted walls."""
     walls = [Capsule(((1.0, -1.0), (-3.0, 5.0)), 0.1), Capsule(((3.0, 1.0), (7.0, -5.0)), 0.1)]
     start = {"n_robots": 2, "start_positions": ((0.0, 0.0), (4.0, 0.0)), "local_frames": "global"}
     scenario = Scenario(**start, obstacles=walls)
@@ -359,7 +361,7 @@ def test_mean_time_under_noise_is_reported():
 
 
 def test_printed_bounds_are_conservative():
-    """Bounds are rounded up, and errors that are tolerated down."""
+    """Bounds are rounded up, and tolerated errors down."""
     found = certificate("ring-12")
     said = re.findall(r"(?:exceeds|up to|Bound) ([\d.]+)", str(found))
     lyapunov, hull, error, bound = map(float, said)

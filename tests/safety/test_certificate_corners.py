@@ -1,5 +1,6 @@
-"""Corners in which certificates promise less: numbers without size, too few rows, starts and graphs
-that are not the scenario's own.
+"""Corner cases with weaker certificates.
+
+These are extreme numbers, too few rows, and initial positions and graphs other than the scenario's.
 """
 
 import inspect
@@ -20,7 +21,7 @@ from rendezvous_env.vector import EnergyTankWrapper
 
 
 def test_default_tank_margin_equals_wrapper():
-    """1 is the margin of the paper's laws, which no tank can have."""
+    """The paper's laws have a minimum alignment of 1, which a tank cannot have."""
     scenario = Scenario(n_robots=3)
     usual = inspect.signature(EnergyTankWrapper).parameters["min_alignment"].default
     found = certificate(scenario, by="tank")
@@ -42,7 +43,7 @@ HUBS = Scenario(
     n_robots=6, graph=graphs.from_edges([(0, 1), (0, 2), (0, 3), (1, 4), (1, 5)]),
     start_positions=((0.0, 0.0), (0.5, 0.0), (0.0, 3.0), (0.0, -3.0), (0.5, 3.0), (0.5, -3.0)),
 )  # fmt: skip
-"""Two hubs of two leaves each, which merge first and then have four neighbours."""
+"""Two hubs of two leaves each; the hubs merge first and then have four neighbours."""
 
 
 @pytest.mark.parametrize("by", list(CHOICES))
@@ -59,7 +60,7 @@ def test_merged_robots_need_row_per_neighbour(by):
 
 
 def test_most_neighbours_includes_merges():
-    """Against all connected groups of a few drawn trees and webs."""
+    """Compared with all connected groups of some random trees and graphs."""
     random = np.random.default_rng(0)
     for n, extra in itertools.product((2, 4, 6, 7), (0, 2)):
         links = [(random.integers(i), i) for i in range(1, n)]
@@ -80,7 +81,7 @@ def test_most_neighbours_includes_merges():
 
 
 def test_given_positions_require_scenario_field():
-    """Far outside of the spawn area V and the time are beyond what the scenario is promised."""
+    """Far outside the spawn area, V and the time exceed the scenario's bounds."""
     scenario, far = Scenario(n_robots=2), ((0.0, 0.0), (90.0, 0.0))
     own, given = certificate(scenario), certificate(scenario.replace(start_positions=far))
     simulator = Simulator(scenario)
@@ -91,7 +92,7 @@ def test_given_positions_require_scenario_field():
 
 
 def test_given_weights_require_own_environment():
-    """The wrapper's least gain is a* of its own scenario, a hundred times less than theirs."""
+    """The wrapper's minimum gain is a* of its own scenario, a hundred times smaller."""
     light = Scenario(n_robots=2, graph=graphs.complete((0.01, 1.0)), spawn_size=2.0)
     heavy = light.replace(graph=graphs.complete(1.0))
     found, met = certificate(heavy, by="gains"), []
@@ -107,7 +108,7 @@ def test_given_weights_require_own_environment():
 
 
 def test_given_obstacles_require_own_environment():
-    """Tanks of a scenario with obstacles do not shrink at merges: the last two may spend all."""
+    """With obstacles, tanks are not reduced at merges: the last two may use all energy."""
     places = 4.0 * np.random.default_rng(5).normal(size=(8, 2))
     free = Scenario(n_robots=8, start_positions=places, local_frames="global", time_limit=500.0)
     other = free.replace(obstacles=Disc((100.0, 0.0), 1.0))
@@ -127,7 +128,7 @@ def test_given_obstacles_require_own_environment():
 
 
 def test_sampled_links_must_be_visible():
-    """Of given starts: the tree that is drawn may hold any pair."""
+    """Given initial positions: the random tree may contain any pair."""
     places = ((0.0, 0.0), (2.0, 0.0), (4.0, 0.0))
     for graph, far, near in (("path", True, True), (graphs.random_tree(), False, True)):
         for reach, granted in ((3.0, far), (5.0, near)):

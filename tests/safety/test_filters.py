@@ -1,4 +1,4 @@
-"""What all safety filters have in common: batches, memory, robots alone, refusals."""
+"""Common properties of all safety filters: batches, memory, single robots, errors."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ all_filters = pytest.mark.parametrize(("made", "kind"), CASES)
 
 
 def begun(made, kind, num_envs, **options):
-    """A filter, observations to look at, and choices for it."""
+    """A filter, observations, and choices for it."""
     scenario = five(kind, spawn_size=3.0)
     filtered, random = made(scenario, num_envs, **options), np.random.default_rng(0)
     observations = Simulator(scenario, num_envs).reset(2)
@@ -140,7 +140,7 @@ def test_filter_must_define_actions():
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("made", [EnergyTank, HeadingFilter])
 def test_observations_of_other_types_are_converted(made, dim):
-    """Kernels that take rows in pairwise must not read the bytes of others."""
+    """Kernels with pairwise sums must not read the bytes of other rows."""
     scenario = Scenario(n_robots=5, dim=dim)
     simulator, random = Simulator(scenario, 3), np.random.default_rng(0)
     seen, found = simulator.reset(0), []
@@ -156,7 +156,7 @@ def test_observations_of_other_types_are_converted(made, dim):
 
 
 def test_filter_apply_takes_choices_and_keeps_them():
-    """As ``hold`` and ``apply`` without choices."""
+    """Equal to ``hold`` followed by ``apply`` without choices."""
     scenario = scenarios.get("fig3")
     observations = Simulator(scenario, 2).reset(seed=0)
     choices = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 3, 2))
@@ -171,7 +171,7 @@ def test_filter_apply_takes_choices_and_keeps_them():
 
 
 def test_filter_old_names_work_with_a_warning():
-    """Of a filter, in ``super()``, and of what a subclass overrides."""
+    """On a filter, in ``super()``, and in overridden methods."""
     scenario = scenarios.get("fig3")
     observations = Simulator(scenario).reset(seed=0)
     tank, other = (EnergyTank(scenario, 1, frame="local") for _ in range(2))

@@ -25,7 +25,7 @@ numbers = st.floats(-3, 3, allow_nan=False, width=32)
 
 
 def vectors(dim):
-    """Vectors with many zeros, unit axes and subnormal parts among them."""
+    """Vectors including many zeros, unit axes and subnormal parts."""
     return arrays(
         np.float64, dim, elements=st.one_of(numbers, st.sampled_from([0.0, 1.0, -1.0, 1e-300]))
     )
@@ -47,12 +47,12 @@ def polar(degrees):
 
 
 def angle_between(a, b):
-    """Angle of unit vectors, accurate for small and for large ones."""
+    """Angle between unit vectors, accurate for small and large angles."""
     return 2 * math.atan2(np.linalg.norm(a - b), np.linalg.norm(a + b))
 
 
 def by_angles(raw, f, previous, min_alignment, dead_zone, max_turn):
-    """Theorem C in the plane with plain angles relative to f; f, raw and previous are not zero."""
+    """Theorem C in the plane with angles relative to f; f, raw and previous are nonzero."""
     half = math.acos(min_alignment * min(max(math.hypot(*f) / dead_zone - 1, 0), 1))
     relative = lambda v: math.remainder(  # noqa: E731
         math.atan2(v[1], v[0]) - math.atan2(f[1], f[0]), math.tau
@@ -246,7 +246,7 @@ def test_errors_name_argument(change, message):
 
 
 def test_unlimited_turn_needs_no_compiler():
-    """Plain Python has no cosine of infinity."""
+    """Python's cosine of infinity is an error."""
     cosine, sine, square = turn_limit.py_func(np.inf) if compiled() else turn_limit(np.inf)
     assert (cosine, square) == (-1.0, np.inf)
     assert sine == pytest.approx(0.0, abs=1e-15)

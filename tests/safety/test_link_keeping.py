@@ -1,5 +1,6 @@
-"""The point of least norm against another solver, on random and on degenerate bearings; law R b;
-the projection on velocities that keep links.
+"""Point of least norm compared with another solver; law R b, and projections that keep links.
+
+The bearings are random or degenerate.
 """
 
 import math
@@ -43,8 +44,9 @@ def directions(random, count, dim):
 
 
 def sets_of_bearings(dim):
-    """Of a cone, of nearly a half-space, of all round; and bearings that coincide, nearly or quite,
-    are opposite, or lie in one plane or on a cone.
+    """Bearings of a cone, of nearly a half-space, and in all directions.
+
+    Degenerate ones coincide (nearly), are opposite, or lie in one plane or on a cone.
     """
     random, axis = np.random.default_rng(dim), np.eye(dim)[0]
     for _ in range(SETS):
@@ -73,7 +75,7 @@ def sets_of_bearings(dim):
 @pytest.mark.kernels
 @pytest.mark.parametrize("dim", [2, 3])
 def test_least_norm_point_matches_other_solver(dim):
-    """‖q‖² ≤ q·g for all g says that no point of the hull is nearer; q is in it by the other."""
+    """‖q‖² ≤ q·g for all g proves that no point of the hull is nearer; q lies in the hull."""
     sets = list(sets_of_bearings(dim))
     for g in sets:
         q = min_norm_points(g)
@@ -92,12 +94,12 @@ THIN = np.array(
         [-0.9586018066759435, -0.2274820186160025, 0.17127319534593205],
     ]
 )
-"""Round the origin, which lies in a thin tetrahedron of them."""
+"""Bearings around the origin, which lies in a thin tetrahedron of them."""
 
 
 @pytest.mark.parametrize("kind", ["balanced", "flat", "opposite", "thin"])
 def test_bearings_lie_along_balanced_point(kind):
-    """q·g ≥ ‖q‖² for all g: else a robot that moves along q lengthens a link."""
+    """q·g ≥ ‖q‖² for all g: otherwise motion along q lengthens a link."""
     random, count = np.random.default_rng(0), 100_000
     if kind == "balanced":
         g = BALANCED + 10.0 ** random.uniform(-17, -1, (count, 1, 1)) * random.normal(size=(4, 3))
@@ -150,7 +152,7 @@ def test_least_norm_ignores_weights_order_and_absent_rows(dim):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_distance_sum_is_at_least_two(dim):
-    """Lemma 2: Σ‖q_i‖ ≥ 2 if everyone sees someone, directed or not."""
+    """Lemma 2: Σ‖q_i‖ ≥ 2 if each robot has a neighbour, on directed graphs as well."""
     random, least = np.random.default_rng(dim), np.inf
     for _ in range(SETS):
         n = int(random.integers(2, 9))
@@ -193,7 +195,7 @@ def lengths(simulator):
 @pytest.mark.parametrize("graph", [graphs.path(2.0), graphs.random_tree((0.5, 2.0)), "cycle"])
 @pytest.mark.parametrize("steps", [1.0, 2.0])
 def test_links_never_grow_and_team_meets(dim, graph, steps):
-    """At twice the certified step too, r/D: then v τ is as long as it may be."""
+    """Also at twice the certified step, r/D, where v τ is maximal."""
     scenario = rv.Scenario(
         n_robots=6, dim=dim, graph=graph, spawn_size=5.0, merge_radius=0.3,
         time_limit=400.0, neighbour_slots=5,
@@ -230,7 +232,7 @@ def draw(random, dim):
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("error", [0.0, 0.2])
 def test_velocity_is_closest_admissible(dim, error):
-    """(w − x)·(z − x) ≤ 0 for all z of a convex set: z drawn everywhere, and near x."""
+    """(w − x)·(z − x) ≤ 0 for all z of a convex set: random z, also near x."""
     random, inner = np.random.default_rng(dim), 0
     for _ in range(300):
         bearings, radius, desired = draw(random, dim)
@@ -247,7 +249,7 @@ def test_velocity_is_closest_admissible(dim, error):
 
 
 def test_velocities_match_hand_computation():
-    """λ d q + (1 − λ) P(w), ρ = r/(4τ) = 1.5, with v_max = 3 and desired ones in units of it."""
+    """λ d q + (1 − λ) P(w), ρ = r/(4τ) = 1.5, with v_max = 3 and w in units of it."""
     scenario = rv.Scenario(n_robots=3, merge_radius=0.6, time_step=0.1, max_speed=3.0)
     links = LinkKeeping(scenario, 1, share=0.25, frame="local")
     rows = np.zeros((1, 3, *scenario.observation_layout.shape), np.float32)

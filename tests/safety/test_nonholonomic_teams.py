@@ -1,4 +1,4 @@
-"""Teams of robots that turn: none stays across its net bearing, for any desired turn rates."""
+"""Nonholonomic teams: no robot stays across its net bearing, for any desired turn rates."""
 
 import itertools
 import math
@@ -37,7 +37,7 @@ def team(model, graph, radius, turn_rate):
 
 @kernel
 def greedy(net_bearings, observations, shares, gate, chosen):
-    """Of all turn rates the one with which a robot is slowest once the gate has seen it."""
+    """Turn rates with the smallest speed after the gate."""
     for team in range(len(chosen)):
         for i in range(chosen.shape[1]):
             f, slowest = load(net_bearings[team, i]), np.inf
@@ -52,7 +52,7 @@ def greedy(net_bearings, observations, shares, gate, chosen):
 
 
 def under_the_gate(scenario, kind, teams, steps, seed=0, side=4, margin=MARGIN):
-    """The teams at their start and after each of so many steps, or until all have met."""
+    """Teams initially and after each step, or until all have met."""
     venv = rv.make_vec(scenario, num_envs=teams, autoreset_mode="Disabled", num_threads=1)
     env = rv.vector.HeadingVectorWrapper(venv, min_alignment=margin, max_turn_rate=1e6)
     observations, _ = env.reset(seed=seed)
@@ -76,7 +76,7 @@ def under_the_gate(scenario, kind, teams, steps, seed=0, side=4, margin=MARGIN):
 
 
 def test_saturated_law_deadlock_is_resolved():
-    """Slowest turns on a path of four, r = 4 m, ω_max = 0.2 rad/s, ε = 0.3: V stood still."""
+    """Slowest turns on a path of four, r = 4 m, ω_max = 0.2 rad/s, ε = 0.3: V was constant."""
     scenario = team("nonholonomic_3d", graphs.path(), 4.0, 0.2)
     *_, teams = under_the_gate(scenario, "greedy", 16, 2500, side=8)
     assert (teams.status != 0).all()
@@ -84,7 +84,7 @@ def test_saturated_law_deadlock_is_resolved():
 
 @kernel
 def unproductive(starts, turns, gate, waited):
-    """How many steps go by until |mᵀf| ≥ ‖f‖/2 under rates that the gate chooses.
+    """Number of steps until |mᵀf| ≥ ‖f‖/2 under rates of the gate.
 
     ``starts`` (N, 5) are yaw, pitch and f; ``turns`` (N, K, 3) is what f is turned by.
     """
@@ -105,7 +105,7 @@ def unproductive(starts, turns, gate, waited):
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("turned", [0.02, 0.1, 0.3, 0.7, 0.9, 1.5])
 def test_one_of_k_steps_is_productive(dim, turned):
-    """Theorem T: f turns by less than θ in all, as somebody wants, and begins where it is worst."""
+    """Theorem T: f rotates by less than θ in total, adversarially, from the worst direction."""
     random, count = np.random.default_rng(0), 4000
     turned = min(turned, math.pi / 3) if dim == 2 else turned
     window, drift = turning_window(dim, turned)
@@ -134,7 +134,7 @@ def test_one_of_k_steps_is_productive(dim, turned):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("model", MODELS)
 def test_v_decreases_in_every_window(model, kind, turn_rate):
-    """Theorem T's K and q, in the environment, for any desired turn rates."""
+    """K and q of theorem T, in the environment, for any desired turn rates."""
     scenario = team(model, graphs.path(), 4.0, turn_rate)
     window, least = gated_window(scenario, MARGIN)
     seen = [

@@ -1,5 +1,6 @@
-"""Every number that a certificate gives, held against adversaries step by step, filter by filter;
-and filters with a mistake in them, which that finds.
+"""Certified numbers under adversaries, step by step and filter by filter.
+
+Filters with injected faults must violate them.
 """
 
 import math
@@ -23,7 +24,7 @@ EVEN = Scenario(n_robots=6, graph=graphs.complete(0.7), spawn_size=3.0)
 SIX = Scenario(n_robots=6, spawn_size=3.0)
 LONGEST = SIX.replace(max_speed=SIX.merge_radius / SIX.tau)
 MOST = {"min_gain": LONGEST.max_speed, "max_gain": LONGEST.max_speed}
-"""Gains at which a robot may go by r in a step."""
+"""Gains for which a robot may move by r in a step."""
 ANY = (
     graphs.directed_cycle(),
     graphs.directed([(i, i - 1, 0.5 + i) for i in range(1, 6)], 6),  # led by one
@@ -40,13 +41,13 @@ def played(scenario, by, *, frame="local", **arguments):
 
 
 def longer(scenario, factor, **changes):
-    """A step so many times the certified one."""
+    """A step of a multiple of the certified one."""
     step = factor * scenario.certified_step
     return scenario.replace(time_step=step, allow_long_step=True, **changes)
 
 
 def checked(found):
-    """The numbers that were looked at."""
+    """Checked numbers."""
     return {what for _, what in found.counts} - {"granted"}
 
 
@@ -55,7 +56,7 @@ def checked(found):
 @pytest.mark.parametrize("factor", [1.0, 10.0])
 @pytest.mark.parametrize(("by", "step"), [("heading", "descent"), ("tank", "ledger")])
 def test_v_or_ledger_decreases_in_every_step(by, step, kind, error, factor):
-    """Under wrong bearings, in steps that are too long, of robots that turn."""
+    """With bearing errors, too long steps, and nonholonomic robots."""
     given = {"min_alignment": 0.3 if by == "heading" else 0.6, "bearing_error": error}
     scenario = FIVE[kind] if factor == 1.0 else longer(FIVE[kind], factor)
     for options in ({}, {"budget": 2.0}) if by == "tank" else ({},):
@@ -90,7 +91,7 @@ def test_certificate_bounds_hold(scenario, by, arguments, number):
 
 @pytest.mark.parametrize("graph", ANY)
 def test_law_1_meets_within_bound(graph):
-    """Theorem D1 with nearly twice the certified step; the bound of continuous inputs is less."""
+    """Theorem D1 with nearly twice the certified step; the continuous bound is smaller."""
     team = longer(SIX.replace(graph=graph, spawn_size=4.0, time_limit=400.0), 1.9)
     found = certificate(team)
     assert found.guaranteed and found.continuous_time_bound < found.time_bound < math.inf

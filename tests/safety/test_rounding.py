@@ -1,5 +1,7 @@
-"""What rounding of positions makes of V, the hull, the last of a tolerated error and steps that are
-too short, and that certificates promise nothing there.
+"""Rounding of positions: its effect on V and the hull, and withheld certificates.
+
+The cases are positions far from the origin, bearing errors near the tolerance, and very short
+steps.
 """
 
 import math
@@ -20,7 +22,7 @@ FIXED = {"local_frames": "global", "allow_long_step": True}
 
 
 def ring(n):
-    """Places (n, 2) on a circle, m."""
+    """Positions (n, 2) on a circle, m."""
     angles = 0.3 + 2.0 * np.pi / n * np.arange(n)
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
@@ -30,14 +32,14 @@ ROW = np.array([(x, 0.0) for x in (-3.0, -1.0, 1.0, 3.0)])
 FAR_ROW = Scenario(
     n_robots=4, graph=np.choose(APART, (0, 1e-9, 1e3, 1e3)), start_positions=ROW + 1e3
 )
-"""Who sees those next to it alone goes 3e-14 m in a step, at 1 km."""
+"""A robot with only adjacent neighbours moves 3e-14 m in a step, at 1 km."""
 NEAR_ROW = {"start_positions": ROW, "graph": np.choose(APART, (0, 1e-6, 1, 1))}
 PAIR = Scenario(n_robots=2, start_positions=((0.0, 0.0), (1.0, 0.0)), max_speed=1.0, **FIXED)
 SLOW_PAIR = PAIR.replace(
     start_positions=((8.0, 8.0), (8.5, 8.0)), max_speed=None, time_step=1e-9,
     graph=graphs.complete(4e-7),
 )  # fmt: skip
-"""They go 4e-16 m in a step."""
+"""Robots move 4e-16 m in a step."""
 AT_1_KM = Scenario(n_robots=2, start_positions=((1e3, 1e3), (1001.0, 1e3)), graph="path")
 BORNE = Sensing(error=0.995 * certificate(AT_1_KM, 1e-4, by="tank").tolerated_bearing_error)
 TWO_PAIRS = Scenario(
@@ -105,7 +107,7 @@ SMALLER = "the world or errors smaller"
     ],
 )  # fmt: skip
 def test_no_certificate_for_steps_below_rounding(scenario, given, words, better):
-    """All of these stay where they are, or go on aside, for ever."""
+    """All of these rest, or move sideways, for ever."""
     found = certificate(scenario, **given)
     assert not found.guaranteed and math.isinf(found.time_bound)
     assert re.search(words, found.theorem)
@@ -124,7 +126,7 @@ def test_slow_pair_stays_in_place():
 
 
 def _farthest(place, other, step):
-    """The heading of law (4) along which rounding leads a robot farthest from another one."""
+    """Heading of law (4) for which rounding increases the distance to another robot most."""
     towards = (other - place) / np.linalg.norm(other - place)
     angle = math.atan2(towards[1], towards[0]) + np.linspace(-1.55, 1.55, 2001)
     headings = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -149,7 +151,7 @@ def test_rounding_raises_v_under_headings():
 
 @pytest.mark.parametrize("by", ["law", "gains"])
 def test_rounding_grows_hull(by):
-    """Robot 0 goes to robot 1, which it sees at 22.5°, along the x axis."""
+    """Robot 0 moves towards robot 1, at a bearing of 22.5°, along the x axis."""
     far, angle = 2000.0 * ULP, math.pi / 8.0
     places = [[0.0, 0.0], [far * math.cos(angle), far * math.sin(angle)], [-20.0 * ULP] * 2]
     speed = 0.98 * ULP / 1e-7
@@ -172,7 +174,7 @@ def test_rounding_grows_hull(by):
 
 
 def test_rounding_fills_tanks():
-    """At 1000 km steps of 5·10⁻¹¹ m towards each other are paid, and move nobody."""
+    """At 1000 km, steps of 5·10⁻¹¹ m towards each other are credited without motion."""
     start = {"start_positions": ((1e6, 1e6), (1e6 + 1e-5, 1e6)), "local_frames": "global"}
     scenario = Scenario(n_robots=2, **start, merge_radius=1e-6, time_limit=10.0)
     found, slow = certificate(scenario, 1e-6, by="tank"), 5e-11 / scenario.tau
@@ -188,8 +190,9 @@ def test_rounding_fills_tanks():
 
 @pytest.mark.parametrize("granted", [False, True])
 def test_rounding_is_small_relative_to_tank_gain(granted):
-    """Far out on a diagonal two robots spend all that they earn: where they are to come nearer by
-    the last bit of their coordinates their moves are paid, and move nobody.
+    """Two robots far out on a diagonal use all their energy.
+
+    Steps towards each other by the last bit of their coordinates are credited without motion.
     """
     margin, far = 2.0**-12, 2.0**20
     radius = 2.2 * (2.0**-46 if granted else 2.0**-52) * far / margin**2
@@ -209,8 +212,10 @@ def test_rounding_is_small_relative_to_tank_gain(granted):
 
 
 def test_rounding_fills_tanks_of_unicycles():
-    """They owe nothing: two that face each other at 1000 km are paid for moves of half the last bit
-    of their coordinates, and drive apart by what they have saved.
+    """Nonholonomic tanks without minimum alignment.
+
+    Two facing robots at 1000 km are credited for steps of half the last bit of their coordinates,
+    and use the energy to separate.
     """
     places = 2.0**20 + 4.5e-6 * np.array([[0.0, 0.0], [1.0, 1.0]])
     scenario = Scenario(

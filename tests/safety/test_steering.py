@@ -1,4 +1,4 @@
-"""HeadingFilter: V beside obstacles under any raw vectors; frames, arcs, limits, own robots."""
+"""HeadingFilter: V near obstacles for any raw vectors; frames, arcs, limits, custom robots."""
 
 import math
 from dataclasses import replace
@@ -19,7 +19,7 @@ from train.verify.monitors import Moment
 
 TEAMS = 48
 ROUNDING = 2.0**-20
-"""Of float32 rows and actions, relative to n D̄² τ ."""
+"""Rounding of float32 rows and actions, relative to n D̄² τ."""
 CLUTTERS = {
     "clutter-12": rv.scenarios.get("clutter-12"),
     "clutter-3d": rv.scenarios.get("clutter-3d"),
@@ -31,8 +31,9 @@ CLUTTERS = {
 @pytest.mark.parametrize("contact", ["stop", "slide"])
 @pytest.mark.parametrize("name", marked(CLUTTERS, slow=[*CLUTTERS][1:]))
 def test_v_never_increases_beside_obstacles_unless_sliding(name, contact):
-    """A slide takes away the inward part of h hᵀf and may leave an uphill one; whatever the raw
-    vectors. What certificates promise holds without obstacles, see test_promises.
+    """A slide removes the inward part of h hᵀf and may leave motion that increases V.
+
+    It occurs for any raw vectors. Certificates hold without obstacles, see test_promises.
     """
     scenario = CLUTTERS[name].replace(obstacle_contact=contact, time_limit=15.0)
     adversary = Adversary(scenario, TEAMS, "heading", np.random.default_rng(3), 3.0)
@@ -149,7 +150,7 @@ rv.describe_motion(Omni, rv.Motion(propose, update=update, frame=body_frame, ini
 
 @pytest.fixture
 def team(registry):
-    """Four robots that turn by half a radian in every step."""
+    """Four robots that rotate by half a radian in every step."""
     rv.register_robot_model(
         rv.RobotModel(
             "omni",
@@ -166,7 +167,7 @@ def team(registry):
 @pytest.mark.slow
 @pytest.mark.parametrize("by", ["heading", "tank"])
 def test_holonomic_custom_model_chooses_directions(team, by):
-    """They were taken for robots that drive along an axis: speed and turn rate, and V rose."""
+    """Formerly treated as robots with an axis: speed and turn rate, and V increased."""
     assert rv.certificate(team, 0.3, by=by).guaranteed
     far = team.replace(sensing=rv.Sensing(range=1e6))  # the same, and a kind with the next test's
     env = rv.vector.GuaranteeWrapper(rv.make_vec(far, num_envs=4), by, min_alignment=0.3)
@@ -183,7 +184,7 @@ def test_holonomic_custom_model_chooses_directions(team, by):
 
 
 def test_delay_in_rotating_frames_is_not_certified(team):
-    """Each bearing is turned by 2.5 rad on the way: robots part, V is soon beyond E1's bound."""
+    """Each bearing rotates by 2.5 rad during the delay: V soon exceeds the bound of E1."""
     pair = team.replace(n_robots=2, spawn_size=2.0, sensing=rv.Sensing(delay=5))
     late = pair.replace(time_step=pair.certified_step / 6.0)
     found = rv.certificate(late)
@@ -192,7 +193,7 @@ def test_delay_in_rotating_frames_is_not_certified(team):
 
 
 def test_custom_arcs_are_certified_for_their_law_only(registry):
-    """Theorem 3 is true of them, of the gate nothing: their rates might count clockwise."""
+    """Theorem 3 holds for them, but not the gate: their rates might count clockwise."""
     known = ROBOT_MODELS["unicycle"]
     rv.register_robot_model(
         replace(known, name="mirrored", constants=lambda given: known.constants(given))

@@ -1,4 +1,4 @@
-"""The energy tank: its equations by hand, how the ledger is kept, what is seen of it, refusals."""
+"""Energy tank: equations by hand, tank updates, observed stored energy, errors."""
 
 import math
 
@@ -67,7 +67,7 @@ class TestEquations:
         np.testing.assert_allclose(velocity, (*expected, 0.0), atol=1e-15)
 
     def test_empty_tank_is_never_overdrawn(self):
-        """G ≥ τ s ((hᵀf)² − ε²‖f‖²) ≥ 0 for law (4) along whatever is wanted."""
+        """G ≥ τ s ((hᵀf)² − ε²‖f‖²) ≥ 0 for law (4) along any desired direction."""
         random = np.random.default_rng(0)
         for _ in range(500):
             f, wanted = random.normal(size=3), random.normal(size=3)
@@ -93,7 +93,7 @@ class TestEquations:
 
 @pytest.mark.parametrize("factor", [1.0, 3.0])
 def test_deposits_match_simulated_motion(kind, factor):
-    """Computed anew from positions, before and after."""
+    """Recomputed from positions before and after."""
     scenario = longer(five(kind, spawn_size=8.0), factor)
     simulator = Simulator(scenario, TEAMS)
     tank = EnergyTank(scenario, TEAMS, frame="local", budget=0.05, min_alignment=0.2)
@@ -155,7 +155,7 @@ def test_unicycle_with_empty_tank_uses_gate(model):
 
 
 def test_contact_step_books_losses_only():
-    """A robot pressed against a wall along f earns nothing; one that is thrust away from f pays."""
+    """A robot pressed against a wall along f gains nothing; one pushed away from f pays."""
     scenario = Scenario(n_robots=2, local_frames="global")
     tank = EnergyTank(scenario, 1, frame="local", budget=1.0)
     start = {"positions": [[-2.0, 0.0], [2.0, 0.0]]}
@@ -170,7 +170,7 @@ def test_contact_step_books_losses_only():
 
 
 def test_levels_at_merge_match_hand_computation():
-    """Five robots become four, then two: levels ¾ of what they were, then ⅓ of that."""
+    """Five robots become four, then two: energies are multiplied by ¾, then by ⅓."""
     tank, twin = (EnergyTank(Scenario(n_robots=5), 1, budget=2.0) for _ in range(2))
     observations = Simulator(tank.scenario).reset(0)
     for each in (tank, twin):

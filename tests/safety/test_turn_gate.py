@@ -1,4 +1,4 @@
-"""Means of the body axis over an arc, and the gate around turn rates."""
+"""Mean of the body axis over an arc, and the gate of turn rates."""
 
 import math
 
@@ -20,13 +20,13 @@ bearings = st.floats(-3, 3)
 
 
 def axis(yaw, pitch):
-    """The body axis h in the global frame."""
+    """Body axis h in the global frame."""
     flat = np.cos(pitch)
     return np.array([flat * np.cos(yaw), flat * np.sin(yaw), np.sin(pitch) + 0 * yaw])
 
 
 def mean_by_quadrature(yaw_rate, pitch_rate, pitch, duration):
-    """Mean of h by Gauss-Legendre, turned into the body frame at the start."""
+    """Mean of h by Gauss-Legendre quadrature, in the initial body frame."""
     t = 0.5 * duration * (NODES + 1)
     mean = axis(yaw_rate * t, pitch + pitch_rate * t) @ WEIGHTS / 2
     return body_frame(3, 0.0, pitch).T @ mean
@@ -128,7 +128,7 @@ def test_gate_in_3d_keeps_alignment(requested, net_bearing, pitch):
 
 
 def line_errors(f, pitch):
-    """The least yaw and pitch, each within ±π/2, that bring h onto the line of f."""
+    """Smallest yaw and pitch, each within ±π/2, that align h with the line of f."""
     world = body_frame(3, 0.0, pitch) @ f
     found = []
     for end in (world, -world):
@@ -142,7 +142,7 @@ def line_errors(f, pitch):
 @settings(max_examples=200, deadline=None)
 @given(st.tuples(bearings, bearings, bearings), st.floats(-3, 3), st.floats(0.05, 1.5))
 def test_gate_turns_body_onto_line_without_overshoot(net_bearing, pitch, most):
-    """In as many steps as its slower coordinate needs for a quarter turn, poles or not."""
+    """The number of steps is that of a quarter turn of the slower coordinate, at poles as well."""
     world, yaw = body_frame(3, 0.0, pitch) @ np.array(net_bearing), 0.0
     strength = np.linalg.norm(world)
     assume(strength > 0.06)

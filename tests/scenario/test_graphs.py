@@ -1,4 +1,4 @@
-"""Sensing graphs: weights, worst cases and families; graphs that are directed or change."""
+"""Sensing graphs: weights, worst cases and families; directed and changing graphs."""
 
 import tracemalloc
 
@@ -136,7 +136,7 @@ def test_impossible_start_weights_are_rejected(graph, weights, said):
 
 
 def contractions(weights: np.ndarray):
-    """Every matrix that merges along edges in either way can make of this one, by brute force."""
+    """All matrices that merges along edges can produce from this one, by brute force."""
     yield weights
     for i, j in zip(*np.nonzero(np.triu(weights + weights.T)), strict=True):
         merged = weights.copy()
@@ -218,7 +218,7 @@ def test_families_are_connected_within_worst_case(graph):
 
 
 def test_random_trees_are_uniform():
-    """Cayley: 16 labelled trees of four robots, each as likely."""
+    """Cayley: 16 labelled trees of four robots with equal probability."""
     weights = drawn(graphs.random_tree(), 4, 4800)
     kinds, counts = np.unique(weights.reshape(4800, -1), axis=0, return_counts=True)
     assert len(kinds) == 16 and (kinds.sum(axis=1) == 6).all()

@@ -1,4 +1,4 @@
-"""The table of vectors seen, by hand, and its layout."""
+"""Observation rows, by hand, and their layout."""
 
 import math
 
@@ -65,7 +65,7 @@ def test_merged_robots_are_invisible_and_see_nothing(kind):
 
 @pytest.mark.parametrize(("graph", "slots"), [(UNEQUAL, 3), ("path", 2), ("path", 3)])
 def test_few_rows_hold_neighbours_in_order(graph, slots):
-    """Those of the same robots with a row for everybody, the empty ones left out; then zeros."""
+    """Rows of complete observations without the empty ones, then zeros."""
     few = five("single_integrator-2d", graph=graph, neighbour_slots=slots, local_frames="global")
     wide = few.replace(neighbour_slots=4)
     seen, by_index = (Simulator(s).reset(0, {"positions": START})[0] for s in (few, wide))

@@ -1,4 +1,4 @@
-"""Obstacles as data: what is accepted, what is refused, and random fields of them."""
+"""Obstacles as data: accepted and rejected values, and random scenarios."""
 
 import math
 
@@ -38,7 +38,7 @@ class TestValidation:
         assert Polygon(((0, 0), (0, 3), (3, 0))) == Polygon(TRIANGLE)
 
     def test_rounding_does_not_make_polygon_concave(self):
-        """Long, thin and turned: the area of such a rectangle is known to fewer digits."""
+        """A long, thin, rotated rectangle, whose area is known to fewer digits."""
         long = np.array([(-1000.0, -0.005), (1000.0, -0.005), (1000.0, 0.005), (-1000.0, 0.005)])
         along = np.array([(-1.0, -1.0), (0.3, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
         rng = np.random.default_rng(0)
@@ -125,7 +125,7 @@ class TestPacking:
 
 
 def draw(field, episode, starts):
-    """Whether a field was drawn, and its table (6, width)."""
+    """Whether an obstacle field was sampled, and its table (6, width)."""
     key = np.uint64(stream_key(11, episode, OBSTACLES))
     table = np.full((6, row_width(field)), 77.0)
     obstacles = world_of(table, only_balls=True)

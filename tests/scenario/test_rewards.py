@@ -1,4 +1,4 @@
-"""The team reward, by hand and over whole episodes."""
+"""Team reward, by hand and over whole episodes."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from rendezvous_env.trajectory import run
 
 @pytest.mark.parametrize("name", ["progress", "time", "bonus"])
 def test_progress_telescopes_and_terms_are_separate(kind, name):
-    """Over an episode that ends in a rendezvous progress is 1, whatever happened on the way."""
+    """Progress sums to 1 over any episode that ends in rendezvous."""
     alone = {"progress": (1, 0, 0, 0), "time": (0, 1, 0, 0), "bonus": (0, 0, 0, 1)}
     reward = RewardWeights(*alone[name])
     scenario = five(kind, reward=reward, time_limit=100.0, spawn_size=5.0)
@@ -80,7 +80,7 @@ def test_clearance_penalty_is_zero_without_weight_or_obstacles(changes):
 
 
 def test_reward_is_bounded_on_directed_graph():
-    """All 18 that see the robot which merges, and which it does not see, end up farther from it."""
+    """All 18 neighbours of the merging robot, unknown to it, are farther away after the merge."""
     n, r = 20, 0.2
     sees = np.zeros((n, n))
     sees[1:, 0] = sees[0, 1] = 1.0

@@ -1,4 +1,4 @@
-"""Law (4) does not survive a graph that switches; what restores it (guarantees, section 10)."""
+"""Growth under law (4) on a switching graph, and its remedies (guarantees, section 10)."""
 
 import numpy as np
 import pytest
@@ -10,12 +10,12 @@ from rendezvous_env.safety.lyapunov import net_bearings
 SCENARIO = rv.scenarios.get("rotating-paths").replace(local_frames="global")
 MARGINS = np.array([0.1, 0.3, 0.26, 0.29])
 SCALES = np.array([1.0, 1.0, 10.0, 10.0])
-"""The effect of a held step falls with the size of the team: beside the threshold it must be
-large."""
+"""Relative effect of a held step; it decreases with the perimeter, so the team must be large near
+the threshold."""
 
 
 class Growing:
-    """Certified headings that want the side of their cap, hᵀf = ε‖f‖, that lets L grow faster."""
+    """Certified headings with hᵀf = ε‖f‖, on the side with faster growth of L."""
 
     def watch(self, simulator):
         self.simulator, self.previous = simulator, np.zeros_like(simulator.positions)
@@ -62,7 +62,7 @@ def sizes():
 
 
 def test_small_margin_grows_at_triangle_rate(sizes):
-    """9.7-fold in 400 s, and in every round of three dwell times."""
+    """L grows 9.7-fold in 400 s, and in every cycle of three dwell times."""
     margin = MARGINS[0]
     rate = np.sqrt(3) * margin * np.sqrt(1 - margin**2) - 6 * margin**2
     assert (sizes[-1, 0] - sizes[0, 0]) / 400.0 == pytest.approx(rate, rel=0.01)
@@ -71,7 +71,7 @@ def test_small_margin_grows_at_triangle_rate(sizes):
 
 
 def test_margin_above_threshold_does_not_grow(sizes):
-    """1/√13 = 0.277."""
+    """The threshold is 1/√13 = 0.277."""
     assert sizes[:, 1].max() == sizes[0, 1] and sizes[-1, 1] < 0.3 * sizes[0, 1]
     assert sizes[-1, 2] > 1.05 * sizes[0, 2], "just below it"
     assert sizes[-1, 3] < 0.95 * sizes[0, 3], "just above it"

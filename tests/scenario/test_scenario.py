@@ -1,4 +1,4 @@
-"""Scenario: what follows from its fields, its sensor, its TOML form; the named ones."""
+"""Scenario: derived quantities, sensor, TOML form; named scenarios."""
 
 import dataclasses
 import json
@@ -167,7 +167,7 @@ def test_fields_and_defaults_are_stable():
 
 
 def test_camera_is_a_sensing_preset():
-    """Its numbers are those of docs/worlds.md, and what is hidden has no row."""
+    """Its parameters are those of docs/worlds.md, and hidden robots have no row."""
     camera = rv.Sensing.camera()
     assert camera.occlusion == "both" and not camera.exact
     assert math.degrees(camera.noise) == pytest.approx(0.43, abs=0.01)

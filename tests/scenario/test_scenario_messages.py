@@ -1,4 +1,4 @@
-"""What scenarios, graphs and obstacles say to what they refuse: field, value and remedy."""
+"""Error messages of scenarios, graphs and obstacles: field, value and remedy."""
 
 import math
 import re
@@ -14,7 +14,7 @@ import rendezvous_env as rv
 from rendezvous_env import Capsule, Disc, ObstacleField, Polygon, Scenario, Sphere, checks
 from rendezvous_env import graphs as g
 from rendezvous_env.checks import UnknownFieldError
-from rendezvous_env.limits import MOST_OBSTACLES, MOST_ROBOTS
+from rendezvous_env.limits import MAX_OBSTACLES, MAX_ROBOTS
 from rendezvous_env.obstacles.parsing import parse
 from rendezvous_env.scenario import scenarios
 
@@ -25,7 +25,7 @@ WALLS = rv.WallField("trap", (7.0, 8.0), (2.0, 3.0), 0.5, region=2.0, keep_out=1
 
 
 def matrix(**entries: float) -> np.ndarray:
-    """UNEQUAL with some entries a_ij changed, given as a01=…, on one side only."""
+    """UNEQUAL with some entries a_ij changed on one side only, given as a01=…."""
     weights = UNEQUAL.copy()
     for name, value in entries.items():
         weights[int(name[1]), int(name[2])] = value
@@ -40,7 +40,7 @@ REFUSED = [
     ({"n_robots": 1}, r"n_robots is 1; it must be a whole number, 2 or more"),
     ({"n_robots": True}, r"n_robots is True"),
     ({"n_robots": HUGE}, "n_robots is a whole number of about 401 digits"),
-    ({"n_robots": 10**9}, f"n_robots is 1000000000; .* at most {MOST_ROBOTS}"),
+    ({"n_robots": 10**9}, f"n_robots is 1000000000; .* at most {MAX_ROBOTS}"),
     ({"dim": 4}, r"dim is 4; it must be 2 or 3"),
     ({"dim": [2]}, r"dim is \[2\]; it must be 2 or 3"),
     *[
@@ -77,7 +77,7 @@ REFUSED = [
     ({"neighbour_overflow": "drop"}, "neighbour_overflow is 'drop'; .*'error', 'nearest'"),
     ({"obstacle_slots": 1, "obstacles": [TRIANGLE, TRIANGLE]},
         r"obstacle_slots is 1; .* obstacles, 2"),
-    ({"obstacle_slots": 10**9}, f"obstacle_slots is 1000000000; .* at most {MOST_OBSTACLES}"),
+    ({"obstacle_slots": 10**9}, f"obstacle_slots is 1000000000; .* at most {MAX_OBSTACLES}"),
     ({"start_positions": ROW[:4]}, r"start_positions have shape \(4, 2\); .* \(5, 2\)"),
     ({"start_positions": [*ROW[:4], [math.inf, 0]]},
         r"start_positions of robot_4 is \[inf, 0\.0\]; it must be finite, and from -1e\+09"),
@@ -318,7 +318,10 @@ def test_impossible_names_and_paths_are_rejected(tmp_path):
         assert re.search(r"scenario '.*' is unknown; .*known are", refusal(scenarios.get, name))
     for name in (5, None, ["fig3"], b"fig3", {}):
         assert "is unknown; known are fig3" in refusal(scenarios.get, name)
-        assert "it must be a Scenario, the name of one, or the path" in refusal(rv.make_vec, name)
+    for name in (5, None, ["fig3"], b"fig3"):  # {} is plain data
+        assert "it must be a Scenario, its plain data, the name of one, or the path" in refusal(
+            rv.make_vec, name
+        )
     for path in (5, None, ["a.toml"]):
         assert "path is" in refusal(Scenario.from_toml, path)
     with pytest.raises(FileNotFoundError):
@@ -326,7 +329,7 @@ def test_impossible_names_and_paths_are_rejected(tmp_path):
 
 
 def test_failed_write_keeps_old_file(tmp_path):
-    """A disk is full; a folder has the name."""
+    """Causes: a full disk; a folder of the same name."""
     (tmp_path / "taken.toml").mkdir()
     Scenario(n_robots=2).to_toml(tmp_path / "x.toml")
     free = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -350,11 +353,13 @@ def test_simulators_and_certificates_accept_names_and_files(tmp_path):
     assert rv.Simulator("duo").scenario == scenarios.get("duo")
     for call in (rv.Simulator, rv.certificate):
         assert "did you mean 'ring-12'" in refusal(call, "ring12")
-        assert "it must be a Scenario, the name of one, or the path" in refusal(call, 5)
+        assert "it must be a Scenario, its plain data, the name of one, or the path" in refusal(
+            call, 5
+        )
 
 
 def test_named_limit_is_accepted():
-    """Rounded to six digits, it was refused in its turn where that rounds it up."""
+    """A limit rounded up to six digits was itself rejected."""
 
     def named(message: str) -> float:
         found = re.search(r"(?:certified step|half the merge_radius,|r/τ =) ([\d.]+)", message)

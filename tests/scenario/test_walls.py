@@ -1,4 +1,4 @@
-"""Walls that are drawn, and fields of discs in which nobody is walled in."""
+"""Random walls and discs without enclosed robots."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def solids(table, wider=0.0):
 
 
 def together(table, positions, wider=0.0):
-    """Whether all robots are in one part of what is free, by shapely's geometry."""
+    """Whether all robots are in one component of the free space, by shapely."""
     walls = shapely.union_all(solids(table, wider))
     free = shapely.box(-99, -99, 99, 99).difference(walls)
     parts = shapely.get_parts(free)
@@ -73,7 +73,7 @@ class TestField:
 
 
 class TestLayouts:
-    """Measured in the frame of the first box, whose first edge runs along its length."""
+    """Measured in the frame of the first box, with its first edge along its length."""
 
     @pytest.mark.parametrize("layout", LAYOUTS)
     def test_boxes_have_given_size(self, layout):
@@ -129,14 +129,15 @@ class TestNobodyIsWalledIn:
         assert all(map(together, tables, positions))
 
     def test_gaps_have_promised_width(self):
-        """Discs made wider by half a passage still wall nobody in."""
+        """Discs enlarged by half a passage still enclose no robot."""
         tables, positions = drawn("clutter-32", 200)
         assert all(together(*start, wider=0.0999) for start in zip(tables, positions, strict=True))
 
     @pytest.mark.kernels
     def test_reachability_agrees_with_shapely(self):
-        """On discs that nearly close two rings, one in the other, a robot in the middle and
-        two outside; where a little smaller and larger ones give the same answer.
+        """Two nearly closed concentric rings of discs with a robot inside and two outside.
+
+        Cases count only if slightly smaller and larger discs give the same answer.
         """
         random = np.random.default_rng(0)
         answers, chains = [], np.empty((34, 2), np.int64)
@@ -172,7 +173,7 @@ class TestNobodyIsWalledIn:
         assert not all_reachable(gap, split, 1.54, chains)
 
     def test_hopeless_field_is_error(self):
-        """One robot in the midst of so many discs, and one outside."""
+        """One robot amid many discs, and one outside."""
         closed = ObstacleField(400, (0.8, 0.9), 12, 0.3, passage=0.6)
         with pytest.raises(RuntimeError, match="no room for the start"):
             started(Scenario(n_robots=2, obstacles=closed), positions=[[0.0, 0.0], [0.0, 20.0]])

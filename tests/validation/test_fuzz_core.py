@@ -61,7 +61,7 @@ def test_fuzz_toml(text):
 
 
 class Door:
-    """One kind of environment, and how to look at its episode."""
+    """One kind of environment, and access to its episode."""
 
     def __init__(self, name: str, team: str) -> None:
         self.num_envs, make = DOORS[name]
@@ -71,14 +71,14 @@ class Door:
         self.simulator = env if isinstance(env, Simulator) else env.unwrapped.simulator
 
     def state(self) -> Any:
-        """All that a refusal must leave as it is."""
+        """State that a rejection must leave unchanged."""
         env = self.env
         if hasattr(env, "get_state"):
             return env.get_state()
         return env.agent_selection, env.rewards, env.unwrapped.get_state()
 
     def refuses_or_plays(self, call: Callable[[], Any], *kinds: type[Exception]) -> bool:
-        """The rule; whether the call was accepted."""
+        """Assert the fuzzing rule; returns whether the call was accepted."""
         before = self.state()
         if isinstance(attempt(call, *kinds), Exception):
             np.testing.assert_equal(self.state(), before)
@@ -89,9 +89,9 @@ class Door:
 
 
 door = cache(Door)
-"""Made once, for all cases."""
+"""Created once for all cases."""
 NAMES = [name for name in DOORS if not name.endswith(("gains", "links"))]
-"""Those that robots of all models may stand behind."""
+"""Scenarios with support for all robot models."""
 names = st.sampled_from(NAMES)
 
 
@@ -137,7 +137,7 @@ robots = st.sampled_from(["robot_0", "robot_1", "robot_2", "robot_9", 5, None, (
 
 @st.composite
 def actions_of(draw: st.DrawFn, it: Door) -> Any:
-    """What a door may be given in place of actions."""
+    """Values in place of actions for an environment."""
     if draw(st.integers(0, 6)) == 0:
         return draw(absurd)
     if hasattr(it.env, "agent_selection"):
@@ -232,7 +232,7 @@ WRAPPER = {
     "share": nearly(st.floats(0.01, 1.0), 0.0, 1.1),
     "bearing_error": nearly(st.floats(0.0, 1.5), -0.1, 2.0),
 }
-"""Settings of guarantees; each takes those that it has an argument for."""
+"""Settings of guarantees; each uses those among its arguments."""
 WRAPPERS = ("HeadingVectorWrapper", "EnergyTankWrapper", "GainWrapper", "LinkKeepingWrapper")
 
 
@@ -317,7 +317,7 @@ wild = st.sampled_from([1e-3, 1.0, 30.0, 1e3, 1e6])
 @fuzzed(4, wild, wild, wild, st.integers(0, 99))
 @example(1e3, 1e3, 1e3, 0)
 def test_fuzz_extreme_steps_among_obstacles(speed, turn_rate, step, seed):
-    """Any speed, turn rate and step: finite, outside, and over within seconds."""
+    """Any speed, turn rate and step: finite, outside of obstacles, and fast."""
     scenario = rv.Scenario(
         robot_model="unicycle",
         n_robots=3,

@@ -13,7 +13,7 @@ from baselines.obstacle_rules import obstacle_avoidance
 from rendezvous_env import Scenario, Simulator
 from rendezvous_env.engine.memory import TIME_OUT
 from rendezvous_env.engine.memory_layout import available_bytes, needed_bytes
-from rendezvous_env.limits import MOST_OBSTACLES
+from rendezvous_env.limits import MAX_OBSTACLES
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.trajectory import Step
 from train.compare.evaluation import alignments
@@ -142,7 +142,7 @@ def test_alignments_reject_step_of_other_robots(kind):
 
 
 def test_memory_shortage_is_reported_before_allocation():
-    crowded = Scenario(n_robots=2, obstacle_slots=MOST_OBSTACLES)
+    crowded = Scenario(n_robots=2, obstacle_slots=MAX_OBSTACLES)
     for scenario, num_envs in ((PAIR, 10**9), (crowded, 10**6), (Scenario(n_robots=1000), 10**6)):
         message = refusal(Simulator, scenario, num_envs)
         assert re.search(rf"num_envs is {num_envs}: .* need .* GiB of memory, .* are free", message)

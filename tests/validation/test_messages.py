@@ -15,7 +15,7 @@ import baselines
 import rendezvous_env as rv
 from rendezvous_env import Scenario
 from rendezvous_env.checks import short_repr
-from rendezvous_env.limits import MOST_STEPS
+from rendezvous_env.limits import MAX_STEPS
 from rendezvous_env.simulator import Simulator
 
 PAIR = Scenario(n_robots=2)
@@ -274,10 +274,10 @@ def test_invalid_counts_are_rejected(value):
     assert f"max_cycles is {short_repr(value)}" in refusal(Simulator(PAIR).set_max_steps, value)
     assert "num_envs is" in refusal(Simulator, PAIR, value)
     assert "num_threads is" in refusal(Simulator, PAIR, 1, num_threads=value)
-    env = rv.parallel_env(PAIR, max_cycles=MOST_STEPS)
+    env = rv.parallel_env(PAIR, max_cycles=MAX_STEPS)
     with pytest.raises(ValueError, match="max_cycles is"):
         env.max_cycles = value
-    assert env.max_cycles == MOST_STEPS
+    assert env.max_cycles == MAX_STEPS
     assert "num_envs is" in refusal(rv.rollout, PAIR, lambda o, t: o, num_envs=value)
 
 

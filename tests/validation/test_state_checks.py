@@ -1,4 +1,4 @@
-"""States from outside: every entry is checked, and all of them before any is taken."""
+"""Restored states: all entries are validated before any is applied."""
 
 import re
 
@@ -37,7 +37,7 @@ SIMULATORS = {
     "late": (five("single_integrator-2d", sensing=rv.Sensing(delay=2)), 1),
     "ring": (rv.Scenario(n_robots=60, graph="cycle"), 2),
 }
-"""Scenarios, and of how many teams."""
+"""Scenarios, and numbers of environments."""
 WRONG_ENTRIES = [
     ("positions", (1, 2, 0), np.nan, "positions[1, 2, 0] is nan; it must be finite"),
     ("weights", (0, 3), -1.0, "weights[0, 3] is -1.0; it must be 0 or more"),
@@ -127,7 +127,7 @@ def test_non_state_is_rejected():
 
 
 def test_states_of_all_phases_are_accepted(kind):
-    """Before the first reset, in part reset, resting, running, merged, met, timed out."""
+    """Before the first reset, partially reset, resting, running, merged, met, timed out."""
     scenario = five(kind, time_limit=1.0, spawn_size=3.0)
     sim, other = Simulator(scenario, TEAMS), Simulator(scenario, TEAMS)
     seen, law = set(), law_of(scenario)
@@ -209,7 +209,7 @@ def leaves(state, path=()):
 
 @pytest.mark.parametrize("make", NESTED.values(), ids=NESTED)
 def test_nested_state_is_validated_before_use(make):
-    """Entries of another moment, one of them spoilt: none of the others may get in."""
+    """Entries of another time, one of them invalid: none may be applied."""
     target, other = make(), make()
     other.reset()  # the next episode: every entry that can differs
     paths = list(leaves(target.get_state()))

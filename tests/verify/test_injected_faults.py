@@ -1,4 +1,4 @@
-"""Former errors of certificates, injected again: ``verify --any`` finds each of them.
+"""Former errors of certificates, injected again: ``verify --random-scenarios`` finds each of them.
 
 The seeds below were found by a search over some thousand; they change with the sampled scenarios.
 """

@@ -1,4 +1,4 @@
-"""``rendezvous verify --any``: random scenarios find what a certificate promises in vain."""
+"""``rendezvous verify --random-scenarios``: random scenarios reveal wrong certificates."""
 
 import dataclasses
 import json
@@ -27,7 +27,7 @@ def trial(scenario=SQUARE, by="law", seed=0, **arguments):
 
 
 def promising(monkeypatch, **limits):
-    """Let every certificate promise something else: what a number becomes, or a share of it."""
+    """Replace a number of every certificate by another one, or by a fraction of it."""
     ask = falsification.ask
 
     def wrong(*given):
@@ -96,9 +96,9 @@ def test_applicable_theorems_are_named(by, theorems):
 
 
 LOOSE = trial(SQUARE.replace(graph="cycle"), "heading", min_alignment=0.05)
-"""Much may happen here."""
+"""Scenario with many kinds of events."""
 NOISY = trial(PAIR.replace(sensing=rv.Sensing(noise=0.3)))
-"""They take 0.4 s without noise."""
+"""Episodes take 0.4 s without noise."""
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_excessive_bearing_errors_are_found(by, number, monkeypatch):
 
 
 def test_search_improves_initial_conditions(monkeypatch, tmp_path):
-    """What the bound is too small by shows from other starts only."""
+    """The error of the bound shows only for other initial conditions."""
     time = max(play(trial()).ratio.values()) * ask(SQUARE, "law", {}).limits["time"]
     promising(monkeypatch, time=time + 0.05)
     assert play(trial()).violation is None
@@ -149,7 +149,7 @@ def test_search_improves_initial_conditions(monkeypatch, tmp_path):
 
 
 def from_elsewhere(play):
-    """Find nothing from a trial's own start, while it is bettered."""
+    """Hide violations from the trial's own initial condition during the search."""
 
     def played(trial, **asked):
         found = play(trial, **asked)
@@ -161,7 +161,7 @@ def from_elsewhere(play):
 
 @pytest.mark.parametrize("generations", [0, 3])
 def test_violation_by_rotated_bearings_repeats_alone(generations, monkeypatch, tmp_path):
-    """The team errs alone as it did among others, wherever it stood among them."""
+    """A team has the same errors separately as in a batch, at any index."""
     path, teams = SQUARE.replace(graph="path"), set()
     off = 0.5 * rv.certificate(path, 0.7).tolerated_bearing_error
     promising(monkeypatch, descent=-0.2)
@@ -210,7 +210,7 @@ command = partial(test_verify.command, any=True, table="any.csv", jobs=1)
 
 @pytest.fixture
 def one_kind(monkeypatch):
-    """Compiled code of one kind only."""
+    """Scenarios with compiled code of one kind only."""
     monkeypatch.setattr(random_scenarios, "draw_kind", lambda random: PLANE)
 
 
@@ -235,7 +235,7 @@ def test_violations_are_written_with_status_1(tmp_path, monkeypatch, one_kind):
 
 @pytest.mark.slow
 def test_thousands_of_random_scenarios_hold(tmp_path):
-    """As many as a core plays in two minutes, once the kernels of their kinds are compiled."""
+    """As many as one core simulates in two minutes, once their kernels are compiled."""
     status, rows, printed = command(tmp_path, trials=10_000, kinds=8, jobs=None)
     assert status == 0, printed
     granted = {row["theorem"]: int(row["granted"]) for row in rows}
@@ -244,7 +244,7 @@ def test_thousands_of_random_scenarios_hold(tmp_path):
 
 @pytest.mark.slow
 def test_scenarios_of_larger_teams_hold(tmp_path, monkeypatch):
-    """Among many neighbours those of a robot may be all round in ever thinner ways."""
+    """Many neighbours may surround a robot with ever smaller margins."""
     monkeypatch.setattr(random_scenarios, "_SIZES", (8, 12, 16))
     status, rows, printed = command(tmp_path, trials=300, kinds=3)
     assert status == 0, printed

@@ -1,4 +1,4 @@
-"""What an interrupted ``rendezvous verify`` has finished is kept, and not done again."""
+"""Interrupted ``rendezvous verify``: finished work is kept and not repeated."""
 
 import io
 import math
@@ -21,7 +21,7 @@ NAMES = ("lemma-1", "theorem-2", "necessity")
 
 @pytest.fixture(autouse=True)
 def nothing_is_played(monkeypatch):
-    """What a batch or a trial gives follows from its number."""
+    """Result of a batch or a trial as a function of its number."""
 
     def check(claim, seed, batch, trials, least_margin):
         margin = math.sin(batch + seed) / 3
@@ -41,7 +41,7 @@ def config(out, **changes):
 
 
 def checked(settings, after=math.inf):
-    """Names of the tasks that are done until the next one is interrupted, and what is printed."""
+    """Names of finished tasks up to an interrupt, and the output."""
     done, printed, real_look = [], io.StringIO(), verify.look
 
     def look(task):
@@ -119,7 +119,7 @@ def test_task_round_trips_bitwise(numbers, first, tmp_path):
 
 
 def test_folder_being_removed_can_be_resumed(tmp_path, monkeypatch):
-    """It is there with all that it holds, or not at all."""
+    """The folder is complete or absent."""
     part = resume.RunCheckpoint(tmp_path / "part", {"seed": 1}, "test")
     with part.at_work(tmp_path, Console(), fresh=False):
         part.save("one", {"x": 1})

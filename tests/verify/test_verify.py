@@ -1,4 +1,4 @@
-"""``rendezvous verify`` finds nothing wrong with the theory, and finds what is made wrong."""
+"""``rendezvous verify``: no violation of the theory, and detection of injected faults."""
 
 import dataclasses
 import io
@@ -27,7 +27,7 @@ BY_NAME = {claim.name: claim for claim in CLAIMS}
 
 
 def command(tmp_path, *wrong, trials=BATCH, table="verify.csv", **options):
-    """Exit status, rows of the CSV and what is printed."""
+    """Exit status, rows of the CSV, and output."""
     printed = io.StringIO()
     config = Config(trials=trials, out=tmp_path, **options)
     status = run(config, wrong or CLAIMS, Console(file=printed, width=200))
@@ -35,7 +35,7 @@ def command(tmp_path, *wrong, trials=BATCH, table="verify.csv", **options):
 
 
 def caught(tmp_path, claim, trials=4 * BATCH):
-    """Share of violations and worst margin of a claim that must be found violated."""
+    """Fraction of violations and worst margin of a claim that must be violated."""
     status, (row,), printed = command(tmp_path, claim, trials=trials)
     assert status == 1
     assert row["first_violation"].startswith(f"rendezvous verify --claims {claim.name} --seed 0")
@@ -67,7 +67,7 @@ def test_equal_seed_gives_equal_results(tmp_path):
 
 
 def test_trials_cover_all_kinds():
-    """Sizes, dimensions, graphs, frames, speed limits and starts all vary."""
+    """Team sizes, dimensions, graphs, frames, speed limits and initial conditions all vary."""
     random = np.random.default_rng(0)
     drawn = [cases.draw_team(random, batch, 0.3) for batch in range(60)]
     scenarios = [trial.scenario for trial in drawn]
@@ -83,7 +83,7 @@ def test_trials_cover_all_kinds():
 
 
 def test_merges_raise_v_within_bound():
-    """The row merge-rise has something to look at."""
+    """The row merge-rise is not empty."""
     trial = BY_NAME["merge-rise"].draw(np.random.default_rng(3), 0, 0.3)
     wrapped, seen, policy = begin(trial, 0.0, 64)
     teams, rises, excess = wrapped.unwrapped.simulator, [], []
@@ -97,13 +97,13 @@ def test_merges_raise_v_within_bound():
 
 
 def flipped(trial, random):
-    """Away from the neighbours."""
+    """Fault: motion away from the neighbours."""
     law = baselines.make("bearing-only", trial.scenario)
     return lambda seen, now: -law(seen, now.time)
 
 
 def one_sided(random, batch, least_margin):
-    """Weights that are not symmetric themselves."""
+    """Fault: asymmetric weights."""
     trial = cases.draw_team(random, 1, least_margin, by="law", dims=(2,))
     weights = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.1], [0.1, 0.0, 0.0]])
     scenario = trial.scenario.replace(graph=graphs.directed(weights))
@@ -111,7 +111,7 @@ def one_sided(random, batch, least_margin):
 
 
 def bare(trial, random):
-    """Choices that keep headings, or the bodies of robots that turn, across f."""
+    """Choices that keep headings, or nonholonomic bodies, across f."""
     turn_rate = trial.arguments["max_turn_rate"]
     adversary = Adversary(trial.scenario, BATCH, trial.by, random, turn_rate)
     adversary.kinds[:] = 0 if trial.scenario.model.nonholonomic else KINDS.index("across")
@@ -134,7 +134,7 @@ def test_uncertified_headings_are_detected(tmp_path, name, bound, share, monkeyp
     mistaken(monkeypatch, HeadingFilter, lambda known: {"certified": False})
 
     def draw(random, batch, least_margin):
-        """Robots that choose in each step, in their own frames."""
+        """Policy with a new choice in each step, in the robots' own frames."""
         trial = BY_NAME[name].draw(random, batch, least_margin)
         arguments = trial.arguments | {"max_turn_rate": 3.0}
         return dataclasses.replace(trial, arguments=arguments, frame="local")
@@ -158,7 +158,7 @@ def test_long_unscaled_step_is_detected(tmp_path, monkeypatch):
 
 
 def light_link_left(random, batch, least_margin):
-    """The heavy link is short and soon contracted; a* = 0.5 is what is left (theory 3)."""
+    """The heavy link is short and soon contracted; the remaining a* is 0.5 (theory 3)."""
     scenario = Scenario(
         n_robots=3,
         graph=graphs.from_edges([(0, 1, 2.0), (1, 2, 0.5)]),
@@ -169,7 +169,7 @@ def light_link_left(random, batch, least_margin):
 
 
 def with_max_a(trial, teams):
-    """Theorem A's bound with the largest weight in the place of the bottleneck weight."""
+    """Bound of theorem A with the largest weight in place of the bottleneck weight."""
     scenario = trial.scenario
     heaviest = scenario.sensing_graph.base_weights(scenario.n_robots).max()
     return bound_a(trial, teams) * (scenario.bottleneck_weight / heaviest) ** 2
@@ -187,7 +187,7 @@ def test_wrong_bottleneck_weight_is_detected(tmp_path):
 
 
 def test_directed_graph_violation_repeats_from_batch(tmp_path):
-    """Of which lemma 1 says nothing."""
+    """Lemma 1 does not cover directed graphs."""
     soon = lambda *given: np.ones(BATCH)  # noqa: E731
     claim = dataclasses.replace(BY_NAME["lemma-1"], draw=one_sided, bound=soon)
     status, (row,), _ = command(tmp_path, claim, trials=5 * BATCH)

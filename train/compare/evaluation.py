@@ -33,7 +33,7 @@ class Episodes:
     """Metrics of one policy from N initial conditions of a scenario; every field is (N,)."""
 
     success: NDArray[np.bool_]
-    """Whether all robots met within the time limit."""
+    """True if all robots met within the time limit."""
     clean: NDArray[np.float64]
     """1 for collision-free success, else 0; NaN where robots pass through obstacles."""
     time: NDArray[np.float64]
@@ -135,7 +135,7 @@ def starts_of(scenario: Scenario, asked: int) -> int:
 
 
 def counts_contacts(scenario: Scenario) -> bool:
-    """Whether contacts count, that is, robots do not pass through obstacles."""
+    """True if contacts count, that is, robots do not pass through obstacles."""
     return not scenario.obstacles or scenario.obstacle_contact != "ignore"
 
 

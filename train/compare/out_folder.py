@@ -26,7 +26,7 @@ _LITTER = re.compile(r"\..+\.part(\.\w+)?")
 
 
 def is_ours(name: str) -> bool:
-    """Whether a file name is one of those written by ``compare`` and ``report``."""
+    """True if a file name is one of those written by ``compare`` and ``report``."""
     return _OURS.fullmatch(name) is not None
 
 

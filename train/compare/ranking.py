@@ -36,7 +36,7 @@ class Ranking:
 
     @property
     def is_contest(self) -> bool:
-        """Whether policies compete on the scenario."""
+        """True if policies compete on the scenario."""
         return self.best is not None and len(self.share) - len(self.references) > 1
 
     @property

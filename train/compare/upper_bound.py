@@ -36,7 +36,7 @@ _WANDER_TIME = 1.0  # s
 
 
 def applies(scenario: Scenario) -> bool:
-    """Whether the merged-interval rule fits and the scenario has obstacles."""
+    """True if the merged-interval rule fits and the scenario has obstacles."""
     return "tangent-joined" in baselines.names(scenario) and counts_contacts(scenario)
 
 

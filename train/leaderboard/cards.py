@@ -13,7 +13,7 @@ from rendezvous_env.scenario import scenarios
 
 from .. import results
 from ..checks import UserError
-from ..learn.settings import MOST_SEED
+from ..learn.settings import MAX_SEED
 from . import registry
 from .playing import play
 from .replays import Replay, path_of, replay_of, write_replay
@@ -29,7 +29,7 @@ _TYPES = {
     "results": dict[str, list[float]],
 }
 """Types of the entries of a run record that tables and pages read."""
-_BOUNDS = ("seed", 0, MOST_SEED), ("decisions", 0, 2**62), ("starts", 1, 2**62)
+_BOUNDS = ("seed", 0, MAX_SEED), ("decisions", 0, 2**62), ("starts", 1, 2**62)
 _RESULTS = ("success", "clean", "time", "touches", "risen", "rise", "steps")
 
 
@@ -105,7 +105,7 @@ def path_in(folder: Path, card: Card) -> Path:
 
 
 def has_replay(folder: Path, card: Card) -> bool:
-    """Whether a leaderboard folder holds a replay of a run."""
+    """True if a leaderboard folder holds a replay of a run."""
     return path_of(path_in(folder, card)).exists()
 
 

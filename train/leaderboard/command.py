@@ -18,7 +18,7 @@ from ..checks import Bounds, UserError
 from ..compare import out_folder, statistics
 from ..compare.playing import Task, play_all
 from ..console import Console, counted
-from ..learn.settings import MOST_SEED
+from ..learn.settings import MAX_SEED
 from ..policies import resolve_scenario
 from ..resume import RunCheckpoint, program
 from ..tasks import Workers
@@ -68,7 +68,7 @@ class Config(Workers):
     libraries are installed."""
     fields: Annotated[tuple[str, ...], arg(aliases=("--scenarios",))] = ()
     """Named scenarios, with or without version. Default: those of the tier."""
-    seeds: Annotated[tuple[int, ...], Bounds(0, MOST_SEED)] = ()
+    seeds: Annotated[tuple[int, ...], Bounds(0, MAX_SEED)] = ()
     """Training seeds. Default: those of the tier, 0, 1 and so on."""
     decisions: Annotated[int | None, Bounds(1)] = None
     """Training budget, in decisions of single robots. Default: that of the tier."""

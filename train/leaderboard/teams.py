@@ -36,7 +36,7 @@ def _steps(step: RewardStep) -> NDArray[np.float64]:
 
 
 def can_learn(field: Scenario) -> bool:
-    """Whether the learners support a scenario: planar ones only."""
+    """True if the learners support a scenario: planar ones only."""
     return field.dim == 2 and can_steer(field)
 
 

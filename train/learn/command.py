@@ -80,7 +80,7 @@ def _log_of(settings: Settings) -> Path:
 
 
 def _stays_here(settings: Settings) -> bool:
-    """Whether a run needs objects registered in this process."""
+    """True if a run needs objects registered in this process."""
     others = map(policies.resolve_scenario, settings.eval_scenarios)
     return any(map(policies.registered, (settings.base_scenario(), *others)))
 

@@ -22,7 +22,7 @@ from ..checks import Bounds, Flags, UserError, check_unused, flag, format_argume
 from ..policies import resolve_scenario
 from .sensing_ranges import Ranges, check_ranges
 
-TRAINING_SEEDS, EVALUATION_SEEDS, MOST_SEED = 2**62, 2**61, 2**29 - 1
+TRAINING_SEEDS, EVALUATION_SEEDS, MAX_SEED = 2**62, 2**61, 2**29 - 1
 """First seed of training (2⁶² + 2³² s for run seed s), first seed of evaluation (2⁶¹), largest s.
 
 ``compare`` counts up from its --seed, which is far smaller, so both sets are disjoint.
@@ -79,7 +79,7 @@ class Config(Flags):
     """Minimum number of obstacles per episode of a curriculum. Default: the maximum."""
     total_steps: Annotated[int, Bounds(1, 2**62)] = DefaultInt(3_000_000)
     """Number of decisions of single robots in the run, rounded up to whole updates."""
-    seed: Annotated[int, Bounds(0, MOST_SEED)] = 0
+    seed: Annotated[int, Bounds(0, MAX_SEED)] = 0
     """Seed of weights, exploration and initial conditions, below 2²⁹."""
     out: Path = Path("runs/heading")
     """Folder of the run."""
@@ -360,7 +360,7 @@ def resumed(config: Config, stored: Config) -> Config:
 
 
 def same_run(one: Config, other: Config) -> bool:
-    """Whether two settings differ in nothing but ``MAY_CHANGE`` and folders."""
+    """True if two settings differ in nothing but ``MAY_CHANGE`` and folders."""
     default = Config()
     free = {name: getattr(default, name) for name in (*MAY_CHANGE, "out", "resume")}
     return replace(one, **free) == replace(other, **free)

@@ -22,7 +22,7 @@ _FIGURES = ("price.png", "profiles.png")
 
 
 def is_one(folder: Path) -> bool:
-    """Whether a folder was written by ``leaderboard``."""
+    """True if a folder was written by ``leaderboard``."""
     return (folder / "leaderboard.csv").is_file()
 
 

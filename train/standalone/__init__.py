@@ -287,7 +287,7 @@ def _bundle(roots: Sequence[Name], stand_ins: Mapping[Name, str]) -> Bundle:
 
 
 def _lies_beside(module: str, roots: Sequence[Name]) -> bool:
-    """Whether a module is a file in a folder with a user's module."""
+    """True if a module is a file in a folder with a user's module."""
     place, own = sys.modules.get(module), sys.modules[roots[-1].module]
     files = [getattr(one, "__file__", None) for one in (place, own)]
     return None not in files and Path(files[0] or "").parent == Path(files[1] or "").parent
@@ -315,7 +315,7 @@ def _in_docstring(name: str) -> str:
 
 
 def is_written(path: Path) -> bool:
-    """Whether a file is a standalone file, of any version, and may be overwritten."""
+    """True if a file is a standalone file, of any version, and may be overwritten."""
     begin, text = _HEAD.partition("{")[0].encode(), path.read_bytes()
     return text.startswith(begin) and _MADE_BY.encode() in text[: text.find(b'"""', len(begin))]
 

@@ -34,7 +34,7 @@ class Name(NamedTuple):
 
     @property
     def is_ours(self) -> bool:
-        """Whether it belongs to this project, or to an added module."""
+        """True if it belongs to this project, or to an added module."""
         return self.module.partition(".")[0] in PROJECT or self.module in _own
 
 

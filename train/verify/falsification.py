@@ -38,7 +38,7 @@ Policy = Callable[[Any, Moment], Any]
 
 TEAMS = 24
 """Number of environments per trial, divided evenly between initial conditions."""
-MOST_STEPS = 400  # steps for which a time bound is waited for
+MAX_STEPS = 400  # steps for which a time bound is waited for
 PATIENT_STEPS = 1000
 """Steps of a trial of a policy, besides those that a deadlock has to last."""
 FEW_STEPS = 8, 80
@@ -137,8 +137,9 @@ def ask(scenario: rv.Scenario, by: str, arguments: Mapping[str, float]) -> Promi
 
 
 def searched(scenario: rv.Scenario, numbers: tuple[str, ...]) -> Promised:
-    """What a policy is held against, though nothing promises it: V that never rises, a hull that
-    never grows, and progress within the ``patience_of`` the scenario.
+    """Properties to falsify without a certificate: V and hull never increase, no deadlock.
+
+    A deadlock is a time without progress longer than ``patience_of(scenario)``.
     """
     limits = {name: 0.0 for name in numbers}
     if "deadlock" in limits:
@@ -148,8 +149,10 @@ def searched(scenario: rv.Scenario, numbers: tuple[str, ...]) -> Promised:
 
 
 def patience_of(scenario: rv.Scenario) -> float:
-    """How long robots may make no progress, s: 200 steps, in which law (1) moves far, the time n r
-    / a* in which its slowest robot crosses half a merge radius, and two turns of the body.
+    """Time without progress that counts as a deadlock, s.
+
+    The largest of 200 steps, in which law (1) moves far; n r/a*, in which its slowest robot crosses
+    half a merge radius; and two turns of the body.
     """
     n, least = scenario.n_robots, scenario.bottleneck_weight
     slow = n * scenario.merge_radius / least if least > 0.0 else 0.0
@@ -271,7 +274,7 @@ def _last_steps(trial: Trial, limits: Mapping[str, Array]) -> Array:
     last = np.full_like(next(iter(limits.values())), math.inf)
     for name in {"time", "expected_time"} & set(limits):
         last = np.minimum(last, np.ceil(limits[name] / (trial.scenario.tau * trial.period)) + 1)
-    late = last > MOST_STEPS
+    late = last > MAX_STEPS
     return np.where(late, few * late.all(), last)
 
 

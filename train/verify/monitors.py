@@ -65,12 +65,12 @@ class Moment:
 
     @cached_property
     def both(self) -> Mask:
-        """Whether robots i and j are active, (B, n, n)."""
+        """True if robots i and j are active, (B, n, n)."""
         return np.asarray(self.active[:, :, None] & self.active[:, None])
 
     @cached_property
     def linked(self) -> Mask:
-        """Whether they are linked, (B, n, n)."""
+        """True if they are linked, (B, n, n)."""
         return np.asarray(self.both & (self.weights > 0.0))
 
     @cached_property

@@ -119,13 +119,13 @@ _WORDS = {
 
 
 def words_of(violation: Violation | None) -> str:
-    """What happens in a counterexample, and when."""
+    """Description of a counterexample: the violation and its step."""
     assert violation is not None
     return _WORDS[violation.number].format(violation.found, violation.step)
 
 
 def rows_of(tally: Tally, numbers: Sequence[str]) -> list[dict[str, Any]]:
-    """For each number what is looked for, and how many of the initial conditions break it."""
+    """Table of searched violations, with the number of initial conditions that show each."""
     draws = {
         name: sum(one[2].violation.number == name for one in tally.found)  # type: ignore[union-attr]
         for name in SEARCHED

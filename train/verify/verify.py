@@ -37,7 +37,7 @@ _MOST_WRITTEN = 20  # violations of a search that are made small and written
 
 EXAMPLES = (
     "--claims theorem-2 --trials 100000",
-    "--any --trials 3000",
+    "--random-scenarios --trials 3000",
     "--policy my_policies:make --scenario ring-12",
 )
 FLAG_GROUPS = {
@@ -53,7 +53,7 @@ class Config(Workers):
     """
 
     trials: Annotated[int, Bounds(1, 10**8)] = 1000
-    """Teams for each claim, or with --any or --policy scenarios."""
+    """Teams for each claim, or with --random-scenarios or --policy scenarios."""
     seed: Annotated[int, Bounds(0)] = 0
     """Seed of the random environments."""
     out: Path = Path("out/verify")
@@ -65,13 +65,13 @@ class Config(Workers):
     """Names of the claims to check. Default: all."""
     only_batch: Annotated[int | None, Bounds(0)] = None
     """Repeat a single batch, as named in the report of a violation."""
-    any: bool = False
+    any: Annotated[bool, arg(name="random-scenarios", aliases=("--any",))] = False
     """Check random scenarios instead of claims: request every certificate and test each of its
     bounds against adversaries. A violation is shrunk and written to OUT as a TOML file with the
     actions that repeat it."""
     kinds: Annotated[int | None, Bounds(1)] = None
-    """Maximum number of kinds of scenarios for --any, since each kind is compiled. Default: one per
-    300 scenarios."""
+    """Maximum number of kinds of scenarios for --random-scenarios, since each kind is compiled.
+    Default: one per 300 scenarios."""
     policy: str | None = None
     """Search for counterexamples of this policy instead of claims: its name, learned:PATH, or
     MODULE:FUNCTION. Initial conditions, graphs and weights are varied until V rises, the convex
@@ -100,16 +100,17 @@ class Task(NamedTuple):
 
 def check_config(config: Config) -> None:
     """Validate the settings; a UserError names flag, value and remedy."""
-    unused = {"kinds": "add --any"}
+    unused = {"kinds": "add --random-scenarios"}
     if config.policy is None:
         unused |= dict.fromkeys(("scenario", "search", "set"), "add --policy")
     if config.any or config.policy is not None:
-        which = "--any" if config.any else "--policy"
+        which = "--random-scenarios" if config.any else "--policy"
         why = f"{which} tries no claims: leave it out"
         unused |= dict.fromkeys(("claims", "only_batch", "min_alignment"), why)
     if config.any:
         del unused["kinds"]
-        unused |= {"policy": "--any asks for certificates, which no policy changes: leave it out"}
+        words = "--random-scenarios asks for certificates, which no policy changes: leave it out"
+        unused |= {"policy": words}
     check_unused(config, unused)
     known = [claim.name for claim in CLAIMS]
     for name in config.claims:

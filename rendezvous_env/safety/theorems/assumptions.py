@@ -117,7 +117,7 @@ def frames_stay(scenario: Scenario, asked: Asked) -> str:
 
 
 def robots_turn(scenario: Scenario, asked: Asked) -> str:
-    """The robot model is one of the paper's nonholonomic ones."""
+    """The robot model is one of the paper's nonholonomic models."""
     return "none: theorems 3 and 4 are for robots that turn" if scenario.model.bounded else ""
 
 
@@ -139,7 +139,7 @@ def no_obstacles(scenario: Scenario, asked: Asked) -> str:
 
 
 def merges_everywhere(scenario: Scenario, asked: Asked) -> str:
-    """Neighbours that come within r merge, whatever is between them: links are r long or more."""
+    """Neighbours within r merge, even through obstacles: links are r long or more."""
     if scenario.merges_through:
         return ""
     return (
@@ -149,7 +149,7 @@ def merges_everywhere(scenario: Scenario, asked: Asked) -> str:
 
 
 def departs_in(scenario: Scenario, *names: str) -> bool:
-    """Whether the sensor is exact apart from the given fields."""
+    """True if the sensor is exact apart from the given fields."""
     exact = vars(Sensing())
     fields = vars(scenario.sensing).items()
     return all(value == exact[name] for name, value in fields if name not in names)
@@ -202,14 +202,14 @@ def all_neighbours_visible(scenario: Scenario, asked: Asked) -> str:
 
 
 def nearest_always_visible(scenario: Scenario) -> bool:
-    """Whether only occlusion hides robots, so the nearest is always visible (guarantees 13)."""
+    """True if only occlusion hides robots, so the nearest is always visible (guarantees 13)."""
     hidden = scenario.sensing.occlusion == "robots" and scenario.model.bounded
     alone = hidden and departs_in(scenario, "occlusion", "error")
     return alone and is_complete(scenario)
 
 
 def some_neighbour_visible(scenario: Scenario, asked: Asked) -> str:
-    """All neighbours are visible, or the nearest of all other robots."""
+    """All neighbours are visible, or at least the nearest of all other robots."""
     return "" if nearest_always_visible(scenario) else all_neighbours_visible(scenario, asked)
 
 
@@ -272,16 +272,20 @@ def _largest_coordinate(scenario: Scenario) -> float:
 
 
 def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> str:
-    """A step at the least speed that is promised, τ s a* λ ε or τ c, moves robots by 2⁻⁴⁰ of their
-    largest coordinate or more, and brings them nearer, by ε times that, by k 2⁻⁴⁷ or more. Under
-    headings and tanks k = a* max_m m/c_m, as Σ‖f_i‖² ≥ 2a* Σ‖f_i‖/k, else 2: so rounding takes a
-    2⁻⁵ of what is promised at most. Where the heaviest links may be out of sight, the lightest
-    takes the place of a*. Tanks may carry robots as far apart as V allows, V ≥ 2a* of it, or where
-    levels follow V, 2(m−1)a*; headings at a margin lead a team aside by its size over ε before it
-    has met, and links, which moves Δ shorten by ‖Δ‖²/r, by √(r/‖Δ‖) of it. There 2⁻⁴⁶ will do, and
-    k 2⁻⁵¹ but for tanks: teams led aside gain twice what is promised. Where errors leave ``spare``,
-    a number, rad, of what is tolerated, robots come nearer by that share of a step, and two are led
-    aside by 1/it.
+    """Rounding of positions takes at most the fraction 2⁻⁵ of the guaranteed progress.
+
+    A step at the guaranteed minimum speed, τ s a* λ ε or τ c, moves robots by at least 2⁻⁴⁰ of
+    their largest coordinate. It brings them nearer, by ε times that, by at least k 2⁻⁴⁷. Under
+    headings and tanks k = a* max_m m/c_m, as Σ‖f_i‖² ≥ 2a* Σ‖f_i‖/k, else k = 2. If the heaviest
+    links may be out of sight, the lightest weight replaces a*.
+
+    Tanks may separate robots as far as V allows, V ≥ 2a* of it, or 2(m−1)a* if levels follow V.
+    Headings at the minimum alignment may move a team sideways by its size over ε before rendezvous.
+    Under links, which moves Δ shorten by ‖Δ‖²/r, the factor is √(r/‖Δ‖). There 2⁻⁴⁶ is sufficient,
+    and k 2⁻⁵¹ except for tanks: such teams gain twice the guaranteed amount.
+
+    If errors leave ``spare``, a number, rad, of the tolerated error, robots come nearer by that
+    share of a step. A team of two may then move sideways by its inverse.
     """
     starts, margin = scenario.start_positions, min(asked.min_alignment, spare)
     straight = margin if scenario.n_robots == 2 else asked.min_alignment

@@ -58,7 +58,7 @@ class Certificate:
     """Bound on the rendezvous time in discrete time, s, from the given initial condition or from
     any that episodes sample; inf if none is proven."""
     guaranteed: bool
-    """Whether rendezvous is guaranteed."""
+    """True if rendezvous is guaranteed."""
     theorem: str
     """Theorem that applies to the scenario, or the missing assumption."""
     by: str = "law"
@@ -67,7 +67,7 @@ class Certificate:
     continuous_time_bound: float = math.inf
     """Bound on the rendezvous time if velocities follow the bearings in continuous time, s."""
     continuous_time_only: bool = False
-    """Whether the guarantee is proven in continuous time only; ``time_bound`` is then inf."""
+    """True if the guarantee is proven in continuous time only; ``time_bound`` is then inf."""
     lyapunov_bound: float = math.inf
     """Bound on V at any time, m²/s; with obstacles, for motion without contact."""
     hull_bound: float = math.inf
@@ -88,7 +88,7 @@ class Certificate:
     time_limit: float = math.inf
     """Time limit of its episodes, s."""
     touches_obstacles: bool = False
-    """Whether contact with obstacles is possible; ``lyapunov_bound`` then holds up to the first
+    """True if contact with obstacles is possible; ``lyapunov_bound`` then holds up to the first
     contact."""
     policy: str = ""
     """Name of the certified policy; empty if none was given."""

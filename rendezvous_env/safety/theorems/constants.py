@@ -45,7 +45,7 @@ def leaders(scenario: Scenario) -> list[list[int]]:
 
 
 def led(scenario: Scenario) -> bool:
-    """Whether there is a stationary root: one closed group that is not the team (theorem G)."""
+    """True if there is a stationary root: one closed group that is not the team (theorem G)."""
     return len(leaders(scenario)[0]) < scenario.n_robots
 
 
@@ -99,14 +99,14 @@ def min_bearing_square(scenario: Scenario) -> float:
 
 
 def degrees_stay_equal(scenario: Scenario) -> bool:
-    """Whether all active robots have equal D_i: complete graphs and cycles of equal weights."""
+    """True if all active robots have equal D_i: complete graphs and cycles of equal weights."""
     directed = scenario.sensing_graph.kind == "directed_cycle"
     even = directed or is_complete(scenario) or _is_cycle(scenario)
     return even and has_one_weight(scenario)
 
 
 def merges_at_midpoints(scenario: Scenario) -> bool:
-    """Whether V/(m − 1) never increases at a merge (docs/proofs.md, A to C).
+    """True if V/(m − 1) never increases at a merge (docs/proofs.md, A to C).
 
     Complete graphs of equal weights without obstacles and with separated initial positions.
     """
@@ -115,7 +115,7 @@ def merges_at_midpoints(scenario: Scenario) -> bool:
 
 
 def _is_cycle(scenario: Scenario) -> bool:
-    """Whether every robot of a connected graph has two neighbours."""
+    """True if every robot of a connected graph has two neighbours."""
     graph, n = scenario.sensing_graph, scenario.n_robots
     if not graph.fixed or graph.directed or graph.most_links(n) != n:
         return False
@@ -124,7 +124,7 @@ def _is_cycle(scenario: Scenario) -> bool:
 
 
 def long_step(scenario: Scenario) -> bool:
-    """Whether τ is longer than the certified r/(2D̄) (theory 4)."""
+    """True if τ is longer than the certified r/(2D̄) (theory 4)."""
     return scenario.tau > scenario.certified_step * (1 + 1e-12)
 
 
@@ -185,7 +185,7 @@ def largest_lyapunov(scenario: Scenario) -> float:
 
 @_of_the_last
 def starts_apart(scenario: Scenario) -> bool:
-    """Whether linked robots start at least r apart, as all sampled ones do (theory 5)."""
+    """True if linked robots start at least r apart, as all sampled ones do (theory 5)."""
     if scenario.start_positions is None:
         return True
     from scipy.spatial import cKDTree

@@ -55,13 +55,13 @@ def guarantee_of(scenario: Scenario, policy: object) -> Guarantee | None:
 
 
 def _filters_differ(one: Scenario, other: Scenario) -> bool:
-    """Whether filters of two scenarios may: what they depend on is not the same."""
+    """True if filters of two scenarios may: what they depend on is not the same."""
     ignored = {name: getattr(other, name) for name in _NOT_OF_FILTERS}
     return one.replace(**ignored) != other
 
 
 def unmet(scenario: Scenario, guarantee: Guarantee) -> str:
-    """Why a filter's settings do not keep its guarantee in this scenario; empty if they do."""
+    """Reason why a filter's settings lose its guarantee in this scenario; empty if they keep it."""
     own, told = bounded_error(scenario.sensing, scenario.dim), guarantee.get("bearing_error", 0.0)
     if guarantee.get("by") in _TOLD and told < own:
         return (
@@ -78,8 +78,9 @@ def unmet(scenario: Scenario, guarantee: Guarantee) -> str:
 
 
 def no_guarantee(policy: object, time_bound: TimeBound) -> str:
-    """That nothing is known of a policy's actions, and what would guarantee a rendezvous, of which
-    ``time_bound(by)`` is the bound, s, or None where there is no guarantee.
+    """Message about an uncertified policy, with wrappers that would guarantee a rendezvous.
+
+    ``time_bound(by)`` is a wrapper's time bound, s, or None where there is no guarantee.
     """
     found = {by: time_bound(by) for by in WRAPPERS}
     kept = {by: bound for by, bound in found.items() if bound is not None}
@@ -96,7 +97,7 @@ def no_guarantee(policy: object, time_bound: TimeBound) -> str:
 
 
 def name_of(policy: object) -> str:
-    """What messages call a policy: a function's name, or an object's class."""
+    """Name of a policy in messages: a function's name, or an object's class."""
     return str(getattr(policy, "__name__", None) or type(policy).__name__.lstrip("_"))
 
 

@@ -1,6 +1,7 @@
-"""Commands on a Ray cluster of two machines, both here: the results of ``--jobs 1``, whoever dies.
+"""Commands on a local Ray cluster of two nodes: results equal those of ``--jobs 1``.
 
-They run in an environment of their own, which ``make test-adapters`` sets up.
+The results also hold if workers are lost. The tests run in a separate environment, created by
+``make test-adapters``.
 """
 
 import os
@@ -37,7 +38,7 @@ PLAYED = (
 
 @pytest.fixture(scope="module")
 def two():
-    """A cluster of two machines with a core each."""
+    """Cluster of two nodes with one core each."""
     machine = {"num_cpus": 1, "object_store_memory": 10**8, "include_dashboard": False}
     cluster = Cluster(initialize_head=True, head_node_args=machine)
     cluster.add_node(num_cpus=1, object_store_memory=10**8)
@@ -47,7 +48,7 @@ def two():
 
 @pytest.fixture
 def open_to_all():
-    """Address of a cluster of two machines, started by a process that has no token."""
+    """Address of a cluster of two nodes, started by a process without a token."""
     started = """
 from ray.cluster_utils import Cluster
 machine = {"num_cpus": 1, "object_store_memory": 10**8, "include_dashboard": False}
@@ -70,7 +71,7 @@ cluster.shutdown()
 
 
 def busy(cluster):
-    """Worker processes that are at a task of ours."""
+    """Worker processes that run a task of these tests."""
     found = []
     for node in cluster.list_all_nodes():
         raylet = psutil.Process(node.all_processes["raylet"][0].process.pid)
@@ -101,7 +102,7 @@ def alone(*words):
 
 
 def with_a_kill(cluster, *words, begun):
-    """Run a command on the cluster, and kill a worker once something has begun."""
+    """Run a command on the cluster, and kill a worker after the first task has started."""
     running = command(*words, "--backend", "ray", "--address", cluster.address)
     killed = None
     while running.poll() is None and killed is None:
@@ -116,7 +117,7 @@ def with_a_kill(cluster, *words, begun):
 
 
 def tried(task):
-    """Says so in a file, and ends its process the first time, if told to."""
+    """Write a file when started and, if requested, end the process the first time."""
     number, folder, dies = task
     times = folder / str(number)
     with times.open("a") as file:
@@ -166,7 +167,7 @@ class TestEach:
             list(parallel_map(refuses, range(4), Workers(on="ray", address=two.address)))
 
     def test_parallel_map_rejects_unreachable_cluster(self, open_to_all, tmp_path):
-        """It has no token, and this process answers nobody without one."""
+        """The cluster has no token, and this process rejects connections without one."""
         tasks = [(number, tmp_path, 0) for number in range(8)]
         said = r"did not reach this process to fetch a result: RAY_AUTH_MODE is token here"
         with pytest.raises(UserError, match=said):

@@ -1,4 +1,4 @@
-"""Robots that see with cameras: what the detector finds, what it throws away, and who meets."""
+"""Robots with cameras: detections, rejected detections, and rendezvous."""
 
 import re
 from importlib import util
@@ -26,7 +26,7 @@ DETECTOR = Detector(np.array(drawing.LAMPS[:4]), drawing.HEIGHT, 2.0)
 
 
 def sight(positions, discs=()):
-    """What each robot of a team that stands there finds, in the world's frame."""
+    """Detections of each robot of a team at given positions, in the global frame."""
     far_away = rv.Disc(centre=(200.0, 0.0), radius=1.0)  # one kind of team, compiled once
     scenario = pixels.SCENARIO.replace(
         n_robots=len(positions), start_positions=positions, obstacles=(*discs, far_away)
@@ -47,12 +47,12 @@ def sight(positions, discs=()):
 
 
 def turned(angles):
-    """Degrees from −180 to 180."""
+    """Equivalent angle in degrees, from −180 to 180."""
     return (np.degrees(angles) + 180.0) % 360.0 - 180.0
 
 
 def test_detector_finds_lamps_in_all_directions():
-    """Near and far, across the seams of pictures, whichever way the cameras look."""
+    """Lamps near and far, across image seams, for any orientation of the cameras."""
     places = ((0.0, 0.0), (2.0, 2.0), (-0.7, 0.0), (1.0, -6.0))
     (seen, edges), *_ = sight(places)
     expected = {1: 45.0, 2: 180.0, 3: np.degrees(np.arctan2(-6.0, 1.0))}
@@ -76,7 +76,7 @@ def test_detector_reports_near_disc_and_ignores_far_one():
 
 @pytest.mark.parametrize(("reach", "found"), [(0.0, False), (0.3, True)])
 def test_detector_rejects_truncated_lamp(reach, found):
-    """The edge of a disc passes through the middle of a lamp, or beside it."""
+    """The edge of a disc passes through the centre of a lamp, or beside it."""
     disc = rv.Disc(centre=(1.0, 0.5 + reach), radius=0.5)
     (seen, _), _ = sight(((0.0, 0.0), (2.0, 0.0)), (disc,))
     assert (1 in seen) == found

@@ -1,4 +1,4 @@
-"""What stands in PufferLib's buffers, beside the teams themselves."""
+"""PufferLib buffers, compared with the environments."""
 
 import numpy as np
 import pytest
@@ -103,7 +103,7 @@ def test_seeds_apply_and_bad_arguments_are_rejected():
 
 @pytest.mark.slow
 def test_example_learns():
-    """Judged on starts that it never saw."""
+    """Evaluated on held-out initial conditions."""
     told = run("09_pufferlib_ppo.py", "--updates", "15", "--teams", "64", "--held-out", "100")
     (_, met, clean), (_, met_after, clean_after) = JUDGED.findall(told)
     assert float(met_after) > float(met) + 20

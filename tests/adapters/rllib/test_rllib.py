@@ -1,4 +1,4 @@
-"""Episodes that RLlib is given, beside each team played on its own; and the set network."""
+"""RLlib episodes, compared with separately simulated environments; and the set network."""
 
 import numpy as np
 import pytest
@@ -190,7 +190,7 @@ def test_remote_env_runner_samples(local_ray):
 
 @pytest.mark.slow
 def test_example_learns():
-    """Judged on starts that it never saw."""
+    """Evaluated on held-out initial conditions."""
     told = run("08_rllib_ppo.py", "--updates", "28", "--held-out", "100")
     (_, met, clean), (_, met_after, clean_after) = JUDGED.findall(told)
     assert float(met_after) > float(met)

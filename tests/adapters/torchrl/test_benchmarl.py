@@ -1,4 +1,4 @@
-"""BenchMARL's algorithms run on scenarios as tasks, and are judged on held-out starts."""
+"""BenchMARL algorithms on scenarios as tasks, evaluated on held-out initial conditions."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ TEAMS, FRAMES = 8, 80
 
 
 class Watched(HeldOut):
-    """Keeps what was seen first."""
+    """Callback that stores the first observation."""
 
     starts = ()
 
@@ -31,7 +31,7 @@ class Watched(HeldOut):
 
 
 def experiment(algorithm, folder, *callbacks, scenario="duo", iterations=1, **choices):
-    """Small, with evaluations after the first and after the last iteration."""
+    """Small experiment, evaluated after the first and after the last iteration."""
     config = ExperimentConfig.get_from_yaml()
     config.save_folder, config.loggers, config.render = folder, [], False
     config.max_n_iters, config.max_n_frames = iterations, None
@@ -85,7 +85,7 @@ def test_evaluation_uses_fixed_heldout_seeds(tmp_path):
 
 
 def test_evaluation_reports_success_and_time(tmp_path):
-    """A rollout that ends with the first meeting: that team has met, the others have not."""
+    """The rollout ends with the first rendezvous, so only one team has met."""
     held_out = HeldOut()
     run = experiment(algorithms.IppoConfig, tmp_path, held_out)
     env = run.task.make(6, seed=held_out.seed)

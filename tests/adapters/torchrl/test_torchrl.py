@@ -1,4 +1,4 @@
-"""The TorchRL environment keeps its contract and is the vector environment, number by number."""
+"""TorchRL environment: its contract, and equality with the vector environment."""
 
 import json
 
@@ -46,7 +46,7 @@ def test_environment_passes_check_env_specs(choices):
 
 
 def drive(env, steps, seed=0):
-    """A rollout under a fixed tape of actions, and the tape."""
+    """A rollout under a fixed sequence of actions, and the sequence."""
     random = torch.Generator().manual_seed(seed)
     tape = torch.rand((steps, *env.full_action_spec[ACTION].shape), generator=random) * 2 - 1
     moves = iter(tape)
@@ -56,9 +56,7 @@ def drive(env, steps, seed=0):
 
 
 def test_rollout_equals_vector_environment():
-    """Teams meet and run out of time on the way; what was seen last is theirs, not the next
-    episode's.
-    """
+    """Teams meet and time out; final observations belong to the ended episode."""
     choices = {"learning_preset": False, "decision_period": 4, "time_limit": 12.0}
     choices |= {"costs": ("contact", "rise")}
     env = RendezvousEnv("clutter-8", 6, seed=5, **choices)
@@ -130,7 +128,7 @@ def test_reset_takes_initial_condition():
 
 
 def test_final_state_is_reported():
-    """A time-out is valued by where the robots are then, not by where they begin anew."""
+    """A time-out is bootstrapped from the final state, not from the next initial one."""
     env = RendezvousEnv("fig3", 2, seed=3, return_state=True, **SHORT)
     data, _ = drive(env, env.max_steps + 2)
     last, begun = env.max_steps - 1, env.max_steps

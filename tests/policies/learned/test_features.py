@@ -1,4 +1,4 @@
-"""What a learned policy is shown, with a tank and without, against observations by hand."""
+"""Features of learned policies, with and without a tank, computed by hand."""
 
 import numpy as np
 import pytest
@@ -21,8 +21,9 @@ TIME = 0.5
 
 
 def look(f, *edges, other=None):
-    """Observations (1, 3, rows, 2): robot 0 sees a neighbour at f, perhaps another, and obstacles
-    between edges, in degrees; the others see nothing.
+    """Observations (1, 3, rows, 2) with data of robot 0 only.
+
+    It has a neighbour along f, optionally another, and obstacles between edges, in degrees.
     """
     observations = np.zeros((1, 3, *PAIR.observation_layout.shape), dtype=np.float32)
     for row, angle in enumerate((f, other, *edges)):
@@ -52,7 +53,7 @@ def test_features_match_hand_computation():
 
 
 def test_edge_rates_are_measured():
-    """The counter-clockwise edge turns by 4° in 0.2 s, f with the frame by −30°."""
+    """The counter-clockwise edge rotates by 4° in 0.2 s, f with the frame by −30°."""
     perception = Features(PAIR, 1, decision_time=0.2)
     perceive(perception, look(0, 50, 20))
     shown = perceive(perception, look(-30, 54, 20))
@@ -65,7 +66,7 @@ def test_edge_rates_are_measured():
 
 
 def test_motion_memory_matches_hand_computation():
-    """f along the local y axis and then along x, at 1 m/s; the heading carried is along y."""
+    """f along the local y axis, then along x, at 1 m/s; the carried heading is along y."""
     perception = Features(PAIR, 1, decision_time=TIME)
     headings = NOTHING.copy()
     perception.see(look(90), headings)
@@ -115,7 +116,7 @@ def tank_features(columns):
 
 
 def see_tank(perception, observations, level=0.0, heading=0.0, velocity=None):
-    """The columns of robot 0 beyond those of ``Features``."""
+    """Columns of robot 0 in addition to those of ``Features``."""
     headings, velocities = NOTHING.copy(), NOTHING.copy()
     headings[0, 0] = along(heading)
     velocities[0, 0] = [0.0, 0.0] if velocity is None else velocity
@@ -141,7 +142,7 @@ def test_tank_adds_energy_columns(walls):
 
 
 def test_wall_memory_tracks_contact_with_wall():
-    """It stands before f for two decisions, while f turns by 30° and the heading by −90°."""
+    """The wall blocks f for two decisions; f rotates by 30° and the heading by −90°."""
     perception = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
     away = see_tank(perception, look(0), level=3.0)
     assert not away[1:7].any()
@@ -173,7 +174,7 @@ def test_long_averages_rotate_with_f():
 
 
 def test_memory_decays_in_seconds():
-    """Five seconds of the same motion along the same wall, however they are cut."""
+    """Five seconds of equal motion along a wall, for any decision period."""
     told, headings, moving = [], NOTHING.copy(), NOTHING.copy()
     headings[0, 0], moving[0, 0] = along(150), [0.0, 0.5]
     seen, levels = look(90, 120, 60), np.array([[2.0, 0.0, 0.0]])

@@ -1,4 +1,4 @@
-"""A trained network as a policy: what it does, where it runs, what it refuses."""
+"""Policies from trained networks: actions, supported scenarios, errors."""
 
 import pickle
 from dataclasses import replace
@@ -53,13 +53,13 @@ def weights(made):
 
 
 def write(folder):
-    """A checkpoint of a trained network; its folder."""
+    """Folder of a checkpoint of a trained network."""
     tables = {"network": weights(network())}
     return checkpoint.write(folder, 3, {"policy": SETTINGS.to_plain()}, tables)
 
 
 def episode(scenario, teams=6, seed=2, steps=150):
-    """Observations (B, n, rows, d) along a run of the joined rule, until one has finished."""
+    """Observations (B, n, rows, d) of an episode of the merged-interval rule, until one ends."""
     simulator = Simulator(scenario, teams)
     observations, law = simulator.reset(seed), baselines.make("tangent-joined", scenario)
     for _ in range(steps):
@@ -69,7 +69,7 @@ def episode(scenario, teams=6, seed=2, steps=150):
 
 class TestActions:
     def test_choice_zero_equals_tuned_rule(self):
-        """Only sums in another order differ."""
+        """Differences arise from the order of summation only."""
         made = network(trained=False)
         with torch.no_grad():
             made.action_net.bias[0] = 10.0
@@ -88,7 +88,7 @@ class TestActions:
     @pytest.mark.parametrize("period", [1, 4])
     @pytest.mark.parametrize("changes", [{}, TANK], ids=["heading", "tank"])
     def test_policy_equals_training_environment(self, period, changes):
-        """Fed with the network's choices; with a tank bit for bit."""
+        """Equal for the network's choices; bitwise with a tank."""
         venv = make_vec(CLUTTER, 6, autoreset_mode=AutoresetMode.SAME_STEP)
         policy = learned(decision_time=0.05 * period, **changes)
         teams = FeatureVectorEnv(venv, policy.settings)
@@ -123,8 +123,7 @@ class TestActions:
                 np.testing.assert_allclose(actions[team], own, atol=1e-6)
 
     def test_tank_policy_promises_no_margin(self):
-        """The budget is in units of r D̄, so that a network is shown the same full tank in a team of
-        any size."""
+        """The budget is in units of r D̄, so features of a full tank do not depend on n."""
         for name, unit in (("clutter-12", 0.2 * 3), ("clutter-16-team-8", 0.2 * 7)):
             scenario = scenarios.get(name)
             policy, away = learned(scenario, decision_time=0.2, **TANK), 0
@@ -188,7 +187,7 @@ LEARNED = shipped.folder("learned")
 
 
 class TestNames:
-    """A learned policy is found by any name of its folder, and its robots by any of a scenario."""
+    """Any name of its folder selects a learned policy, and any scenario its robots."""
 
     @pytest.mark.parametrize("made", [str, Path])
     @pytest.mark.parametrize("scenario", ["clutter-8", scenarios.get("clutter-8")])

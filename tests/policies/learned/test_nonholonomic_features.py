@@ -1,5 +1,6 @@
-"""Learned policies of robots that turn and of space: frames and planes that do not turn with the
-body, and tanks on arcs.
+"""Learned policies of nonholonomic and 3-D robots.
+
+The tests cover frames and planes that do not turn with the body, and tanks on arcs.
 """
 
 from dataclasses import replace
@@ -31,7 +32,7 @@ EVERY = np.arange(1)
 
 
 def test_unicycle_features_do_not_rotate_with_body():
-    """For 190 steps of any inputs: rows in the frames of the start."""
+    """Rows in the initial frames, for 190 steps of any inputs."""
     simulator, frames = rv.Simulator(CARS, 3), OdometryFrame(CARS, 3, 0.2)
     seen, random = simulator.reset(5), np.random.default_rng(0)
     start = simulator.frames.copy()
@@ -52,7 +53,7 @@ def test_unicycle_features_do_not_rotate_with_body():
 
 
 def robots_that_see(bearings):
-    """One team of which all see these neighbours and nothing else."""
+    """One team with these neighbour rows for all robots and nothing else."""
     scenario = POINTS.replace(n_robots=len(bearings) + 1, obstacles=(), obstacle_slots=0)
     rows = np.zeros((1, scenario.n_robots, *scenario.observation_layout.shape), np.float32)
     rows[..., : len(bearings), :] = bearings
@@ -60,7 +61,7 @@ def robots_that_see(bearings):
 
 
 def test_directions_in_plane_are_steady_while_f_rotates():
-    """Gains change, so f turns between two bearings; theirs stay what they were."""
+    """Changing gains rotate f between two bearings, which stay constant."""
     first, second = np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0])
     scenario, _ = robots_that_see([first, second])
     planes, found = SteadyPlanes(scenario, 1, 0.1), []
@@ -87,7 +88,7 @@ def test_f_in_plane_ignores_outside_components():
 
 @pytest.mark.kernels
 def test_plane_is_kept_while_blocked():
-    """Then the one with least to turn is taken."""
+    """Afterwards the plane with the smallest turn is taken."""
     scenario, rows = robots_that_see([[1.0, 0.0, 0.0]])
     scenario = scenario.replace(obstacle_slots=1, obstacles=())
     around = np.arange(8)[:, None] * np.pi / 4 + 0.1
@@ -110,9 +111,7 @@ def test_plane_is_kept_while_blocked():
 @pytest.mark.parametrize("scenario", [POINTS, UAV], ids=["points", "nonholonomic"])
 @pytest.mark.parametrize("share", [1.0, 0.25])
 def test_plane_does_not_rotate_with_body(scenario, share):
-    """A robot that hardly moves and turns at any rates sees its plane where it was; ticks that come
-    early are told.
-    """
+    """The plane of a nearly stationary robot is constant for any turn rates and early ticks."""
     scenario = scenario.replace(obstacles=(), obstacle_slots=1)
     simulator = rv.Simulator(scenario.replace(time_step=share * scenario.tau), 4)
     planes, random = SteadyPlanes(scenario, 4, 0.1), np.random.default_rng(0)
@@ -129,7 +128,7 @@ def test_plane_does_not_rotate_with_body(scenario, share):
 
 @pytest.mark.parametrize("settings", [HEADING, TANK], ids=["heading", "tank"])
 def test_robots_turn_to_chosen_heading(settings):
-    """Choice 0 in the open: the body comes to point along f, and the team meets."""
+    """Choice 0 without obstacles: the body turns along f, and the team meets."""
     free = CARS.replace(obstacles=(), time_limit=60.0)
     guided, simulator = GuidedTeams(settings, free, 4), rv.Simulator(free, 4)
     seen = simulator.reset(1)
@@ -184,7 +183,7 @@ def test_v_plus_tanks_never_increases(scenario, budget, every, least_apart, leas
     ids=["unicycle", "space"],
 )
 def test_truncated_arc_books_at_most_its_gain(scenario, kind, most, shares):
-    """Against the displacement that the simulator makes in a share of the step."""
+    """Compared with the simulated displacement in a fraction of the step."""
     scenario = scenario.replace(obstacles=())
     tank, bodies = CommandedTank(scenario, 50, budget=100.0), kind(scenario, 50, 0.1)
     random, tight = np.random.default_rng(3), 0
@@ -238,7 +237,7 @@ def test_unicycle_weights_serve_3d_robots(name, starts, least):
 
 @pytest.mark.kernels
 def test_early_tick_rotates_memory_by_actual_turn():
-    """Ten ticks of τ/4: the body has turned by ω τ/4 in each."""
+    """Ten ticks of τ/4: the body rotates by ω τ/4 in each."""
     robot, turned = baselines.RobotPolicy(CARS, "learned-tank"), 0.0
     for _ in range(10):
         angle = 2.0 - turned

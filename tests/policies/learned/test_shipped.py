@@ -1,4 +1,4 @@
-"""The policies that are shipped: there, light, and as good as the documentation says."""
+"""Shipped policies: presence, size, and documented success."""
 
 from functools import partial
 
@@ -28,7 +28,7 @@ def test_shipped_policy_fits_and_documents_training(name):
 
 @pytest.mark.parametrize("name", shipped.NAMES)
 def test_shipped_policy_tolerates_sensor_errors(name):
-    """Finite velocities within the limit whatever is seen, none from a robot that sees nothing."""
+    """Finite velocities within the limit for any observation, zero without one."""
     sensing = Sensing(noise=0.2, dropout=0.5, delay=2, occlusion="both", field_of_view=4.0)
     scenario = scenarios.get("clutter-8").replace(sensing=sensing, time_limit=5.0)
     policy, simulator = policies.make(name, scenario), Simulator(scenario, 4)
@@ -46,7 +46,7 @@ def test_shipped_policy_tolerates_sensor_errors(name):
 
 @pytest.mark.slow
 def test_tank_policy_succeeds_where_headings_fail():
-    """On 100 starts that no training used; certified headings reach about 80 %."""
+    """On 100 held-out initial conditions; certified headings reach about 80 %."""
     scenario = scenarios.get("clutter-24")
     tank = partial(policies.make, "learned-tank", scenario)
     found, _ = play(scenario, tank, margin=None, episodes=100, seed=1000)

@@ -1,4 +1,4 @@
-"""The environment of a heading policy, recomputed from its parts."""
+"""Training environment of a heading policy, recomputed from its parts."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ TANK = replace(test_nonholonomic_features.TANK, budget=0.5, **CHANGES)
 
 
 def aim(observations, choices, carried):
-    """The joined rule, as if f pointed the chosen angle to the side."""
+    """Merged-interval rule with f rotated by the chosen angle."""
     layout, (c, s) = SCENARIO.observation_layout, (np.cos(ANGLES[choices]), np.sin(ANGLES[choices]))
     x, y = np.moveaxis(layout.net_bearing(observations), -1, 0)
     turned = np.stack((c * x - s * y, s * x + c * y), axis=-1)
@@ -40,13 +40,13 @@ def teams(settings=HEADING, mode=AutoresetMode.SAME_STEP, scenario=SCENARIO, **o
 
 
 def tape(length, seed=0, choices=CHOICES):
-    """Choices that keep a robot from going straight, so that it takes time and touches things."""
+    """Choices that prevent straight motion, so that episodes are long and have contacts."""
     shape = (length, TEAMS, SCENARIO.n_robots)
     return np.random.default_rng(seed).integers(choices, size=shape)
 
 
 def test_environment_is_heading_wrapper_with_features():
-    """Episodes end, and what is shown last is what perception shows with the old memory."""
+    """At an episode end, the final features use the old memory."""
     ours = teams()
     venv = rv.make_vec(SCENARIO, TEAMS, autoreset_mode=AutoresetMode.DISABLED)
     wrapper = HeadingVectorWrapper(venv, frame="local")
@@ -81,7 +81,7 @@ PRICED = {
         SCENARIO, TEAMS, guarantee=None, autoreset_mode=mode, touch_penalty=price
     )),
 }  # fmt: skip
-"""For how many steps they are held, lest robots stay where they are, and who takes them."""
+"""Duration and owner of choices that prevent robots from resting."""
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)
@@ -112,7 +112,7 @@ def test_first_contact_costs_robot_once(form, mode):
 
 
 def test_tank_robots_move_at_speed_of_law_1():
-    """In a field without obstacles, away from f too; and the velocity is along R(φ) f."""
+    """Without obstacles, also away from f; the velocity is along R(φ) f."""
     free = SCENARIO.replace(obstacles=())
     settings = replace(TANK, budget=1e6)
     guided, simulator = GuidedTeams(settings, free, 4), rv.Simulator(free, 4)
@@ -164,7 +164,7 @@ def test_state_resumes_bitwise(scenario, settings, steps):
 
 
 def test_autoreset_modes_agree_until_episode_end():
-    """What is shown at an end is the same; a masked reset leaves what the others are shown."""
+    """Final features are equal; a partial reset keeps the features of the others."""
     modes = (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
     same, following, held = (teams(mode=mode) for mode in modes)
     for each in (same, following, held):
@@ -188,7 +188,7 @@ def test_autoreset_modes_agree_until_episode_end():
 
 
 def test_masked_reset_keeps_features_of_others():
-    """It showed what they had seen before their state was put back, or zeros."""
+    """It returned features from before the state was restored, or zeros."""
     env, again = teams(mode=AutoresetMode.DISABLED), teams(mode=AutoresetMode.DISABLED)
     env.reset(seed=1)
     choices = tape(6)
@@ -208,7 +208,7 @@ def test_masked_reset_keeps_features_of_others():
 
 
 def test_rewards_are_independent_of_other_environments():
-    """Who touched something elsewhere in the batch made all rewards a mean of robots'."""
+    """A contact elsewhere in the batch changed all rewards to means of robot rewards."""
 
     @rv.reward_term("effort of some")
     def effort(step):
