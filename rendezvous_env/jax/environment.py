@@ -16,7 +16,7 @@ from ..envs.guarantee import settings_of
 from ..envs.gymnasium_env import _autoreset_mode
 from ..envs.overrides import sorted_overrides
 from ..envs.spaces import action_box, choice_box, observation_box, team_box
-from ..limits import MOST_TEAMS
+from ..limits import MAX_TEAMS
 from ..rewards.terms import team_reward
 from ..robots.motion import FREE, motion_of
 from ..robots.robot_models import constants_of
@@ -389,7 +389,7 @@ def make(
     if mode is AutoresetMode.NEXT_STEP:
         raise NotImplementedError(f"autoreset_mode is {mode}: not covered by JAX; {REMEDY}")
     if num_envs is not None:
-        check_int("num_envs", num_envs, 1, MOST_TEAMS)
+        check_int("num_envs", num_envs, 1, MAX_TEAMS)
     safety_filter = None
     if guarantee is not None:
         if resolved.model.nonholonomic:
