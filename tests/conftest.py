@@ -9,6 +9,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
 
 # the tests run beside others on few cores
@@ -302,3 +303,12 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "whole"
     assert ppo.run(config(folder)).status == 0
     return folder
+
+
+@pytest.fixture
+def rj():
+    """``rendezvous_env.jax`` with numbers in float64, as the engine's are."""
+    jax = pytest.importorskip("jax")
+    # jax_disable_most_optimizations would compile faster, but computes other numbers
+    with jax.enable_x64(True):
+        yield import_module("rendezvous_env.jax")

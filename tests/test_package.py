@@ -22,7 +22,7 @@ HEAVY = {"torch", "stable_baselines3", "tensorboard"}
 LAZY = {
     "torch", "stable_baselines3", "matplotlib", "pygame", "shapely", "PIL", "tyro", "networkx",
     "pandas", "xarray", "safetensors", "typeguard", "minari", "onnx", "onnxruntime",
-    "mujoco", "irsim", "rclpy",
+    "mujoco", "irsim", "rclpy", "jax", "jaxlib",
 }  # fmt: skip
 MODULES = sorted(
     path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".").removesuffix(".__init__")
@@ -50,6 +50,7 @@ ROOMS = (
     {"render"},
     {"envs"},
     {"rendezvous_v0", "vector", "safe_names"},
+    {"jax"},
     {"adapters"},
 )
 """Folders and files of the environment in order; each imports earlier ones only."""

@@ -1,0 +1,21 @@
+"""The environment as pure functions of JAX: ``jit``, ``vmap``, ``grad``, on CPU and accelerators.
+
+    env = rendezvous_env.jax.make("cloud-8", num_envs=4096)
+    obs, state = env.reset(0)
+    obs, state, reward, terminated, truncated, info = env.step(None, state, actions)
+
+With an integer seed it is the experiment of ``rendezvous_env.make_vec``: the same starts, motion,
+merges, observations, rewards and ends. What is not covered ``make`` refuses by name.
+"""
+
+try:
+    import jax as _jax  # noqa: F401
+except ImportError as error:
+    raise ImportError("rendezvous_env.jax needs JAX: pip install 'rendezvous-env[jax]'") from error
+
+from .environment import RendezvousJaxEnv, State, make
+from .laws import bearing_only_law, flexible_velocity, net_bearing
+
+__all__ = [
+    "RendezvousJaxEnv", "State", "bearing_only_law", "flexible_velocity", "make", "net_bearing",
+]  # fmt: skip

@@ -1,0 +1,408 @@
+"""The environment as pure functions: ``make``, ``reset`` and ``step``."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from gymnasium.spaces import Space
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from ..checks import check_int, choice, flag
+from ..engine.memory import RENDEZVOUS, RUNNING, TIME_OUT
+from ..envs.guarantee import settings_of
+from ..envs.gymnasium_env import _autoreset_mode
+from ..envs.overrides import sorted_overrides
+from ..envs.spaces import action_box, choice_box, observation_box, team_box
+from ..limits import MAX_TEAMS
+from ..rewards.terms import team_reward
+from ..robots.motion import FREE, motion_of
+from ..robots.robot_models import constants_of
+from ..safety.heading import HeadingFilter
+from ..safety.safety_filter import FILTERS
+from ..scenario.scenario import Scenario
+from ..scenario.scenarios import ScenarioLike, resolve
+from ..scenario.start_options import seeds_of_environments
+from .array_form import Array, array_form, quotient
+from .coverage import REMEDY, check_covered
+from .heading import Heading
+from .merging import Merging, Moving
+from .sensing import sense
+from .some_teams import for_teams
+from .starts import Starts
+
+Info = dict[str, Array]
+
+_ROUNDING = 1.0 + 1e-6  # of float32
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class State:
+    """State of a team, or of B teams, which then stand last in every array."""
+
+    positions: Array
+    """p_i, (n, d), m; a merged-away robot's stays where it merged."""
+    frames: Array
+    """R_i, local → global, (n, d·d), row by row; (n, 0) for robots with angles."""
+    memory: Array
+    """Angles, rad, or velocity, m/s, (n, k)."""
+    weights: Array
+    """a_ij, (n, n), m/s, as merging has left them."""
+    merged_into: Array
+    """(n,), the robot that each one is now part of; itself while it is active."""
+    seed: Array
+    """(2,) uint32, the upper and lower half of the seed."""
+    episode: Array
+    """Number of the episode of this seed."""
+    status: Array
+    """0 running, 1 rendezvous, 2 time limit."""
+    steps: Array
+    """Steps done in this episode."""
+    path_length: Array
+    """Way of all robots together, m."""
+    lyapunov: Array
+    """V, m²/s."""
+    initial_lyapunov: Array
+    """V at the start of the episode, m²/s."""
+    closest: Array
+    """Least square distance of neighbours, m²."""
+    guarantee: Any
+    """Memory of the filter; () without one."""
+
+    def replace(self, **changes: Any) -> "State":
+        """A copy with some arrays changed."""
+        return State(**{**vars(self), **changes})
+
+
+class RendezvousJaxEnv:
+    """A scenario as pure functions; see ``make``."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        safety_filter: HeadingFilter | None,
+        num_envs: int | None,
+        autoreset: bool,
+        differentiable: bool,
+        final_obs: bool,
+    ) -> None:
+        check_covered(scenario)
+        self.scenario, self.num_envs, self.autoreset = scenario, num_envs, autoreset
+        self.differentiable, self.final_obs = differentiable, final_obs
+        n = scenario.n_robots
+        self.single_observation_space: Space[Any] = team_box(
+            observation_box(scenario, False, safety_filter), n
+        )
+        self.single_action_space: Space[Any] = team_box(
+            action_box(scenario) if safety_filter is None else choice_box(safety_filter), n
+        )
+        self._filter = None if safety_filter is None else Heading(safety_filter)
+        self._batch: tuple[int, ...] = () if num_envs is None else (num_envs,)
+        self._dtype = jnp.result_type(float)
+        self._seen_as = self._dtype if differentiable else jnp.float32
+        self._model = constants_of(scenario)
+        motion = motion_of(type(self._model))
+        assert motion is not None  # robot models are described before they are registered
+        self._motion = {name: array_form(getattr(motion, name)) for name in _EQUATIONS}
+        self._row_shape = scenario.observation_layout.shape
+        self._starts = Starts(scenario, self._dtype)
+        radius, reach = scenario.merge_radius, self._model.speed_limit * scenario.tau
+        self._reach = ((radius + 2.0 * reach) * _ROUNDING) ** 2
+        self._merge = Merging(n, radius, scenario.sensing_graph.directed, differentiable)
+        self._begin, self._go = jax.jit(self._begin_all), jax.jit(self._step_all)
+
+    @property
+    def observation_space(self) -> Space[Any]:
+        """Observations (n, rows, d), or (B, n, rows, d)."""
+        return self._of_teams(self.single_observation_space)
+
+    @property
+    def action_space(self) -> Space[Any]:
+        """Actions (n, a), or (B, n, a)."""
+        return self._of_teams(self.single_action_space)
+
+    def _of_teams(self, space: Space[Any]) -> Space[Any]:
+        return space if self.num_envs is None else batch_space(space, self.num_envs)
+
+    def reset(self, seed: Any) -> tuple[Array, State]:
+        """Begin the first episode of a seed.
+
+        Args:
+            seed: a whole number s, of which team i has s + i, or a sequence of B: starts are then
+                those of the engine. Or a JAX key, which draws a seed for each team.
+
+        Returns:
+            Observations (n, rows, d), or (B, n, rows, d), and the state.
+
+        Raises:
+            ValueError: for another seed, as elsewhere.
+        """
+        return self._begin(self._words(seed))
+
+    def _words(self, seed: Any) -> Array:
+        if isinstance(seed, jax.Array) and (
+            jnp.issubdtype(seed.dtype, jax.dtypes.prng_key)
+            or (seed.dtype == jnp.uint32 and seed.shape == (2,))
+        ):
+            return jax.random.bits(seed, (2, *self._batch), jnp.uint32)
+        teams = 1 if self.num_envs is None else self.num_envs
+        seeds = np.array(
+            seeds_of_environments(np.asarray(seed) if isinstance(seed, jax.Array) else seed, teams),
+            np.uint64,
+        )
+        words = np.stack([seeds >> np.uint64(32), seeds & np.uint64(0xFFFFFFFF)])
+        return jnp.asarray(words.astype(np.uint32).reshape(2, *self._batch))
+
+    def step(
+        self, key: Any, state: State, action: Any
+    ) -> tuple[Array, State, Array, Array, Array, Info]:
+        """Advance by one step τ.
+
+        Args:
+            key: not used; here so that the signature is that of gymnax.
+            state: of ``reset`` or ``step``.
+            action: (n, a), or (B, n, a); what merged-away robots are given is ignored.
+
+        Returns:
+            Observations, state, reward of the team, whether all have met, whether the time limit
+            ended the episode, and infos: ``robot_rewards``, ``active`` and ``merged_into`` (n,);
+            ``success``, ``time`` (s), ``path_length`` (m) and ``lyapunov`` (m²/s) at the end of the
+            step, before an autoreset; and with ``final_obs`` the observations with which an episode
+            ended, zero where none did.
+
+        Raises:
+            ValueError: for an action of another shape.
+        """
+        action, wanted = jnp.asarray(action), self.action_space.shape
+        if action.shape != wanted:
+            raise ValueError(f"action has shape {action.shape}; it must be {wanted}")
+        return self._go(state, action)
+
+    def _begin_all(self, seed: Array) -> tuple[Array, State]:
+        zero = jnp.zeros(self._batch, jnp.int32)
+        number = jnp.zeros(self._batch, self._dtype)
+        start, n = self._starts(seed, zero), self.scenario.n_robots
+        robots = jnp.broadcast_to(self._robots, (n, *self._batch))
+        counts = {"episode": zero, "status": zero + RUNNING, "steps": zero}
+        totals = dict.fromkeys(("path_length", "lyapunov", "initial_lyapunov", "closest"), number)
+        begun = State(
+            **start._asdict(), merged_into=robots, seed=seed, **counts, **totals, guarantee=()
+        )
+        if self._filter is not None:
+            begun = begun.replace(guarantee=self._forgotten())
+        seen, state = self._look(begun)
+        return self._told(seen), state.replace(initial_lyapunov=state.lyapunov)
+
+    @property
+    def _robots(self) -> Array:
+        robots = jnp.arange(self.scenario.n_robots, dtype=jnp.int32)
+        return robots.reshape(-1, *[1] * len(self._batch))
+
+    def _forgotten(self) -> Any:
+        n, d = self.scenario.n_robots, self.scenario.dim
+        assert self._filter is not None
+        return self._filter.begin(n, d, self._batch, self._dtype)
+
+    def _told(self, rows: Array) -> Array:
+        """Rows (n, rows, d, *batch) with the teams first."""
+        return jnp.moveaxis(rows, -1, 0) if self._batch else rows
+
+    def _step_all(
+        self, state: State, action: Array
+    ) -> tuple[Array, State, Array, Array, Array, Info]:
+        took_part, running = state.merged_into == self._robots, state.status == RUNNING
+        before = state
+        state = self._move(state, action, took_part & running)
+        active = state.merged_into == self._robots
+        steps = state.steps + running
+        met = running & (jnp.sum(active, axis=0) == 1)
+        over = running & ~met & (steps >= self.scenario.max_steps)
+        ended, told = met | over, {}
+        status = jnp.where(met, RENDEZVOUS, jnp.where(over, TIME_OUT, state.status))
+        state = state.replace(steps=steps, status=status.astype(jnp.int32))
+        told["time"] = steps * self.scenario.tau
+        told["path_length"], told["success"] = state.path_length, state.status == RENDEZVOUS
+        if self.autoreset:
+            last, state, told_last = self._end(state, ended)
+            told |= told_last
+        seen, state = self._look(state)
+        now = state.lyapunov
+        if self.autoreset:
+            now = jnp.where(ended, last, now)
+            first = jnp.where(ended, state.lyapunov, state.initial_lyapunov)
+            state = state.replace(initial_lyapunov=first)
+        told["lyapunov"] = now
+        reward = array_form(team_reward)(
+            quotient(before.lyapunov - now, before.initial_lyapunov),
+            1.0 / self.scenario.max_steps, 0.0, 0.0, met, self.scenario.reward.built_in,
+        )  # fmt: skip
+        reward = jnp.where(running, reward, 0.0)
+        follows = self.scenario.on_merge == "follow"
+        earned = jnp.where(follows | took_part, reward, 0.0)
+        told |= {
+            "robot_rewards": self._told(earned),
+            "active": self._told(state.merged_into == self._robots),
+            "merged_into": self._told(state.merged_into),
+        }
+        return self._told(seen), state, reward, met, over, told
+
+    def _frames_of(self, state: State) -> Any:
+        """Frames as tuples of arrays (n, *batch)."""
+        fixed = tuple(state.frames[:, k] for k in range(state.frames.shape[1]))
+        memory = tuple(state.memory[:, k] for k in range(state.memory.shape[1]))
+        frame = self._motion["frame"](self._model, fixed, memory)
+        shape = state.merged_into.shape  # an entry may be a constant
+        return tuple(jnp.broadcast_to(jnp.asarray(entry, self._dtype), shape) for entry in frame)
+
+    def _move(self, state: State, action: Array, acting: Array) -> State:
+        """Motion, merges and memory of the robots that act."""
+        action = jnp.moveaxis(action, 0, -1) if self._batch else action
+        action = action.astype(self._seen_as).astype(self._dtype)
+        memory = state.guarantee
+        if self._filter is not None:
+            action, memory = self._filter.apply(action, memory)
+            action = action.astype(self._seen_as).astype(self._dtype)
+        inputs = tuple(jnp.where(acting, action[:, k], 0.0) for k in range(action.shape[1]))
+        frame = self._frames_of(state)
+        kept = tuple(state.memory[:, k] for k in range(state.memory.shape[1]))
+        way, length = self._motion["propose"](self._model, inputs, frame, kept)
+        way = tuple(jnp.where(acting, part, 0.0) for part in way)
+        moving = Moving(
+            state.positions, jnp.stack(way, axis=1), jnp.where(acting, length, 0.0),
+            state.weights, state.merged_into,
+        )  # fmt: skip
+        near = (state.status == RUNNING) & (state.closest < self._reach)
+        free = moving._replace(positions=moving.positions + moving.displacements)
+        moved = for_teams(near, self._merge, moving, free, self.differentiable)
+        if kept:
+            after = self._motion["update"](self._model, inputs, frame, kept, way, FREE)
+            runs = state.status == RUNNING
+            after = [jnp.where(runs, new, old) for new, old in zip(after, kept, strict=True)]
+            state = state.replace(memory=jnp.stack(after, axis=1))
+        return state.replace(
+            positions=moved.positions,
+            weights=moved.weights,
+            merged_into=moved.merged_into,
+            path_length=state.path_length + jnp.sum(moved.lengths, axis=0),
+            guarantee=memory,
+        )
+
+    def _end(self, state: State, ended: Array) -> tuple[Array, State, Info]:
+        """Send teams that have ended on to their next episode; also V, and what they saw last."""
+        changing = "positions", "frames", "memory", "weights"
+        team = {name: getattr(state, name) for name in changing}
+        given = {"team": state, "episode": state.episode + 1}
+        zero, seen = jnp.zeros_like(state.lyapunov), {}
+        if self.final_obs:
+            shape = (self.scenario.n_robots, *self._row_shape, *self._batch)
+            seen = {"final_obs": jnp.zeros(shape, self._seen_as)}
+
+        def renew(given: Any) -> Any:
+            old = given["team"]
+            rows, after = self._look(old)
+            new = self._starts(old.seed, given["episode"])
+            told = {"final_obs": rows} if self.final_obs else {}
+            return after.lyapunov, new._asdict(), told
+
+        last, team, seen = for_teams(ended, renew, given, (zero, team, seen), self.differentiable)
+        state = state.replace(
+            **team,
+            merged_into=jnp.where(ended, self._robots, state.merged_into),
+            episode=jnp.where(ended, state.episode + 1, state.episode),
+            status=jnp.where(ended, RUNNING, state.status),
+            steps=jnp.where(ended, 0, state.steps),
+            path_length=jnp.where(ended, 0.0, state.path_length),
+        )
+        if self._filter is not None:
+            memory = jax.tree.map(
+                lambda new, old: jnp.where(ended, new, old), self._forgotten(), state.guarantee
+            )
+            state = state.replace(guarantee=memory)
+        return last, state, {name: self._told(rows) for name, rows in seen.items()}
+
+    def _look(self, state: State) -> tuple[Array, State]:
+        """What all robots see, (n, rows, d, *batch), and the state with V of it."""
+        layout, n = self.scenario.observation_layout, self.scenario.n_robots
+        frame = self._frames_of(state)
+        frames = jnp.stack(frame, axis=1)
+        sight = sense(state.positions, frames, state.weights, layout.neighbour_slots)
+        rows = sight.rows
+        if self.scenario.model.senses:
+            kept = tuple(state.memory[:, k] for k in range(state.memory.shape[1]))
+            told = self._motion["sense"](self._model, frame, kept)
+            own = jnp.stack([jnp.broadcast_to(part, frame[0].shape) for part in told], axis=1)
+            robots = jnp.arange(n).reshape(n, *[1] * (state.merged_into.ndim - 1))
+            own = jnp.where((state.merged_into == robots)[:, None], own, 0.0)
+            rows = jnp.concatenate([rows, own[:, None]], axis=1)
+        rows, memory = rows.astype(self._seen_as), state.guarantee
+        if self._filter is not None:
+            rows, memory = self._filter.observe(rows, memory)
+        return rows, state.replace(lyapunov=sight.lyapunov, closest=sight.closest, guarantee=memory)
+
+
+_EQUATIONS = ("propose", "update", "frame", "sense")
+
+
+def make(
+    scenario: ScenarioLike = "cloud-8",
+    guarantee: str | None = None,
+    *,
+    num_envs: int | None = None,
+    autoreset_mode: AutoresetMode | str = AutoresetMode.DISABLED,
+    differentiable: bool = False,
+    final_obs: bool = False,
+    **options: Any,
+) -> RendezvousJaxEnv:
+    """A scenario as pure functions ``reset`` and ``step`` for ``jit``, ``vmap`` and ``grad``.
+
+    Numbers are float64 where ``jax_enable_x64`` is set when this is called, else float32.
+
+    Args:
+        scenario: as ``rendezvous_env.make_vec`` takes it.
+        guarantee: "heading" for the heading filter (theorem C), whose choices are the actions then;
+            None for none.
+        num_envs: B teams, which is faster than ``vmap`` over one; None for one team without an axis
+            for teams. In the arrays of the state teams stand last.
+        autoreset_mode: DISABLED, a team that has ended stands still; or SAME_STEP.
+        differentiable: whether gradients pass through merges, in loops of fixed length, and
+            actions and observations are not rounded to float32.
+        final_obs: whether infos hold the last observation of episodes that end.
+        **options: fields of the scenario to change, and settings of the filter.
+
+    Raises:
+        NotImplementedError: naming what the JAX form does not cover.
+        TypeError: for an unknown option, with the nearest known one.
+        ValueError: for an impossible value.
+    """
+    if guarantee is not None:
+        choice("guarantee", guarantee, FILTERS)
+        if guarantee != "heading":
+            raise NotImplementedError(f"guarantee is {guarantee!r}: not covered by JAX; {REMEDY}")
+    settings = [] if guarantee is None else settings_of(HeadingFilter)
+    of_filter, fields = sorted_overrides(make, settings, options)
+    resolved = resolve(scenario, **fields)
+    check_covered(resolved)
+    mode = _autoreset_mode(autoreset_mode)
+    if mode is AutoresetMode.NEXT_STEP:
+        raise NotImplementedError(f"autoreset_mode is {mode}: not covered by JAX; {REMEDY}")
+    if num_envs is not None:
+        check_int("num_envs", num_envs, 1, MAX_TEAMS)
+    safety_filter = None
+    if guarantee is not None:
+        if resolved.model.nonholonomic:
+            raise NotImplementedError(
+                f"guarantee is {guarantee!r} with robot_model {resolved.robot_model!r}: not "
+                f"covered by JAX; {REMEDY}"
+            )
+        safety_filter = HeadingFilter(resolved, 1, **of_filter)
+    return RendezvousJaxEnv(
+        resolved,
+        safety_filter,
+        num_envs,
+        mode is AutoresetMode.SAME_STEP,
+        flag("differentiable", differentiable),
+        flag("final_obs", final_obs),
+    )

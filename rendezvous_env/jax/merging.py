@@ -1,0 +1,129 @@
+"""Merging of robots that come within the merge radius, as ``graphs.merging`` does it.
+
+Arrays have the teams last: positions (n, d, *batch), weights (n, n, *batch), and so on.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..physics.crossings import first_crossing
+from .array_form import Array, array_form
+
+
+class Moving(NamedTuple):
+    """What merges change."""
+
+    positions: Array  # (n, d, *batch), m
+    displacements: Array  # (n, d, *batch), m
+    lengths: Array  # (n, *batch), of the ways, m
+    weights: Array  # (n, n, *batch), a_ij, m/s
+    merged_into: Array  # (n, *batch)
+
+
+class Merging:
+    """Swept merges of teams of n robots.
+
+    Args:
+        n: number of robots.
+        radius: r, m.
+        one_way: whether links can be one-way.
+        bounded: whether loops have a fixed length, n − 1, through which gradients pass.
+    """
+
+    def __init__(self, n: int, radius: float, one_way: bool, bounded: bool) -> None:
+        self._n, self._radius, self._one_way, self._bounded = n, radius, one_way, bounded
+        self._first, self._second = np.triu_indices(n, 1)
+
+    def __call__(self, moving: Moving) -> Moving:
+        """Move teams by their displacements and merge robots that come together (theory 5)."""
+        moving, _ = self._repeat(self._merge_first, (moving, self._moments(moving)))
+        moving = moving._replace(positions=moving.positions + moving.displacements)
+        moving, _ = self._repeat(self._merge_nearest, (moving, self._squares(moving)))
+        return moving
+
+    def _repeat(self, merge: Callable[[Any, Array], Any], begun: Any) -> Any:
+        """Merge until no pair is due, that is, until the keys of all pairs are inf."""
+        if self._bounded:
+            return jax.lax.fori_loop(0, self._n - 1, lambda _, now: merge(*now), begun)
+        return jax.lax.while_loop(
+            lambda now: jnp.any(now[1] < jnp.inf), lambda now: merge(*now), begun
+        )
+
+    def _links(self, weights: Array) -> Array:
+        """Whether either robot of each pair sees the other, (E, *batch)."""
+        linked = weights[self._first, self._second] > 0.0
+        return linked | (weights[self._second, self._first] > 0.0) if self._one_way else linked
+
+    def _moments(self, moving: Moving) -> Array:
+        """When the robots of each link first stand within r, as a share of the motion."""
+        places, ways, d = moving.positions, moving.displacements, moving.positions.shape[1]
+        offset = tuple(places[self._second, k] - places[self._first, k] for k in range(d))
+        velocity = tuple(ways[self._second, k] - ways[self._first, k] for k in range(d))
+        moments = array_form(first_crossing)(offset, velocity, self._radius)
+        due = self._links(moving.weights) & (moments < jnp.inf)  # of what is not a number, never
+        return jnp.where(due, moments, jnp.inf)
+
+    def _squares(self, moving: Moving) -> Array:
+        """Square lengths of links shorter than r, m²; inf of others."""
+        places, d = moving.positions, moving.positions.shape[1]
+        squares: Any = sum(
+            (places[self._second, k] - places[self._first, k]) ** 2 for k in range(d)
+        )
+        due = self._links(moving.weights) & (squares < self._radius * self._radius)
+        return jnp.where(due, squares, jnp.inf)
+
+    def _merge_first(self, moving: Moving, moments: Array) -> tuple[Moving, Array]:
+        """Merge the pair that meets first; both rest for what is left of the step."""
+        pair, moment = jnp.argmin(moments, axis=0), jnp.min(moments, axis=0)
+        due = moment < jnp.inf
+        moment = jnp.where(due, moment, 0.0)
+        here = moving.positions + moment * moving.displacements
+        moving, merging = self._merge(moving, here, pair, due)
+        moving = moving._replace(
+            displacements=jnp.where(merging[:, None], 0.0, moving.displacements),
+            lengths=jnp.where(merging, moving.lengths * moment, moving.lengths),
+        )
+        rests = merging[self._first] | merging[self._second]
+        return moving, jnp.where(rests, jnp.inf, moments)
+
+    def _merge_nearest(self, moving: Moving, squares: Array) -> tuple[Moving, Array]:
+        """Merge the shortest link of those shorter than r."""
+        due = jnp.min(squares, axis=0) < jnp.inf
+        moving, _ = self._merge(moving, moving.positions, jnp.argmin(squares, axis=0), due)
+        return moving, self._squares(moving)
+
+    def _merge(self, moving: Moving, here: Array, pair: Array, due: Array) -> tuple[Moving, Array]:
+        """Put both robots of a pair at their midpoint, and make the second part of the first;
+        also whether each robot is one of the two.
+        """
+        robots = np.arange(self._n).reshape(self._n, *[1] * pair.ndim)
+        first, second = jnp.asarray(self._first)[pair], jnp.asarray(self._second)[pair]
+        is_first, is_second = (robots == first) & due, (robots == second) & due
+        merging = is_first | is_second
+        middle = 0.5 * jnp.sum(jnp.where(merging[:, None], here, 0.0), axis=0)
+        into = moving.merged_into
+        return moving._replace(
+            positions=jnp.where(merging[:, None], middle, moving.positions),
+            weights=self._contracted(moving.weights, is_first, is_second),
+            merged_into=jnp.where((into == second) & due, first.astype(into.dtype), into),
+        ), merging
+
+    def _contracted(self, weights: Array, is_first: Array, is_second: Array) -> Array:
+        """a_ik ← max(a_ik, a_jk),  a_ki ← max(a_ki, a_kj),  a_ij, a_ji ← 0   (assumption 2)."""
+        merging = is_first | is_second
+        due = jnp.any(merging, axis=0)
+
+        def heavier(rows: Array) -> Array:
+            most = jnp.max(jnp.where(merging[:, None], rows, 0.0), axis=0)
+            return jnp.where(merging, 0.0, most)
+
+        row = heavier(weights)
+        column = heavier(jnp.swapaxes(weights, 0, 1)) if self._one_way else row
+        weights = jnp.where(is_first[:, None], row[None], weights)
+        weights = jnp.where(is_first[None], column[:, None], weights)
+        gone = is_second[:, None] | is_second[None]
+        return jnp.where(gone & due, 0.0, weights)

@@ -1,0 +1,39 @@
+"""Work on a few teams of a batch: rare events (merges, new episodes) cost what few teams cost."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from .array_form import Array
+
+_SHARE = 32  # of a batch is worked on at a time
+_FEWEST = 16  # teams
+
+
+def for_teams(
+    which: Array, function: Callable[[Any], Any], given: Any, otherwise: Any, every: bool
+) -> Any:
+    """``function(given)`` where a mask (*batch) holds, else ``otherwise``; teams stand last.
+
+    ``given`` and the results are trees of arrays. With ``every`` the function is worked out for all
+    teams, so that gradients pass; else for some at a time, as long as any is left.
+    """
+    if every:
+        return jax.tree.map(lambda a, b: jnp.where(which, a, b), function(given), otherwise)
+    if which.ndim == 0:
+        return jax.lax.cond(which, lambda: function(given), lambda: otherwise)
+    batch = which.shape[0]
+    size = min(batch, max(_FEWEST, batch // _SHARE))
+
+    def work(now: Any) -> Any:
+        left, results = now
+        (teams,) = jnp.nonzero(left, size=size, fill_value=batch)
+        some = jax.tree.map(lambda a: jnp.take(a, teams, axis=-1, mode="clip"), given)
+        results = jax.tree.map(
+            lambda a, b: a.at[..., teams].set(b, mode="drop"), results, function(some)
+        )
+        return left.at[teams].set(False, mode="drop"), results
+
+    return jax.lax.while_loop(lambda now: jnp.any(now[0]), work, (which, otherwise))[1]

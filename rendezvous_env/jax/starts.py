@@ -1,0 +1,161 @@
+"""How an episode begins: what ``engine.reset`` draws for (seed, episode), for many teams at once.
+
+Arrays have the teams last. Random numbers are those of the engine, so that starts are, too.
+"""
+
+from functools import partial
+from types import FunctionType
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from ..engine.preparation import start_rules
+from ..engine.reset import _MAX_DRAWS
+from ..graphs.edges import pair_index
+from ..physics.random_streams import FRAMES, GRAPH, START
+from ..robots.motion import motion_of
+from ..robots.robot_models import constants_of
+from ..scenario.scenario import Scenario
+from .array_form import Array, array_form
+from .random_streams import Word, stream_key, uniform
+
+
+class Start(NamedTuple):
+    """Places, frames, memory and weights of teams at the start of an episode."""
+
+    positions: Array  # (n, d, *batch), m
+    frames: Array  # (n, d·d, *batch), row by row; (n, 0, *batch) where memory has them
+    memory: Array  # (n, k, *batch)
+    weights: Array  # (n, n, *batch), m/s
+
+
+class Starts:
+    """The starts of a scenario."""
+
+    def __init__(self, scenario: Scenario, dtype: Any) -> None:
+        self._scenario, self._dtype = scenario, dtype
+        self._rules, n = start_rules(scenario), scenario.n_robots
+        self._base: NDArray[np.float64] = scenario.sensing_graph.base_weights(n)
+        self._linked = (self._base > 0.0) | (self._base.T > 0.0)
+
+    def __call__(self, seed: Array, episode: Array) -> Start:
+        """The starts of episodes (*batch) of seeds (2, *batch)."""
+        words, batch = (seed[0], seed[1]), episode.shape
+        return Start(
+            self._positions(stream_key(words, episode, START), batch),
+            self._frames(stream_key(words, episode, FRAMES), batch),
+            self._memory(stream_key(words, episode, FRAMES), batch),
+            self._weights(stream_key(words, episode, GRAPH), batch),
+        )
+
+    def _given(self, table: Any, batch: tuple[int, ...]) -> Array:
+        rows = jnp.asarray(np.array(table), self._dtype)
+        return jnp.broadcast_to(rows.reshape(*rows.shape, *[1] * len(batch)), rows.shape + batch)
+
+    def _positions(self, key: Word, batch: tuple[int, ...]) -> Array:
+        """Uniform in the spawn area, away from neighbours; NaN where there is no room."""
+        scenario, rules = self._scenario, self._rules
+        if scenario.start_positions is not None:
+            return self._given(scenario.start_positions, batch)
+        n, d = scenario.n_robots, scenario.dim
+        robots = np.arange(n).reshape(n, *[1] * len(batch))
+        near, linked = rules.least_distance**2, jnp.asarray(self._linked)
+
+        def needs_more(drawn: Any) -> Array:
+            _, robot, _, tries = drawn
+            return jnp.any((robot < n) & (tries < _MAX_DRAWS))
+
+        def draw(drawn: Any) -> Any:
+            positions, robot, counter, tries = drawn
+            busy = (robot < n) & (tries < _MAX_DRAWS)
+            place = jnp.stack(
+                [
+                    rules.spawn_size * (uniform(key, counter + axis, self._dtype) - 0.5)
+                    for axis in range(d)
+                ]
+            )
+            square = sum((positions[:, axis] - place[axis]) ** 2 for axis in range(d))
+            others = jnp.moveaxis(linked[jnp.minimum(robot, n - 1)], -1, 0) & (robots < robot)
+            kept = busy & ~jnp.any(others & (square < near), axis=0)
+            mine = (robots == robot) & kept
+            positions = jnp.where(mine[:, None], place[None], positions)
+            tries = jnp.where(kept, 0, tries + busy)
+            return positions, robot + kept, counter + d * busy, tries
+
+        none = jnp.zeros(batch, jnp.int32)
+        begun = jnp.zeros((n, d, *batch), self._dtype), none, none, none
+        positions, robot, *_ = jax.lax.while_loop(needs_more, draw, begun)
+        return jnp.where(robot < n, jnp.nan, positions)
+
+    def _frames(self, key: Word, batch: tuple[int, ...]) -> Array:
+        """Uniform rotations, or the identity."""
+        n, d = self._scenario.n_robots, self._scenario.dim
+        if self._scenario.model.n_angles:
+            return jnp.zeros((n, 0, *batch), self._dtype)
+        if not self._rules.draw_frames:
+            return self._given(np.tile(np.eye(d).ravel(), (n, 1)), batch)
+        first = self._counters(batch)
+        draws = [uniform(key, first + k, self._dtype) for k in range(3 if d == 3 else 1)]
+        return jnp.stack(_rotation(*draws), axis=1)
+
+    def _counters(self, batch: tuple[int, ...]) -> Array:
+        """3i of each robot i, (n, *batch)."""
+        return self._given(3 * np.arange(self._scenario.n_robots), batch).astype(jnp.uint32)
+
+    def _memory(self, key: Word, batch: tuple[int, ...]) -> Array:
+        """Angles and velocities."""
+        scenario = self._scenario
+        n, size = scenario.n_robots, scenario.model.memory_size(scenario.dim)
+        if size == 0:
+            return jnp.zeros((n, 0, *batch), self._dtype)
+        if scenario.start_headings is not None:
+            return self._given(scenario.start_headings, batch)
+        drawn = _memory(constants_of(scenario), key, self._counters(batch), self._dtype)
+        return jnp.stack(drawn, axis=1)
+
+    def _weights(self, key: Word, batch: tuple[int, ...]) -> Array:
+        """a_ij, drawn from their range: those of a pair are one number of the stream."""
+        low, high = self._scenario.sensing_graph.weight_range
+        if low == high:
+            return self._given(self._base * low, batch)
+        n = self._scenario.n_robots
+        pairs = np.array(
+            [
+                [pair_index(min(i, j), max(i, j), n) if i != j else 0 for j in range(n)]
+                for i in range(n)
+            ]
+        )
+        counters = jnp.asarray(pairs.reshape(n, n, *[1] * len(batch)))
+        share = uniform(key, jnp.broadcast_to(counters, (n, n, *batch)), self._dtype)
+        return self._given(self._base, batch) * (low + (high - low) * share)
+
+
+def _memory(model: Any, key: Word, counter: Array, dtype: Any) -> Any:
+    """``init_memory`` by the equations of the model, whose random numbers are taken from here."""
+    motion = motion_of(type(model))
+    assert motion is not None  # robot models are described before they are registered
+    plain = getattr(motion.init, "py_func", motion.init)
+    form = array_form(plain)
+    scope = form.__globals__ | {"uniform": partial(uniform, dtype=dtype)}
+    drawn = FunctionType(form.__code__, scope)(model, key, counter)
+    return [jnp.broadcast_to(jnp.asarray(value, dtype), counter.shape) for value in drawn]
+
+
+def _rotation(first: Any, *others: Any) -> Any:
+    """``physics.random_streams.draw_rotation`` of one or three numbers in [0, 1)."""
+    turn = 2.0 * np.pi * first
+    if not others:
+        c, s = jnp.cos(turn), jnp.sin(turn)
+        return c, -s, s, c
+    second, third = others
+    other, small, large = 2.0 * np.pi * second, jnp.sqrt(1.0 - third), jnp.sqrt(third)
+    x, y = small * jnp.sin(turn), small * jnp.cos(turn)
+    z, w = large * jnp.sin(other), large * jnp.cos(other)
+    return (
+        1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
+        2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
+        2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y),
+    )  # fmt: skip

@@ -1,0 +1,89 @@
+"""The JAX form against the engine: the same seeds give the same experiment."""
+
+import numpy as np
+import pytest
+from parameters import marked
+
+import rendezvous_env as rv
+from rendezvous_env import graphs
+
+STEPS, TEAMS, SEED = 200, 3, 5
+UNEVEN = graphs.directed([[0, 1, 0, 2.0], [0, 0, 1, 0], [1, 0, 0, 0.5], [0, 1, 0, 0]])
+CASES = {
+    "duo": ("duo", None, {}),
+    "plane": ("cloud-8", None, {"dim": 2, "n_robots": 4}),
+    "space": ("cloud-8", None, {}),
+    "large": ("swarm-20", None, {}),
+    "cycle": ("ring-12", None, {}),
+    "pursuit": ("pursuit-6", None, {}),
+    "unicycles": ("unicycle-6", None, {}),
+    "vehicles in space": ("uav-6", None, {"n_robots": 4}),
+    "inertia": ("duo", None, {"robot_model": "double_integrator", "n_robots": 4}),
+    "inertia in space": ("uav-6", None, {"robot_model": "double_integrator", "n_robots": 4}),
+    "star": ("duo", None, {"n_robots": 4, "graph": "star", "local_frames": "global"}),
+    "drawn weights": ("duo", None, {"n_robots": 4, "graph": graphs.complete((0.5, 2.0))}),
+    "drawn arcs": ("duo", None, {"n_robots": 4, "graph": graphs.directed_cycle((0.5, 2.0))}),
+    "uneven arcs": ("duo", None, {"n_robots": 4, "graph": UNEVEN, "on_merge": "follow"}),
+    "heading": ("cloud-8", "heading", {"dim": 2, "n_robots": 4}),
+    "heading in space": ("cloud-8", "heading", {"n_robots": 4}),
+    "heading on a cycle": ("ring-12", "heading", {"local_frames": "global"}),
+    "uncertified heading": ("duo", "heading", {"n_robots": 4, "certified": False}),
+    "heading with errors": ("duo", "heading", {"frame": "local", "bearing_error": 0.2}),
+}
+FAST = {"plane", "drawn arcs", "heading"}
+
+
+def choices(rng, env, observations, guarantee):
+    """Actions that bring robots together, with some noise; or random choices of a filter."""
+    scenario = env.unwrapped.scenario
+    if guarantee is not None:
+        return rng.uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32)
+    f = observations[:, :, scenario.observation_layout.neighbours].sum(axis=2)
+    noise = 0.1 * rng.standard_normal(f.shape)
+    scale = 0.9
+    if scenario.model.keeps_velocity:
+        f, scale = f - observations[:, :, -1], 1.5
+    actions = (scale * f + noise).astype(np.float32)
+    return actions[..., : scenario.action_size]
+
+
+@pytest.mark.parametrize("case", marked(CASES, slow=CASES.keys() - FAST))
+def test_step_agrees_with_the_engine(case, rj):
+    name, guarantee, changes = CASES[case]
+    shared = {"num_envs": TEAMS, "autoreset_mode": "SAME_STEP", "time_limit": 2.0, **changes}
+    env = rj.make(name, guarantee, final_obs=True, **shared)
+    settings = {k: shared.pop(k) for k in ("certified", "frame", "bearing_error") if k in shared}
+    engine = rv.make_vec(name, **shared)
+    if guarantee is not None:
+        engine = rv.vector.HeadingVectorWrapper(engine, **settings)
+    expected, _ = engine.reset(seed=SEED)
+    observations, state = env.reset(SEED)
+    np.testing.assert_allclose(observations, expected, rtol=0, atol=1e-6)
+    rng, simulator, ends, merged = np.random.default_rng(1), engine.unwrapped.simulator, 0, 0
+    for step in range(STEPS):
+        actions = choices(rng, engine, expected, guarantee)
+        expected, rewards, terminations, truncations, infos = engine.step(actions)
+        observations, state, reward, terminated, truncated, info = env.step(None, state, actions)
+        np.testing.assert_array_equal(terminated, terminations, err_msg=f"step {step}")
+        np.testing.assert_array_equal(truncated, truncations)
+        np.testing.assert_array_equal(info["merged_into"], infos["merged_into"])
+        np.testing.assert_array_equal(info["active"], simulator.active)
+        into = np.moveaxis(np.asarray(state.merged_into), -1, 0)
+        places = np.moveaxis(np.asarray(state.positions), -1, 0)
+        places = np.take_along_axis(places, into[..., None], axis=1)
+        np.testing.assert_allclose(places, simulator.positions, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(observations, expected, rtol=0, atol=2e-6)
+        np.testing.assert_allclose(reward, rewards, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(info["robot_rewards"], infos["robot_rewards"], atol=1e-9)
+        merged, ended = merged + int((~simulator.active).sum()), terminations | truncations
+        ends += int(ended.sum())
+        if ended.any():
+            last = infos["final_info"]
+            for key in ("success", "time", "path_length", "lyapunov"):
+                np.testing.assert_allclose(
+                    np.asarray(info[key])[ended], last[key][ended], rtol=1e-9, atol=1e-9
+                )
+            final = np.stack(infos["final_obs"][ended])
+            np.testing.assert_allclose(np.asarray(info["final_obs"])[ended], final, atol=2e-6)
+    assert ends > 0, "no episode ended, so that none began anew"
+    assert merged > 0 or name == "duo", "nobody merged"
