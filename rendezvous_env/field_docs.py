@@ -153,7 +153,7 @@ def _number_range(least: float = SMALLEST, unit: str = "") -> str:
 _DESCRIBED: dict[str, Callable[..., str]] = {
     "number": _number,
     "positive": _positive,
-    "whole": _whole,
+    "check_int": _whole,
     "choice": _choice,
     "flag": lambda: "True or False",
     "number_range": _number_range,
