@@ -4,8 +4,9 @@
     obs, state = env.reset(0)
     obs, state, reward, terminated, truncated, info = env.step(None, state, actions)
 
-With an integer seed it is the experiment of ``rendezvous_env.make_vec``: the same starts, motion,
-merges, observations, rewards and ends. What is not covered ``make`` refuses by name.
+An integer seed repeats the experiment of ``rendezvous_env.make_vec``: the same initial conditions,
+motion, merges, observations, rewards and ends. ``make`` raises NotImplementedError for fields that
+are not covered, and names them.
 """
 
 try:

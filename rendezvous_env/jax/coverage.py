@@ -1,4 +1,4 @@
-"""What the JAX form covers: anything else is refused by name, never computed differently."""
+"""Scenarios that the JAX form covers; it rejects all others and names the field."""
 
 from ..graphs.random_graphs import DrawnGraph
 from ..robots.robot_models import is_custom

@@ -131,8 +131,8 @@ class RendezvousJaxEnv:
         """Begin the first episode of a seed.
 
         Args:
-            seed: a whole number s, of which team i has s + i, or a sequence of B: starts are then
-                those of the engine. Or a JAX key, which draws a seed for each team.
+            seed: an integer s, for s + i in environment i, or a sequence of B. Initial conditions
+                are then those of the engine. A JAX key samples a seed for each environment.
 
         Returns:
             Observations (n, rows, d), or (B, n, rows, d), and the state.

@@ -20,7 +20,7 @@ from .array_form import Array, array_form, select, square_root
 
 
 class Memory(NamedTuple):
-    """What the filter keeps from step to step."""
+    """State of the filter between steps."""
 
     headings: Array  # (n, d, *batch), in the robots' frames; zero if none yet
     frames: Array  # (n, d, d, *batch), of what policies see; columns are axes

@@ -15,7 +15,7 @@ from .array_form import Array, array_form
 
 
 class Moving(NamedTuple):
-    """What merges change."""
+    """Arrays that merges change."""
 
     positions: Array  # (n, d, *batch), m
     displacements: Array  # (n, d, *batch), m

@@ -1,4 +1,4 @@
-"""What robots see: rows of bearings, V, and the closest pair.
+"""Sensing: rows of bearings, V, and the closest pair.
 
 Positions are (n, d, *batch), frames (n, d·d, *batch), weights (n, n, *batch). Each robot looks at
 all others at once: written out for a small team, in a loop for a large one, whose compiled code
@@ -17,7 +17,7 @@ _MOST_WRITTEN_OUT = 16  # robots
 
 
 class Sight(NamedTuple):
-    """What a team sees, and V."""
+    """Observations of an environment, and V."""
 
     rows: Array  # (n, K, d, *batch), a_ij g_ij in the robots' frames, m/s
     lyapunov: Array  # (*batch), V, m²/s

@@ -1,6 +1,6 @@
-"""How an episode begins: what ``engine.reset`` draws for (seed, episode), for many teams at once.
+"""Initial conditions that ``engine.reset`` samples for (seed, episode), for a batch at once.
 
-Arrays have the teams last. Random numbers are those of the engine, so that starts are, too.
+Arrays have the batch axis last. Random numbers equal those of the engine.
 """
 
 from functools import partial

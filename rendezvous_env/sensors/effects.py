@@ -1,5 +1,5 @@
-"""What measured sensors add to the imperfections of ``imperfections``: detection by range, errors
-with a memory, errors of an observer, outliers. Constants as kernels take them, and equations.
+"""Effects of measured sensors beyond ``imperfections``: detection by range, correlated errors,
+errors of an observer, outliers. Constants for kernels, and equations.
 
 Memories follow a step of τ by a factor k = exp(−τ/T):
 
@@ -47,19 +47,19 @@ class Effects(NamedTuple):
 
 
 def draws_detection(sensing: Sensing) -> bool:
-    """Whether detection is more than a dropout that is drawn independently."""
+    """True if detection differs from independent dropout."""
     return bool(sensing.detection) or sensing.view_falloff > 0.0 or sensing.persistence > 0.0
 
 
 def draws_noise(sensing: Sensing) -> bool:
-    """Whether noise is more than white noise of one level."""
+    """True if noise differs from white noise of one level."""
     if isinstance(sensing.noise, tuple):
         return max(sensing.noise) > 0.0
     return sensing.noise > 0.0 and sensing.noise_correlation > 0.0
 
 
 def effects_of(sensing: Sensing, n_robots: int) -> Effects | None:
-    """What kernels need to know of a sensor's effects; None if it has none of them."""
+    """Constants of a sensor's effects for kernels; None without effects."""
     detects, turns = draws_detection(sensing), draws_noise(sensing)
     if not (detects or turns) and sensing.min_range == 0.0 and sensing.outliers == 0.0:
         return None

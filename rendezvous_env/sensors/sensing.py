@@ -167,7 +167,7 @@ class Sensing:
         return self.delay or math.floor(self.delay_time / tau + 0.5)
 
     def check_fits(self, n_robots: int, tau: float) -> None:
-        """Refuse what fits no team of so many robots and no step of tau, s."""
+        """Reject values that do not fit the number of robots or the step tau, s."""
         levels = self.noise
         if isinstance(levels, tuple) and len(levels) != n_robots:
             remedy = f"{n_robots} numbers, one for each robot, or a single one for all of them"

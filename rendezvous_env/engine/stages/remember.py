@@ -51,7 +51,7 @@ def parities(width, moves, environment, words):
 
 @inner_kernel(inline="code")
 def is_sampled(step, samples_per_step):
-    """Whether a sample has come since the step before; always without a sample period, 0."""
+    """True if a sample came since the previous step; always without a sample period, 0."""
     count = math.floor(step * samples_per_step + _ROUNDING)
     before = math.floor((step - 1) * samples_per_step + _ROUNDING)
     return step == 0 or samples_per_step == 0.0 or count > before
@@ -59,8 +59,9 @@ def is_sampled(step, samples_per_step):
 
 @inner_kernel
 def is_due(width, moves, samples_per_step, environment):
-    """Whether a sample is due in any lane: the rows of others are what they hold, whatever is
-    done to these.
+    """True if a sample is due in any lane.
+
+    Rows of the other lanes are replaced by their held rows.
     """
     lanes, due = lane_count(width), samples_per_step == 0.0
     for lane in range(0 if due else lanes):
@@ -101,7 +102,7 @@ def remember_detection(
 def remember_errors(
     width, first, last, moves, kept, seeds, episodes, environments, keys, words, memory
 ):
-    """The e of every row: this share of it, and what is drawn; as ``remember_detection``."""
+    """Update the error e of every row: its share and a random part; as ``remember_detection``."""
     share, rest = np.float32(kept), np.float32(math.sqrt(1.0 - kept * kept))
     for block in range(first, last):
         part_keys(width, block, moves, DRIFTED, seeds, episodes, environments[block], keys)
@@ -125,8 +126,9 @@ def remember_errors(
 def hold_observations(
     lanes, first, last, moves, samples_per_step, merged_into, environments, held, observations
 ):
-    """Show the rows of the last sample, (B, n, K + M·S, d); inactive robots see nothing. A step
-    with no sample since the step before shows what is held.
+    """Write the rows of the last sample, (B, n, K + M·S, d); zeros for inactive robots.
+
+    A step without a new sample repeats the held rows.
     """
     n = held.shape[1]
     kept = held.reshape(held.shape[0], n, held.shape[2] * held.shape[3])
