@@ -73,6 +73,7 @@ def kernels() -> dict[str, Dispatcher]:
                 import_module(module.name)
             except ImportError:  # of an adapter whose library is not installed
                 assert "adapters" in module.name or "pixels" in module.name, module.name
+    gc.unfreeze()  # code that froze its objects hides them from ``get_objects``
     made = [one for one in gc.get_objects() if issubclass(type(one), Dispatcher)]
     found = {_name(one): one for one in made if is_ours(one.py_func.__module__)}
     assert len({place(name) for name in found}) == len(found), "two kernels share a place"
