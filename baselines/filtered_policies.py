@@ -137,7 +137,7 @@ class FilteredPolicy(DecidingPolicy):
         self._filter.forget(which)
 
     def reset(self, mask: Mask | None = None) -> None:
-        """As ``RememberingPolicy.reset``; also resets ``choose``."""
+        """As ``StatefulPolicy.reset``; also resets ``choose``."""
         if mask is None:
             self._begin(self._leading or ())
         else:

@@ -65,6 +65,13 @@ def record() -> None:
     lowering.Lower.pre_lower = marked
 
 
+def loaded() -> dict[str, Dispatcher]:
+    """Kernels of the packages in the modules imported so far, by module and name."""
+    gc.unfreeze()  # code that froze its objects hides them from ``get_objects``
+    made = [one for one in gc.get_objects() if issubclass(type(one), Dispatcher)]
+    return {_name(one): one for one in made if is_ours(str(one.py_func.__module__))}
+
+
 def kernels() -> dict[str, Dispatcher]:
     """All kernels of the packages, by module and name."""
     for package in map(import_module, PACKAGES):
@@ -73,9 +80,7 @@ def kernels() -> dict[str, Dispatcher]:
                 import_module(module.name)
             except ImportError:  # of an adapter whose library is not installed
                 assert "adapters" in module.name or "pixels" in module.name, module.name
-    gc.unfreeze()  # code that froze its objects hides them from ``get_objects``
-    made = [one for one in gc.get_objects() if issubclass(type(one), Dispatcher)]
-    found = {_name(one): one for one in made if is_ours(one.py_func.__module__)}
+    found = loaded()
     assert len({place(name) for name in found}) == len(found), "two kernels share a place"
     return found
 
@@ -131,7 +136,7 @@ class EveryKernel:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        self._ran |= {name for name in kernels() if _table[place(name)]}
+        self._ran |= {name for name in loaded() if _table[place(name)]}
         if self._worker_output is not None:
             self._worker_output["kernels"] = sorted(self._ran)
             return

@@ -85,7 +85,7 @@ class TestAgreement:
         in_space = scenario.dim == 3
         assert hasattr(file, "DifferentialDrive") == ("drive" in file.__doc__) == (not in_space)
         assert hasattr(file, "BodyReadings") == (not in_space)
-        steady = "SteadyFrames:\n" in exported(policy, name).read_text(encoding="utf-8")
+        steady = "OdometryFrame:\n" in exported(policy, name).read_text(encoding="utf-8")
         assert steady == (in_space and policy.startswith("learned"))
 
     def test_reset_restarts_and_bad_measurements_are_named(self, exported):

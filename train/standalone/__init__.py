@@ -68,7 +68,7 @@ class {word}:
     """This file is for robots of {where}."""
 '''
     }
-    for dim, word, where in ((2, "SteadyPlanes", "the plane"), (3, "SteadyFrames", "space"))
+    for dim, word, where in ((2, "SteadyPlanes", "the plane"), (3, "OdometryFrame", "space"))
 }
 _WITHOUT_BODIES = {
     Name(f"rendezvous_env.safety.{module}", word): f'''
