@@ -25,7 +25,7 @@ def test_kernels_are_found_in_every_package():
 
 @pytest.mark.parametrize("workers", [[], ["-n", "2"]], ids=["alone", "two workers"])
 def test_run_fails_and_names_kernels_that_never_ran(workers):
-    test = "tests/learn/test_networks.py::test_kernels_pool_as_torch_does"
+    test = "tests/learn/test_networks.py::test_pooling_kernels_match_torch"
     words = ["-m", "pytest", "-q", "--every-kernel", *workers, test]
     environment = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_OPT": "1"}
     done = subprocess.run(
