@@ -336,6 +336,24 @@ def _sensing(random: Random, n: int, r: float, sight: float | None) -> rv.Sensin
         "sectors": int(random.integers(2, 200)),
         "range": r * log_uniform(random, 3.0, 100.0),
         "field_of_view": random.uniform(0.5, 2.0 * np.pi),
+    }
+    names = [*flaws, *["error", "occlusion"] * 4]
+    while (not fields or random.random() < 0.2) and (sight is None or random.random() < 0.4):
+        name = str(pick(random, *names))
+        fields.setdefault(name, flaws[name])
+    own = random.spawn(1)[0]  # so that all else is drawn as without effects of measured sensors
+    if own.random() < 0.5:
+        fields = {key: value for key, value in fields.items() if key == "range"}
+        effects = _effects(own, r)
+        fields |= {
+            name: effects[name] for name in own.permutation([*effects])[: pick(own, 1, 1, 2)]
+        }
+    return rv.Sensing(**_completed(fields, own, n))
+
+
+def _effects(random: Random, r: float) -> dict[str, Any]:
+    """Effects of measured sensors."""
+    return {
         "min_range": r * log_uniform(random, 0.3, 30.0),
         "sample_period": log_uniform(random, 0.001, 1.0),
         "delay_time": log_uniform(random, 0.001, 0.1),
@@ -345,11 +363,6 @@ def _sensing(random: Random, n: int, r: float, sight: float | None) -> rv.Sensin
         "persistence": log_uniform(random, 0.01, 10.0),
         "outliers": log_uniform(random, 0.001, 0.5),
     }
-    names = [*flaws, *["error", "occlusion"] * 4]
-    while (not fields or random.random() < 0.2) and (sight is None or random.random() < 0.4):
-        name = str(pick(random, *names))
-        fields.setdefault(name, flaws[name])
-    return rv.Sensing(**_completed(fields, random, n))
 
 
 def _completed(fields: dict[str, Any], random: Random, n: int) -> dict[str, Any]:
