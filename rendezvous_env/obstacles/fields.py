@@ -13,7 +13,6 @@ from ..physics.random_streams import uniform
 from ..physics.vectors import load
 from .disc import BALL
 from .obstacle_set import clear, close_seams, distance_to
-from .reachability import all_reachable
 from .shape import ABSENT, BOUND, MIDDLE, Drawn, Length, Range
 from .walls import WallField, WallRules, draw_walls
 
@@ -156,12 +155,3 @@ def draw_obstacles(key, rules, starts, n_starts, world):
 
     Returns whether all fit, clear of the first ``n_starts`` initial positions (n, d), m.
     """
-
-
-@kernel
-def is_possible(rules, world, positions, chains):
-    """True if robots at positions (n, d), m, can reach each other, if the field guarantees that.
-
-    ``chains`` is (M, 2) int64 working memory.
-    """
-    return rules.passage == 0.0 or all_reachable(world, positions, rules.passage, chains)
