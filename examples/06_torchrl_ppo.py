@@ -38,7 +38,7 @@ actions = env.full_action_spec_unbatched[ACTION]
 
 
 def network(outputs: int, centralised: bool) -> MultiAgentMLP:
-    """Repeat a team value for every robot."""
+    """Network that all robots share; a centralised one reads the whole team."""
     shape = {"depth": 2, "num_cells": 64, "share_params": True}
     return MultiAgentMLP(size, outputs, n, centralized=centralised, **shape)
 

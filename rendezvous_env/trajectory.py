@@ -5,12 +5,12 @@ import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from . import trajectory_formats
+from . import trajectory_formats, trajectory_views
 from .checks import floats, raise_invalid, short_repr
 from .engine.memory import RENDEZVOUS, RUNNING
 from .field_docs import lists_fields
@@ -18,7 +18,6 @@ from .outcome import StepOutput
 from .scenario.scenario import Scenario
 from .scenario.scenarios import resolve
 from .simulator import Simulator
-from .trajectory_views import TrajectoryViews
 
 Policy = Callable[[NDArray[np.float32], NDArray[np.float64]], NDArray[Any]]
 ON_REQUEST = ("observations", "actions")
@@ -38,7 +37,7 @@ class Merge(NamedTuple):
 
 @lists_fields
 @dataclass(frozen=True, eq=False, repr=False)
-class Trajectory(TrajectoryViews):
+class Trajectory:
     """Recorded trajectory of B environments over T steps; ended ones keep their final state.
 
     found = rollout("ring-12", policy, num_envs=4)
@@ -80,6 +79,16 @@ class Trajectory(TrajectoryViews):
     """Name of the policy: of its function or class."""
     played_by: Any = None
     """Policy object; None in a pickled or loaded copy."""
+
+    @property
+    def num_envs(self) -> int:
+        """Number of environments B."""
+        return int(self.positions.shape[1])
+
+    @property
+    def collision_free(self) -> NDArray[np.bool_]:
+        """Environments without contact, (B,); with ``success`` the usual metric."""
+        return np.asarray(~self.contacts.any(axis=(0, 2)))
 
     @property
     def observations(self) -> NDArray[np.float32]:
@@ -125,6 +134,30 @@ class Trajectory(TrajectoryViews):
         rises = self.lyapunov_before_merge - self.lyapunov[:-1]
         return np.max(rises, axis=0, where=self.running, initial=-np.inf)
 
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a file written by ``save``.
+
+        Raises:
+            FileNotFoundError: if the file does not exist.
+            ValueError: for another file, or a scenario that cannot be created, for example without
+                a registered reward term.
+        """
+        own, arrays = trajectory_views.read(path)
+        try:
+            return cls(**own, **arrays)
+        except TypeError as error:
+            raise ValueError(f"{path} is no trajectory of this version: {error}") from error
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"played_by": None}  # the policy may not be picklable
+
+    __repr__ = trajectory_views.one_line
+    summary = trajectory_views.summary
+    plot = trajectory_views.plot
+    plot_lyapunov = trajectory_views.plot_lyapunov
+    to_report = trajectory_views.to_report
+    save = trajectory_views.save
     to_dataframe = trajectory_formats.pandas_dataframe
     to_xarray = trajectory_formats.xarray_dataset
     to_minari = trajectory_formats.minari_dataset

@@ -6,12 +6,12 @@ import json
 import math
 import os
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from html import escape
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,155 +113,123 @@ def _cell(value: Any) -> str:
     return str(value)
 
 
-class TrajectoryViews:
-    """Views of a trajectory; see ``trajectory.Trajectory`` for the arrays."""
+def one_line(trajectory: Any) -> str:
+    """Scenario, policy, duration and outcome, on one line."""
+    scenario, recorded, policy = trajectory.scenario, trajectory.recorded, trajectory.policy
+    count, met = trajectory.num_envs, int(trajectory.success.sum())
+    ended = "met" if met else "did not meet"
+    if count > 1:
+        ended = f"{met} of {count} met"
+    free = int((trajectory.success & trajectory.collision_free).sum())
+    if scenario.obstacles:
+        ended += f", {free} collision-free" if count > 1 else ", collision-free" * free
+    kept = f", recorded: {', '.join(recorded)}" if recorded else ""
+    under = f" under {policy}" if policy else ""
+    return (
+        f"<Trajectory of {scenario.name!r}{under}: "
+        f"{count} environment{'s' * (count > 1)}, {trajectory.positions.shape[2]} robots, "
+        f"{len(trajectory.times) - 1} steps, "
+        f"{float(trajectory.times[-1]):.4g} s; {ended}{kept}>"
+    )
 
-    scenario: Any
-    times: NDArray[np.float64]
-    positions: NDArray[np.float64]
-    active: NDArray[np.bool_]
-    lyapunov: NDArray[np.float64]
-    rewards: NDArray[np.float64]
-    contacts: NDArray[np.bool_]
-    success: NDArray[np.bool_]
-    rendezvous_time: NDArray[np.float64]
-    recorded: Mapping[str, NDArray[np.float32]]
-    start: Mapping[str, NDArray[Any]]
-    policy: str
 
-    @property
-    def num_envs(self) -> int:
-        """Number of environments B."""
-        return int(self.positions.shape[1])
+def summary(trajectory: Any) -> Summary:
+    """Table of outcome, time, merges, contacts, path length, V and return per environment."""
+    success, active = trajectory.success, trajectory.active
+    moved = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=-1)
+    columns = {
+        "env": np.arange(trajectory.num_envs),
+        "outcome": np.where(success, "met", "time limit"),
+        "time": np.where(success, trajectory.rendezvous_time, trajectory.times[-1]),
+        "merges": (active[:-1] & ~active[1:]).sum(axis=(0, 2)),
+        "contacts": trajectory.contacts.sum(axis=(0, 2)),
+        "collision_free": trajectory.collision_free,
+        "path_length": np.where(active[:-1], moved, 0.0).sum(axis=(0, 2)),
+        "initial_lyapunov": trajectory.lyapunov[0],
+        "largest_rise": trajectory.largest_rise_between_merges,
+        "return": np.where(trajectory.running, trajectory.rewards, 0.0).sum(axis=0),
+    }
+    listed = {name: column.tolist() for name, column in columns.items()}
+    rows = zip(*listed.values(), strict=True)
+    return Summary(tuple(dict(zip(listed, row, strict=True)) for row in rows))
 
-    @property
-    def collision_free(self) -> NDArray[np.bool_]:
-        """Environments without contact, (B,); with ``success`` the usual metric."""
-        return np.asarray(~self.contacts.any(axis=(0, 2)))
 
-    def __repr__(self) -> str:
-        """Scenario, policy, duration and outcome, on one line."""
-        count, met = self.num_envs, int(self.success.sum())
-        ended = "met" if met else "did not meet"
-        if count > 1:
-            ended = f"{met} of {count} met"
-        free = int((self.success & self.collision_free).sum())
-        if self.scenario.obstacles:
-            ended += f", {free} collision-free" if count > 1 else ", collision-free" * free
-        kept = f", recorded: {', '.join(self.recorded)}" if self.recorded else ""
-        under = f" under {self.policy}" if self.policy else ""
-        return (
-            f"<Trajectory of {self.scenario.name!r}{under}: "
-            f"{count} environment{'s' * (count > 1)}, {self.positions.shape[2]} robots, "
-            f"{len(self.times) - 1} steps, "
-            f"{float(self.times[-1]):.4g} s; {ended}{kept}>"
-        )
+def plot(trajectory: Any, env: int = 0) -> Figure:
+    """Paths and V(t) of one environment, as a matplotlib Figure."""
+    which = check_int("env", env, 0, trajectory.num_envs - 1)
+    return import_module(_FIGURES).trajectory_figure(trajectory, which)
 
-    def summary(self) -> Summary:
-        """Table of outcome, time, merges, contacts, path length, V and return per environment."""
-        moved = np.linalg.norm(np.diff(self.positions, axis=0), axis=-1)
-        moved = np.where(self.active[:-1], moved, 0.0).sum(axis=(0, 2))
-        rises: Any = getattr(self, "largest_rise_between_merges")  # noqa: B009 - of the subclass
-        running: Any = getattr(self, "running")  # noqa: B009
-        columns = {
-            "env": np.arange(self.num_envs),
-            "outcome": np.where(self.success, "met", "time limit"),
-            "time": np.where(self.success, self.rendezvous_time, self.times[-1]),
-            "merges": (self.active[:-1] & ~self.active[1:]).sum(axis=(0, 2)),
-            "contacts": self.contacts.sum(axis=(0, 2)),
-            "collision_free": self.collision_free,
-            "path_length": moved,
-            "initial_lyapunov": self.lyapunov[0],
-            "largest_rise": rises,
-            "return": np.where(running, self.rewards, 0.0).sum(axis=0),
-        }
-        listed = {name: column.tolist() for name, column in columns.items()}
-        rows = zip(*listed.values(), strict=True)
-        return Summary(tuple(dict(zip(listed, row, strict=True)) for row in rows))
 
-    def plot(self, env: int = 0) -> Figure:
-        """Paths and V(t) of one environment, as a matplotlib Figure."""
-        return import_module(_FIGURES).trajectory_figure(self, self._env(env))
+def plot_lyapunov(trajectory: Any, certificate: Any = None) -> Figure:
+    """V(t) of all environments, as a matplotlib Figure.
 
-    def plot_lyapunov(self, certificate: Any = None) -> Figure:
-        """V(t) of all environments, as a matplotlib Figure.
+    A ``Certificate`` adds its bounds on V and on the time, which no environment exceeds.
 
-        A ``Certificate`` adds its bounds on V and on the time, which no environment exceeds.
+    Raises:
+        ValueError: for the certificate of another scenario.
+    """
+    name = trajectory.scenario.name
+    if certificate is not None and certificate.scenario != name:
+        raise_invalid("certificate", certificate.scenario, f"of scenario {name!r}")
+    return import_module(_FIGURES).lyapunov_figure(trajectory, certificate)
 
-        Raises:
-            ValueError: for the certificate of another scenario.
-        """
-        if certificate is not None and certificate.scenario != self.scenario.name:
-            raise_invalid(
-                "certificate", certificate.scenario, f"of scenario {self.scenario.name!r}"
-            )
-        return import_module(_FIGURES).lyapunov_figure(self, certificate)
 
-    def to_report(self, path: str | os.PathLike[str] = "replay.html", envs: int = 8) -> Path:
-        """Write an HTML page with an interactive replay of the first environments.
+def to_report(trajectory: Any, path: str | os.PathLike[str] = "replay.html", envs: int = 8) -> Path:
+    """Write an HTML page with an interactive replay of the first environments.
 
-        The page needs no network. The rollout is simulated again, with its recorded actions or its
-        policy.
+    The page needs no network. The rollout is simulated again, with its recorded actions or its
+    policy.
 
-        Args:
-            path: file to write.
-            envs: maximum number of environments.
+    Args:
+        trajectory: the rollout.
+        path: file to write.
+        envs: maximum number of environments.
 
-        Returns:
-            The path.
+    Returns:
+        The path.
 
-        Raises:
-            ValueError: if the rollout is not reproducible, or neither its policy is available, as
-                after ``load``, nor its actions: ``rollout(…, record="actions")``.
-        """
-        return import_module(_PAGES).write(self, Path(path), check_int("envs", envs, 1, 10**6))
+    Raises:
+        ValueError: if the rollout is not reproducible, or neither its policy is available, as
+            after ``load``, nor its actions: ``rollout(…, record="actions")``.
+    """
+    return import_module(_PAGES).write(trajectory, Path(path), check_int("envs", envs, 1, 10**6))
 
-    def _env(self, env: int) -> int:
-        return check_int("env", env, 0, self.num_envs - 1)
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write everything except the policy to a compressed NumPy archive (.npz), atomically.
+def save(trajectory: Any, path: str | os.PathLike[str]) -> Path:
+    """Write everything except the policy to a compressed NumPy archive (.npz), atomically.
 
-        Returns the path.
-        """
-        place = Path(path)
-        arrays = {
-            field.name: value
-            for field in fields(self)  # type: ignore[arg-type]  # of the subclass
-            if isinstance(value := getattr(self, field.name), np.ndarray)
-        }
-        arrays |= {f"{_KEPT}{name}": array for name, array in self.recorded.items()}
-        about = {"format": _FORMAT, "scenario": self.scenario.to_plain(), "policy": self.policy}
-        arrays |= {f"{_START}{name}": array for name, array in self.start.items()}
-        arrays["about"] = np.array(json.dumps(about))
-        part = place.with_name(f".{place.name}.{os.getpid()}.part")
-        try:
-            with part.open("wb") as file:
-                np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-            part.replace(place)
-        finally:
-            part.unlink(missing_ok=True)
-        return place
+    Returns the path.
+    """
+    place = Path(path)
+    arrays = {
+        field.name: value
+        for field in fields(trajectory)
+        if isinstance(value := getattr(trajectory, field.name), np.ndarray)
+    }
+    arrays |= {f"{_KEPT}{name}": array for name, array in trajectory.recorded.items()}
+    about = {
+        "format": _FORMAT,
+        "scenario": trajectory.scenario.to_plain(),
+        "policy": trajectory.policy,
+    }
+    arrays |= {f"{_START}{name}": array for name, array in trajectory.start.items()}
+    arrays["about"] = np.array(json.dumps(about))
+    part = place.with_name(f".{place.name}.{os.getpid()}.part")
+    try:
+        with part.open("wb") as file:
+            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+        part.replace(place)
+    finally:
+        part.unlink(missing_ok=True)
+    return place
 
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file written by ``save``.
 
-        Raises:
-            FileNotFoundError: if the file does not exist.
-            ValueError: for another file, or a scenario that cannot be created, for example without
-                a registered reward term.
-        """
-        about, arrays = _read(path)
-        own: dict[str, Any] = {"recorded": _taken(arrays, _KEPT), "start": _taken(arrays, _START)}
-        own |= {"scenario": Scenario.from_plain(about["scenario"]), "policy": about["policy"]}
-        try:
-            return cls(**own, **arrays)
-        except TypeError as error:
-            raise ValueError(f"{path} is no trajectory of this version: {error}") from error
-
-    def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"played_by": None}  # the policy may not be picklable
+def read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Fields of a saved trajectory and its arrays, by name; errors as of ``Trajectory.load``."""
+    about, arrays = _read(path)
+    own: dict[str, Any] = {"recorded": _taken(arrays, _KEPT), "start": _taken(arrays, _START)}
+    own |= {"scenario": Scenario.from_plain(about["scenario"]), "policy": about["policy"]}
+    return own, arrays
 
 
 def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:

@@ -85,7 +85,6 @@ class RobotVecEnv(VecEnv):
         self.simulator = slots.simulator
         self._started = time.time()
         self._told = np.zeros(slots.num_teams, dtype=np.int64)
-        self._initial = np.zeros(slots.num_teams)  # initial V of the episodes, m²/s
         self._forget_step()
         super().__init__(
             slots.active.size, slots.single_observation_space, slots.single_action_space
@@ -111,7 +110,7 @@ class RobotVecEnv(VecEnv):
     def _forget_step(self) -> None:
         self.acted = self.slots.active.reshape(-1).copy()
         self.ended, self.costs = np.zeros(self.acted.size, dtype=np.bool_), {}
-        self._initial = self.simulator.initial_lyapunov
+        self._initial = self.simulator.initial_lyapunov  # of the episodes, m²/s
         self.bootstrapped = self.survivors = np.empty(0, dtype=np.int64)
         seen = self.slots.single_observation_space.shape or ()
         self.bootstrap_observations = np.empty((0, *seen), dtype=np.float32)
@@ -177,7 +176,7 @@ class RobotVecEnv(VecEnv):
 
         Returns the seed of each slot.
         """
-        if seed is None:
+        if seed is None:  # from NumPy's global generator, as the base class does
             seed = int(np.random.randint(2**31))
         first = check_seed(seed)
         self._seeds = [first + slot // self.n_robots for slot in range(self.num_envs)]

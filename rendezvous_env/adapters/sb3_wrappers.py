@@ -172,6 +172,7 @@ class RobotReplayBuffer(ReplayBuffer):
             raise ValueError("the buffer has no step of a robot that acted; add steps first")
         steps, slots = np.empty((2, batch_size), dtype=np.int64)
         missing = np.ones(batch_size, dtype=np.bool_)
+        # NumPy's global generator, as the base class: stable-baselines3 seeds it with the model
         while missing.any():
             steps[missing] = np.random.randint(0, len(kept), size=missing.sum())
             slots[missing] = np.random.randint(0, self.n_envs, size=missing.sum())

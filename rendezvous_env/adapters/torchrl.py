@@ -19,7 +19,7 @@ from ..envs.agents import names_of
 from ..scenario.start_options import seeds_of_environments
 from ..simulator import Simulator
 from ..vector import training_env
-from .slots import RewardShaping
+from .reward_shaping import RewardShaping
 
 if TYPE_CHECKING:
     from ..scenario.scenarios import ScenarioLike

@@ -173,10 +173,9 @@ class FilterWrapperMixin:
         if not np.array_equal(seen, observations):
             what.append("observations")
         if what:
-            between = [type(one).__name__ for one in layers_of(self.env) if one is not self._base]
             wrapper = type(self).__name__
             raise RuntimeError(
-                f"a wrapper beneath {wrapper} ({', '.join(between)}) has changed "
+                f"a wrapper beneath {wrapper} ({self._named_between()}) has changed "
                 f"{' and '.join(what)}, so that nothing {wrapper} promises holds; put it around "
                 "the guarantee, and reset(). A wrapper that stands for sensors or actuators says "
                 "so with the class attribute part_of_world = True"
@@ -249,11 +248,15 @@ class FilterWrapperMixin:
     def _check_infos(self, infos: Any) -> None:
         """Refuse a wrapper beneath that gives infos another form."""
         if not isinstance(infos, Mapping):
-            between = [type(one).__name__ for one in layers_of(self.env) if one is not self._base]
             raise RuntimeError(
-                f"a wrapper beneath {type(self).__name__} ({', '.join(between)}) gives infos as a "
-                f"{type(infos).__name__}; they must be a dict: put it around the guarantee"
+                f"a wrapper beneath {type(self).__name__} ({self._named_between()}) gives infos as "
+                f"a {type(infos).__name__}; they must be a dict: put it around the guarantee"
             )
+
+    def _named_between(self) -> str:
+        """Classes of the wrappers beneath, the outermost first."""
+        between = [one for one in layers_of(self.env) if one is not self._base]
+        return ", ".join(type(one).__name__ for one in between)
 
     @property
     def _parts(self) -> dict[str, Any]:

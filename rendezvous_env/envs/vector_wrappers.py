@@ -138,13 +138,17 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
         """Batch controller that runs within threads; None if every step runs in Python."""
         return self.filter if self.filter.supports_multi_step else None
 
+    @property
+    def _alone(self) -> bool:
+        """True if no wrapper in between hears of base steps."""
+        return type(self.env) is RendezvousVectorEnv
+
     def _drive(self) -> tuple[NDArray[np.float32] | None, Any, Any, Any, Info]:
         """Steps of one decision without autoreset.
 
         Returns the policy's observations (None if not computed), summed rewards, ends and infos.
         """
-        base, pilot, shown = self._base, self._pilot, None
-        alone = type(self.env) is RendezvousVectorEnv  # nobody between hears of base steps
+        base, pilot, shown, alone = self._base, self._pilot, None, self._alone
         if alone and pilot is not None and base.can_drive:
             shown, show = self._viewing()
             driven = base.drive(pilot, self._observed, self.decision_period, show)
@@ -176,7 +180,7 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
         ends = np.zeros((2, self.num_envs), np.bool_)
         costs = no_costs(base.scenario.costs, shape[:2])
         follows = base.scenario.on_merge == "follow"
-        anew = base.autoreset_mode is AutoresetMode.NEXT_STEP
+        alone, anew = self._alone, base.autoreset_mode is AutoresetMode.NEXT_STEP
         for number in range(self.decision_period):
             resting = None if simulator.all_running else simulator.status != RUNNING
             if number:
@@ -184,7 +188,7 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
                 kept = DiagnosticsSnapshot(
                     self.filter.action_diagnostics, running & (follows | simulator.active)
                 )
-            if type(self.env) is RendezvousVectorEnv:
+            if alone:
                 outcome = base.advance(self._act())
                 seen, earned = outcome.observations, outcome.rewards
                 robots_earned, touched = outcome.robot_rewards, outcome.contact
@@ -219,12 +223,12 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
         """
         simulator, given = self._base.simulator, actions.copy()
         acting = simulator.active & (simulator.status == RUNNING)[:, None]
-        kept = None if still is None else RowsOfWrappers(self.env, self.num_envs)
+        kept = None if still is None else RowsOfWrappers(self.env, still)
         told = self._step_beneath(actions)
         if self._checks_passage:
             self._check_passage(given, told[0].reshape(self._observed.shape), acting)
-        if kept is not None and still is not None:
-            kept.put_back(still)
+        if kept is not None:
+            kept.put_back()
         return told
 
     def _autoreset(self, which: NDArray[np.bool_], infos: Info) -> None:
@@ -259,24 +263,27 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
 
 
 class RowsOfWrappers:
-    """Copies of the arrays (B, …) that wrappers over a RendezvousVectorEnv keep as attributes."""
+    """Rows, for a mask (B,), of the arrays (B, …) that wrappers over a RendezvousVectorEnv keep as
+    attributes.
+    """
 
-    def __init__(self, env: Any, num_envs: int) -> None:
+    def __init__(self, env: Any, which: NDArray[np.bool_]) -> None:
+        self._which = which
         self._kept = [
             (layer, name, values.copy())
             for layer in layers_of(env)
             if not isinstance(layer, RendezvousVectorEnv)
             for name, values in vars(layer).items()
-            if isinstance(values, np.ndarray) and values.shape[:1] == (num_envs,)
+            if isinstance(values, np.ndarray) and values.shape[:1] == which.shape
         ]
 
-    def put_back(self, which: NDArray[np.bool_]) -> None:
-        """Put the rows of these environments, (B,), back, in arrays of the wrapper's own."""
+    def put_back(self) -> None:
+        """Put the rows back, in arrays of the wrapper's own."""
         for layer, name, before in self._kept:
             now = getattr(layer, name)
             if isinstance(now, np.ndarray) and now.shape == before.shape:
                 now = now.copy()  # infos may share it
-                now[which] = before[which]
+                now[self._which] = before[self._which]
                 setattr(layer, name, now)
 
 

@@ -1,6 +1,8 @@
 """Text, marks and greys of rendered pictures."""
 
+from collections.abc import Callable
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 import pygame
@@ -9,6 +11,7 @@ from .palette import Rgb
 from .scene import Floats
 
 Place = tuple[float, float] | list[float]
+_Result = TypeVar("_Result")
 
 WHITE: Rgb = (255, 255, 255)
 BLACK: Rgb = (0, 0, 0)
@@ -24,6 +27,15 @@ def _font(size: int) -> pygame.font.Font:
     return pygame.font.Font(None, size)
 
 
+def _with_font(size: float, use: Callable[[pygame.font.Font], _Result]) -> _Result:
+    """Result of a function of the font of a height, pixels."""
+    try:
+        return use(_font(round(size)))
+    except pygame.error:  # another user of pygame has ended it, and with it all fonts
+        _font.cache_clear()
+        return use(_font(round(size)))
+
+
 def write(
     surface: pygame.Surface,
     text: str,
@@ -37,22 +49,14 @@ def write(
 
     Returns the width, pixels.
     """
-    try:
-        letters = _font(round(size)).render(text, True, colour)
-    except pygame.error:  # another user of pygame has ended it, and with it all fonts
-        _font.cache_clear()
-        letters = _font(round(size)).render(text, True, colour)
+    letters = _with_font(size, lambda font: font.render(text, True, colour))
     surface.blit(letters, letters.get_rect(**{anchor: (round(place[0]), round(place[1]))}))
     return letters.get_width()
 
 
 def width_of(text: str, size: float) -> int:
     """Width of a line of text, pixels."""
-    try:
-        return _font(round(size)).size(text)[0]
-    except pygame.error:  # as in ``write``
-        _font.cache_clear()
-        return _font(round(size)).size(text)[0]
+    return _with_font(size, lambda font: font.size(text)[0])
 
 
 def cross(surface: pygame.Surface, place: Place, unit: float) -> None:

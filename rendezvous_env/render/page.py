@@ -113,13 +113,14 @@ class Page:
             pygame.draw.line(page, ink.EDGE, *ends, 2 * thin)
 
         def sight(x: float) -> None:
-            layer = pygame.Surface(page.get_size(), pygame.SRCALPHA)
-            place, radius = np.array([x, middle]), 6 * unit
+            corner, side = (int(x - 10 * unit), int(middle - 10 * unit)), math.ceil(20 * unit) + 1
+            layer = pygame.Surface((side, side), pygame.SRCALPHA)
+            place, radius = np.array([x, middle]) - corner, 6 * unit
             if narrow:
                 place, radius = place - np.array([5 * unit, 0.0]), 13 * unit
             view = 0.3 * np.pi if narrow else 2 * np.pi
             ink.sector(layer, shade, place, radius, 0.0, view, thin)
-            page.blit(layer, (0, 0))
+            page.blit(layer, corner)
 
         turns, narrow = scenario.model.n_angles > 0, sensing.field_of_view < 2 * np.pi
         marks = [

@@ -205,6 +205,8 @@ class TeamPicture:
         self, canvas: pygame.Surface, moment: Moment, pixels: Floats, bearings: Floats, which: Bools
     ) -> None:
         """Robots of a mask, from the farthest to the nearest, with what they see."""
+        if not which.any():  # none is hidden in the plane
+            return
         unit, order = self._unit, np.flatnonzero(which)
         order = order[np.argsort(self.camera.nearness(moment.positions[order]), kind="stable")]
         sizes = np.bincount(moment.merged_into, minlength=len(which)).tolist()

@@ -13,8 +13,8 @@ from gymnasium.wrappers.vector import (
 )
 
 import rendezvous_env as rv
+from rendezvous_env.adapters.reward_shaping import RewardShaping
 from rendezvous_env.adapters.sb3 import RobotVecEnv
-from rendezvous_env.adapters.slots import RewardShaping
 from rendezvous_env.vector import HeadingVectorWrapper, training_env
 
 SCENARIO = rv.scenarios.get("duo").replace(time_limit=3.0)
