@@ -192,7 +192,7 @@ def _load_model(path: Path, content: bytes, scenario: ScenarioLike) -> TrainedPo
     return TrainedPolicy(scenario, predict, by_team=about["by_team"], **arguments)
 
 
-register_reader(AT_PATH, load)  # replaces the reader of learned policies only
+register_reader(AT_PATH, load)
 
 
 class _PresetPolicy(GuidedPolicy):

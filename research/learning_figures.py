@@ -46,6 +46,7 @@ def learning_figure(runs: Mapping[str, Path], scenario: str) -> Figure:
         _draw_held_out(
             axes, [row for row in evaluated if row["scenario"] == scenario], colour, name
         )
+    axes.plot([], [], color=GREY, linewidth=0.6, label="training episodes")
     axes.set(xlabel="decisions (million)", ylabel="collision-free success (%)", ylim=(None, 100.5))
     axes.grid()
     figure.legend(loc="outside upper center", ncols=2)

@@ -57,7 +57,7 @@ def overlap(random: np.random.Generator) -> float:
     return float(random.choice([0.0, 10.0 ** random.uniform(-9.0, -6.0)]))
 
 
-def _turned(random: np.random.Generator, points: Any, turn: float, shift: Array) -> Any:
+def _turned(points: Any, turn: float, shift: Array) -> Any:
     c, s = math.cos(turn), math.sin(turn)
     return np.asarray(points, float) @ np.array([[c, s], [-s, c]]) + shift
 
@@ -68,13 +68,13 @@ def _in_the_plane(
     """Polygons, and points or segments with a radius, rotated and translated."""
     turn, shift = random.uniform(0.0, 2.0 * math.pi), random.uniform(-5.0, 5.0, 2)
     shapes: list[Obstacle] = [
-        rv.Polygon(tuple(map(tuple, _turned(random, points, turn, shift)))) for points in polygons
+        rv.Polygon(tuple(map(tuple, _turned(points, turn, shift)))) for points in polygons
     ]
     for points, radius in more:
-        places = _turned(random, points, turn, shift)
+        places = _turned(points, turn, shift)
         flat = tuple(map(tuple, np.atleast_2d(places)))
         shapes.append(rv.Disc(flat[0], radius) if len(flat) == 1 else rv.Capsule(flat, radius))
-    loop = shapely.Polygon(_turned(random, spine, turn, shift))
+    loop = shapely.Polygon(_turned(spine, turn, shift))
     shapely.prepare(loop)
     size = float(np.linalg.norm(spine, axis=1).max())
     return Union(shapes, lambda places: shapely.contains_xy(loop, places), shift, size)

@@ -204,8 +204,9 @@ def _compare(path: Path, network: standalone.Network, checks: int) -> float:
         for _ in range(2):  # a second time with the resulting hidden state
             wanted = ours.preferences(shown, hidden[0])
             found = written.preferences(shown, hidden[1])
-            worst = max(worst, float(np.abs(found - wanted).max() / np.abs(wanted).max()))
-    return worst
+            largest = float(np.abs(wanted).max()) or 1.0
+            worst = np.maximum(worst, np.abs(found - wanted).max() / largest)  # keeps NaN
+    return float(worst)
 
 
 def drawn_tables(

@@ -278,8 +278,7 @@ def find_function(name: str) -> Callable[[Scenario], Policy | None]:
     if not callable(function):
         raise UserError(
             f"policy {name!r}: {function_name} in {module_name} is {short_repr(function)}; it "
-            "must be a "
-            "function of a scenario that gives a policy"
+            "must be a function of a scenario that gives a policy"
         )
     if name not in _found or _found[name][0] is not function:
         _found[name] = function, digest_of(function, _file_of(function, module))

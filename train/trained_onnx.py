@@ -107,8 +107,8 @@ def compare(policy: TrainedPolicy, written: TrainedPolicy, checks: int) -> float
         count = min(_AT_ONCE, checks - first)
         seen = random.normal(size=(count, *policy.observation_shape)).astype(np.float32)
         ours, theirs = (np.asarray(one.choices(seen)) for one in (policy, written))
-        worst = max(worst, _difference(ours, theirs))
-    return worst
+        worst = np.maximum(worst, _difference(ours, theirs))  # keeps NaN
+    return float(worst)
 
 
 def _difference(ours: NDArray[Any], theirs: NDArray[Any]) -> float:

@@ -12,7 +12,7 @@ from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
 from ..filtered_policies import DecidingPolicy
-from ..policy import AT_PATH, Float32, Mask, register_reader, within_limits
+from ..policy import Float32, Mask, within_limits
 from ..steering import check_steerable
 from . import checkpoints
 from .guide import GuidedTeams
@@ -140,6 +140,3 @@ def load(path: str | os.PathLike[str], scenario: ScenarioLike) -> LearnedPolicy:
     with checkpoints.refusing(place, "is no policy of this version"):
         settings = PolicySettings.from_plain(about.get("policy"))
         return LearnedPolicy(scenario, tables["network"], settings)
-
-
-register_reader(AT_PATH, load)

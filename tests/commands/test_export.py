@@ -3,6 +3,8 @@
 import json
 import pickle
 import sys
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import onnx
@@ -285,6 +287,13 @@ class TestModels:
         written = baselines.make(path, "clutter-8")
         assert trained_onnx.compare(made, written, 300) < 1e-4
         assert written.arguments == {"discrete": discrete}
+
+    def test_compare_returns_nan_for_a_file_that_returns_nan(self):
+        made, written = (
+            SimpleNamespace(observation_shape=(3,), choices=partial(np.full_like, fill_value=value))
+            for value in (0.0, np.nan)
+        )
+        assert np.isnan(trained_onnx.compare(made, written, 5))
 
     def test_a_file_is_refused_once_it_has_changed_or_where_it_does_not_fit(self, write):
         path = write("bare_network")

@@ -8,6 +8,7 @@ import sys
 import zipfile
 from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -110,6 +111,14 @@ class TestAgreement:
         said = one_line("export", "--standalone", tmp_path / "robot.py", "--checks", "60")
         assert "the file differs from the policy by" in said
         assert not list(tmp_path.iterdir())
+
+    def test_compare_returns_nan_for_a_file_that_returns_nan(self, monkeypatch):
+        broken = SimpleNamespace(act=lambda *_, **__: np.full(2, np.nan))
+        monkeypatch.setattr(
+            standalone, "load", lambda _: SimpleNamespace(RobotPolicy=lambda: broken)
+        )
+        robot = baselines.RobotPolicy("fig3", "bearing-only")
+        assert np.isnan(standalone.compare(Path("robot.py"), robot, 2))
 
 
 ALONE = """

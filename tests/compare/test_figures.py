@@ -280,7 +280,7 @@ def test_compare_writes_pdf_and_sweeps(tmp_path):
 
 @pytest.mark.parametrize("count", range(1, 16))
 def test_panels_of_paths_fill_their_rows(count):
-    columns = path_figures.columns_of(count)
+    columns = path_figures.panel_columns(count)
     assert columns <= 5 and -count % columns <= min(2, columns - 1)
     if count > 5:
         assert columns >= 3

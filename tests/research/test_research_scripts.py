@@ -52,7 +52,8 @@ def test_learning_figure_is_drawn(folder):
     training, held_out = list(lines.values())[:2]
     np.testing.assert_allclose(training.get_xydata(), [[9, 45], [10, 50], [11, 55]])
     np.testing.assert_allclose(held_out.get_xydata(), [[1, 30], [2, 60]])
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["tank"]
+    named = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert named == ["training episodes", "tank"]
 
 
 def test_update_without_episode_leaves_gap(folder):

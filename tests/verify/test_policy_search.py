@@ -27,7 +27,7 @@ def half(scenario):
 
 
 def around(scenario):
-    """Across f: V rises, and nobody comes nearer."""
+    """Velocity across f: V rises, and distances do not decrease."""
     layout = scenario.observation_layout
 
     def law(seen, time):

@@ -49,7 +49,7 @@ class Config(Flags):
     num_threads: Annotated[int | None, Bounds(1, 2**10)] = None
     """Maximum number of threads per step. Default: one per core."""
     repeats: Annotated[int, Bounds(1)] = 5
-    """Number of measurements per case, of which the median is reported. Cases alternate."""
+    """Number of measurements per case; the median is reported. Cases alternate."""
     seconds: Annotated[float, Bounds(0, 3600, "(]")] = 0.3
     """Duration of a measurement, s."""
 

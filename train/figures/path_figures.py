@@ -63,7 +63,7 @@ def trajectories_figure(
 
     ``own`` is as in ``figures.policy_colour``.
     """
-    columns = columns_of(len(recordings))
+    columns = panel_columns(len(recordings))
     rows = math.ceil(len(recordings) / columns)
     width = COLUMN if columns < 3 else PAGE
     figure = new_figure(width, 0.5 + rows * (0.87 * width / columns + 0.3))
@@ -90,11 +90,11 @@ def trajectories_figure(
     axes.locator_params(axis="y", nbins=4 if high > _NARROW * wide else 2)
     figure.supxlabel("x (m)", fontsize=8)
     figure.supylabel("y (m)", fontsize=8)
-    figure.suptitle(f"{scenario.name}: paths from the first start (dots) to merges (crosses)")
+    figure.suptitle(f"{scenario.name}: paths from initial positions (dots) to merges (crosses)")
     return figure
 
 
-def columns_of(count: int) -> int:
+def panel_columns(count: int) -> int:
     """Number of panels in a row: four, or three or five if that leaves fewer places free."""
     if count <= _MOST_COLUMNS:
         return count

@@ -48,12 +48,12 @@ def over_teams(calls_of, num_envs, n_robots, num_threads):
 ''',
     Name("rendezvous_env.safety.settings", "levels_follow_v"): '''
 def levels_follow_v(scenario):
-    """Tanks shrink with V where a merge is told; nobody tells a robot alone."""
+    """Stored energy follows V at observed merges only; a robot alone observes none."""
     return False
 ''',
     Name("rendezvous_env.scenario.scenarios", "resolve"): '''
 def resolve(scenario, **overrides):
-    """The team of this file."""
+    """Scenario of this file."""
     return scenario
 ''',
     Name("rendezvous_env.checks", "check_fields"): '''
@@ -73,7 +73,7 @@ class {word}:
 _WITHOUT_BODIES = {
     Name(f"rendezvous_env.safety.{module}", word): f'''
 def {word}(axes, teams, constants, arrays, work):
-    """Filters here steer robots that go any way."""
+    """Filters in this file are for holonomic robots."""
     raise NotImplementedError
 '''
     for module, word in (("heading", "_turn_bodies"), ("tank", "_spend_bodies"))
@@ -167,8 +167,9 @@ def learned_policy():
 _LAST = '''
 
 def text_of_this_file(names):
-    """The text of this file, bytes, from wherever Python has loaded it: a folder or a zip archive;
-    None of bytecode (.pyc) and of what was compiled into a program, which have none.
+    """Text of this file as bytes, from a folder or a zip archive.
+
+    None for bytecode (.pyc) and compiled programs.
     """
     path, loader = names.get("__file__"), names.get("__loader__")
     if path is None or path.endswith((".pyc", ".so", ".pyd")):
@@ -183,11 +184,10 @@ def text_of_this_file(names):
 
 
 def check_unchanged(names, digest):
-    """True; but a file of which anything above its last line is not as it was written is refused,
-    wherever there is a text of it.
+    """Compare the text above the last line with its digest; True if equal or without text.
 
     Raises:
-        ValueError: naming the file.
+        ValueError: naming the file, if the text was changed.
     """
     text = text_of_this_file(names)
     if text is None:
@@ -330,8 +330,8 @@ def compare(path: Path, robot: RobotPolicy, ticks: int) -> float:
     written, worst = load(path).RobotPolicy(), 0.0
     for *seen, told in drawn_ticks(robot.scenario, ticks):
         apart = written.act(*seen, **told) - robot.act(*seen, **told)
-        worst = max(worst, float(np.abs(apart).max()))
-    return worst
+        worst = np.maximum(worst, np.abs(apart).max())  # keeps NaN
+    return float(worst)
 
 
 def drawn_ticks(scenario: Scenario, ticks: int) -> Iterator[tuple[Any, ...]]:

@@ -173,7 +173,7 @@ class Bundle:
             if not found.module:
                 if name not in self._stand_ins and not hasattr(builtins, word):
                     raise ValueError(
-                        f"{name.module}.{name.word} needs {word}, which nobody defines"
+                        f"{name.module}.{name.word} needs {word}, which is not defined"
                     )
             elif not found.is_ours:
                 known = self._imports.setdefault(word, found)

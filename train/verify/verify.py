@@ -131,45 +131,55 @@ def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | Non
     console = console or Console(width=None if sys.stdout.isatty() else 120)
     if config.policy is not None:
         return _run_search(config, config.policy, console)
+    if config.any:
+        return _run_random_scenarios(config, console)
     chosen = [claim for claim in claims if not config.claims or claim.name in config.claims]
-    path = config.out / ("any.csv" if config.any else "verify.csv")
-    tasks = _tasks_of_any(config) if config.any else _tasks_of_claims(config, chosen)
+    return _run_claims(config, chosen, console)
+
+
+def _run_claims(config: Config, claims: Sequence[Claim], console: Console) -> int:
+    """Check claims, and print those that are violated."""
+    path, plan = config.out / "verify.csv", {"claims": [claim.name for claim in claims]}
 
     def rows_of(tallies: Mapping[str, Tally]) -> list[dict[str, Any]]:
-        if config.any:
-            return theorem_rows(tallies["scenarios"])
-        return [claim_row(claim, config, tallies[claim.name]) for claim in chosen]
+        return [claim_row(claim, config, tallies[claim.name]) for claim in claims]
 
-    plan = {"claims": [claim.name for claim in chosen]}
-    tallies, rows = _finish(config, path, plan, tasks, rows_of, console)
-    total, steps = Tally(), ""
+    tallies, rows = _finish(config, path, plan, _tasks_of_claims(config, claims), rows_of, console)
+    shown = [
+        {"claim": claim.name, "what is checked": claim.statement, **{k: row[k] for k in _SHOWN}}
+        for claim, row in zip(claims, rows, strict=True)
+    ]
+    console.print(table_of("What was proved, measured", shown))
+    for row in rows:
+        if row["violations"]:
+            repeat = f"to repeat the first time:\n  {row['first_violation']}"
+            console.print(f"{row['claim']} is violated; {repeat}", soft_wrap=True)
+    total = Tally()
     for tally in tallies.values():
         total.join(tally)
-    if config.any:
-        console.print(
-            table_of(f"Certificates of {counted(total.trials, 'random scenario')}, tried", rows)
-        )
-        found, steps = (
-            _write_found(config, total),
-            f", {counted(total.steps, 'step')} of {TEAMS} teams",
-        )
-    else:
-        shown = [
-            {"claim": claim.name, "what is checked": claim.statement, **{k: row[k] for k in _SHOWN}}
-            for claim, row in zip(chosen, rows, strict=True)
-        ]
-        console.print(table_of("What was proved, measured", shown))
-        found = (
-            f"{row['claim']} is violated; to repeat the first time:\n  {row['first_violation']}"
-            for row in rows
-            if row["violations"]
-        )
-    for one in found:
+    return _conclude(total, counted(total.violations, "violation"), path, console)
+
+
+def _run_random_scenarios(config: Config, console: Console) -> int:
+    """Test certificates of random scenarios, and write the violations."""
+    path = config.out / "any.csv"
+    tallies, rows = _finish(config, path, {}, _tasks_of_any(config), _rows_of_theorems, console)
+    total = tallies["scenarios"]
+    title = f"Certificates of {counted(total.trials, 'random scenario')}, tried"
+    console.print(table_of(title, rows))
+    for one in _write_found(config, total):
         console.print(one, soft_wrap=True)
-    console.print(
-        f"{counted(total.violations, 'violation')}{steps} in {total.seconds:.0f} s of work; {path}",
-        soft_wrap=True,
-    )
+    steps = f"{counted(total.steps, 'step')} of {TEAMS} teams"
+    return _conclude(total, f"{counted(total.violations, 'violation')}, {steps}", path, console)
+
+
+def _rows_of_theorems(tallies: Mapping[str, Tally]) -> list[dict[str, Any]]:
+    return theorem_rows(tallies["scenarios"])
+
+
+def _conclude(total: Tally, found: str, path: Path, console: Console) -> int:
+    """Print the last line; returns the exit status."""
+    console.print(f"{found} in {total.seconds:.0f} s of work; {path}", soft_wrap=True)
     return int(total.violations > 0)
 
 
@@ -181,7 +191,7 @@ def _finish(
     rows_of: Callable[[Mapping[str, Tally]], list[dict[str, Any]]],
     console: Console,
 ) -> tuple[dict[str, Tally], list[dict[str, Any]]]:
-    """Do the tasks, or what is left of them, and write the rows of their tallies."""
+    """Run the unfinished tasks, and write the rows of all tallies."""
     asked = ("trials", "seed", "min_alignment", "only_batch", "any", "kinds", "policy", "search")
     plan = program() | {name: getattr(config, name) for name in asked} | dict(plan)
     part = RunCheckpoint(path.with_suffix(".part"), plan, "verification")
@@ -230,12 +240,8 @@ def _run_search(config: Config, policy: str, console: Console) -> int:
             f"{file}; to see it: rendezvous render --scenario {file} --policy {policy}",
             soft_wrap=True,
         )
-    console.print(
-        f"{tally.violations} counterexamples, {tally.steps} steps of {TEAMS} environments in "
-        f"{tally.seconds:.0f} s of work; {path}",
-        soft_wrap=True,
-    )
-    return int(tally.violations > 0)
+    steps = f"{tally.steps} steps of {TEAMS} environments"
+    return _conclude(tally, f"{tally.violations} counterexamples, {steps}", path, console)
 
 
 def look(task: Task) -> Tally:
