@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import bools, check_int, format_limit
+from .checks import check_int, format_limit
 from .engine.batch_runner import (
     BatchController,
     BatchRunner,
@@ -17,7 +17,13 @@ from .engine.episodes import Episodes
 from .engine.memory import RENDEZVOUS, RUNNING
 from .engine.memory_layout import MemoryLayout, check_memory
 from .engine.state import State
-from .engine.state_checks import check_actions, check_entries, check_output, check_teams
+from .engine.state_checks import (
+    check_actions,
+    check_entries,
+    check_mask,
+    check_output,
+    check_teams,
+)
 from .limits import MAX_STEPS, MAX_TEAMS
 from .observation_fit import ObservationFit
 from .outcome import ELAPSED, LYAPUNOV, StepOutput
@@ -353,7 +359,7 @@ class Simulator(StateView):
     def _which(self, mask: NDArray[np.bool_] | None) -> NDArray[np.int64]:
         if mask is None:
             return np.arange(self.num_envs)
-        return np.flatnonzero(bools("mask", mask, (self.num_envs,), "teams"))
+        return np.flatnonzero(check_mask(mask, self.num_envs))
 
     @property
     def clearance(self) -> NDArray[np.float64]:

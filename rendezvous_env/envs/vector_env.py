@@ -201,7 +201,7 @@ class RendezvousVectorEnv(
         count: int,
         show: ObservationCallback | None = None,
     ) -> RolloutResult:
-        """As ``advance``, ``count`` times; arguments as ``Simulator.drive``."""
+        """As ``advance``, ``count`` times; arguments as ``Simulator.step_n``."""
         driven = self.simulator.step_n(pilot, observations, count, show)
         self.outcome = driven.output
         return driven

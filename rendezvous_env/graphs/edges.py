@@ -71,6 +71,19 @@ def load_links(links, block, lane, n, first, second, weights):
 
 
 @inner_kernel
+def list_pairs(links, block, n, first, second, weights):
+    """``load_links`` for all lanes of a block: of DENSE links all pairs, linked or not.
+
+    Returns their number; weights of DENSE links are not written.
+    """
+    if links.form == DENSE:
+        for e in range(links.first.shape[1]):
+            first[e], second[e] = links.first[0, e], links.second[0, e]
+        return links.first.shape[1]
+    return load_links(links, block, 0, n, first, second, weights)
+
+
+@inner_kernel
 def store_links(links, block, lane, n, first, second, weights, count):
     """Store the first ``count`` links of three arrays; those of weight 0 are dropped.
 

@@ -327,7 +327,7 @@ class SafetyFilter(StatefulMixin):
     @cached_property
     def supports_multi_step(self) -> bool:
         """True if ``apply``, ``compute``, ``observe`` and ``update`` are those above, so that a
-        thread can take its slice through many steps without waiting (``Simulator.drive``).
+        thread can take its slice through many steps without waiting (``Simulator.step_n``).
         """
         own, names = type(self), ("apply", "compute", "observe", "update")
         return all(getattr(own, name) is getattr(SafetyFilter, name) for name in names)

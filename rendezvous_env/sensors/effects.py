@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import inner_kernel
-from ..physics.vectors import dot, norm, subtract, to_local, triple
+from ..physics.vectors import add, combine, cross, dot, norm, subtract, to_local, triple
 from .sensing import Sensing
 
 _TO_UNIT_INTERVAL = np.float32(2.0**-24)
@@ -97,15 +97,15 @@ def share_in_view(offset, frame, half_field, falloff):
     """By what the edge of the field of view multiplies the probability of detection: the angle to
     the edge over the width of the border, from 0 to 1.
     """
-    x, y, z = triple(to_local(_short(frame), _short(offset)))
+    x, y, z = triple(to_local(as_float32(frame), as_float32(offset)))
     angle = _angle(x, np.float32(math.sqrt(y * y + z * z)))
     share = (np.float32(half_field) - angle) / np.float32(falloff)
     return min(max(share, _ZERO), _ONE)
 
 
 @inner_kernel(inline="code")
-def _short(v):
-    """A vector or a frame in float32, of which a register holds twice as many."""
+def as_float32(v):
+    """A pair, triple or frame in float32; a register holds twice as many of these numbers."""
     if len(v) == 2:
         return np.float32(v[0]), np.float32(v[1])
     first = np.float32(v[0]), np.float32(v[1]), np.float32(v[2])
@@ -150,9 +150,4 @@ def turned_about(row, turn):
     if len(row) == 2:
         return c * row[0] - s * row[1], s * row[0] + c * row[1]
     axis = (turn[2], turn[3], turn[4])
-    along = dot(axis, row) * (_ONE - c)
-    return (
-        c * row[0] + s * (axis[1] * row[2] - axis[2] * row[1]) + along * axis[0],
-        c * row[1] + s * (axis[2] * row[0] - axis[0] * row[2]) + along * axis[1],
-        c * row[2] + s * (axis[0] * row[1] - axis[1] * row[0]) + along * axis[2],
-    )
+    return add(combine(c, row, s, cross(axis, row)), dot(axis, row) * (_ONE - c), axis)

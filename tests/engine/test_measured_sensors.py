@@ -48,7 +48,7 @@ def distances(sim: rv.Simulator) -> np.ndarray:
 
 
 def seen(sim: rv.Simulator) -> np.ndarray:
-    """Whom each robot sees, (B, n, n)."""
+    """True where robot i sees robot j, (B, n, n)."""
     return by_robot(neighbours(sim)).any(axis=-1)
 
 

@@ -7,18 +7,18 @@ import math
 import numpy as np
 
 from ...compilation import inner_kernel, kernel
-from ...graphs.edges import DENSE, edge_weight, load_links, pair_index
-from ...physics.random_streams import SENSING, stream_key, word_of
+from ...graphs.edges import edge_weight, list_pairs, pair_index
+from ...physics.random_streams import word_of
 from ...physics.vectors import norm, scaled, subtract, to_local
-from ...sensors.chance import cosine_and_sine, gaussian, is_small, step_key, turned_by_angle
-from ...sensors.effects import distance_of, share_in_view, turned_about, unit_number
-from ..memory import lane_count, load_fields, read_row, sensed_step, write_row
-from .apply_noise import DRAWS, draw_turns, halve, keep, turn_row
-from .remember import DETECTED, DRIFTED, OBSERVER, OUTLIER, is_due, part_keys
+from ...sensors.chance import cosine_and_sine, gaussian, is_small, turned_by_angle
+from ...sensors.effects import as_float32, distance_of, share_in_view, turned_about, unit_number
+from ..memory import lane_count, load_fields, read_row, write_row
+from .apply_noise import DRAWS, draw_turns, halve, highest_word, keep, sensing_keys, turn_row
+from .remember import DETECTED, DRIFTED, OBSERVER, OUTLIER, is_due, parities, part_keys
 
 _DETECTS, _TURNS, _REPLACES = range(3)
 """What is done to a row, in this order."""
-_UPPER_HALF, _WORDS = np.uint64(32), 2.0**32
+_UPPER_HALF = np.uint64(32)
 _ZERO, _ONE, _TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 _HALF_SQUARE = np.float32(math.sqrt(0.5))
 _WHOLE_TURN = np.float32(2.0 * math.pi)
@@ -63,12 +63,7 @@ def apply_effects(
     for block in range(first, last):
         if not is_due(width, moves, samples_per_step, environments[block]):
             continue
-        found = links.first.shape[1]
-        if links.form == DENSE:
-            for e in range(found):
-                listed[0, e], listed[1, e] = links.first[0, e], links.second[0, e]
-        else:
-            found = load_links(links, block, 0, n, listed[0], listed[1], weights)
+        found = list_pairs(links, block, n, listed[0], listed[1], weights)
         for purpose in range(3):
             if not _is_called_for(effects, purpose):
                 continue
@@ -123,19 +118,15 @@ def _is_called_for(effects, purpose):
 @inner_kernel
 def _begin(width, block, moves, purpose, effects, streams, keys, words):
     """The keys of what is drawn for a purpose, of white noise those of ``apply_noise``; and to
-    words[2, 0] whether the step is an odd one, where a memory keeps its numbers.
+    words[2] the ``parities`` of the step, where a memory keeps its numbers.
     """
-    lanes, (seeds, episodes, environment) = lane_count(width), streams
+    seeds, episodes, environment = streams
     if purpose == _TURNS and not effects.drifts:
-        for lane in range(min(lanes, len(seeds) - block * lanes)):
-            key = stream_key(seeds[block * lanes + lane], episodes[block * lanes + lane], SENSING)
-            keys[0, lane] = key
-            keys[1, lane] = step_key(key, sensed_step(environment, lane, lanes, moves))
+        sensing_keys(width, block, moves, seeds, episodes, environment, keys)
     else:
         part = DETECTED if purpose == _DETECTS else DRIFTED if purpose == _TURNS else OUTLIER
         part_keys(width, block, moves, part, seeds, episodes, environment, keys)
-    for lane in range(lanes):
-        words[2, 0, lane] = np.uint32(sensed_step(environment, lane, lanes, moves) & 1)
+    parities(width, moves, environment, words[2])
 
 
 @inner_kernel
@@ -221,7 +212,7 @@ def _turn_by(width, axes, level, small, kept, keys, odd, row):
 def _replace(width, axes, entries, effects, pair, team, keys, words, row):
     """Replace a row by an outlier as long as it, in the lanes in which one is drawn."""
     lanes, (i, j, number), (block, merged_into, robots) = lane_count(width), pair, team
-    highest, lowest = np.uint32(math.ceil(effects.outliers * _WORDS) - 1), words[0]
+    highest, lowest = highest_word(effects.outliers), words[0]
     for lane in range(lanes):
         lowest = min(lowest, words[lane])
     if lowest > highest:
@@ -250,14 +241,7 @@ def _see_instead(axes, entries, robot, other, length, lane, lanes, row):
     if distance > 0.0:
         frame = load_fields(robot, len(axes), lane, lanes, entries)
         bearing = scaled(to_local(frame, subtract(there, here)), np.float64(length) / distance)
-        write_row(_as_float32(bearing), row, lane)
-
-
-@inner_kernel(inline="code")
-def _as_float32(v):
-    if len(v) == 2:
-        return np.float32(v[0]), np.float32(v[1])
-    return np.float32(v[0]), np.float32(v[1]), np.float32(v[2])
+        write_row(as_float32(bearing), row, lane)
 
 
 @inner_kernel

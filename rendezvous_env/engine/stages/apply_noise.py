@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from ...compilation import inner_kernel, kernel
-from ...graphs.edges import DENSE, edge_weight, load_links, pair_index
+from ...graphs.edges import edge_weight, list_pairs, pair_index
 from ...physics.random_streams import SENSING, stream_key, word_of
 from ...physics.vectors import dot, exactly, norm, subtract, to_local
 from ...sensors.chance import is_small, step_key, turned_by_chance
@@ -60,13 +60,8 @@ def apply_noise(
     """
     n = robots.shape[1]
     for block in range(first, last):
-        _begin(width, block, moves, seeds, episodes, environments[block], keys)
-        found = links.first.shape[1]
-        if links.form == DENSE:
-            for e in range(found):
-                listed[0, e], listed[1, e] = links.first[0, e], links.second[0, e]
-        else:
-            found = load_links(links, block, 0, n, listed[0], listed[1], weights)
+        sensing_keys(width, block, moves, seeds, episodes, environments[block], keys)
+        found = list_pairs(links, block, n, listed[0], listed[1], weights)
         counts[:] = 0
         for e in range(found):
             first_robot, second_robot = listed[0, e], listed[1, e]
@@ -85,8 +80,8 @@ def apply_noise(
 
 
 @inner_kernel
-def _begin(width, block, moves, seeds, episodes, environment, keys):
-    """Keys of the sensing streams."""
+def sensing_keys(width, block, moves, seeds, episodes, environment, keys):
+    """Keys of the sensing streams: of the episode, and of the step."""
     lanes = lane_count(width)
     for lane in range(min(lanes, len(seeds) - block * lanes)):
         key = stream_key(seeds[block * lanes + lane], episodes[block * lanes + lane], SENSING)
@@ -204,9 +199,15 @@ def _none_at_edge(width, axes, entries, half_field, robot, other):
 @inner_kernel(inline="code")
 def _miss(width, axes, chance, words, row):
     """Drop a row in the lanes with the lowest words."""
-    highest = np.uint32(math.ceil(chance * _WORDS) - 1)
+    highest = highest_word(chance)
     for lane in range(lane_count(width)):
         keep(words[lane] > highest, axes, row, lane)
+
+
+@inner_kernel(inline="code")
+def highest_word(chance):
+    """Highest of the 32-bit words that occur with this probability, > 0, from zero on."""
+    return np.uint32(math.ceil(chance * _WORDS) - 1)
 
 
 @inner_kernel(inline="code")
@@ -243,7 +244,7 @@ def apply_noise_to_silhouettes(
     turns = errors.bias > 0.0 or errors.noise > 0.0
     for block in range(first, last):
         count = min(lanes, len(seeds) - block * lanes)
-        _begin(width, block, moves, seeds, episodes, environments[block], keys)
+        sensing_keys(width, block, moves, seeds, episodes, environments[block], keys)
         for i in range(n):
             for m in range(slots):
                 seen = rows[block - first, i, own + m * points : own + (m + 1) * points]

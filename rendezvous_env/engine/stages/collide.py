@@ -64,10 +64,8 @@ def stop_at_obstacles(
                     point = load_point(robots[block, i], 0, lane, lanes, d)
                     way = load_point(moves[block - first, i], 0, lane, lanes, d)
                     met, executed = move_straight(point, way, world, mode, normals)
-                    _execute(met, executed, moves[block - first, i], lane, lanes, d)
-                    if met:
-                        contact[b, i] = True
-                        environments[block, STEP_CONTACTS * lanes + lane] += 1.0
+                    move, environment = moves[block - first, i], environments[block]
+                    _execute(met, executed, i, lane, lanes, d, move, environment, contact[b])
 
 
 @kernel
@@ -107,10 +105,8 @@ def stop_curves_at_obstacles(
                         mode,
                         normals,
                     )
-                    _execute(met, executed, move, lane, lanes, d)
-                    if met:
-                        contact[b, i] = True
-                        environments[block, STEP_CONTACTS * lanes + lane] += 1.0
+                    environment = environments[block]
+                    _execute(met, executed, i, lane, lanes, d, move, environment, contact[b])
 
 
 @inner_kernel
@@ -123,15 +119,17 @@ def _lanes_near(block, lanes, batch, environment):
 
 
 @inner_kernel
-def _execute(met, executed, move, lane, lanes, d):
-    """Write a displacement, a triple, and after a contact its length.
+def _execute(met, executed, i, lane, lanes, d, move, environment, contact):
+    """Write the displacement of robot i, a triple; after a contact its length, and the contact.
 
-    That is the length of the chord, since the path along a surface is not stored.
+    The length is that of the chord, since the path along a surface is not stored.
     """
     for k in range(d):
         move[k * lanes + lane] = executed[k]
     if met:
         move[d * lanes + lane] = norm(executed)
+        contact[i] = True
+        environment[STEP_CONTACTS * lanes + lane] += 1.0
 
 
 @kernel
