@@ -5,6 +5,7 @@ in place of ``math``, is the same function of arrays of one shape. Kernels that 
 have a second form, which selects; ``replaces`` registers it, and a test compares the two.
 """
 
+import builtins
 import inspect
 import math
 from collections.abc import Callable
@@ -14,24 +15,25 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..physics.crossings import first_crossing
 from ..physics.potential import bearing_factor
-from ..physics.vectors import combine, dot, split, split_across
+from ..physics.vectors import combine, dot, split, split_across, without
 from ..rewards.terms import CLEARANCE_PENALTY, team_reward
-from ..robots.double_integrator import mean_speed
+from ..robots.double_integrator import _NEARLY_STEADY, mean_speed
 from ..robots.motion import displacement_at, motion_of
 from ..robots.single_integrator import limit_factor
 from ..robots.unicycle import mean_cos_sin
-from ..safety.heading import into_cap
+from ..safety.heading import _NEARLY_PARALLEL, into_cap
 
 Array = jax.Array
 _SELECTING: dict[Any, Callable[..., Any]] = {}
 
 
 def square_root(x: Any) -> Any:
-    """√x, and 0 with a derivative of 0 for x ≤ 0, so that gradients stay finite."""
-    positive = x > 0.0
+    """√x, and 0 with a derivative of 0 for x ≤ 0, so that gradients stay finite; NaN of NaN."""
+    positive = jnp.logical_not(x <= 0.0)  # also of NaN, which is not 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
 
 
@@ -63,7 +65,7 @@ def array_form(kernel: Any) -> Callable[..., Any]:
     if kernel in _SELECTING:
         return _SELECTING[kernel]
     plain = getattr(kernel, "py_func", kernel)
-    scope = {name: value for name, value in vars(__import__("builtins")).items()} | _BUILT_IN
+    scope = vars(builtins) | _BUILT_IN
     for name in plain.__code__.co_names:
         if name in plain.__globals__:
             scope[name] = _array_value(plain.__globals__[name])
@@ -73,9 +75,11 @@ def array_form(kernel: Any) -> Callable[..., Any]:
 
 
 def _array_value(value: Any) -> Any:
-    """What stands for a global of a kernel."""
+    """The counterpart over arrays of a global of a kernel."""
     if value is math:
         return _MATH
+    if value is np:
+        return jnp
     plain = getattr(value, "py_func", value)
     ours = inspect.isfunction(plain) and plain.__module__.startswith(__package__.split(".")[0])
     return array_form(value) if ours else value
@@ -116,7 +120,7 @@ def _mean_speed(before: Any, after: Any) -> Any:
     start, end = _norm(before), _norm(after)
     change = tuple(b - a for a, b in zip(before, after, strict=True))
     size = _norm(change)
-    steady = size <= 1e-3 * jnp.maximum(start, end)
+    steady = size <= _NEARLY_STEADY * jnp.maximum(start, end)
     middle = 0.5 * _norm(tuple(a + b for a, b in zip(before, after, strict=True)))
     simpson = (start + 4.0 * middle + end) / 6.0
     size = jnp.where(steady, 1.0, size)
@@ -146,8 +150,7 @@ def _split_across(a: Any, h: Any) -> Any:
         to_left = h[0] * a[1] - h[1] * a[0]
         side = jnp.where(to_left >= 0.0, 1.0, -1.0)
         return jnp.abs(to_left), (-side * h[1], side * h[0])
-    once = array_form(combine)(1.0, a, -array_form(dot)(a, h), h)
-    return _split(array_form(combine)(1.0, once, -array_form(dot)(once, h), h))
+    return _split(array_form(without)(a, h))
 
 
 @replaces(into_cap)
@@ -155,7 +158,7 @@ def _into_cap(direction: Any, towards: Any, margin: Any, otherwise: Any) -> Any:
     size, across = _split_across(direction, towards)
     edge = array_form(combine)(margin, towards, square_root(1.0 - margin * margin), across)
     inside = array_form(dot)(direction, towards) >= margin
-    return select(inside, direction, select(size < 1e-9, otherwise, edge))
+    return select(inside, direction, select(size < _NEARLY_PARALLEL, otherwise, edge))
 
 
 @replaces(first_crossing)
@@ -182,5 +185,5 @@ def _team_reward(
 
 
 def select(condition: Any, a: Any, b: Any) -> Any:
-    """Of two tuples the first where a condition holds, else the second."""
+    """The first of two tuples where a condition holds, else the second."""
     return tuple(jnp.where(condition, p, q) for p, q in zip(a, b, strict=True))

@@ -10,7 +10,7 @@ from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from ..checks import check_int, choice, flag
+from ..checks import check_int, check_shape, choice, flag, raise_invalid, short_repr
 from ..engine.memory import RENDEZVOUS, RUNNING, TIME_OUT
 from ..envs.guarantee import settings_of
 from ..envs.gymnasium_env import _autoreset_mode
@@ -26,7 +26,7 @@ from ..scenario.scenario import Scenario
 from ..scenario.scenarios import ScenarioLike, resolve
 from ..scenario.start_options import seeds_of_environments
 from .array_form import Array, array_form, quotient
-from .coverage import REMEDY, check_covered
+from .coverage import check_covered, raise_not_covered
 from .heading import Heading
 from .merging import Merging, Moving
 from .sensing import sense
@@ -36,41 +36,42 @@ from .starts import Starts
 Info = dict[str, Array]
 
 _ROUNDING = 1.0 + 1e-6  # of float32
+_LONGEST = 1e15  # action whose square float32 can represent, beyond every limit
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class State:
-    """State of a team, or of B teams, which then stand last in every array."""
+    """State of one environment, or of B, along the last axis of every array."""
 
     positions: Array
-    """p_i, (n, d), m; a merged-away robot's stays where it merged."""
+    """p_i, (n, d), m; of a merged robot, where it merged."""
     frames: Array
     """R_i, local → global, (n, d·d), row by row; (n, 0) for robots with angles."""
     memory: Array
     """Angles, rad, or velocity, m/s, (n, k)."""
     weights: Array
-    """a_ij, (n, n), m/s, as merging has left them."""
+    """a_ij after merges, (n, n), m/s."""
     merged_into: Array
-    """(n,), the robot that each one is now part of; itself while it is active."""
+    """(n,), index of the surviving agent of each robot; its own while it is active."""
     seed: Array
     """(2,) uint32, the upper and lower half of the seed."""
     episode: Array
-    """Number of the episode of this seed."""
+    """Number of the episode of this seed, from 0."""
     status: Array
     """0 running, 1 rendezvous, 2 time limit."""
     steps: Array
     """Steps done in this episode."""
     path_length: Array
-    """Way of all robots together, m."""
+    """Sum of the path lengths of all robots, m."""
     lyapunov: Array
     """V, m²/s."""
     initial_lyapunov: Array
     """V at the start of the episode, m²/s."""
     closest: Array
-    """Least square distance of neighbours, m²."""
+    """Smallest squared distance of neighbours, m²."""
     guarantee: Any
-    """Memory of the filter; () without one."""
+    """State of the filter; () without one."""
 
     def replace(self, **changes: Any) -> "State":
         """A copy with some arrays changed."""
@@ -99,6 +100,7 @@ class RendezvousJaxEnv:
         self.single_action_space: Space[Any] = team_box(
             action_box(scenario) if safety_filter is None else choice_box(safety_filter), n
         )
+        self._action_shape = self.action_space.shape
         self._filter = None if safety_filter is None else Heading(safety_filter)
         self._batch: tuple[int, ...] = () if num_envs is None else (num_envs,)
         self._dtype = jnp.result_type(float)
@@ -132,13 +134,14 @@ class RendezvousJaxEnv:
 
         Args:
             seed: an integer s, for s + i in environment i, or a sequence of B. Initial conditions
-                are then those of the engine. A JAX key samples a seed for each environment.
+                are then those of the engine. A JAX key samples a seed for each environment; a JAX
+                array of two uint32 is always a key.
 
         Returns:
             Observations (n, rows, d), or (B, n, rows, d), and the state.
 
         Raises:
-            ValueError: for another seed, as elsewhere.
+            ValueError: for an invalid seed.
         """
         return self._begin(self._words(seed))
 
@@ -148,12 +151,12 @@ class RendezvousJaxEnv:
             or (seed.dtype == jnp.uint32 and seed.shape == (2,))
         ):
             return jax.random.bits(seed, (2, *self._batch), jnp.uint32)
-        teams = 1 if self.num_envs is None else self.num_envs
-        seeds = np.array(
-            seeds_of_environments(np.asarray(seed) if isinstance(seed, jax.Array) else seed, teams),
-            np.uint64,
-        )
-        words = np.stack([seeds >> np.uint64(32), seeds & np.uint64(0xFFFFFFFF)])
+        given = np.asarray(seed) if isinstance(seed, jax.Array) else seed
+        seeds = seeds_of_environments(given, self.num_envs or 1)
+        if seeds is None or None in seeds:  # an environment has no seed to keep, as in the engine
+            raise_invalid("seed", seed, "an integer, or one for each environment, or a JAX key")
+        numbers = np.array(seeds, np.uint64)
+        words = np.stack([numbers >> np.uint64(32), numbers & np.uint64(0xFFFFFFFF)])
         return jnp.asarray(words.astype(np.uint32).reshape(2, *self._batch))
 
     def step(
@@ -162,24 +165,33 @@ class RendezvousJaxEnv:
         """Advance by one step τ.
 
         Args:
-            key: not used; here so that the signature is that of gymnax.
+            key: unused; the signature is that of gymnax.
             state: of ``reset`` or ``step``.
-            action: (n, a), or (B, n, a); what merged-away robots are given is ignored.
+            action: (n, a), or (B, n, a); actions of merged robots are ignored.
 
         Returns:
-            Observations, state, reward of the team, whether all have met, whether the time limit
-            ended the episode, and infos: ``robot_rewards``, ``active`` and ``merged_into`` (n,);
+            Observations, state, team reward, termination (rendezvous), truncation (time limit),
+            and infos: ``robot_rewards``, ``active`` and ``merged_into`` (n,);
             ``success``, ``time`` (s), ``path_length`` (m) and ``lyapunov`` (m²/s) at the end of the
             step, before an autoreset; and with ``final_obs`` the observations with which an episode
             ended, zero where none did.
 
         Raises:
-            ValueError: for an action of another shape.
+            ValueError: for an action of another shape, or not of real numbers.
         """
-        action, wanted = jnp.asarray(action), self.action_space.shape
-        if action.shape != wanted:
-            raise ValueError(f"action has shape {action.shape}; it must be {wanted}")
-        return self._go(state, action)
+        return self._go(state, self._checked(action))
+
+    def _checked(self, action: Any) -> Array:
+        try:
+            array = jnp.asarray(action)
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"action is {short_repr(action)}; it must be an array of numbers"
+            ) from error
+        if jnp.issubdtype(array.dtype, jnp.complexfloating):
+            raise_invalid("action", array.dtype, "real numbers")
+        check_shape("action", array, self._action_shape)
+        return array
 
     def _begin_all(self, seed: Array) -> tuple[Array, State]:
         zero = jnp.zeros(self._batch, jnp.int32)
@@ -207,7 +219,7 @@ class RendezvousJaxEnv:
         return self._filter.begin(n, d, self._batch, self._dtype)
 
     def _told(self, rows: Array) -> Array:
-        """Rows (n, rows, d, *batch) with the teams first."""
+        """Rows (n, rows, d, *batch) with the environment axis first."""
         return jnp.moveaxis(rows, -1, 0) if self._batch else rows
 
     def _step_all(
@@ -257,11 +269,23 @@ class RendezvousJaxEnv:
         shape = state.merged_into.shape  # an entry may be a constant
         return tuple(jnp.broadcast_to(jnp.asarray(entry, self._dtype), shape) for entry in frame)
 
+    def _rescaled(self, action: Array) -> Array:
+        """Shorten actions (n, a, *batch) whose square overflows float32, as limits do in float64.
+
+        Inputs of the filter, of which only the direction counts, are also lengthened.
+        """
+        if self._dtype != jnp.float32 or self.scenario.model.nonholonomic:
+            return action
+        largest = jnp.max(jnp.abs(action), axis=1, keepdims=True)
+        least = 0.0 if self._filter is None else 1.0 / _LONGEST
+        return action * quotient(jnp.clip(largest, least, _LONGEST), largest)
+
     def _move(self, state: State, action: Array, acting: Array) -> State:
         """Motion, merges and memory of the robots that act."""
         action = jnp.moveaxis(action, 0, -1) if self._batch else action
         action = action.astype(self._seen_as).astype(self._dtype)
         memory = state.guarantee
+        action = self._rescaled(action)
         if self._filter is not None:
             action, memory = self._filter.apply(action, memory)
             action = action.astype(self._seen_as).astype(self._dtype)
@@ -291,7 +315,7 @@ class RendezvousJaxEnv:
         )
 
     def _end(self, state: State, ended: Array) -> tuple[Array, State, Info]:
-        """Send teams that have ended on to their next episode; also V, and what they saw last."""
+        """Begin the next episode where one has ended; also return its final V and observations."""
         changing = "positions", "frames", "memory", "weights"
         team = {name: getattr(state, name) for name in changing}
         given = {"team": state, "episode": state.episode + 1}
@@ -324,7 +348,7 @@ class RendezvousJaxEnv:
         return last, state, {name: self._told(rows) for name, rows in seen.items()}
 
     def _look(self, state: State) -> tuple[Array, State]:
-        """What all robots see, (n, rows, d, *batch), and the state with V of it."""
+        """Observations of all robots, (n, rows, d, *batch), and the state with its V."""
         layout, n = self.scenario.observation_layout, self.scenario.n_robots
         frame = self._frames_of(state)
         frames = jnp.stack(frame, axis=1)
@@ -356,47 +380,45 @@ def make(
     final_obs: bool = False,
     **options: Any,
 ) -> RendezvousJaxEnv:
-    """A scenario as pure functions ``reset`` and ``step`` for ``jit``, ``vmap`` and ``grad``.
+    """Create an environment of pure functions ``reset`` and ``step``.
 
     Numbers are float64 where ``jax_enable_x64`` is set when this is called, else float32.
 
     Args:
-        scenario: as ``rendezvous_env.make_vec`` takes it.
-        guarantee: "heading" for the heading filter (theorem C), whose choices are the actions then;
-            None for none.
-        num_envs: B teams, which is faster than ``vmap`` over one; None for one team without an axis
-            for teams. In the arrays of the state teams stand last.
-        autoreset_mode: DISABLED, a team that has ended stands still; or SAME_STEP.
+        scenario: as for ``rendezvous_env.make_vec``.
+        guarantee: "heading" for the heading filter (theorem C); actions are then its inputs. None
+            for no filter.
+        num_envs: B environments, which is faster than ``vmap``; None for one without a batch axis.
+            In the arrays of the state the environment axis is last.
+        autoreset_mode: DISABLED, an environment that has ended stops; or SAME_STEP.
         differentiable: whether gradients pass through merges, in loops of fixed length, and
             actions and observations are not rounded to float32.
-        final_obs: whether infos hold the last observation of episodes that end.
+        final_obs: whether infos contain the last observation of episodes that end.
         **options: fields of the scenario to change, and settings of the filter.
 
     Raises:
-        NotImplementedError: naming what the JAX form does not cover.
+        NotImplementedError: naming a field that the JAX form does not cover.
         TypeError: for an unknown option, with the nearest known one.
-        ValueError: for an impossible value.
+        ValueError: for an invalid value.
     """
     if guarantee is not None:
         choice("guarantee", guarantee, FILTERS)
         if guarantee != "heading":
-            raise NotImplementedError(f"guarantee is {guarantee!r}: not covered by JAX; {REMEDY}")
+            raise_not_covered("guarantee", repr(guarantee))
     settings = [] if guarantee is None else settings_of(HeadingFilter)
     of_filter, fields = sorted_overrides(make, settings, options)
     resolved = resolve(scenario, **fields)
     check_covered(resolved)
     mode = _autoreset_mode(autoreset_mode)
     if mode is AutoresetMode.NEXT_STEP:
-        raise NotImplementedError(f"autoreset_mode is {mode}: not covered by JAX; {REMEDY}")
+        raise_not_covered("autoreset_mode", str(mode))
     if num_envs is not None:
         check_int("num_envs", num_envs, 1, MAX_TEAMS)
     safety_filter = None
     if guarantee is not None:
         if resolved.model.nonholonomic:
-            raise NotImplementedError(
-                f"guarantee is {guarantee!r} with robot_model {resolved.robot_model!r}: not "
-                f"covered by JAX; {REMEDY}"
-            )
+            model = resolved.robot_model
+            raise_not_covered("guarantee", f"{guarantee!r} with robot_model {model!r}")
         safety_filter = HeadingFilter(resolved, 1, **of_filter)
     return RendezvousJaxEnv(
         resolved,

@@ -1,6 +1,6 @@
 """The heading filter (theorem C) over arrays: ``safety.heading`` and ``safety.frames``.
 
-Arrays have the teams last. Vectors are tuples of arrays (n, *batch): all robots at once.
+Arrays have the environment axis last. Vectors are tuples of arrays (n, *batch): all robots at once.
 """
 
 from dataclasses import dataclass
@@ -8,12 +8,14 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from ..physics.vectors import combine, dot, split, split_across, without
+from ..physics.vectors import _VERTICAL, combine, cross, dot, split, split_across, without, x_axis
+from ..safety.frames import _CLEARLY_LONGER, _NEARLY_ALONG
 from ..safety.heading import (
     _NEARLY_ANTIPODAL,
     NO_CAP,
     HeadingFilter,
     into_cap,
+    scale_of_step,
     without_error,
 )
 from .array_form import Array, array_form, select, square_root
@@ -23,7 +25,7 @@ class Memory(NamedTuple):
     """State of the filter between steps."""
 
     headings: Array  # (n, d, *batch), in the robots' frames; zero if none yet
-    frames: Array  # (n, d, d, *batch), of what policies see; columns are axes
+    frames: Array  # (n, d, d, *batch), of observations; columns are axes
     net_bearing: Array  # (n, d, *batch), f of the last observation, m/s
     degree: Array  # (n, *batch), D of the last observation, m/s
 
@@ -34,7 +36,7 @@ def _without(a: Any, h: Any) -> Any:
 
 @dataclass(frozen=True)
 class Heading:
-    """The filter of single integrators, with the settings of one of the engine's."""
+    """The filter of single integrators, with the settings of an engine filter."""
 
     filter: HeadingFilter
 
@@ -43,14 +45,14 @@ class Heading:
         return self.filter._constants
 
     def begin(self, n: int, d: int, batch: tuple[int, ...], dtype: Any) -> Memory:
-        """Nothing kept."""
+        """State before the first observation: no headings, frames equal to the local ones."""
         identity = jnp.eye(d, dtype=dtype).reshape(d, d, *[1] * len(batch))
         zero = jnp.zeros((n, d, *batch), dtype)
         frames = jnp.broadcast_to(identity, (n, d, d, *batch))
         return Memory(zero, frames, zero, zero[:, 0])
 
     def observe(self, rows: Array, memory: Memory) -> tuple[Array, Memory]:
-        """Rows (n, rows, d, *batch), float32, as policies see them: x along f (theory 7)."""
+        """Rows (n, rows, d, *batch), float32, in the frame of the policy: x along f (theory 7)."""
         dtype = memory.net_bearing.dtype
         exact, slots = rows.astype(dtype), self._constants.robot.neighbour_slots
         seen = exact[:, :slots]
@@ -99,32 +101,30 @@ class Heading:
         along = array_form(dot)(h, f)
         sure = array_form(without_error)(along, robot.error_chord * memory.degree)
         if constants.speed_scaled:
-            stretch = 2.0 * robot.gate.duration * memory.degree
-            sure = sure * (robot.merge_radius / jnp.maximum(stretch, robot.merge_radius))
+            scale = array_form(scale_of_step)
+            sure = sure * scale(memory.degree, robot.merge_radius, robot.gate.duration)
         headings = jnp.stack(h, axis=1)
         return headings * sure[:, None], memory._replace(headings=headings)
 
 
 def _axes_in_space(rows: Array, towards: Any) -> Any:
     """``safety.frames._aim_in_space`` for all robots."""
-    longest = jnp.full_like(towards[0], 1e-6)
+    longest = jnp.full_like(towards[0], _NEARLY_ALONG)
     across = tuple(jnp.zeros_like(part) for part in towards)
     for k in range(rows.shape[1]):
         row = tuple(rows[:, k, axis] for axis in range(3))
         length, direction = array_form(split)(_without(row, towards))
-        longer = length > 1.001 * longest + 1e-6
+        longer = length > _CLEARLY_LONGER * longest + _NEARLY_ALONG
         longest, across = jnp.where(longer, length, longest), select(longer, direction, across)
     zero, one = jnp.zeros_like(longest), jnp.ones_like(longest)
     axis = select(jnp.abs(towards[0]) < 0.9, (one, zero, zero), (zero, one, zero))
     _, other = array_form(split)(_without(axis, towards))
-    across = select(longest == 1e-6, other, across)
-    a, b = towards, across
-    third = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-    return towards, across, third
+    across = select(longest == _NEARLY_ALONG, other, across)
+    return towards, across, array_form(cross)(towards, across)
 
 
 def turn_limit(max_turn: float) -> tuple[float, float, float]:
-    """``safety.heading.turn_limit`` as Python's own numbers."""
+    """``safety.heading.turn_limit`` as Python numbers."""
     from ..safety.heading import turn_limit as kernel
 
     cosine, sine, square = kernel(max_turn)
@@ -139,8 +139,7 @@ def certify(
     strength, towards = array_form(split)(f)
     margin = min_alignment * jnp.clip(strength / dead_zone - 1.0, 0.0, 1.0)
     lost = strength == 0.0
-    axis = tuple(jnp.full_like(strength, 1.0 if k == 0 else 0.0) for k in range(len(f)))
-    towards, margin = select(lost, axis, towards), jnp.where(lost, NO_CAP, margin)
+    towards, margin = select(lost, array_form(x_axis)(f), towards), jnp.where(lost, NO_CAP, margin)
     length, heading = array_form(split)(previous)
     flips = (margin != NO_CAP) & (product(heading, towards) < 0.0)
     heading = tuple(jnp.where(flips, -part, part) for part in heading)
@@ -168,4 +167,6 @@ def _perpendicular(h: Any) -> Any:
         return -h[1], h[0]
     level = (-h[1], h[0], jnp.zeros_like(h[0]))
     one, zero = jnp.ones_like(h[0]), jnp.zeros_like(h[0])
-    return select(h[0] * h[0] + h[1] * h[1] >= 1e-12, level, _without((one, zero, zero), h))
+    return select(
+        h[0] * h[0] + h[1] * h[1] >= _VERTICAL * _VERTICAL, level, _without((one, zero, zero), h)
+    )

@@ -1,6 +1,6 @@
 """Merging of robots that come within the merge radius, as ``graphs.merging`` does it.
 
-Arrays have the teams last: positions (n, d, *batch), weights (n, n, *batch), and so on.
+Arrays have the environment axis last: positions (n, d, *batch), weights (n, n, *batch), and so on.
 """
 
 from collections.abc import Callable
@@ -19,13 +19,13 @@ class Moving(NamedTuple):
 
     positions: Array  # (n, d, *batch), m
     displacements: Array  # (n, d, *batch), m
-    lengths: Array  # (n, *batch), of the ways, m
+    lengths: Array  # (n, *batch), of the paths, m
     weights: Array  # (n, n, *batch), a_ij, m/s
     merged_into: Array  # (n, *batch)
 
 
 class Merging:
-    """Swept merges of teams of n robots.
+    """Swept merges of environments of n robots.
 
     Args:
         n: number of robots.
@@ -39,14 +39,14 @@ class Merging:
         self._first, self._second = np.triu_indices(n, 1)
 
     def __call__(self, moving: Moving) -> Moving:
-        """Move teams by their displacements and merge robots that come together (theory 5)."""
+        """Move robots by their displacements and merge those that come within r (theory 5)."""
         moving, _ = self._repeat(self._merge_first, (moving, self._moments(moving)))
         moving = moving._replace(positions=moving.positions + moving.displacements)
         moving, _ = self._repeat(self._merge_nearest, (moving, self._squares(moving)))
         return moving
 
     def _repeat(self, merge: Callable[[Any, Array], Any], begun: Any) -> Any:
-        """Merge until no pair is due, that is, until the keys of all pairs are inf."""
+        """Merge until the keys of all pairs are inf, so that no pair is due."""
         if self._bounded:
             return jax.lax.fori_loop(0, self._n - 1, lambda _, now: merge(*now), begun)
         return jax.lax.while_loop(
@@ -54,17 +54,17 @@ class Merging:
         )
 
     def _links(self, weights: Array) -> Array:
-        """Whether either robot of each pair sees the other, (E, *batch)."""
+        """Whether either robot of each pair observes the other, (E, *batch)."""
         linked = weights[self._first, self._second] > 0.0
         return linked | (weights[self._second, self._first] > 0.0) if self._one_way else linked
 
     def _moments(self, moving: Moving) -> Array:
-        """When the robots of each link first stand within r, as a share of the motion."""
+        """Fraction of the step at which the robots of each link first come within r; else inf."""
         places, ways, d = moving.positions, moving.displacements, moving.positions.shape[1]
         offset = tuple(places[self._second, k] - places[self._first, k] for k in range(d))
         velocity = tuple(ways[self._second, k] - ways[self._first, k] for k in range(d))
         moments = array_form(first_crossing)(offset, velocity, self._radius)
-        due = self._links(moving.weights) & (moments < jnp.inf)  # of what is not a number, never
+        due = self._links(moving.weights) & (moments < jnp.inf)  # never of NaN
         return jnp.where(due, moments, jnp.inf)
 
     def _squares(self, moving: Moving) -> Array:
@@ -77,7 +77,7 @@ class Merging:
         return jnp.where(due, squares, jnp.inf)
 
     def _merge_first(self, moving: Moving, moments: Array) -> tuple[Moving, Array]:
-        """Merge the pair that meets first; both rest for what is left of the step."""
+        """Merge the pair that meets first; both rest for the remainder of the step."""
         pair, moment = jnp.argmin(moments, axis=0), jnp.min(moments, axis=0)
         due = moment < jnp.inf
         moment = jnp.where(due, moment, 0.0)
@@ -97,8 +97,9 @@ class Merging:
         return moving, self._squares(moving)
 
     def _merge(self, moving: Moving, here: Array, pair: Array, due: Array) -> tuple[Moving, Array]:
-        """Put both robots of a pair at their midpoint, and make the second part of the first;
-        also whether each robot is one of the two.
+        """Move a pair to its midpoint and merge the second into the first.
+
+        Also returns whether each robot belongs to the pair.
         """
         robots = np.arange(self._n).reshape(self._n, *[1] * pair.ndim)
         first, second = jnp.asarray(self._first)[pair], jnp.asarray(self._second)[pair]

@@ -1,6 +1,6 @@
 """The random streams of the engine (``physics.random_streams``) in words of 32 bits.
 
-A word of 64 bits is a pair (high, low) of uint32, since JAX has no uint64 unless it is told so.
+A word of 64 bits is a pair (high, low) of uint32, since uint64 needs ``jax_enable_x64``.
 """
 
 from typing import Any
@@ -11,7 +11,7 @@ Word = tuple[Any, Any]
 
 
 def word(value: int) -> Word:
-    """A whole number of at most 64 bits as a word."""
+    """Convert an integer of at most 64 bits to a word."""
     return jnp.uint32(value >> 32 & 0xFFFFFFFF), jnp.uint32(value & 0xFFFFFFFF)
 
 

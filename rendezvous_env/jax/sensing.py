@@ -1,8 +1,8 @@
 """Sensing: rows of bearings, V, and the closest pair.
 
-Positions are (n, d, *batch), frames (n, d·d, *batch), weights (n, n, *batch). Each robot looks at
-all others at once: written out for a small team, in a loop for a large one, whose compiled code
-would grow with n.
+Positions are (n, d, *batch), frames (n, d·d, *batch), weights (n, n, *batch). The rows of
+one robot are computed at once. The loop over robots is unrolled for a few of them; for many,
+unrolled code would take long to compile.
 """
 
 from typing import Any, NamedTuple
@@ -25,7 +25,7 @@ class Sight(NamedTuple):
 
 
 def sense(positions: Array, frames: Array, weights: Array, slots: int) -> Sight:
-    """Sense all neighbours; with ``slots`` < n − 1 rows those present stand first."""
+    """Observe all neighbours; with ``slots`` < n − 1 rows those present come first."""
     n, d = positions.shape[:2]
     everyone = tuple(positions[:, k] for k in range(d))
 
@@ -57,7 +57,7 @@ def _without(i: Any, values: Array) -> Array:
 
 
 def _packed(rows: Array, seen: Array, slots: int) -> Array:
-    """Rows (n − 1, d, *batch) of robots that are seen, in the order of their indices."""
+    """Move the rows of neighbours to the first slots, in the order of their indices."""
     place = jnp.cumsum(seen, axis=0) - 1
     return jnp.stack(
         [

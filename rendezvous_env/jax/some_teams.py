@@ -1,4 +1,4 @@
-"""Work on a few teams of a batch: rare events (merges, new episodes) cost what few teams cost."""
+"""Functions of a few environments of a batch, for rare events: merges and new episodes."""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,17 +8,18 @@ import jax.numpy as jnp
 
 from .array_form import Array
 
-_SHARE = 32  # of a batch is worked on at a time
-_FEWEST = 16  # teams
+_SHARE = 32  # part of a batch that is computed at a time
+_FEWEST = 16  # environments
 
 
 def for_teams(
     which: Array, function: Callable[[Any], Any], given: Any, otherwise: Any, every: bool
 ) -> Any:
-    """``function(given)`` where a mask (*batch) holds, else ``otherwise``; teams stand last.
+    """``function(given)`` where a mask (*batch) holds, else ``otherwise``.
 
-    ``given`` and the results are trees of arrays. With ``every`` the function is worked out for all
-    teams, so that gradients pass; else for some at a time, as long as any is left.
+    ``given`` and the results are trees of arrays with the environment axis last. With ``every`` the
+    function is computed for all environments, so that gradients pass; else for the masked ones, a
+    few at a time.
     """
     if every:
         return jax.tree.map(lambda a, b: jnp.where(which, a, b), function(given), otherwise)

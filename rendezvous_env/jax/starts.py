@@ -1,8 +1,9 @@
-"""Initial conditions that ``engine.reset`` samples for (seed, episode), for a batch at once.
+"""Initial conditions that ``engine.reset`` samples for (seed, episode), of a whole batch.
 
 Arrays have the batch axis last. Random numbers equal those of the engine.
 """
 
+from collections.abc import Callable
 from functools import partial
 from types import FunctionType
 from typing import Any, NamedTuple
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from ..engine.preparation import start_rules
 from ..engine.reset import _MAX_DRAWS
 from ..graphs.edges import pair_index
-from ..physics.random_streams import FRAMES, GRAPH, START
+from ..physics.random_streams import FRAMES, GRAPH, START, draw_rotation
 from ..robots.motion import motion_of
 from ..robots.robot_models import constants_of
 from ..scenario.scenario import Scenario
@@ -24,7 +25,7 @@ from .random_streams import Word, stream_key, uniform
 
 
 class Start(NamedTuple):
-    """Places, frames, memory and weights of teams at the start of an episode."""
+    """Initial positions, frames, memory and weights of environments."""
 
     positions: Array  # (n, d, *batch), m
     frames: Array  # (n, d·d, *batch), row by row; (n, 0, *batch) where memory has them
@@ -33,7 +34,7 @@ class Start(NamedTuple):
 
 
 class Starts:
-    """The starts of a scenario."""
+    """Initial conditions of a scenario."""
 
     def __init__(self, scenario: Scenario, dtype: Any) -> None:
         self._scenario, self._dtype = scenario, dtype
@@ -42,7 +43,7 @@ class Starts:
         self._linked = (self._base > 0.0) | (self._base.T > 0.0)
 
     def __call__(self, seed: Array, episode: Array) -> Start:
-        """The starts of episodes (*batch) of seeds (2, *batch)."""
+        """Sample initial conditions of episodes (*batch) of seeds (2, *batch)."""
         words, batch = (seed[0], seed[1]), episode.shape
         return Start(
             self._positions(stream_key(words, episode, START), batch),
@@ -56,7 +57,7 @@ class Starts:
         return jnp.broadcast_to(rows.reshape(*rows.shape, *[1] * len(batch)), rows.shape + batch)
 
     def _positions(self, key: Word, batch: tuple[int, ...]) -> Array:
-        """Uniform in the spawn area, away from neighbours; NaN where there is no room."""
+        """Uniform positions in the spawn area, away from neighbours; NaN if there is no room."""
         scenario, rules = self._scenario, self._rules
         if scenario.start_positions is not None:
             return self._given(scenario.start_positions, batch)
@@ -97,9 +98,8 @@ class Starts:
             return jnp.zeros((n, 0, *batch), self._dtype)
         if not self._rules.draw_frames:
             return self._given(np.tile(np.eye(d).ravel(), (n, 1)), batch)
-        first = self._counters(batch)
-        draws = [uniform(key, first + k, self._dtype) for k in range(3 if d == 3 else 1)]
-        return jnp.stack(_rotation(*draws), axis=1)
+        sample = _sampling(draw_rotation, self._dtype)
+        return jnp.stack(sample(key, self._counters(batch), range(d)), axis=1)
 
     def _counters(self, batch: tuple[int, ...]) -> Array:
         """3i of each robot i, (n, *batch)."""
@@ -117,7 +117,7 @@ class Starts:
         return jnp.stack(drawn, axis=1)
 
     def _weights(self, key: Word, batch: tuple[int, ...]) -> Array:
-        """a_ij, drawn from their range: those of a pair are one number of the stream."""
+        """a_ij, sampled from their range: both of a pair use one number of the stream."""
         low, high = self._scenario.sensing_graph.weight_range
         if low == high:
             return self._given(self._base * low, batch)
@@ -134,28 +134,15 @@ class Starts:
 
 
 def _memory(model: Any, key: Word, counter: Array, dtype: Any) -> Any:
-    """``init_memory`` by the equations of the model, whose random numbers are taken from here."""
+    """``init_memory`` of the model at counters of a stream."""
     motion = motion_of(type(model))
     assert motion is not None  # robot models are described before they are registered
-    plain = getattr(motion.init, "py_func", motion.init)
-    form = array_form(plain)
+    sampled = _sampling(motion.init, dtype)(model, key, counter)
+    return [jnp.broadcast_to(jnp.asarray(value, dtype), counter.shape) for value in sampled]
+
+
+def _sampling(kernel: Any, dtype: Any) -> Callable[..., Any]:
+    """The array form of a kernel that reads random numbers, with those of ``random_streams``."""
+    form: Any = array_form(kernel)
     scope = form.__globals__ | {"uniform": partial(uniform, dtype=dtype)}
-    drawn = FunctionType(form.__code__, scope)(model, key, counter)
-    return [jnp.broadcast_to(jnp.asarray(value, dtype), counter.shape) for value in drawn]
-
-
-def _rotation(first: Any, *others: Any) -> Any:
-    """``physics.random_streams.draw_rotation`` of one or three numbers in [0, 1)."""
-    turn = 2.0 * np.pi * first
-    if not others:
-        c, s = jnp.cos(turn), jnp.sin(turn)
-        return c, -s, s, c
-    second, third = others
-    other, small, large = 2.0 * np.pi * second, jnp.sqrt(1.0 - third), jnp.sqrt(third)
-    x, y = small * jnp.sin(turn), small * jnp.cos(turn)
-    z, w = large * jnp.sin(other), large * jnp.cos(other)
-    return (
-        1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
-        2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
-        2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y),
-    )  # fmt: skip
+    return FunctionType(form.__code__, scope, form.__name__)

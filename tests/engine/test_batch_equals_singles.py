@@ -62,7 +62,6 @@ SLOW = {
 SCENARIOS = FAST | SLOW
 KERNELS = (
     "two rows", "packing", "flying among solids", "errors", "drawn graphs", "errors in space",
-    "field", "measured", "measured in space", "measured in two rows",
 )  # fmt: skip
 """Cases that together call every kernel of a step."""
 MEETS_NOTHING = (

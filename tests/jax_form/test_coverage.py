@@ -29,8 +29,66 @@ import rendezvous_env as rv
 def test_make_refuses_what_it_does_not_cover_by_name(field, scenario, changes, rj):
     if isinstance(changes.get("sensing"), dict):
         changes = changes | {"sensing": rv.Sensing(**changes["sensing"])}
-    with pytest.raises(NotImplementedError, match=rf"^{field} is .*: not covered by JAX; "):
+    with pytest.raises(NotImplementedError, match=rf"^{field} is .*: not covered by JAX; use "):
         rj.make(scenario, **changes)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"range": 3.0},
+        {"field_of_view": 2.0, "view_falloff": 0.1},
+        {"noise": (0.1, 0.2), "noise_correlation": 1.0},
+        {"bias": 0.1},
+        {"error": 0.1},
+        {"dropout": 0.1},
+        {"delay": 2},
+        {"sectors": 8},
+        {"occlusion": "robots"},
+        {"min_range": 0.3},
+        {"sample_period": 0.5},
+        {"delay_time": 0.5},
+        {"observer_bias": 0.1},
+        {"detection": ((1.0, 0.5),), "persistence": 1.0},
+        {"outliers": 0.1, "outlier_kind": "robot"},
+    ],
+    ids=lambda fields: " ".join(fields),
+)
+def test_make_names_the_sensor_imperfections_that_it_rejects(fields, rj):
+    with pytest.raises(NotImplementedError, match="make_vec") as error:
+        rj.make("duo", sensing=rv.Sensing(**fields))
+    assert all(f"{field} = {value}" in str(error.value) for field, value in fields.items())
+
+
+def test_make_rejects_only_fields_that_have_an_effect(rj):
+    changes = {"obstacles": [], "merge_through_obstacles": False, "obstacle_overflow": "nearest"}
+    assert rj.make("duo", **changes).scenario.merges_through
+    with pytest.raises(NotImplementedError, match="obstacle_slots is 2"):
+        rj.make("duo", **changes, obstacle_slots=2)
+
+
+@pytest.mark.parametrize("seed", [None, [1, None], -1, 1.5, "7", True, [1, -2], [1, 2, 3]])
+def test_reset_rejects_invalid_seeds_by_name(seed, rj):
+    with pytest.raises(ValueError, match=r"^seed (is|has) .*; it must be "):
+        rj.make("duo", num_envs=2).reset(seed)
+
+
+def test_reset_folds_large_seeds_as_the_engine_does(rj):
+    engine = rv.make_vec("duo", num_envs=2)
+    engine.reset(seed=2**70 + 3)
+    _, state = rj.make("duo", num_envs=2).reset(2**70 + 3)
+    places = np.moveaxis(np.asarray(state.positions), -1, 0)
+    np.testing.assert_allclose(places, engine.simulator.positions, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "action", ["x", None, np.zeros((2, 2), complex), np.zeros((2, 2), object), np.zeros(2)]
+)
+def test_step_rejects_invalid_actions_by_name(action, rj):
+    env = rj.make("duo")
+    _, state = env.reset(0)
+    with pytest.raises(ValueError, match=r"^action (is|has) .*; it must be "):
+        env.step(None, state, action)
 
 
 def test_make_refuses_bad_input_as_elsewhere(rj):

@@ -21,6 +21,8 @@ CASES = {
     "inertia": ("duo", None, {"robot_model": "double_integrator", "n_robots": 4}),
     "inertia in space": ("uav-6", None, {"robot_model": "double_integrator", "n_robots": 4}),
     "star": ("duo", None, {"n_robots": 4, "graph": "star", "local_frames": "global"}),
+    "many in space": ("duo", None, {"n_robots": 50, "dim": 3, "spawn_size": 6.0}),
+    "two in space": ("duo", "heading", {"dim": 3}),
     "drawn weights": ("duo", None, {"n_robots": 4, "graph": graphs.complete((0.5, 2.0))}),
     "drawn arcs": ("duo", None, {"n_robots": 4, "graph": graphs.directed_cycle((0.5, 2.0))}),
     "uneven arcs": ("duo", None, {"n_robots": 4, "graph": UNEVEN, "on_merge": "follow"}),

@@ -112,6 +112,26 @@ def test_float32_starts_agree_to_its_precision(rj):
     np.testing.assert_allclose(places, engine.simulator.positions, rtol=1e-6, atol=1e-5)
 
 
+@pytest.mark.parametrize("guarantee", [None, "heading"])
+@pytest.mark.parametrize("size", [1e25, 1e-25])
+def test_float32_steps_agree_for_actions_whose_square_is_out_of_range(guarantee, size, rj):
+    import jax
+
+    actions = np.broadcast_to(np.float32(size) * np.array([0.6, -0.8], np.float32), (3, 4, 2))
+    fields = {"num_envs": 3, "n_robots": 4}
+    engine = rv.make_vec("duo", **fields)
+    if guarantee is not None:
+        engine = rv.vector.HeadingVectorWrapper(engine)
+    engine.reset(seed=4)
+    engine.step(actions)
+    with jax.enable_x64(False):
+        env = rj.make("duo", guarantee, **fields)
+        _, state = env.reset(4)
+        _, state, *_ = env.step(None, state, actions)
+    places = np.moveaxis(np.asarray(state.positions), -1, 0)
+    np.testing.assert_allclose(places, engine.unwrapped.simulator.positions, atol=1e-5)
+
+
 def test_spaces_hold_observations_and_are_those_of_make_vec(rj):
     engine = rv.make_vec("uav-6", num_envs=3)
     env = rj.make("uav-6", num_envs=3)
@@ -143,7 +163,12 @@ def test_what_is_not_a_number_stays_in_its_team(rj):
     for _ in range(40):
         action = np.array(observations.sum(axis=2))
         action[0, 0] = np.nan
-        observations, state, *_ = env.step(None, state, action)
+        observations, state, reward, terminated, _, info = env.step(None, state, action)
     assert np.isnan(state.positions[0, :, 0]).all()
+    assert np.isnan(reward[0])
+    assert np.isnan(info["lyapunov"][0])
+    assert np.isnan(observations[0]).any()
+    assert not terminated[0]
+    assert np.isfinite(reward[1])
     assert np.isfinite(state.positions[..., 1]).all()
     assert (state.merged_into[:, 1] != np.arange(3)).any()

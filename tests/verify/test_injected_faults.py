@@ -66,9 +66,6 @@ EVERYBODY_IS_SEEN = {"graph": graphs.complete(13.0), "sensing": Sensing()}
 @pytest.mark.parametrize(
     ("mistake", "by", "number", "changes", "broken"),
     [
-        pytest.param(
-            merges_at_midpoints, "links", 80582, {}, "link_growth", marks=pytest.mark.slow
-        ),
         (merges_at_midpoints, "links", 80582, EVERYBODY_IS_SEEN, "link_growth"),
         (the_nearest_has_a_heavy_link, "law", 1001, {}, "time"),
         (a_speed_limit_bounds_gains, "law", 1101, {}, "nested"),
