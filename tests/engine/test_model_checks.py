@@ -105,7 +105,7 @@ BAD_EQUATIONS = {
     "begins with nothing": ({}, KEEPS, "init .* 1 finite"),
     "goes elsewhere": ({**TURNS, "displacement_at": lambda *_: (9.0, 9.0)}, KEEPS, "_at .* what"),
     "negative bend": ({**TURNS, "chord_error_bound": lambda *_: -1.0}, KEEPS, "bound .* 0 or more"),
-    "comes back before it goes": ({**TURNS, "closes": lambda *_: 0.0}, KEEPS, "closes .* positive"),
+    "comes back before it goes": ({**TURNS, "period": lambda *_: 0.0}, KEEPS, "period .* positive"),
     "more bent than it says": ({**TURNS, "displacement_at": bent}, KEEPS, "as the way is bent"),
     "senses what it does not say": ({"sense": lambda *_: (1.0, 0.0)}, {}, "sense .* 0 finite"),
     "senses nothing after all": ({}, {"senses": "velocity"}, "sense .* 2 finite"),

@@ -9,10 +9,10 @@ from conftest import run_python
 from run_table import FRAMEWORKS
 
 HERE = Path(__file__).parent
-SMALL = {  # by the module that each needs
+SMALL = {  # by the rarest module that each needs
     "numpy": ("numpy_es.py", "--generations", "1", "--pairs", "2", "--teams", "2"),
     "stable_baselines3": ("sb3_ppo.py", "--frames", "2048", "--teams", "8"),
-    "jax": ("jax_pg.py", "--updates", "1", "--teams", "4"),
+    "optax": ("jax_pg.py", "--updates", "1", "--teams", "4"),
     "tianshou": ("tianshou_ppo.py", "--epochs", "1", "--teams", "4"),
     "agilerl": ("agilerl_ippo.py", "--updates", "1", "--teams", "4"),
     "skrl": ("skrl_ppo.py", "--steps", "32", "--teams", "4"),
