@@ -189,7 +189,7 @@ def floats(field: str, value: Any, dtype: type[np.floating[Any]] = np.float64) -
         return array.astype(dtype)
 
 
-def check_shape(name: str, array: NDArray[Any], *shapes: tuple[int, ...], axes: str = "") -> None:
+def check_shape(name: str, array: Any, *shapes: tuple[int, ...], axes: str = "") -> None:
     """Reject a named array of another shape; ``axes`` names the axes."""
     if array.shape not in shapes:
         wanted = f"{axes} = " * bool(axes) + " or ".join(dict.fromkeys(map(str, shapes)))

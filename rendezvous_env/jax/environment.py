@@ -100,7 +100,7 @@ class RendezvousJaxEnv:
         self.single_action_space: Space[Any] = team_box(
             action_box(scenario) if safety_filter is None else choice_box(safety_filter), n
         )
-        self._action_shape = self.action_space.shape
+        self._action_shape: tuple[int, ...] = self.action_space.shape or ()
         self._filter = None if safety_filter is None else Heading(safety_filter)
         self._batch: tuple[int, ...] = () if num_envs is None else (num_envs,)
         self._dtype = jnp.result_type(float)
