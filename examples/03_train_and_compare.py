@@ -23,7 +23,7 @@ ppo.run(
     ppo.Config(
         scenario="clutter-8",
         total_steps=given.steps,
-        num_teams=given.teams,
+        num_envs=given.teams,
         batch_size=2048,
         out=out / "run",
         eval_every=0,

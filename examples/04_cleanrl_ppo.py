@@ -39,8 +39,8 @@ def make(teams: int) -> RobotSlots:
             guarantee="heading",
             learning_preset=False,
             decision_period=12,
-            touch_penalty=1.0,
-            reward=rv.RewardWeights(collision_penalty=0.0),  # covered by touch_penalty
+            contact_penalty=1.0,
+            reward=rv.RewardWeights(collision_penalty=0.0),  # covered by contact_penalty
         )
     )
 

@@ -27,7 +27,7 @@ CHOICES = {  # a raw heading every 12 steps; the first contact of a robot costs 
     "guarantee": "heading",
     "learning_preset": False,
     "decision_period": 12,
-    "touch_penalty": 1.0,
+    "contact_penalty": 1.0,
     "reward": rv.RewardWeights(collision_penalty=0.0),
 }
 torch.set_num_threads(1)  # the network is small
@@ -54,7 +54,7 @@ def judge(module):
 
 logging.getLogger("ray").setLevel(logging.ERROR)
 ray.init(address="local", num_cpus=1, include_dashboard=False, log_to_driver=False)
-config = rllib.configure(PPOConfig(), given.scenario, num_teams=given.teams, units=64, **CHOICES)
+config = rllib.configure(PPOConfig(), given.scenario, num_envs=given.teams, units=64, **CHOICES)
 config.env_runners(num_env_runners=0).debugging(seed=given.seed, log_level="ERROR")
 config.training(
     train_batch_size=given.batch,

@@ -30,7 +30,7 @@ torch.set_num_threads(1)  # the network is small
 def make(teams, seed):
     """Robots that choose a raw heading every 12 steps; the first contact costs 1."""
     choices = {"guarantee": "heading", "learning_preset": False, "decision_period": 12}
-    return robots.make(given.scenario, teams, seed=seed, touch_penalty=1.0, **choices)
+    return robots.make(given.scenario, teams, seed=seed, contact_penalty=1.0, **choices)
 
 
 def judge(policy):

@@ -43,7 +43,7 @@ def attempt(chosen):
         **chosen,
         scenario=given.scenario,
         guarantee="tank",
-        num_teams=given.teams,
+        num_envs=given.teams,
         batch_size=2048,
         total_steps=given.steps,
         eval_every=given.steps // given.evaluations,

@@ -52,7 +52,7 @@ class _Shown(reprlib.Repr):
         """An integer; Python rejects the conversion of very long ones."""
         if abs(x) < 10**self.maxlong:
             return repr(x)
-        return f"a whole number of about {int(x.bit_length() * 0.30103) + 1} digits"
+        return f"an integer of about {int(x.bit_length() * 0.30103) + 1} digits"
 
     def repr_instance(self, x: Any, level: int) -> str:
         """Any other value, on one line."""
@@ -125,7 +125,7 @@ def positive(field: str, value: Any, unit: str = "") -> float:
 def check_int(field: str, value: Any, least: int, most: int) -> int:
     """Integer within bounds."""
     if not is_int(value) or not least <= value <= most:
-        raise_invalid(field, value, f"a whole number, {least} or more, at most {most}")
+        raise_invalid(field, value, f"an integer, {least} or more, at most {most}")
     return int(value)
 
 

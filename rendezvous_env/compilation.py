@@ -203,8 +203,8 @@ def _announced(function: _Kernel) -> Iterator[None]:
 @cache
 def _say_once() -> None:
     print(
-        "rendezvous_env: compiling for this kind of team, which is done once and kept on disk; "
-        "`rendezvous warmup` does it beforehand",
+        "rendezvous_env: compiling kernels for this scenario, once; they are cached on disk. "
+        "`rendezvous warmup` compiles them in advance",
         file=sys.stderr,
     )
 

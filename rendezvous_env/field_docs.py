@@ -136,7 +136,7 @@ def _positive(unit: str = "") -> str:
 
 
 def _whole(least: int, most: int) -> str:
-    return f"a whole number from {least} to {most}"
+    return f"an integer from {least} to {most}"
 
 
 def _choice(choices: Iterable[str]) -> str:

@@ -1,10 +1,11 @@
 """Output of one simulator step."""
 
-import warnings
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .deprecation import warn_renamed
 
 SCORES = 8
 _REWARD, _BEFORE_MERGE, _AFTER_MERGE, _RISE, _EXCESS, ELAPSED, _, LYAPUNOV = range(SCORES)
@@ -68,6 +69,6 @@ class StepOutput(NamedTuple):
 def __getattr__(name: str) -> Any:
     """Provide the former name of StepOutput, for one version."""
     if name == "Outcome":
-        warnings.warn("Outcome is StepOutput now", DeprecationWarning, stacklevel=2)
+        warn_renamed("Outcome", "StepOutput")
         return StepOutput
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -111,5 +111,5 @@ def main(seeds: int) -> None:
 if __name__ == "__main__":
     given = sys.argv[1] if len(sys.argv) > 1 else "1000"
     if not given.isdecimal() or int(given) == 0:
-        sys.exit(f"SEEDS is {given!r}; it must be a whole number, 1 or more")
+        sys.exit(f"SEEDS is {given!r}; it must be an integer, 1 or more")
     main(int(given))

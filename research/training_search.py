@@ -19,7 +19,7 @@ COMMON: dict[str, Any] = {
     "eval_starts": 500, "tensorboard": False,
 }  # fmt: skip
 _SHIPPED: dict[str, Any] = {
-    "num_teams": 1024, "n_steps": 32, "batch_size": 8192, "hidden": (128, 128), "prior": 1.5,
+    "num_envs": 1024, "n_steps": 32, "batch_size": 8192, "hidden": (128, 128), "prior": 1.5,
     "ent_coef": 0.003,
 }  # fmt: skip
 _LONG = {"n_steps": 32, "batch_size": 4096}

@@ -13,7 +13,7 @@ from train.learn.ppo import Config
 
 UPDATE = 512
 SMALL = {
-    "scenario": "clutter-4", "num_teams": 8, "n_steps": 16, "batch_size": 128, "epochs": 2,
+    "scenario": "clutter-4", "num_envs": 8, "n_steps": 16, "batch_size": 128, "epochs": 2,
     "total_steps": 12 * UPDATE, "set_width": 8, "hidden": (16,), "eval_every": 2000,
     "eval_starts": 4, "checkpoint_every": 1000, "tensorboard": False, "num_threads": 1,
 }  # fmt: skip

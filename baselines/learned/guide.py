@@ -248,7 +248,7 @@ class GuidedTeams:
         for team, robot in np.argwhere(~is_choice):
             raise ValueError(
                 f"action of robot_{robot} in team {team} is {given[team, robot]}; it must be a "
-                f"whole number below {count}"
+                f"integer below {count}"
             )
         self.choices = numbers.astype(np.int64)
         self._directions = self._turns[self.choices]

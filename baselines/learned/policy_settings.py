@@ -38,7 +38,7 @@ def memory_of(written: Any) -> Any:
 def _widths(field: str, value: Any) -> tuple[int, ...]:
     """Widths of layers, from a list of JSON."""
     if not is_sequence(value):
-        raise_invalid(field, value, "whole numbers")
+        raise_invalid(field, value, "integers")
     return tuple(check_int(field, width, 1, 2**12) for width in value)
 
 

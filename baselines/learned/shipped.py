@@ -66,7 +66,7 @@ class Preset(NamedTuple):
     """Features, choices and decision period."""
     reward: RewardWeights
     """Reward of an environment."""
-    touch_penalty: float
+    contact_penalty: float
     """Penalty for a robot's first contact with an obstacle."""
 
 
@@ -78,8 +78,10 @@ def preset(guarantee: str | None, scenario: Scenario | None = None) -> Preset:
 @cache
 def _read(path: Path) -> Preset:
     about = describe(path)
+    config = about["config"]
+    price = config["contact_penalty"] if "contact_penalty" in config else config["touch_penalty"]
     return Preset(
         PolicySettings.from_plain(about["policy"]),
         RewardWeights(**about["scenario"]["reward"]),
-        float(about["config"]["touch_penalty"]),
+        float(price),
     )

@@ -41,7 +41,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
     Args:
         env: environments of any robot model but double integrators, in any autoreset mode.
         settings: settings of the trained policy.
-        touch_penalty: penalty for a robot's first contact in an episode, see ``TrainingTeams``.
+        contact_penalty: penalty for a robot's first contact in an episode, see ``TrainingTeams``.
         obstacle_slots: as ``Features``, with its errors.
         global_state: features for critics, appended to the observations; None appends none. It has
             a ``size``, the number per robot, and ``states(simulator, f, levels)``, (B, n, size).
@@ -54,7 +54,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
         env: RendezvousVectorEnv,
         settings: PolicySettings,
         *,
-        touch_penalty: float = 0.0,
+        contact_penalty: float = 0.0,
         obstacle_slots: int | None = None,
         global_state: Any = None,
         discrete: bool = True,
@@ -73,7 +73,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
             if discrete
             else Box(-1.0, 1.0, (n, 2), dtype=np.float32)
         )
-        self.touch_penalty = float(touch_penalty)
+        self.contact_penalty = float(contact_penalty)
         self._touched = np.zeros((env.num_envs, n), dtype=np.bool_)
         self._shown = np.zeros((env.num_envs, *self.single_observation_space.shape), np.float32)
 
@@ -90,7 +90,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
     def _drive(self) -> tuple[NDArray[np.float32] | None, Any, Any, Any, Info]:
         """As ``GuaranteeWrapper._drive``, with the penalty for first contacts."""
         shown, rewards, ends, cuts, infos = super()._drive()
-        contact, price = infos["contact"], self.touch_penalty
+        contact, price = infos["contact"], self.contact_penalty
         rewards = charge_first_contacts(price, contact, self._touched, rewards, infos)
         return shown, rewards, ends, cuts, infos
 
@@ -143,7 +143,7 @@ class ShippedPreset:
 
     def earnings(self, guarantee: str | None) -> tuple[RewardWeights, float]:
         """Reward, and penalty for a robot's first contact."""
-        return preset(guarantee).reward, preset(guarantee).touch_penalty
+        return preset(guarantee).reward, preset(guarantee).contact_penalty
 
     def shows(self, scenario: Scenario, guarantee: str | None) -> bool:
         """True if observations and actions are those of this guarantee's shipped policy."""

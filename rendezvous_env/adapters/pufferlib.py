@@ -10,6 +10,7 @@ import pufferlib
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
+from ..deprecation import renamed_arguments
 from ..scenario.scenarios import ScenarioLike
 from ..vector import training_env
 from .slots import RobotSlots
@@ -19,9 +20,10 @@ Buffers = tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any], list[dic
 """Arrays of observations, rewards, terminals, truncations and infos."""
 
 
+@renamed_arguments(num_teams="num_envs")
 def make(
     scenario: ScenarioLike,
-    num_teams: int = 64,
+    num_envs: int = 64,
     *,
     buf: Any = None,
     seed: int | None = None,
@@ -34,7 +36,7 @@ def make(
     ``seed`` are arguments of ``RobotPufferEnv``. All other arguments, and errors, are those of the
     vector environment.
     """
-    return RobotPufferEnv(wrap(training_env(scenario, num_teams, **arguments)), buf, seed)
+    return RobotPufferEnv(wrap(training_env(scenario, num_envs, **arguments)), buf, seed)
 
 
 class RobotPufferEnv(pufferlib.PufferEnv):

@@ -25,6 +25,7 @@ from ray.rllib.utils.metrics import WEIGHTS_SEQ_NO
 from ray.rllib.utils.spaces.space_utils import clip_action, unsquash_action
 from ray.tune.registry import ENV_CREATOR, _global_registry, register_env
 
+from ..deprecation import renamed_arguments
 from ..scenario.scenarios import ScenarioLike
 from ..state_view import STANDING
 from ..vector import training_env
@@ -45,11 +46,12 @@ def _teams(settings: Mapping[str, Any]) -> Any:
 register_env(ENVIRONMENT, _teams)
 
 
+@renamed_arguments(num_teams="num_envs")
 def configure(
     config: AlgorithmConfig,
     scenario: ScenarioLike,
     *,
-    num_teams: int = 64,
+    num_envs: int = 64,
     units: int = 64,
     wrap: Callable[[Any], Any] | None = None,
     **arguments: Any,
@@ -59,7 +61,7 @@ def configure(
     Args:
         config: algorithm config such as ``PPOConfig()``; modified and returned.
         scenario: this, further arguments and errors as in ``vector.training_env``.
-        num_teams: B, environments per environment runner.
+        num_envs: B, environments per environment runner.
         units: width of the network.
         wrap: applies a custom ``VectorWrapper``, for example one that changes rewards.
         **arguments: arguments of the vector environment.
@@ -70,7 +72,7 @@ def configure(
         settings["wrap"] = wrap
     return (
         config.environment(ENVIRONMENT, env_config=settings)
-        .env_runners(env_runner_cls=RobotEnvRunner, num_envs_per_env_runner=num_teams)
+        .env_runners(env_runner_cls=RobotEnvRunner, num_envs_per_env_runner=num_envs)
         .rl_module(rl_module_spec=RLModuleSpec(module_class=SetModule, model_config=model))
     )
 

@@ -16,6 +16,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from ..checks import check_int, check_shape, floats, mapping
+from ..deprecation import renamed_arguments
 from ..engine.state_checks import check_entries, check_keys, refuse_first
 from ..envs.guarantee import layers_of
 from ..envs.gymnasium_env import make_vec
@@ -31,10 +32,11 @@ _LEAST_REST = 1e-6
 """Smallest fraction of a return that is not rounding error."""
 
 
-def make_robots(scenario: ScenarioLike, num_teams: int, **arguments: Any) -> RobotVecEnv:
+@renamed_arguments(num_teams="num_envs")
+def make_robots(scenario: ScenarioLike, num_envs: int, **arguments: Any) -> RobotVecEnv:
     """Create the robots of many environments as slots; arguments as ``rendezvous_env.make_vec``."""
     mode = {"autoreset_mode": AutoresetMode.SAME_STEP}
-    return RobotVecEnv(make_vec(scenario, num_teams, **mode | arguments))
+    return RobotVecEnv(make_vec(scenario, num_envs, **mode | arguments))
 
 
 class RobotVecEnv(VecEnv):

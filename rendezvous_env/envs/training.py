@@ -14,6 +14,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import choice, flag, number, raise_invalid, to_float
+from ..deprecation import renamed_arguments, renamed_attribute
 from ..engine.state_checks import check_entries, check_keys
 from ..rewards.terms import RewardWeights
 from ..safety.safety_filter import FILTERS
@@ -55,6 +56,7 @@ def register_preset(load: Callable[[], Any]) -> None:
     _presets[:] = [load]
 
 
+@renamed_arguments(touch_penalty="contact_penalty")
 def training_env(
     scenario: ScenarioLike = "clutter-8",
     num_envs: int = 1,
@@ -67,7 +69,7 @@ def training_env(
     autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
     num_threads: int | None = None,
     max_cycles: int | None = None,
-    touch_penalty: float | None = None,
+    contact_penalty: float | None = None,
     **overrides: Any,
 ) -> TrainingTeams:
     """Create B environments for a generic learner, as a Gymnasium vector environment.
@@ -101,7 +103,7 @@ def training_env(
     | learning_preset | see above; False keeps the plain wrapper and the scenario's reward |
     | flatten | whether rows are (B, n, rows·d); the output of ``Features`` is flat |
     | discrete | whether robots choose among the angles of the shipped policy |
-    | touch_penalty | cost of a robot's first contact; None is 1 with the preset, else 0 |
+    | contact_penalty | cost of a robot's first contact; None is 1 with the preset, else 0 |
     | reward | replaces weights of the preset. A dict, or weights with only ``custom`` terms (here |
     | | or in the scenario), are merged with the preset. A ``RewardWeights`` with built-in |
     | | weights replaces the preset. The reward in use is logged at level INFO |
@@ -149,11 +151,11 @@ def training_env(
             teams = WRAPPERS[guarantee](teams, **arguments)
         else:
             teams = GuaranteeWrapper(teams, guarantee, **arguments)
-    if touch_penalty is not None:
-        price = number("touch_penalty", touch_penalty)
+    if contact_penalty is not None:
+        price = number("contact_penalty", contact_penalty)
     if (chosen.reward, price) not in _logged:
         _logged.add((chosen.reward, price))
-        _LOGGER.info("training_env: in force are %s and touch_penalty %g", chosen.reward, price)
+        _LOGGER.info("training_env: in force are %s and contact_penalty %g", chosen.reward, price)
     return TrainingTeams(teams, price)
 
 
@@ -199,21 +201,24 @@ def _say_what_is_not_covered(
 class TrainingTeams(gymnasium.vector.VectorWrapper):
     """B environments whose robots all act and earn until the episode ends; see ``training_env``.
 
-    ``infos["robot_rewards"]``, (B, n), are robot rewards, minus ``touch_penalty`` in the step of a
-    robot's first contact in an episode. ``rewards``, (B,), is the team reward minus the mean of
+    ``infos["robot_rewards"]``, (B, n), are robot rewards, minus ``contact_penalty`` in the step of
+    a robot's first contact in an episode. ``rewards``, (B,), is the team reward minus the mean of
     these costs. It equals the mean robot reward, except for custom terms (docs/rewards.md). The
     other infos are those of ``RendezvousVectorEnv`` and of the guarantee wrapper, with the same
     keys in every step. ``final_obs`` and ``final_info`` occur only with SAME_STEP.
 
     Args:
         teams: vector environment whose scenario has ``on_merge="follow"``.
-        touch_penalty: subtracted from ``robot_rewards``, once per episode.
+        contact_penalty: subtracted from ``robot_rewards``, once per episode.
     """
 
     env: RendezvousVectorEnv | GuaranteeWrapper
 
+    touch_penalty = renamed_attribute("touch_penalty", "contact_penalty")
+
+    @renamed_arguments(touch_penalty="contact_penalty")
     def __init__(
-        self, teams: RendezvousVectorEnv | GuaranteeWrapper, touch_penalty: float = 0.0
+        self, teams: RendezvousVectorEnv | GuaranteeWrapper, contact_penalty: float = 0.0
     ) -> None:
         super().__init__(teams)
         base = teams.unwrapped
@@ -223,7 +228,7 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         self.layout: Any = getattr(teams, "layout", self.scenario.observation_layout)
         """Layout that splits observations (``split``): of the scenario, or of ``Features``.
         Remove the last row, which ``observe_level`` adds, first."""
-        self.touch_penalty = touch_penalty
+        self.contact_penalty = contact_penalty
         self._touched = np.zeros((teams.num_envs, self.scenario.n_robots), dtype=np.bool_)
 
     def reset(
@@ -244,7 +249,9 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         seen, rewards, ends, cuts, infos = self.env.step(actions)  # type: ignore[arg-type]
         over = ends | cuts
         contact = final_value(infos, over, "contact")
-        rewards = charge_first_contacts(self.touch_penalty, contact, self._touched, rewards, infos)
+        rewards = charge_first_contacts(
+            self.contact_penalty, contact, self._touched, rewards, infos
+        )
         self._touched[over] = False
         if "final_info" in infos:
             infos["final_info"]["robot_rewards"] = infos["robot_rewards"].copy()

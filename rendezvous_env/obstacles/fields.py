@@ -24,7 +24,7 @@ def _check_count(field: str, value: Any) -> int | tuple[int, int]:
     whole = len(pair) == 2 and all(map(is_int, pair))
     if not whole or not 0 <= pair[0] <= pair[1] <= MAX_OBSTACLES:
         most = f"a pair (low, high) with 0 <= low <= high <= {MAX_OBSTACLES}"
-        raise_invalid(field, value, f"a whole number, or {most}")
+        raise_invalid(field, value, f"an integer, or {most}")
     return int(value) if is_int(value) else (int(pair[0]), int(pair[1]))
 
 

@@ -13,12 +13,12 @@ straight; its ``displacement_at`` and ``chord_error_bound`` are not called.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from ..checks import raise_invalid, short_repr
 from ..compilation import by_type, kernel
+from ..deprecation import warn_renamed
 from ..kernel_cache import depends_on
 from ..physics.vectors import scaled
 
@@ -110,7 +110,7 @@ class Motion(_Equations):
     def __new__(cls, *equations: Any, **named: Any) -> Motion:
         """Equations in order or by name; names of version 0.2 are accepted with a warning."""
         for old in _RENAMED.keys() & named.keys():
-            warnings.warn(f"{old} is called {_RENAMED[old]} now", DeprecationWarning, stacklevel=2)
+            warn_renamed(old, _RENAMED[old])
             named[_RENAMED[old]] = named.pop(old)
         return super().__new__(cls, *equations, **named)
 

@@ -5,7 +5,6 @@ Filters use the robots' own observations only: no positions, no global frame.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from functools import cached_property, partial
 from typing import Any
@@ -15,6 +14,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from ..checks import bools, check_int, choice, floats, raise_invalid
 from ..compilation import entry_point, kernel
+from ..deprecation import warn_renamed
 from ..engine import threads
 from ..engine.state_checks import StatefulMixin, check_actions, check_observations, check_rotations
 from ..engine.threads import Calls, Slice
@@ -182,7 +182,7 @@ class SafetyFilter(StatefulMixin):
         """Take the old names of what a subclass overrides for the new ones."""
         super().__init_subclass__(**kwargs)
         for old in _RENAMED.keys() & vars(cls).keys():
-            _warn_renamed(f"{cls.__name__}.{old}", _RENAMED[old])
+            warn_renamed(f"{cls.__name__}.{old}", _RENAMED[old])
             setattr(cls, _RENAMED[old], vars(cls)[old])
 
     @property
@@ -313,7 +313,7 @@ class SafetyFilter(StatefulMixin):
         alone = np.tile(np.arange(team[1]), (team[0], 1))
         robots = np.asarray(alone if merged_into is None else merged_into)
         if robots.shape != team or robots.dtype.kind not in "iu":
-            raise_invalid("merged_into", merged_into, f"whole numbers of shape (B, n) = {team}")
+            raise_invalid("merged_into", merged_into, f"integers of shape (B, n) = {team}")
         if robots.min() < 0 or robots.max() >= team[1]:
             raise_invalid("merged_into", merged_into, f"indices of robots, from 0 to {team[1] - 1}")
         merged = np.ascontiguousarray(robots, np.int64)
@@ -339,15 +339,11 @@ class SafetyFilter(StatefulMixin):
         return checked
 
 
-def _warn_renamed(old: str, new: str) -> None:
-    warnings.warn(f"{old} is called {new} now", DeprecationWarning, stacklevel=3)
-
-
 def _alias(old: str, new: str) -> property:
     """The attribute of a new name under its old name, for ``super()`` too."""
 
     def read(self: SafetyFilter) -> Any:
-        _warn_renamed(f"SafetyFilter.{old}", "apply" if old == "act" else new)
+        warn_renamed(f"SafetyFilter.{old}", "apply" if old == "act" else new)
         kinds = [kind for kind in type(self).__mro__ if old in vars(kind)]
         return getattr(super(kinds[-2], self) if len(kinds) > 1 else self, new)
 

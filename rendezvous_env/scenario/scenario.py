@@ -369,7 +369,7 @@ class Scenario:
         why = graph.connectivity_error(self.n_robots)
         if why is not None and self.require_connected:
             raise ValueError(f"graph is not connected: {why}, or pass require_connected=False")
-        self._check_slots("neighbour_slots", 1, MAX_ROBOTS, "a whole number from 1 to")
+        self._check_slots("neighbour_slots", 1, MAX_ROBOTS, "an integer from 1 to")
 
     def _check_slots(self, field: str, least: int, most: int, wanted: str) -> None:
         slots = getattr(self, field)

@@ -258,9 +258,9 @@ def seeds_of_environments(seed: Any, num_envs: int) -> list[int | None] | None:
 
 
 def check_seed(seed: Any) -> int:
-    """A seed, as Gymnasium takes them: any whole number that is not negative."""
+    """A seed, as Gymnasium takes them: any integer that is not negative."""
     if not is_int(seed) or seed < 0:
-        raise_invalid("seed", seed, "a whole number, 0 or more")
+        raise_invalid("seed", seed, "an integer, 0 or more")
     return int(seed)
 
 

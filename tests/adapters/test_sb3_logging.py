@@ -50,7 +50,7 @@ def episodes_of(robots, steps=130, seed=0):
     ("arguments", "names"),
     [
         ({}, {"progress", "time_penalty", "rendezvous_bonus", "other"}),
-        ({"touch_penalty": 0.0}, {"progress", "time_penalty", "rendezvous_bonus"}),
+        ({"contact_penalty": 0.0}, {"progress", "time_penalty", "rendezvous_bonus"}),
         (
             {
                 "learning_preset": False,
@@ -73,7 +73,7 @@ def test_reward_terms_of_an_episode_add_up_to_its_return(arguments, names):
 
 
 def test_costs_of_an_episode_are_told_by_name():
-    told = episodes_of(robots_of(touch_penalty=0.0))
+    told = episodes_of(robots_of(contact_penalty=0.0))
     assert any(episode["cost_contact"] > 0 for episode in told)
     for episode in told:
         each = [episode[f"cost_{name}"] for name in ("contact", "rise", "hits")]

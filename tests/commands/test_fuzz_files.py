@@ -156,7 +156,7 @@ def test_report_rejects_damaged_result_folders(count, compared_files, reseal, tm
 
 
 TINY = {
-    "scenario": "clutter-4", "num_teams": 2, "n_steps": 4, "batch_size": 16, "epochs": 1,
+    "scenario": "clutter-4", "num_envs": 2, "n_steps": 4, "batch_size": 16, "epochs": 1,
     "total_steps": 64, "set_width": 4, "hidden": (4,), "eval_every": 0, "checkpoint_every": 32,
     "tensorboard": False, "num_threads": 1,
 }  # fmt: skip

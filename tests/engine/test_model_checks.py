@@ -122,7 +122,7 @@ BAD_FIELDS = {
     "constants none": ({"constants": None}, "constants of .* is None; it must be a function"),
     "constants raise": ({"constants": lambda s: 1 / "a"}, "constants of .* fails: TypeError"),
     "constants a dict": ({"constants": lambda s: {}}, "are a dict; describe_motion must have"),
-    "angles": ({"n_angles": -1}, "n_angles of .* is -1; it must be a whole number, 0 or .* 4"),
+    "angles": ({"n_angles": -1}, "n_angles of .* is -1; it must be an integer, 0 or .* 4"),
     "kept": ({"n_kept": 2}, "n_kept of .* is 2; it must be a function"),
     "kept what": ({"n_kept": lambda dim: "a"}, "keeps 'a' numbers"),
     "kept much": ({"n_kept": lambda dim: 5}, "keeps 5 numbers.* from 0.* to 4"),

@@ -77,7 +77,7 @@ def test_preset_equals_train_defaults():
     for guarantee in ("heading", "tank"):
         found = preset(guarantee)
         assert found.reward == config.base_scenario().reward
-        assert found.touch_penalty == config.touch_penalty
+        assert found.contact_penalty == config.contact_penalty
         assert found.settings.decision_time == pytest.approx(0.6)
     assert preset("heading").settings == config.policy_settings()
     assert preset(None) == preset("heading")
@@ -94,7 +94,7 @@ def test_preset_has_energy_budget_of_robot_model(field):
     assert shipped.budget == pytest.approx((1 if field == "clutter-8" else 2) * 100 / 3)
     np.testing.assert_allclose(teams.env.guided.tank.normalised_levels, shipped.budget)
     everyone, own = preset("tank"), preset("tank", rv.scenarios.get(field))
-    assert own.reward == everyone.reward and own.touch_penalty == everyone.touch_penalty
+    assert own.reward == everyone.reward and own.contact_penalty == everyone.contact_penalty
 
 
 @pytest.mark.parametrize(("guarantee", "angles"), [("heading", ANGLES), ("tank", ALL_ROUND)])
@@ -119,8 +119,8 @@ def test_models_without_policy_use_wrapper_spaces():
     plain = rv.training_env("cloud-8", guarantee="links", learning_preset=False)
     assert links.observation_space("robot_0") == plain.observation_space("robot_0")
     assert links.teams.env.decision_period == round(0.6 / links.scenario.tau)
-    assert plain.teams.env.decision_period == 1 and plain.teams.touch_penalty == 0.0
-    assert links.teams.touch_penalty == 1.0 and links.scenario.reward != plain.scenario.reward
+    assert plain.teams.env.decision_period == 1 and plain.teams.contact_penalty == 0.0
+    assert links.teams.contact_penalty == 1.0 and links.scenario.reward != plain.scenario.reward
 
 
 @pytest.mark.parametrize("name", ["cloud-8", "uav-clutter-16"])
@@ -171,7 +171,7 @@ def test_overrides_reach_wrapper_preset_and_scenario():
         ({"guarantee": "gains", "discrete": True}, ValueError, "discrete is True"),
         ({"frame": "local"}, ValueError, "frame is 'local'.*learning_preset=False"),
         ({"learning_preset": 1}, ValueError, "learning_preset is 1"),
-        ({"touch_penalty": "no"}, ValueError, "touch_penalty is 'no'"),
+        ({"contact_penalty": "no"}, ValueError, "contact_penalty is 'no'"),
         ({"scenario": HEAVY, "guarantee": None, "discrete": True}, ValueError, "discrete is True"),
     ],
 )
@@ -210,7 +210,7 @@ def test_reward_terms_of_ones_own_are_merged_with_the_preset(make, guarantee, ca
             env = make(**{"scenario": SCENARIO, "guarantee": guarantee} | how)
             assert env.scenario.reward == expected
             assert getattr(env, "teams", env).unwrapped.scenario.reward == expected
-        assert f"in force are {expected} and touch_penalty 1" in caplog.text
+        assert f"in force are {expected} and contact_penalty 1" in caplog.text
         one = make(SCENARIO, guarantee=guarantee, reward={"time_penalty": 0.3}).scenario.reward
         assert one == dataclasses.replace(preset, time_penalty=0.3)
         same = {"progress": 1.0}  # what is told is in force, though it is the default

@@ -15,7 +15,7 @@ from train.learn.teams import make_environments
 
 CONFIG = Config(
     scenario="clutter-12", set=("time_limit=3",), guarantee="tank", budget=2.0, critic="global",
-    set_width=8, hidden=(16,), memory_units=8, num_teams=5, decision_period=1,
+    set_width=8, hidden=(16,), memory_units=8, num_envs=5, decision_period=1,
 )  # fmt: skip
 
 

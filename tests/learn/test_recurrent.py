@@ -19,7 +19,7 @@ TEAMS, STEPS, UNITS = 8, 20, 8
 CONFIG = Config(
     scenario="clutter-12", set=("time_limit=1.5",), guarantee="tank", budget=2.0, prior=3.0,
     set_width=8, hidden=(16,), clearance=0.1, min_alignment=0.1, max_turn_rate=3.0, seed=5,
-    memory="recurrent", memory_units=UNITS, decision_period=1, num_teams=TEAMS, epochs=1,
+    memory="recurrent", memory_units=UNITS, decision_period=1, num_envs=TEAMS, epochs=1,
 )  # fmt: skip
 SCENARIO, SETTINGS = CONFIG.plain_scenario(), CONFIG.policy_settings()
 

@@ -263,7 +263,7 @@ class TestRefusals:
             ("config.json", None, b"\xff", "config.json: 'utf-8' codec"),
             ("config.json", None, b"[]", "config.json: the configuration is a list"),
             ("config.json", b'clearance": 0.2', b'clearance": NaN', "--clearance is nan; it must"),
-            ("config.json", b'teams": 8', b'teams": "8"', "num_teams is '8'; it must be of type"),
+            ("config.json", b'teams": 8', b'teams": "8"', "num_envs is '8'; it must be of type"),
             ("config.json", b" 16\n", b' 16, "6"\n', "hidden is (16, '6'); it must be of type"),
             ("config.json", b"clutter-4", b"clutter-8", "is of another run"),
         ],

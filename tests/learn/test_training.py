@@ -84,7 +84,7 @@ class TestLearning:
     def test_reward_is_learned(self, tmp_path):
         """With a reward for progress only, motion along f is optimal from any initialisation."""
         changed = config(
-            tmp_path / "run", total_steps=16 * 2048, num_teams=32, prior=0.0, touch_penalty=0.0,
+            tmp_path / "run", total_steps=16 * 2048, num_envs=32, prior=0.0, contact_penalty=0.0,
             learning_rate=3e-3, epochs=4, batch_size=512, progress=20.0, time_penalty=0.0,
             rendezvous_bonus=0.0, curriculum=(0,), eval_every=0, gamma=0.9,
         )  # fmt: skip

@@ -22,7 +22,7 @@ def collected(memory, batch_size=10**6):
     config = Config(
         scenario="clutter-12", set=("time_limit=3",), guarantee="tank", budget=2.0, memory=memory,
         critic="global" if memory == "recurrent" else "local", set_width=8, hidden=(16,), seed=5,
-        num_teams=16, n_steps=STEPS, batch_size=batch_size, epochs=3, ent_coef=0.01,
+        num_envs=16, n_steps=STEPS, batch_size=batch_size, epochs=3, ent_coef=0.01,
         learning_rate=3e-3, clip_range=0.02,
     )  # fmt: skip
     model = Trainer(config).model
@@ -109,7 +109,7 @@ def test_gradients_equal_autograd():
 
 def test_merge_within_decision_keeps_team_reward():
     """Includes the bonus of a later rendezvous in the same decision."""
-    robots = TimedRobotVecEnv(make_environments(Config(num_teams=64, touch_penalty=0.0), 0))
+    robots = TimedRobotVecEnv(make_environments(Config(num_envs=64, contact_penalty=0.0), 0))
     robots.seed(0)
     robots.reset()
     merged = 0

@@ -135,7 +135,7 @@ class TestFunctions:
             ({"choose": 3}, "choose is 3; it must be a function of observations"),
             ({"min_alignment": 2.0}, "min_alignment is 2.0"),
             ({"frame": "mine"}, "frame is 'mine'"),
-            ({"decision_period": 0}, "decision_period is 0; it must be a whole number"),
+            ({"decision_period": 0}, "decision_period is 0; it must be an integer"),
             ({"scenario": rv.Scenario(robot_model="double_integrator")}, r"law \(4\) needs robots"),
         ],
     )
@@ -247,9 +247,7 @@ class TestModels:
         with pytest.raises(ValueError, match=r"what predict gave .*; it must be \(2, 2\)"):
             policy(rv.Simulator(rv.scenarios.get("duo"), 1).reset(0), 0.0)
         policy = TrainedPolicy("duo", lambda seen: np.full(len(seen), 1.5), discrete=True)
-        with pytest.raises(
-            ValueError, match=r"robot_0 in team 0 is 1.5; it must be a whole number"
-        ):
+        with pytest.raises(ValueError, match=r"robot_0 in team 0 is 1.5; it must be an integer"):
             policy(rv.Simulator(rv.scenarios.get("duo"), 1).reset(0), 0.0)
 
 

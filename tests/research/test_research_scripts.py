@@ -150,7 +150,7 @@ def test_contact_is_not_collision_free():
         ("claims.py --seed -1", "--seed 0 or more"),
         ("training_search.py --every 0", "--every is 0; it must be 1 or more"),
         ("growth.py", "name a PNG"),
-        ("packing.py many", "SEEDS is 'many'; it must be a whole number, 1 or more"),
+        ("packing.py many", "SEEDS is 'many'; it must be an integer, 1 or more"),
         ("packing.py 0", "SEEDS is '0'"),
     ],
 )

@@ -35,7 +35,7 @@ def test_help_shows_defaults_and_bounds():
     text = inspect.getdoc(rv.Scenario)
     flat = " ".join(text.split())
     assert "    n_robots = 5\n" in text
-    assert "whole number from 2 to 10000" in text
+    assert "integer from 2 to 10000" in text
     assert "    merge_radius = 0.2\n" in text
     assert "number from 1e-09 to 1e+09 m/s²" in text
     assert "one of 'slide', 'stop', 'ignore'" in flat
@@ -46,7 +46,7 @@ def test_help_shows_defaults_and_bounds():
 @pytest.mark.parametrize(
     ("hint", "words"),
     [
-        (Annotated[int, partial(checks.check_int, least=2, most=9)], "a whole number from 2 to 9"),
+        (Annotated[int, partial(checks.check_int, least=2, most=9)], "an integer from 2 to 9"),
         (
             Annotated[float, partial(checks.positive, unit="s")] | None,
             "None, or a number from 1e-09",
@@ -67,7 +67,7 @@ def test_bounds_of_scenarios_are_those_that_are_checked():
     with pytest.raises(ValueError, match="at most 10000"):
         rv.Scenario(n_robots=10_001)
     listed = {name: bounds for name, _, _, bounds in described_fields(rv.Scenario)}
-    assert listed["n_robots"] == "a whole number from 2 to 10000"
+    assert listed["n_robots"] == "an integer from 2 to 10000"
 
 
 def test_fields_are_listed_without_source(monkeypatch):

@@ -206,7 +206,7 @@ def test_each_sensing_field_round_trips(field, tmp_path):
 def test_invalid_value_is_named(field, value):
     with pytest.raises(ValueError, match=rf"^sensing\.{field} is .*; it must be ") as refused:
         rv.Sensing(**{field: value})
-    shown = "whole number of about" if value == 10**400 else repr(value)
+    shown = "integer of about" if value == 10**400 else repr(value)
     assert shown in str(refused.value)
 
 

@@ -37,9 +37,9 @@ FIELDS = (
     "spawn_size", "body_radius",
 )  # fmt: skip
 REFUSED = [
-    ({"n_robots": 1}, r"n_robots is 1; it must be a whole number, 2 or more"),
+    ({"n_robots": 1}, r"n_robots is 1; it must be an integer, 2 or more"),
     ({"n_robots": True}, r"n_robots is True"),
-    ({"n_robots": HUGE}, "n_robots is a whole number of about 401 digits"),
+    ({"n_robots": HUGE}, "n_robots is an integer of about 401 digits"),
     ({"n_robots": 10**9}, f"n_robots is 1000000000; .* at most {MAX_ROBOTS}"),
     ({"dim": 4}, r"dim is 4; it must be 2 or 3"),
     ({"dim": [2]}, r"dim is \[2\]; it must be 2 or 3"),
@@ -47,7 +47,7 @@ REFUSED = [
         ({"merge_radius": value}, rf"merge_radius is .*{text}.*; it must be a positive, finite num")
         for value, text in (
             (0, "0"), (-1.5, "-1.5"), (math.inf, "inf"), (math.nan, "nan"), ("1", "'1'"),
-            (True, "True"), (None, "None"), (HUGE, "whole number of about 401 digits"),
+            (True, "True"), (None, "None"), (HUGE, "integer of about 401 digits"),
             (1e300, r"1e\+300"), (1e-300, "1e-300"), (np.ones(2), r"array\(\[1\., 1\.\]\)"),
         )
     ],
@@ -117,7 +117,7 @@ REFUSED = [
     ({"graph": {"edges": [5]}}, r"graph: an edge is 5; it must be \(i, j\) or"),
     ({"graph": {"edges": [[0, 1.5]]}}, r"graph: an edge is \[0, 1\.5\]; .* whole indices"),
     ({"graph": {"edges": [[0, math.nan]]}}, r"graph: an edge is \[0, nan\]; .* whole indices"),
-    ({"graph": {"edges": [[0, 1]], "n_nodes": "x"}}, "graph: n_nodes is 'x'; .* whole number"),
+    ({"graph": {"edges": [[0, 1]], "n_nodes": "x"}}, "graph: n_nodes is 'x'; .* integer"),
     ({"graph": {"edges": [[0, 1, 1e300]]}}, r"edge \(0, 1\) has weight 1e\+300; it must be pos"),
     ({"graph": 1e-300 * (1 - np.eye(5))}, r"a\[0, 1\] = 1e-300 must be 0, or from 1e-09 to 1e\+09"),
     ({"obstacles": 5}, "obstacles is 5; it must be a sequence of obstacles"),
@@ -204,7 +204,7 @@ def test_unknown_field_names_closest_match():
         (lambda: g.from_edges([(0, 1), (1, 0)], 3), r"edge \(1, 0\) must join .* once"),
         (lambda: g.from_edges([(0, 5)], 3), r"edge \(0, 5\) must join two .* of 0\.\.2"),
         (lambda: g.from_edges([(0, 1, 0.0)], 3), r"edge \(0, 1\) has weight 0\.0; .*positive"),
-        (lambda: g.from_edges([(0, HUGE)]), "n_nodes is a whole number of about 401"),
+        (lambda: g.from_edges([(0, HUGE)]), "n_nodes is an integer of about 401"),
         (lambda: g.Graph("edges"), "n_nodes is None"),
         (lambda: g.Graph("path", edges=((0, 1, 1.0),)), "a path has neither edges"),
         *[
@@ -287,7 +287,7 @@ def test_numpy_scalars_become_python(expected, tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("n_robots = " + "9" * 400, "n_robots is a whole number of about 40[01] digits"),
+        ("n_robots = " + "9" * 400, "n_robots is an integer of about 40[01] digits"),
         ("n_robots = " + "9" * 5000, "mine.toml: not a TOML file"),
         ("graph = " + "[" * 5000 + "]" * 5000, "mine.toml: its tables and lists are nested too"),
         ("graph = " + "[" * 60 + "]" * 60, "graph"),

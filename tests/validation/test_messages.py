@@ -24,8 +24,8 @@ PAIR = Scenario(n_robots=2)
 @pytest.mark.parametrize(
     ("value", "text"),
     [
-        (UNWRITABLE, "a whole number of about 5001 digits"),
-        (-UNWRITABLE, "a whole number of about 5001 digits"),
+        (UNWRITABLE, "an integer of about 5001 digits"),
+        (-UNWRITABLE, "an integer of about 5001 digits"),
         (10**59, repr(10**59)),
         ([1.5, "a"], "[1.5, 'a']"),
         (True, "True"),
@@ -175,7 +175,7 @@ def test_seeds_of_a_batch_follow_one_another_or_are_one_each():
     simulator.reset([2**63 - 1, 2**63, 2**63 + 1])
     assert simulator.seeds.tolist() == large
     for wrong, said in (([1, 2], "seed has 2 entries; it must be one number, or 3"),
-                        ([1, 2, "x"], "seed is 'x'; it must be a whole number")):  # fmt: skip
+                        ([1, 2, "x"], "seed is 'x'; it must be an integer")):  # fmt: skip
         assert said in refusal(simulator.reset, wrong)
 
 

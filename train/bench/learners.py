@@ -91,7 +91,7 @@ def heading_ppo(size: Size) -> list[Case]:
     from ..learn.settings import Config
 
     n = 4
-    config = Config(num_teams=max(1, size.num_envs // n), num_threads=size.num_threads)
+    config = Config(num_envs=max(1, size.num_envs // n), num_threads=size.num_threads)
     samples = config.samples_per_update
 
     def build(free: bool) -> Running:
@@ -117,7 +117,7 @@ def heading_ppo(size: Size) -> list[Case]:
         options = {"log_interval": None, "reset_num_timesteps": False}
         return Running(partial(model.learn, samples, **options))
 
-    own, free = ("heading-ppo", n, config.num_teams, samples, "samples"), "free environment"
+    own, free = ("heading-ppo", n, config.num_envs, samples, "samples"), "free environment"
     return [
         Case("MlpPolicy", *own, build_theirs),
         Case(free, *own, partial(build, True), "MlpPolicy"),

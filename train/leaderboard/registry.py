@@ -19,7 +19,7 @@ class Budget:
     """Training budget."""
 
     decisions: int  # of single robots
-    num_teams: int = 64  # environments side by side
+    num_envs: int = 64  # environments side by side
 
 
 @dataclass(frozen=True)

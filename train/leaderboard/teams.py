@@ -66,7 +66,7 @@ class WithoutBaseController(FeatureVectorEnv):
 def without_base_controller(teams: TrainingTeams) -> TrainingTeams:
     """The same environments without the base controller."""
     led: Any = teams.env
-    return TrainingTeams(WithoutBaseController(led.env, led.settings), teams.touch_penalty)
+    return TrainingTeams(WithoutBaseController(led.env, led.settings), teams.contact_penalty)
 
 
 def make_training_envs(
@@ -75,7 +75,7 @@ def make_training_envs(
     *,
     safety: str,
     anew: bool,
-    touch_penalty: float | None = None,
+    contact_penalty: float | None = None,
     wrap: Callable[[Any], Any] = lambda teams: teams,
 ) -> TrainingTeams:
     """B environments with the observations, decisions (an angle every 0.6 s) and rewards of the
@@ -87,7 +87,7 @@ def make_training_envs(
         safety: "heading" (theorem C); "tank" (theorem D, with a budget); "rule": the base
             controller with a tank that is never empty; "none": without base controller.
         anew: whether an environment resets in the step in which it ends (autoreset).
-        touch_penalty: cost of a first contact; None is that of the shipped policies.
+        contact_penalty: cost of a first contact; None is that of the shipped policies.
         wrap: wrapper between robots and policy, such as an action filter.
     """
     learnt, how = ShippedPreset(), filter_arguments(field, safety)
@@ -97,5 +97,5 @@ def make_training_envs(
     mode = AutoresetMode.SAME_STEP if anew else AutoresetMode.DISABLED
     base = wrap(rv.make_vec(scenario, num_envs, mode, num_threads=1))
     chosen = learnt.wrap(base, guarantee, True, how)
-    teams = TrainingTeams(chosen, price if touch_penalty is None else touch_penalty)
+    teams = TrainingTeams(chosen, price if contact_penalty is None else contact_penalty)
     return without_base_controller(teams) if safety == "none" else teams

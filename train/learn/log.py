@@ -46,7 +46,7 @@ class Table:
                 raise self._damaged(f"line {number} has {len(row)} cells, not {len(columns)}")
             cells = dict(zip(columns, row, strict=True))
             if not re.fullmatch(r"\d{1,19}", cells["step"], re.ASCII):
-                said = f"line {number}: step is {cells['step']!r}; it must be a whole number"
+                said = f"line {number}: step is {cells['step']!r}; it must be an integer"
                 raise self._damaged(said)
             if int(cells["step"]) <= step:
                 self._kept.append(cells)

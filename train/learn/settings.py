@@ -12,6 +12,7 @@ from rendezvous_env.baselines.learned.policy_settings import PolicySettings, mem
 from rendezvous_env.baselines.steering import can_steer, check_steerable
 from tyro.conf import arg
 
+from rendezvous_env.deprecation import renamed_arguments
 from rendezvous_env.obstacles.fields import ObstacleField
 from rendezvous_env.rewards.terms import RewardWeights
 from rendezvous_env.safety.settings import SMALLEST_MARGIN
@@ -50,19 +51,23 @@ _POLICY = tuple(
     field.name for field in fields(PolicySettings) if field.name not in ("decision_time", "budget")
 )
 _LEARNING = (
-    "num_teams", "n_steps", "batch_size", "epochs", "learning_rate", "gamma", "gae_lambda",
+    "num_envs", "n_steps", "batch_size", "epochs", "learning_rate", "gamma", "gae_lambda",
     "clip_range", "ent_coef", "prior", "start_from",
 )  # fmt: skip
 FLAG_GROUPS = {
     "PPO": _LEARNING,
     "Policy": (*_POLICY, "decision_period", "budget", "critic"),
     "Domain randomisation of sensors": (*(f"sensing_{name}" for name in _SAMPLED), *_HOW_SAMPLED),
-    "Rewards": (*_REWARDS, "touch_penalty"),
+    "Rewards": (*_REWARDS, "contact_penalty"),
     "Evaluation and machine": (
         "eval_every", "eval_starts", "eval_scenarios", "checkpoint_every", "tensorboard",
         "num_threads", "device",
     ),
 }  # fmt: skip
+
+
+_RENAMED = {"num_teams": "num_envs", "touch_penalty": "contact_penalty"}
+"""Deprecated names of settings, in calls and in stored runs."""
 
 
 class DefaultInt(int):
@@ -95,7 +100,7 @@ class Config(Flags):
     set: tuple[str, ...] = ()
     """Overrides of scenario fields, for example n_robots=9 time_limit=60."""
 
-    num_teams: Annotated[int, Bounds(1)] = 256
+    num_envs: Annotated[int, Bounds(1), arg(aliases=("--num-teams",))] = 256
     """Number of environments simulated in parallel."""
     n_steps: Annotated[int, Bounds(2)] = 16
     """Number of decisions of each robot between updates."""
@@ -188,7 +193,7 @@ class Config(Flags):
     """Cost of an episode that reaches the time limit, spread evenly over its steps."""
     collision_penalty: float | None = None
     """Team cost per robot in contact and environment step."""
-    touch_penalty: Annotated[float, Bounds(0)] = 1.0
+    contact_penalty: Annotated[float, Bounds(0), arg(aliases=("--touch-penalty",))] = 1.0
     """Cost of a robot's first contact in an episode."""
     rendezvous_bonus: float | None = None
     """Team reward at rendezvous."""
@@ -224,6 +229,7 @@ class Config(Flags):
         """
         if not isinstance(plain, dict):
             raise ValueError(f"the configuration is a {type(plain).__name__}, not named fields")
+        plain = {_RENAMED.get(name, name): value for name, value in plain.items()}
         if unknown := sorted(set(plain) - {field.name for field in fields(cls)}):
             raise ValueError(f"field {unknown[0]!r} of the configuration is unknown")
         memory = {"memory": memory_of(plain["memory"])} if "memory" in plain else {}
@@ -237,7 +243,7 @@ class Config(Flags):
     @property
     def samples_per_update(self) -> int:
         """Robots times decisions between updates."""
-        return self.num_teams * self.base_scenario().n_robots * self.n_steps
+        return self.num_envs * self.base_scenario().n_robots * self.n_steps
 
     def base_scenario(self) -> Scenario:
         """The scenario with this configuration's reward weights.
@@ -295,6 +301,9 @@ MAY_CHANGE = ("total_steps", "eval_every", "eval_starts", "checkpoint_every", "n
 """Fields that a resumed run may change."""
 
 
+Config.__init__ = renamed_arguments(**_RENAMED)(Config.__init__)  # type: ignore[method-assign]
+
+
 def check(config: Config) -> None:
     """Validate combinations of settings; a UserError names the flag and the remedy."""
     _check_unused(config)
@@ -307,10 +316,10 @@ def _check_unused(config: Config) -> None:
     ranges = config.sensing_ranges()
     with user_error("--sensing-… draws sensors: ", ValueError):
         check_ranges(ranges, config.sensing_chance)
-    if ranges and config.sensing_groups > config.num_teams:
+    if ranges and config.sensing_groups > config.num_envs:
         raise UserError(
-            f"--sensing-groups is {config.sensing_groups}; it must be {config.num_teams} or less, "
-            "as --num-teams"
+            f"--sensing-groups is {config.sensing_groups}; it must be {config.num_envs} or less, "
+            "as --num-envs"
         )
     unused = {}
     if config.guarantee == "heading":
@@ -340,7 +349,7 @@ def _check_scenarios(config: Config) -> None:
         )
     if (samples := config.samples_per_update) > _MOST_SAMPLES:
         raise UserError(
-            f"--num-teams times robots times --n-steps is {samples}; it must be "
+            f"--num-envs times robots times --n-steps is {samples}; it must be "
             f"{_MOST_SAMPLES} or less"
         )
     for scenario in (base, *map(resolve_scenario, config.eval_scenarios)):

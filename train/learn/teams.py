@@ -153,14 +153,14 @@ def make_environments(config: Config, stage: int) -> FeatureVectorEnv | SensingG
         return FeatureVectorEnv(
             make_vec(sensed, size, autoreset_mode=mode, num_threads=config.num_threads),
             settings,
-            touch_penalty=config.touch_penalty,
+            contact_penalty=config.contact_penalty,
             obstacle_slots=slots,
             global_state=state,
         )
 
     if not ranges:
-        return make(scenario.sensing, config.num_teams)
-    sizes = [len(p) for p in np.array_split(np.arange(config.num_teams), config.sensing_groups)]
+        return make(scenario.sensing, config.num_envs)
+    sizes = [len(p) for p in np.array_split(np.arange(config.num_envs), config.sensing_groups)]
 
     def make_group(group: int, generation: int) -> FeatureVectorEnv:
         key = config.seed, group, generation

@@ -279,7 +279,7 @@ def run(config: Config, on_update: OnUpdate | None = None) -> Result:
             torch.set_default_dtype(torch.float32)
             if (least := config.samples_per_update) > config.total_steps:
                 console.print(
-                    f"one update is {least:,} decisions (--num-teams × robots × --n-steps), more "
+                    f"one update is {least:,} decisions (--num-envs × robots × --n-steps), more "
                     f"than --total-steps {config.total_steps:,}: the run ends after the first one"
                 )
             training = Trainer(config)

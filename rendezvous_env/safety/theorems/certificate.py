@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 from ...checks import choice, raise_invalid, to_float
+from ...deprecation import renamed_attribute
 from ...field_docs import lists_fields
 from ...scenario.scenario import Scenario
 from ...scenario.scenarios import resolve
@@ -31,14 +31,6 @@ _KEPT = {
     "link_growth": "a link that merges cannot end never grows by more than {} m",
     "expected_time": "the mean time to rendezvous never exceeds {} s",
 }
-
-
-def _renamed(old: str, new: str) -> Any:
-    def read(found: Certificate) -> Any:
-        warnings.warn(f"Certificate.{old} is called {new} now", DeprecationWarning, stacklevel=2)
-        return getattr(found, new)
-
-    return property(read, doc=f"Deprecated: ``{new}``.")
 
 
 @lists_fields
@@ -106,9 +98,9 @@ class Certificate:
     margin = property(lambda self: self.min_alignment, doc="ε: ``min_alignment``.")
     sampled_time_bound = property(lambda self: self.time_bound, doc="``time_bound``, s.")
 
-    held_time_bound = _renamed("held_time_bound", "time_bound")
-    bearing_error_borne = _renamed("bearing_error_borne", "tolerated_bearing_error")
-    continuous_time = _renamed("continuous_time", "continuous_time_only")
+    held_time_bound = renamed_attribute("held_time_bound", "time_bound")
+    bearing_error_borne = renamed_attribute("bearing_error_borne", "tolerated_bearing_error")
+    continuous_time = renamed_attribute("continuous_time", "continuous_time_only")
 
     def __str__(self) -> str:
         """Summary of the guarantee: bounds, and comparison with the time limit of episodes."""

@@ -199,7 +199,7 @@ def test_compare_with_lost_worker_equals_single_process(two, tmp_path):
 def test_train_seeds_write_into_given_folders(two, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     small = (
-        "train", "--scenario", "clutter-4", "--num-teams", 4, "--n-steps", 8, "--batch-size", 64,
+        "train", "--scenario", "clutter-4", "--num-envs", 4, "--n-steps", 8, "--batch-size", 64,
         "--epochs", 1, "--total-steps", 256, "--set-width", 4, "--hidden", 8, "--eval-every", 0,
         "--no-tensorboard", "--seeds", 0, 3, "--out", "runs",
     )  # fmt: skip

@@ -138,7 +138,7 @@ def test_sets_of_splits_layouts():
 
 
 def small(**arguments):
-    config = rllib.configure(PPOConfig(), SCENARIO, num_teams=TEAMS, units=16, **BARE | arguments)
+    config = rllib.configure(PPOConfig(), SCENARIO, num_envs=TEAMS, units=16, **BARE | arguments)
     return config.env_runners(num_env_runners=0).training(
         train_batch_size=600, minibatch_size=200, num_epochs=2
     )

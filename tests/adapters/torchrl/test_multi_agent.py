@@ -29,9 +29,9 @@ pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::U
 def test_learners_train_in_common_environments(safety):
     field = scenarios.get("clutter-8")
     price = 0.0 if safety == "none" else None
-    teams = make_training_envs(field, 3, safety=safety, anew=True, touch_penalty=price)
+    teams = make_training_envs(field, 3, safety=safety, anew=True, contact_penalty=price)
     env = multi_agent.task_of(field, safety).get_env_fun(3, False, 7, "cpu")()
-    assert env.teams.touch_penalty == teams.touch_penalty == (0.0 if safety == "none" else 1.0)
+    assert env.teams.contact_penalty == teams.contact_penalty == (0.0 if safety == "none" else 1.0)
     seen, _ = teams.reset(seed=7)
     now, random = env.reset(), np.random.default_rng(0)
     for _ in range(60):
@@ -55,7 +55,7 @@ def board(tmp_path_factory):
 @pytest.mark.parametrize("name", ["ippo-none", "mappo-heading", "masac-none", "qmix-heading"])
 def test_run_is_bitwise_reproducible(name, board, capsys):
     out, card = board[name]
-    assert card["settings"]["num_teams"] == 64 and "benchmarl" in card["versions"]
+    assert card["settings"]["num_envs"] == 64 and "benchmarl" in card["versions"]
     per_update = 4 * 64 * (16 if "ppo" in name else 4)
     assert card["settings"]["max_n_iters"] * per_update == card["decisions"] == 2**12
     path = out / "cells" / name / "clutter-8-v1-seed-0.json"

@@ -76,9 +76,9 @@ def test_environment_is_heading_wrapper_with_features():
 
 
 PRICED = {
-    "choices": (1, lambda mode, price: teams(mode=mode, touch_penalty=price)),
+    "choices": (1, lambda mode, price: teams(mode=mode, contact_penalty=price)),
     "velocities": (50, lambda mode, price: training_env(
-        SCENARIO, TEAMS, guarantee=None, autoreset_mode=mode, touch_penalty=price
+        SCENARIO, TEAMS, guarantee=None, autoreset_mode=mode, contact_penalty=price
     )),
 }  # fmt: skip
 """Duration and owner of choices that prevent robots from resting."""
@@ -141,7 +141,7 @@ def test_tank_robots_move_at_speed_of_law_1():
 )
 def test_state_resumes_bitwise(scenario, settings, steps):
     robots, other = (
-        RobotVecEnv(teams(settings, scenario=scenario, touch_penalty=1.0)) for _ in range(2)
+        RobotVecEnv(teams(settings, scenario=scenario, contact_penalty=1.0)) for _ in range(2)
     )
     robots.seed(8)
     for each in (robots, other):
@@ -219,7 +219,7 @@ def test_rewards_are_independent_of_other_environments():
         n_robots=4, spawn_size=6.0, obstacles=(near,), merge_radius=0.3, local_frames="global",
         reward=rv.RewardWeights(custom={"effort of some": -1.0}),
     )  # fmt: skip
-    choices = {"guarantee": None, "touch_penalty": 1.0, "learning_preset": False}
+    choices = {"guarantee": None, "contact_penalty": 1.0, "learning_preset": False}
     teams = [training_env(scenario, count, **choices) for count in (12, 1)]
     for env in teams:
         env.reset(seed=0)

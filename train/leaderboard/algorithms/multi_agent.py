@@ -73,7 +73,7 @@ def learn(
         return chosen
 
     told = asdict(config) | {"save_folder": None, "net_arch": network.num_cells}
-    told |= {"algorithm": name, **asdict(algorithm), "num_teams": budget.num_teams}
+    told |= {"algorithm": name, **asdict(algorithm), "num_envs": budget.num_envs}
     how = {"safety": safety, "anew": False, **_price(safety)}
     return (lambda n: Player(make_training_envs(field, n, **how), choose)), told
 
@@ -94,7 +94,7 @@ def task_of(field: Scenario, safety: str) -> Any:
 
 
 def _price(safety: str) -> dict[str, Any]:
-    return {"touch_penalty": 0.0} if safety == "none" else {}
+    return {"contact_penalty": 0.0} if safety == "none" else {}
 
 
 def _experiment(n_robots: int, budget: Budget, on_policy: bool, folder: Path) -> Any:
@@ -103,7 +103,7 @@ def _experiment(n_robots: int, budget: Budget, on_policy: bool, folder: Path) ->
 
     config = ExperimentConfig.get_from_yaml()
     kind = "on" if on_policy else "off"
-    frames = budget.num_teams * STEPS[kind]
+    frames = budget.num_envs * STEPS[kind]
     vars(config).update(
         _EXPERIMENT,
         save_folder=folder,
@@ -112,7 +112,7 @@ def _experiment(n_robots: int, budget: Budget, on_policy: bool, folder: Path) ->
         exploration_anneal_frames=max(1, budget.decisions // (2 * n_robots)),
         on_policy_minibatch_size=max(1, 1024 // n_robots),
         **{f"{kind}_policy_collected_frames_per_batch": frames},
-        **{f"{kind}_policy_n_envs_per_worker": budget.num_teams},
+        **{f"{kind}_policy_n_envs_per_worker": budget.num_envs},
     )
     return config
 

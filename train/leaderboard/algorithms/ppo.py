@@ -52,7 +52,7 @@ def learn(
     from ...learn.rollout_buffer import RobotPPO
 
     torch.set_num_threads(1)  # a run repeats bit by bit, and does not wait for other cores
-    paid = Paid(make_training_envs(field, budget.num_teams, anew=True, **safety))
+    paid = Paid(make_training_envs(field, budget.num_envs, anew=True, **safety))
     robots = RobotVecEnv(paid)
     robots.seed(TRAINING_SEEDS + 2**32 * seed)
     rule = multiplier_of(paid, robots, limit) if limit is not None else None
@@ -60,7 +60,7 @@ def learn(
     model.set_logger(Logger(None, []))  # else it makes a folder for temporary files
     model.learn(budget.decisions, callback=rule)
     told = {key: value for key, value in safety.items() if not callable(value)}
-    settings = {**SETTINGS, **told, "limit": limit, "num_teams": budget.num_teams}
+    settings = {**SETTINGS, **told, "limit": limit, "num_envs": budget.num_envs}
     if limit is not None:
         settings["multiplier_at_the_end"] = paid.multiplier
     settings["wrap"] = getattr(safety.get("wrap"), "__name__", None)
@@ -114,13 +114,13 @@ def algorithm(
 
 
 ALGORITHMS = {
-    "ppo-none": algorithm("PPO on the team's reward alone", "none", "none", touch_penalty=0.0),
+    "ppo-none": algorithm("PPO on the team's reward alone", "none", "none", contact_penalty=0.0),
     "ppo-penalty": algorithm("PPO; a robot's first touch costs it 1", "penalty", "none"),
     "ppo-lagrangian": algorithm(  # Ray, Achiam & Amodei 2019, with one critic
         "PPO-Lagrangian: touches cost λ, which grows while an episode has more than 0.1 of them",
         "Lagrangian",
         "none",
-        touch_penalty=0.0,
+        contact_penalty=0.0,
         limit=0.1,
     ),
     "ppo-rule": algorithm(
