@@ -1,6 +1,6 @@
 """Bounds on mean times against measured ones, for random scenarios with missed detections.
 
-    python research/expected_times.py --scenarios 1000
+    python research/expected_times.py --granted 1000
 
 The scenarios are those of ``rendezvous verify --random-scenarios`` whose sensor misses neighbours
 by chance alone, with a detection probability of 0.3 or more. Each granted one is repeated 48 times.
@@ -44,11 +44,11 @@ def mean_time_of(scenario: rv.Scenario, seed: int) -> float:
 def main() -> None:
     """Print share granted and quartiles of the bound over the measured mean, by kind."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenarios", type=int, default=1000, help="number of scenarios granted")
+    parser.add_argument("--granted", type=int, default=1000, help="number of scenarios")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     ratios, refused, number = defaultdict[str, list[float]](list), defaultdict[str, int](int), -1
-    while len(ratios["all"]) < arguments.scenarios:
+    while len(ratios["all"]) < arguments.granted:
         number += 1
         trial = trials_of(arguments.seed, number)[0]
         scenario = trial.scenario
