@@ -29,7 +29,7 @@ MODELS = {
     2: ("single_integrator", "unicycle", "double_integrator"),
     3: ("single_integrator", "nonholonomic_3d", "double_integrator"),
 }
-TEAMS = {"single_integrator": 256, "unicycle": 128, "nonholonomic_3d": 64, "double_integrator": 16}
+TEAMS = {"single_integrator": 256, "unicycle": 128, "nonholonomic_3d": 64, "double_integrator": 24}
 """Number of environments for each robot model; curved paths are slower."""
 SLOWEST, FASTEST = 1e-3, 1e6
 _ON_THE_SPOT = 1e-12  # m

@@ -490,8 +490,7 @@ def test_what_does_not_fit_the_team_is_refused(fields, words):
     "fields",
     [
         {"min_range": 1.0}, {"sample_period": 1.0}, {"observer_bias": 0.1}, {"noise": (0.1,) * 5},
-        {"noise": 0.1, "noise_correlation": 1.0}, {"detection": ((1.0, 0.5),)},
-        {"dropout": 0.1, "persistence": 1.0}, {"outliers": 0.01},
+        {"noise": 0.1, "noise_correlation": 1.0}, {"detection": ((1.0, 0.0),)}, {"outliers": 0.01},
         {"field_of_view": 1.0, "view_falloff": 0.1},
     ],
     ids=lambda fields: next(iter(fields)),

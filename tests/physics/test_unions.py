@@ -235,7 +235,7 @@ class TestPresses:
         for make in UNIONS[dim]:
             for mode in ("slide", "stop"):
                 found = pressed(make(random), dim, model, mode, random)
-                assert found.presses > 500, make.__name__
+                assert found.presses > 1000, make.__name__
                 assert found[1:] == (0, 0), (make.__name__, mode)
                 total = Count(*map(sum, zip(total, found, strict=True)))
         return total

@@ -17,7 +17,7 @@ from rendezvous_env.safety.theorems.constants import (
     min_degrees,
 )
 from rendezvous_env.safety.theorems.descent import time_bound
-from rendezvous_env.safety.theorems.gains import kappa, shrinking_to_leader
+from rendezvous_env.safety.theorems.gains import depth_gained, kappa, shrinking_to_leader
 from research.time_bounds import pursuit_bound, rendezvous_time_lower_bound
 
 ALLOWANCE = 4 * 0.2 * 6.5
@@ -199,11 +199,18 @@ def test_theorem_g_matches_hand_computation():
 
 
 def test_sampled_gains_match_hand_computation():
-    """C = D̄ = 2 m/s, τ C = r/2: k = ½/(½ + 2 · ½ · 0.5/2), ψ = π/4."""
+    """C = D̄ = 2 m/s, τ C = r/2: k = ½/(½ + 2 · ½ · 0.5/2); 2m(1 − cos(π/m)) falls with m.
+
+    With a stationary root, 0.78 of the directions within 75° of one count.
+    """
     team = Scenario(n_robots=4, graph="path", start_positions=SQUARE)
     found = certificate(team, by="gains", min_gain=0.5)
-    rate = 0.5 * math.sin(math.pi / 8) * math.pi / 4 * 0.5 / (0.5 + 2 * 0.125)
-    assert found.time_bound == close(16 / rate + 3 * team.tau)
+    rate = 0.5 * 0.5 / (0.5 + 2 * 0.125)
+    least = 8 - 4 * math.sqrt(2)
+    assert depth_gained([2, 3, 4], 2, False).tolist() == close([4.0, 3.0, least])
+    assert found.time_bound == close(16 / (rate * least) + 3 * team.tau)
+    assert float(depth_gained(2, 3, False)) == close(2 * math.pi)
+    assert float(depth_gained(2, 2, True)) == close(0.78 * 2 * (1 - math.cos(5 * math.pi / 12)))
     assert math.isinf(found.lyapunov_bound) and found.hull_bound == close(16)
     assert found.tolerated_bearing_error == 0.0  # gains that differ bear nothing
 
@@ -213,9 +220,9 @@ def test_law_1_has_bounds_of_a_g_and_d1():
     team = Scenario(graph=UNEQUAL, start_positions=start)
     found, extent = certificate(team), 8 + 2 * 5.0  # the other two lie inside
     above = float(lyapunov(start, UNEQUAL)) + ALLOWANCE
-    psi, half = math.pi / 5, 1 / 2  # τ D̄ = r/2
+    half, cones = 1 / 2, 10 * (1 - math.cos(math.pi / 5))  # τ D̄ = r/2
     slow = half / (half + 2 * half * 0.9 / 6.5)
-    sampled = extent / (0.9 * math.sin(psi / 2) * psi * slow) + 4 * team.tau
+    sampled = extent / (0.9 * cones * slow) + 4 * team.tau
     held = min(2 * 5 * above / (8 * 0.9**2), sampled)
     assert found.time_bound == found.sampled_time_bound == close(held)
     expected = {"time": held, "lyapunov": above, "hull": extent}

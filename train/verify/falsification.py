@@ -39,6 +39,8 @@ Policy = Callable[[Any, Moment], Any]
 TEAMS = 24
 """Number of environments per trial, divided evenly between initial conditions."""
 MAX_STEPS = 400  # steps for which a time bound is waited for
+MAX_MEAN_STEPS = 1000
+"""Steps for which environments are simulated until they meet, if a mean time is bounded."""
 PATIENT_STEPS = 1000
 """Steps of a trial of a policy, besides those that a deadlock has to last."""
 FEW_STEPS = 8, 80
@@ -275,7 +277,9 @@ def _last_steps(trial: Trial, limits: Mapping[str, Array]) -> Array:
     for name in {"time", "expected_time"} & set(limits):
         last = np.minimum(last, np.ceil(limits[name] / (trial.scenario.tau * trial.period)) + 1)
     late = last > MAX_STEPS
-    return np.where(late, few * late.all(), last)
+    means = limits.get("expected_time", np.full(len(last), math.inf))
+    most = np.where(np.isfinite(means), np.minimum(last, MAX_MEAN_STEPS), few * late.all())
+    return np.where(late, most, last)
 
 
 def climb(trial: Trial) -> tuple[Trial, Played]:

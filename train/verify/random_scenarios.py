@@ -32,6 +32,8 @@ _TRIES = 40
 _CORNERS = 0.25  # share of scenarios that are drawn where promises would break first
 _TOLERABLE = 0.8
 """Fraction of scenarios with one sensor imperfection small enough for some theorem."""
+_BY_CHANCE = 0.35
+"""Fraction of these with detection by chance, for which a mean time is bounded."""
 _CLIMBING = 0.15  # share of trials whose starts are improved
 _SIZES = (2, 3, 3, 3, 4, 4, 4, 5, 6)
 _MODELS = (
@@ -163,15 +165,18 @@ def _arguments(random: Random, scenario: rv.Scenario, by: str) -> dict[str, floa
 
 
 def _tolerable(random: Random, scenario: rv.Scenario, given: Given) -> rv.Scenario:
-    """Variant with bearing errors, noise or delay tolerated by some theorem, and equal gains if
-    that theorem requires them.
+    """Variant with bearing errors, noise, delay or missed detections tolerated by some theorem, and
+    equal gains if that theorem requires them.
     """
     n, step = scenario.n_robots, scenario.certified_step * log_uniform(random, 0.1, 1.0)
     passed = scenario.obstacles if scenario.obstacle_contact == "ignore" else ()
     exact = scenario.replace(sensing=rv.Sensing(), max_speed=None, obstacles=passed)
     lasting = exact.sensing_graph.kind not in GRAPHS["changing"]
     flaw = pick(random, "error", "error", "noise", "delay") if lasting else "error"
-    if flaw == "noise":
+    chance = random.spawn(1)[0]  # so that all else is drawn as without missed detections
+    if chance.random() < _BY_CHANCE:
+        sensing = by_chance(chance, scenario.merge_radius, step)
+    elif flaw == "noise":
         sensing = rv.Sensing(noise=log_uniform(random, 0.01, 0.6))
     elif flaw == "delay":
         sensing = rv.Sensing(delay=int(random.integers(1, 5)))
@@ -194,6 +199,26 @@ def _tolerable(random: Random, scenario: rv.Scenario, given: Given) -> rv.Scenar
             return exact
         sensing = rv.Sensing(error=error)
     return exact.replace(sensing=sensing, time_step=step, time_limit=1000.0 * step)
+
+
+def by_chance(random: Random, r: float, tau: float) -> rv.Sensing:
+    """Sensor that misses neighbours at random, with persistence or held rows in half of the cases,
+    and rarely with noise; for a merge radius r, m, and a step τ, s.
+    """
+    fields: dict[str, Any] = {}
+    if random.random() < 0.5:
+        distances = r * np.sort(random.uniform(0.3, 30.0, int(random.integers(1, 4))))
+        chances = random.uniform(random.random(), 1.0, len(distances))
+        fields["detection"] = np.stack([distances, chances], axis=1).tolist()
+    if not fields or random.random() < 0.3:
+        fields["dropout"] = random.uniform(0.0, 0.8)
+    if random.random() < 0.3:
+        fields["persistence"] = tau * log_uniform(random, 0.03, 30.0)
+    if random.random() < 0.3:
+        fields["sample_period"] = tau * log_uniform(random, 0.5, 8.0)
+    if random.random() < 0.1:
+        fields["noise"] = log_uniform(random, 0.01, 0.6)
+    return rv.Sensing(**fields)
 
 
 def _scenario(random: Random, kind: Kind) -> rv.Scenario:

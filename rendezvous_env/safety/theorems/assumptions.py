@@ -171,23 +171,54 @@ def flawed_by(flaw: str, otherwise: str) -> Assumption:
     return holds
 
 
+_CHANCE = "dropout", "detection", "persistence", "sample_period"
+"""Fields of ``Sensing`` under which every neighbour is detected sooner or later."""
+
+
+def departs_by_chance(*more: str) -> Assumption:
+    """Neighbours are missed by chance alone, and rows may be held; or the fields ``more`` are set.
+
+    With "noise" among them, it is white and of one level.
+    """
+
+    def holds(scenario: Scenario, asked: Asked) -> str:
+        sensing = scenario.sensing
+        by_chance = departs_in(scenario, *_CHANCE, *more) and not sensing.exact
+        if by_chance and isinstance(sensing.noise, float) and asked.error == 0.0:
+            return ""
+        return f"none: the mean time is known of detection by chance ({sensing.departures()})"
+
+    return holds
+
+
+def _mean_time(scenario: Scenario, asked: Asked) -> str:
+    """Remark on the mean time of law (1) for a message: where it is, or why there is none."""
+    if asked.by != "law":
+        return ""
+    if not departs_by_chance("noise")(scenario, asked):
+        return "; see expected_time_bound for the mean time of law (1)"
+    exact = vars(Sensing())
+    hides = ("range", "min_range", "field_of_view", "view_falloff", "occlusion")
+    if out := [name for name in hides if getattr(scenario.sensing, name) != exact[name]]:
+        return f"; no mean time is bounded, since {out[0]} can hide a neighbour for ever"
+    return ""
+
+
 def bounded_errors(scenario: Scenario, asked: Asked) -> str:
     """Bearings are current, with a bounded error."""
     sensing = scenario.sensing
     if sensing.custom:
         return f"none: no theorem knows what a custom sensor sees ({sensing.departures()})"
     if sensing.noise or sensing.bias or sensing.observer_bias or sensing.outliers:
-        mean = "; see expected_time_bound for what noise leaves of law (1)"
-        white = isinstance(sensing.noise, float) and departs_in(scenario, "noise")
         return (
             "none: the theorems hold for exact bearings, or errors up to a bound, and this "
             f"sensor's have none ({sensing.departures()})"
-        ) + mean * (asked.by == "law" and white)
+        ) + _mean_time(scenario, asked)
     if sensing.sample_period:
         return (
             "none: this theorem holds for bearings of the moment, and this sensor's are held "
             f"between samples ({sensing.departures()}); theorem E1 covers a constant delay"
-        )
+        ) + _mean_time(scenario, asked)
     if sensing.delay or sensing.delay_time:
         return (
             "none: this theorem holds for bearings of the moment, and this sensor's are late "
@@ -208,7 +239,7 @@ def all_neighbours_visible(scenario: Scenario, asked: Asked) -> str:
     return (
         f"none: neighbours can be out of sight ({scenario.sensing.departures()}); a theorem needs "
         "all of them"
-    )
+    ) + _mean_time(scenario, asked)
 
 
 def nearest_always_visible(scenario: Scenario) -> bool:

@@ -16,12 +16,12 @@ from ...scenario.scenario import Scenario
 from ...scenario.scenarios import resolve
 from ..gains import gain_range
 from ..settings import TANK_MARGIN, bounded_error, check_bearing_error, check_share
-from . import delay, descent, gains, links, noise, policies, tank, turning
+from . import descent, gains, links, mean_time, noise, policies, tank, turning
 from .theorem import CHOICES, LAW, PROMISED, Asked, Bounds, Theorem, at_least, at_most
 
 THEOREMS: tuple[Theorem, ...] = tuple(
     theorem
-    for file in (gains, descent, turning, tank, links, noise, delay)
+    for file in (gains, descent, turning, tank, links, noise, mean_time)
     for theorem in file.THEOREMS
 )
 """All theorems in order of precedence; the first that guarantees rendezvous is cited."""
@@ -74,7 +74,8 @@ class Certificate:
     """Bearing error below which a theorem still guarantees rendezvous in discrete time, rad.
     Rounding reduces it by 2⁻²² rad, more for short steps."""
     expected_time_bound: float = math.inf
-    """Bound on the mean rendezvous time under noise sampled independently in each step, s."""
+    """Bound on the mean rendezvous time of law (1), s, where noise is white or neighbours are
+    detected by chance (theorems E[T] and E[L])."""
     scenario: str = "custom"
     """Name of the scenario."""
     time_limit: float = math.inf

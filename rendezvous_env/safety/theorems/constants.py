@@ -64,10 +64,14 @@ def min_degrees(scenario: Scenario) -> Array:
 
     Complete graphs and cycles keep their structure; otherwise one link of weight a* (theory 3).
     """
-    others = robots_left(scenario) - 1.0
-    sure = np.inf if is_complete(scenario) else 1.0 + _is_cycle(scenario)
-    links = np.minimum(others, sure)
+    links = min_neighbours(scenario)
     return np.maximum(links * lightest_link(scenario), scenario.bottleneck_weight)
+
+
+def min_neighbours(scenario: Scenario) -> Array:
+    """Minimum numbers of neighbours, an array (n − 1,): all on complete graphs, two on cycles."""
+    sure = np.inf if is_complete(scenario) else 1.0 + _is_cycle(scenario)
+    return np.minimum(robots_left(scenario) - 1.0, sure)
 
 
 def max_neighbours(scenario: Scenario) -> int:

@@ -8,9 +8,10 @@ any time all robots but one, the stationary root, have a visible neighbour.
 κ(n)), in 3-D n w0/(2c), w0 = L0/2π; with a stationary root κ₁, 2(n−1) w0/c. With zero-order hold
 over τ, τ C < r (D1):
 
-    T ≤ L0 / (c s μ k) + (n − 1) τ,      s = sin(ψ/2),   k = (r − τC)/(r − τC + 2τc),
-    ψ = π/n,  with a leader 5π/(12 (n−1)),  in 3-D π (1 − cos 5π/12)/(2 (n−1)),
-    μ = ψ,  in 3-D 2π (1 − cos(ψ/2)).
+    T ≤ L0/(c k K(n)) + (n − 1) τ,       k = (r − τC)/(r − τC + 2τc),
+    K(n) = 2n (1 − cos(π/n)),   in 3-D nπ (sin φ − φ cos φ) with φ = π/n,
+
+and with a leader that of n − 1 robots in the directions within 75° of one, times 0.78.
 
 For τ C ≤ r the hull does not grow in a step that begins with linked robots r or more apart; L0
 holds what it grows by in others. Proof: docs/proofs.md, G and D1.
@@ -30,6 +31,7 @@ from .theorem import Asked, Bounds, Theorem
 Array = NDArray[np.float64]
 
 _WIDE = 5.0 * np.pi / 12.0  # so far from the direction of another robot a leader still lies deep
+_DEEP = 0.78  # times 0.172 sin 75° r, the largest step of the others, is less than cos 75° r/2
 
 
 def kappa(n: ArrayLike) -> Array:
@@ -92,16 +94,30 @@ def hull_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     return Bounds(hull=known.largest_size(scenario) + known.hull_growth(scenario))
 
 
+def depth_gained(n: ArrayLike, dim: int, led: bool) -> Array:
+    """Minimum Σ_i ∫ sin x du over the normal cones N_i, x the angle from u to the edge, (...).
+
+        2-D:   2 n (1 − cos(π/n)),                      3-D:   n π (sin φ − φ cos φ),   φ = π/n
+
+    With a stationary root n − 1 robots share the directions within 75° of one, and the fraction
+    0.78 keeps the root deep enough (docs/proofs.md, D1).
+    """
+    m = np.asarray(n, dtype=np.float64) - led
+    angle = np.pi / m
+    if led:
+        angle = (_WIDE if dim == 2 else np.pi * (1.0 - math.cos(_WIDE)) / 2.0) / m
+    total = 2.0 * m * (1.0 - np.cos(angle))
+    if dim == 3:
+        total = m * np.pi * (np.sin(angle) - angle * np.cos(angle))
+    return np.asarray(total * (_DEEP if led else 1.0))
+
+
 def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Bounds on both times and on L."""
     (gains, most), m, dim = _gains(scenario, asked), known.robots_left(scenario), scenario.dim
     led, hull = known.led(scenario), hull_bounds(scenario, asked).hull
-    psi = np.pi / m
-    if led:
-        psi = (_WIDE if dim == 2 else np.pi * (1.0 - math.cos(_WIDE)) / 2.0) / (m - 1.0)
-    measure = psi if dim == 2 else 2.0 * np.pi * (1.0 - np.cos(psi / 2.0))
     spare = max(scenario.merge_radius - scenario.tau * most, 0.0)
-    held = gains * np.sin(psi / 2.0) * measure * spare / (spare + 2.0 * scenario.tau * gains)
+    held = gains * depth_gained(m, dim, led) * spare / (spare + 2.0 * scenario.tau * gains)
     followed = (shrinking_to_leader if led else shrinking)(m, dim, gains).min()
     who, first = "every policy that weighs neighbours", "theorem G"
     if asked.by == "law":

@@ -1,4 +1,4 @@
-"""Theorems N, N1, N1' and E[T]: bounded and random bearing errors.
+"""Theorems N, N1, N1' and E1: bounded bearing errors, and delayed bearings.
 
 **N.** All Σ_j c_ij equal c, every bearing error is at most η < π/n, in 3-D tan η < 1/√(n(n−2)). On
 any graph on which every robot has a visible neighbour, in continuous time,
@@ -19,10 +19,12 @@ merges, and T ≤ V0⁺ max_m m/(q_m² s_min) + (n−1) τ if all q_m = 2ε c_m 
 sin(η/2), β = ½, are positive. If V/(m−1) never increases at merges, V(0)/(n−1) and q_m²/(m−1) may
 replace V0⁺ and q_m².
 
-**E[T].** Independent noise for every bearing and step, τ = θ r/(2D̄), γ = exp(−σ²/2) − 2⁻²²σ (in
-float32): E[T] ≤ (V0⁺ + n(n−1) r θ D̄)/p if p = min_m 4c_m²/m γ(2−θγ) − θ(1−γ²) Σ a_ij² is positive.
+**E1.** Law (1) on a fixed undirected connected graph with exact bearings delayed by k steps, (k+1)
+τ ≤ r/(2D̄), also at merges; single integrators with fixed frames; no obstacles. s = min(1, v_max/D̄):
 
-Proofs: docs/proofs.md, N to E[T].
+    T ≤ V_late max_m m/(4 s c_m²) + (n−1)(k+1) τ,      V ≤ V_late = V0⁺ + (n−1)(2 r W + n r D̄/2).
+
+Proofs: docs/proofs.md, N to N1' and E1.
 """
 
 import math
@@ -36,7 +38,7 @@ from ..settings import error_chord
 from . import assumptions as given
 from . import constants as known
 from .gains import shrinking
-from .theorem import ROUNDED, Asked, Bounds, Theorem, bounds_with_errors
+from .theorem import Asked, Bounds, Theorem, bounds_with_errors
 
 Array = NDArray[np.float64]
 
@@ -168,28 +170,36 @@ def heading_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     return certified_bounds(scenario, asked, most, each, DEAD_ZONE, words, who, even_so)
 
 
-def noisy_bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """Bound on the mean time, infinite for a step too long for the noise or limited speed."""
-    n, degree, graph = scenario.n_robots, scenario.max_degree, scenario.sensing_graph
-    if scenario.scales_velocity or scenario.speed_limit < degree:
-        return Bounds()
-    theta = 2.0 * degree * scenario.tau / scenario.merge_radius
-    noise, weights = scenario.sensing.noise, graph.links(n)[2] * graph.weight_range[1]
-    assert isinstance(noise, float)  # of all robots, by the assumption ``_noise``
-    gamma = math.exp(-0.5 * noise**2) - ROUNDED * noise
-    scattered = theta * (1.0 - gamma**2) * 2.0 * float(weights @ weights)
-    fall = known.min_bearing_square(scenario) * gamma * (2.0 - theta * gamma) - scattered
-    most = known.lyapunov_bound(scenario, reach=degree * scenario.tau)
-    most += (n - 1) * scenario.merge_radius * theta * degree * n  # cut short by merges
-    return Bounds(expected_time=float(known.over_rate(most, fall)))
+def small_delay(scenario: Scenario, asked: Asked) -> str:
+    """(k+1) τ ≤ r/(2D̄): the age of delayed and held bearings is small enough."""
+    age = (scenario.delay_steps + 1) * scenario.tau
+    oldest = scenario.merge_radius / (2.0 * scenario.max_degree)
+    if age <= oldest * (1 + 1e-12):
+        return ""
+    return (
+        f"none: late and held, bearings are up to {age:.4g} s old, and theorem E1 needs no more "
+        f"than r/(2D̄) = {oldest:.4g} s"
+    )
+
+
+def delay_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+    """Bounds on the time and on V."""
+    n, degree, late = scenario.n_robots, scenario.max_degree, scenario.delay_steps
+    meanwhile = (n - 1) * n * scenario.merge_radius * degree / 2.0
+    most = float(known.lyapunov_bound(scenario))
+    most += 2.0 * known.merge_rise_allowance(scenario) + meanwhile
+    slowest = min(1.0, scenario.speed_limit / degree) * known.min_bearing_square(scenario)
+    time = float(known.over_rate(most, slowest) + (n - 1) * (late + 1) * scenario.tau)
+    words = f"theorem E1: law (1) meets in finite time on bearings that are {late} steps late"
+    return Bounds(words, meets=True, time=time, lyapunov=most)
 
 
 _SEEN = given.bounded_errors, given.all_neighbours_visible, given.no_obstacles
-_noise = given.flawed_by("noise", "the mean time is known of noise alone")
-_NOISY = *given.TEAM, _noise, given.no_obstacles
+_late = given.flawed_by("delay", "theorem E1 is for bearings that are late and nothing else")
+_LATE = *given.TEAM, _late, given.no_obstacles, small_delay, given.frames_stay
 THEOREMS = (
     Theorem("N", ("law", "gains"), (*given.JOINED, *_SEEN, gains_are_equal), equal_gain_bounds),
     Theorem("N1", ("law",), (*given.TEAM, *_SEEN, given.certified_or_scaled), law_bounds),
     Theorem("N1'", ("heading",), (*given.TEAM, *_SEEN), heading_bounds),
-    Theorem("E[T]", ("law",), _NOISY, noisy_bounds, rendezvous=False),
+    Theorem("E1", ("law",), _LATE, delay_bounds),
 )
