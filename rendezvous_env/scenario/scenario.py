@@ -137,9 +137,9 @@ class Scenario:
     neighbour_overflow: Literal["error", "nearest"] = "error"
     """Handling of more neighbours than ``neighbour_slots``: an error, or only the nearest are
     observed. The sum of incomplete rows differs from f_i, so no theorem holds."""
-    spawn_size: Metres = 10.0
+    spawn_size: Annotated[float | tuple[float, ...], checks.edge_lengths] = 10.0
     """Edge length of the square or cube about the origin in which initial positions are sampled,
-    m."""
+    m. A list of d numbers gives the edges of a rectangle or box."""
     start_positions: Table | None = None
     """Fixed initial positions, (n, d), m; None samples them."""
     start_headings: Table | None = None
@@ -199,6 +199,18 @@ class Scenario:
     def start_reach(self) -> float:
         """Link length that connects every sampled initial condition, m; see ``Graph``."""
         return self.sensing_graph.start_reach(self)
+
+    @property
+    def spawn_edges(self) -> tuple[float, ...]:
+        """Edge lengths of the spawn area, (d,), m."""
+        size = self.spawn_size
+        return size if isinstance(size, tuple) else (size,) * self.dim
+
+    @property
+    def spawn_diagonal(self) -> float:
+        """Largest distance between two points of the spawn area, m."""
+        size = self.spawn_size
+        return math.hypot(*size) if isinstance(size, tuple) else size * math.sqrt(self.dim)
 
     @property
     def dead_zone(self) -> float:
@@ -355,6 +367,8 @@ class Scenario:
         plain["merge_through_obstacles"] = False if not self.merge_through_obstacles else None
         for key in ("neighbour_overflow", "obstacle_overflow"):  # younger than files of scenarios
             plain[key] = None if plain[key] == "error" else plain[key]
+        if isinstance(self.spawn_size, tuple):
+            plain["spawn_size"] = list(self.spawn_size)
         for key in ("start_positions", "start_headings"):
             plain[key] = plain[key] and [list(row) for row in plain[key]]
         return {key: value for key, value in plain.items() if value is not None}
@@ -416,6 +430,10 @@ class Scenario:
             )
 
     def _check_starts(self) -> None:
+        size = self.spawn_size
+        if isinstance(size, tuple) and len(size) != self.dim:
+            wanted = f"a number, or {self.dim} numbers where dim is {self.dim}"
+            checks.raise_invalid("spawn_size", list(size), wanted)
         widths = {"start_positions": self.dim, "start_headings": self.model.n_angles}
         for field, width in widths.items():
             if getattr(self, field) is not None:
