@@ -185,6 +185,31 @@ def test_camera_is_a_sensing_preset():
     assert not rv.certificate(scenario).guaranteed
 
 
+def test_mrclam_preset_loses_robots_in_the_blind_zone_and_outside_its_view():
+    """Two robots face each other at each distance, and one faces away."""
+    sensing = rv.Sensing.mrclam()
+    assert rv.Sensing(**sensing.to_plain()) == sensing
+    seen = {}
+    for distance in (0.7, 1.75, 4.5):
+        scenario = rv.Scenario(
+            n_robots=3, start_positions=((0.0, 0.0), (distance, 0.0), (0.0, 9.0)),
+            local_frames="global", sensing=sensing, time_step=0.1, merge_radius=0.35,
+            allow_long_step=True,
+        )  # fmt: skip
+        rows = scenario.observation_layout.split(rv.Simulator(scenario, 2000).reset(0)).neighbours
+        seen[distance] = rows.any(-1).mean(axis=0)
+        assert not seen[distance][2].any()  # the others are behind or beside it
+    assert not seen[0.7][:2].any()
+    assert seen[1.75][0, 0] == pytest.approx(0.55, abs=0.05)
+    assert seen[4.5][0, 0] == pytest.approx(0.21, abs=0.05)
+
+
+def test_wifi_preset_has_outliers_without_line_of_sight():
+    clear, blocked = rv.Sensing.wifi(), rv.Sensing.wifi(line_of_sight=False)
+    assert clear.outliers == 0.0 and 0.13 <= blocked.outliers <= 0.23
+    assert 0.10 <= clear.noise <= 0.15 and 0.12 <= blocked.noise <= 0.27
+
+
 @pytest.mark.parametrize("field", UNLIKE)
 def test_each_sensing_field_round_trips(field, tmp_path):
     one = rv.Sensing(**{field: UNLIKE[field]})
