@@ -105,9 +105,9 @@ def draw_positions(
     With ``apart`` the distance holds for all robots; obstacles may be None. Returns the first
     environment without room, or −1.
 
-    ``lengths``, m, are the three edges of the spawn area and the minimum distances between robots and to obstacles.
-    ``trials`` are those for passages and for connected robots. ``positions``, (n, d), is working
-    memory.
+    ``lengths``, m, are the three edges of the spawn area and the minimum distances between robots
+    and to obstacles. ``trials`` are those for passages and for connected robots. ``positions``,
+    (n, d), is working memory.
     """
     for k in range(len(which)):
         b = which[k]

@@ -44,6 +44,41 @@ def test_time_limit_is_rounded_up_to_steps(limit, tau, steps):
     assert scenario.max_steps == steps
 
 
+class TestSpawnSize:
+    def test_edges_bound_initial_positions(self):
+        box = Scenario(n_robots=4, spawn_size=[2.0, 8.0])
+        square = Scenario(n_robots=4, spawn_size=8.0)
+        found = [rv.Simulator(scenario, 200) for scenario in (box, square)]
+        for simulator in found:
+            simulator.reset(0)
+        extent = np.abs(found[0].positions).max(axis=(0, 1))
+        assert (extent <= [1.0, 4.0]).all() and (extent > [0.95, 3.8]).all()
+        assert box.spawn_edges == (2.0, 8.0) and square.spawn_edges == (8.0, 8.0)
+        # the first robot of each team has the same random numbers
+        scaled = found[1].positions[:, 0] * [0.25, 1.0]
+        np.testing.assert_allclose(found[0].positions[:, 0], scaled)
+
+    def test_equal_edges_are_one_number(self, tmp_path):
+        assert Scenario(spawn_size=(3.0, 3.0)) == Scenario(spawn_size=3.0)
+        box = Scenario(dim=3, spawn_size=np.array([1.0, 2.0, 2.0]), merge_radius=0.05)
+        assert box.to_plain()["spawn_size"] == [1.0, 2.0, 2.0] and box.spawn_diagonal == 3.0
+        box.to_toml(tmp_path / "box.toml")
+        assert Scenario.from_toml(tmp_path / "box.toml").replace(name="custom") == box
+        assert Scenario(spawn_size=3.0).spawn_diagonal == 3.0 * math.sqrt(2)
+
+    @pytest.mark.parametrize(
+        ("value", "message"),
+        [
+            ((1.0, 2.0, 3.0), r"spawn_size is \[1.0, 2.0, 3.0\]; it must be .* 2 numbers"),
+            ((1.0, -2.0), r"spawn_size\[1\] is -2.0; it must be a positive"),
+            ((1.0,), "spawn_size is .*; it must be a number, or one number for each dimension"),
+        ],
+    )
+    def test_invalid_edges_are_named(self, value, message):
+        with pytest.raises(ValueError, match=message):
+            Scenario(spawn_size=value)
+
+
 CONSTANTS = [
     # graph, n, D̄, a*
     ("complete", 2, 1.0, 1.0),
@@ -238,6 +273,7 @@ def test_invalid_value_is_named(field, value):
 FIELD = (
     "noisy-8", "fov-8", "occluded-8", "range-12", "switching-8", "pursuit-6", "rssdoa-15",
     "huettenrauch-20", "huettenrauch-20-sight-40", "robotarium-4", "robotarium-10", "robotarium-20",
+    "utias-5", "utias-10", "utias-5-clutter", "camera-8",
 )  # fmt: skip
 QUICK = ("clutter-8", "clutter-16")
 
