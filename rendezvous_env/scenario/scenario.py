@@ -32,6 +32,8 @@ from .observation_layout import ObservationLayout
 from .start_options import check_apart, check_positions, check_table
 
 CONTACT_MODES = ("slide", "stop", "ignore")
+_PACKING = ("single_integrator", "unicycle")
+"""Robot models whose bodies may pack."""
 Table = tuple[tuple[float, ...], ...]
 
 
@@ -93,7 +95,8 @@ class Scenario:
     meeting: Literal["merge", "pack"] = "merge"
     """Terminal condition. "merge": robots merge within r. "pack": bodies stop on contact and
     rendezvous is one cluster in which each robot is within r of two others. With "pack", robots
-    do not observe robots in contact, unless all are. "pack" requires 2-D and no obstacles."""
+    do not observe robots in contact, unless all are. "pack" requires 2-D, no obstacles, and
+    single integrators or unicycles."""
     time_step: Seconds | None = None
     """Time step τ, s. None is the certified step r/(2D̄), for which V cannot increase between
     merges under laws (1) and (4) on fixed undirected graphs. For sparse graphs of 48 or more
@@ -422,11 +425,11 @@ class Scenario:
             wanted = "True with a body_radius: bodies on both sides of a wall would overlap"
             checks.raise_invalid("merge_through_obstacles", False, wanted)
         free = self.dim == 2 and not self.obstacles
-        if packs and not (free and self.robot_model == "single_integrator"):
+        if packs and not (free and self.robot_model in _PACKING):
             raise ValueError(
                 f"meeting is 'pack'; it must be 'merge' for {self.robot_model} robots in "
                 f"{self.dim}-D{' among obstacles' if self.obstacles else ''}: bodies pack as "
-                "single integrators in the plane, without obstacles"
+                "single integrators or unicycles, without obstacles"
             )
 
     def _check_starts(self) -> None:

@@ -255,6 +255,7 @@ _FIELDS: dict[str, Fields] = {
     "utias-5": _utias(5, [5.0, 9.5]),
     "utias-10": _utias(10, 12.0),
     "utias-5-clutter": _utias(5, [5.0, 9.5], **_UTIAS_DISCS),
+    "utias-5-pack": _utias(5, [5.0, 9.5], body_radius=0.17, meeting="pack"),
     "camera-8": _CAMERA,
 }
 

@@ -273,7 +273,7 @@ def test_invalid_value_is_named(field, value):
 FIELD = (
     "noisy-8", "fov-8", "occluded-8", "range-12", "switching-8", "pursuit-6", "rssdoa-15",
     "huettenrauch-20", "huettenrauch-20-sight-40", "robotarium-4", "robotarium-10", "robotarium-20",
-    "utias-5", "utias-10", "utias-5-clutter", "camera-8",
+    "utias-5", "utias-10", "utias-5-clutter", "utias-5-pack", "camera-8",
 )  # fmt: skip
 QUICK = ("clutter-8", "clutter-16")
 
