@@ -166,9 +166,9 @@ def _utias(robots: int, spawn_size: float | list[float], **more: Any) -> Fields:
     }
 
 
-# Discs of the size of the barriers of MRCLAM data set 9, which hide robots.
+# Discs that hide robots, as the barriers of MRCLAM data set 9 do; their sizes are our own choice.
 _UTIAS_DISCS: Fields = {
-    "obstacles": {"count": 6, "radius": [0.2, 0.5], "region": 8.0, "keep_out": 0.3},
+    "obstacles": {"count": 8, "radius": [0.2, 0.5], "region": 6.0, "keep_out": 0.3},
     "sensing": dataclasses.replace(Sensing.mrclam(), occlusion="obstacles"),
 }
 # The team of docs/worlds.md as unicycles, with forward cameras.
