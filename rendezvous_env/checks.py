@@ -122,6 +122,16 @@ def positive(field: str, value: Any, unit: str = "") -> float:
     return to_float(value)
 
 
+def edge_lengths(field: str, value: Any) -> float | tuple[float, ...]:
+    """Edge length of a square or cube, m, or those of a rectangle or box; equal ones are one."""
+    if not isinstance(value, list | tuple | np.ndarray):
+        return positive(field, value, "m")
+    if len(value) not in (2, 3):
+        raise_invalid(field, value, "a number, or one number for each dimension")
+    edges = tuple(positive(f"{field}[{axis}]", edge, "m") for axis, edge in enumerate(value))
+    return edges[0] if len(set(edges)) == 1 else edges
+
+
 def check_int(field: str, value: Any, least: int, most: int) -> int:
     """Integer within bounds."""
     if not is_int(value) or not least <= value <= most:

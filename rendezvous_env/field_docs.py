@@ -157,5 +157,6 @@ _DESCRIBED: dict[str, Callable[..., str]] = {
     "choice": _choice,
     "flag": lambda: "True or False",
     "number_range": _number_range,
+    "edge_lengths": lambda: f"{_positive('m')}, or one for each dimension",
 }
 """Descriptions of the checks in ``checks``, by name."""

@@ -121,7 +121,7 @@ class Episodes:
         Returns those in which links up to the required length do not connect the robots.
         """
         state, work, lanes = self._state, self._scratch, self._state.lanes
-        lengths = rules.spawn_size, rules.least_distance, rules.keep_out
+        lengths = rules.spawn_edges, rules.least_distance, rules.keep_out
         world = state.obstacles if state.obstacles.kinds.shape[1] else None
         given: tuple[Any, ...] = (
             lengths,

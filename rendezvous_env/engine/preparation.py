@@ -113,7 +113,7 @@ class StartRules(NamedTuple):
     draw_memory: bool
     draw_weights: bool
     draw_obstacles: bool
-    spawn_size: float
+    spawn_edges: tuple[float, float, float]  # m; the third is unused in the plane
     least_distance: float
     keep_out: float
     factors: tuple[float, float] | None  # The range of what given arcs are multiplied by, or None
@@ -137,7 +137,7 @@ def start_rules(scenario: Scenario) -> StartRules:
         draw_memory=True,
         draw_weights=True,
         draw_obstacles=field is not None,
-        spawn_size=float(scenario.spawn_size),
+        spawn_edges=(*scenario.spawn_edges, 0.0)[:3],
         least_distance=(1.0 if scenario.meeting == "pack" else 2.0) * scenario.merge_radius,
         keep_out=float(field.keep_out) if field else 0.0,
         graph=graph_rules(graph, scenario.n_robots),

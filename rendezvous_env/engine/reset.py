@@ -105,9 +105,9 @@ def draw_positions(
     With ``apart`` the distance holds for all robots; obstacles may be None. Returns the first
     environment without room, or −1.
 
-    ``lengths``, m, are the spawn size and the minimum distances between robots and to obstacles.
-    ``trials`` are those for passages and for connected robots. ``positions``, (n, d), is working
-    memory.
+    ``lengths``, m, are the three edges of the spawn area and the minimum distances between robots
+    and to obstacles. ``trials`` are those for passages and for connected robots. ``positions``,
+    (n, d), is working memory.
     """
     for k in range(len(which)):
         b = which[k]
@@ -118,7 +118,7 @@ def draw_positions(
         for i in range(positions.shape[0]):
             for draw in range(_MAX_DRAWS):
                 for axis in range(positions.shape[1]):
-                    positions[i, axis] = lengths[0] * (uniform(key, counter) - 0.5)
+                    positions[i, axis] = lengths[0][axis] * (uniform(key, counter) - 0.5)
                     counter += 1
                 if _is_apart(i, positions, apart, links, b, lanes, lengths[1]) and _is_clear(
                     positions[i], b, obstacles, lengths[2]

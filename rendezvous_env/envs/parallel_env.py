@@ -79,7 +79,7 @@ class RendezvousParallelEnv(BaseParallelEnv[Box], ParallelEnv[str, NDArray[np.fl
 
     ## Initial condition and end
 
-    Sampled from the seed: positions uniform in a box of edge ``spawn_size``, neighbours at least 2r
+    Sampled from the seed: positions uniform in a box of ``spawn_size``, neighbours at least 2r
     apart, clear of obstacles; frames and yaw uniform, pitch within ±45°. ``reset(options=…)``
     accepts any part: "positions" (n, d), "headings" (n,) or (n, 2), "frames" (n, d, d), "weights"
     (n, n), "obstacles". Termination: rendezvous; for a merged robot, once, with the team reward and

@@ -74,7 +74,7 @@ class Starts:
             busy = (robot < n) & (tries < _MAX_DRAWS)
             place = jnp.stack(
                 [
-                    rules.spawn_size * (uniform(key, counter + axis, self._dtype) - 0.5)
+                    rules.spawn_edges[axis] * (uniform(key, counter + axis, self._dtype) - 0.5)
                     for axis in range(d)
                 ]
             )

@@ -18,13 +18,16 @@ def move_apart(positions, displacements, lengths, size, work):
         min ‖x_i − Δ_i‖²   subject to   x_i·g_ij ≤ (‖p_j − p_i‖ − D)/2   for all j
 
     Each disc uses at most half of every gap (buffered Voronoi cells, Zhou et al. 2017), so none is
-    pushed. Positions and displacements, (n, 2), m, and path lengths, (n,), m, are overwritten by
-    the executed ones; ``size`` is D, m; working memory is (normals (n, 2), rooms (≥ n − 1,)).
+    pushed. A curved path stays within its length of its start. If that exceeds a gap's half, the
+    disc executes the straight displacement instead.
+
+    Positions and displacements, (n, 2), m, and path lengths, (n,), m, are overwritten by the
+    executed ones; ``size`` is D, m; working memory is (normals (n, 2), rooms (≥ n − 1,)).
     """
     normals, rooms = work
     for i in range(len(lengths)):
         wanted = displacements[i, 0], displacements[i, 1]
-        reach, count = math.hypot(wanted[0], wanted[1]), 0
+        reach, count = max(math.hypot(wanted[0], wanted[1]), lengths[i]), 0
         for j in range(len(lengths)):
             across = positions[j, 0] - positions[i, 0]
             up = positions[j, 1] - positions[i, 1]

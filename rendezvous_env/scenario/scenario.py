@@ -32,6 +32,8 @@ from .observation_layout import ObservationLayout
 from .start_options import check_apart, check_positions, check_table
 
 CONTACT_MODES = ("slide", "stop", "ignore")
+_PACKING = ("single_integrator", "unicycle")
+"""Robot models whose bodies may pack."""
 Table = tuple[tuple[float, ...], ...]
 
 
@@ -93,7 +95,8 @@ class Scenario:
     meeting: Literal["merge", "pack"] = "merge"
     """Terminal condition. "merge": robots merge within r. "pack": bodies stop on contact and
     rendezvous is one cluster in which each robot is within r of two others. With "pack", robots
-    do not observe robots in contact, unless all are. "pack" requires 2-D and no obstacles."""
+    do not observe robots in contact, unless all are. "pack" requires 2-D, no obstacles, and
+    single integrators or unicycles."""
     time_step: Seconds | None = None
     """Time step τ, s. None is the certified step r/(2D̄), for which V cannot increase between
     merges under laws (1) and (4) on fixed undirected graphs. For sparse graphs of 48 or more
@@ -137,9 +140,9 @@ class Scenario:
     neighbour_overflow: Literal["error", "nearest"] = "error"
     """Handling of more neighbours than ``neighbour_slots``: an error, or only the nearest are
     observed. The sum of incomplete rows differs from f_i, so no theorem holds."""
-    spawn_size: Metres = 10.0
+    spawn_size: Annotated[float | tuple[float, ...], checks.edge_lengths] = 10.0
     """Edge length of the square or cube about the origin in which initial positions are sampled,
-    m."""
+    m. A list of d numbers gives the edges of a rectangle or box."""
     start_positions: Table | None = None
     """Fixed initial positions, (n, d), m; None samples them."""
     start_headings: Table | None = None
@@ -199,6 +202,18 @@ class Scenario:
     def start_reach(self) -> float:
         """Link length that connects every sampled initial condition, m; see ``Graph``."""
         return self.sensing_graph.start_reach(self)
+
+    @property
+    def spawn_edges(self) -> tuple[float, ...]:
+        """Edge lengths of the spawn area, (d,), m."""
+        size = self.spawn_size
+        return size if isinstance(size, tuple) else (size,) * self.dim
+
+    @property
+    def spawn_diagonal(self) -> float:
+        """Largest distance between two points of the spawn area, m."""
+        size = self.spawn_size
+        return math.hypot(*size) if isinstance(size, tuple) else size * math.sqrt(self.dim)
 
     @property
     def dead_zone(self) -> float:
@@ -355,6 +370,8 @@ class Scenario:
         plain["merge_through_obstacles"] = False if not self.merge_through_obstacles else None
         for key in ("neighbour_overflow", "obstacle_overflow"):  # younger than files of scenarios
             plain[key] = None if plain[key] == "error" else plain[key]
+        if isinstance(self.spawn_size, tuple):
+            plain["spawn_size"] = list(self.spawn_size)
         for key in ("start_positions", "start_headings"):
             plain[key] = plain[key] and [list(row) for row in plain[key]]
         return {key: value for key, value in plain.items() if value is not None}
@@ -408,14 +425,18 @@ class Scenario:
             wanted = "True with a body_radius: bodies on both sides of a wall would overlap"
             checks.raise_invalid("merge_through_obstacles", False, wanted)
         free = self.dim == 2 and not self.obstacles
-        if packs and not (free and self.robot_model == "single_integrator"):
+        if packs and not (free and self.robot_model in _PACKING):
             raise ValueError(
                 f"meeting is 'pack'; it must be 'merge' for {self.robot_model} robots in "
                 f"{self.dim}-D{' among obstacles' if self.obstacles else ''}: bodies pack as "
-                "single integrators in the plane, without obstacles"
+                "single integrators or unicycles, without obstacles"
             )
 
     def _check_starts(self) -> None:
+        size = self.spawn_size
+        if isinstance(size, tuple) and len(size) != self.dim:
+            wanted = f"a number, or {self.dim} numbers where dim is {self.dim}"
+            checks.raise_invalid("spawn_size", list(size), wanted)
         widths = {"start_positions": self.dim, "start_headings": self.model.n_angles}
         for field, width in widths.items():
             if getattr(self, field) is not None:

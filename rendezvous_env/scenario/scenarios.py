@@ -1,5 +1,6 @@
 """Named scenarios."""
 
+import dataclasses
 import json
 import math
 import os
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ..checks import closest_match, raise_invalid, short_repr
+from ..sensors.sensing import Sensing
 from .scenario import Scenario
 
 ScenarioLike = Scenario | str | os.PathLike[str] | Mapping[str, Any]
@@ -147,6 +149,42 @@ def _robotarium(robots: int) -> Fields:
     }
 
 
+def _utias(robots: int, spawn_size: float | list[float], **more: Any) -> Fields:
+    """Robots of the MRCLAM logs: speed and turn rate as driven there, cameras as measured."""
+    return {
+        "n_robots": robots,
+        "robot_model": "unicycle",
+        "merge_radius": 0.35,
+        "time_step": 0.1,
+        "allow_long_step": True,
+        "time_limit": 1300.0,
+        "max_speed": 0.075,
+        "max_turn_rate": 0.4,
+        "spawn_size": spawn_size,
+        "sensing": Sensing.mrclam(),
+        **more,
+    }
+
+
+# Discs that hide robots, as the barriers of MRCLAM data set 9 do; their sizes are our own choice.
+_UTIAS_DISCS: Fields = {
+    "obstacles": {"count": 8, "radius": [0.2, 0.5], "region": 6.0, "keep_out": 0.3},
+    "sensing": dataclasses.replace(Sensing.mrclam(), occlusion="obstacles"),
+}
+# The team of docs/worlds.md as unicycles, with forward cameras.
+_CAMERA: Fields = {
+    "n_robots": 8,
+    "robot_model": "unicycle",
+    "merge_radius": 0.4,
+    "time_step": 0.05,
+    "allow_long_step": True,
+    "time_limit": 120.0,
+    "max_speed": 1.0,
+    "max_turn_rate": 3.0,
+    "sensing": dataclasses.replace(Sensing.camera(), field_of_view=math.radians(66.0)),
+}
+
+
 _FIELDS: dict[str, Fields] = {
     "fig3": {**_FIGURE, "obstacle_contact": "ignore"},
     "fig4": {**_FIGURE, "obstacle_contact": "slide"},
@@ -214,6 +252,11 @@ _FIELDS: dict[str, Fields] = {
     **{f"robotarium-{robots}": _robotarium(robots) for robots in (4, 10, 20)},
     "huettenrauch-20": _HUETTENRAUCH,
     "huettenrauch-20-sight-40": {**_HUETTENRAUCH, "sensing": {"range": 40.0}},
+    "utias-5": _utias(5, [5.0, 9.5]),
+    "utias-10": _utias(10, 12.0),
+    "utias-5-clutter": _utias(5, [5.0, 9.5], **_UTIAS_DISCS),
+    "utias-5-pack": _utias(5, [5.0, 9.5], body_radius=0.17, meeting="pack"),
+    "camera-8": _CAMERA,
 }
 
 

@@ -152,6 +152,33 @@ class Sensing:
         """Errors of four rendered 64 × 64 pixel cameras and a lamp detector (docs/worlds.md)."""
         return cls(noise=0.0075, dropout=0.03, occlusion="both")
 
+    @classmethod
+    def mrclam(cls) -> Sensing:
+        """Forward camera of an iRobot Create that reads bar codes on other robots.
+
+        Measured on five robots of UTIAS MRCLAM data set 6 (Leung, Halpern, Barfoot and Liu, IJRR
+        30(8), 2011; docs/measured-sensors.md).
+        """
+        detection = (
+            (0.9, 0.11), (1.1, 0.40), (1.35, 0.52), (1.75, 0.55), (2.5, 0.47), (3.5, 0.39),
+            (4.5, 0.21), (5.5, 0.24), (7.0, 0.16),
+        )  # fmt: skip
+        return cls(
+            min_range=0.8, field_of_view=1.16, view_falloff=0.14, detection=detection,
+            persistence=0.21, noise=0.0066, noise_correlation=0.36, bias=0.004,
+            observer_bias=0.0057, outliers=0.0013, outlier_kind="robot", sample_period=0.237,
+            delay_time=0.04,
+        )  # fmt: skip
+
+    @classmethod
+    def wifi(cls, line_of_sight: bool = True) -> Sensing:
+        """Angle of arrival of WiFi packets between robots that use their own odometry.
+
+        Measured on the Harvard-REACT WSR toolbox data set, in line of sight or without it, where
+        reflections give outliers (docs/measured-sensors.md).
+        """
+        return cls(noise=0.145) if line_of_sight else cls(noise=0.15, outliers=0.18)
+
     @property
     def exact(self) -> bool:
         """True if the sensor has no imperfection."""

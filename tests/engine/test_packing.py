@@ -15,6 +15,13 @@ def distances(positions):
     return np.linalg.norm(positions[..., pairs[0], :] - positions[..., pairs[1], :], axis=-1)
 
 
+def on_arcs(lengths, yaws, turns, share):
+    """Displacements (n, 2) after a share of arcs of lengths (n,), m, and turns (n,), rad."""
+    mean = yaws + 0.5 * share * turns
+    chord = share * lengths * np.sinc(0.5 * share * turns / np.pi)
+    return chord[:, None] * np.stack([np.cos(mean), np.sin(mean)], axis=-1)
+
+
 @pytest.mark.kernels
 class TestMoving:
     @pytest.mark.parametrize(
@@ -31,6 +38,35 @@ class TestMoving:
         np.testing.assert_allclose(moved, ways, atol=1e-8)
         np.testing.assert_allclose(places, np.add([(0, 0), (1, 0)], ways), atol=1e-8)
         np.testing.assert_allclose(lengths, np.linalg.norm(ways, axis=1), atol=1e-8)
+
+    def test_curved_path_near_another_body_becomes_straight(self):
+        """The first disc keeps its quarter circle, whose length fits in the gap; the second not."""
+        for gap, kept in ((2.0, True), (0.9, False)):
+            places, moved = np.array([[0.0, 0.0], [0.6 + gap, 0.0]]), np.array([[0.5, 0.5], [0, 0]])
+            lengths = np.array([0.25 * np.pi, 0.0])
+            move_apart(places, moved, lengths, 0.6, (np.zeros((2, 2)), np.zeros(1)))
+            expected = [0.5, 0.5] if kept else [0.45, 0.5]
+            np.testing.assert_allclose(moved[0], expected, atol=1e-8)
+            length = 0.25 * np.pi if kept else np.hypot(0.45, 0.5)
+            assert lengths[0] == pytest.approx(length, abs=1e-8)
+
+    def test_bodies_on_arcs_never_overlap(self):
+        random, size, n = np.random.default_rng(7), 0.3, 6
+        places, straight = 0.4 * np.array(list(itertools.product(range(3), range(2))), float), 0
+        for _ in range(300):
+            before, lengths = places.copy(), random.uniform(0.0, 0.3, n)
+            yaws, turns = random.uniform(-3.0, 3.0, n), random.uniform(-3.0, 3.0, n)
+            yaws[:] = np.where(random.random(n) < 0.5, yaws, np.arctan2(*-places.T[::-1]))
+            ways = on_arcs(lengths, yaws, turns, 1.0)
+            given = lengths.copy()
+            move_apart(places, ways, lengths, size, (np.zeros((n, 2)), np.zeros(n)))
+            curved = lengths == given
+            straight += np.count_nonzero(~curved)
+            for share in np.linspace(0.1, 1.0, 10):
+                arcs = on_arcs(given, yaws, turns, share)
+                now = before + np.where(curved[:, None], arcs, share * ways)
+                assert distances(now).min() >= size * (1.0 - 1e-12)
+        assert 300 < straight < 1500  # of 1,800
 
     @pytest.mark.parametrize("n", [2, 5, 20])
     def test_bodies_never_overlap(self, n):
@@ -71,6 +107,21 @@ class TestEpisodes:
         assert apart.min() >= 0.15 - 1e-9 and apart[-1].max() < {4: 0.31, 10: 0.9}[n]
         moved = np.linalg.norm(np.diff(found.positions, axis=0), axis=-1)
         assert moved.max() <= 0.2 * 0.033 + 1e-9
+
+    def test_unicycles_pack_alike_in_any_batch(self):
+        scenario = rv.scenarios.get("utias-5-pack").replace(time_limit=400.0)
+        policy = baselines.make("search-and-pursue", scenario)
+        found = rv.rollout(scenario, policy, seed=0, num_envs=8)
+        assert found.success.sum() >= 5 and found.active.all()
+        assert distances(found.positions).min() >= 0.34 * (1 - 1e-9)
+        last = found.positions[-1, found.success]
+        apart = np.linalg.norm(last[:, :, None] - last[:, None], axis=-1)
+        assert ((apart <= 0.35).sum(axis=-1) >= 3).all()  # itself and two others
+        alone = rv.rollout(scenario, policy, seed=3)
+        steps = len(alone.positions)
+        np.testing.assert_array_equal(alone.positions[:, 0], found.positions[:steps, 3])
+        said = rv.certificate(scenario).theorem
+        assert "bodies do not overlap, whatever the policy" in said
 
     @pytest.mark.parametrize("batch", [1, 6])  # a team alone, and lanes side by side
     def test_touched_robots_are_hidden_unless_all_touch(self, batch):
@@ -114,7 +165,7 @@ class TestScenario:
             (BODIES | {"meeting": "park"}, "meeting is 'park'; it must be one of"),
             (BODIES | {"graph": "cycle"}, "graph must be complete with a body_radius"),
             (PACK | {"dim": 3}, "robots in 3-D: bodies pack as"),
-            (PACK | {"robot_model": "unicycle"}, "be 'merge' for unicycle robots in 2-D: bodies"),
+            (PACK | {"robot_model": "double_integrator"}, "'merge' for double_integrator robots"),
             (PACK | {"obstacles": (rv.Disc((9.0, 9.0), 1.0),)}, "among obstacles: bodies pack"),
             (
                 BODIES | {"start_positions": [(i / 10, 0.0) for i in range(5)]},

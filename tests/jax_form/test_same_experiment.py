@@ -22,6 +22,7 @@ CASES = {
     "inertia in space": ("uav-6", None, {"robot_model": "double_integrator", "n_robots": 4}),
     "star": ("duo", None, {"n_robots": 4, "graph": "star", "local_frames": "global"}),
     "many in space": ("duo", None, {"n_robots": 50, "dim": 3, "spawn_size": 6.0}),
+    "box": ("duo", None, {"n_robots": 4, "spawn_size": (2.0, 5.0)}),
     "two in space": ("duo", "heading", {"dim": 3}),
     "drawn weights": ("duo", None, {"n_robots": 4, "graph": graphs.complete((0.5, 2.0))}),
     "drawn arcs": ("duo", None, {"n_robots": 4, "graph": graphs.directed_cycle((0.5, 2.0))}),

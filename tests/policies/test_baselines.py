@@ -103,6 +103,7 @@ class TestRegistry:
         plane |= {f"privileged-{name}" for name in references}
         steered = {*NAMES, "privileged-planner", *everywhere}
         cars = {"unicycle", "unicycle-cosine", "pursuit", "windshield", *steered}
+        cars |= {"search-and-pursue"}
         flyers = {"nonholonomic-3d", "pursuit", *steered}
         rules = {"tangent", "tangent-blocking", "tangent-joined"}
         among_discs = {"tangent-joined", "tangent-joined-tuned", "tank-joined"}
@@ -119,7 +120,7 @@ class TestRegistry:
             (HEAVY, {"damped", *everywhere}),
         ):
             assert set(baselines.names(scenario)) == wanted
-        assert len(baselines.names()) == 31
+        assert len(baselines.names()) == 32
 
     def test_policies_have_descriptions_in_order_of_kind(self):
         """Exactly the oracles, which read positions, have privileged in name and kind."""
@@ -129,8 +130,8 @@ class TestRegistry:
             assert policy.about(name), name
             assert name.startswith("privileged") == (kind == "privileged")
         assert baselines.names(UNICYCLE) == [
-            "unicycle", "unicycle-cosine", "pursuit", "windshield", *NAMES, "privileged-planner",
-            "random", "zero",
+            "unicycle", "unicycle-cosine", "pursuit", "windshield", "search-and-pursue", *NAMES,
+            "privileged-planner", "random", "zero",
         ]  # fmt: skip
 
     @pytest.mark.parametrize(

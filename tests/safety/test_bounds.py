@@ -12,6 +12,7 @@ from rendezvous_env.physics.hull_perimeter import size
 from rendezvous_env.safety.lyapunov import lyapunov, lyapunov_rate, net_bearings
 from rendezvous_env.safety.theorems.constants import (
     degrees_stay_equal,
+    largest_lyapunov,
     largest_size,
     merge_rise_allowance,
     min_degrees,
@@ -262,6 +263,15 @@ def test_bound_g_is_at_most_bound_a():
 def test_size_of_spawn_area_matches_hand_computation(dim, worst):
     for n, extent in worst.items():
         assert largest_size(Scenario(n_robots=n, dim=dim, spawn_size=5.0)) == close(5 * extent)
+
+
+def test_bounds_of_spawn_box_match_hand_computation():
+    """The perimeter of a 3 × 4 rectangle, twice its diagonal for two robots, and V = 2W · 5."""
+    box = Scenario(n_robots=4, spawn_size=(3.0, 4.0))
+    assert largest_size(box) == close(14.0)
+    assert largest_size(box.replace(n_robots=2)) == close(10.0)
+    assert largest_lyapunov(box) == close(2 * 6 * 5.0)
+    assert box.spawn_edges == (3.0, 4.0)
 
 
 def test_pursuit_bounds_match_hand_computation():

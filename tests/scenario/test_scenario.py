@@ -44,6 +44,41 @@ def test_time_limit_is_rounded_up_to_steps(limit, tau, steps):
     assert scenario.max_steps == steps
 
 
+class TestSpawnSize:
+    def test_edges_bound_initial_positions(self):
+        box = Scenario(n_robots=4, spawn_size=[2.0, 8.0])
+        square = Scenario(n_robots=4, spawn_size=8.0)
+        found = [rv.Simulator(scenario, 200) for scenario in (box, square)]
+        for simulator in found:
+            simulator.reset(0)
+        extent = np.abs(found[0].positions).max(axis=(0, 1))
+        assert (extent <= [1.0, 4.0]).all() and (extent > [0.95, 3.8]).all()
+        assert box.spawn_edges == (2.0, 8.0) and square.spawn_edges == (8.0, 8.0)
+        # the first robot of each team has the same random numbers
+        scaled = found[1].positions[:, 0] * [0.25, 1.0]
+        np.testing.assert_allclose(found[0].positions[:, 0], scaled)
+
+    def test_equal_edges_are_one_number(self, tmp_path):
+        assert Scenario(spawn_size=(3.0, 3.0)) == Scenario(spawn_size=3.0)
+        box = Scenario(dim=3, spawn_size=np.array([1.0, 2.0, 2.0]), merge_radius=0.05)
+        assert box.to_plain()["spawn_size"] == [1.0, 2.0, 2.0] and box.spawn_diagonal == 3.0
+        box.to_toml(tmp_path / "box.toml")
+        assert Scenario.from_toml(tmp_path / "box.toml").replace(name="custom") == box
+        assert Scenario(spawn_size=3.0).spawn_diagonal == 3.0 * math.sqrt(2)
+
+    @pytest.mark.parametrize(
+        ("value", "message"),
+        [
+            ((1.0, 2.0, 3.0), r"spawn_size is \[1.0, 2.0, 3.0\]; it must be .* 2 numbers"),
+            ((1.0, -2.0), r"spawn_size\[1\] is -2.0; it must be a positive"),
+            ((1.0,), "spawn_size is .*; it must be a number, or one number for each dimension"),
+        ],
+    )
+    def test_invalid_edges_are_named(self, value, message):
+        with pytest.raises(ValueError, match=message):
+            Scenario(spawn_size=value)
+
+
 CONSTANTS = [
     # graph, n, D̄, a*
     ("complete", 2, 1.0, 1.0),
@@ -185,6 +220,31 @@ def test_camera_is_a_sensing_preset():
     assert not rv.certificate(scenario).guaranteed
 
 
+def test_mrclam_preset_loses_robots_in_the_blind_zone_and_outside_its_view():
+    """Two robots face each other at each distance, and one faces away."""
+    sensing = rv.Sensing.mrclam()
+    assert rv.Sensing(**sensing.to_plain()) == sensing
+    seen = {}
+    for distance in (0.7, 1.75, 4.5):
+        scenario = rv.Scenario(
+            n_robots=3, start_positions=((0.0, 0.0), (distance, 0.0), (0.0, 9.0)),
+            local_frames="global", sensing=sensing, time_step=0.1, merge_radius=0.35,
+            allow_long_step=True,
+        )  # fmt: skip
+        rows = scenario.observation_layout.split(rv.Simulator(scenario, 2000).reset(0)).neighbours
+        seen[distance] = rows.any(-1).mean(axis=0)
+        assert not seen[distance][2].any()  # the others are behind or beside it
+    assert not seen[0.7][:2].any()
+    assert seen[1.75][0, 0] == pytest.approx(0.55, abs=0.05)
+    assert seen[4.5][0, 0] == pytest.approx(0.21, abs=0.05)
+
+
+def test_wifi_preset_has_outliers_without_line_of_sight():
+    clear, blocked = rv.Sensing.wifi(), rv.Sensing.wifi(line_of_sight=False)
+    assert clear.outliers == 0.0 and 0.13 <= blocked.outliers <= 0.23
+    assert 0.10 <= clear.noise <= 0.15 and 0.12 <= blocked.noise <= 0.27
+
+
 @pytest.mark.parametrize("field", UNLIKE)
 def test_each_sensing_field_round_trips(field, tmp_path):
     one = rv.Sensing(**{field: UNLIKE[field]})
@@ -213,6 +273,7 @@ def test_invalid_value_is_named(field, value):
 FIELD = (
     "noisy-8", "fov-8", "occluded-8", "range-12", "switching-8", "pursuit-6", "rssdoa-15",
     "huettenrauch-20", "huettenrauch-20-sight-40", "robotarium-4", "robotarium-10", "robotarium-20",
+    "utias-5", "utias-10", "utias-5-clutter", "utias-5-pack", "camera-8",
 )  # fmt: skip
 QUICK = ("clutter-8", "clutter-16")
 

@@ -309,7 +309,7 @@ def rows_for_all(scenario: Scenario, asked: Asked) -> str:
 def _largest_coordinate(scenario: Scenario) -> float:
     """Largest coordinate of an initial condition, m."""
     starts = scenario.start_positions
-    return scenario.spawn_size / 2.0 if starts is None else float(np.abs(starts).max())
+    return max(scenario.spawn_edges) / 2.0 if starts is None else float(np.abs(starts).max())
 
 
 def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> str:
@@ -331,7 +331,7 @@ def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> s
     starts, margin = scenario.start_positions, min(asked.min_alignment, spare)
     straight = margin if scenario.n_robots == 2 else asked.min_alignment
     largest = _largest_coordinate(scenario)
-    apart = scenario.spawn_size if starts is None else float(np.ptp(starts, axis=0).max())
+    apart = max(scenario.spawn_edges) if starts is None else float(np.ptp(starts, axis=0).max())
     unseen = nearest_always_visible(scenario) or (
         asked.by == "links" and scenario.sensing.range is not None
     )

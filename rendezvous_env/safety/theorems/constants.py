@@ -179,12 +179,12 @@ def tank_bounds(
 
 @_of_the_last
 def largest_lyapunov(scenario: Scenario) -> float:
-    """V(0) of a given initial condition, or 2 W s √d for a spawn area of side s, m²/s."""
+    """V(0) of a given initial condition, or 2 W times the diagonal of the spawn area, m²/s."""
     n, graph = scenario.n_robots, scenario.sensing_graph
     if scenario.start_positions is not None:
         weights = graph.base_weights(n) * graph.weight_range[1]
         return float(lyapunov(np.array(scenario.start_positions), weights))
-    return 2.0 * graph.weight_sum(n) * scenario.spawn_size * math.sqrt(scenario.dim)
+    return 2.0 * graph.weight_sum(n) * scenario.spawn_diagonal
 
 
 @_of_the_last
@@ -206,17 +206,20 @@ def starts_apart(scenario: Scenario) -> bool:
 def largest_size(scenario: Scenario) -> float:
     """L(0) of a given initial condition, or the maximum over the spawn area, m (guarantees 9).
 
-    The maximum is s L(unit cube) for a spawn area of side s, with all robots at corners.
+    The maximum has all robots at corners of the spawn area.
     """
     if scenario.start_positions is not None:
         return size(np.array(scenario.start_positions))
-    return scenario.spawn_size * _largest_size_in_unit_cube(scenario.n_robots, scenario.dim)
+    edges, scale = scenario.spawn_edges, scenario.spawn_size
+    if not isinstance(scale, tuple):
+        return scale * _largest_size_in_box(scenario.n_robots, (1.0,) * scenario.dim)
+    return _largest_size_in_box(scenario.n_robots, edges)
 
 
 @cache
-def _largest_size_in_unit_cube(n: int, dim: int) -> float:
+def _largest_size_in_box(n: int, edges: tuple[float, ...]) -> float:
     # L is convex in every p_i, and no set of corners is larger than the sets that hold it
-    corners = np.array(list(itertools.product((0.0, 1.0), repeat=dim)))
+    corners = np.array(list(itertools.product((0.0, 1.0), repeat=len(edges)))) * edges
     sets = itertools.combinations(corners, min(n, len(corners)))
     return max(size(np.array(places)) for places in sets)
 

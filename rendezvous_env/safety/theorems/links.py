@@ -64,7 +64,7 @@ def starts_linked(scenario: Scenario, asked: Asked) -> str:
         # drawn starts are connected for merges at midpoints
         near = known.kind_of_links(graph) == known.PROXIMITY
         linked = near and scenario.require_connected and not scenario.obstacles
-        linked = linked or scenario.spawn_size * math.sqrt(scenario.dim) <= longest
+        linked = linked or scenario.spawn_diagonal <= longest
     if linked:
         return ""
     return (
