@@ -273,7 +273,7 @@ def _blind_zone(chances: Chances) -> Estimate:
     if (1.0 - rate) ** (below / _RUN) > 0.005 or edge <= 0.0:
         return Estimate(0.0, 0.0, float(seen[0]))
     low = float(seen[0]) - 5.3 * _RUN * spacing
-    return Estimate(max(edge - 0.5 * spacing, 0.0), max(low, 0.0), edge + spacing)
+    return Estimate(max(edge - _RUN * spacing, 0.0), max(low, 0.0), edge + spacing)
 
 
 class Memory(NamedTuple):

@@ -215,7 +215,7 @@ def _components(y: Floats, v: Floats, g: Ints) -> tuple[Estimate, Estimate]:
     found = []
     for axis, place in enumerate(best):
         profile = total.max(axis=1 - axis)
-        within = levels[profile > profile.max() - 4.5]
+        within = levels[profile > profile.max() - 5.5]
         found.append(Estimate(float(levels[place]), float(within[0]), float(within[-1])))
     return found[0], found[1]
 

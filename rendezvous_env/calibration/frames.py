@@ -57,6 +57,13 @@ class Chances(NamedTuple):
         return Chances(*(one[which] for one in self._replace(follows=self.follows & before)))
 
 
+def frames_by_stamp(log: SensorLog) -> Frames:
+    """Frames of equal time stamps, as some evaluations count them."""
+    frame_of, times, observers = _cluster(log, 0.0)
+    period = float(np.median(np.diff(times)[np.diff(observers) == 0]))
+    return Frames(observers, times, frame_of, period, False, False, False)
+
+
 def find_frames(log: SensorLog) -> tuple[SensorLog, Frames]:
     """Frames of a log, and the log without repetitions of held rows."""
     log, frame_of, times, observers, held = _cluster_fresh(log)
@@ -85,7 +92,7 @@ def _cluster_fresh(log: SensorLog) -> tuple[SensorLog, Ints, Floats, Ints, bool]
     return log, frame_of, times, observers, True
 
 
-def _cluster(log: SensorLog) -> tuple[Ints, Floats, Ints]:
+def _cluster(log: SensorLog, same: float = _SAME) -> tuple[Ints, Floats, Ints]:
     """Frame of each row, (N,), and time and observer of each frame, (F,)."""
     gap = np.diff(log.time, prepend=-np.inf)
     new = np.diff(log.observer, prepend=-1) != 0
@@ -94,7 +101,7 @@ def _cluster(log: SensorLog) -> tuple[Ints, Floats, Ints]:
     usual = gap[np.isfinite(gap) & (gap > tiny)]
     for _ in range(2):  # the second time without intervals within a frame
         if len(usual):
-            tiny = _SAME * float(np.median(usual))
+            tiny = same * float(np.median(usual))
             usual = usual[usual > tiny]
     begins = new | (gap > tiny)
     frame_of = np.cumsum(begins) - 1
