@@ -261,7 +261,7 @@ def _field_estimates(
 
 def _blind_zone(chances: Chances) -> Estimate:
     """Distance below which nothing is detected, m; 0 if too little was near enough."""
-    seen = np.sort(chances.distance[chances.seen])
+    seen = np.sort(chances.distance[chances.sure])
     if len(seen) < 40:
         return Estimate(0.0, 0.0, 0.0)
     rank = min(int(0.0002 * len(seen)), len(seen) // 4)

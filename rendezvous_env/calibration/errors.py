@@ -19,7 +19,8 @@ _SCAN = np.arange(-1.0, 2.0001, 0.05)
 _COARSE_ROWS, _FINE_ROWS = 3000, 20_000
 _LONGEST_WHITE = 9.0
 """Twice the gain of log-likelihood from which a correlation is accepted."""
-_TAIL = 4.0  # degrees of freedom of the tails of errors that are not outliers
+_TAILS = (4.0, 8.0, 100.0)
+"""Degrees of freedom of errors that are not outliers, of which the most likely count."""
 
 
 class Estimate(NamedTuple):
@@ -264,25 +265,33 @@ class Outliers(NamedTuple):
     share: Floats  # (N,), probability that a row is one
 
 
-def find_outliers(log: SensorLog, errors: Errors, residual: Floats, scale: Floats, delay: float) -> Outliers:
+def find_outliers(
+    log: SensorLog, errors: Errors, residual: Floats, scale: Floats, delay: float
+) -> Outliers:
     """Mixture of errors with Student tails and of outliers, uniform or another robot's bearing."""
     z = residual / scale
-    core = _student(z) / scale
     uniform = np.full(len(z), 0.5 / math.pi)
-    found = [("uniform", *_mixture(core, uniform)), ("robot", *_mixture(core, _others(log, errors, residual, scale, delay)))]
-    kind, rate, _, share = max(found, key=lambda one: one[2] + (one[0] == "uniform") * 1e-9)
+    found = []
+    for tail in _TAILS:
+        core = _student(z, tail) / scale
+        found.append(("uniform", *_mixture(core, uniform)))
+        other = _others(log, errors, residual, scale, delay, tail)
+        found.append(("robot", *_mixture(core, other)))
+    kind, rate, _, share = max(found, key=lambda one: one[2])
     return Outliers(_binomial(rate, len(z)), kind, share)
 
 
-def _student(z: Floats) -> Floats:
+def _student(z: Floats, tail: float) -> Floats:
     """Density of Student's t with the median absolute value of a normal distribution."""
     from scipy import stats
 
-    factor = stats.t.ppf(0.75, _TAIL) / _NORMAL_MEDIAN
-    return stats.t.pdf(z * factor, _TAIL) * factor
+    factor = stats.t.ppf(0.75, tail) / _NORMAL_MEDIAN
+    return stats.t.pdf(z * factor, tail) * factor
 
 
-def _others(log: SensorLog, errors: Errors, residual: Floats, scale: Floats, delay: float) -> Floats:
+def _others(
+    log: SensorLog, errors: Errors, residual: Floats, scale: Floats, delay: float, tail: float
+) -> Floats:
     """Density of an error if the bearing is that of another robot, drawn uniformly."""
     total, count = np.zeros(len(residual)), np.zeros(len(residual))
     for other in range(log.n_robots):
@@ -290,7 +299,7 @@ def _others(log: SensorLog, errors: Errors, residual: Floats, scale: Floats, del
         truth = log.truth(errors.observer, which, errors.time - delay)
         use = truth.known & (errors.target != other) & (errors.observer != other)
         offset = wrap(residual + errors.true - truth.bearing)
-        total += np.where(use, _student(offset / scale) / scale, 0.0)
+        total += np.where(use, _student(offset / scale, tail) / scale, 0.0)
         count += use
     return total / np.maximum(count, 1.0)
 

@@ -88,7 +88,9 @@ def estimate(log: SensorLog, seed: int = 0, replicates: int = DRAWS) -> Estimate
     if log.timed:
         clean = outliers.share < 0.5
         correlation = correlation_time(errors, residual, scale, clean, frames.period, blocks)
-    chances = find_chances(log, frames, delay)
+    suspect = np.zeros(len(log.time), np.bool_)
+    suspect[np.flatnonzero(mask)] = outliers.share > 0.5
+    chances = find_chances(log, frames, delay, suspect)
     view = find_view(chances, blocks)
     memory = find_memory(chances, view, blocks)
     if not log.timed:

@@ -48,6 +48,7 @@ class Chances(NamedTuple):
     bearing: Floats  # (C,), rad, true
     distance: Floats  # (C,), m, true
     seen: Mask  # (C,)
+    sure: Mask  # (C,), seen by a row that is no outlier
     follows: Mask  # (C,), whether the one before is of the same pair and the previous frame
     interval: Floats  # (C,), s since the previous frame
 
@@ -205,12 +206,20 @@ def _fill(
     return np.concatenate(all_times), np.concatenate(all_observers), place[frame_of]
 
 
-def find_chances(log: SensorLog, frames: Frames, delay: float) -> Chances:
-    """Opportunities of all robots in all frames, with the truth of a delay earlier."""
+def find_chances(
+    log: SensorLog, frames: Frames, delay: float, outlier: Mask | None = None
+) -> Chances:
+    """Opportunities of all robots in all frames, with the truth of a delay earlier.
+
+    ``outlier`` marks rows of the log, (N,).
+    """
     count, n = len(frames.time), log.n_robots
     seen = np.zeros((count, n), np.bool_)
     rows = log.robot_rows()
     seen[frames.row[rows], log.target[rows]] = True
+    sure = np.zeros_like(seen)
+    clean = rows if outlier is None else rows & ~outlier
+    sure[frames.row[clean], log.target[clean]] = True
     frame, target = (grid.T.ravel() for grid in np.meshgrid(np.arange(count), np.arange(n), indexing="ij"))
     observer = frames.observer[frame]
     truth = log.truth(observer, target, frames.time[frame] - delay)
@@ -223,5 +232,5 @@ def find_chances(log: SensorLog, frames: Frames, delay: float) -> Chances:
     follows &= interval < _SINGLE * frames.period
     return Chances(
         observer, target, frames.time[frame], truth.bearing[order], truth.distance[order],
-        seen[frame, target], follows, interval,
+        seen[frame, target], sure[frame, target], follows, interval,
     )  # fmt: skip

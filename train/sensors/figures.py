@@ -198,7 +198,8 @@ def replay_figure(found: Sequence[Replayed]) -> Figure:
     left.set_yticks(np.arange(len(rows)), [one.policy for one in found])
     left.set_xlim(0.0, 1.0)
     left.invert_yaxis()
-    _label(left, "share of time", "")
+    left.set_xlabel("share of time")
+    left.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     for one in found:
         margin: Any = np.sort(one.margin[np.isfinite(one.margin)])
         if len(margin):

@@ -104,6 +104,8 @@ def _robot(name: str, scenario: Scenario) -> RobotPolicy:
         policies.check_names([name])
         return RobotPolicy(scenario, name)
     random, size = np.random.default_rng(0), scenario.action_size
+    if name == "headings" and scenario.model.nonholonomic:
+        size = scenario.dim - 1  # turn rates
 
     def choose(observations: NDArray[np.float32]) -> Floats:
         return random.uniform(-1.0, 1.0, (*observations.shape[:-2], size))

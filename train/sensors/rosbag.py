@@ -5,20 +5,27 @@ its node receives, rad, and ``/NAME/pose``, geometry_msgs/PoseStamped, ground tr
 of recording, of one clock. examples/15_ros_recorder.py writes such files.
 """
 
+import importlib.util
 import math
 import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rendezvous_env.calibration import LogError, SensorLog, from_tables
 
-from ..checks import check_installed
+from ..checks import UserError
 
 _TOPIC = re.compile(r"/(?P<robot>[^/]+)/(?P<what>bearings|pose)")
-_TYPES = {"bearings": "std_msgs/msg/Float64MultiArray", "pose": "geometry_msgs/msg/PoseStamped"}
-_FAR = 1e3
+TYPES = {"bearings": "std_msgs/msg/Float64MultiArray", "pose": "geometry_msgs/msg/PoseStamped"}
+"""Message types of the topics."""
+_FAR = 0.3  # rad, beyond which a bearing is near no robot
+_SAMPLE = 400  # messages from which the delay is found, s
+_DELAYS = np.arange(-0.3, 1.001, 0.05)
+
+Floats = NDArray[np.float64]
 
 
 def is_recording(path: Path) -> bool:
@@ -34,19 +41,23 @@ def read_recording(path: Path, clock_offset: float = 0.0) -> SensorLog:
     Raises:
         LogError: naming the topic and the remedy.
     """
-    check_installed(str(path), "logs", "rosbags")
+    check_rosbags(path)
     seen, poses = _messages(path)
     truth = _columns(("time", "robot", "x", "y", "z", "heading"), poses)
     if not np.asarray(truth["z"], np.float64).any():
         truth.pop("z")
-    tracks = _tracks(poses)
-    rows: list[tuple[float, str, str, float]] = []
-    for time, robot, angles in seen:
-        rows += _assigned(time + clock_offset, robot, angles, tracks)
+    seen = [(t + clock_offset, robot, angles) for t, robot, angles in seen]
+    rows = _identified(seen, _tracks(poses))
     return from_tables(
         _columns(("time", "observer", "target", "bearing"), rows), truth, source=str(path),
         frames="listed",
     ).noted("bearings have no identity; each is assigned to the robot nearest to it by ground truth")  # fmt: skip
+
+
+def check_rosbags(path: Path) -> None:
+    """Raise a UserError if rosbags, a namespace package, is not installed."""
+    if importlib.util.find_spec("rosbags") is None:
+        raise UserError(f"{path} needs rosbags; pip install 'rendezvous-env[logs]'")
 
 
 def _columns(names: tuple[str, ...], rows: list[Any]) -> dict[str, Any]:
@@ -88,9 +99,9 @@ def _connections(path: Path, connections: list[Any]) -> list[Any]:
         found = _TOPIC.fullmatch(one.topic)
         if found is None:
             continue
-        if one.msgtype != _TYPES[found["what"]]:
+        if one.msgtype != TYPES[found["what"]]:
             raise LogError(
-                f"{path}: {one.topic} is {one.msgtype}; it must be {_TYPES[found['what']]}"
+                f"{path}: {one.topic} is {one.msgtype}; it must be {TYPES[found['what']]}"
             )
         used.append(one)
     if not used:
@@ -119,23 +130,56 @@ def _tracks(poses: list[Any]) -> dict[str, Any]:
     return tables
 
 
-def _assigned(
-    time: float, robot: str, angles: Any, tracks: dict[str, Any]
+def _identified(
+    seen: list[tuple[float, str, Floats]], tracks: dict[str, Floats]
 ) -> list[tuple[float, str, str, float]]:
-    """Rows of a message; an empty one is a row without target."""
+    """Rows (time, observer, target, bearing); an empty message is a row without target."""
     from scipy.optimize import linear_sum_assignment
 
-    if not len(angles) or robot not in tracks:
-        return [(time, robot, "", math.nan)] if not len(angles) else []
-    x, y, heading = _at(tracks[robot], time)
-    others = [name for name in tracks if name != robot]
-    places = np.array([_at(tracks[name], time)[:2] for name in others])
-    true = np.arctan2(places[:, 1] - y, places[:, 0] - x) - heading
-    apart = np.abs(np.angle(np.exp(1j * (angles[:, None] - true))))
-    rows, columns = linear_sum_assignment(apart)
-    return [(time, robot, others[j], float(angles[i])) for i, j in zip(rows, columns, strict=True)]
+    names = list(tracks)
+    seen = [one for one in seen if one[1] in tracks]
+    some = [one for one in seen if len(one[2])]
+    some = some[:: max(1, len(some) // _SAMPLE)]
+    spreads = [_spread(some, _true(some, tracks, delay)) for delay in _DELAYS]
+    true = _true(seen, tracks, float(_DELAYS[int(np.argmin(spreads))]))
+    rows = []
+    for (time, robot, angles), bearings in zip(seen, true, strict=True):
+        if not len(angles):
+            rows.append((time, robot, "", math.nan))
+            continue
+        # what is far from all robots must not displace another bearing
+        apart = np.minimum(_apart(angles, bearings), _FAR)
+        found = zip(*linear_sum_assignment(apart), strict=True)
+        rows += [(time, robot, names[j], float(angles[i])) for i, j in found if names[j] != robot]
+    return rows
 
 
-def _at(track: Any, time: float) -> tuple[float, float, float]:
-    x, y, heading = (float(np.interp(time, track[:, 0], column)) for column in track.T[1:])
-    return x, y, heading
+def _true(
+    seen: list[tuple[float, str, Floats]], tracks: dict[str, Floats], delay: float
+) -> Floats:
+    """True bearings (M, n), rad, of all robots at M messages; NaN of the observer."""
+    time = np.array([one[0] for one in seen]) - delay
+    numbers = {name: k for k, name in enumerate(tracks)}
+    own = np.arange(len(seen)), np.array([numbers[one[1]] for one in seen], np.int64)
+    x, y, heading = (
+        np.stack([np.interp(time, t[:, 0], t[:, k]) for t in tracks.values()], axis=-1)
+        for k in (1, 2, 3)
+    )
+    bearing = np.arctan2(y - y[own][:, None], x - x[own][:, None]) - heading[own][:, None]
+    bearing[own] = np.nan
+    return bearing
+
+
+def _apart(angles: Floats, bearings: Floats) -> Floats:
+    """Angles (k, n) between measured (k,) and true bearings (n,); π where there is none."""
+    apart = np.abs(np.angle(np.exp(1j * (angles[:, None] - bearings))))
+    return np.nan_to_num(apart, nan=np.pi)
+
+
+def _spread(seen: list[tuple[float, str, Floats]], true: Floats) -> float:
+    """Mean angle to the nearest robot, clipped."""
+    nearest = [
+        np.minimum(_apart(one[2], bearings).min(axis=1), _FAR)
+        for one, bearings in zip(seen, true, strict=True)
+    ]
+    return float(np.concatenate(nearest).mean()) if nearest else 0.0
