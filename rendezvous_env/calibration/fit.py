@@ -64,17 +64,14 @@ def estimate(log: SensorLog, seed: int = 0, replicates: int = DRAWS) -> Estimate
     Raises:
         LogError: if too few rows have ground truth.
     """
+    _check_size(log.source, int(log.robot_rows().sum()))
     log, frames = find_frames(log)
     blocks = Blocks(log.n_robots, log.duration, frames.period, seed, replicates)
     scan = scan_delay(log, blocks) if log.timed else None
     delay, notes = _delay(scan)
     every = errors_at(log, delay)
     robots = every.of_robots
-    if robots.sum() < _LEAST_ROWS:
-        raise LogError(
-            f"{log.source}: {int(robots.sum())} bearings of robots have ground truth; a fit needs "
-            f"{_LEAST_ROWS} or more"
-        )
+    _check_size(log.source, int(robots.sum()))
     known = np.flatnonzero(every.known)
     mask = np.zeros(len(log.time), np.bool_)
     mask[known[robots]] = True
@@ -99,6 +96,15 @@ def estimate(log: SensorLog, seed: int = 0, replicates: int = DRAWS) -> Estimate
         log, frames, errors, residual, scale, scan, constant, noise, outliers, correlation, chances,
         view, memory, _period(frames, blocks) if log.timed else _ZERO, notes,
     )  # fmt: skip
+
+
+def _check_size(source: str, rows: int) -> None:
+    """Raise a LogError for too few rows."""
+    if rows < _LEAST_ROWS:
+        raise LogError(
+            f"{source}: {rows} bearings of robots have ground truth; a fit needs {_LEAST_ROWS} or "
+            "more: give a longer log"
+        )
 
 
 def _delay(scan: DelayScan | None) -> tuple[float, tuple[str, ...]]:

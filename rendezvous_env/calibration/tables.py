@@ -20,6 +20,7 @@ POSE_COLUMNS = ("time", "robot", "x", "y", "heading")
 """Columns of a table of poses; ``z`` is optional. A robot with a single pose is a landmark."""
 _FEW = 6  # identifiers that a message lists
 _CLEARLY = 0.2  # of the error in other units, below which these are the units
+_SMALL = 0.03  # rad, of errors that no other unit could improve
 _TOLERABLE = 0.5  # share of rows whose target may be unknown
 _MANY_ROWS = 2000  # from which units are told
 
@@ -230,7 +231,7 @@ def _in_radians(log: SensorLog) -> SensorLog:
             error = np.abs(wrap(sign * b * measured - found.bearing))[found.known]
             errors[sign * b, h] = float(np.median(error))
     best = min(errors, key=errors.__getitem__)
-    if not errors[best] < _CLEARLY * errors[1.0, 1.0]:
+    if errors[1.0, 1.0] < _SMALL or errors[best] > _CLEARLY * errors[1.0, 1.0]:
         best = (1.0, 1.0)
     return _converted(log, *best)
 

@@ -37,7 +37,7 @@ class Replayed(NamedTuple):
     observer: NDArray[np.int64]  # (F,)
     time: Floats  # (F,), s
     seen: NDArray[np.int64]  # (F,), robots in the frame
-    hold: Floats  # (F,), s, for which the command is held
+    hold: Floats  # (F,), s, for which the command is held; 0 for the last
     velocity: Floats  # (F, 2), m/s, in the frame of the poses
     net_bearing: Floats  # (F, 2), fᵢ, true
     rate: Floats  # (F,), of V by this robot's motion, m/s per unit of gain
@@ -77,7 +77,8 @@ def replay(log: SensorLog, policy: str, robot_model: str = "single_integrator") 
     yaw = np.stack([one[1] for one in poses], axis=1)[own]
     net = _net_bearings(place)
     gap = frames.interval()
-    hold = np.minimum(np.append(gap[1:], np.inf), _HOLD)
+    after = np.append(gap[1:], np.inf)
+    hold = np.where(np.isfinite(after), np.minimum(after, _HOLD), 0.0)  # none after the last frame
     rows = _rows_of_frames(log, frames.row, len(frames.time))
     velocity, seen = np.zeros((len(gap), 2)), np.zeros(len(gap), np.int64)
     for k, (elapsed, heading) in enumerate(zip(gap.tolist(), yaw.tolist(), strict=True)):

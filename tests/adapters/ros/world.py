@@ -14,7 +14,7 @@ import time
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import PoseStamped, Twist
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -64,6 +64,7 @@ class World(Node):
             }
             for i in range(4)
         ]
+        self.truth = [self.create_publisher(PoseStamped, f"/robot{i}/pose", 1) for i in range(4)]
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
         for i in range(4):
             self.create_subscription(
@@ -109,6 +110,10 @@ class World(Node):
             edges = seen.obstacles[seen.obstacles.any(axis=(1, 2))]
             turned = Imu()
             turned.orientation.z, turned.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
+            pose = PoseStamped()
+            pose.pose.position.x, pose.pose.position.y = self.simulator.positions[0, i].tolist()
+            pose.pose.orientation = turned.orientation
+            self.truth[i].publish(pose)
             self.sent[i]["imu"].publish(turned)
             self.sent[i]["bearings"].publish(_angles(present, yaw))
             self.sent[i]["edges"].publish(_angles(edges, yaw))
