@@ -38,14 +38,14 @@ class Blocks:
     def of(self, observer: Ints, time: Floats) -> Ints:
         """Block of each entry, by its observer and time."""
         inside = np.clip((time / self.span).astype(np.int64), 0, self.spans - 1)
-        return observer * self.spans + inside
+        block: Ints = observer * self.spans + inside
+        return block
 
     def sums(self, block: Ints, values: Floats) -> Floats:
         """Sums over the entries of each block: (count, ...) of values (N, ...)."""
         flat = values.reshape(len(values), -1)
-        out = np.stack(
-            [np.bincount(block, one, minlength=self.count) for one in flat.T], axis=-1
-        )
+        columns = [np.bincount(block, one, minlength=self.count) for one in flat.T]
+        out = np.stack(columns, axis=-1).astype(np.float64)
         return out.reshape(self.count, *values.shape[1:])
 
     def draws(self, block: Ints) -> NDArray[np.float64]:

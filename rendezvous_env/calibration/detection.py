@@ -31,13 +31,13 @@ class Binned(NamedTuple):
     high: Floats
     middle: Floats  # mean of the opportunities
     share: Floats
-    count: Floats
+    number: Floats
 
     def rows(self, digits: int = 4) -> list[list[float]]:
         """Bins as plain rows of low, high, share and opportunities."""
         return [
             [round(float(a), 6), round(float(b), 6), round(float(s), digits), int(n)]
-            for a, b, s, n in zip(self.low, self.high, self.share, self.count, strict=True)
+            for a, b, s, n in zip(self.low, self.high, self.share, self.number, strict=True)
         ]
 
 
@@ -99,7 +99,9 @@ def find_view(chances: Chances, blocks: Blocks) -> View:
         used = inner & (chances.distance >= blind.value)
         nodes, values = _table(chances.some(used))
         half, falloff = _field(chances, nodes, values, blind.value, half)
-    inner = (share_in_view(chances.bearing, half, falloff) >= 0.999) & (chances.distance >= blind.value)
+    inner = (share_in_view(chances.bearing, half, falloff) >= 0.999) & (
+        chances.distance >= blind.value
+    )
     table = _table_estimates(chances.some(inner), nodes, values, blocks)
     half_field, width = _field_estimates(chances, nodes, values, blind.value, half, falloff, blocks)
     return View(nodes, table, half_field, width, blind)
@@ -147,7 +149,9 @@ def _solve(matrix: Floats, right: Floats) -> Floats:
     return np.clip(found, 0.0, 1.0)
 
 
-def _table_estimates(chances: Chances, nodes: Floats, values: Floats, blocks: Blocks) -> list[Estimate]:
+def _table_estimates(
+    chances: Chances, nodes: Floats, values: Floats, blocks: Blocks
+) -> list[Estimate]:
     """Probabilities at the nodes with intervals."""
     if not len(chances.distance):
         return [Estimate(float(one), 0.0, 1.0) for one in values]
@@ -173,7 +177,9 @@ def _likelihoods(chances: Chances, p: Floats, halves: Floats, falloffs: Floats) 
     angle = np.abs(chances.bearing)[:, None]
     half, falloff = (grid.ravel()[None] for grid in np.meshgrid(halves, falloffs, indexing="ij"))
     inside = half - angle
-    share = np.where(falloff > 1e-9, np.clip(inside / np.maximum(falloff, 1e-9), 0.0, 1.0), inside >= 0.0)
+    share = np.where(
+        falloff > 1e-9, np.clip(inside / np.maximum(falloff, 1e-9), 0.0, 1.0), inside >= 0.0
+    )
     chance = np.clip(p[:, None] * share, _FLOOR, 1.0 - _FLOOR)
     return np.log(np.where(chances.seen[:, None], chance, 1.0 - chance))
 
@@ -188,7 +194,9 @@ def _edge_rows(
     return found, np.interp(found.distance, nodes, values)
 
 
-def _field(chances: Chances, nodes: Floats, values: Floats, blind: float, near: float) -> tuple[float, float]:
+def _field(
+    chances: Chances, nodes: Floats, values: Floats, blind: float, near: float
+) -> tuple[float, float]:
     """Half-field and fall-off of the highest likelihood, rad, first by a coarse grid."""
     rows, p = _edge_rows(chances, nodes, values, blind, 0.0)
     if not len(p):
@@ -240,7 +248,9 @@ def _field_estimates(
         return Estimate(math.pi, math.pi, math.pi), Estimate(0.0, 0.0, 0.0)
     halves = half * np.linspace(0.88, 1.12, 25)
     halves = np.unique(np.append(np.minimum(halves, math.pi), half))
-    falloffs = np.unique(np.append(np.maximum(falloff + half * np.linspace(-0.25, 0.25, 26), 0.0), falloff))
+    falloffs = np.unique(
+        np.append(np.maximum(falloff + half * np.linspace(-0.25, 0.25, 26), 0.0), falloff)
+    )
     low = max(0.0, half - falloff - 0.3 * half)
     rows, p = _edge_rows(chances, nodes, values, blind, low, 1.3 * half)
     block = blocks.of(rows.observer, rows.time)
@@ -308,7 +318,9 @@ def find_memory(chances: Chances, view: View, blocks: Blocks) -> Memory:
     times = step * np.geomspace(0.05, 100.0, 121)
     kept = np.exp(-gap[:, None] / times)
     before, now = p[first][:, None], p[second][:, None]
-    stays = np.where(a[:, None], np.minimum(1.0, now / before), np.maximum(0.0, (now - before) / (1.0 - before)))
+    stays = np.where(
+        a[:, None], np.minimum(1.0, now / before), np.maximum(0.0, (now - before) / (1.0 - before))
+    )
     chance = np.clip(kept * stays + (1.0 - kept) * now, 1e-6, 1.0 - 1e-6)
     white = np.where(b, p[second], 1.0 - p[second])
     gain = np.log(np.where(b[:, None], chance, 1.0 - chance)) - np.log(white)[:, None]

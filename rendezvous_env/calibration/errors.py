@@ -31,7 +31,9 @@ class Estimate(NamedTuple):
     high: float
 
     @classmethod
-    def around(cls, value: float, half: float, low: float = -math.inf, high: float = math.inf) -> Estimate:
+    def around(
+        cls, value: float, half: float, low: float = -math.inf, high: float = math.inf
+    ) -> Estimate:
         """An interval of a half-width about the value, within limits."""
         return cls(value, max(value - half, low), min(value + half, high))
 
@@ -184,12 +186,15 @@ def constant_errors(errors: Errors, core: Mask, blocks: Blocks) -> Constant:
             variances.append(max(spread * (1.0 + 2.0 / max(count - 1, 1)), floor))
             groups.append(int(i))
             keys.append((int(i), int(j)))
-    y, v, g = np.array(means), np.array(variances), np.array(groups)
+    y, v, g = np.array(means), np.maximum(variances, 1e-14), np.array(groups)
     if len(y) < 2:
         none = Estimate(0.0, 0.0, math.inf)
         return Constant(dict(zip(keys, means, strict=True)), {}, none, none)
     bias, observer_bias = _components(y, v, g)
-    observers = {int(i): _expected(y[g == i], v[g == i], bias.value, observer_bias.value) for i in np.unique(g)}
+    observers = {
+        int(i): _expected(y[g == i], v[g == i], bias.value, observer_bias.value)
+        for i in np.unique(g)
+    }
     return Constant(dict(zip(keys, means, strict=True)), observers, bias, observer_bias)
 
 
@@ -211,7 +216,9 @@ def _components(y: Floats, v: Floats, g: Ints) -> tuple[Estimate, Estimate]:
         weight, between = (1.0 / spread).sum(axis=-1), common**2
         inner = (own / spread).sum(axis=-1)
         total -= 0.5 * (np.log(spread).sum(axis=-1) + np.log1p(between * weight))
-        total -= 0.5 * ((own**2 / spread).sum(axis=-1) - between * inner**2 / (1.0 + between * weight))
+        total -= 0.5 * (
+            (own**2 / spread).sum(axis=-1) - between * inner**2 / (1.0 + between * weight)
+        )
     best = np.unravel_index(np.argmax(total), total.shape)
     found = []
     for axis, place in enumerate(best):
@@ -337,7 +344,9 @@ class Correlation(NamedTuple):
     values: Floats  # (L,), autocorrelation
 
 
-def correlation_time(errors: Errors, residual: Floats, scale: Floats, core: Mask, period: float, blocks: Blocks) -> Correlation:
+def correlation_time(
+    errors: Errors, residual: Floats, scale: Floats, core: Mask, period: float, blocks: Blocks
+) -> Correlation:
     """Time constant of an AR(1) process, by maximum likelihood of successive errors of a pair."""
     z = np.clip(residual / scale, -_CORE, _CORE)
     z = z / max(float(z[core].std()), 1e-12) if core.any() else z
@@ -387,4 +396,5 @@ def _autocorrelation(errors: Errors, z: Floats, core: Mask, period: float) -> tu
         np.add.at(counts, lag[use].astype(int), 1.0)
     good = counts > 20
     variance = float(np.mean(x**2)) if len(x) else 1.0
-    return period * np.flatnonzero(good), sums[good] / counts[good] / variance
+    lags = period * np.flatnonzero(good).astype(np.float64)
+    return lags, sums[good] / counts[good] / (variance or 1.0)

@@ -35,6 +35,7 @@ from .tables import LogError
 _LEAST_ROWS = 50
 _CLOCKS = 0.5  # s, delay from which clocks are said to differ
 _FLAT = 0.01  # relative change of the spread below which a delay is not seen
+_FINEST = 1e-3  # rad, least scale of errors that may be outliers
 _ZERO = Estimate(0.0, 0.0, 0.0)
 
 
@@ -127,11 +128,11 @@ def _delay(scan: DelayScan | None) -> tuple[float, tuple[str, ...]]:
 def _centred_and_scaled(errors: Errors) -> tuple[Floats, Floats]:
     """Errors about the median of their pair, and the robust deviation of their observer."""
     residual, _ = centred(errors.error, errors.pair())
-    scale = np.full(len(residual), max(robust_deviation(residual), 1e-6))
+    scale = np.full(len(residual), max(robust_deviation(residual), _FINEST))
     for robot in np.unique(errors.observer):
         rows = errors.observer == robot
         if rows.sum() >= 30:
-            scale[rows] = max(robust_deviation(residual[rows]), 1e-6)
+            scale[rows] = max(robust_deviation(residual[rows]), _FINEST)
     return residual, scale
 
 
@@ -182,7 +183,9 @@ def fit_sensor(log: SensorLog, *, per_robot: bool = False, seed: int = 0) -> Sen
     found = estimate(log, seed)
     parameters = _parameters(found)
     fields = _fields(found, parameters, per_robot)
-    return SensorFit(found, parameters, fields, hold_out(log, seed), (*found.log.notes, *found.notes))
+    return SensorFit(
+        found, parameters, fields, hold_out(log, seed), (*found.log.notes, *found.notes)
+    )
 
 
 def _parameters(found: Estimates) -> dict[str, Estimate]:
@@ -273,7 +276,9 @@ def hold_out(log: SensorLog, seed: int = 0) -> dict[str, float]:
         return {}
     pairs = zip(errors.observer.tolist(), errors.target.tolist(), strict=True)
     constant = fitted.constant
-    offset = np.array([constant.pairs.get(pair, constant.observers.get(pair[0], 0.0)) for pair in pairs])
+    offset = np.array(
+        [constant.pairs.get(pair, constant.observers.get(pair[0], 0.0)) for pair in pairs]
+    )
     residual, level = errors.error - offset, fitted.noise.level.value
     chances = find_chances(other, frames, delay)
     p, seen = fitted.view.probability(chances), chances.seen.astype(np.float64)

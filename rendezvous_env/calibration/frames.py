@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -55,7 +55,8 @@ class Chances(NamedTuple):
     def some(self, which: Mask) -> Chances:
         """The opportunities of a mask; ``follows`` requires that the one before is among them."""
         before = np.concatenate([[False], which[:-1]])
-        return Chances(*(one[which] for one in self._replace(follows=self.follows & before)))
+        kept: Any = [one[which] for one in self._replace(follows=self.follows & before)]
+        return Chances(*kept)
 
 
 def frames_by_stamp(log: SensorLog) -> Frames:
@@ -128,9 +129,7 @@ def _turning(log: SensorLog, frame_of: Ints, times: Floats, observers: Ints) -> 
     known = np.flatnonzero(log.target >= 0)
     now = log.truth(log.observer[known], log.target[known], log.time[known])
     gap = np.diff(times, prepend=times[:1])
-    then = log.truth(
-        log.observer[known], log.target[known], log.time[known] - gap[frame_of[known]]
-    )
+    then = log.truth(log.observer[known], log.target[known], log.time[known] - gap[frame_of[known]])
     moved = np.zeros(len(observers), np.bool_)
     changed = now.known & then.known & (np.abs(now.bearing - then.bearing) > 2e-3)
     moved[frame_of[known[changed]]] = True
@@ -180,7 +179,9 @@ def _aligned(own: Floats, period: float) -> tuple[Floats, float, float]:
     while True:
         part = own[:size]
         if len(part) > 2 and part[-1] - part[0] > 4.0 * period:
-            slope, start = (float(one) for one in np.polyfit(np.rint((part - start) / slope), part, 1))
+            slope, start = (
+                float(one) for one in np.polyfit(np.rint((part - start) / slope), part, 1)
+            )
         tick = np.rint((own - start) / slope)
         if size >= len(own):
             break
@@ -220,7 +221,9 @@ def find_chances(
     sure = np.zeros_like(seen)
     clean = rows if outlier is None else rows & ~outlier
     sure[frames.row[clean], log.target[clean]] = True
-    frame, target = (grid.T.ravel() for grid in np.meshgrid(np.arange(count), np.arange(n), indexing="ij"))
+    frame, target = (
+        grid.T.ravel() for grid in np.meshgrid(np.arange(count), np.arange(n), indexing="ij")
+    )
     observer = frames.observer[frame]
     truth = log.truth(observer, target, frames.time[frame] - delay)
     kept = np.flatnonzero(truth.known & (observer != target))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -100,7 +101,7 @@ def noise_by_distance(errors: Errors, residual: Floats) -> list[list[float]]:
     """Rows of least and largest distance, m, robust deviation, rad, and number of errors."""
     edges = distance_edges(float(errors.distance.max(initial=1.0)))
     told = []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         rows = (errors.distance >= low) & (errors.distance < high)
         if rows.sum() >= 30:
             deviation = robust_deviation(residual[rows])
@@ -161,8 +162,8 @@ def unexpressed(fit: SensorFit) -> list[str]:
     """Effects in a log that the fitted model does not have, one sentence each."""
     found = fit.estimates
     told = [
-        *_tails(found), *_noise_differences(fit), *_drift(found), *_clock(found), *_asymmetry(found),
-        *_detection_differences(found), *_lens(found),
+        *_tails(found), *_noise_differences(fit), *_drift(found), *_clock(found),
+        *_asymmetry(found), *_detection_differences(found), *_lens(found),
     ]  # fmt: skip
     told.append("Occlusion lowers the fitted probability of detection; it is not separated.")
     return told
@@ -219,7 +220,7 @@ def _clock(found: Estimates) -> list[str]:
         return []
     low, high = np.quantile(gap, (0.1, 0.9))
     return [
-        f"Frames are irregular: 80 % of the intervals are {low:.2f} to {high:.2f} s, the longest is "
+        f"Frames are irregular: 80 % of the intervals are {low:.2f} to {high:.2f} s, the longest "
         f"{gap.max():.0f} s. Probabilities are of frames with any detection."
     ]
 
@@ -232,7 +233,9 @@ def _asymmetry(found: Estimates) -> list[str]:
     low, high = np.quantile(seen, (0.01, 0.99))
     if abs(low + high) < 0.1 * half:
         return []
-    return [f"The field of view is not symmetric: 98 % of bearings are {low:.2f} to {high:.2f} rad."]
+    return [
+        f"The field of view is not symmetric: 98 % of bearings are {low:.2f} to {high:.2f} rad."
+    ]
 
 
 def _detection_differences(found: Estimates) -> list[str]:

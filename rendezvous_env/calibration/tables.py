@@ -178,7 +178,9 @@ def _natural(name: str) -> tuple[int, float, str]:
     return (0, float(name), name) if name.replace(".", "", 1).isdigit() else (1, 0.0, name)
 
 
-def _unknown(source: str, unknown: set[str], dropped: Mask, names: Sequence[str]) -> tuple[str, ...]:
+def _unknown(
+    source: str, unknown: set[str], dropped: Mask, names: Sequence[str]
+) -> tuple[str, ...]:
     """A note on rows with unknown identifiers; an error if most of them are."""
     if not unknown:
         return ()
@@ -202,8 +204,8 @@ def _overlapping(log: SensorLog) -> SensorLog:
         begin, end = log.time.min(), log.time.max()
         raise LogError(
             f"{log.source}: bearings are from {begin:.3f} to {end:.3f} s and poses from "
-            f"{first:.3f} to {last:.3f} s: the clocks differ, or ground truth is missing; give both "
-            f"the same clock in seconds, or --clock-offset {first - begin:.3f} if they begin together"
+            f"{first:.3f} to {last:.3f} s: the clocks differ, or ground truth is missing; give "
+            f"both the same clock, or --clock-offset {first - begin:.3f} if they begin together"
         )
     origin = float(log.time.min())
     tracks = tuple(replace(t, time=t.time - origin) for t in log.tracks)

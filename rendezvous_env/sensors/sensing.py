@@ -202,7 +202,9 @@ class Sensing:
         """
         from ..calibration import fit_sensor, from_tables
 
-        return cls(**fit_sensor(from_tables(bearings, poses), per_robot=per_robot, seed=seed).fields)
+        return cls(
+            **fit_sensor(from_tables(bearings, poses), per_robot=per_robot, seed=seed).fields
+        )
 
     @property
     def exact(self) -> bool:

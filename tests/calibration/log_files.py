@@ -95,4 +95,9 @@ def write_recording(folder, bearings, poses):
     return folder
 
 
-WRITERS = {"csv": write_csv, "parquet": write_parquet, "mrclam": write_mrclam, "mcap": write_recording}
+WRITERS = {
+    "csv": write_csv,
+    "parquet": write_parquet,
+    "mrclam": write_mrclam,
+    "mcap": write_recording,
+}

@@ -60,7 +60,7 @@ def simulate(sensing=None, seeds=(0,), duration=1200.0, n_robots=5, every_step=F
         poses[:, step, :, 2:4], poses[:, step, :, 4] = sim.positions, yaws(sim)
         if step >= delay and (every_step or is_sample(step - delay, period)):
             neighbours = scenario.observation_layout.split(rows).neighbours
-            for env, (own, kept) in enumerate(zip(neighbours, seen, strict=True)):
+            for own, kept in zip(neighbours, seen, strict=True):
                 i, slot = np.nonzero(own.any(axis=-1))
                 x, y = own[i, slot].T.astype(np.float64)
                 time = np.full(len(i), step * STEP)

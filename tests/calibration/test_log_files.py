@@ -1,4 +1,4 @@
-"""Readers of rendezvous sensor: all formats of one log agree, and bad files name line and remedy."""
+"""Readers of rendezvous sensor: formats of a log agree, and bad files name line and remedy."""
 
 import importlib.util
 import json

@@ -153,7 +153,7 @@ def test_bearings_of_other_robots_are_told_from_uniform_outliers():
 def test_delay_scan_finds_a_delay_of_both_signs():
     ((bearings, poses),) = simulate({"noise": 0.01}, seeds=(0,), duration=60.0, n_robots=3)
     for shift in (-0.13, 0.37):
-        log = from_tables(bearings + [shift, 0.0, 0.0, 0.0], poses)
+        log = from_tables(bearings + np.array([shift, 0.0, 0.0, 0.0]), poses)
         best = scan_delay(log, Blocks(3, log.duration, 0.1, 0)).best
         assert best.value == pytest.approx(shift, abs=0.005)
 

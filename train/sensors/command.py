@@ -4,8 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from rendezvous_env.calibration import LogError, SensorLog, fit_sensor
 from tyro.conf import Positional
+
+from rendezvous_env.calibration import LogError, SensorLog, fit_sensor
 
 from ..checks import Bounds, Flags, UserError, check_unused
 from ..console import Console

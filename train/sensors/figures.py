@@ -84,7 +84,7 @@ def _correlation(axis: Axes, fit: SensorFit) -> None:
 
 
 def _points(axis: Axes, found: Binned) -> None:
-    half = 2.576 * np.sqrt(found.share * (1.0 - found.share) / found.count)
+    half = 2.576 * np.sqrt(found.share * (1.0 - found.share) / found.number)
     axis.errorbar(found.middle, found.share, half, fmt="o", color=_DATA, label="log", lw=0.8)
 
 
@@ -120,7 +120,9 @@ def _dwell(axis: Axes, fit: SensorFit) -> None:
     memory = fit.estimates.memory
     stays = (memory.seen_again, 1.0 - memory.seen_after_miss)
     runs = (memory.runs_seen, memory.runs_missed)
-    for lengths, stay, word, colour in zip(runs, stays, ("seen", "missed"), (_DATA, _OTHER), strict=True):
+    for lengths, stay, word, colour in zip(
+        runs, stays, ("seen", "missed"), (_DATA, _OTHER), strict=True
+    ):
         if not lengths:
             continue
         counts = np.bincount(np.minimum(lengths, 30))[1:]

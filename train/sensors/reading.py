@@ -8,8 +8,8 @@ from ..checks import UserError
 from . import mrclam, rosbag, table_files, wsr
 
 FORMATS = (
-    "a folder of MRCLAM files, a folder with tables bearings and poses (.csv or .parquet), a rosbag2 "
-    "or MCAP recording, or WSR result files (.json)"
+    "a folder of MRCLAM files, a folder with tables bearings and poses (.csv or .parquet), a "
+    "rosbag2 or MCAP recording, or WSR result files (.json)"
 )
 
 

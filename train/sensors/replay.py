@@ -4,6 +4,7 @@ V = Σᵢ Σⱼ ‖pᵢ − pⱼ‖ over ordered pairs of all robots of the log 
 the sum of the true unit vectors to the others and vᵢ the commanded velocity.
 """
 
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -92,11 +93,10 @@ def replay(log: SensorLog, policy: str, robot_model: str = "single_integrator") 
     size = np.linalg.norm(net[own], axis=-1) * np.linalg.norm(velocity, axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         margin = np.where(size > _RESTS, -0.5 * rate / size, np.nan)
-    return Replayed(
-        policy, *(one[known] for one in (
-            frames.observer, frames.time, seen, hold, velocity, net[own], rate, margin, team,
-        ))
-    )  # fmt: skip
+    told: list[Any] = [
+        frames.observer, frames.time, seen, hold, velocity, net[own], rate, margin, team,
+    ]  # fmt: skip
+    return Replayed(policy, *(one[known] for one in told))
 
 
 def _robot(name: str, scenario: Scenario) -> RobotPolicy:
@@ -121,7 +121,7 @@ def _rows_of_frames(log: SensorLog, row: NDArray[np.int64], count: int) -> list[
     use = use[np.sort(first)]
     use = use[np.argsort(row[use], kind="stable")]
     ends = np.searchsorted(row[use], np.arange(count + 1))
-    return [log.bearing[use[a:b]] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    return [log.bearing[use[a:b]] for a, b in pairwise(ends)]
 
 
 def _command(
@@ -144,9 +144,7 @@ def _net_bearings(place: Floats) -> Floats:
     return np.divide(offset, length, out=np.zeros_like(offset), where=length > 0.0).sum(axis=2)
 
 
-def _team_rates(
-    observer: NDArray[np.int64], time: Floats, velocity: Floats, net: Floats
-) -> Floats:
+def _team_rates(observer: NDArray[np.int64], time: Floats, velocity: Floats, net: Floats) -> Floats:
     """Rate of V at each frame (F,) by all robots, each with its last command for up to the hold."""
     rates = np.zeros(len(time))
     for robot in np.unique(observer):
@@ -183,5 +181,7 @@ def summary(found: Replayed) -> dict[str, Any]:
         "decreases_when_moving": falls / max(falls + rises, 1e-12),
         "margin_quantiles": [float(one) for one in quantiles],
         "team_decreases": float((found.team_rate < 0.0).mean()),
-        "team_decreases_when_moving": float((found.team_rate[going] < 0.0).mean()) if going.any() else 0.0,
+        "team_decreases_when_moving": float((found.team_rate[going] < 0.0).mean())
+        if going.any()
+        else 0.0,
     }

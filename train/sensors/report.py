@@ -99,8 +99,8 @@ def show(fit: SensorFit, plain: Mapping[str, Any], console: Console) -> None:
     held = fit.held_out
     if held:
         console.print(
-            f"held-out half: errors {held['error']:.4g} rad, predicted {held['predicted_error']:.4g} "
-            f"rad, {held['within_95']:.1%} within 1.96 noise levels; detection Brier score "
+            f"held-out half: errors {held['error']:.4g} rad, predicted "
+            f"{held['predicted_error']:.4g} rad, {held['within_95']:.1%} within 1.96 noise levels; detection Brier score "
             f"{held['detection_brier']:.3f}, of a constant {held['detection_brier_constant']:.3f}",
             soft_wrap=True,
         )

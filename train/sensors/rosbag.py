@@ -22,6 +22,7 @@ _TOPIC = re.compile(r"/(?P<robot>[^/]+)/(?P<what>bearings|pose)")
 TYPES = {"bearings": "std_msgs/msg/Float64MultiArray", "pose": "geometry_msgs/msg/PoseStamped"}
 """Message types of the topics."""
 _FAR = 0.3  # rad, beyond which a bearing is near no robot
+_UNSEEN = 0.1  # s, before the first and after the last pose in which a robot is still assigned
 _SAMPLE = 400  # messages from which the delay is found, s
 _DELAYS = np.arange(-0.3, 1.001, 0.05)
 
@@ -51,7 +52,7 @@ def read_recording(path: Path, clock_offset: float = 0.0) -> SensorLog:
     return from_tables(
         _columns(("time", "observer", "target", "bearing"), rows), truth, source=str(path),
         frames="listed",
-    ).noted("bearings have no identity; each is assigned to the robot nearest to it by ground truth")  # fmt: skip
+    ).noted("bearings have no identity; each is assigned to the nearest robot by ground truth")  # fmt: skip
 
 
 def check_rosbags(path: Path) -> None:
@@ -61,7 +62,9 @@ def check_rosbags(path: Path) -> None:
 
 
 def _columns(names: tuple[str, ...], rows: list[Any]) -> dict[str, Any]:
-    return {name: np.array(cells) for name, cells in zip(names, zip(*rows, strict=True), strict=True)}
+    return {
+        name: np.array(cells) for name, cells in zip(names, zip(*rows, strict=True), strict=True)
+    }
 
 
 def _messages(path: Path) -> tuple[list[Any], list[Any]]:
@@ -154,9 +157,7 @@ def _identified(
     return rows
 
 
-def _true(
-    seen: list[tuple[float, str, Floats]], tracks: dict[str, Floats], delay: float
-) -> Floats:
+def _true(seen: list[tuple[float, str, Floats]], tracks: dict[str, Floats], delay: float) -> Floats:
     """True bearings (M, n), rad, of all robots at M messages; NaN of the observer."""
     time = np.array([one[0] for one in seen]) - delay
     numbers = {name: k for k, name in enumerate(tracks)}
@@ -167,6 +168,9 @@ def _true(
     )
     bearing = np.arctan2(y - y[own][:, None], x - x[own][:, None]) - heading[own][:, None]
     bearing[own] = np.nan
+    for k, track in enumerate(tracks.values()):  # robots that have merged have no pose any more
+        late = (time < track[0, 0] - _UNSEEN) | (time > track[-1, 0] + _UNSEEN)
+        bearing[late, k] = np.nan
     return bearing
 
 

@@ -38,7 +38,8 @@ def read_tables(folder: Path, clock_offset: float = 0.0, bearings: Path | None =
         missing = "bearings" if seen is None else "poses"
         raise LogError(
             f"{folder}: no {missing}.csv or {missing}.parquet; bearings have the columns "
-            f"{', '.join(BEARING_COLUMNS)}, poses, which are ground truth, {', '.join(POSE_COLUMNS)}"
+            f"{', '.join(BEARING_COLUMNS)}, poses, which are ground truth, "
+            f"{', '.join(POSE_COLUMNS)}"
         )
     return from_tables(
         read_table(seen), read_table(truth), source=str(folder), clock_offset=clock_offset
@@ -95,7 +96,9 @@ def _is_row(line: str) -> bool:
     return bool(line.strip()) and not line.lstrip().startswith("#")
 
 
-def _numbers(path: Path, name: str, cells: tuple[str, ...], lines: list[int]) -> NDArray[np.float64]:
+def _numbers(
+    path: Path, name: str, cells: tuple[str, ...], lines: list[int]
+) -> NDArray[np.float64]:
     """A column of numbers; an empty cell is NaN where a row may lack the number."""
     try:
         return np.array(cells, np.float64)

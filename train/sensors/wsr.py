@@ -38,7 +38,9 @@ def read_wsr(path: Path) -> SensorLog:
                     f"{file}, experiment {key}: {type(error).__name__} {error}; give a result file "
                     "of the WSR toolbox"
                 ) from None
-    columns = dict(zip(("time", "observer", "target", "bearing"), zip(*rows, strict=True), strict=True))
+    columns = dict(
+        zip(("time", "observer", "target", "bearing"), zip(*rows, strict=True), strict=True)
+    )
     truth = dict(zip(("time", "robot", "x", "y", "heading"), zip(*poses, strict=True), strict=True))
     return from_tables(columns, truth, source=str(path), frames="detected", timed=False).noted(
         "times only number the experiments; nothing that depends on time is fitted"

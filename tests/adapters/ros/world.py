@@ -110,13 +110,20 @@ class World(Node):
             edges = seen.obstacles[seen.obstacles.any(axis=(1, 2))]
             turned = Imu()
             turned.orientation.z, turned.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
-            pose = PoseStamped()
-            pose.pose.position.x, pose.pose.position.y = self.simulator.positions[0, i].tolist()
-            pose.pose.orientation = turned.orientation
-            self.truth[i].publish(pose)
+            self.truth[i].publish(self.pose_of(i))
             self.sent[i]["imu"].publish(turned)
             self.sent[i]["bearings"].publish(_angles(present, yaw))
             self.sent[i]["edges"].publish(_angles(edges, yaw))
+
+    def pose_of(self, i):
+        """Ground truth: the body turns in a local frame, which is turned in the world."""
+        frame, place = self.simulator.frames[0, i], self.simulator.positions[0, i]
+        heading = self.yaws[i] + math.atan2(frame[1, 0], frame[0, 0])
+        pose = PoseStamped()
+        pose.pose.position.x, pose.pose.position.y = place.tolist()
+        pose.pose.orientation.z = math.sin(heading / 2)
+        pose.pose.orientation.w = math.cos(heading / 2)
+        return pose
 
 
 def _angles(vectors, yaw):
