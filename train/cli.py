@@ -32,6 +32,7 @@ COMMANDS = {
     "render": ("figures.render", "one episode as a video (gif, mp4) or a figure (png, pdf)"),
     "reproduce": ("figures.reproduce", "figures 3 and 4 of the paper; tanks, bounds and pixels"),
     "warmup": ("bench.warmup", "compile beforehand what the first use would compile"),
+    "sensor": ("sensors.command", "fit a sensor model to a robot log; replay logged bearings"),
     "verify": ("verify.verify", "check the theorems on random teams; status 1 if one fails"),
 }
 """Commands: module in ``train`` and one-line help."""

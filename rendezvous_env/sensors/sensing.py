@@ -179,6 +179,33 @@ class Sensing:
         """
         return cls(noise=0.145) if line_of_sight else cls(noise=0.15, outliers=0.18)
 
+    @classmethod
+    def fit(cls, bearings: Any, poses: Any, *, per_robot: bool = False, seed: int = 0) -> Sensing:
+        """Sensor model of a log of bearings with ground truth.
+
+        ``rendezvous sensor fit`` reads files and reports intervals, a prediction error and figures;
+        ``rendezvous_env.calibration`` has the estimates (docs/measured-sensors.md).
+
+        Args:
+            bearings: columns ``time`` s, ``observer``, ``target``, ``bearing`` rad,
+                counter-clockwise from the observer's x axis, and optionally ``elevation`` rad: a
+                mapping of names to arrays, a DataFrame, or rows in this order. An empty target
+                marks a frame without detections.
+            poses: columns ``time`` s, ``robot``, ``x``, ``y``, optionally ``z``, m, and ``heading``
+                rad, likewise. A robot with one pose is a landmark.
+            per_robot: one noise level for each robot, in the order of their identifiers.
+            seed: of the bootstrap.
+
+        Raises:
+            ValueError: naming the column or row and the remedy, also for clocks or units that do
+                not match, and if too few bearings have ground truth.
+        """
+        from ..calibration import fit_sensor, from_tables
+
+        return cls(
+            **fit_sensor(from_tables(bearings, poses), per_robot=per_robot, seed=seed).fields
+        )
+
     @property
     def exact(self) -> bool:
         """True if the sensor has no imperfection."""

@@ -23,10 +23,10 @@ SECONDS = 90.0  # for a run, from when all robots are there
 LIMIT = 2 * READY + SECONDS  # of a world's process, which may compile for as long as robots do
 
 
-def run(seed, folder, *parameters):
+def run(seed, folder, *parameters, recording=None):
     """One run: how it ended, and the ticks of all robots, (wall, work) in s and kernels compiled.
 
-    Parameters are those of the node that are true.
+    Parameters are those of the node that are true. A recording is a folder to write.
 
     Raises:
         subprocess.TimeoutExpired: for a process that hangs; it says where.
@@ -59,6 +59,13 @@ def run(seed, folder, *parameters):
             )
             for i in range(4)
         ]
+        if recording is not None:
+            names = [f"robot{i}" for i in range(4)]
+            recorder = start(
+                *(*python, ROOT / "examples/15_ros_recorder.py", recording, *names),
+                preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
+            )
+            robots.append(recorder)
         world = start(*python, HERE / "world.py", seed, SECONDS, stdout=subprocess.PIPE, text=True)
         said, _ = world.communicate(timeout=LIMIT)
         for robot in robots:

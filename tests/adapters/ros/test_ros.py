@@ -170,3 +170,20 @@ def test_four_nodes_meet_among_obstacles(tmp_path, seed, parameters):
     assert len(ticks) > 300
     assert not any(kernels for *_, kernels in ticks)  # all are there before the node is
     assert percentile([work for _, work, _ in ticks], 0.99) < TICK
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(util.find_spec("rosbags") is None, reason="needs rosbags")
+def test_recorder_writes_a_log_that_the_fit_reads(tmp_path):
+    """The world's bearings are exact; arrival times of two topics differ by less than a step."""
+    from rendezvous_env.calibration import fit_sensor
+    from train.sensors.reading import read_log
+
+    ended, _ = run(1, tmp_path, recording=tmp_path / "bag")
+    assert ended["met"]
+    log = read_log(tmp_path / "bag")
+    assert log.names == ("robot0", "robot1", "robot2", "robot3") and log.frames == "listed"
+    fit = fit_sensor(log)
+    assert fit.parameters["noise"].value < 0.01 and "field_of_view" not in fit.fields
+    assert abs(fit.parameters["delay_time"].value) < 0.03
+    assert fit.parameters["outliers"].value < 0.05

@@ -14,7 +14,7 @@ import time
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import PoseStamped, Twist
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -64,6 +64,7 @@ class World(Node):
             }
             for i in range(4)
         ]
+        self.truth = [self.create_publisher(PoseStamped, f"/robot{i}/pose", 1) for i in range(4)]
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
         for i in range(4):
             self.create_subscription(
@@ -109,9 +110,20 @@ class World(Node):
             edges = seen.obstacles[seen.obstacles.any(axis=(1, 2))]
             turned = Imu()
             turned.orientation.z, turned.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
+            self.truth[i].publish(self.pose_of(i))
             self.sent[i]["imu"].publish(turned)
             self.sent[i]["bearings"].publish(_angles(present, yaw))
             self.sent[i]["edges"].publish(_angles(edges, yaw))
+
+    def pose_of(self, i):
+        """Ground truth: the body turns in a local frame, which is turned in the world."""
+        frame, place = self.simulator.frames[0, i], self.simulator.positions[0, i]
+        heading = self.yaws[i] + math.atan2(frame[1, 0], frame[0, 0])
+        pose = PoseStamped()
+        pose.pose.position.x, pose.pose.position.y = place.tolist()
+        pose.pose.orientation.z = math.sin(heading / 2)
+        pose.pose.orientation.w = math.cos(heading / 2)
+        return pose
 
 
 def _angles(vectors, yaw):

@@ -1,0 +1,1 @@
+"""Sensor models from logs of real robots: readers, reports, and replay of policies."""
