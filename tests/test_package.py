@@ -34,6 +34,7 @@ ROOMS = (
     {"physics"},
     {"robots", "rewards"},
     {"obstacles"},
+    {"obstacles.maps"},
     {"sensors"},
     {"graphs"},
     {"scenario"},

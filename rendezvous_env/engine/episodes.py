@@ -125,6 +125,7 @@ class Episodes:
         world = state.obstacles if state.obstacles.kinds.shape[1] else None
         given: tuple[Any, ...] = (
             lengths,
+            rules.region,
             rules.reach is not None,
             state.seed,
             state.number,
@@ -158,6 +159,12 @@ class Episodes:
                 f"merge_radius/2 = {scenario.start_reach:.6g} m, 2 merge_radius apart and clear of "
                 "obstacles; make spawn_size smaller or sensing.range larger, thin out the "
                 "obstacles, or pass require_connected=False"
+            )
+        if scenario.start_region is not None:
+            return (
+                f"no room for the start of team {team}: {scenario.n_robots} robots, neighbours at "
+                f"least 2 merge_radius = {2 * scenario.merge_radius} m apart and clear of "
+                "obstacles, in the start_region; enlarge it"
             )
         return (
             f"no room for the start of team {team}: {scenario.n_robots} robots, "

@@ -30,6 +30,7 @@ from ..sensors.sensing import Sensing
 from . import scenario_files
 from .observation_layout import ObservationLayout
 from .start_options import check_apart, check_positions, check_table
+from .start_region import Region, check_region, starts_in
 
 CONTACT_MODES = ("slide", "stop", "ignore")
 Table = tuple[tuple[float, ...], ...]
@@ -140,6 +141,9 @@ class Scenario:
     spawn_size: Metres = 10.0
     """Edge length of the square or cube about the origin in which initial positions are sampled,
     m."""
+    start_region: Annotated[Region, starts_in] | None = None
+    """Region in which initial positions are sampled uniformly: disjoint convex polygons of the
+    plane, m, within the spawn square. None is the whole square or cube."""
     start_positions: Table | None = None
     """Fixed initial positions, (n, d), m; None samples them."""
     start_headings: Table | None = None
@@ -328,12 +332,15 @@ class Scenario:
     def from_toml(cls, path: str | os.PathLike[str]) -> Scenario:
         """Read a scenario from a TOML file; its default name is the file name.
 
+        Obstacles may be a table of kind "map" that refers to a map file, see docs/maps.md.
+
         Raises:
             FileNotFoundError: if the file does not exist.
             ValueError: for invalid TOML, an unknown key or an invalid value.
         """
         plain = scenario_files.read(path)
         try:
+            plain = scenario_files.with_map(plain, Path(path).parent)
             return cls.from_plain({"name": Path(path).stem, **plain})
         except ValueError as error:
             raise ValueError(f"{checks.short_repr(str(path))[1:-1]}: {error}") from error
@@ -352,6 +359,9 @@ class Scenario:
         plain["reward"] = self.reward.to_plain()
         plain["sensing"] = None if self.sensing.exact else self.sensing.to_plain()
         plain["costs"] = list(self.costs) or None
+        plain["start_region"] = self.start_region and [
+            [list(vertex) for vertex in polygon.vertices] for polygon in self.start_region
+        ]
         plain["merge_through_obstacles"] = False if not self.merge_through_obstacles else None
         for key in ("neighbour_overflow", "obstacle_overflow"):  # younger than files of scenarios
             plain[key] = None if plain[key] == "error" else plain[key]
@@ -416,6 +426,7 @@ class Scenario:
             )
 
     def _check_starts(self) -> None:
+        check_region(self)
         widths = {"start_positions": self.dim, "start_headings": self.model.n_angles}
         for field, width in widths.items():
             if getattr(self, field) is not None:
