@@ -29,7 +29,7 @@ class Episodes:
         self._rules = start_rules(state.scenario)
         links, n = fixed_links(state.scenario), state.scenario.n_robots
         self._links = None if links is None else as_kept(state.links, [links], n)
-        self._obstacles = fixed_obstacles(state.scenario)
+        self._obstacles = state.with_index(fixed_obstacles(state.scenario))
         self._entries: dict[Any, Callable[..., Any]] = {}
 
     def begin(
@@ -221,9 +221,10 @@ class Episodes:
         world, obstacles = self._obstacles, given.obstacles
         if obstacles is not None:
             tables = _for_each(obstacles, which)
-            world = world_of(tables, dim=scenario.dim) if obstacles.size else None
-        if world is not None:
-            state.give(which, **world._asdict())
+            given_world = world_of(tables, dim=scenario.dim) if obstacles.size else None
+            world = state.with_index(given_world)
+        if world:
+            state.give(which, **world)
         return rules._replace(
             draw_positions=positions is None,
             draw_memory=angles is None,

@@ -10,6 +10,8 @@ from ...obstacles.obstacle_set import (
     silhouette_2d,
     silhouette_3d,
 )
+from ...obstacles.shape import BOUND, MIDDLE
+from ...obstacles.spatial_index import nearest_group, square_distance
 from ...physics.potential import net_bearings_of_arcs, net_bearings_of_links
 from ...physics.vectors import load, local_axis, to_local
 from ..memory import (
@@ -175,6 +177,125 @@ def _see_all(
         for s in range(points):
             bearing = to_local(frame, read_row(silhouette[s], 0, axes))
             write_row(bearing, row[own + m * points + s], lane)
+
+
+@kernel
+def sense_indexed(
+    entries,
+    first,
+    last,
+    reach,
+    own,
+    robots,
+    merged_into,
+    obstacles,
+    index,
+    silhouette,
+    rows,
+    clearance,
+):
+    """Sense 2-D shapes by a spatial index, in blocks of one environment.
+
+    The numbers are those of ``sense_discs`` and ``sense_shapes``. ``silhouette``, (2, d), is
+    working memory.
+    """
+    for b in range(first, last):
+        world = obstacles_of(obstacles, b)
+        for i in range(robots.shape[1]):
+            row = rows[b - first, i]
+            for k in range(own, own + 2 * world.kinds.shape[0]):
+                row[k, 0], row[k, 1] = np.float32(0.0), np.float32(0.0)
+            nearest = np.inf
+            if merged_into[b, i] == i:
+                point = load_point(robots[b, i], 0, 0, 1, 2)
+                frame = load_fields(robots[b, i], 2, 0, 1, entries)
+                nearest = _see_near(world, index, b, point, frame, reach, own, row, silhouette)
+            clearance[b, i] = nearest
+
+
+@inner_kernel
+def _see_near(world, index, b, point, frame, reach, own, row, silhouette):
+    """Sense the obstacles in range of one robot; returns the distance to the nearest one, m."""
+    order, boxes, groups = index.order[b], index.boxes[b], index.groups[b]
+    start, nearest = nearest_group(index, b, point), np.inf
+    for number in range(groups.shape[0]):  # the nearest group, then the others in their order
+        g = start if number == 0 else number - 1 if number <= start else number
+        if not square_distance(groups[g], point) <= max(reach, nearest) ** 2:
+            continue
+        for k in range(order.shape[1]):
+            m = order[g, k]
+            if m < 0 or not square_distance(boxes[g, k], point) <= max(reach, nearest) ** 2:
+                continue
+            if world.kinds[m] == BALL:
+                shape = world.shapes[m]
+                x, y, radius = shape[MIDDLE] - point[0], shape[MIDDLE + 1] - point[1], shape[BOUND]
+                ax, ay, bx, by, away = disc_edges(x, y, radius)
+                distance = away - radius
+                silhouette[0, 0], silhouette[0, 1] = ax, ay
+                silhouette[1, 0], silhouette[1, 1] = bx, by
+            else:
+                distance = distance_to(world, m, point)
+                if distance <= reach:
+                    silhouette_2d(world, m, point, silhouette)
+            nearest = min(nearest, distance)
+            if distance <= reach:
+                for s in range(2):
+                    bearing = to_local(frame, (silhouette[s, 0], silhouette[s, 1]))
+                    write_row(bearing, row[own + 2 * m + s], 0)
+    return nearest
+
+
+@kernel
+def keep_nearest(obstacles, positions, observations, row, own, fitted, listed, distances):
+    """Copy the rows of the nearest visible obstacles to observations with fewer slots.
+
+    Rows of obstacles start at ``row`` of observations, (B, n, rows, d), and at ``own`` of
+    ``fitted``. They stay in their order. Working memory: listed and distances, (slots,).
+    """
+    points = 2 if observations.shape[3] == 2 else 8
+    for b in range(observations.shape[0]):
+        world = obstacles_of(obstacles, b)
+        for i in range(observations.shape[1]):
+            rows, point, count = observations[b, i], load(positions[b, i]), 0
+            for m in range(world.kinds.shape[0]):
+                if _is_visible(rows, row + m * points, points):
+                    distance = distance_to(world, m, point)
+                    count = _keep_if_near(m, distance, count, listed, distances)
+            for slot in range(count):
+                for s in range(points):
+                    for axis in range(rows.shape[1]):
+                        number = rows[row + listed[slot] * points + s, axis]
+                        fitted[b, i, own + slot * points + s, axis] = number
+
+
+@inner_kernel
+def _is_visible(rows, first, points):
+    """True if any number of an obstacle's rows is not zero."""
+    for s in range(points):
+        for axis in range(rows.shape[1]):
+            if rows[first + s, axis] != 0.0:
+                return True
+    return False
+
+
+@inner_kernel
+def _keep_if_near(m, distance, count, listed, distances):
+    """Append an obstacle to a list in order, which loses the farthest one when it is full.
+
+    Of equally far ones the last is lost. Returns the new count.
+    """
+    if count == len(listed):
+        farthest = 0
+        for k in range(1, count):
+            if distances[k] >= distances[farthest]:
+                farthest = k
+        if not distance < distances[farthest]:
+            return count
+        for k in range(farthest, count - 1):
+            listed[k], distances[k] = listed[k + 1], distances[k + 1]
+        count -= 1
+    listed[count], distances[count] = m, distance
+    return count + 1
 
 
 @kernel
