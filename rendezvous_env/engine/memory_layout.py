@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ..obstacles import parsing
 from ..obstacles.obstacle_set import ObstacleSet, pack, world_of
-from ..obstacles.spatial_index import INDEX_FROM
 from ..scenario.scenario import Scenario
 from ..sensors.effects import draws_noise
 from .memory import N_FIELDS, LaneBlock, ScalarBlock
@@ -38,9 +37,8 @@ class MemoryLayout:
         few = few and scenario.neighbour_overflow == "error"  # else each row belongs to one robot
         self.sparse = few and not self.one_way
         alone = self.sparse or self.one_way
-        given = isinstance(scenario.obstacles, tuple)
-        self.indexed = given and d == 2 and layout.obstacle_slots >= INDEX_FROM
-        """True if obstacles have a spatial index; they are given and many, in the plane."""
+        self.indexed = scenario.indexes_obstacles
+        """True if obstacles have a spatial index."""
         self.width = (
             ScalarBlock() if alone or self.indexed or batch < _FEWEST_SIDE_BY_SIDE else LaneBlock()
         )
@@ -51,7 +49,7 @@ class MemoryLayout:
         self.rows = self.neighbours + layout.rows - layout.neighbour_slots
         self.packed = self.sparse or layout.neighbour_slots != n - 1
         self.only_balls = parsing.only_balls(scenario.obstacles)
-        self.n_obstacles, self.points = layout.obstacle_slots, layout.silhouette_points
+        self.n_obstacles, self.points = scenario.obstacle_places, layout.silhouette_points
         self.discs = self.n_obstacles if d == 2 and not self.indexed else 0
         self.fields = d + d * d + scenario.model.memory_size(d)
         """Numbers per robot: position, frame, memory."""
@@ -114,6 +112,7 @@ class Scratch(NamedTuple):
     chains: NDArray[np.int64]  # (M, 2), for ``reachability``
     near: ObstacleSet | None  # (M,), obstacles near a robot, with a spatial index
     near_listed: NDArray[np.int64] | None  # (M,), their numbers
+    near_distances: Floats | None  # (M,), m
 
 
 def scratch(place: MemoryLayout) -> Scratch:
@@ -141,6 +140,7 @@ def scratch(place: MemoryLayout) -> Scratch:
         aligned(slots, 2, kind=np.int64),
         near,
         np.zeros(slots, np.int64) if near is not None else None,
+        np.zeros(slots) if near is not None else None,
     )
 
 
@@ -156,7 +156,7 @@ def needed_bytes(scenario: Scenario, num_envs: int) -> int:
     n, delay = scenario.n_robots, scenario.delay_steps
     links = n * n if place.one_way else place.n_links * (3 if place.sparse else 1)
     per_obstacle = parsing.row_width(scenario.obstacles) + (5 if place.indexed else 0)
-    obstacles = layout.obstacle_slots * per_obstacle
+    obstacles = scenario.obstacle_places * per_obstacle
     state = place.nbytes + 8 * (place.blocks * place.lanes * links + num_envs * obstacles)
     past = (delay + 1) * n * layout.obstacles.stop * layout.dim if delay else 0
     *kept_numbers, held = place.sensor_memory

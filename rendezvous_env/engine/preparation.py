@@ -198,7 +198,7 @@ def _draws_links(scenario: Scenario) -> bool:
 
 def fixed_obstacles(scenario: Scenario) -> ObstacleSet | None:
     """The scenario's obstacles, leading axis 1; None if they are sampled, or have no slots."""
-    slots = scenario.observation_layout.obstacle_slots
+    slots = scenario.obstacle_places
     if isinstance(scenario.obstacles, Field) or slots == 0:
         return None
     table = obstacle_set.pack(scenario.obstacles, slots)

@@ -227,8 +227,11 @@ class StepStages:
         given: tuple[Any, ...] = (state.robots, state.merged_into)
         late = _ROWS, _OUTPUT.clearance
         if state.index is not None:
-            near = state.obstacles, state.index, work.silhouette
-            yield sense_indexed, robot.entries, *blocks, place.neighbours, *given, *near, *late
+            slots = place.scenario.observation_layout.obstacle_slots
+            near = state.obstacles, state.index
+            lists = work.silhouette, work.near_listed, work.near_distances
+            rest = place.neighbours, slots, *given, *near, *lists
+            yield sense_indexed, robot.entries, *blocks, *rest, *late
         elif len(robot.axes) == 2:
             own = place.neighbours
             yield sense_discs, place.width, *blocks, own, *given, state.discs, work.disc, *late

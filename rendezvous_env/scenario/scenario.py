@@ -22,6 +22,7 @@ from ..field_docs import lists_fields
 from ..graphs import Graph, GraphLike
 from ..limits import LONGEST_NAME, MAX_OBSTACLES, MAX_ROBOTS, MAX_STEPS
 from ..obstacles import parsing as obstacles
+from ..obstacles import spatial_index
 from ..obstacles.parsing import Obstacles
 from ..rewards.costs import as_costs
 from ..rewards.terms import RewardWeights
@@ -306,18 +307,29 @@ class Scenario:
         slots, most = self.neighbour_slots, self.sensing_graph.most_neighbours(self.n_robots)
         return self.neighbour_overflow == "nearest" and slots is not None and slots < most
 
+    @property
+    def obstacle_places(self) -> int:
+        """Number of obstacles that an episode has room for."""
+        return max(obstacles.max_count(self.obstacles), self.observation_layout.obstacle_slots)
+
+    @property
+    def indexes_obstacles(self) -> bool:
+        """True if a spatial index finds the obstacles near robots: given ones, many, in 2-D."""
+        given = self.dim == 2 and isinstance(self.obstacles, tuple)
+        return given and self.obstacle_places >= spatial_index.INDEX_FROM
+
     @cached_property
     def with_all_rows(self) -> Scenario:
         """Scenario with one row for each other robot and each obstacle.
 
-        It is the scenario itself, unless its layout has more rows than robots or omits some.
+        It is the scenario itself, unless its layout has more rows than robots or omits some. Exact
+        sensors with a spatial index select the nearest obstacles themselves.
         """
         changes: dict[str, Any] = {}
         if self.drops_neighbours or (self.neighbour_slots or 0) > self.n_robots - 1:
             changes["neighbour_slots"] = self.n_robots - 1
-        if (slots := self.obstacle_slots) is not None and slots < obstacles.max_count(
-            self.obstacles
-        ):
+        selects = self.indexes_obstacles and self.sensing.exact
+        if self.observation_layout.obstacle_slots < self.obstacle_places and not selects:
             changes["obstacle_slots"] = None
         return self.replace(allow_long_step=True, **changes) if changes else self
 

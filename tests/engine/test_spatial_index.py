@@ -6,13 +6,14 @@ from geometry import world
 
 import rendezvous_env as rv
 from rendezvous_env import Capsule, Disc, Polygon, Scenario
-from rendezvous_env.engine import memory_layout
+from rendezvous_env.obstacles import spatial_index
 from rendezvous_env.obstacles.obstacle_set import distance_to
 from rendezvous_env.obstacles.spatial_index import gather, index_of, nearest_group, shape_of
 
 pytestmark = pytest.mark.kernels
 
 NEAREST = {"obstacle_slots": 6, "obstacle_overflow": "nearest"}
+NOISY = {**NEAREST, "sensing": rv.Sensing(noise=0.1)}
 
 
 def random_shapes(count, size, kinds="dpc", seed=0):
@@ -51,8 +52,15 @@ def trajectory(scenario, num_envs, steps=40):
 @pytest.mark.parametrize("model", ["single_integrator", "unicycle"])
 @pytest.mark.parametrize(
     ("kinds", "more"),
-    [("dpc", {}), ("d", {}), ("dpc", NEAREST), ("dpc", {"obstacle_contact": "stop"})],
-    ids=["any", "discs", "nearest", "stop"],
+    [
+        ("dpc", {}),
+        ("d", {}),
+        ("dpc", NEAREST),
+        ("d", NEAREST),
+        ("dpc", NOISY),
+        ("dpc", {"obstacle_contact": "stop"}),
+    ],
+    ids=["any", "discs", "nearest", "nearest-discs", "noisy", "stop"],
 )
 def test_index_changes_no_number(monkeypatch, model, kinds, more):
     scenario = Scenario(
@@ -63,8 +71,8 @@ def test_index_changes_no_number(monkeypatch, model, kinds, more):
         indexed, simulator = trajectory(scenario, num_envs)
         assert simulator._state.index is not None
         with monkeypatch.context() as patch:
-            patch.setattr(memory_layout, "INDEX_FROM", 1000)
-            every, simulator = trajectory(scenario, num_envs)
+            patch.setattr(spatial_index, "INDEX_FROM", 1000)
+            every, simulator = trajectory(scenario.replace(), num_envs)  # no cached layout
         assert simulator._state.index is None
         assert sum(contact.sum() for contact in indexed[2::5]) > 0
         for ours, theirs in zip(indexed, every, strict=True):
@@ -76,8 +84,8 @@ def test_index_follows_given_obstacles(monkeypatch):
     options = {"obstacles": random_shapes(70, 8.0, seed=5)}
     found = []
     for least in (64, 1000):
-        monkeypatch.setattr(memory_layout, "INDEX_FROM", least)
-        simulator = rv.Simulator(scenario, 2)
+        monkeypatch.setattr(spatial_index, "INDEX_FROM", least)
+        simulator = rv.Simulator(scenario.replace(), 2)  # no cached layout
         simulator.reset(seed=0)
         found.append(simulator.reset(seed=1, options=options, mask=np.array([False, True])))
         found.append(simulator.clearance)
