@@ -16,6 +16,7 @@ from rendezvous_env.obstacles import from_map
 from rendezvous_env.obstacles.maps.convex import convex_pieces, simplified
 from rendezvous_env.obstacles.maps.obstacle_map import GROWTH
 from rendezvous_env.obstacles.obstacle_set import pack, world_of
+from train import cli
 
 SETTINGS = {"resolution": 0.5, "origin": "[-1.0, 2.0, 0.0]", "negate": 0}
 MAPS = ROOT / "examples" / "maps"
@@ -444,3 +445,48 @@ def test_map_acts_as_sequence_of_obstacles(tmp_path):
     assert found[0] == found.shapes[0] and found[:2] == found.shapes[:2]
     assert repr(found).startswith("<ObstacleMap of ")
     assert "rendezvous_env.obstacles.maps" in sys.modules
+
+
+class TestMapScenario:
+    """A scenario file that refers to a map, in the interfaces and commands."""
+
+    FILE = MAPS / "office.toml"
+
+    def region(self):
+        return union(Scenario.from_toml(self.FILE).start_region)
+
+    def check(self, positions):
+        inside = shapely.contains_xy(self.region().buffer(1e-9), *positions.reshape(-1, 2).T)
+        assert inside.all()
+
+    def test_pettingzoo_and_vector_environments_start_in_region(self):
+        env = rv.parallel_env(self.FILE)
+        observations, _ = env.reset(seed=4)
+        assert observations["robot_0"].shape == (5 + 2 * 16, 2)
+        self.check(env.unwrapped.simulator.positions)
+        venv = rv.make_vec(self.FILE, num_envs=3)
+        together, _ = venv.reset(seed=4)
+        assert np.array_equal(together[0], np.array(list(observations.values())))
+        for _ in range(3):
+            actions = {name: env.action_space(name).sample() for name in env.agents}
+            observations, *_ = env.step(actions)
+            batch = np.zeros(venv.action_space.shape, np.float32)
+            batch[0] = list(actions.values())
+            together, *_ = venv.step(batch)
+            assert np.array_equal(together[0], np.array(list(observations.values())))
+
+    def test_stable_baselines3_environment_starts_in_region(self):
+        sb3 = pytest.importorskip("rendezvous_env.adapters.sb3")
+        robots = sb3.RobotVecEnv(rv.vector.training_env(self.FILE, 2))
+        assert robots.reset().shape[0] == 12
+        actions = np.array([robots.action_space.sample() for _ in range(12)])
+        assert np.isfinite(robots.step(actions)[0]).all()
+
+    def test_render_command_shows_map(self, tmp_path, capsys):
+        picture = tmp_path / "office.png"
+        words = f"render --scenario {self.FILE} --policy bearing-only --out {picture}"
+        assert cli.main([*words.split(), "--set", "time_limit=0.3"]) == 0
+        assert "office-time-limit-0.3, bearing-only" in capsys.readouterr().out
+        pixels = np.asarray(Image.open(picture).convert("RGB")).astype(int)
+        orange = np.abs(pixels - np.array([0xE6, 0x9F, 0x00])).max(axis=-1) < 20
+        assert orange.mean() > 0.005
