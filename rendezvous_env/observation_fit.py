@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .obstacles.obstacle_set import distances_to, world_of
+from .engine.stages.sense_obstacles import keep_nearest
+from .obstacles.obstacle_set import ObstacleSet
 from .scenario.observation_layout import ObservationLayout
 from .scenario.scenario import Scenario
 
@@ -28,13 +29,13 @@ class ObservationFit:
         self._others: NDArray[np.int64] = others
         """Robot of each neighbour row, (n, n − 1)."""
 
-    def __call__(self, observations: Float32, positions: Array, obstacles: Array) -> Float32:
+    def __call__(self, observations: Float32, positions: Array, obstacles: ObstacleSet) -> Float32:
         """Convert observations with all rows to the own layout, (B, n, rows, d).
 
         Args:
             observations: (B, n, rows, d).
             positions: positions of the robots, (B, n, d), m.
-            obstacles: tables of the obstacles, (B, M, width), see ``obstacles.obstacle_set``.
+            obstacles: set of obstacles, with a leading axis B.
         """
         own, full = self.own, self.full
         fitted = np.zeros((*observations.shape[:2], *own.shape), np.float32)
@@ -49,21 +50,17 @@ class ObservationFit:
         return fitted
 
     def _fit_obstacles(
-        self, observations: Float32, positions: Array, obstacles: Array, fitted: Float32
+        self, observations: Float32, positions: Array, obstacles: ObstacleSet, fitted: Float32
     ) -> None:
         own, full = self.own, self.full
         seen, kept = observations[..., full.obstacles, :], fitted[..., own.obstacles, :]
         if seen.shape[2] <= kept.shape[2]:
             kept[:, :, : seen.shape[2]] = seen
         elif own.obstacle_slots:
-            sets = (*seen.shape[:2], full.obstacle_slots, -1)
-            distances = np.full(sets[:3], np.inf)
-            world = world_of(obstacles)
-            for env in range(len(seen)):
-                mine = type(world)(*(part[env] for part in world))
-                distances_to(mine, positions[env], distances[env])
-            chosen = _nearest(seen.reshape(sets), distances, own.obstacle_slots)
-            kept[...] = chosen.reshape(kept.shape)
+            rows = full.obstacles.start, own.obstacles.start
+            memory = np.empty(own.obstacle_slots, np.int64), np.empty(own.obstacle_slots)
+            seen = np.ascontiguousarray(observations)
+            keep_nearest(obstacles, positions, seen, *rows, fitted, *memory)
 
     def _distances(self, positions: Array) -> Array:
         """Distance of every robot to the robots of its rows, (B, n, n − 1), m."""

@@ -159,8 +159,9 @@ class Simulator(StateView):
     def _fitted(self, observations: NDArray[np.float32], which: Any) -> NDArray[np.float32]:
         """Observations of some environments, in the scenario's rows."""
         assert self._fit is not None
-        places, obstacles = self.positions[which], self.obstacles[which]
-        return self._fit(observations[which], places, obstacles)
+        world = self._state.obstacles
+        obstacles = type(world)(*(array[which] for array in world))
+        return self._fit(observations[which], self.positions[which], obstacles)
 
     def _begin(
         self,

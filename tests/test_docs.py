@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import shutil
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -117,7 +118,9 @@ def test_every_command_parses(page, monkeypatch):
 
 
 def test_every_toml_block_is_a_scenario(tmp_path, monkeypatch):
-    """The reward term of rewards.md requires an imported file."""
+    """The reward term of rewards.md requires an imported file, the map of maps.md its image."""
+    for name in ("office.yaml", "office.png"):
+        shutil.copy(ROOT / "examples" / "maps" / name, tmp_path)
     monkeypatch.setitem(TERMS, "effort", lambda step: -step.time)
     file, found = tmp_path / "shown.toml", {}
     for page in PAGES:
@@ -126,6 +129,7 @@ def test_every_toml_block_is_a_scenario(tmp_path, monkeypatch):
             assert page.stem not in found
             found[page.stem] = rv.Scenario.from_toml(file)
     assert found["faq"].n_robots == 6 and len(found["faq"].obstacles) > 0
+    assert len(found["maps"].obstacles) > 100 and found["maps"].start_region
     assert found["graphs"].sensing_graph.order == "random"
     assert found["rewards"].reward.custom == (("effort", -0.01),)
     assert found["sensing"].sensing == rv.Sensing(field_of_view=2.0, noise=0.05, occlusion="both")

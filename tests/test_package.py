@@ -35,6 +35,7 @@ ROOMS = (
     {"robots", "rewards"},
     {"obstacles"},
     {"calibration"},
+    {"obstacles.maps"},
     {"sensors"},
     {"graphs"},
     {"scenario"},

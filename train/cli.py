@@ -30,6 +30,7 @@ COMMANDS = {
     "export": ("export", "a policy for robots: one Python file, or its network as ONNX"),
     "bench": ("bench.bench", "how fast the environments are on this machine"),
     "render": ("figures.render", "one episode as a video (gif, mp4) or a figure (png, pdf)"),
+    "play": ("figures.play", "an episode in a window: drag robots, drive one by keys"),
     "reproduce": ("figures.reproduce", "figures 3 and 4 of the paper; tanks, bounds and pixels"),
     "warmup": ("bench.warmup", "compile beforehand what the first use would compile"),
     "sensor": ("sensors.command", "fit a sensor model to a robot log; replay logged bearings"),

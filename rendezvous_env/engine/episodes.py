@@ -29,7 +29,7 @@ class Episodes:
         self._rules = start_rules(state.scenario)
         links, n = fixed_links(state.scenario), state.scenario.n_robots
         self._links = None if links is None else as_kept(state.links, [links], n)
-        self._obstacles = fixed_obstacles(state.scenario)
+        self._obstacles = state.with_index(fixed_obstacles(state.scenario))
         self._entries: dict[Any, Callable[..., Any]] = {}
 
     def begin(
@@ -125,6 +125,7 @@ class Episodes:
         world = state.obstacles if state.obstacles.kinds.shape[1] else None
         given: tuple[Any, ...] = (
             lengths,
+            rules.region,
             rules.reach is not None,
             state.seed,
             state.number,
@@ -158,6 +159,12 @@ class Episodes:
                 f"merge_radius/2 = {scenario.start_reach:.6g} m, 2 merge_radius apart and clear of "
                 "obstacles; make spawn_size smaller or sensing.range larger, thin out the "
                 "obstacles, or pass require_connected=False"
+            )
+        if scenario.start_region is not None:
+            return (
+                f"no room for the start of team {team}: {scenario.n_robots} robots, neighbours at "
+                f"least 2 merge_radius = {2 * scenario.merge_radius} m apart and clear of "
+                "obstacles, in the start_region; enlarge it"
             )
         return (
             f"no room for the start of team {team}: {scenario.n_robots} robots, "
@@ -214,9 +221,10 @@ class Episodes:
         world, obstacles = self._obstacles, given.obstacles
         if obstacles is not None:
             tables = _for_each(obstacles, which)
-            world = world_of(tables, dim=scenario.dim) if obstacles.size else None
-        if world is not None:
-            state.give(which, **world._asdict())
+            given_world = world_of(tables, dim=scenario.dim) if obstacles.size else None
+            world = state.with_index(given_world)
+        if world:
+            state.give(which, **world)
         return rules._replace(
             draw_positions=positions is None,
             draw_memory=angles is None,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..obstacles import parsing
+from ..obstacles.obstacle_set import ObstacleSet, pack, world_of
 from ..scenario.scenario import Scenario
 from ..sensors.effects import draws_noise
 from .memory import N_FIELDS, LaneBlock, ScalarBlock
@@ -36,7 +37,11 @@ class MemoryLayout:
         few = few and scenario.neighbour_overflow == "error"  # else each row belongs to one robot
         self.sparse = few and not self.one_way
         alone = self.sparse or self.one_way
-        self.width = ScalarBlock() if alone or batch < _FEWEST_SIDE_BY_SIDE else LaneBlock()
+        self.indexed = scenario.indexes_obstacles
+        """True if obstacles have a spatial index."""
+        self.width = (
+            ScalarBlock() if alone or self.indexed or batch < _FEWEST_SIDE_BY_SIDE else LaneBlock()
+        )
         self.lanes = self.width.lanes
         self.blocks = -(-batch // self.lanes)
         self.n_links = most if self.sparse else n * (n - 1) // 2
@@ -44,8 +49,8 @@ class MemoryLayout:
         self.rows = self.neighbours + layout.rows - layout.neighbour_slots
         self.packed = self.sparse or layout.neighbour_slots != n - 1
         self.only_balls = parsing.only_balls(scenario.obstacles)
-        self.n_obstacles, self.points = layout.obstacle_slots, layout.silhouette_points
-        self.discs = self.n_obstacles if d == 2 else 0
+        self.n_obstacles, self.points = scenario.obstacle_places, layout.silhouette_points
+        self.discs = self.n_obstacles if d == 2 and not self.indexed else 0
         self.fields = d + d * d + scenario.model.memory_size(d)
         """Numbers per robot: position, frame, memory."""
         self.moves = d + 1 + scenario.action_size
@@ -105,12 +110,19 @@ class Scratch(NamedTuple):
     normals: Floats  # (2M, 3), of the obstacles in contact
     silhouette: Floats  # (S, d), of one obstacle
     chains: NDArray[np.int64]  # (M, 2), for ``reachability``
+    near: ObstacleSet | None  # (M,), obstacles near a robot, with a spatial index
+    near_listed: NDArray[np.int64] | None  # (M,), their numbers
+    near_distances: Floats | None  # (M,), m
 
 
 def scratch(place: MemoryLayout) -> Scratch:
     """Allocate working memory of one thread."""
     n, d, lanes, slots = place.scenario.n_robots, place.scenario.dim, place.lanes, place.n_obstacles
     most = max(n, place.n_links, 4)
+    near = None
+    if place.indexed:
+        table = pack((), slots, parsing.row_width(place.scenario.obstacles))
+        near = world_of(table, place.only_balls)
     return Scratch(
         aligned(place.group, n, place.moves * lanes),
         aligned(place.group, n, place.rows, lanes * d, kind=np.float32),
@@ -126,6 +138,9 @@ def scratch(place: MemoryLayout) -> Scratch:
         aligned(2 * slots, 3),
         aligned(place.points, d),
         aligned(slots, 2, kind=np.int64),
+        near,
+        np.zeros(slots, np.int64) if near is not None else None,
+        np.zeros(slots) if near is not None else None,
     )
 
 
@@ -140,7 +155,8 @@ def needed_bytes(scenario: Scenario, num_envs: int) -> int:
     place, layout = MemoryLayout(scenario, num_envs), scenario.observation_layout
     n, delay = scenario.n_robots, scenario.delay_steps
     links = n * n if place.one_way else place.n_links * (3 if place.sparse else 1)
-    obstacles = layout.obstacle_slots * parsing.row_width(scenario.obstacles)
+    per_obstacle = parsing.row_width(scenario.obstacles) + (5 if place.indexed else 0)
+    obstacles = scenario.obstacle_places * per_obstacle
     state = place.nbytes + 8 * (place.blocks * place.lanes * links + num_envs * obstacles)
     past = (delay + 1) * n * layout.obstacles.stop * layout.dim if delay else 0
     *kept_numbers, held = place.sensor_memory

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..graphs.random_graphs import GraphRules, graph_rules
 from ..obstacles import obstacle_set
@@ -13,6 +14,7 @@ from ..rewards.terms import CLEARANCE_PENALTY
 from ..robots.motion import init_memory
 from ..robots.robot_models import constants_of
 from ..scenario.scenario import CONTACT_MODES, Scenario
+from ..scenario.start_region import triangles_of
 from ..sensors.effects import Effects, effects_of, kept_share
 from ..sensors.imperfections import Imperfections, imperfections_of
 from .edge_tables import LinkList
@@ -114,6 +116,7 @@ class StartRules(NamedTuple):
     draw_weights: bool
     draw_obstacles: bool
     spawn_edges: tuple[float, float, float]  # m; the third is unused in the plane
+    region: NDArray[np.float64] | None  # Triangles in which positions are sampled, or None
     least_distance: float
     keep_out: float
     factors: tuple[float, float] | None  # The range of what given arcs are multiplied by, or None
@@ -138,6 +141,7 @@ def start_rules(scenario: Scenario) -> StartRules:
         draw_weights=True,
         draw_obstacles=field is not None,
         spawn_edges=(*scenario.spawn_edges, 0.0)[:3],
+        region=None if scenario.start_region is None else triangles_of(scenario.start_region),
         least_distance=(1.0 if scenario.meeting == "pack" else 2.0) * scenario.merge_radius,
         keep_out=float(field.keep_out) if field else 0.0,
         graph=graph_rules(graph, scenario.n_robots),
@@ -194,7 +198,7 @@ def _draws_links(scenario: Scenario) -> bool:
 
 def fixed_obstacles(scenario: Scenario) -> ObstacleSet | None:
     """The scenario's obstacles, leading axis 1; None if they are sampled, or have no slots."""
-    slots = scenario.observation_layout.obstacle_slots
+    slots = scenario.obstacle_places
     if isinstance(scenario.obstacles, Field) or slots == 0:
         return None
     table = obstacle_set.pack(scenario.obstacles, slots)

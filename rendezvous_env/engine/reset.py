@@ -98,9 +98,22 @@ def check_passages(lanes, which, passage, robots, obstacles, positions, chains, 
 
 @kernel
 def draw_positions(
-    lanes, which, trials, lengths, apart, seeds, episodes, links, obstacles, robots, positions
+    lanes,
+    which,
+    trials,
+    lengths,
+    region,
+    apart,
+    seeds,
+    episodes,
+    links,
+    obstacles,
+    robots,
+    positions,
 ):
     """Sample positions uniformly in the spawn area, away from neighbours and obstacles.
+
+    ``region``, (m, 7), are triangles that replace it, see ``start_region.triangles_of``, or None.
 
     With ``apart`` the distance holds for all robots; obstacles may be None. Returns the first
     environment without room, or −1.
@@ -117,9 +130,13 @@ def draw_positions(
         counter = 0
         for i in range(positions.shape[0]):
             for draw in range(_MAX_DRAWS):
-                for axis in range(positions.shape[1]):
-                    positions[i, axis] = lengths[0][axis] * (uniform(key, counter) - 0.5)
-                    counter += 1
+                if region is None:
+                    for axis in range(positions.shape[1]):
+                        positions[i, axis] = lengths[0][axis] * (uniform(key, counter) - 0.5)
+                        counter += 1
+                else:
+                    _place_in(region, key, counter, positions[i])
+                    counter += 3
                 if _is_apart(i, positions, apart, links, b, lanes, lengths[1]) and _is_clear(
                     positions[i], b, obstacles, lengths[2]
                 ):
@@ -128,6 +145,25 @@ def draw_positions(
                     return b
         store_positions(positions, robots[b // lanes], b % lanes, lanes)
     return -1
+
+
+@inner_kernel
+def _place_in(region, key, counter, out):
+    """Sample a point uniformly in triangles: p₀ + u (p₁ − p₀) + v (p₂ − p₀) with u + v ≤ 1."""
+    share, first, last = uniform(key, counter), 0, len(region) - 1
+    while first < last:
+        middle = (first + last) // 2
+        if region[middle, 0] > share:
+            last = middle
+        else:
+            first = middle + 1
+    u, v = uniform(key, counter + 1), uniform(key, counter + 2)
+    if u + v > 1.0:
+        u, v = 1.0 - u, 1.0 - v
+    row = region[first]
+    for axis in range(2):
+        origin = row[1 + axis]
+        out[axis] = origin + u * (row[3 + axis] - origin) + v * (row[5 + axis] - origin)
 
 
 @kernel

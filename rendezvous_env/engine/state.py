@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..graphs.edges import DENSE
-from ..obstacles import obstacle_set, parsing
+from ..obstacles import obstacle_set, parsing, spatial_index
 from ..obstacles.disc import BALL
+from ..obstacles.obstacle_set import ObstacleSet
 from ..obstacles.shape import BOUND, MIDDLE
 from .edge_tables import changes_of, empty_links, matrices, state_arrays
 from .memory import (
@@ -52,6 +53,8 @@ class State:
         tables = np.repeat(table[None], self.batch, axis=0)
         self.obstacles = obstacle_set.world_of(tables, place.only_balls)
         """Obstacles, with a leading axis B; empty without slots."""
+        self.index = spatial_index.empty(self.batch, place.n_obstacles) if place.indexed else None
+        """Spatial index of many obstacles, or None."""
         self.seed = np.zeros(place.batch, dtype=np.uint64)
         """Seed of each environment, (B,)."""
         self.number = np.full(place.batch, -1)
@@ -87,6 +90,7 @@ class State:
         self._arrays |= {**links, "seed": self.seed, "episode": self.number, "past": self.past}
         self._arrays["held"] = self.held
         self._arrays |= self.obstacles._asdict()
+        self._arrays |= {} if self.index is None else self.index._asdict()
         self._in_blocks = set(in_blocks)
         """Arrays in blocks, (blocks, …, L); others are (B, …)."""
         if self.links.form == DENSE:
@@ -140,6 +144,13 @@ class State:
         """Obstacles as tables, (B, M, width), see ``obstacles.obstacle_set``."""
         return obstacle_set.table_of(self.obstacles)
 
+    def with_index(self, world: ObstacleSet | None) -> dict[str, NDArray[Any]]:
+        """Arrays of obstacles with a leading axis, and their index, for ``give``; none for None."""
+        if world is None:
+            return {}
+        index = {} if self.index is None else spatial_index.index_of(world)._asdict()
+        return {**world._asdict(), **index}
+
     def lay_out_discs(self, which: NDArray[np.int64]) -> None:
         """Copy the discs of some environments into their lanes; a radius of NaN marks no disc."""
         if self.discs.size:
@@ -183,6 +194,5 @@ class State:
         for name, values in {**{name: state[name] for name in KEPT}, "active": active}.items():
             self._fields[block, EPISODE_FIELDS.index(name), lane] = values
         world = obstacle_set.world_of(state["obstacles"], dim=self.scenario.dim)
-        for array, numbers in zip(self.obstacles, world, strict=True):
-            array[...] = numbers
+        self.give(self._all, **self.with_index(world))
         self.lay_out_discs(self._all)

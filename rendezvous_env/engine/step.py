@@ -10,6 +10,7 @@ From the action to the new observation, over the blocks of one thread after anot
     update_links                arcs that change with time
     sense_pairs, sense_links    bearings of neighbours, V, the closest pair
     sense_discs, sense_shapes   angular extents of obstacles, clearance
+    sense_indexed               instead of both, for many obstacles
     apply_noise                 range, field of view, random errors
     remember_…                  memories of detection and of noise
     apply_effects               blind zone, detection, errors with a memory, outliers
@@ -55,7 +56,12 @@ from .stages.conclude import conclude_step
 from .stages.propose import advance_free, propose_motion, refresh_frames, update_robots
 from .stages.remember import hold_observations, remember_detection, remember_errors
 from .stages.sense_neighbours import hide_docked, sense_links, sense_pairs, update_links
-from .stages.sense_obstacles import measure_clearance, sense_discs, sense_shapes
+from .stages.sense_obstacles import (
+    measure_clearance,
+    sense_discs,
+    sense_indexed,
+    sense_shapes,
+)
 from .stages.write_observations import sense_oneself, write_observations, write_packed
 from .state import State
 
@@ -169,6 +175,9 @@ class StepStages:
                     mode,
                     *now,
                     state.obstacles,
+                    state.index,
+                    work.near,
+                    work.near_listed,
                     work.normals,
                     _OUTPUT.contact,
                 )
@@ -217,10 +226,16 @@ class StepStages:
         blocks = first, last, rules.obstacle_range
         given: tuple[Any, ...] = (state.robots, state.merged_into)
         late = _ROWS, _OUTPUT.clearance
-        if len(robot.axes) == 2:
+        if state.index is not None:
+            slots = place.scenario.observation_layout.obstacle_slots
+            near = state.obstacles, state.index
+            lists = work.silhouette, work.near_listed, work.near_distances
+            rest = place.neighbours, slots, *given, *near, *lists
+            yield sense_indexed, robot.entries, *blocks, *rest, *late
+        elif len(robot.axes) == 2:
             own = place.neighbours
             yield sense_discs, place.width, *blocks, own, *given, state.discs, work.disc, *late
-        if len(robot.axes) == 3 or not place.only_balls:
+        if state.index is None and (len(robot.axes) == 3 or not place.only_balls):
             blocks_of = robot.axes, robot.entries, state.lanes, *blocks, place.neighbours
             memory = work.silhouette, work.vectors, work.listed, work.numbers[0]
             yield sense_shapes, *blocks_of, *given, state.obstacles, state.links, *memory, *late

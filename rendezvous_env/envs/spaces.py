@@ -77,7 +77,7 @@ def of_one_robot(space: Space[Any]) -> Any:
 def state_box(scenario: Scenario) -> Box:
     """Space of ``team_state``: any finite float32."""
     n, d = scenario.n_robots, scenario.dim
-    slots = scenario.with_all_rows.observation_layout.obstacle_slots
+    slots = scenario.obstacle_places
     obstacles = slots * row_width(scenario.obstacles)
     size = n * d + n * d * d + n * n + n + obstacles + 1
     return Box(-_LARGEST, _LARGEST, (size,), dtype=np.float32)

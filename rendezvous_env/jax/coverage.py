@@ -29,6 +29,7 @@ def check_covered(scenario: Scenario) -> None:
         "obstacle_slots": layout.obstacle_slots > 0,
         "graph": graph.changes or isinstance(graph, DrawnGraph),
         "robot_model": is_custom(scenario.model),
+        "start_region": scenario.start_region is not None,
         "meeting": scenario.meeting != "merge",
         "sensing": not scenario.sensing.exact,
         "neighbour_slots": slots is not None and slots != most,

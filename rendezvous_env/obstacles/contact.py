@@ -66,10 +66,11 @@ def move_straight(point, way, world, mode, normals):
 
 
 @kernel
-def move_curved(point, way, model, action, frame, memory, world, mode, normals):
+def move_curved(point, way, model, action, frame, memory, world, mode, normals, work=0):
     """Move a robot along the curve of its model, as ``move_straight``.
 
-    From the contact on, the chord replaces the remaining curve and slides.
+    From the contact on, the chord replaces the remaining curve and slides. ``work`` is that of all
+    obstacles if the world holds only near ones, see ``work_of``; 0 is that of the world.
     """
     near, reach = False, model.speed_limit * model.duration
     for m in range(world.kinds.shape[0]):
@@ -80,7 +81,9 @@ def move_curved(point, way, model, action, frame, memory, world, mode, normals):
     has_room, in_skin, start = _out_of_skins(point, world)
     if not has_room:
         return dot(way, way) > 0.0, ORIGIN
-    contact_time = _first_contact_on_curve(start, curve, world)
+    if work == 0:
+        work = work_of(world)
+    contact_time = _first_contact_on_curve(start, curve, world, work)
     contact = contact_time <= model.duration
     free_end = add(start, 1.0, way)
     if not contact and clear_of_obstacles(free_end, world, _TOUCHING):
@@ -186,7 +189,16 @@ def place_on(path, start, share):
 
 
 @kernel
-def _first_contact_on_curve(point, curve, world):
+def work_of(world):
+    """Work of a visit of all obstacles; it limits the number of chords."""
+    work = 1
+    for m in range(world.kinds.shape[0]):
+        work += 1 + world.corners[m]
+    return work
+
+
+@kernel
+def _first_contact_on_curve(point, curve, world, work):
     """Time until a curve makes contact, s; inf without contact.
 
     If the chords run out, it is the time that is proven collision-free. A chord clear of all
@@ -197,9 +209,6 @@ def _first_contact_on_curve(point, curve, world):
     bent = chord_error_bound(model, action, memory)
     duration = min(model.duration, period(model, action, memory))
     here, time, piece = point, 0.0, duration
-    work = 1
-    for m in range(world.kinds.shape[0]):
-        work += 1 + world.corners[m]
     for _ in range(max(_LEAST_CHORDS, min(_MOST_CHORDS, _MOST_WORK // work))):
         end = min(duration, time + piece)
         there = place_on(curve, point, end)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ..checks import short_repr
 from ..compilation import by_type, inner_kernel, kernel
 from ..physics.ellipsoids import along, ball, cut
-from ..physics.vectors import X_AXIS, add, combine, load, norm, store, subtract
+from ..physics.vectors import X_AXIS, add, combine, norm, store, subtract
 from . import shape
 from .capsule import CAPSULES, Capsule
 from .disc import BALLS, Disc, Sphere
@@ -163,18 +163,6 @@ def is_hidden_by_obstacles(world, point, way):
         if world.kinds[m] != ABSENT and entry(world, m, point, way, CONTACT_DEPTH) <= 1.0:
             return True
     return False
-
-
-@kernel
-def distances_to(world, points, out):
-    """Signed distances, m, of points (n, d), m, to each obstacle, into ``out`` (n, M).
-
-    As ``distance_to``.
-    """
-    for i in range(out.shape[0]):
-        point = load(points[i])
-        for m in range(out.shape[1]):
-            out[i, m] = distance_to(world, m, point)
 
 
 @kernel

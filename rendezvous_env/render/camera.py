@@ -62,6 +62,11 @@ class Camera(NamedTuple):
         flat = np.stack([offsets @ self.right, -(offsets @ self.up)], axis=-1)
         return self.shift + self.scale * self.nearness(points)[..., None] * flat
 
+    def unproject(self, pixels: Floats) -> Floats:
+        """Points (..., 2), m, of pixels (..., 2) in a top view of the plane."""
+        flat = (np.asarray(pixels, dtype=np.float64) - self.shift) / self.scale
+        return np.asarray(self.centre + flat[..., :1] * self.right - flat[..., 1:] * self.up)
+
     def nearness(self, points: Floats) -> Floats:
         """Magnification at points (..., d) relative to the centre, (...,)."""
         offsets = np.asarray(points, dtype=np.float64) - self.centre

@@ -9,7 +9,7 @@ import pygame
 from ..engine.memory import RENDEZVOUS
 from ..simulator import Simulator
 from . import ink
-from .camera import Area, cell, columns_of, nice_step
+from .camera import Area, Camera, cell, columns_of, nice_step
 from .history import History
 from .palette import OBSTACLE_EDGE, ROBOTS, mixed
 from .picture import TeamPicture
@@ -35,6 +35,8 @@ class Page:
         self._fine = pygame.Surface((_FINE * size[0], _FINE * size[1]), depth=32)
         self._surface = pygame.Surface(size, depth=32)
         self._pictures: dict[int, TeamPicture] = {}  # by team
+        self.keeps_view = False
+        """True if the view of an environment stays as it is when a new history starts."""
 
     def draw(self, histories: list[History], policy: str = "") -> pygame.Surface:
         """The present moment of the first teams; the next call draws over the surface. With the
@@ -49,7 +51,9 @@ class Page:
         for team, history in enumerate(histories):
             picture = self._pictures.get(team)
             if picture is None or picture.history is not history:  # a view for every episode
-                picture = self._pictures[team] = self._new_picture(team, count, history)
+                camera = picture.camera if picture is not None and self.keeps_view else None
+                picture = self._new_picture(team, count, history, camera)
+                self._pictures[team] = picture
             picture.draw(self._fine, weights[team], bearings[team], frames[team], count == 1)
             if count > 1:
                 self._draw_caption(team, history)
@@ -66,13 +70,21 @@ class Page:
         places = picture.camera.project(positions) + np.array(picture.area[:2])
         return np.asarray(places / _FINE - 0.5)
 
-    def _new_picture(self, team: int, count: int, history: History) -> TeamPicture:
+    def points(self, pixels: Floats, team: int = 0) -> Floats:
+        """Points (..., 2), m, of pixels (..., 2) in the last picture of a planar environment."""
+        picture = self._pictures[team]
+        places = (np.asarray(pixels) + 0.5) * _FINE - np.array(picture.area[:2])
+        return picture.camera.unproject(places)
+
+    def _new_picture(
+        self, team: int, count: int, history: History, camera: Camera | None
+    ) -> TeamPicture:
         left, top, width, height = cell(team, count, *self._fine.get_size())
         unit = self._unit * (max(0.5, 1.4 / columns_of(count)) if count > 1 else 1.0)
         below = round(_STRIP * self._unit) if count == 1 else 0
         above = round((_HEADER + _LEGEND if count == 1 else _CAPTION) * self._unit)
         area = Area(left, top + above, width, height - above - below)
-        return TeamPicture(self._simulator.scenario, history, area, unit)
+        return TeamPicture(self._simulator.scenario, history, area, unit, camera)
 
     def _draw_header(self, history: History, policy: str) -> None:
         """Scenario, policy, time, number of robots left; what marks mean; contacts."""

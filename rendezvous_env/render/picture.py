@@ -8,7 +8,7 @@ import pygame
 from ..obstacles.obstacle_set import outlines
 from ..scenario.scenario import Scenario
 from . import ink
-from .camera import Area, fit, nice_step
+from .camera import Area, Camera, fit, nice_step
 from .history import History, Moment
 from .palette import OBSTACLE, OBSTACLE_EDGE, mixed, robot_colour
 from .scene import Bools, Floats, ended, facing, sights
@@ -30,15 +30,23 @@ class TeamPicture:
     """Episode of one environment in an area of a page, with a fixed view.
 
     3-D scenes have three layers: the ground with everything behind spheres, the spheres, and the
-    rest. Planar ones have the ground. ``unit`` scales line widths, pixels.
+    rest. Planar ones have the ground. ``unit`` scales line widths, pixels. Without a camera the
+    view is fitted to the first moment.
     """
 
-    def __init__(self, scenario: Scenario, history: History, area: Area, unit: float) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        history: History,
+        area: Area,
+        unit: float,
+        camera: Camera | None = None,
+    ) -> None:
         self.history, self.area = history, area
         self._scenario, self._unit = scenario, unit
         self._thin, self._drawn, size = max(1, round(unit)), 0, area[2:]
         start = history.moments[0].positions
-        self.camera = fit(start, history.obstacles, area, _MARGIN * unit)
+        self.camera = camera or fit(start, history.obstacles, area, _MARGIN * unit)
         self._ground = pygame.Surface(size, depth=32)
         self._ground.fill(ink.WHITE)
         self._draw_grid()

@@ -135,6 +135,21 @@ class Renderer:
             raise RuntimeError("call render() before pixels()")
         return self._page.pixels(positions, team)
 
+    def surface(self, keeps_view: bool = False) -> Any:
+        """Picture of the current state as a pygame surface, which the next picture overwrites.
+
+        With ``keeps_view`` the view stays as it is if the state was changed from outside.
+        """
+        self._look()
+        self._open_page().keeps_view = keeps_view
+        return self._draw()
+
+    def points(self, pixels: NDArray[np.float64], team: int = 0) -> NDArray[np.float64]:
+        """Points (..., 2), m, of pixels of a planar environment; the inverse of ``pixels``."""
+        if self._page is None:
+            raise RuntimeError("call render() before points()")
+        return self._page.points(pixels, team)
+
     def close(self) -> None:
         """Close the window."""
         if self.window is not None:
@@ -173,13 +188,16 @@ class Renderer:
                     history = None
             self._histories.append(history or History(obstacles.copy(), initial, [moment]))
 
-    def _draw(self) -> Any:
+    def _open_page(self) -> Page:
         if self._page is None:
             _load_pygame()
             from .page import Page
 
             self._page = Page(self._simulator, self.size, self._horizon)
-        return self._page.draw(self._histories, self.policy)
+        return self._page
+
+    def _draw(self) -> Any:
+        return self._open_page().draw(self._histories, self.policy)
 
     def _show(self) -> None:
         """Draw into the window unless the user has closed it."""

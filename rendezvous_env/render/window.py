@@ -1,4 +1,4 @@
-"""Live window: space pauses, the right arrow or s makes a single step."""
+"""Live window: space pauses, the right arrow or s makes a single step, q closes."""
 
 import time
 
@@ -8,10 +8,23 @@ _LEAST_PAUSE = 1 / 60  # s between two pictures; steps that are shorter are not 
 
 
 class Window:
-    """Window that shows an episode at most in real time."""
+    """Window that shows an episode at most in real time.
 
-    def __init__(self, title: str, size: tuple[int, int]) -> None:
-        self._title, self._size = title, size
+    ``step_keys`` make a single step. Events without a meaning for the window are listed in
+    ``events`` if it ``listens``.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        size: tuple[int, int],
+        step_keys: tuple[int, ...] = (pygame.K_RIGHT, pygame.K_s),
+        listens: bool = False,
+    ) -> None:
+        self._title, self._size, self._step_keys = title, size, step_keys
+        self._listens = listens
+        self.events: list[pygame.Event] = []
+        """Events for the owner, who clears the list."""
         self.screen: pygame.Window | None = self._opened()
         self.paused = False
         self._steps = 0  # that were asked for while paused
@@ -45,6 +58,10 @@ class Window:
         """Wait until a step of the given duration is over, or for a key while paused."""
         while self.is_held():
             time.sleep(0.01)
+        self.wait_until(seconds)
+
+    def wait_until(self, seconds: float) -> None:
+        """Wait until a step of the given duration is over."""
         now = time.monotonic()
         self._due = max(self._due + seconds, now)
         time.sleep(self._due - now)
@@ -71,13 +88,15 @@ class Window:
             key = event.key if event.type == pygame.KEYDOWN else None
             if key == pygame.K_SPACE:
                 self.paused, self._steps = not self.paused, 0
-            elif key in (pygame.K_RIGHT, pygame.K_s):
+            elif key is not None and key in self._step_keys:
                 self.paused, self._steps = True, self._steps + 1
             elif key in (pygame.K_ESCAPE, pygame.K_q) or event.type in (
                 pygame.QUIT,
                 pygame.WINDOWCLOSE,
             ):
                 self.close()
+            elif self._listens:
+                self.events.append(event)
             if key is not None and self.screen is not None:
                 self.screen.title = self._title + (" (paused)" if self.paused else "")
 

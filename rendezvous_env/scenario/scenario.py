@@ -22,6 +22,7 @@ from ..field_docs import lists_fields
 from ..graphs import Graph, GraphLike
 from ..limits import LONGEST_NAME, MAX_OBSTACLES, MAX_ROBOTS, MAX_STEPS
 from ..obstacles import parsing as obstacles
+from ..obstacles import spatial_index
 from ..obstacles.parsing import Obstacles
 from ..rewards.costs import as_costs
 from ..rewards.terms import RewardWeights
@@ -30,6 +31,7 @@ from ..sensors.sensing import Sensing
 from . import scenario_files
 from .observation_layout import ObservationLayout
 from .start_options import check_apart, check_positions, check_table
+from .start_region import Region, check_region, starts_in
 
 CONTACT_MODES = ("slide", "stop", "ignore")
 _PACKING = ("single_integrator", "unicycle")
@@ -143,6 +145,9 @@ class Scenario:
     spawn_size: Annotated[float | tuple[float, ...], checks.edge_lengths] = 10.0
     """Edge length of the square or cube about the origin in which initial positions are sampled,
     m. A list of d numbers gives the edges of a rectangle or box."""
+    start_region: Annotated[Region, starts_in] | None = None
+    """Region in which initial positions are sampled uniformly: disjoint convex polygons of the
+    plane, m, within the spawn square. None is the whole square or cube."""
     start_positions: Table | None = None
     """Fixed initial positions, (n, d), m; None samples them."""
     start_headings: Table | None = None
@@ -317,18 +322,29 @@ class Scenario:
         slots, most = self.neighbour_slots, self.sensing_graph.most_neighbours(self.n_robots)
         return self.neighbour_overflow == "nearest" and slots is not None and slots < most
 
+    @property
+    def obstacle_places(self) -> int:
+        """Number of obstacles that an episode has room for."""
+        return max(obstacles.max_count(self.obstacles), self.observation_layout.obstacle_slots)
+
+    @property
+    def indexes_obstacles(self) -> bool:
+        """True if a spatial index finds the obstacles near robots: given ones, many, in 2-D."""
+        given = self.dim == 2 and isinstance(self.obstacles, tuple)
+        return given and self.obstacle_places >= spatial_index.INDEX_FROM
+
     @cached_property
     def with_all_rows(self) -> Scenario:
         """Scenario with one row for each other robot and each obstacle.
 
-        It is the scenario itself, unless its layout has more rows than robots or omits some.
+        It is the scenario itself, unless its layout has more rows than robots or omits some. Exact
+        sensors with a spatial index select the nearest obstacles themselves.
         """
         changes: dict[str, Any] = {}
         if self.drops_neighbours or (self.neighbour_slots or 0) > self.n_robots - 1:
             changes["neighbour_slots"] = self.n_robots - 1
-        if (slots := self.obstacle_slots) is not None and slots < obstacles.max_count(
-            self.obstacles
-        ):
+        selects = self.indexes_obstacles and self.sensing.exact
+        if self.observation_layout.obstacle_slots < self.obstacle_places and not selects:
             changes["obstacle_slots"] = None
         return self.replace(allow_long_step=True, **changes) if changes else self
 
@@ -343,12 +359,15 @@ class Scenario:
     def from_toml(cls, path: str | os.PathLike[str]) -> Scenario:
         """Read a scenario from a TOML file; its default name is the file name.
 
+        Obstacles may be a table of kind "map" that refers to a map file, see docs/maps.md.
+
         Raises:
             FileNotFoundError: if the file does not exist.
             ValueError: for invalid TOML, an unknown key or an invalid value.
         """
         plain = scenario_files.read(path)
         try:
+            plain = scenario_files.with_map(plain, Path(path).parent)
             return cls.from_plain({"name": Path(path).stem, **plain})
         except ValueError as error:
             raise ValueError(f"{checks.short_repr(str(path))[1:-1]}: {error}") from error
@@ -367,6 +386,9 @@ class Scenario:
         plain["reward"] = self.reward.to_plain()
         plain["sensing"] = None if self.sensing.exact else self.sensing.to_plain()
         plain["costs"] = list(self.costs) or None
+        plain["start_region"] = self.start_region and [
+            [list(vertex) for vertex in polygon.vertices] for polygon in self.start_region
+        ]
         plain["merge_through_obstacles"] = False if not self.merge_through_obstacles else None
         for key in ("neighbour_overflow", "obstacle_overflow"):  # younger than files of scenarios
             plain[key] = None if plain[key] == "error" else plain[key]
@@ -437,6 +459,7 @@ class Scenario:
         if isinstance(size, tuple) and len(size) != self.dim:
             wanted = f"a number, or {self.dim} numbers where dim is {self.dim}"
             checks.raise_invalid("spawn_size", list(size), wanted)
+        check_region(self)
         widths = {"start_positions": self.dim, "start_headings": self.model.n_angles}
         for field, width in widths.items():
             if getattr(self, field) is not None:

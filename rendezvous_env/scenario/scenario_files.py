@@ -8,7 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ..checks import raise_invalid, short_repr
+from ..checks import known_fields, raise_invalid, short_repr
+from ..obstacles.maps import from_map
+from ..obstacles.maps.reading import OPTIONS
 
 _PathLike = str | os.PathLike[str]
 
@@ -26,6 +28,30 @@ def read(path: _PathLike) -> dict[str, Any]:
         if isinstance(error, RecursionError):
             reason = "its tables and lists are nested too deep"
         raise ValueError(f"{short_repr(str(path))[1:-1]}: {reason}") from error
+
+
+def with_map(plain: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Plain data of a scenario with the obstacles of a map file, if it refers to one.
+
+    ``obstacles`` is then a table of kind "map" with the ``path`` of the map, relative to the folder
+    of the scenario, and options of ``from_map``. A ``clearance`` in it also gives the region of
+    starts, see ``ObstacleMap.scenario_fields``; other keys of the file override that.
+    """
+    table = plain.get("obstacles")
+    if not isinstance(table, dict) or table.get("kind") != "map":
+        return plain
+    options = {key: value for key, value in table.items() if key != "kind"}
+    known_fields(options, ("path", "clearance", "near", *OPTIONS), "obstacles: a map", "key")
+    if not isinstance(path := options.pop("path", None), str):
+        raise_invalid("obstacles: path", path, "the path of a map, relative to the scenario's file")
+    clearance, near = options.pop("clearance", None), options.pop("near", None)
+    try:
+        found = from_map(folder / path, **options)
+    except FileNotFoundError as error:
+        raise ValueError(f"obstacles: path is {path!r}; {folder / path} does not exist") from error
+    if clearance is None:
+        return {**plain, "obstacles": found}
+    return found.scenario_fields(clearance, near) | {**plain, "obstacles": found}
 
 
 def write(path: _PathLike, plain: dict[str, Any]) -> None:

@@ -180,7 +180,7 @@ def _obstacles(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
         raise ValueError('obstacles: meeting="pack" is for teams without obstacles')
     if not isinstance(parsed, tuple):
         raise ValueError("obstacles: give them one by one; a field belongs into the scenario")
-    slots = scenario.observation_layout.obstacle_slots
+    slots = scenario.obstacle_places
     return pack(parsed, slots, obstacles.row_width(scenario.obstacles))[None]
 
 

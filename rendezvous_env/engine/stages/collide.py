@@ -8,7 +8,8 @@ import math
 from ...compilation import inner_kernel, kernel
 from ...graphs.edges import arcs_of, load_links, store_links
 from ...graphs.merging import merge_swept
-from ...obstacles.contact import move_curved, move_straight
+from ...obstacles.contact import move_curved, move_straight, work_of
+from ...obstacles.spatial_index import obstacles_within
 from ...physics.packing import is_packed, move_apart
 from ...physics.vectors import norm
 from ..memory import (
@@ -30,6 +31,9 @@ from ..memory import (
 )
 
 _ROUNDING = 1.0 + 1e-9
+# of the length of a path: distance of obstacles that a motion and its legs can come near to
+_LEGS_OF_LINE, _LEGS_OF_CURVE = 2.0, 4.0
+_MARGIN = 1e-3  # m, more than all pushes out of obstacles together
 _NEAREST = 3e-6  # m, more than a skin; margin of reachable distances for exact motion
 
 
@@ -45,12 +49,16 @@ def stop_at_obstacles(
     environments,
     moves,
     obstacles,
+    index,
+    near,
+    listed,
     normals,
     contact,
 ):
     """Replace straight displacements by those that obstacles allow.
 
-    ``normals``, (2M, 3), is working memory.
+    ``index`` may be None. Working memory: normals (2M, 3), and with an index near and listed, see
+    ``spatial_index.obstacles_within``.
     """
     n = robots.shape[1]
     for block in range(first, last):
@@ -63,7 +71,9 @@ def stop_at_obstacles(
                 if merged_into[b, i] == i:
                     point = load_point(robots[block, i], 0, lane, lanes, d)
                     way = load_point(moves[block - first, i], 0, lane, lanes, d)
-                    met, executed = move_straight(point, way, world, mode, normals)
+                    reach = _LEGS_OF_LINE * norm(way) + _MARGIN
+                    here = obstacles_within(world, index, b, point, reach, near, listed)
+                    met, executed = move_straight(point, way, here, mode, normals)
                     move, environment = moves[block - first, i], environments[block]
                     _execute(met, executed, i, lane, lanes, d, move, environment, contact[b])
 
@@ -80,30 +90,38 @@ def stop_curves_at_obstacles(
     environments,
     moves,
     obstacles,
+    index,
+    near,
+    listed,
     normals,
     contact,
 ):
     """Replace curved displacements of robot models by those that obstacles allow."""
     n, d = robots.shape[1], len(robot.axes)
+    reach = _LEGS_OF_CURVE * robot.model.speed_limit * robot.model.duration + _MARGIN
     for block in range(first, last):
         for lane in range(_lanes_near(block, lanes, len(merged_into), environments[block])):
             if environments[block, PROXIMITY * lanes + lane] == FREE:
                 continue
             b = block * lanes + lane
             world = obstacles_of(obstacles, b)
+            work = work_of(world)
             for i in range(n):
                 if merged_into[b, i] == i:
                     state, move = robots[block, i], moves[block - first, i]
+                    point = load_point(state, 0, lane, lanes, d)
+                    here = obstacles_within(world, index, b, point, reach, near, listed)
                     met, executed = move_curved(
-                        load_point(state, 0, lane, lanes, d),
+                        point,
                         load_point(move, 0, lane, lanes, d),
                         robot.model,
                         load_fields(move, d + 1, lane, lanes, robot.inputs),
                         load_fields(state, d, lane, lanes, robot.entries),
                         load_fields(state, d + d * d, lane, lanes, robot.memories),
-                        world,
+                        here,
                         mode,
                         normals,
+                        work,
                     )
                     environment = environments[block]
                     _execute(met, executed, i, lane, lanes, d, move, environment, contact[b])

@@ -10,6 +10,8 @@ from ...obstacles.obstacle_set import (
     silhouette_2d,
     silhouette_3d,
 )
+from ...obstacles.shape import BOUND, MIDDLE
+from ...obstacles.spatial_index import nearest_group, square_distance
 from ...physics.potential import net_bearings_of_arcs, net_bearings_of_links
 from ...physics.vectors import load, local_axis, to_local
 from ..memory import (
@@ -175,6 +177,175 @@ def _see_all(
         for s in range(points):
             bearing = to_local(frame, read_row(silhouette[s], 0, axes))
             write_row(bearing, row[own + m * points + s], lane)
+
+
+@kernel
+def sense_indexed(
+    entries,
+    first,
+    last,
+    reach,
+    own,
+    slots,
+    robots,
+    merged_into,
+    obstacles,
+    index,
+    silhouette,
+    listed,
+    distances,
+    rows,
+    clearance,
+):
+    """Sense 2-D shapes by a spatial index, in blocks of one environment.
+
+    The numbers are those of ``sense_discs`` and ``sense_shapes``; with fewer slots than obstacles,
+    those that ``keep_nearest`` leaves. Working memory: silhouette (2, d), listed and distances
+    (M,).
+    """
+    for b in range(first, last):
+        world = obstacles_of(obstacles, b)
+        for i in range(robots.shape[1]):
+            row, nearest = rows[b - first, i], np.inf
+            for k in range(own, own + 2 * slots):
+                row[k, 0], row[k, 1] = np.float32(0.0), np.float32(0.0)
+            if merged_into[b, i] == i:
+                point = load_point(robots[b, i], 0, 0, 1, 2)
+                nearest, count = _find_near(world, index, b, point, reach, slots, listed, distances)
+                frame = load_fields(robots[b, i], 2, 0, 1, entries)
+                for k in range(count):
+                    m, place = listed[k], own + 2 * (listed[k] if slots >= len(listed) else k)
+                    _see_edges(world, m, point, silhouette)
+                    for s in range(2):
+                        bearing = to_local(frame, (silhouette[s, 0], silhouette[s, 1]))
+                        write_row(bearing, row[place + s], 0)
+            clearance[b, i] = nearest
+
+
+@inner_kernel
+def _find_near(world, index, b, point, reach, slots, listed, distances):
+    """List the obstacles in range, at most the nearest ``slots``, in their order.
+
+    Returns the distance to the nearest obstacle, m, and the length of the list.
+    """
+    order, boxes, groups = index.order[b], index.boxes[b], index.groups[b]
+    start, nearest, count = nearest_group(index, b, point), np.inf, 0
+    for number in range(groups.shape[0]):  # the nearest group, then the others in their order
+        g = start if number == 0 else number - 1 if number <= start else number
+        if not square_distance(groups[g], point) <= max(reach, nearest) ** 2:
+            continue
+        for k in range(order.shape[1]):
+            m = order[g, k]
+            if m < 0 or not square_distance(boxes[g, k], point) <= max(reach, nearest) ** 2:
+                continue
+            gap = _gap(world, m, point)
+            nearest = min(nearest, gap)
+            if gap <= reach:
+                distance = 0.0 if slots >= len(listed) else distance_to(world, m, point)
+                count = _list_by_distance(m, distance, count, slots, listed, distances)
+    for k in range(1, count if slots < len(listed) else 0):
+        m, place = listed[k], k
+        while place > 0 and listed[place - 1] > m:
+            listed[place] = listed[place - 1]
+            place -= 1
+        listed[place] = m
+    return nearest, count
+
+
+@inner_kernel
+def _list_by_distance(m, distance, count, slots, listed, distances):
+    """Insert an obstacle into a list sorted by distance and index; returns the new length."""
+    if slots >= len(listed):
+        listed[count] = m
+        return count + 1
+    place = count
+    while place > 0 and (
+        distances[place - 1] > distance
+        or (distances[place - 1] == distance and listed[place - 1] > m)
+    ):
+        if place < slots:
+            listed[place], distances[place] = listed[place - 1], distances[place - 1]
+        place -= 1
+    if place < slots:
+        listed[place], distances[place] = m, distance
+    return min(count + 1, slots)
+
+
+@inner_kernel
+def _gap(world, m, point):
+    """Distance to an obstacle, m; that to a disc as in ``sense_discs``."""
+    if world.kinds[m] != BALL:
+        return distance_to(world, m, point)
+    shape = world.shapes[m]
+    x, y, radius = shape[MIDDLE] - point[0], shape[MIDDLE + 1] - point[1], shape[BOUND]
+    _, _, _, _, distance = disc_edges(x, y, radius)
+    return distance - radius
+
+
+@inner_kernel
+def _see_edges(world, m, point, silhouette):
+    """Bearings of both edges of an obstacle; those of a disc as in ``sense_discs``."""
+    if world.kinds[m] != BALL:
+        silhouette_2d(world, m, point, silhouette)
+        return
+    shape = world.shapes[m]
+    x, y, radius = shape[MIDDLE] - point[0], shape[MIDDLE + 1] - point[1], shape[BOUND]
+    ax, ay, bx, by, _ = disc_edges(x, y, radius)
+    silhouette[0, 0], silhouette[0, 1] = ax, ay
+    silhouette[1, 0], silhouette[1, 1] = bx, by
+
+
+@kernel
+def keep_nearest(obstacles, positions, observations, row, own, fitted, listed, distances):
+    """Copy the rows of the nearest visible obstacles to observations with fewer slots.
+
+    Rows of obstacles start at ``row`` of observations, (B, n, rows, d), and at ``own`` of
+    ``fitted``. They stay in their order. Working memory: listed and distances, (slots,).
+    """
+    points = 2 if observations.shape[3] == 2 else 8
+    for b in range(observations.shape[0]):
+        world = obstacles_of(obstacles, b)
+        for i in range(observations.shape[1]):
+            rows, point, count = observations[b, i], load(positions[b, i]), 0
+            for m in range(world.kinds.shape[0]):
+                if _is_visible(rows, row + m * points, points):
+                    distance = distance_to(world, m, point)
+                    count = _keep_if_near(m, distance, count, listed, distances)
+            for slot in range(count):
+                for s in range(points):
+                    for axis in range(rows.shape[1]):
+                        number = rows[row + listed[slot] * points + s, axis]
+                        fitted[b, i, own + slot * points + s, axis] = number
+
+
+@inner_kernel
+def _is_visible(rows, first, points):
+    """True if any number of an obstacle's rows is not zero."""
+    for s in range(points):
+        for axis in range(rows.shape[1]):
+            if rows[first + s, axis] != 0.0:
+                return True
+    return False
+
+
+@inner_kernel
+def _keep_if_near(m, distance, count, listed, distances):
+    """Append an obstacle to a list in order, which loses the farthest one when it is full.
+
+    Of equally far ones the last is lost. Returns the new count.
+    """
+    if count == len(listed):
+        farthest = 0
+        for k in range(1, count):
+            if distances[k] >= distances[farthest]:
+                farthest = k
+        if not distance < distances[farthest]:
+            return count
+        for k in range(farthest, count - 1):
+            listed[k], distances[k] = listed[k + 1], distances[k + 1]
+        count -= 1
+    listed[count], distances[count] = m, distance
+    return count + 1
 
 
 @kernel
