@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..graphs.random_graphs import GraphRules, graph_rules
 from ..obstacles import obstacle_set
@@ -11,7 +12,7 @@ from ..obstacles.obstacle_set import ObstacleSet
 from ..physics.random_streams import ignore_overflow
 from ..rewards.terms import CLEARANCE_PENALTY
 from ..robots.motion import init_memory
-from ..robots.robot_models import constants_of
+from ..robots.robot_models import constants_of, limits_of
 from ..scenario.scenario import CONTACT_MODES, Scenario
 from ..sensors.effects import Effects, effects_of, kept_share
 from ..sensors.imperfections import Imperfections, imperfections_of
@@ -33,7 +34,8 @@ class Constants(NamedTuple):
     reward_weights: tuple[float, ...]
     weighs_clearance: bool  # Whether the reward has a term of clearance
     all_earn: bool  # Whether merged-away robots earn the team reward, too
-    body_radius: float  # Of the discs in which robots stand in one another's sight, and way, m
+    body_radius: float  # Of robots in one another's way, m; the largest
+    body_radii: NDArray[np.float64]  # Of robots that occlude others, (n,), m
     packs: bool  # Whether bodies stop where they would touch, instead of merging
     merges_through: bool  # Whether robots merge where an obstacle is between them
 
@@ -54,7 +56,7 @@ class Sensor(NamedTuple):
 
 
 def robot(scenario: Scenario) -> Robot:
-    """Robot model of a scenario."""
+    """Robot model of a scenario; its constants are those of the largest limits."""
     d = scenario.dim
     return Robot(
         model=constants_of(scenario),
@@ -62,7 +64,16 @@ def robot(scenario: Scenario) -> Robot:
         axes=tuple(range(d)),
         entries=tuple(range(d * d)),
         memories=tuple(range(scenario.model.memory_size(d))),
+        limits=limits_of(scenario),
     )
+
+
+def speed_limits_of(robot: Robot) -> NDArray[np.float64]:
+    """Speed limit of each robot, (n,), or of all, (1,), m/s."""
+    if robot.limits is None:
+        return np.array([robot.model.speed_limit], np.float64)
+    column = type(robot.model)._fields.index("speed_limit")
+    return np.asarray(robot.limits[:, column])
 
 
 def sensor(state: State) -> Sensor | None:
@@ -87,11 +98,13 @@ def sensor(state: State) -> Sensor | None:
 
 def constants(scenario: Scenario, robot: Robot, max_steps: int) -> Constants:
     """Constants of a scenario."""
-    weights = scenario.reward.built_in
+    weights, n = scenario.reward.built_in, scenario.n_robots
+    given = np.array(scenario.body_radius or 0.5 * scenario.merge_radius, np.float64)
+    radii = np.broadcast_to(given, (n,))
     return Constants(
         duration=float(scenario.tau),
         merge_radius=float(scenario.merge_radius),
-        speed_limit=float(robot.model.speed_limit),
+        speed_limit=float(speed_limits_of(robot).max()),
         max_steps=max_steps,
         contact_mode=CONTACT_MODES.index(scenario.obstacle_contact),
         obstacle_range=float(scenario.obstacle_range),
@@ -99,7 +112,8 @@ def constants(scenario: Scenario, robot: Robot, max_steps: int) -> Constants:
         reward_weights=weights,
         weighs_clearance=weights[CLEARANCE_PENALTY] != 0.0,
         all_earn=scenario.on_merge == "follow",
-        body_radius=float(scenario.body_radius or 0.5 * scenario.merge_radius),
+        body_radius=float(radii.max()),
+        body_radii=np.ascontiguousarray(radii),
         packs=scenario.meeting == "pack",
         merges_through=scenario.merges_through,
     )

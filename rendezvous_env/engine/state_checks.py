@@ -10,9 +10,9 @@ from ..checks import bools, check_shape, floats, format_limit, short_repr
 from ..obstacles.obstacle_set import faults
 from ..obstacles.parsing import only_balls
 from ..outcome import StepOutput
-from ..robots.robot_models import constants_of
 from ..scenario.scenario import Scenario
 from .memory import AWAITING_RESET, RENDEZVOUS
+from .preparation import robot, speed_limits_of
 from .step import first_not_finite
 
 _ROUNDING = 1e-9
@@ -183,9 +183,9 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
         check_rotations(state, state["episode"] >= 0, _ROUNDING)
     if scenario.model.keeps_velocity:  # how far a robot may come in a step stands on its limit
         velocities = state["memory"][..., scenario.model.n_angles :]
-        limit = constants_of(scenario).speed_limit
-        too_fast = np.linalg.norm(velocities, axis=-1) > limit * (1 + _ROUNDING)
-        refuse("memory", too_fast, f"a velocity of at most {format_limit(limit)} m/s")
+        limits = speed_limits_of(robot(scenario))
+        too_fast = np.linalg.norm(velocities, axis=-1) > limits * (1 + _ROUNDING)
+        refuse("memory", too_fast, f"a velocity of at most {format_limit(limits.max())} m/s")
     if "first" in state:
         _check_lists(scenario.n_robots, state)
     _check_merges(state, scenario.meeting == "pack")

@@ -352,7 +352,7 @@ class StepStages:
         if sensor.errors.one_by_one:
             given: tuple[Any, ...] = (
                 sensor.errors,
-                rules.body_radius,
+                rules.body_radii,
                 slots,
                 sensor.packed,
                 state.links,

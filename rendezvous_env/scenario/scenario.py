@@ -33,6 +33,16 @@ from .start_options import check_apart, check_positions, check_table
 
 CONTACT_MODES = ("slide", "stop", "ignore")
 Table = tuple[tuple[float, ...], ...]
+PER_ROBOT = ("max_speed", "max_turn_rate", "max_acceleration", "body_radius")
+"""Fields with one number for all robots, or a list with one for each."""
+
+
+def _limit(unit: str) -> Any:
+    """Check of a positive limit of all robots, or of a list with one for each."""
+    return partial(checks.one_or_each, check=partial(positive, unit=unit), unit=unit)
+
+
+_Each = float | tuple[float, ...]
 
 
 class TimeStepWarning(UserWarning):
@@ -86,9 +96,9 @@ class Scenario:
     connected."""
     merge_radius: Metres = 0.2
     """Merge radius r, m: neighbours at most this far apart merge into one robot."""
-    body_radius: Metres | None = None
-    """Radius of each robot's disc or sphere, m, at most r/2; requires a complete graph. None is
-    a point robot; with occlusion by robots in ``sensing``, points occlude as discs of radius
+    body_radius: Annotated[_Each, _limit("m")] | None = None
+    """Radius of each robot's disc or sphere, m, at most r/2, or a list with one for each robot;
+    requires a complete graph. None is a point robot; with occlusion by robots in ``sensing``, points occlude as discs of radius
     r/2."""
     meeting: Literal["merge", "pack"] = "merge"
     """Terminal condition. "merge": robots merge within r. "pack": bodies stop on contact and
@@ -103,15 +113,15 @@ class Scenario:
     """True if to suppress the warning about a time step longer than the certified one."""
     time_limit: Seconds = 30.0
     """Episode length, s, rounded up to whole steps."""
-    max_speed: Annotated[float, partial(positive, unit="m/s")] | None = None
-    """Speed limit v_max, m/s; limiting preserves the direction. None is D̄, which law (1) never
-    exceeds. For sparse graphs of 48 or more single integrators, None is the ``step_degree``."""
-    max_turn_rate: Annotated[float, partial(positive, unit="rad/s")] | None = None
-    """Turn rate limit of ω and ω_β, rad/s; None is D̄. The limit of ω_α is up to ten times
+    max_speed: Annotated[_Each, _limit("m/s")] | None = None
+    """Speed limit v_max, m/s, or a list with one for each robot; limiting preserves the
+    direction. None is D̄, which law (1) never exceeds. For sparse graphs of 48 or more single integrators, None is the ``step_degree``."""
+    max_turn_rate: Annotated[_Each, _limit("rad/s")] | None = None
+    """Turn rate limit of ω and ω_β, rad/s, or a list with one for each robot; None is D̄. The limit of ω_α is up to ten times
     larger, see nonholonomic_3d."""
-    max_acceleration: Annotated[float, partial(positive, unit="m/s²")] | None = None
-    """Acceleration limit a_max of double integrators, m/s²; limiting preserves the direction.
-    None, the default, is v_max per 0.25 s."""
+    max_acceleration: Annotated[_Each, _limit("m/s²")] | None = None
+    """Acceleration limit a_max of double integrators, m/s², or a list with one for each robot;
+    limiting preserves the direction. None, the default, is v_max per 0.25 s."""
     obstacles: Obstacles = ()
     """Discs, convex polygons, capsules or spheres, or a random field sampled in each episode."""
     obstacle_range: Metres = 2.0
@@ -166,6 +176,7 @@ class Scenario:
             fitting = [repr(m.name) for m in ROBOT_MODELS.values() if self.dim in m.dims]
             wanted = f"one of {', '.join(fitting)} where dim is {self.dim}"
             checks.raise_invalid("robot_model", self.robot_model, wanted)
+        self._check_lists()
         self._check_graph()
         self._check_obstacles()
         self._check_bodies()
@@ -258,19 +269,50 @@ class Scenario:
         return self.sensing.delay_steps(self.tau)
 
     @property
+    def per_robot(self) -> tuple[str, ...]:
+        """Names of the fields that are lists with one number for each robot."""
+        return tuple(name for name in PER_ROBOT if isinstance(getattr(self, name), tuple))
+
+    def of_robot(self, robot: int) -> Scenario:
+        """Scenario in which all robots have the limits of one; initial conditions are sampled."""
+        own = {name: getattr(self, name)[robot] for name in self.per_robot}
+        if not own:
+            return self
+        free = {"start_positions": None, "start_headings": None, "allow_long_step": True}
+        return self.replace(**own, **free)
+
+    @property
     def speed_limit(self) -> float:
-        """Speed limit v_max in use, m/s."""
-        return self.step_degree if self.max_speed is None else self.max_speed
+        """Speed limit v_max in use, m/s; the largest of the robots."""
+        return self.step_degree if self.max_speed is None else _largest(self.max_speed)
+
+    @property
+    def min_speed_limit(self) -> float:
+        """Speed limit of the slowest robot, m/s."""
+        return _least(self.max_speed) if isinstance(self.max_speed, tuple) else self.speed_limit
+
+    @property
+    def speed_limits(self) -> NDArray[np.float64]:
+        """Speed limit of each robot, (n,), m/s."""
+        given = self.max_speed if isinstance(self.max_speed, tuple) else self.speed_limit
+        return np.broadcast_to(np.array(given, np.float64), (self.n_robots,))
 
     @property
     def acceleration_limit(self) -> float:
-        """Acceleration limit in use, m/s²."""
-        return 4.0 * self.speed_limit if self.max_acceleration is None else self.max_acceleration
+        """Acceleration limit in use, m/s²; the largest of the robots."""
+        given = self.max_acceleration
+        return 4.0 * self.speed_limit if given is None else _largest(given)
 
     @property
     def turn_limit(self) -> float:
-        """Turn rate limit in use, rad/s."""
-        return self.max_degree if self.max_turn_rate is None else self.max_turn_rate
+        """Turn rate limit in use, rad/s; the largest of the robots."""
+        return self.max_degree if self.max_turn_rate is None else _largest(self.max_turn_rate)
+
+    @property
+    def min_turn_limit(self) -> float:
+        """Turn rate limit of the robot that turns slowest, rad/s."""
+        given = self.max_turn_rate
+        return _least(given) if isinstance(given, tuple) else self.turn_limit
 
     @property
     def action_size(self) -> int:
@@ -279,8 +321,20 @@ class Scenario:
 
     @cached_property
     def action_bounds(self) -> NDArray[np.float64]:
-        """Symmetric bounds of the action components, (a,): m/s, m/s², or m/s and rad/s."""
-        return np.array(self.model.bounds(self), dtype=np.float64)
+        """Symmetric bounds of the action components, (a,): m/s, m/s², or m/s and rad/s.
+
+        They are the largest of the robots.
+        """
+        if not self.per_robot:
+            return np.array(self.model.bounds(self), dtype=np.float64)
+        return np.asarray(self.robot_bounds.max(axis=0))
+
+    @cached_property
+    def robot_bounds(self) -> NDArray[np.float64]:
+        """Symmetric bounds of the actions of each robot, (n, a), as ``action_bounds``."""
+        robots = range(self.n_robots if self.per_robot else 1)
+        each = np.array([one.model.bounds(one) for one in map(self.of_robot, robots)], np.float64)
+        return np.broadcast_to(each, (self.n_robots, each.shape[1]))
 
     @cached_property
     def observation_layout(self) -> ObservationLayout:
@@ -352,6 +406,7 @@ class Scenario:
         plain["reward"] = self.reward.to_plain()
         plain["sensing"] = None if self.sensing.exact else self.sensing.to_plain()
         plain["costs"] = list(self.costs) or None
+        plain |= {name: list(getattr(self, name)) for name in self.per_robot}
         plain["merge_through_obstacles"] = False if not self.merge_through_obstacles else None
         for key in ("neighbour_overflow", "obstacle_overflow"):  # younger than files of scenarios
             plain[key] = None if plain[key] == "error" else plain[key]
@@ -362,6 +417,13 @@ class Scenario:
     def to_toml(self, path: str | os.PathLike[str]) -> None:
         """Write a TOML file from which ``from_toml`` reads an equal scenario."""
         scenario_files.write(path, self.to_plain())
+
+    def _check_lists(self) -> None:
+        """Check that each list of limits has one number for each robot."""
+        for name in self.per_robot:
+            if len(given := getattr(self, name)) != self.n_robots:
+                remedy = f"{self.n_robots} numbers, one for each robot, or a single one for all"
+                checks.raise_invalid(name, list(given), remedy)
 
     def _check_graph(self) -> None:
         graph = graphs.parse(self.graph, self.n_robots)
@@ -398,7 +460,9 @@ class Scenario:
             if packs:
                 checks.raise_invalid("body_radius", None, "given with meeting='pack': bodies touch")
             return
-        if radius > 0.5 * self.merge_radius:
+        if packs and isinstance(radius, tuple):
+            checks.raise_invalid("body_radius", list(radius), "one number with meeting='pack'")
+        if _largest(radius) > 0.5 * self.merge_radius:
             most = f"at most half the merge_radius, {0.5 * self.merge_radius} m"
             checks.raise_invalid("body_radius", radius, most)
         graph = self.sensing_graph
@@ -425,7 +489,7 @@ class Scenario:
             positions, weights = np.array(self.start_positions), self.sensing_graph.sparse_weights
             check_positions("start_positions", self, positions, weights, self.obstacles)
             if self.body_radius is not None:
-                check_apart("start_positions", positions, 2.0 * self.body_radius)
+                check_apart("start_positions", positions, self.body_radius)
 
     def _check_time_step(self) -> None:
         if self.time_step is None and not math.isfinite(self.certified_step):
@@ -446,6 +510,14 @@ class Scenario:
                 TimeStepWarning,
                 stacklevel=_frames_to_caller(),
             )
+
+
+def _largest(given: float | tuple[float, ...]) -> float:
+    return max(given) if isinstance(given, tuple) else given
+
+
+def _least(given: float | tuple[float, ...]) -> float:
+    return min(given) if isinstance(given, tuple) else given
 
 
 def _frames_to_caller() -> int:

@@ -11,6 +11,7 @@ from ...graphs.merging import merge_swept
 from ...obstacles.contact import move_curved, move_straight
 from ...physics.packing import is_packed, move_apart
 from ...physics.vectors import norm
+from ...robots.motion import constants_of_robot
 from ..memory import (
     ACTIVE,
     AFTER_MERGE,
@@ -97,7 +98,7 @@ def stop_curves_at_obstacles(
                     met, executed = move_curved(
                         load_point(state, 0, lane, lanes, d),
                         load_point(move, 0, lane, lanes, d),
-                        robot.model,
+                        constants_of_robot(robot.model, robot.limits, i),
                         load_fields(move, d + 1, lane, lanes, robot.inputs),
                         load_fields(state, d, lane, lanes, robot.entries),
                         load_fields(state, d + d * d, lane, lanes, robot.memories),

@@ -314,7 +314,7 @@ def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> s
     unhurried = scenario.merge_radius / (2.0 * scenario.tau)
     if asked.by in ("law", "heading", "tank"):  # who sees most goes slowest (theory 4)
         speed *= unhurried / max(unhurried, scenario.max_degree)
-    speed = min(speed, scenario.speed_limit, unhurried)
+    speed = min(speed, scenario.min_speed_limit, unhurried)
     moved = scenario.tau * speed * asked.min_alignment
     k = 2.0
     if asked.by in ("heading", "tank"):

@@ -34,7 +34,7 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     meanwhile = (n - 1) * n * scenario.merge_radius * degree / 2.0
     most = float(known.lyapunov_bound(scenario))
     most += 2.0 * known.merge_rise_allowance(scenario) + meanwhile
-    slowest = min(1.0, scenario.speed_limit / degree) * known.min_bearing_square(scenario)
+    slowest = min(1.0, scenario.min_speed_limit / degree) * known.min_bearing_square(scenario)
     time = float(known.over_rate(most, slowest) + (n - 1) * (late + 1) * scenario.tau)
     words = f"theorem E1: law (1) meets in finite time on bearings that are {late} steps late"
     return Bounds(words, meets=True, time=time, lyapunov=most)

@@ -66,7 +66,7 @@ def equal_gains(scenario: Scenario, asked: Asked) -> Array | None:
     else:
         even = known.degrees_stay_equal(scenario) and not scenario.scales_velocity
         gains = known.min_degrees(scenario)
-    return gains if even and scenario.speed_limit >= gains.max(initial=0.0) else None
+    return gains if even and scenario.min_speed_limit >= gains.max(initial=0.0) else None
 
 
 def gains_are_equal(scenario: Scenario, asked: Asked) -> str:
@@ -119,7 +119,7 @@ def tolerated_error(
 def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Theorem N1; no time bound for a long step or limited speed."""
     n, left, chord = scenario.n_robots, known.robots_left(scenario), error_chord(asked.error)
-    as_it_is = scenario.speed_limit >= scenario.max_degree and not known.long_step(scenario)
+    as_it_is = scenario.min_speed_limit >= scenario.max_degree and not known.long_step(scenario)
     most = known.lyapunov_bound(scenario)
     most += (n - 1) * scenario.tau * n * (chord * scenario.max_degree) ** 2
     feigned = left * (chord * known.max_degrees(scenario)) ** 2
@@ -171,7 +171,7 @@ def heading_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 def noisy_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Bound on the mean time, infinite for a step too long for the noise or limited speed."""
     n, degree, graph = scenario.n_robots, scenario.max_degree, scenario.sensing_graph
-    if scenario.scales_velocity or scenario.speed_limit < degree:
+    if scenario.scales_velocity or scenario.min_speed_limit < degree:
         return Bounds()
     theta = 2.0 * degree * scenario.tau / scenario.merge_radius
     noise, weights = scenario.sensing.noise, graph.links(n)[2] * graph.weight_range[1]
