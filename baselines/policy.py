@@ -310,7 +310,7 @@ is_double_integrator = of_model("double_integrator")
 
 
 def within_limits(actions: NDArray[np.float64], scenario: Scenario) -> Float32:
-    """Limit actions (..., n, a), or (..., a), to the scenario's bounds; m/s, m/s², or m/s and rad/s.
+    """Limit actions (..., n, a), or (..., a), to the scenario's bounds.
 
     Velocities and accelerations are scaled to their limit with their direction kept; speeds and
     turn rates of the other models are clipped one by one.

@@ -217,6 +217,8 @@ class Episodes:
             world = world_of(tables, dim=scenario.dim) if obstacles.size else None
         if world is not None:
             state.give(which, **world._asdict())
+        if state.traffic.size:
+            state.give(which, traffic=np.zeros(state.traffic.shape[1:]))
         return rules._replace(
             draw_positions=positions is None,
             draw_memory=angles is None,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..obstacles import parsing
+from ..obstacles.moving.moving import moves
 from ..scenario.scenario import Scenario
 from ..sensors.effects import draws_noise
 from .memory import N_FIELDS, LaneBlock, ScalarBlock
@@ -44,6 +45,7 @@ class MemoryLayout:
         self.rows = self.neighbours + layout.rows - layout.neighbour_slots
         self.packed = self.sparse or layout.neighbour_slots != n - 1
         self.only_balls = parsing.only_balls(scenario.obstacles)
+        self.moving = moves(scenario.obstacles)
         self.n_obstacles, self.points = layout.obstacle_slots, layout.silhouette_points
         self.discs = self.n_obstacles if d == 2 else 0
         self.fields = d + d * d + scenario.model.memory_size(d)
@@ -105,6 +107,7 @@ class Scratch(NamedTuple):
     normals: Floats  # (2M, 3), of the obstacles in contact
     silhouette: Floats  # (S, d), of one obstacle
     chains: NDArray[np.int64]  # (M, 2), for ``reachability``
+    traffic: tuple[NDArray[Any], ...]  # for ``move_obstacles``; of no obstacles if none moves
 
 
 def scratch(place: MemoryLayout) -> Scratch:
@@ -126,7 +129,14 @@ def scratch(place: MemoryLayout) -> Scratch:
         aligned(2 * slots, 3),
         aligned(place.points, d),
         aligned(slots, 2, kind=np.int64),
+        _traffic_work(slots if place.moving else 0, n),
     )
+
+
+def _traffic_work(slots: int, n: int) -> tuple[NDArray[Any], ...]:
+    """Plans, normals, levels, halts, executed displacements and flags of ``move_obstacles``."""
+    floats = aligned(slots, 4), aligned(2 * slots, 3), aligned(2 * slots)
+    return (*floats, np.zeros((2, slots), np.bool_), aligned(n, 3), np.zeros((2, n), np.bool_))
 
 
 _UNSEEN = 2**28  # bytes below which free memory is not queried, which takes longer than a step

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 from ..graphs.random_graphs import GraphRules, graph_rules
 from ..obstacles import obstacle_set
 from ..obstacles.fields import Field, Rules
+from ..obstacles.moving.moving import Moving, Traffic, max_speed, moves, traffic_of, walks
 from ..obstacles.obstacle_set import ObstacleSet
+from ..obstacles.shape import ABSENT, KIND
 from ..physics.random_streams import ignore_overflow
 from ..rewards.terms import CLEARANCE_PENALTY
 from ..robots.motion import init_memory
@@ -38,6 +40,7 @@ class Constants(NamedTuple):
     body_radii: NDArray[np.float64]  # Of robots that occlude others, (n,), m
     packs: bool  # Whether bodies stop where they would touch, instead of merging
     merges_through: bool  # Whether robots merge where an obstacle is between them
+    obstacle_reach: float  # Largest displacement of an obstacle in a step, m
 
 
 class Sensor(NamedTuple):
@@ -116,6 +119,7 @@ def constants(scenario: Scenario, robot: Robot, max_steps: int) -> Constants:
         body_radii=np.ascontiguousarray(radii),
         packs=scenario.meeting == "pack",
         merges_through=scenario.merges_through,
+        obstacle_reach=max_speed(scenario.obstacles) * float(scenario.tau),
     )
 
 
@@ -186,6 +190,8 @@ def has_fixed_start(scenario: Scenario) -> bool:
     Frames may be sampled: they rotate observations and actions alike.
     """
     rules, model = start_rules(scenario), scenario.model
+    if walks(scenario.obstacles):
+        return False
     if scenario.start_positions is None or _draws_links(scenario) or rules.draw_obstacles:
         return False
     given = 0 if scenario.start_headings is None else model.n_angles
@@ -212,4 +218,23 @@ def fixed_obstacles(scenario: Scenario) -> ObstacleSet | None:
     if isinstance(scenario.obstacles, Field) or slots == 0:
         return None
     table = obstacle_set.pack(scenario.obstacles, slots)
-    return obstacle_set.world_of(table[None], dim=scenario.dim)
+    world = obstacle_set.world_of(table[None], dim=scenario.dim)
+    return world._replace(skins=_skins_of_still(scenario, table)[None])
+
+
+def traffic(scenario: Scenario) -> Traffic | None:
+    """Motion of a scenario's obstacles; None if all are still."""
+    if not moves(scenario.obstacles):
+        return None
+    table = obstacle_set.pack(scenario.obstacles, scenario.observation_layout.obstacle_slots)
+    pushes = scenario.obstacle_push == "push"
+    return traffic_of(scenario.obstacles, table, _skins_of_still(scenario, table), pushes)
+
+
+def _skins_of_still(scenario: Scenario, table: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Skins of the obstacles of a table (M, width), (M,), m, without those that move."""
+    still = table.copy()
+    for m, one in enumerate(scenario.obstacles):
+        if isinstance(one, Moving):
+            still[m, KIND] = ABSENT
+    return np.asarray(obstacle_set.world_of(still[None], dim=scenario.dim).skins[0])

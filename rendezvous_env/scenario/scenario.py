@@ -98,8 +98,8 @@ class Scenario:
     """Merge radius r, m: neighbours at most this far apart merge into one robot."""
     body_radius: Annotated[_Each, _limit("m")] | None = None
     """Radius of each robot's disc or sphere, m, at most r/2, or a list with one for each robot;
-    requires a complete graph. None is a point robot; with occlusion by robots in ``sensing``, points occlude as discs of radius
-    r/2."""
+    requires a complete graph. None is a point robot; with occlusion by robots in ``sensing``,
+    points occlude as discs of radius r/2."""
     meeting: Literal["merge", "pack"] = "merge"
     """Terminal condition. "merge": robots merge within r. "pack": bodies stop on contact and
     rendezvous is one cluster in which each robot is within r of two others. With "pack", robots
@@ -115,10 +115,11 @@ class Scenario:
     """Episode length, s, rounded up to whole steps."""
     max_speed: Annotated[_Each, _limit("m/s")] | None = None
     """Speed limit v_max, m/s, or a list with one for each robot; limiting preserves the
-    direction. None is D̄, which law (1) never exceeds. For sparse graphs of 48 or more single integrators, None is the ``step_degree``."""
+    direction. None is D̄, which law (1) never exceeds. For sparse graphs of 48 or more single
+    integrators, None is the ``step_degree``."""
     max_turn_rate: Annotated[_Each, _limit("rad/s")] | None = None
-    """Turn rate limit of ω and ω_β, rad/s, or a list with one for each robot; None is D̄. The limit of ω_α is up to ten times
-    larger, see nonholonomic_3d."""
+    """Turn rate limit of ω and ω_β, rad/s, or a list with one for each robot; None is D̄. The
+    limit of ω_α is up to ten times larger, see nonholonomic_3d."""
     max_acceleration: Annotated[_Each, _limit("m/s²")] | None = None
     """Acceleration limit a_max of double integrators, m/s², or a list with one for each robot;
     limiting preserves the direction. None, the default, is v_max per 0.25 s."""
@@ -135,6 +136,9 @@ class Scenario:
     obstacle_contact: Literal["slide", "stop", "ignore"] = "slide"
     """Contact model: slide along the obstacle, stop, or ignore it. Touching or overlapping
     obstacles act as their union; gaps below 1.8 µm are closed."""
+    obstacle_push: Literal["push", "stop"] = "push"
+    """Obstacles that move ("rv.Moving") push robots, or stop at them until they are free. Where a
+    robot is between an obstacle and a wall, the obstacle stops in either case."""
     merge_through_obstacles: bool = True
     """True if robots merge through an obstacle thinner than ``merge_radius``. With False they
     merge only if no obstacle is between them. Until then they may be closer than r and V can
@@ -407,6 +411,7 @@ class Scenario:
         plain["sensing"] = None if self.sensing.exact else self.sensing.to_plain()
         plain["costs"] = list(self.costs) or None
         plain |= {name: list(getattr(self, name)) for name in self.per_robot}
+        plain["obstacle_push"] = None if self.obstacle_push == "push" else self.obstacle_push
         plain["merge_through_obstacles"] = False if not self.merge_through_obstacles else None
         for key in ("neighbour_overflow", "obstacle_overflow"):  # younger than files of scenarios
             plain[key] = None if plain[key] == "error" else plain[key]

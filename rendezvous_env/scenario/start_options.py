@@ -22,6 +22,7 @@ from ..graphs.reading import as_dense
 from ..graphs.weights import weighted_links
 from ..limits import LARGEST, LARGEST_SEED
 from ..obstacles import parsing as obstacles
+from ..obstacles.moving.moving import moves
 from ..obstacles.obstacle_set import check_outside, pack
 
 _ROUNDING = 1e-9
@@ -178,6 +179,11 @@ def _obstacles(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
     parsed = obstacles.parse(value, scenario.dim)
     if scenario.meeting == "pack" and parsed != ():
         raise ValueError('obstacles: meeting="pack" is for teams without obstacles')
+    if moves(parsed) or moves(scenario.obstacles):
+        raise ValueError(
+            "obstacles: those given to a reset stand still, and replace none that move; put moving "
+            "ones into the scenario"
+        )
     if not isinstance(parsed, tuple):
         raise ValueError("obstacles: give them one by one; a field belongs into the scenario")
     slots = scenario.observation_layout.obstacle_slots

@@ -41,8 +41,8 @@ def apply_occlusion(
 ):
     """Apply occlusion to both ends of every link, in row order; of an arc to one end.
 
-    ``radii``, (n,), are those of occluding robots, m. Working memory: vectors (3, n, d), listed (2, E),
-    weights (E,), counts (n,).
+    ``radii``, (n,), are those of occluding robots, m. Working memory: vectors (3, n, d), listed
+    (2, E), weights (E,), counts (n,).
     """
     n, positions, outward = robots.shape[1], vectors[0], vectors[1]
     for block in range(first, last):

@@ -66,7 +66,7 @@ def stop_at_obstacles(
                     way = load_point(moves[block - first, i], 0, lane, lanes, d)
                     met, executed = move_straight(point, way, world, mode, normals)
                     move, environment = moves[block - first, i], environments[block]
-                    _execute(met, executed, i, lane, lanes, d, move, environment, contact[b])
+                    execute_motion(met, executed, i, lane, lanes, d, move, environment, contact[b])
 
 
 @kernel
@@ -107,7 +107,7 @@ def stop_curves_at_obstacles(
                         normals,
                     )
                     environment = environments[block]
-                    _execute(met, executed, i, lane, lanes, d, move, environment, contact[b])
+                    execute_motion(met, executed, i, lane, lanes, d, move, environment, contact[b])
 
 
 @inner_kernel
@@ -120,7 +120,7 @@ def _lanes_near(block, lanes, batch, environment):
 
 
 @inner_kernel
-def _execute(met, executed, i, lane, lanes, d, move, environment, contact):
+def execute_motion(met, executed, i, lane, lanes, d, move, environment, contact):
     """Write the displacement of robot i, a triple; after a contact its length, and the contact.
 
     The length is that of the chord, since the path along a surface is not stored.
@@ -242,10 +242,12 @@ def pack_robots(
 def reaches(rules, has_contacts):
     """Square distance of neighbours, m², and clearance, m, below which contact is possible.
 
-    In a step, distances decrease by at most 2 v_max τ, clearances by v_max τ. ``rules`` are the
+    In a step, distances decrease by at most 2 v_max τ, clearances by v_max τ and by the motion of
+    obstacles. ``rules`` are the
     ``Constants``.
     """
     reach = rules.speed_limit * rules.duration * _ROUNDING
     square = (rules.merge_radius * _ROUNDING + 2.0 * reach) ** 2
     # bodies touch whether or not they are neighbours
-    return math.inf if rules.packs else square, reach + _NEAREST if has_contacts else -math.inf
+    clearance = reach + rules.obstacle_reach + _NEAREST
+    return math.inf if rules.packs else square, clearance if has_contacts else -math.inf

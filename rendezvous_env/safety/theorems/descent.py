@@ -9,9 +9,9 @@ nothing in the way; neighbours merge at r, whatever is between them. A: law (1),
 
     T ≤ σ n V0⁺/(4 ε² a*²)      and      T ≤ σ V0⁺ max_m m/(4 ε² c_m²) + (n−1) τ,
 
-σ = max(1, 2D̄τ/r) max(1, D̄/v_max), v_max of the slowest robot; on a complete graph of equal weights a without obstacles,
-T ≤ σ V(0)/(2 (n−1) ε² a²). With obstacles, V is bounded in motion without a contact; so is V of
-nonholonomic robots under headings. Proof: docs/proofs.md, A to C.
+σ = max(1, 2D̄τ/r) max(1, D̄/v_max), v_max of the slowest robot; on a complete graph of equal
+weights a without obstacles, T ≤ σ V(0)/(2 (n−1) ε² a²). With obstacles, V is bounded in motion
+without a contact; so is V of nonholonomic robots under headings. Proof: docs/proofs.md, A to C.
 """
 
 import numpy as np
