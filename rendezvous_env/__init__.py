@@ -46,8 +46,8 @@ from .trajectory import Trajectory, rollout
 __version__ = "0.2.0"
 __all__ = [
     "FREE", "SLID", "STOPPED", "Capsule", "Certificate", "Disc", "EnergyTankWrapper",
-    "GainWrapper", "GuaranteeWrapper", "HeadingVectorWrapper", "LinkKeepingWrapper", "Motion", "Moving",
-    "ObservationLayout", "ObstacleField", "Polygon", "RewardStep", "RewardWeights",
+    "GainWrapper", "GuaranteeWrapper", "HeadingVectorWrapper", "LinkKeepingWrapper", "Motion",
+    "Moving", "ObservationLayout", "ObstacleField", "Polygon", "RewardStep", "RewardWeights",
     "RobotModel", "SafetyFilter", "Scenario", "Seen", "Sensing", "Simulator", "Sphere",
     "TimeStepWarning", "Trajectory", "WallField", "certificate", "certified_heading",
     "describe_motion", "graphs", "kernel", "make_vec", "parallel_env", "register_filter",

@@ -44,8 +44,8 @@ def _parse_entry(field: str, entry: Any, dim: int) -> Obstacle:
     if isinstance(entry, Field):
         raise ValueError(f"{field}: a random field stands alone, not in a list")
     if not isinstance(entry, Obstacle):
-        wanted = "a Disc, Polygon, Capsule, Sphere or Moving, such as rv.Disc((0.0, 0.0), 1.0), or a dict"
-        raise_invalid(field, entry, f"{wanted} of its fields")
+        wanted = "a Disc, Polygon, Capsule, Sphere or Moving, such as rv.Disc((0.0, 0.0), 1.0)"
+        raise_invalid(field, entry, f"{wanted}, or a dict of its fields")
     if entry.dim != dim:
         fitting = "Disc, Polygon or Capsule" if dim == 2 else "Sphere or Capsule"
         raise ValueError(f"{field}: {short_repr(entry)} is {entry.dim}-D; in {dim}-D use {fitting}")

@@ -94,27 +94,13 @@ def _move_robots(
     contact,
 ):
     """Displacements of the robots of one environment, and how far its obstacles come."""
-    plans, normals, _, halts, executed, flags = work
+    plans, normals, _, _, executed, flags = work
     d, n = len(robot.axes), robots.shape[0]
     for i in range(n):
         point = load_point(robots[i], 0, lane, lanes, d)
         reach = constants_of_robot(robot.model, robot.limits, i).speed_limit * lengths[0]
         flags[0, i] = merged_into[i] == i and meets_traffic(point, reach + lengths[1], world, plans)
-    settled = False
-    for _ in range(len(plans) + 2):
-        earliest = np.inf
-        for i in range(n):
-            if flags[0, i]:
-                moment = _try(robot, lanes, lane, i, settings, lengths, robots, move, world, work)
-                if moment < earliest:
-                    earliest = moment
-                    for m in range(halts.shape[1]):
-                        halts[1, m] = halts[0, m]
-        settled = earliest == np.inf
-        if settled or not _hold_up(plans, halts[1], earliest):
-            break
-    if not settled:
-        plans[:, SHARE] = 0.0
+    settled = _settle(robot, lanes, lane, settings, lengths, robots, move, world, work)
     for i in range(n):
         if merged_into[i] == i:
             point = load_point(robots[i], 0, lane, lanes, d)
@@ -127,6 +113,30 @@ def _move_robots(
             execute_motion(met, way, i, lane, lanes, d, move[i], environment, contact)
             if flags[0, i]:
                 store(add(point, 1.0, way), arrivals[i])
+
+
+@inner_kernel
+def _settle(robot, lanes, lane, settings, lengths, robots, move, world, work):
+    """Find out when robots hold up obstacles, the earliest first.
+
+    Returns False if that fails; no obstacle moves then.
+    """
+    plans, _, _, halts, _, flags = work
+    for _ in range(len(plans) + 2):
+        earliest = np.inf
+        for i in range(robots.shape[0]):
+            if flags[0, i]:
+                moment = _try(robot, lanes, lane, i, settings, lengths, robots, move, world, work)
+                if moment < earliest:
+                    earliest = moment
+                    for m in range(halts.shape[1]):
+                        halts[1, m] = halts[0, m]
+        if earliest == np.inf:
+            return True
+        if not _hold_up(plans, halts[1], earliest):
+            break
+    plans[:, SHARE] = 0.0
+    return False
 
 
 @inner_kernel

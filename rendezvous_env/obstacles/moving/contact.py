@@ -1,18 +1,19 @@
 """Contact of robots with obstacles that move: swept motion in relative coordinates.
 
-Within a step every obstacle moves straight at constant speed until a robot holds it up. In the frame
-of an obstacle the path of a robot is its own path minus the motion of the obstacle, and the first
-contact is that of a still obstacle: nothing passes through at any speed. From a contact on
+Within a step every obstacle moves straight at constant speed until a robot holds it up. In the
+frame of an obstacle the path of a robot is its own path minus the motion of the obstacle. The first
+contact is that of a still obstacle, so nothing passes through at any speed. From a contact on
 
-    ṗ = argmin ‖w − v‖   over   nᵀ(w − u) ≥ 0   for the normal n and velocity u of every obstacle touched
+    ṗ = argmin ‖w − v‖   over   nᵀ(w − u) ≥ 0
 
-so a robot slides along an obstacle in its frame, and is pushed where nᵀu > 0. Times are fractions of
-the step, velocities are displacements over a whole step, m.
+for the normals n and velocities u of all touched obstacles. A robot slides along an obstacle in its
+frame, and is pushed where nᵀu > 0. Times are fractions of the step, velocities are displacements
+over a whole step, m.
 
 An obstacle is held up where it stops at robots instead of pushing them, where no velocity satisfies
 the inequalities (a robot between an obstacle and a wall), or where the robot would have to move
-faster than ‖v‖ + max ‖u‖. All robots are moved again with each obstacle that is held up, in order of
-time, so the result does not depend on the order of robots.
+faster than ‖v‖ + max ‖u‖. All robots are moved again with each obstacle that is held up, in order
+of time, so the result does not depend on the order of robots.
 """
 
 import numpy as np
@@ -64,16 +65,13 @@ def meets_traffic(point, reach, world, plans):
 def move_among(point, path, way, duration, world, plans, settings, memory):
     """Move a robot among obstacles with plans (M, 4), of which none is inside at the start.
 
-    Args:
-        point: initial position, a triple, m.
-        path: displacement, or (model, action, frame, memory) of a curve; ``way`` is the
-            displacement at its end, ``duration`` 1, or the time step of a curve, s.
-        settings: contact mode, whether obstacles push, and dim.
-        memory: normals (2M, 3), levels (2M,), halts (M,) bool.
+    ``point`` is the initial position, a triple, m. ``path`` is a displacement, or (model, action,
+    frame, memory) of a curve; ``way`` is its displacement, ``duration`` 1, or the time step of a
+    curve, s. ``settings`` are the contact mode, whether obstacles push, and the dimension.
+    ``memory`` is normals (2M, 3), levels (2M,), halts (M,) bool.
 
-    Returns:
-        Whether there was a contact, the executed displacement, and the time at which obstacles
-        marked in ``halts`` are held up, or inf.
+    Returns whether there was a contact, the executed displacement, and the time at which obstacles
+    marked in ``halts`` are held up, or inf.
     """
     mode, _, _ = settings
     held, levels, halts = memory

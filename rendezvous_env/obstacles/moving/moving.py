@@ -178,6 +178,15 @@ def moves(obstacles: Any) -> bool:
     return isinstance(obstacles, tuple) and any(isinstance(one, Moving) for one in obstacles)
 
 
+def moving_slots(obstacles: Any) -> list[int]:
+    """Indices of the obstacles of a scenario that move."""
+    return (
+        [m for m, one in enumerate(obstacles) if isinstance(one, Moving)]
+        if moves(obstacles)
+        else []
+    )
+
+
 def walks(obstacles: Any) -> bool:
     """True if the motion of any obstacle is random."""
     return moves(obstacles) and any(getattr(one, "speed", None) is not None for one in obstacles)
