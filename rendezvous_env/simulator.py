@@ -27,6 +27,7 @@ from .engine.state_checks import (
 )
 from .limits import MAX_STEPS, MAX_TEAMS
 from .observation_fit import ObservationFit
+from .obstacles.moving.moving import max_speed
 from .outcome import ELAPSED, LYAPUNOV, StepOutput
 from .rewards.costs import costs_of, no_costs
 from .rewards.custom_terms import RewardStep, add_custom_terms
@@ -267,7 +268,10 @@ class Simulator(StateView):
         # each merge may move a robot by half a merge radius
         merged = (self.active != active).sum(axis=1, keepdims=True)
         rounding = 4.0 * np.spacing(np.abs(before).max())
-        most = 1.000001 * limits * scenario.tau + merged * scenario.merge_radius + rounding
+        pushed = max_speed(scenario.obstacles)
+        most = (
+            1.000001 * (limits + pushed) * scenario.tau + merged * scenario.merge_radius + rounding
+        )
         moved = np.linalg.norm(self.positions - before, axis=-1)
         wrong = np.argwhere(~(moved <= most))  # NaN is also invalid
         if len(wrong):

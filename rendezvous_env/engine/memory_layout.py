@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..obstacles import parsing
+from ..obstacles.moving.motion import STATE
 from ..obstacles.moving.moving import moves
 from ..scenario.scenario import Scenario
 from ..sensors.effects import draws_noise
@@ -72,6 +73,7 @@ class MemoryLayout:
         """Size of the arrays of robots, environments and discs, bytes."""
         n, lanes = self.scenario.n_robots, self.lanes
         numbers = n * self.fields + N_FIELDS + 3 * self.discs
+        numbers += (STATE * self.n_obstacles + 3 * n) if self.moving else 0
         return 8 * (self.blocks * lanes * numbers + self.batch * n)
 
 

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import bools, check_shape, floats, format_limit, short_repr
-from ..obstacles.obstacle_set import faults
+from ..obstacles.obstacle_set import faults, pack
 from ..obstacles.parsing import only_balls
+from ..obstacles.shape import ABSENT, CENTRE, KIND
 from ..outcome import StepOutput
 from ..scenario.scenario import Scenario
 from .memory import AWAITING_RESET, RENDEZVOUS
@@ -16,9 +17,11 @@ from .preparation import robot, speed_limits_of
 from .step import first_not_finite
 
 _ROUNDING = 1e-9
+PLACE = slice(CENTRE, CENTRE + 3)
+"""Columns of an obstacle's centre in a table."""
 _FINITE = (
     "positions", "memory", "weights", "path_length", "initial_lyapunov", "frames", "past", "held",
-    "detection", "errors",
+    "detection", "errors", "traffic",
 )  # fmt: skip
 _NOT_NEGATIVE = "weights", "steps", "contacts", "path_length", "initial_lyapunov", "detection"
 _MOST = {
@@ -32,6 +35,7 @@ _MOST = {
     "held": 1e13,
     "detection": 1.0,
     "errors": 6.5,
+    "traffic": 1e15,
 }
 """Absolute values up to which a step does not overflow."""
 _FLOAT32 = np.dtype(np.float32)
@@ -192,6 +196,19 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
     _check_neighbours(scenario, state)
     for fault, wanted in faults(state["obstacles"], scenario.dim, only_balls(scenario.obstacles)):
         refuse("obstacles", fault, wanted)
+    if "traffic" in state:
+        off = _off_place(scenario, state["obstacles"], state["traffic"][..., :3])
+        refuse("obstacles", off, "a row displaced by the first numbers of traffic")
+
+
+def _off_place(
+    scenario: Scenario, table: NDArray[np.float64], offsets: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """True for each obstacle of tables (B, M, width) that is not at its displacement, m."""
+    base = pack(scenario.obstacles, *table.shape[1:])[:, PLACE]
+    off, large = table[..., PLACE] - base - offsets, 1.0 + np.abs(base) + np.abs(offsets)
+    wrong = (np.abs(off) > _ROUNDING * large).any(axis=-1)
+    return np.asarray(wrong & (table[..., KIND] != ABSENT))
 
 
 def _check_lists(n: int, state: Mapping[str, NDArray[Any]]) -> None:

@@ -297,6 +297,14 @@ def test_state_with_moving_obstacles_is_restored_bitwise():
         np.testing.assert_array_equal(value, ends[1][1][name])
 
 
+def test_state_with_obstacles_elsewhere_is_refused():
+    sim = resting(crossing(), 10, 2)
+    state = sim.get_state()
+    state["obstacles"][1, 0, 3] += 0.5
+    with pytest.raises(ValueError, match=r"obstacles.*displaced by the first numbers of traffic"):
+        sim.set_state(state)
+
+
 def test_reset_returns_obstacles_to_their_places():
     scene = crossing()
     sim = rv.Simulator(scene, 2)
