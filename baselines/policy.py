@@ -272,7 +272,7 @@ def make(name: str | os.PathLike[str], scenario: ScenarioLike, **options: Any) -
         known = "is unknown"
         if isinstance(name, str) and name in _registry:
             slots = scenario.observation_layout.obstacle_slots
-            robots = f"{scenario.robot_model} robots in {scenario.dim}-D"
+            robots = f"{scenario.model.name} robots in {scenario.dim}-D"
             known = f"does not fit {robots} with {slots} obstacle slots"
         elif isinstance(name, str) and os.path.exists(name):
             known += f"; a path is written {AT_PATH}{name}"

@@ -122,18 +122,16 @@ def positive(field: str, value: Any, unit: str = "") -> float:
     return to_float(value)
 
 
-def one_or_each(
-    field: str, value: Any, check: Callable[[str, Any], float], unit: str = ""
-) -> float | tuple[float, ...]:
-    """One number for all robots, or a list with one for each, each by a check of one number.
+def one_or_each(field: str, value: Any, check: Callable[[str, Any], Any], unit: str = "") -> Any:
+    """One value for all robots, or a list with one for each, by a check of one value.
 
-    A list of equal numbers is returned as one number.
+    A list of equal values is returned as one value.
     """
     if not is_sequence(value):
         return check(field, value)
     if len(value) == 0:
-        raise_invalid(field, value, f"a number, or a list of one for each robot, {unit}")
-    each = tuple(check(f"{field}[{robot}]", number) for robot, number in enumerate(value))
+        raise_invalid(field, value, f"one value, or a list of one for each robot {unit}".rstrip())
+    each = tuple(check(f"{field}[{robot}]", entry) for robot, entry in enumerate(value))
     return each[0] if len(each) > 1 and len(set(each)) == 1 else each
 
 

@@ -84,7 +84,7 @@ def describe(scenario: Scenario) -> str:
     where = "in the plane" if scenario.dim == 2 else "in 3-D"
     parts = [f"{scenario.n_robots} robots {where}"]
     if scenario.robot_model != "single_integrator":
-        parts.append(scenario.robot_model.replace("_", " "))
+        parts.append(scenario.model.name.replace("_", " "))
     graph = scenario.sensing_graph
     low, high = graph.weight_range
     gains = "" if low == high else f" with gains of {low:g} to {high:g} m/s"

@@ -8,11 +8,19 @@ from numpy.typing import NDArray
 from ..graphs.random_graphs import GraphRules, graph_rules
 from ..obstacles import obstacle_set
 from ..obstacles.fields import Field, Rules
-from ..obstacles.moving.moving import Moving, Traffic, max_speed, moves, traffic_of, walks
+from ..obstacles.moving.moving import (
+    Traffic,
+    max_speed,
+    moves,
+    moving_slots,
+    traffic_of,
+    walks,
+)
 from ..obstacles.obstacle_set import ObstacleSet
 from ..obstacles.shape import ABSENT, KIND
 from ..physics.random_streams import ignore_overflow
 from ..rewards.terms import CLEARANCE_PENALTY
+from ..robots.mixed_team import MIXED, mixed_limits
 from ..robots.motion import init_memory
 from ..robots.robot_models import constants_of, limits_of
 from ..scenario.scenario import CONTACT_MODES, Scenario
@@ -67,7 +75,7 @@ def robot(scenario: Scenario) -> Robot:
         axes=tuple(range(d)),
         entries=tuple(range(d * d)),
         memories=tuple(range(scenario.model.memory_size(d))),
-        limits=limits_of(scenario),
+        limits=mixed_limits(scenario) if scenario.model is MIXED else limits_of(scenario),
     )
 
 
@@ -224,7 +232,7 @@ def fixed_obstacles(scenario: Scenario) -> ObstacleSet | None:
 
 def traffic(scenario: Scenario) -> Traffic | None:
     """Motion of a scenario's obstacles; None if all are still."""
-    if not moves(scenario.obstacles):
+    if not isinstance(scenario.obstacles, tuple) or not moves(scenario.obstacles):
         return None
     table = obstacle_set.pack(scenario.obstacles, scenario.observation_layout.obstacle_slots)
     pushes = scenario.obstacle_push == "push"
@@ -234,7 +242,5 @@ def traffic(scenario: Scenario) -> Traffic | None:
 def _skins_of_still(scenario: Scenario, table: NDArray[np.float64]) -> NDArray[np.float64]:
     """Skins of the obstacles of a table (M, width), (M,), m, without those that move."""
     still = table.copy()
-    for m, one in enumerate(scenario.obstacles):
-        if isinstance(one, Moving):
-            still[m, KIND] = ABSENT
+    still[moving_slots(scenario.obstacles), KIND] = ABSENT
     return np.asarray(obstacle_set.world_of(still[None], dim=scenario.dim).skins[0])

@@ -205,6 +205,7 @@ def _off_place(
     scenario: Scenario, table: NDArray[np.float64], offsets: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """True for each obstacle of tables (B, M, width) that is not at its displacement, m."""
+    assert isinstance(scenario.obstacles, tuple)  # a field does not move
     base = pack(scenario.obstacles, *table.shape[1:])[:, PLACE]
     off, large = table[..., PLACE] - base - offsets, 1.0 + np.abs(base) + np.abs(offsets)
     wrong = (np.abs(off) > _ROUNDING * large).any(axis=-1)

@@ -25,6 +25,7 @@ from ..obstacles import parsing as obstacles
 from ..obstacles.parsing import Obstacles
 from ..rewards.costs import as_costs
 from ..rewards.terms import RewardWeights
+from ..robots.mixed_team import MEMBERS, MIXED
 from ..robots.robot_models import ROBOT_MODELS, RobotModel, try_with
 from ..sensors.sensing import Sensing
 from . import scenario_files
@@ -33,8 +34,8 @@ from .start_options import check_apart, check_positions, check_table
 
 CONTACT_MODES = ("slide", "stop", "ignore")
 Table = tuple[tuple[float, ...], ...]
-PER_ROBOT = ("max_speed", "max_turn_rate", "max_acceleration", "body_radius")
-"""Fields with one number for all robots, or a list with one for each."""
+PER_ROBOT = ("robot_model", "max_speed", "max_turn_rate", "max_acceleration", "body_radius")
+"""Fields with one value for all robots, or a list with one for each."""
 
 
 def _limit(unit: str) -> Any:
@@ -83,9 +84,13 @@ class Scenario:
     """Number of robots n, at least 2."""
     dim: Annotated[int, _check_dim] = 2
     """Dimension d of the workspace, 2 or 3."""
-    robot_model: Annotated[str, partial(checks.choice, choices=ROBOT_MODELS)] = "single_integrator"
+    robot_model: Annotated[
+        str | tuple[str, ...],
+        partial(checks.one_or_each, check=partial(checks.choice, choices=ROBOT_MODELS)),
+    ] = "single_integrator"
     """Robot model: single_integrator or double_integrator (2-D or 3-D), unicycle (2-D),
-    nonholonomic_3d (3-D), or a registered name."""
+    nonholonomic_3d (3-D), or a registered name. A list with one name for each robot mixes
+    single_integrator and unicycle robots in 2-D."""
     graph: GraphLike = dataclasses.field(default_factory=graphs.complete)
     """Sensing graph: a Graph, a name, a list of edges (i, j) or (i, j, a_ij), or a networkx
     graph. Also a symmetric (n, n) matrix of weights a_ij in m/s, dense or sparse."""
@@ -195,7 +200,12 @@ class Scenario:
 
     @property
     def model(self) -> RobotModel:
-        """Robot model; ValueError if it is not registered, e.g. after unpickling."""
+        """Robot model; ValueError if it is not registered, e.g. after unpickling.
+
+        That of a team of several models is ``mixed_team.MIXED``.
+        """
+        if isinstance(self.robot_model, tuple):
+            return MIXED
         return cast(RobotModel, ROBOT_MODELS[self.robot_model])
 
     @cached_property
@@ -274,16 +284,27 @@ class Scenario:
 
     @property
     def per_robot(self) -> tuple[str, ...]:
-        """Names of the fields that are lists with one number for each robot."""
+        """Names of the fields that are lists with one value for each robot."""
         return tuple(name for name in PER_ROBOT if isinstance(getattr(self, name), tuple))
 
     def of_robot(self, robot: int) -> Scenario:
-        """Scenario in which all robots have the limits of one; initial conditions are sampled."""
-        own = {name: getattr(self, name)[robot] for name in self.per_robot}
+        """Scenario in which all robots have the model and limits of one robot.
+
+        Initial conditions are sampled.
+        """
+        own = tuple(getattr(self, name)[robot] for name in self.per_robot)
         if not own:
             return self
-        free = {"start_positions": None, "start_headings": None, "allow_long_step": True}
-        return self.replace(**own, **free)
+        if own not in self._variants:
+            free = {"start_positions": None, "start_headings": None, "allow_long_step": True}
+            fields = dict(zip(self.per_robot, own, strict=True))
+            self._variants[own] = self.replace(**fields, **free)
+        return self._variants[own]
+
+    @cached_property
+    def _variants(self) -> dict[tuple[Any, ...], Scenario]:
+        """Results of ``of_robot`` by the values of a robot."""
+        return {}
 
     @property
     def speed_limit(self) -> float:
@@ -425,9 +446,12 @@ class Scenario:
 
     def _check_lists(self) -> None:
         """Check that each list of limits has one number for each robot."""
+        if isinstance(self.robot_model, tuple) and not set(self.robot_model) <= set(MEMBERS):
+            wanted = f"one name, or a list of {' and '.join(map(repr, MEMBERS))}"
+            checks.raise_invalid("robot_model", list(self.robot_model), wanted)
         for name in self.per_robot:
             if len(given := getattr(self, name)) != self.n_robots:
-                remedy = f"{self.n_robots} numbers, one for each robot, or a single one for all"
+                remedy = f"{self.n_robots} entries, one for each robot, or a single one for all"
                 checks.raise_invalid(name, list(given), remedy)
 
     def _check_graph(self) -> None:

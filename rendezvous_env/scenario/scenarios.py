@@ -207,6 +207,13 @@ _FIELDS: dict[str, Fields] = {
         "graph": {"kind": "erdos_renyi", "probability": 0.3, "weight_range": [0.5, 1.5]},
     },
     "unicycle-6": {"n_robots": 6, "robot_model": "unicycle"},
+    "mixed-8": {
+        "n_robots": 8,
+        "robot_model": ["single_integrator"] * 4 + ["unicycle"] * 4,
+        "max_speed": [1.0] * 4 + [0.5] * 4,
+        "max_turn_rate": 3.0,
+        "time_limit": 60.0,
+    },
     "uav-6": {"n_robots": 6, "dim": 3, "robot_model": "nonholonomic_3d"},
     "cloud-8": {"n_robots": 8, "dim": 3},
     **{f"clutter-{discs}": _clutter(discs) for discs in (4, 8, 12, 16, 24)},

@@ -94,8 +94,8 @@ def test_limits_survive_files(tmp_path):
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"max_speed": [1.0, 2.0]}, r"max_speed is \[1.0, 2.0\]; it must be 3 numbers, one for"),
-        ({"max_speed": []}, r"max_speed is \[\]; it must be a number, or a list of one for each"),
+        ({"max_speed": [1.0, 2.0]}, r"max_speed is \[1.0, 2.0\]; it must be 3 entries, one for"),
+        ({"max_speed": []}, r"max_speed is \[\]; it must be one value, or a list of one for each"),
         ({"max_speed": [1.0, -1.0, 1.0]}, r"max_speed\[1\] is -1.0; it must be a positive"),
         ({"max_turn_rate": [1.0, "x", 1.0]}, r"max_turn_rate\[1\] is 'x'"),
         ({"body_radius": [0.1, 0.2, 0.1]}, "body_radius is .* at most half the merge_radius"),
@@ -180,3 +180,115 @@ def test_filters_command_velocities_that_the_slowest_robot_executes(by):
         if by == "heading":
             assert (now <= lyapunov * (1 + 1e-9)).all()
         lyapunov = now
+
+
+def mixed(**fields) -> rv.Scenario:
+    names = ["single_integrator", "unicycle", "unicycle", "single_integrator"]
+    given = {"obstacles": CLUTTER[2], "start_positions": START[:, :2], **LIMITS}
+    return rv.Scenario(n_robots=4, robot_model=names, **{**given, **fields})
+
+
+@pytest.mark.kernels
+def test_mixed_team_moves_each_robot_by_its_own_model():
+    scene = mixed(obstacles=())
+    sim = rv.Simulator(scene, 3)
+    sim.reset(3)
+    random, tau = np.random.default_rng(0), scene.tau
+    for _ in range(40):
+        actions = np.float32(random.uniform(-3.0, 3.0, (3, 4, 2)))
+        before, angles, frames = sim.positions, sim.headings[..., 0], sim.frames
+        sim.step(actions)
+        moved, turned = sim.positions - before, sim.headings[..., 0] - angles
+        for i, name in enumerate(scene.robot_model):
+            limit, turn = LIMITS["max_speed"][i], LIMITS["max_turn_rate"][i]
+            action = actions[:, i].astype(np.float64)
+            if name == "unicycle":
+                speed, rate = (
+                    np.clip(action[:, 0], -limit, limit),
+                    np.clip(action[:, 1], -turn, turn),
+                )
+                np.testing.assert_allclose(turned[:, i], rate * tau, atol=1e-12)
+                middle = angles[:, i] + 0.5 * rate * tau
+                chord = speed * tau * np.sinc(0.5 * rate * tau / np.pi)
+                way = chord[:, None] * np.stack([np.cos(middle), np.sin(middle)], axis=-1)
+            else:
+                size = np.linalg.norm(action, axis=-1, keepdims=True)
+                velocity = action * np.minimum(1.0, limit / size)
+                way = tau * np.einsum("bij,bj->bi", frames[:, i], velocity)
+                assert not turned[:, i].any()
+            np.testing.assert_allclose(moved[:, i], way, atol=1e-12)
+
+
+def test_mixed_team_batch_equals_singles():
+    for one, other in zip(played(mixed(), 1), played(mixed(), 7), strict=True):
+        for name in ("positions", "memory", "merged_into"):
+            np.testing.assert_array_equal(one[name], other[name])
+
+
+def test_unicycles_of_a_mixed_team_move_as_in_a_team_of_unicycles():
+    alone = mixed().replace(robot_model="unicycle")
+    for one, other in zip(played(mixed(), 1), played(alone, 1), strict=True):
+        if (one["merged_into"] == np.arange(4)).all() and (
+            other["merged_into"] == np.arange(4)
+        ).all():
+            for name in ("positions", "memory"):
+                np.testing.assert_array_equal(one[name][:, 1:3], other[name][:, 1:3])
+
+
+def test_mixed_team_with_global_frames_has_them():
+    sim = rv.Simulator(mixed(local_frames="global"))
+    sim.reset(0)
+    np.testing.assert_array_equal(sim.frames[0, [0, 3]], [np.eye(2)] * 2)
+    assert (sim.frames[0, 1] != np.eye(2)).any()
+
+
+def test_mixed_team_meets_under_the_laws_of_its_robots():
+    met = rv.rollout("mixed-8", baselines.make("by-model", "mixed-8"), num_envs=20)
+    assert met.success.all()
+
+
+def test_mixed_team_in_interfaces_and_files(tmp_path):
+    scene = mixed(obstacles=())
+    scene.to_toml(tmp_path / "mixed.toml")
+    assert rv.Scenario.from_toml(tmp_path / "mixed.toml").replace(name="custom") == scene
+    env = rv.parallel_env(scene)
+    for i, name in enumerate(env.possible_agents):
+        own = scene.of_robot(i).model.bounds(scene.of_robot(i))
+        np.testing.assert_array_equal(env.action_space(name).high, np.float32(own))
+    env.reset(seed=0)
+    teams = rv.make_vec(scene, num_envs=2)
+    teams.reset(seed=0)
+    random = np.random.default_rng(0)
+    for _ in range(10):
+        one = np.float32(random.uniform(-1, 1, (4, 2)))
+        rows = env.step({name: one[env.index(name)] for name in env.agents})[0]
+        vector = teams.step(np.stack([one, one]))[0]
+    for name, row in rows.items():
+        np.testing.assert_array_equal(row, vector[0, env.index(name)])
+
+
+@pytest.mark.parametrize("by", ["law", "heading", "tank", "gains", "links"])
+def test_certificate_and_filters_refuse_mixed_teams(by):
+    margin = {"min_alignment": 0.2} if by in ("heading", "tank") else {}
+    found = rv.certificate("mixed-8", by=by, **margin)
+    assert not found.guaranteed and "no theorem covers mixed robots" in found.theorem
+    with pytest.raises(ValueError, match="scenario has mixed robots"):
+        rv.vector.HeadingVectorWrapper(rv.make_vec("mixed-8", num_envs=2))
+
+
+@pytest.mark.parametrize(
+    ("models", "dim", "message"),
+    [
+        (
+            ["unicycle", "double_integrator"],
+            2,
+            "robot_model is .*a list of 'single_integrator' and",
+        ),
+        (["unicycle", "single_integrator"], 3, "robot_model is .*where dim is 3"),
+        (["unicycle", "single_integrator", "unicycle"], 2, "2 entries, one for each robot"),
+        (["unicycle", "bicycle"], 2, r"robot_model\[1\] is 'bicycle'"),
+    ],
+)
+def test_mixed_team_refuses_wrong_models(models, dim, message):
+    with pytest.raises(ValueError, match=message):
+        rv.Scenario(n_robots=2, dim=dim, robot_model=models)

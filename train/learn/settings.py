@@ -329,7 +329,7 @@ def _check_scenarios(config: Config) -> None:
     base = config.base_scenario()
     if not can_steer(base):
         raise UserError(
-            f"--scenario {config.scenario}: has {base.robot_model} robots; train supports "
+            f"--scenario {config.scenario}: has {base.model.name} robots; train supports "
             "single_integrator, unicycle and nonholonomic_3d. For a custom learner use "
             "rendezvous_env.training_env(scenario, guarantee=None)"
         )

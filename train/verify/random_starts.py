@@ -161,13 +161,14 @@ def _moving(random: Random, shape: Any, r: float) -> Any:
     course *= speed / np.linalg.norm(course)
     kind = int(random.integers(3))
     if kind == 0:
-        return rv.Moving(shape, velocity=course.tolist())
+        return rv.Moving(shape, velocity=tuple(course.tolist()))
     if kind == 1:
-        rows = [[0.0, *course * 0.0], [seconds, *course * seconds], [2.0 * seconds, *course * 0.0]]
+        there, back = (course * seconds).tolist(), [0.0] * shape.dim
+        rows = ((0.0, *back), (seconds, *there), (2.0 * seconds, *back))
         return rv.Moving(shape, waypoints=rows)
     centre = np.array(shape.packed()[CENTRE : CENTRE + shape.dim])
     reach = speed * seconds
-    box = (centre - reach).tolist(), (centre + reach).tolist()
+    box = tuple((centre - reach).tolist()), tuple((centre + reach).tolist())
     return rv.Moving(shape, speed=speed, box=box, interval=seconds)
 
 
