@@ -22,7 +22,7 @@ from .envs.wrappers import (
 from .obstacles.capsule import Capsule
 from .obstacles.disc import Disc, Sphere
 from .obstacles.fields import ObstacleField
-from .obstacles.moving.moving import Moving
+from .obstacles.moving import Moving
 from .obstacles.polygon import Polygon
 from .obstacles.walls import WallField
 from .rendezvous_v0 import parallel_env

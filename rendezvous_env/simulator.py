@@ -27,7 +27,7 @@ from .engine.state_checks import (
 )
 from .limits import MAX_STEPS, MAX_TEAMS
 from .observation_fit import ObservationFit
-from .obstacles.moving.moving import max_speed
+from .obstacles.moving import max_speed
 from .outcome import ELAPSED, LYAPUNOV, StepOutput
 from .rewards.costs import costs_of, no_costs
 from .rewards.custom_terms import RewardStep, add_custom_terms

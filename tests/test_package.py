@@ -34,6 +34,7 @@ ROOMS = (
     {"physics"},
     {"robots", "rewards"},
     {"obstacles"},
+    {"traffic"},
     {"sensors"},
     {"graphs"},
     {"scenario"},

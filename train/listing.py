@@ -12,7 +12,7 @@ from tyro.conf import Positional
 from rendezvous_env import baselines
 from rendezvous_env.engine.preparation import has_fixed_start
 from rendezvous_env.obstacles.fields import ObstacleField
-from rendezvous_env.obstacles.moving.moving import moving_slots
+from rendezvous_env.obstacles.moving import moving_slots
 from rendezvous_env.obstacles.walls import WallField
 from rendezvous_env.scenario import scenarios
 from rendezvous_env.scenario.scenario import Scenario

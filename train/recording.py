@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
-from rendezvous_env.obstacles.moving.moving import moves
+from rendezvous_env.obstacles.moving import moves
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Step

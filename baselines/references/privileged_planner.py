@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rendezvous_env.obstacles.moving.moving import moves
+from rendezvous_env.obstacles.moving import moves
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
 

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..obstacles import parsing
-from ..obstacles.moving.motion import STATE
-from ..obstacles.moving.moving import moves
+from ..obstacles.moving import moves
 from ..scenario.scenario import Scenario
 from ..sensors.effects import draws_noise
+from ..traffic.motion import STATE
 from .memory import N_FIELDS, LaneBlock, ScalarBlock
 
 _LINE = 64  # size of a cache line, bytes

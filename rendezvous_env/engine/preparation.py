@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..graphs.random_graphs import GraphRules, graph_rules
 from ..obstacles import obstacle_set
 from ..obstacles.fields import Field, Rules
-from ..obstacles.moving.moving import (
+from ..obstacles.moving import (
     Traffic,
     max_speed,
     moves,

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from ..graphs.edges import DENSE
 from ..obstacles import obstacle_set, parsing
 from ..obstacles.disc import BALL
-from ..obstacles.moving.motion import STATE
 from ..obstacles.shape import BOUND, MIDDLE
+from ..traffic.motion import STATE
 from .edge_tables import changes_of, empty_links, matrices, state_arrays
 from .memory import (
     EPISODE_FIELDS,
@@ -69,7 +69,7 @@ class State:
         self.errors = aligned(*shape, erring, self.lanes, kind=np.float32)
         moving = place.moving
         self.traffic = np.zeros((place.batch, place.n_obstacles if moving else 0, STATE))
-        """State of moving obstacles, see ``obstacles.moving.motion``; empty without them."""
+        """State of moving obstacles, see ``traffic.motion``; empty without them."""
         self.arrivals = np.full((place.batch, n if moving else 0, 3), np.nan)
         """Positions after a step of robots beside moving obstacles, m; of the current step."""
         self.held = np.zeros((place.batch, n if held else 0, held, rows.dim), np.float32)

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from ..compilation import entry_point, kernel
 from ..graphs.edges import DENSE
 from ..obstacles.contact import IGNORE
-from ..obstacles.moving.moving import Traffic
+from ..obstacles.moving import Traffic
 from ..outcome import StepOutput
 from ..physics.random_streams import ignore_overflow
 from ..robots.motion import frame_turns

@@ -29,7 +29,7 @@ from ..physics.vectors import X_AXIS, add, combine, load, norm, store, subtract
 from . import shape
 from .capsule import CAPSULES, Capsule
 from .disc import BALLS, Disc, Sphere
-from .moving.moving import Moving
+from .moving import Moving
 from .polygon import POLYGONS, Polygon
 from .shape import (
     ABSENT,

@@ -8,7 +8,7 @@ from ..checks import choice, known_fields, raise_invalid, short_repr
 from . import obstacle_set
 from .disc import Disc, Sphere
 from .fields import Field, ObstacleField
-from .moving.moving import Moving
+from .moving import Moving
 from .obstacle_set import Obstacle
 from .shape import DETAILS
 from .walls import WallField
@@ -52,12 +52,6 @@ def _parse_entry(field: str, entry: Any, dim: int) -> Obstacle:
     return entry
 
 
-def still_from_plain(plain: Mapping[str, Any]) -> Any:
-    """Shape of a moving obstacle from its plain data."""
-    centre = plain.get("centre", ())
-    return _from_plain(plain, 3 if len(centre) == 3 else 2)
-
-
 def _from_plain(plain: Mapping[str, Any], dim: int) -> Obstacle | Field:
     values = dict(plain)
     kind = values.pop("kind", None)
@@ -68,6 +62,8 @@ def _from_plain(plain: Mapping[str, Any], dim: int) -> Obstacle | Field:
     known_fields(values, (*keys, "kind"), f"obstacles: a {kind}", "key")
     if missing := [key for key, needed in keys.items() if needed and key not in values]:
         raise ValueError(f"obstacles: a {kind} needs {missing[0]}")
+    if kind == "moving" and isinstance(values["shape"], Mapping):
+        values["shape"] = _from_plain(values["shape"], dim)
     return _KINDS[kind](**values)
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pygame
 
-from ..obstacles.moving.moving import moving_slots
+from ..obstacles.moving import moving_slots
 from ..obstacles.obstacle_set import outlines
 from ..scenario.scenario import Scenario
 from . import ink

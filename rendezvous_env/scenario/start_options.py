@@ -22,7 +22,7 @@ from ..graphs.reading import as_dense
 from ..graphs.weights import weighted_links
 from ..limits import LARGEST, LARGEST_SEED
 from ..obstacles import parsing as obstacles
-from ..obstacles.moving.moving import moves
+from ..obstacles.moving import moves
 from ..obstacles.obstacle_set import check_outside, pack
 
 _ROUNDING = 1e-9

@@ -4,12 +4,12 @@ import numpy as np
 
 from ...compilation import inner_kernel, kernel
 from ...obstacles.contact import IGNORE
-from ...obstacles.moving.contact import meets_traffic, move_among, move_past_still
-from ...obstacles.moving.motion import SHARE, execute_plan, plan_motion
 from ...obstacles.shape import MIDDLE
 from ...physics.random_streams import TRAFFIC, stream_key
 from ...physics.vectors import add, load, store
 from ...robots.motion import constants_of_robot
+from ...traffic.contact import meets_traffic, move_among, move_past_still
+from ...traffic.motion import SHARE, execute_plan, plan_motion
 from ..memory import (
     FREE,
     MERGED,
@@ -51,7 +51,7 @@ def move_obstacles(
     """Move the obstacles of running environments, and replace displacements of robots.
 
     ``lengths`` are the time step, s, and the merge radius, m. ``states`` are (B, M, STATE), see
-    ``obstacles.moving.motion``. ``arrivals``, (B, n, 3), receives the final positions of robots
+    ``traffic.motion``. ``arrivals``, (B, n, 3), receives the final positions of robots
     that an obstacle might reach, else NaN. Working memory ``work``: plans (M, 4), normals (2M, 3),
     levels (2M,), halts (2, M) bool, executed (n, 3), met (2, n) bool.
     """

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...graphs.random_graphs import CustomFamily
 from ...limits import LARGEST
-from ...obstacles.moving.moving import moves
+from ...obstacles.moving import moves
 from ...robots.motion import frame_turns
 from ...robots.robot_models import constants_of, is_custom
 from ...scenario.scenario import Scenario

@@ -18,12 +18,12 @@ of time, so the result does not depend on the order of robots.
 
 import numpy as np
 
-from ...compilation import kernel
-from ...physics.vectors import ORIGIN, add, cross, dot, load, norm, scaled, store, subtract
-from ...robots.motion import chord_error_bound
-from ..contact import SLIDE, move_curved, move_straight, place_on
-from ..obstacle_set import distance_to, entry, normals, surface, within
-from ..shape import ABSENT, CONTACT_DEPTH
+from ..compilation import kernel
+from ..obstacles.contact import SLIDE, move_curved, move_straight, place_on
+from ..obstacles.obstacle_set import distance_to, entry, normals, surface, within
+from ..obstacles.shape import ABSENT, CONTACT_DEPTH
+from ..physics.vectors import ORIGIN, add, cross, dot, load, norm, scaled, store, subtract
+from ..robots.motion import chord_error_bound
 from .motion import SHARE
 
 _TOUCHING = -1e-13  # m; rounding error of the distance of a resting robot
@@ -63,7 +63,7 @@ def meets_traffic(point, reach, world, plans):
 
 @kernel
 def move_among(point, path, way, duration, world, plans, settings, memory):
-    """Move a robot among obstacles with plans (M, 4), of which none is inside at the start.
+    """Move a robot among obstacles with plans (M, 4); it starts outside of all.
 
     ``point`` is the initial position, a triple, m. ``path`` is a displacement, or (model, action,
     frame, memory) of a curve; ``way`` is its displacement, ``duration`` 1, or the time step of a

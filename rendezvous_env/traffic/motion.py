@@ -9,11 +9,11 @@ import math
 
 import numpy as np
 
-from ...compilation import kernel
-from ...physics.random_streams import mix, uniform
-from ..polygon import POLYGON
-from ..shape import MIDDLE, OWN
-from .moving import STEADY, STILL, WALK, WAYPOINTS
+from ..compilation import kernel
+from ..obstacles.moving import STEADY, STILL, WALK, WAYPOINTS
+from ..obstacles.polygon import POLYGON
+from ..obstacles.shape import MIDDLE, OWN
+from ..physics.random_streams import mix, uniform
 
 CLOCK, COURSE, DRAWN, STATE = 3, 4, 7, 8
 """Columns of a state, and its size."""

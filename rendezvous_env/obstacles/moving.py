@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from typing import Annotated, Any, NamedTuple
@@ -12,13 +11,13 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...checks import flag, is_sequence, number, positive, raise_invalid
-from ...field_docs import lists_fields
-from .. import shape
-from ..capsule import Capsule
-from ..disc import Disc, Sphere
-from ..polygon import Polygon
-from ..shape import AHEAD, MIDDLE
+from ..checks import flag, is_sequence, number, positive, raise_invalid
+from ..field_docs import lists_fields
+from . import shape
+from .capsule import Capsule
+from .disc import Disc, Sphere
+from .polygon import Polygon
+from .shape import AHEAD, MIDDLE
 
 Still = Disc | Sphere | Polygon | Capsule
 """Shapes that a moving obstacle can have."""
@@ -29,10 +28,6 @@ _MODES = "velocity, waypoints or speed"
 
 
 def _check_shape(field: str, value: Any) -> Still:
-    if isinstance(value, Mapping):
-        from ..parsing import still_from_plain
-
-        value = still_from_plain(value)
     if not isinstance(value, Still):
         raise_invalid(field, value, "a Disc, Polygon, Capsule or Sphere")
     return value

@@ -1,1 +1,0 @@
-"""Obstacles that move: description, motion over a step, and contact in relative motion."""
