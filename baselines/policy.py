@@ -272,7 +272,7 @@ def make(name: str | os.PathLike[str], scenario: ScenarioLike, **options: Any) -
         known = "is unknown"
         if isinstance(name, str) and name in _registry:
             slots = scenario.observation_layout.obstacle_slots
-            robots = f"{scenario.robot_model} robots in {scenario.dim}-D"
+            robots = f"{scenario.model.name} robots in {scenario.dim}-D"
             known = f"does not fit {robots} with {slots} obstacle slots"
         elif isinstance(name, str) and os.path.exists(name):
             known += f"; a path is written {AT_PATH}{name}"
@@ -310,14 +310,15 @@ is_double_integrator = of_model("double_integrator")
 
 
 def within_limits(actions: NDArray[np.float64], scenario: Scenario) -> Float32:
-    """Limit actions (..., a) to the scenario's bounds; m/s, m/s², or m/s and rad/s.
+    """Limit actions (..., n, a), or (..., a), to the scenario's bounds.
 
     Velocities and accelerations are scaled to their limit with their direction kept; speeds and
     turn rates of the other models are clipped one by one.
     """
-    bounds = scenario.action_bounds
+    for_each = scenario.per_robot and actions.shape[-2:-1] == (scenario.n_robots,)
+    bounds = scenario.robot_bounds if for_each else scenario.action_bounds
     if is_single_integrator(scenario) or is_double_integrator(scenario):
         sizes = np.linalg.norm(actions, axis=-1, keepdims=True)
-        actions = actions * (np.minimum(sizes, bounds[0]) / np.where(sizes > 0, sizes, 1.0))
+        actions = actions * (np.minimum(sizes, bounds[..., :1]) / np.where(sizes > 0, sizes, 1.0))
     limited: Float32 = np.clip(actions, -bounds, bounds).astype(np.float32)
     return limited

@@ -45,7 +45,7 @@ def check_steerable(scenario: Scenario, what_steers: str = "learned policies ste
     """Raise a ValueError for a robot model that ``Steering`` does not support."""
     if not can_steer(scenario):
         raise ValueError(
-            f"scenario {scenario.name!r} has {scenario.robot_model} robots; {what_steers} "
+            f"scenario {scenario.name!r} has {scenario.model.name} robots; {what_steers} "
             "single_integrator, unicycle and nonholonomic_3d"
         )
 

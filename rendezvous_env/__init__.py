@@ -22,6 +22,7 @@ from .envs.wrappers import (
 from .obstacles.capsule import Capsule
 from .obstacles.disc import Disc, Sphere
 from .obstacles.fields import ObstacleField
+from .obstacles.moving import Moving
 from .obstacles.polygon import Polygon
 from .obstacles.walls import WallField
 from .rendezvous_v0 import parallel_env
@@ -46,7 +47,7 @@ __version__ = "0.2.0"
 __all__ = [
     "FREE", "SLID", "STOPPED", "Capsule", "Certificate", "Disc", "EnergyTankWrapper",
     "GainWrapper", "GuaranteeWrapper", "HeadingVectorWrapper", "LinkKeepingWrapper", "Motion",
-    "ObservationLayout", "ObstacleField", "Polygon", "RewardStep", "RewardWeights",
+    "Moving", "ObservationLayout", "ObstacleField", "Polygon", "RewardStep", "RewardWeights",
     "RobotModel", "SafetyFilter", "Scenario", "Seen", "Sensing", "Simulator", "Sphere",
     "TimeStepWarning", "Trajectory", "WallField", "certificate", "certified_heading",
     "describe_motion", "graphs", "kernel", "make_vec", "parallel_env", "register_filter",

@@ -132,6 +132,19 @@ def edge_lengths(field: str, value: Any) -> float | tuple[float, ...]:
     return edges[0] if len(set(edges)) == 1 else edges
 
 
+def one_or_each(field: str, value: Any, check: Callable[[str, Any], Any], unit: str = "") -> Any:
+    """One value for all robots, or a list with one for each, by a check of one value.
+
+    A list of equal values is returned as one value.
+    """
+    if not is_sequence(value):
+        return check(field, value)
+    if len(value) == 0:
+        raise_invalid(field, value, f"one value, or a list of one for each robot {unit}".rstrip())
+    each = tuple(check(f"{field}[{robot}]", entry) for robot, entry in enumerate(value))
+    return each[0] if len(each) > 1 and len(set(each)) == 1 else each
+
+
 def check_int(field: str, value: Any, least: int, most: int) -> int:
     """Integer within bounds."""
     if not is_int(value) or not least <= value <= most:

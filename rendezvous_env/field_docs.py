@@ -146,6 +146,10 @@ def _choice(choices: Iterable[str]) -> str:
     )
 
 
+def _one_or_each(check: Callable[..., Any], unit: str = "") -> str:
+    return f"{_words_of(check)}, or a list of one for each robot"
+
+
 def _number_range(least: float = SMALLEST, unit: str = "") -> str:
     return f"a number, or a pair (low, high), {least:.6g} or more {unit}".rstrip()
 
@@ -158,5 +162,6 @@ _DESCRIBED: dict[str, Callable[..., str]] = {
     "flag": lambda: "True or False",
     "number_range": _number_range,
     "edge_lengths": lambda: f"{_positive('m')}, or one for each dimension",
+    "one_or_each": _one_or_each,
 }
 """Descriptions of the checks in ``checks``, by name."""

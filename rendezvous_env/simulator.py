@@ -16,6 +16,7 @@ from .engine.batch_runner import (
 from .engine.episodes import Episodes
 from .engine.memory import RENDEZVOUS, RUNNING
 from .engine.memory_layout import MemoryLayout, check_memory
+from .engine.preparation import speed_limits_of
 from .engine.state import State
 from .engine.state_checks import (
     check_actions,
@@ -26,6 +27,7 @@ from .engine.state_checks import (
 )
 from .limits import MAX_STEPS, MAX_TEAMS
 from .observation_fit import ObservationFit
+from .obstacles.moving import max_speed
 from .outcome import ELAPSED, LYAPUNOV, StepOutput
 from .rewards.costs import costs_of, no_costs
 from .rewards.custom_terms import RewardStep, add_custom_terms
@@ -263,15 +265,19 @@ class Simulator(StateView):
     def _refuse_leaps(self, before: NDArray[np.float64], active: NDArray[np.bool_]) -> None:
         """Reject motion beyond the speed limit, on which contact and merging rely."""
         scenario = self.scenario
-        limit = float(self._runner.robot.model.speed_limit)
+        limits = speed_limits_of(self._runner.robot)
         # each merge may move a robot by half a merge radius
         merged = (self.active != active).sum(axis=1, keepdims=True)
         rounding = 4.0 * np.spacing(np.abs(before).max())
-        most = 1.000001 * limit * scenario.tau + merged * scenario.merge_radius + rounding
+        pushed = max_speed(scenario.obstacles)
+        most = (
+            1.000001 * (limits + pushed) * scenario.tau + merged * scenario.merge_radius + rounding
+        )
         moved = np.linalg.norm(self.positions - before, axis=-1)
         wrong = np.argwhere(~(moved <= most))  # NaN is also invalid
         if len(wrong):
             team, robot = (int(index) for index in wrong[0])
+            limit = float(np.broadcast_to(limits, moved.shape[1:])[robot])
             self._ready = self._observed = False
             raise RuntimeError(
                 f"robot model {scenario.robot_model!r} moved robot {robot} of environment {team} "

@@ -92,6 +92,14 @@ class StateView:
         return read_only(self._state.obstacle_table().copy())
 
     @property
+    def obstacle_offsets(self) -> NDArray[np.float64]:
+        """Displacements of obstacles from their initial places, (B, M, d), m; M is 0 if none moves.
+
+        ``obstacles`` are at their current places.
+        """
+        return read_only(self._state.traffic[..., : self.scenario.dim].copy())
+
+    @property
     def merged_into(self) -> NDArray[np.int64]:
         """Index of the robot that each one has become part of, its own while active, (B, n)."""
         return read_only(self._state.merged_into.copy())

@@ -79,6 +79,8 @@ class Trajectory:
     """Name of the policy: of its function or class."""
     played_by: Any = None
     """Policy object; None in a pickled or loaded copy."""
+    obstacle_offsets: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0, 0, 0)))
+    """Displacements of obstacles from ``obstacles``, (T + 1, B, M, d), m; empty if none moves."""
 
     @property
     def num_envs(self) -> int:
@@ -248,9 +250,11 @@ def rollout(
             lyapunov=simulator.lyapunov(),
             observations=observations,
         )
+        if simulator.obstacle_offsets.size:
+            keep(obstacle_offsets=simulator.obstacle_offsets)
 
     observations = simulator.reset(seed, options)
-    start = simulator.get_state()
+    start, obstacles = simulator.get_state(), simulator.obstacles.copy()
     keep_state(observations)
     _warn_of_size(simulator, sum(arrays[0].nbytes for arrays in kept.values()), asked)
     finished_at = np.full(simulator.num_envs, np.inf)
@@ -273,7 +277,7 @@ def rollout(
         times=np.arange(len(arrays["positions"]), dtype=np.float64) * simulator.scenario.tau,
         success=simulator.status == RENDEZVOUS,
         rendezvous_time=finished_at,
-        obstacles=simulator.obstacles.copy(),
+        obstacles=obstacles,
         recorded={name: arrays.pop(name) for name in asked},
         start=start,
         policy=str(getattr(policy, "__name__", None) or type(policy).__name__.lstrip("_")),

@@ -28,6 +28,7 @@ DIMENSIONS = {
     "success": (("env",), ""),
     "rendezvous_time": (("env",), "s"),
     "obstacles": (("env", "obstacle", "column"), ""),
+    "obstacle_offsets": (("time", "env", "obstacle", "axis"), "m"),
     "observations": (("time", "env", "robot", "row", "axis"), ""),
     "actions": (("step", "env", "robot", "action"), ""),
 }

@@ -192,7 +192,7 @@ def test_all_scenarios_and_policies_are_listed():
     described = (ROOT / "docs/scenarios.md").read_text(encoding="utf-8")
     for name in rv.scenarios.names():
         scenario = rv.scenarios.get(name)
-        robots = f"{scenario.n_robots} × {scenario.robot_model}, {scenario.dim}-D"
+        robots = f"{scenario.n_robots} × {scenario.model.name}, {scenario.dim}-D"
         assert f"| ![{name}](images/scenarios/{name}.png) | `{name}` | {robots} |" in described
     laws = (ROOT / "docs/laws.md").read_text(encoding="utf-8")
     for name in policy.names():

@@ -36,6 +36,7 @@ ROOMS = (
     {"obstacles"},
     {"calibration"},
     {"obstacles.maps"},
+    {"traffic"},
     {"sensors"},
     {"graphs"},
     {"scenario"},

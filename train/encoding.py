@@ -72,11 +72,22 @@ def encode(recording: Recording, stride: int = 1) -> Encoded:
     """Encode every stride-th frame of a recording, every merge and the last frame."""
     table, dim = recording["obstacles"], recording["positions"].shape[-1]
     points = outermost(recording["positions"], table)
+    shapes, offsets = outlines(table, dim), _offsets_of_outlines(recording, dim)
+    if offsets is not None:
+        ends = [
+            one.centre + sign * one.radius + offsets[:, k]
+            for k, one in enumerate(shapes)
+            for sign in (-1.0, 1.0)
+        ]
+        points = np.concatenate([points, *ends])
     stays = ~np.isnan(recording["lyapunov_before_merge"])
     stays[::stride] = stays[-1] = True
     recording = {name: recording[name][stays] for name in _KEPT}
     fields: list[list[Any]] = []
     parts: list[bytes] = []
+    if offsets is not None:
+        fields.append(["obstacle_offsets", "float32", [*offsets[stays].shape]])
+        parts.append(offsets[stays].astype("<f4").tobytes())
     for name, kind in (*((name, "float32") for name in _EXACT), ("active", "uint8")):
         fields.append([name, kind, [*recording[name].shape]])
         parts.append(recording[name].astype(np.dtype(kind).newbyteorder("<")).tobytes())
@@ -96,9 +107,17 @@ def encode(recording: Recording, stride: int = 1) -> Encoded:
     text = base64.b64encode(packed).decode("ascii")
     plain = [  # to 0.01 mm, or finer in a small world
         {name: np.round(value, digits).tolist() for name, value in one._asdict().items()}
-        for one in outlines(table, dim)
+        for one in shapes
     ]
     return Encoded(fields, text, stride, extent, plain)
+
+
+def _offsets_of_outlines(recording: Recording, dim: int) -> NDArray[np.float64] | None:
+    """Displacements of the outlines of obstacles, (T, outlines, d), m; None if none moves."""
+    if "obstacle_offsets" not in recording:
+        return None
+    counts = [len(outlines(row[None], dim)) for row in recording["obstacles"]]
+    return np.repeat(recording["obstacle_offsets"], counts, axis=1)
 
 
 def rounding(array: NDArray[np.floating[Any]]) -> float:

@@ -12,6 +12,7 @@ from tyro.conf import Positional
 from rendezvous_env import baselines
 from rendezvous_env.engine.preparation import has_fixed_start
 from rendezvous_env.obstacles.fields import ObstacleField
+from rendezvous_env.obstacles.moving import moving_slots
 from rendezvous_env.obstacles.walls import WallField
 from rendezvous_env.scenario import scenarios
 from rendezvous_env.scenario.scenario import Scenario
@@ -83,7 +84,7 @@ def describe(scenario: Scenario) -> str:
     where = "in the plane" if scenario.dim == 2 else "in 3-D"
     parts = [f"{scenario.n_robots} robots {where}"]
     if scenario.robot_model != "single_integrator":
-        parts.append(scenario.robot_model.replace("_", " "))
+        parts.append(scenario.model.name.replace("_", " "))
     graph = scenario.sensing_graph
     low, high = graph.weight_range
     gains = "" if low == high else f" with gains of {low:g} to {high:g} m/s"
@@ -105,4 +106,6 @@ def _obstacles(scenario: Scenario) -> str:
         return f"{count} drawn {'discs' if scenario.dim == 2 else 'spheres'}"
     if isinstance(field, WallField):
         return f"{field.layout} of drawn walls"
-    return f"{len(field)} fixed obstacle{'s' if len(field) > 1 else ''}"
+    moving = len(moving_slots(field))
+    kind = f"fixed obstacle{'s' if len(field) > 1 else ''}"
+    return f"{len(field)} {kind}" if not moving else f"{len(field)} obstacles, {moving} moving"

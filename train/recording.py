@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
+from rendezvous_env.obstacles.moving import moves
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Step
@@ -36,6 +37,7 @@ ARRAYS = {
     "first": "(changes, links), lower robot of each link, likewise; of large sparse teams only",
     "second": "(changes, links), higher robot of each link, likewise",
     "obstacles": "(M, columns), a row each, as ``rendezvous_env.obstacles.shape`` says",
+    "obstacle_offsets": "(T, M, d), displacements from there, m; only where obstacles move",
 }
 """Shape and meaning of the arrays of a recording; their key in trajectories.npz is
 scenario/policy/start/name."""
@@ -53,11 +55,12 @@ LINKS = ("weights", "first", "second")
 def is_recomputable(scenario: Scenario) -> bool:
     """True if observations can be recomputed from recorded states.
 
-    This holds for exact sensors, fixed links and robot models without further state.
+    This holds for exact sensors, fixed links, robot models without further state, and obstacles
+    that stand still.
     """
     model = scenario.model
     recorded = model.n_angles + scenario.dim * model.keeps_velocity
-    plain = model.memory_size(scenario.dim) == recorded
+    plain = model.memory_size(scenario.dim) == recorded and not moves(scenario.obstacles)
     return plain and scenario.sensing.exact and scenario.sensing_graph.undirected
 
 
@@ -68,6 +71,8 @@ def state_of(simulator: Simulator) -> Callable[[], Recording]:
     def read() -> Recording:
         names = ("time", "positions", "headings", "velocities", "frames", "active", "merged_into")
         state = {name: getattr(simulator, name) for name in names}
+        if simulator.obstacle_offsets.size:
+            state["obstacle_offsets"] = simulator.obstacle_offsets
         return state | {"lyapunov": simulator.lyapunov()}
 
     return read
@@ -134,6 +139,8 @@ class Recorder:
             "contacts": self._contacts.copy(),
             "alignment": alignment.astype(np.float32),
         }
+        if "obstacle_offsets" in state:
+            frame["obstacle_offsets"] = state["obstacle_offsets"][team].copy()
         if not self._exact:
             frame["observations"] = observations.copy()
         if len(self._frames) >= MAX_FRAMES:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import floats, positive, short_repr
+from rendezvous_env.robots.mixed_team import MIXED
 from rendezvous_env.safety.heading import step_scale
 from rendezvous_env.safety.links import link_keeping_law, min_norm_points
 from rendezvous_env.safety.turning import yaw_rate_law
@@ -204,6 +205,26 @@ class _UnicycleCosine(Law):
 
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         return unicycle_cosine_law(f, time)
+
+
+def _is_mixed(scenario: Scenario) -> bool:
+    """True for teams of single integrators and unicycles."""
+    return scenario.model is MIXED
+
+
+@register("by-model", fits=_is_mixed, kind="law")
+class _ByModel(Law):
+    """Law (1) for single integrators and laws (7) and (8) for unicycles of a mixed team."""
+
+    def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        turning, angle = unicycle_law(f), np.arctan2(f[..., 1], f[..., 0])
+        turning[..., 1] = _no_farther(turning[..., 1], angle, self.scenario.tau)
+        turns = np.array([name == "unicycle" for name in self.scenario.robot_model])
+        velocity = bearing_only_law(f)
+        size = np.linalg.norm(velocity, axis=-1)
+        limit = self.scenario.speed_limits / np.maximum(size, self.scenario.speed_limits)
+        velocity = velocity * limit[..., np.newaxis]
+        return np.where(turns[:, np.newaxis], turning, velocity)
 
 
 @register("nonholonomic-3d", fits=of_model("nonholonomic_3d"), kind="law")

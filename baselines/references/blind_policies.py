@@ -31,8 +31,10 @@ class RandomPolicy(TeamPolicy):
     def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
         """Actions (..., n, a); see ``Policy``."""
         bounds = self.scenario.action_bounds
+        size = bounds.size
+        bounds = self.scenario.robot_bounds if self.scenario.per_robot else bounds
         seen = self.scenario.observation_layout.checked(observations)
-        drawn = self._generator.uniform(-bounds, bounds, (*seen.shape[:-2], bounds.size))
+        drawn = self._generator.uniform(-bounds, bounds, (*seen.shape[:-2], size))
         return drawn.astype(np.float32)
 
     def reset(self, mask: Mask | None = None) -> None:

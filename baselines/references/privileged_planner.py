@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rendezvous_env.obstacles.moving import moves
+from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
 
 from ..policy import Mask, register
@@ -69,7 +71,12 @@ def plan(table: Array, positions: Array, merge_radius: float) -> PathsTo:
     return PathsTo(roadmap, meeting.place)
 
 
-@register(NAME, can_steer, kind="privileged")
+def _can_plan(scenario: Scenario) -> bool:
+    """True for robots that can be steered among obstacles that stand still."""
+    return can_steer(scenario) and not moves(scenario.obstacles)
+
+
+@register(NAME, _can_plan, kind="privileged")
 class PrivilegedPlanner(PrivilegedPolicy):
     """Shortest paths on the map to the point of earliest meeting.
 

@@ -13,7 +13,7 @@ from ..outcome import SCORES, StepOutput
 from . import threads
 from .memory import RUNNING
 from .memory_layout import scratch
-from .preparation import constants, robot, sensor
+from .preparation import constants, robot, sensor, traffic
 from .state import State
 from .step import StepStages
 from .thread_tuner import ThreadTuner
@@ -105,7 +105,9 @@ class BatchRunner:
         self._tuner = self._tuner_of(1)
         self._tuners: dict[int, ThreadTuner] = {}  # by number of steps per call
         self.robot = robot(place.scenario)
-        self._sensor = sensor(state)
+        self._sensor, self._traffic = sensor(state), traffic(place.scenario)
+        if self._traffic is not None:
+            state.still_skins = self._traffic.skins
         self._scratch = [scratch(place) for _ in range(self._tuner.max_threads)]
         self.scratch = self._scratch[0]
         """Free working memory, between steps."""
@@ -136,7 +138,7 @@ class BatchRunner:
     def limit(self, max_steps: int) -> None:
         """Set the time limit of episodes, in steps."""
         found = constants(self._state.scenario, self.robot, max_steps)
-        self._stages = StepStages(self._state, self.robot, found, self._sensor)
+        self._stages = StepStages(self._state, self.robot, found, self._sensor, self._traffic)
 
     def new_output(self) -> StepOutput:
         """Allocate the output of a step, new except for ``neighbour_overflow``.

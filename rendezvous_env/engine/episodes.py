@@ -225,6 +225,8 @@ class Episodes:
             world = state.with_index(given_world)
         if world:
             state.give(which, **world)
+        if state.traffic.size:
+            state.give(which, traffic=np.zeros(state.traffic.shape[1:]))
         return rules._replace(
             draw_positions=positions is None,
             draw_memory=angles is None,

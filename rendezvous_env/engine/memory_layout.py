@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..obstacles import parsing
+from ..obstacles.moving import moves
 from ..obstacles.obstacle_set import ObstacleSet, pack, world_of
 from ..scenario.scenario import Scenario
 from ..sensors.effects import draws_noise
+from ..traffic.motion import STATE
 from .memory import N_FIELDS, LaneBlock, ScalarBlock
 
 _LINE = 64  # size of a cache line, bytes
@@ -49,6 +51,7 @@ class MemoryLayout:
         self.rows = self.neighbours + layout.rows - layout.neighbour_slots
         self.packed = self.sparse or layout.neighbour_slots != n - 1
         self.only_balls = parsing.only_balls(scenario.obstacles)
+        self.moving = moves(scenario.obstacles)
         self.n_obstacles, self.points = scenario.obstacle_places, layout.silhouette_points
         self.discs = self.n_obstacles if d == 2 and not self.indexed else 0
         self.fields = d + d * d + scenario.model.memory_size(d)
@@ -75,6 +78,7 @@ class MemoryLayout:
         """Size of the arrays of robots, environments and discs, bytes."""
         n, lanes = self.scenario.n_robots, self.lanes
         numbers = n * self.fields + N_FIELDS + 3 * self.discs
+        numbers += (STATE * self.n_obstacles + 3 * n) if self.moving else 0
         return 8 * (self.blocks * lanes * numbers + self.batch * n)
 
 
@@ -113,6 +117,7 @@ class Scratch(NamedTuple):
     near: ObstacleSet | None  # (M,), obstacles near a robot, with a spatial index
     near_listed: NDArray[np.int64] | None  # (M,), their numbers
     near_distances: Floats | None  # (M,), m
+    traffic: tuple[NDArray[Any], ...]  # for ``move_obstacles``; of no obstacles if none moves
 
 
 def scratch(place: MemoryLayout) -> Scratch:
@@ -141,7 +146,14 @@ def scratch(place: MemoryLayout) -> Scratch:
         near,
         np.zeros(slots, np.int64) if near is not None else None,
         np.zeros(slots) if near is not None else None,
+        _traffic_work(slots if place.moving else 0, n),
     )
+
+
+def _traffic_work(slots: int, n: int) -> tuple[NDArray[Any], ...]:
+    """Plans, normals, levels, halts, executed displacements and flags of ``move_obstacles``."""
+    floats = aligned(slots, 4), aligned(2 * slots, 3), aligned(2 * slots)
+    return (*floats, np.zeros((2, slots), np.bool_), aligned(n, 3), np.zeros((2, n), np.bool_))
 
 
 _UNSEEN = 2**28  # bytes below which free memory is not queried, which takes longer than a step

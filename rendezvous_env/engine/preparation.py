@@ -8,11 +8,21 @@ from numpy.typing import NDArray
 from ..graphs.random_graphs import GraphRules, graph_rules
 from ..obstacles import obstacle_set
 from ..obstacles.fields import Field, Rules
+from ..obstacles.moving import (
+    Traffic,
+    max_speed,
+    moves,
+    moving_slots,
+    traffic_of,
+    walks,
+)
 from ..obstacles.obstacle_set import ObstacleSet
+from ..obstacles.shape import ABSENT, KIND
 from ..physics.random_streams import ignore_overflow
 from ..rewards.terms import CLEARANCE_PENALTY
+from ..robots.mixed_team import MIXED, mixed_limits
 from ..robots.motion import init_memory
-from ..robots.robot_models import constants_of
+from ..robots.robot_models import constants_of, limits_of
 from ..scenario.scenario import CONTACT_MODES, Scenario
 from ..scenario.start_region import triangles_of
 from ..sensors.effects import Effects, effects_of, kept_share
@@ -35,9 +45,11 @@ class Constants(NamedTuple):
     reward_weights: tuple[float, ...]
     weighs_clearance: bool  # Whether the reward has a term of clearance
     all_earn: bool  # Whether merged-away robots earn the team reward, too
-    body_radius: float  # Of the discs in which robots stand in one another's sight, and way, m
+    body_radius: float  # Of robots in one another's way, m; the largest
+    body_radii: NDArray[np.float64]  # Of robots that occlude others, (n,), m
     packs: bool  # Whether bodies stop where they would touch, instead of merging
     merges_through: bool  # Whether robots merge where an obstacle is between them
+    obstacle_reach: float  # Largest displacement of an obstacle in a step, m
 
 
 class Sensor(NamedTuple):
@@ -56,7 +68,7 @@ class Sensor(NamedTuple):
 
 
 def robot(scenario: Scenario) -> Robot:
-    """Robot model of a scenario."""
+    """Robot model of a scenario; its constants are those of the largest limits."""
     d = scenario.dim
     return Robot(
         model=constants_of(scenario),
@@ -64,7 +76,16 @@ def robot(scenario: Scenario) -> Robot:
         axes=tuple(range(d)),
         entries=tuple(range(d * d)),
         memories=tuple(range(scenario.model.memory_size(d))),
+        limits=mixed_limits(scenario) if scenario.model is MIXED else limits_of(scenario),
     )
+
+
+def speed_limits_of(robot: Robot) -> NDArray[np.float64]:
+    """Speed limit of each robot, (n,), or of all, (1,), m/s."""
+    if robot.limits is None:
+        return np.array([robot.model.speed_limit], np.float64)
+    column = type(robot.model)._fields.index("speed_limit")
+    return np.asarray(robot.limits[:, column])
 
 
 def sensor(state: State) -> Sensor | None:
@@ -89,11 +110,13 @@ def sensor(state: State) -> Sensor | None:
 
 def constants(scenario: Scenario, robot: Robot, max_steps: int) -> Constants:
     """Constants of a scenario."""
-    weights = scenario.reward.built_in
+    weights, n = scenario.reward.built_in, scenario.n_robots
+    given = np.array(scenario.body_radius or 0.5 * scenario.merge_radius, np.float64)
+    radii = np.broadcast_to(given, (n,))
     return Constants(
         duration=float(scenario.tau),
         merge_radius=float(scenario.merge_radius),
-        speed_limit=float(robot.model.speed_limit),
+        speed_limit=float(speed_limits_of(robot).max()),
         max_steps=max_steps,
         contact_mode=CONTACT_MODES.index(scenario.obstacle_contact),
         obstacle_range=float(scenario.obstacle_range),
@@ -101,9 +124,11 @@ def constants(scenario: Scenario, robot: Robot, max_steps: int) -> Constants:
         reward_weights=weights,
         weighs_clearance=weights[CLEARANCE_PENALTY] != 0.0,
         all_earn=scenario.on_merge == "follow",
-        body_radius=float(scenario.body_radius or 0.5 * scenario.merge_radius),
+        body_radius=float(radii.max()),
+        body_radii=np.ascontiguousarray(radii),
         packs=scenario.meeting == "pack",
         merges_through=scenario.merges_through,
+        obstacle_reach=max_speed(scenario.obstacles) * float(scenario.tau),
     )
 
 
@@ -176,6 +201,8 @@ def has_fixed_start(scenario: Scenario) -> bool:
     Frames may be sampled: they rotate observations and actions alike.
     """
     rules, model = start_rules(scenario), scenario.model
+    if walks(scenario.obstacles):
+        return False
     if scenario.start_positions is None or _draws_links(scenario) or rules.draw_obstacles:
         return False
     given = 0 if scenario.start_headings is None else model.n_angles
@@ -202,4 +229,21 @@ def fixed_obstacles(scenario: Scenario) -> ObstacleSet | None:
     if isinstance(scenario.obstacles, Field) or slots == 0:
         return None
     table = obstacle_set.pack(scenario.obstacles, slots)
-    return obstacle_set.world_of(table[None], dim=scenario.dim)
+    world = obstacle_set.world_of(table[None], dim=scenario.dim)
+    return world._replace(skins=_skins_of_still(scenario, table)[None])
+
+
+def traffic(scenario: Scenario) -> Traffic | None:
+    """Motion of a scenario's obstacles; None if all are still."""
+    if not isinstance(scenario.obstacles, tuple) or not moves(scenario.obstacles):
+        return None
+    table = obstacle_set.pack(scenario.obstacles, scenario.observation_layout.obstacle_slots)
+    pushes = scenario.obstacle_push == "push"
+    return traffic_of(scenario.obstacles, table, _skins_of_still(scenario, table), pushes)
+
+
+def _skins_of_still(scenario: Scenario, table: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Skins of the obstacles of a table (M, width), (M,), m, without those that move."""
+    still = table.copy()
+    still[moving_slots(scenario.obstacles), KIND] = ABSENT
+    return np.asarray(obstacle_set.world_of(still[None], dim=scenario.dim).skins[0])

@@ -30,7 +30,7 @@ from ..physics.random_streams import (
     uniform,
 )
 from ..physics.vectors import load
-from ..robots.motion import frame_of, init_memory
+from ..robots.motion import constants_of_robot, frame_of, init_memory
 from .memory import (
     load_fields,
     load_positions,
@@ -233,7 +233,8 @@ def draw_memories(lanes, which, robot, draws, seeds, episodes, robots):
         for i in range(robots.shape[1]):
             state = robots[b // lanes, i]
             if draws:
-                kept = init_memory(robot.model, key, 3 * i)
+                model = constants_of_robot(robot.model, robot.limits, i)
+                kept = init_memory(model, key, 3 * i)
                 store_fields(kept, state, d + d * d, lane, lanes)
             kept = load_fields(state, d + d * d, lane, lanes, robot.memories)
             frame = load_fields(state, d, lane, lanes, robot.entries)

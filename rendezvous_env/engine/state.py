@@ -11,6 +11,7 @@ from ..obstacles import obstacle_set, parsing, spatial_index
 from ..obstacles.disc import BALL
 from ..obstacles.obstacle_set import ObstacleSet
 from ..obstacles.shape import BOUND, MIDDLE
+from ..traffic.motion import STATE
 from .edge_tables import changes_of, empty_links, matrices, state_arrays
 from .memory import (
     EPISODE_FIELDS,
@@ -69,8 +70,15 @@ class State:
         self.detection = aligned(*shape, detected, self.lanes, kind=np.float32)
         """Memories of detection and of noise, see ``stages.remember``; empty without one."""
         self.errors = aligned(*shape, erring, self.lanes, kind=np.float32)
+        moving = place.moving
+        self.traffic = np.zeros((place.batch, place.n_obstacles if moving else 0, STATE))
+        """State of moving obstacles, see ``traffic.motion``; empty without them."""
+        self.arrivals = np.full((place.batch, n if moving else 0, 3), np.nan)
+        """Positions after a step of robots beside moving obstacles, m; of the current step."""
         self.held = np.zeros((place.batch, n if held else 0, held, rows.dim), np.float32)
         """Observations that are held between samples; none without a sample period."""
+        self.still_skins: Any = 0.0
+        """Skins in a scenario with moving obstacles, (M,), m; those of still ones."""
         self._all = np.arange(place.batch)
         fields = self.robots.reshape(place.blocks, n, place.fields, self.lanes)
         self._fields = self.environments.reshape(place.blocks, N_FIELDS, self.lanes)
@@ -89,6 +97,7 @@ class State:
         self._arrays: dict[str, NDArray[Any]] = {**in_blocks, "merged_into": self.merged_into}
         self._arrays |= {**links, "seed": self.seed, "episode": self.number, "past": self.past}
         self._arrays["held"] = self.held
+        self._arrays["traffic"] = self.traffic
         self._arrays |= self.obstacles._asdict()
         self._arrays |= {} if self.index is None else self.index._asdict()
         self._in_blocks = set(in_blocks)
@@ -98,6 +107,7 @@ class State:
         self._kept = ["positions", "memory", "merged_into", *links, "seed", "episode"]
         """Arrays that are neither constant nor derived."""
         self._kept += ["frames"] if self.scenario.model.n_angles == 0 else []
+        self._kept += ["traffic"] if place.moving else []
         of_sensors = "past", "detection", "errors", "held"
         self._kept += [name for name in of_sensors if self._arrays[name].size]
         # the first observation of an episode writes what sensors keep
@@ -195,4 +205,6 @@ class State:
             self._fields[block, EPISODE_FIELDS.index(name), lane] = values
         world = obstacle_set.world_of(state["obstacles"], dim=self.scenario.dim)
         self.give(self._all, **self.with_index(world))
+        if self.place.moving:
+            self.obstacles.skins[...] = self.still_skins
         self.lay_out_discs(self._all)

@@ -7,18 +7,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import bools, check_shape, floats, format_limit, short_repr
-from ..obstacles.obstacle_set import faults
+from ..obstacles.obstacle_set import faults, pack
 from ..obstacles.parsing import only_balls
+from ..obstacles.shape import ABSENT, CENTRE, KIND
 from ..outcome import StepOutput
-from ..robots.robot_models import constants_of
 from ..scenario.scenario import Scenario
 from .memory import AWAITING_RESET, RENDEZVOUS
+from .preparation import robot, speed_limits_of
 from .step import first_not_finite
 
 _ROUNDING = 1e-9
+PLACE = slice(CENTRE, CENTRE + 3)
+"""Columns of an obstacle's centre in a table."""
 _FINITE = (
     "positions", "memory", "weights", "path_length", "initial_lyapunov", "frames", "past", "held",
-    "detection", "errors",
+    "detection", "errors", "traffic",
 )  # fmt: skip
 _NOT_NEGATIVE = "weights", "steps", "contacts", "path_length", "initial_lyapunov", "detection"
 _MOST = {
@@ -32,6 +35,7 @@ _MOST = {
     "held": 1e13,
     "detection": 1.0,
     "errors": 6.5,
+    "traffic": 1e15,
 }
 """Absolute values up to which a step does not overflow."""
 _FLOAT32 = np.dtype(np.float32)
@@ -183,15 +187,29 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
         check_rotations(state, state["episode"] >= 0, _ROUNDING)
     if scenario.model.keeps_velocity:  # how far a robot may come in a step stands on its limit
         velocities = state["memory"][..., scenario.model.n_angles :]
-        limit = constants_of(scenario).speed_limit
-        too_fast = np.linalg.norm(velocities, axis=-1) > limit * (1 + _ROUNDING)
-        refuse("memory", too_fast, f"a velocity of at most {format_limit(limit)} m/s")
+        limits = speed_limits_of(robot(scenario))
+        too_fast = np.linalg.norm(velocities, axis=-1) > limits * (1 + _ROUNDING)
+        refuse("memory", too_fast, f"a velocity of at most {format_limit(limits.max())} m/s")
     if "first" in state:
         _check_lists(scenario.n_robots, state)
     _check_merges(state, scenario.meeting == "pack")
     _check_neighbours(scenario, state)
     for fault, wanted in faults(state["obstacles"], scenario.dim, only_balls(scenario.obstacles)):
         refuse("obstacles", fault, wanted)
+    if "traffic" in state:
+        off = _off_place(scenario, state["obstacles"], state["traffic"][..., :3])
+        refuse("obstacles", off, "a row displaced by the first numbers of traffic")
+
+
+def _off_place(
+    scenario: Scenario, table: NDArray[np.float64], offsets: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """True for each obstacle of tables (B, M, width) that is not at its displacement, m."""
+    assert isinstance(scenario.obstacles, tuple)  # a field does not move
+    base = pack(scenario.obstacles, *table.shape[1:])[:, PLACE]
+    off, large = table[..., PLACE] - base - offsets, 1.0 + np.abs(base) + np.abs(offsets)
+    wrong = (np.abs(off) > _ROUNDING * large).any(axis=-1)
+    return np.asarray(wrong & (table[..., KIND] != ABSENT))
 
 
 def _check_lists(n: int, state: Mapping[str, NDArray[Any]]) -> None:

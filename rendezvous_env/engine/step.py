@@ -3,8 +3,10 @@
 From the action to the new observation, over the blocks of one thread after another:
 
     propose_motion              displacement of every robot without contacts
-    stop_at_obstacles           exact contacts, where an obstacle is within reach
+    move_obstacles              obstacles that move, and contacts with all
+    stop_at_obstacles           exact contacts, where an obstacle is within reach, if none moves
     merge_robots, pack_robots   exact merges, or bodies that touch, where robots are within reach
+    settle_merged               positions of robots that merged beside moving obstacles
     advance_free                all other environments
     update_robots               memory and frames of robot models
     update_links                arcs that change with time
@@ -20,7 +22,7 @@ From the action to the new observation, over the blocks of one thread after anot
 
 Each stage is a separate kernel with the arrays it uses as arguments, compiled on first use. Stages
 that a scenario does not need are skipped. Between stages numbers are in the scratch memory of a
-thread. An observation without a step omits the first five and the last.
+thread. An observation without a step omits those up to update_robots and the last.
 """
 
 import math
@@ -35,6 +37,7 @@ from numpy.typing import NDArray
 from ..compilation import entry_point, kernel
 from ..graphs.edges import DENSE
 from ..obstacles.contact import IGNORE
+from ..obstacles.moving import Traffic
 from ..outcome import StepOutput
 from ..physics.random_streams import ignore_overflow
 from ..robots.motion import frame_turns
@@ -53,6 +56,7 @@ from .stages.collide import (
     stop_curves_at_obstacles,
 )
 from .stages.conclude import conclude_step
+from .stages.move_obstacles import move_obstacles, settle_merged
 from .stages.propose import advance_free, propose_motion, refresh_frames, update_robots
 from .stages.remember import hold_observations, remember_detection, remember_errors
 from .stages.sense_neighbours import hide_docked, sense_links, sense_pairs, update_links
@@ -83,9 +87,15 @@ class StepStages:
     """Stages of the steps of B environments, as calls."""
 
     def __init__(
-        self, state: State, robot: Robot, constants: Constants, sensor: Sensor | None
+        self,
+        state: State,
+        robot: Robot,
+        constants: Constants,
+        sensor: Sensor | None,
+        traffic: Traffic | None = None,
     ) -> None:
         self._state, self._robot, self._constants, self._sensor = state, robot, constants, sensor
+        self._traffic = traffic
         self.all_compiled = False
         """True if the stages of contacts and merges are also compiled."""
         self._entries: dict[Any, Callable[..., Any]] = {}
@@ -167,9 +177,11 @@ class StepStages:
         now = state.robots, state.merged_into, environments, work.moves
         reach = reaches(rules, self._has_contacts)
         yield propose_motion, width, robot, first, last, reach, *now, _ACTIONS
+        if self._traffic is not None:
+            yield self._move_obstacles(first, last, self._traffic, work)
         if collides:
             blocks, mode = (first, last), rules.contact_mode
-            if self._has_contacts:
+            if self._has_contacts and self._traffic is None:
                 given: tuple[Any, ...] = (
                     *blocks,
                     mode,
@@ -192,10 +204,24 @@ class StepStages:
             else:
                 given = *now, state.links, state.obstacles, self._took_part, *memory
                 yield merge_robots, lanes, *blocks, rules.merge_radius, rules.merges_through, *given
+            if self._traffic is not None and self._has_contacts:
+                given = state.robots, state.merged_into, environments
+                beside = self._took_part, state.arrivals
+                yield settle_merged, lanes, len(robot.axes), *blocks, *given, *beside
         yield advance_free, width, robot.axes, first, last, state.robots, environments, work.moves
         if robot.memories:
             given = first, last, rules.contact_mode, *now
             yield update_robots, width, robot, *given, _OUTPUT.contact
+
+    def _move_obstacles(self, first: int, last: int, traffic: Traffic, work: Scratch) -> Any:
+        state, rules = self._state, self._constants
+        lengths = rules.duration, rules.merge_radius
+        now = state.robots, state.merged_into, state.environments, work.moves
+        streams = traffic, state.traffic, state.seed, state.number
+        given = state.obstacles, state.discs, state.arrivals, work.traffic
+        rest = *now, *streams, *given, _OUTPUT.contact
+        blocks = first, last, rules.contact_mode, traffic.pushes
+        return move_obstacles, self._robot, state.lanes, *blocks, lengths, *rest
 
     def _sense_neighbours(self, first: int, last: int, moves: bool, work: Scratch) -> Iterator[Any]:
         state, robot, rules, links = self._state, self._robot, self._constants, self._state.links
@@ -367,7 +393,7 @@ class StepStages:
         if sensor.errors.one_by_one:
             given: tuple[Any, ...] = (
                 sensor.errors,
-                rules.body_radius,
+                rules.body_radii,
                 slots,
                 sensor.packed,
                 state.links,

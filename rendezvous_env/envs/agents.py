@@ -80,8 +80,9 @@ class BaseParallelEnv(
         self.agents: list[str] = []
         sees: Any = teams.single_observation_space
         does: Any = teams.single_action_space
-        self.observation_spaces = {name: of_one_robot(sees) for name in self.possible_agents}
-        self.action_spaces = {name: of_one_robot(does) for name in self.possible_agents}
+        robots = dict(enumerate(self.possible_agents))
+        self.observation_spaces = {name: of_one_robot(sees, i) for i, name in robots.items()}
+        self.action_spaces = {name: of_one_robot(does, i) for i, name in robots.items()}
         self.state_space = teams.unwrapped.single_state_space
 
     def reset(

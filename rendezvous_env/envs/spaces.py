@@ -45,8 +45,14 @@ def observation_box(
 
 
 def action_box(scenario: Scenario) -> Box:
-    """Action space of one robot."""
+    """Action space of one robot; with limits per robot, the smallest that holds all."""
     bounds = scenario.action_bounds.astype(np.float32)
+    return Box(-bounds, bounds, dtype=np.float32)
+
+
+def team_action_box(scenario: Scenario) -> Box:
+    """Action space of all robots, (n, a)."""
+    bounds = scenario.robot_bounds.astype(np.float32)
     return Box(-bounds, bounds, dtype=np.float32)
 
 
@@ -66,12 +72,14 @@ def team_box(robot: Box, n: int) -> Box:
     return Box(low, high, dtype=np.float32)
 
 
-def of_one_robot(space: Space[Any]) -> Any:
-    """Space of one robot from that of n equal ones, a Box or a Discrete."""
+def of_one_robot(space: Space[Any], robot: int | None = None) -> Any:
+    """Space of one robot from that of n, a Box or a Discrete; None is one that holds all."""
     if isinstance(space, MultiDiscrete):
         return Discrete(int(space.nvec[0]))
     assert isinstance(space, Box)
-    return Box(space.low[0], space.high[0], dtype=np.float32)
+    if robot is None:
+        return Box(space.low.min(axis=0), space.high.max(axis=0), dtype=np.float32)
+    return Box(space.low[robot], space.high[robot], dtype=np.float32)
 
 
 def state_box(scenario: Scenario) -> Box:

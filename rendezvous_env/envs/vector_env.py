@@ -23,11 +23,11 @@ from ..simulator import Simulator
 from ..state_view import STANDING
 from .overrides import PlainSpec
 from .spaces import (
-    action_box,
     batched_space,
     maybe_flatten,
     observation_box,
     state_box,
+    team_action_box,
     team_box,
     team_state,
 )
@@ -116,7 +116,7 @@ class RendezvousVectorEnv(
         """Copies of the actions (None at a reset) and observations that passed here last."""
         self.flatten, n = flag("flatten", flatten), self.scenario.n_robots
         self.single_observation_space = team_box(observation_box(self.scenario, flatten), n)
-        self.single_action_space = team_box(action_box(self.scenario), n)
+        self.single_action_space = team_action_box(self.scenario)
         self.single_state_space = state_box(self.scenario)
         self.closed = False
 

@@ -38,6 +38,7 @@ def check_covered(scenario: Scenario) -> None:
         "reward": bool(scenario.reward.custom) or scenario.reward.clearance_penalty != 0.0,
     }
     shown = {"graph": graph.kind, "sensing": f"Sensing({scenario.sensing.departures()})"}
+    rejected |= dict.fromkeys(scenario.per_robot, True)
     for field, is_rejected in rejected.items():
         if is_rejected:
             raise_not_covered(field, shown.get(field) or short_repr(getattr(scenario, field)))

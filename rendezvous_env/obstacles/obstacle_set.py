@@ -29,6 +29,7 @@ from ..physics.vectors import X_AXIS, add, combine, norm, store, subtract
 from . import shape
 from .capsule import CAPSULES, Capsule
 from .disc import BALLS, Disc, Sphere
+from .moving import Moving
 from .polygon import POLYGONS, Polygon
 from .shape import (
     ABSENT,
@@ -43,7 +44,7 @@ from .shape import (
     centre_of_row,
 )
 
-Obstacle = Disc | Sphere | Polygon | Capsule
+Obstacle = Disc | Sphere | Polygon | Capsule | Moving
 KINDS = (BALLS, POLYGONS, CAPSULES)
 """All shape kinds."""
 _KINDS = {kind.kind: kind for kind in KINDS}

@@ -8,6 +8,7 @@ from ..checks import choice, known_fields, raise_invalid, short_repr
 from . import obstacle_set
 from .disc import Disc, Sphere
 from .fields import Field, ObstacleField
+from .moving import Moving
 from .obstacle_set import Obstacle
 from .shape import DETAILS
 from .walls import WallField
@@ -43,8 +44,8 @@ def _parse_entry(field: str, entry: Any, dim: int) -> Obstacle:
     if isinstance(entry, Field):
         raise ValueError(f"{field}: a random field stands alone, not in a list")
     if not isinstance(entry, Obstacle):
-        wanted = "a Disc, Polygon, Capsule or Sphere, such as rv.Disc((0.0, 0.0), 1.0), or a dict"
-        raise_invalid(field, entry, f"{wanted} of its fields")
+        wanted = "a Disc, Polygon, Capsule, Sphere or Moving, such as rv.Disc((0.0, 0.0), 1.0)"
+        raise_invalid(field, entry, f"{wanted}, or a dict of its fields")
     if entry.dim != dim:
         fitting = "Disc, Polygon or Capsule" if dim == 2 else "Sphere or Capsule"
         raise ValueError(f"{field}: {short_repr(entry)} is {entry.dim}-D; in {dim}-D use {fitting}")
@@ -61,6 +62,8 @@ def _from_plain(plain: Mapping[str, Any], dim: int) -> Obstacle | Field:
     known_fields(values, (*keys, "kind"), f"obstacles: a {kind}", "key")
     if missing := [key for key, needed in keys.items() if needed and key not in values]:
         raise ValueError(f"obstacles: a {kind} needs {missing[0]}")
+    if kind == "moving" and isinstance(values["shape"], Mapping):
+        values["shape"] = _from_plain(values["shape"], dim)
     return _KINDS[kind](**values)
 
 
@@ -75,6 +78,12 @@ def to_plain(value: Obstacles) -> dict[str, Any] | list[dict[str, Any]]:
 
 
 def _plain(value: Obstacle | Field) -> dict[str, Any]:
+    if isinstance(value, Moving):
+        given = {key: getattr(value, key) for key in _keys("moving")}
+        default = {"repeat": True, "interval": Moving.interval}
+        kept = {k: v for k, v in given.items() if v is not None and v != default.get(k)}
+        kept["shape"] = _plain(value.shape)
+        return {"kind": "moving"} | {key: _as_lists(entry) for key, entry in kept.items()}
     kind = next(name for name, made in _KINDS.items() if type(value) is made)
     return {"kind": kind} | {key: _as_lists(getattr(value, key)) for key in _keys(kind)}
 
@@ -99,4 +108,5 @@ def only_balls(value: Obstacles) -> bool:
     """True if a scenario's obstacles are discs or spheres, sampled or given."""
     if isinstance(value, Field):
         return value.only_balls
-    return all(isinstance(obstacle, Disc | Sphere) for obstacle in value)
+    shapes = (one.shape if isinstance(one, Moving) else one for one in value)
+    return all(isinstance(shape, Disc | Sphere) for shape in shapes)

@@ -18,6 +18,7 @@ class Moment(NamedTuple):
     merged_into: NDArray[np.int64]  # (n,)
     contact: Bools  # (n,), in the step
     lyapunov: float  # V, m²/s
+    obstacles: Floats  # (M, width), a table of ``obstacles.obstacle_set``, where they are
 
     @property
     def active(self) -> Bools:
@@ -28,6 +29,6 @@ class Moment(NamedTuple):
 class History(NamedTuple):
     """Episode of one environment since the renderer's first observation."""
 
-    obstacles: Floats  # (M, width), a table of ``obstacles.obstacle_set``
+    obstacles: Floats  # (M, width), a table of ``obstacles.obstacle_set``, at the first moment
     initial_lyapunov: float  # V at the start of the episode, m²/s
     moments: list[Moment]

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pygame
 
+from ..obstacles.moving import moving_slots
 from ..obstacles.obstacle_set import outlines
 from ..scenario.scenario import Scenario
 from . import ink
@@ -45,18 +46,19 @@ class TeamPicture:
         self.history, self.area = history, area
         self._scenario, self._unit = scenario, unit
         self._thin, self._drawn, size = max(1, round(unit)), 0, area[2:]
-        start = history.moments[0].positions
+        start, self._moving = history.moments[0].positions, moving_slots(scenario.obstacles)
+        still = np.delete(history.obstacles, self._moving, axis=0)
         self.camera = camera or fit(start, history.obstacles, area, _MARGIN * unit)
         self._ground = pygame.Surface(size, depth=32)
         self._ground.fill(ink.WHITE)
         self._draw_grid()
         self._front, self._spheres = self._ground, None
         if scenario.dim == 2:
-            self._draw_obstacles(self._ground)
+            self._draw_obstacles(self._ground, still)
         elif outlines(history.obstacles, 3):
             self._front = pygame.Surface(size, pygame.SRCALPHA)
             self._spheres = pygame.Surface(size, pygame.SRCALPHA)
-            self._draw_obstacles(self._spheres)
+            self._draw_obstacles(self._spheres, history.obstacles)
 
     def draw(
         self, page: pygame.Surface, weights: Floats, bearings: Floats, frames: Floats, numbers: bool
@@ -70,8 +72,13 @@ class TeamPicture:
         moment = self.history.moments[-1]
         canvas = page.subsurface(pygame.Rect(self.area))
         canvas.blit(self._ground, (0, 0))
+        if self._moving and self._spheres is not None:
+            self._spheres.fill((0, 0, 0, 0))
+            self._draw_obstacles(self._spheres, moment.obstacles)
+        elif self._moving:
+            self._draw_obstacles(canvas, moment.obstacles[self._moving])
         pixels = self.camera.project(moment.positions)
-        hidden = self.camera.hidden(moment.positions, self.history.obstacles)
+        hidden = self.camera.hidden(moment.positions, moment.obstacles)
         self._draw_views(canvas, moment, pixels, frames)
         self._draw_links(canvas, moment, pixels, weights, bearings)
         if self._scenario.dim == 3:
@@ -155,11 +162,11 @@ class TeamPicture:
             points = np.concatenate([points, floor], axis=-1)
         return self.camera.project(points)
 
-    def _draw_obstacles(self, layer: pygame.Surface) -> None:
-        """Draw obstacles from back to front, spheres with a lighter top."""
+    def _draw_obstacles(self, layer: pygame.Surface, obstacles: Floats) -> None:
+        """Draw a table of obstacles from back to front, spheres with a lighter top."""
         camera, draw = self.camera, pygame.draw
         for centre, size, vertices in sorted(
-            outlines(self.history.obstacles, self._scenario.dim),
+            outlines(obstacles, self._scenario.dim),
             key=lambda shape: float(camera.nearness(shape.centre)),
         ):
             if len(vertices):
@@ -184,10 +191,10 @@ class TeamPicture:
             np.array([getattr(moment, name) for moment in moments])
             for name in ("positions", "active", "contact")
         )
-        pixels, obstacles = self.camera.project(positions).tolist(), self.history.obstacles
+        pixels = self.camera.project(positions).tolist()
         layers = [
             [self._ground if hidden else self._front for hidden in row.tolist()]
-            for row in (self.camera.hidden(places, obstacles) for places in positions)
+            for row in (self.camera.hidden(one.positions, one.obstacles) for one in moments)
         ]
         shades = [mixed(robot_colour(i), ink.WHITE, _TINT) for i in range(len(pixels[0]))]
         for i, place in enumerate(pixels[0]) if not self._drawn else ():

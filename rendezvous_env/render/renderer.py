@@ -169,24 +169,25 @@ class Renderer:
             simulator.merged_into[:teams],
             contact[:teams].copy(),
             simulator.lyapunov()[:teams].tolist(),
+            simulator.obstacles[:teams].copy(),
         )
-        all_obstacles, initially = simulator.obstacles, simulator.initial_lyapunov.tolist()
+        initially = simulator.initial_lyapunov.tolist()
         self._histories = []
         for team, moment in enumerate(map(Moment, *columns)):
-            obstacles, initial = all_obstacles[team], initially[team]
+            obstacles, initial = moment.obstacles, initially[team]
             history = histories[team] if histories else None
             if history is not None:
                 last = history.moments[-1]
                 seen_already = (
                     moment.steps == last.steps
                     and np.array_equal(moment.positions, last.positions)
-                    and np.array_equal(obstacles, history.obstacles)
+                    and np.array_equal(obstacles, last.obstacles)
                 )
                 if moment.steps == last.steps + 1 and initial == history.initial_lyapunov:
                     history.moments.append(moment)
                 elif not seen_already:
                     history = None
-            self._histories.append(history or History(obstacles.copy(), initial, [moment]))
+            self._histories.append(history or History(obstacles, initial, [moment]))
 
     def _open_page(self) -> Page:
         if self._page is None:

@@ -159,6 +159,29 @@ def drifts(model):
     """True if a robot may move under zero action, ‖Δ‖ > 0 m: ``Motion.drifts``."""
 
 
+def is_number(kind: type, field: str) -> bool:
+    """True if a constant is annotated as a float, so that robots of a team may differ in it."""
+    return getattr(kind, "__annotations__", {}).get(field) in (float, "float")
+
+
+def _constants_of_kind(kind: Any) -> Any:
+    """Function that makes constants of this type from a row of a table."""
+    parts = ", ".join(
+        f"table[i, {column}]" if is_number(kind, field) else f"model.{field}"
+        for column, field in enumerate(kind._fields)
+    )
+    text = f"lambda model, table, i: model if table is None else kind({parts})"
+    return eval(text, {"kind": kind, "__name__": __name__})
+
+
+@by_type("model", _constants_of_kind)
+def constants_of_robot(model, table, i):
+    """Constants of robot i: ``model``, or of a row of a table (n, constants) where robots differ.
+
+    The table has a column for each constant; only numbers are read from it.
+    """
+
+
 # Equations of the model with these constants; see ``Motion``.
 
 

@@ -24,7 +24,7 @@ from ..checks import (
     short_repr,
     to_float,
 )
-from .motion import FREE, STOPPED, Motion, check_function, motion_of
+from .motion import FREE, STOPPED, Motion, check_function, is_number, motion_of
 
 MAX_KEPT = 4  # numbers that a robot model may keep from step to step
 _SAMPLES = 12
@@ -177,6 +177,36 @@ def constants_of(scenario: Any, early: bool = False) -> Any:
     if (early and model.bounded) or not kind.__module__.startswith(f"{__package__}."):
         try_equations(model, motion, constants, bounds, scenario.dim)
     return constants
+
+
+def limits_of(scenario: Any) -> NDArray[np.float64] | None:
+    """Constants of each robot, (n, constants), for ``constants_of_robot``; None if all are equal.
+
+    Raises:
+        ValueError: for a custom model whose constants differ in something other than a float.
+    """
+    if not scenario.per_robot:
+        return None
+    found: dict[Any, Any] = {}
+    rows, alike = [], constants_of(scenario.of_robot(0))
+    for robot in range(scenario.n_robots):
+        own = tuple(getattr(scenario, name)[robot] for name in scenario.per_robot)
+        if own not in found:
+            found[own] = constants_of(scenario.of_robot(robot))
+        made = found[own]
+        for name in made._fields:
+            if not is_number(type(made), name) and getattr(made, name) != getattr(alike, name):
+                raise ValueError(
+                    f"{', '.join(scenario.per_robot)}: robots differ in the constant {name!r} of "
+                    f"robot model {scenario.robot_model!r}; annotate it as float in its class"
+                )
+        rows.append(
+            [
+                value if is_number(type(made), name) else math.nan
+                for name, value in zip(made._fields, made, strict=True)
+            ]
+        )
+    return np.array(rows, dtype=np.float64)
 
 
 def _called(what: str, function: Any, *arguments: Any) -> Any:

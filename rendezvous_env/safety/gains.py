@@ -78,7 +78,7 @@ class Gains(SafetyFilter):
         check_inputs(scenario, "theorem G")
         size = scenario.observation_layout.neighbour_slots
         super().__init__(scenario, num_envs, size, frame, num_threads)
-        limits = *gain_range(scenario, min_gain, max_gain), scenario.speed_limit
+        limits = *gain_range(scenario, min_gain, max_gain), scenario.min_speed_limit
         self._constants = _Constants(self._robot.neighbour_slots, *map(float, limits))
         self.gain = np.zeros((num_envs, scenario.n_robots))
 

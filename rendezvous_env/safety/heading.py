@@ -318,7 +318,7 @@ class HeadingFilter(SafetyFilter):
             raise_invalid(
                 "bearing_error", bearing_error, "0 with certified=False: nothing is promised"
             )
-        given = scenario.max_turn_rate
+        given = None if scenario.max_turn_rate is None else scenario.min_turn_limit
         self._heading_rate = most if given is None else min(most, given)
         scaled_speed = certified and (turns_body or scenario.tau > scenario.certified_step)
         max_turn = self._heading_rate * scenario.tau

@@ -203,7 +203,7 @@ class LinkKeeping(SafetyFilter):
         self._constants = _Constants(
             neighbour_slots=self._robot.neighbour_slots,
             radius=scenario.merge_radius / (4.0 * scenario.tau),
-            speed_limit=float(scenario.speed_limit),
+            speed_limit=float(scenario.min_speed_limit),
             share=check_share("share", share),
             bearing_error=check_bearing_error(bearing_error),
         )

@@ -62,10 +62,11 @@ def robot_of(
 ) -> Robot:
     """Constants of a scenario's robots: margin ε, bearing errors η, numbers, rad (theorem N1').
 
-    Turn limits are |ω| ≤ ``most``, rad/s; errors are validated.
+    Turn limits are |ω| ≤ ``most``, rad/s; errors are validated. Limits are the lowest of the team,
+    so that every robot executes each command of a filter.
     """
     layout = scenario.observation_layout
-    limits = [min(most, float(limit)) for limit in scenario.action_bounds[1:]]
+    limits = [min(most, float(limit)) for limit in scenario.robot_bounds.min(axis=0)[1:]]
     yaw, pitch, *_ = [*limits, 0.0, 0.0]
     dead_zone = float(scenario.dead_zone) if scenario.dead_zone > 0 else 1.0
     gate = Gate(scenario.dim == 2, min_alignment, dead_zone, float(scenario.tau), yaw, pitch)
@@ -75,7 +76,7 @@ def robot_of(
         gravity_row=layout.gravity.start,
         turns=scenario.model.nonholonomic,
         merge_radius=float(scenario.merge_radius),
-        speed_limit=float(scenario.speed_limit),
+        speed_limit=float(scenario.min_speed_limit),
         error_chord=error_chord(check_bearing_error(bearing_error)),
         gate=gate,
     )

@@ -26,6 +26,7 @@ from ..obstacles import spatial_index
 from ..obstacles.parsing import Obstacles
 from ..rewards.costs import as_costs
 from ..rewards.terms import RewardWeights
+from ..robots.mixed_team import MEMBERS, MIXED
 from ..robots.robot_models import ROBOT_MODELS, RobotModel, try_with
 from ..sensors.sensing import Sensing
 from . import scenario_files
@@ -37,6 +38,16 @@ CONTACT_MODES = ("slide", "stop", "ignore")
 _PACKING = ("single_integrator", "unicycle")
 """Robot models whose bodies may pack."""
 Table = tuple[tuple[float, ...], ...]
+PER_ROBOT = ("robot_model", "max_speed", "max_turn_rate", "max_acceleration", "body_radius")
+"""Fields with one value for all robots, or a list with one for each."""
+
+
+def _limit(unit: str) -> Any:
+    """Check of a positive limit of all robots, or of a list with one for each."""
+    return partial(checks.one_or_each, check=partial(positive, unit=unit), unit=unit)
+
+
+_Each = float | tuple[float, ...]
 
 
 class TimeStepWarning(UserWarning):
@@ -77,9 +88,13 @@ class Scenario:
     """Number of robots n, at least 2."""
     dim: Annotated[int, _check_dim] = 2
     """Dimension d of the workspace, 2 or 3."""
-    robot_model: Annotated[str, partial(checks.choice, choices=ROBOT_MODELS)] = "single_integrator"
+    robot_model: Annotated[
+        str | tuple[str, ...],
+        partial(checks.one_or_each, check=partial(checks.choice, choices=ROBOT_MODELS)),
+    ] = "single_integrator"
     """Robot model: single_integrator or double_integrator (2-D or 3-D), unicycle (2-D),
-    nonholonomic_3d (3-D), or a registered name."""
+    nonholonomic_3d (3-D), or a registered name. A list with one name for each robot mixes
+    single_integrator and unicycle robots in 2-D."""
     graph: GraphLike = dataclasses.field(default_factory=graphs.complete)
     """Sensing graph: a Graph, a name, a list of edges (i, j) or (i, j, a_ij), or a networkx
     graph. Also a symmetric (n, n) matrix of weights a_ij in m/s, dense or sparse."""
@@ -90,10 +105,10 @@ class Scenario:
     connected."""
     merge_radius: Metres = 0.2
     """Merge radius r, m: neighbours at most this far apart merge into one robot."""
-    body_radius: Metres | None = None
-    """Radius of each robot's disc or sphere, m, at most r/2; requires a complete graph. None is
-    a point robot; with occlusion by robots in ``sensing``, points occlude as discs of radius
-    r/2."""
+    body_radius: Annotated[_Each, _limit("m")] | None = None
+    """Radius of each robot's disc or sphere, m, at most r/2, or a list with one for each robot;
+    requires a complete graph. None is a point robot; with occlusion by robots in ``sensing``,
+    points occlude as discs of radius r/2."""
     meeting: Literal["merge", "pack"] = "merge"
     """Terminal condition. "merge": robots merge within r. "pack": bodies stop on contact and
     rendezvous is one cluster in which each robot is within r of two others. With "pack", robots
@@ -108,15 +123,16 @@ class Scenario:
     """True if to suppress the warning about a time step longer than the certified one."""
     time_limit: Seconds = 30.0
     """Episode length, s, rounded up to whole steps."""
-    max_speed: Annotated[float, partial(positive, unit="m/s")] | None = None
-    """Speed limit v_max, m/s; limiting preserves the direction. None is D̄, which law (1) never
-    exceeds. For sparse graphs of 48 or more single integrators, None is the ``step_degree``."""
-    max_turn_rate: Annotated[float, partial(positive, unit="rad/s")] | None = None
-    """Turn rate limit of ω and ω_β, rad/s; None is D̄. The limit of ω_α is up to ten times
-    larger, see nonholonomic_3d."""
-    max_acceleration: Annotated[float, partial(positive, unit="m/s²")] | None = None
-    """Acceleration limit a_max of double integrators, m/s²; limiting preserves the direction.
-    None, the default, is v_max per 0.25 s."""
+    max_speed: Annotated[_Each, _limit("m/s")] | None = None
+    """Speed limit v_max, m/s, or a list with one for each robot; limiting preserves the
+    direction. None is D̄, which law (1) never exceeds. For sparse graphs of 48 or more single
+    integrators, None is the ``step_degree``."""
+    max_turn_rate: Annotated[_Each, _limit("rad/s")] | None = None
+    """Turn rate limit of ω and ω_β, rad/s, or a list with one for each robot; None is D̄. The
+    limit of ω_α is up to ten times larger, see nonholonomic_3d."""
+    max_acceleration: Annotated[_Each, _limit("m/s²")] | None = None
+    """Acceleration limit a_max of double integrators, m/s², or a list with one for each robot;
+    limiting preserves the direction. None, the default, is v_max per 0.25 s."""
     obstacles: Obstacles = ()
     """Discs, convex polygons, capsules or spheres, or a random field sampled in each episode."""
     obstacle_range: Metres = 2.0
@@ -130,6 +146,9 @@ class Scenario:
     obstacle_contact: Literal["slide", "stop", "ignore"] = "slide"
     """Contact model: slide along the obstacle, stop, or ignore it. Touching or overlapping
     obstacles act as their union; gaps below 1.8 µm are closed."""
+    obstacle_push: Literal["push", "stop"] = "push"
+    """Obstacles that move ("rv.Moving") push robots, or stop at them until they are free. Where a
+    robot is between an obstacle and a wall, the obstacle stops in either case."""
     merge_through_obstacles: bool = True
     """True if robots merge through an obstacle thinner than ``merge_radius``. With False they
     merge only if no obstacle is between them. Until then they may be closer than r and V can
@@ -174,6 +193,7 @@ class Scenario:
             fitting = [repr(m.name) for m in ROBOT_MODELS.values() if self.dim in m.dims]
             wanted = f"one of {', '.join(fitting)} where dim is {self.dim}"
             checks.raise_invalid("robot_model", self.robot_model, wanted)
+        self._check_lists()
         self._check_graph()
         self._check_obstacles()
         self._check_bodies()
@@ -188,7 +208,12 @@ class Scenario:
 
     @property
     def model(self) -> RobotModel:
-        """Robot model; ValueError if it is not registered, e.g. after unpickling."""
+        """Robot model; ValueError if it is not registered, e.g. after unpickling.
+
+        That of a team of several models is ``mixed_team.MIXED``.
+        """
+        if isinstance(self.robot_model, tuple):
+            return MIXED
         return cast(RobotModel, ROBOT_MODELS[self.robot_model])
 
     @cached_property
@@ -278,19 +303,61 @@ class Scenario:
         return self.sensing.delay_steps(self.tau)
 
     @property
+    def per_robot(self) -> tuple[str, ...]:
+        """Names of the fields that are lists with one value for each robot."""
+        return tuple(name for name in PER_ROBOT if isinstance(getattr(self, name), tuple))
+
+    def of_robot(self, robot: int) -> Scenario:
+        """Scenario in which all robots have the model and limits of one robot.
+
+        Initial conditions are sampled.
+        """
+        own = tuple(getattr(self, name)[robot] for name in self.per_robot)
+        if not own:
+            return self
+        if own not in self._variants:
+            free = {"start_positions": None, "start_headings": None, "allow_long_step": True}
+            fields = dict(zip(self.per_robot, own, strict=True))
+            self._variants[own] = self.replace(**fields, **free)
+        return self._variants[own]
+
+    @cached_property
+    def _variants(self) -> dict[tuple[Any, ...], Scenario]:
+        """Results of ``of_robot`` by the values of a robot."""
+        return {}
+
+    @property
     def speed_limit(self) -> float:
-        """Speed limit v_max in use, m/s."""
-        return self.step_degree if self.max_speed is None else self.max_speed
+        """Speed limit v_max in use, m/s; the largest of the robots."""
+        return self.step_degree if self.max_speed is None else _largest(self.max_speed)
+
+    @property
+    def min_speed_limit(self) -> float:
+        """Speed limit of the slowest robot, m/s."""
+        return _least(self.max_speed) if isinstance(self.max_speed, tuple) else self.speed_limit
+
+    @property
+    def speed_limits(self) -> NDArray[np.float64]:
+        """Speed limit of each robot, (n,), m/s."""
+        given = self.max_speed if isinstance(self.max_speed, tuple) else self.speed_limit
+        return np.broadcast_to(np.array(given, np.float64), (self.n_robots,))
 
     @property
     def acceleration_limit(self) -> float:
-        """Acceleration limit in use, m/s²."""
-        return 4.0 * self.speed_limit if self.max_acceleration is None else self.max_acceleration
+        """Acceleration limit in use, m/s²; the largest of the robots."""
+        given = self.max_acceleration
+        return 4.0 * self.speed_limit if given is None else _largest(given)
 
     @property
     def turn_limit(self) -> float:
-        """Turn rate limit in use, rad/s."""
-        return self.max_degree if self.max_turn_rate is None else self.max_turn_rate
+        """Turn rate limit in use, rad/s; the largest of the robots."""
+        return self.max_degree if self.max_turn_rate is None else _largest(self.max_turn_rate)
+
+    @property
+    def min_turn_limit(self) -> float:
+        """Turn rate limit of the robot that turns slowest, rad/s."""
+        given = self.max_turn_rate
+        return _least(given) if isinstance(given, tuple) else self.turn_limit
 
     @property
     def action_size(self) -> int:
@@ -299,8 +366,20 @@ class Scenario:
 
     @cached_property
     def action_bounds(self) -> NDArray[np.float64]:
-        """Symmetric bounds of the action components, (a,): m/s, m/s², or m/s and rad/s."""
-        return np.array(self.model.bounds(self), dtype=np.float64)
+        """Symmetric bounds of the action components, (a,): m/s, m/s², or m/s and rad/s.
+
+        They are the largest of the robots.
+        """
+        if not self.per_robot:
+            return np.array(self.model.bounds(self), dtype=np.float64)
+        return np.asarray(self.robot_bounds.max(axis=0))
+
+    @cached_property
+    def robot_bounds(self) -> NDArray[np.float64]:
+        """Symmetric bounds of the actions of each robot, (n, a), as ``action_bounds``."""
+        robots = range(self.n_robots if self.per_robot else 1)
+        each = np.array([one.model.bounds(one) for one in map(self.of_robot, robots)], np.float64)
+        return np.broadcast_to(each, (self.n_robots, each.shape[1]))
 
     @cached_property
     def observation_layout(self) -> ObservationLayout:
@@ -330,7 +409,7 @@ class Scenario:
     @property
     def indexes_obstacles(self) -> bool:
         """True if a spatial index finds the obstacles near robots: given ones, many, in 2-D."""
-        given = self.dim == 2 and isinstance(self.obstacles, tuple)
+        given = self.dim == 2 and isinstance(self.obstacles, tuple) and not moves(self.obstacles)
         return given and self.obstacle_places >= spatial_index.INDEX_FROM
 
     @cached_property
@@ -389,6 +468,8 @@ class Scenario:
         plain["start_region"] = self.start_region and [
             [list(vertex) for vertex in polygon.vertices] for polygon in self.start_region
         ]
+        plain |= {name: list(getattr(self, name)) for name in self.per_robot}
+        plain["obstacle_push"] = None if self.obstacle_push == "push" else self.obstacle_push
         plain["merge_through_obstacles"] = False if not self.merge_through_obstacles else None
         for key in ("neighbour_overflow", "obstacle_overflow"):  # younger than files of scenarios
             plain[key] = None if plain[key] == "error" else plain[key]
@@ -401,6 +482,16 @@ class Scenario:
     def to_toml(self, path: str | os.PathLike[str]) -> None:
         """Write a TOML file from which ``from_toml`` reads an equal scenario."""
         scenario_files.write(path, self.to_plain())
+
+    def _check_lists(self) -> None:
+        """Check that each list of limits has one number for each robot."""
+        if isinstance(self.robot_model, tuple) and not set(self.robot_model) <= set(MEMBERS):
+            wanted = f"one name, or a list of {' and '.join(map(repr, MEMBERS))}"
+            checks.raise_invalid("robot_model", list(self.robot_model), wanted)
+        for name in self.per_robot:
+            if len(given := getattr(self, name)) != self.n_robots:
+                remedy = f"{self.n_robots} entries, one for each robot, or a single one for all"
+                checks.raise_invalid(name, list(given), remedy)
 
     def _check_graph(self) -> None:
         graph = graphs.parse(self.graph, self.n_robots)
@@ -437,7 +528,9 @@ class Scenario:
             if packs:
                 checks.raise_invalid("body_radius", None, "given with meeting='pack': bodies touch")
             return
-        if radius > 0.5 * self.merge_radius:
+        if packs and isinstance(radius, tuple):
+            checks.raise_invalid("body_radius", list(radius), "one number with meeting='pack'")
+        if _largest(radius) > 0.5 * self.merge_radius:
             most = f"at most half the merge_radius, {0.5 * self.merge_radius} m"
             checks.raise_invalid("body_radius", radius, most)
         graph = self.sensing_graph
@@ -469,7 +562,7 @@ class Scenario:
             positions, weights = np.array(self.start_positions), self.sensing_graph.sparse_weights
             check_positions("start_positions", self, positions, weights, self.obstacles)
             if self.body_radius is not None:
-                check_apart("start_positions", positions, 2.0 * self.body_radius)
+                check_apart("start_positions", positions, self.body_radius)
 
     def _check_time_step(self) -> None:
         if self.time_step is None and not math.isfinite(self.certified_step):
@@ -490,6 +583,14 @@ class Scenario:
                 TimeStepWarning,
                 stacklevel=_frames_to_caller(),
             )
+
+
+def _largest(given: float | tuple[float, ...]) -> float:
+    return max(given) if isinstance(given, tuple) else given
+
+
+def _least(given: float | tuple[float, ...]) -> float:
+    return min(given) if isinstance(given, tuple) else given
 
 
 def _frames_to_caller() -> int:

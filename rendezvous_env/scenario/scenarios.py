@@ -185,6 +185,50 @@ _CAMERA: Fields = {
 }
 
 
+def _crossing(y: float, x: float, seconds: float, shape: Fields) -> Fields:
+    """Obstacle that crosses from x to −x at height y and back, in twice ``seconds``."""
+    rows = [[0.0, 0.0, 0.0], [seconds, -2.0 * x, 0.0], [2.0 * seconds, 0.0, 0.0]]
+    return {
+        "kind": "moving",
+        "shape": {key: _moved(key, at, x, y) for key, at in shape.items()},
+        "waypoints": rows,
+    }
+
+
+def _moved(key: str, value: Any, x: float, y: float) -> Any:
+    """Centre, ends or vertices of a shape, moved to a place; other values unchanged."""
+    if key == "centre":
+        return [value[0] + x, value[1] + y]
+    if key in ("ends", "vertices"):
+        return [[corner[0] + x, corner[1] + y] for corner in value]
+    return value
+
+
+# Three lanes of traffic across the area, one with a long vehicle, and a disc that wanders about.
+_VEHICLE: Fields = {"vertices": [[-1.2, -0.5], [1.2, -0.5], [1.2, 0.5], [-1.2, 0.5]]}
+_BAR: Fields = {"ends": [[0.0, -0.8], [0.0, 0.8]], "radius": 0.4}
+_CROSSING_TRAFFIC: Fields = {
+    "n_robots": 8,
+    "spawn_size": 14.0,
+    "obstacles": [
+        _crossing(4.0, -8.0, 20.0, _VEHICLE),
+        _crossing(4.0, 4.0, 20.0, {"centre": [0.0, 0.0], "radius": 0.7}),
+        _crossing(0.0, 8.0, 24.0, _BAR),
+        _crossing(0.0, -3.0, 15.0, {"centre": [0.0, 0.0], "radius": 0.8}),
+        _crossing(-4.0, -8.0, 16.0, {"centre": [0.0, 0.0], "radius": 0.9}),
+        _crossing(-4.0, 5.0, 25.0, _VEHICLE),
+        {
+            "kind": "moving",
+            "shape": {"centre": [0.0, 2.0], "radius": 0.6},
+            "speed": 0.4,
+            "box": [[-6.0, -6.0], [6.0, 6.0]],
+            "interval": 4.0,
+        },
+    ],
+    **_AMONG_OBSTACLES,
+}
+
+
 _FIELDS: dict[str, Fields] = {
     "fig3": {**_FIGURE, "obstacle_contact": "ignore"},
     "fig4": {**_FIGURE, "obstacle_contact": "slide"},
@@ -201,6 +245,13 @@ _FIELDS: dict[str, Fields] = {
         "graph": {"kind": "erdos_renyi", "probability": 0.3, "weight_range": [0.5, 1.5]},
     },
     "unicycle-6": {"n_robots": 6, "robot_model": "unicycle"},
+    "mixed-8": {
+        "n_robots": 8,
+        "robot_model": ["single_integrator"] * 4 + ["unicycle"] * 4,
+        "max_speed": [1.0] * 4 + [0.5] * 4,
+        "max_turn_rate": 3.0,
+        "time_limit": 60.0,
+    },
     "uav-6": {"n_robots": 6, "dim": 3, "robot_model": "nonholonomic_3d"},
     "cloud-8": {"n_robots": 8, "dim": 3},
     **{f"clutter-{discs}": _clutter(discs) for discs in (4, 8, 12, 16, 24)},
@@ -242,6 +293,7 @@ _FIELDS: dict[str, Fields] = {
         "spawn_size": 8.0,
         "sensing": {"range": 4.0},
     },
+    "crossing-traffic-8": _CROSSING_TRAFFIC,
     "switching-8": {
         "n_robots": 8,
         "graph": {"kind": "switching", "graphs": ["path", "star", "cycle"]},

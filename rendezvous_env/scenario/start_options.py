@@ -22,6 +22,7 @@ from ..graphs.reading import as_dense
 from ..graphs.weights import weighted_links
 from ..limits import LARGEST, LARGEST_SEED
 from ..obstacles import parsing as obstacles
+from ..obstacles.moving import moves
 from ..obstacles.obstacle_set import check_outside, pack
 
 _ROUNDING = 1e-9
@@ -76,7 +77,7 @@ def parse_options(scenario: Any, num_envs: int, options: Mapping[str, Any] | Non
                 "positions", scenario, team, of_team, standing if k < len(positions) else ()
             )
             if scenario.body_radius is not None:
-                check_apart("positions", team, 2.0 * scenario.body_radius)
+                check_apart("positions", team, scenario.body_radius)
     return given
 
 
@@ -178,6 +179,11 @@ def _obstacles(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
     parsed = obstacles.parse(value, scenario.dim)
     if scenario.meeting == "pack" and parsed != ():
         raise ValueError('obstacles: meeting="pack" is for teams without obstacles')
+    if moves(parsed) or moves(scenario.obstacles):
+        raise ValueError(
+            "obstacles: those given to a reset stand still, and replace none that move; put moving "
+            "ones into the scenario"
+        )
     if not isinstance(parsed, tuple):
         raise ValueError("obstacles: give them one by one; a field belongs into the scenario")
     slots = scenario.obstacle_places
@@ -228,14 +234,19 @@ def check_positions(
         check_outside(field, positions, standing)
 
 
-def check_apart(field: str, positions: NDArray[np.float64], least: float) -> None:
-    """Raise a ValueError for robots closer than a length, m, beyond rounding: bodies overlap."""
+def check_apart(field: str, positions: NDArray[np.float64], body_radius: Any) -> None:
+    """Raise a ValueError for bodies that overlap beyond rounding.
+
+    Their radius is a number, m, or one for each robot.
+    """
+    radii = np.broadcast_to(np.array(body_radius, np.float64), (len(positions),))
+    least = radii[:, np.newaxis] + radii
     offsets = positions[:, np.newaxis] - positions
     distances = np.linalg.norm(offsets, axis=-1) + np.diag(np.full(len(positions), np.inf))
-    if distances.min() < least * (1 - _ROUNDING):
-        i, j = divmod(int(distances.argmin()), len(positions))
+    if (distances < least * (1 - _ROUNDING)).any():
+        i, j = divmod(int((distances - least).argmin()), len(positions))
         apart = f"{distances[i, j]:.4g} m apart; it must be"
-        wanted = f"at least {format_limit(least)} m, two body_radius"
+        wanted = f"at least {format_limit(float(least[i, j]))} m, two body_radius"
         raise ValueError(f"{field}: robot_{i} and robot_{j} stand {apart} {wanted}")
 
 

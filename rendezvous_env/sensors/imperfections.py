@@ -86,7 +86,7 @@ def neighbour_seen(pair, row, frame, sensor, places, scene):
 
     Given are i and j, and the row after range, field of view and noise, in the frame of robot i.
     ``places`` are positions (n, d), m, and for each robot the direction (n, d) that increases the
-    hull perimeter most. ``scene`` is obstacles, merged_into (n,) and the radius of robots, m.
+    hull perimeter most. ``scene`` is obstacles, merged_into (n,) and the radii of robots, (n,), m.
     """
     (i, j), (positions, outward) = pair, places
     offset = subtract(load(positions[j]), load(positions[i]))
@@ -100,8 +100,8 @@ def neighbour_seen(pair, row, frame, sensor, places, scene):
 
 
 @inner_kernel
-def _is_hidden(pair, offset, sensor, obstacles, merged_into, radius, positions):
-    """True if an obstacle or another robot, of this radius (m), is between robots i and j."""
+def _is_hidden(pair, offset, sensor, obstacles, merged_into, radii, positions):
+    """True if an obstacle or another robot, of its radius (m), is between robots i and j."""
     i, j = pair
     if obstacles is not None:
         if sensor.obstacles_hide and is_hidden_by_obstacles(obstacles, load(positions[i]), offset):
@@ -110,7 +110,7 @@ def _is_hidden(pair, offset, sensor, obstacles, merged_into, radius, positions):
         for k in range(positions.shape[0]):
             if k != i and k != j and merged_into[k] == k:
                 other = subtract(load(positions[k]), load(positions[i]))
-                if is_hidden_by_robot(offset, other, radius):
+                if is_hidden_by_robot(offset, other, radii[k]):
                     return True
     return False
 

@@ -37,7 +37,7 @@ def page(trajectory: Trajectory, envs: int = 8) -> str:
     ]
     name, count = escape(scenario.name), trajectory.num_envs
     lines = {
-        "Scenario": f"{scenario.name}: {scenario.n_robots} robots, {scenario.robot_model}",
+        "Scenario": f"{scenario.name}: {scenario.n_robots} robots, {scenario.model.name}",
         "Policy": policy,
         "Environments": f"{len(rows)} of {count}; robots and rows as they were recorded while the "
         "rollout was played once more, with the same positions",

@@ -113,7 +113,7 @@ def bound_of_pieces(trial: Trial, teams: Simulator) -> Array:
     """Time bound for each component of a disconnected graph, s, by the proof of theorem A."""
     scenario = trial.scenario
     above = teams.lyapunov() + merge_rise_allowance(scenario)
-    slowed = max(1.0, scenario.max_degree / scenario.speed_limit)
+    slowed = max(1.0, scenario.max_degree / scenario.min_speed_limit)
     return slowed * 2.0 * scenario.n_robots * above / (8.0 * scenario.bottleneck_weight**2)
 
 

@@ -158,7 +158,7 @@ def patience_of(scenario: rv.Scenario) -> float:
     """
     n, least = scenario.n_robots, scenario.bottleneck_weight
     slow = n * scenario.merge_radius / least if least > 0.0 else 0.0
-    turning = 4.0 * math.pi / scenario.turn_limit if scenario.model.nonholonomic else 0.0
+    turning = 4.0 * math.pi / scenario.min_turn_limit if scenario.model.nonholonomic else 0.0
     return max(200.0 * scenario.tau, slow, turning)
 
 
@@ -353,7 +353,8 @@ def _fewer_robots(scenario: rv.Scenario) -> Iterator[dict[str, Any]]:
     n, graph = scenario.n_robots, scenario.sensing_graph
     for robot in range(n if n > 2 else 0):
         left = [k for k in range(n) if k != robot]
-        tables = {name: getattr(scenario, name) for name in ("start_positions", "start_headings")}
+        listed = "start_positions", "start_headings", *scenario.per_robot
+        tables = {name: getattr(scenario, name) for name in listed}
         change: dict[str, Any] = {
             name: tuple(table[k] for k in left) for name, table in tables.items() if table
         }

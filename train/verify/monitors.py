@@ -247,7 +247,7 @@ class Monitor:
             pull, twice = lengths(last.net_bearings)[..., 0], 2.0 * last.gains.max(axis=(1, 2))
             share = np.full(len(left), np.inf)
             np.divide(pull.sum(axis=1), twice, out=share, where=twice > 0.0)
-            own = (pull * np.minimum(pull, self.scenario.speed_limit)).sum(axis=1)
+            own = (pull * np.minimum(pull, self.scenario.speed_limits)).sum(axis=1)
             found["lemma"] = 1.0 - share, 1e-9
             found["law_descent"] = np.where(calm, risen + self.held * own, first), step
         return found

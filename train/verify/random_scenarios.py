@@ -297,6 +297,10 @@ def _clock(random: Random, scenario: rv.Scenario) -> dict[str, Any]:
             fields["max_speed"] = scenario.merge_radius / tau * random.uniform(0.3, 1.0)
     if random.random() < 0.3:
         fields["max_turn_rate"] = log_uniform(random, 0.1, 100.0)
+    for name in fields.keys() & {"max_speed", "max_turn_rate"}:
+        if random.random() < 0.3:
+            shares = random.uniform(0.1, 1.0, scenario.n_robots)
+            fields[name] = [float(share) * fields[name] for share in shares]
     if (dwell := getattr(scenario.sensing_graph, "dwell", math.inf)) <= tau:
         fields["time_step"] = dwell
     return fields | {"time_limit": 1000.0 * fields.get("time_step", scenario.tau)}

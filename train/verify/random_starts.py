@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rendezvous_env as rv
+from rendezvous_env.obstacles.shape import CENTRE
 
 Array = NDArray[np.float64]
 Random = np.random.Generator
@@ -148,7 +149,27 @@ def obstacles(
         ]
     if not round_only:
         found.append(angular(random, dim, r, places))
+    if random.random() < 0.2:
+        found = [_moving(random, one, r) if random.random() < 0.5 else one for one in found]
     return tuple(found)
+
+
+def _moving(random: Random, shape: Any, r: float) -> Any:
+    """A shape with a constant velocity, waypoints or a random walk, up to 10 r per second."""
+    speed, seconds = r * log_uniform(random, 0.1, 10.0), log_uniform(random, 0.1, 10.0)
+    course = random.normal(size=shape.dim)
+    course *= speed / np.linalg.norm(course)
+    kind = int(random.integers(3))
+    if kind == 0:
+        return rv.Moving(shape, velocity=tuple(course.tolist()))
+    if kind == 1:
+        there, back = (course * seconds).tolist(), [0.0] * shape.dim
+        rows = ((0.0, *back), (seconds, *there), (2.0 * seconds, *back))
+        return rv.Moving(shape, waypoints=rows)
+    centre = np.array(shape.packed()[CENTRE : CENTRE + shape.dim])
+    reach = speed * seconds
+    box = tuple((centre - reach).tolist()), tuple((centre + reach).tolist())
+    return rv.Moving(shape, speed=speed, box=box, interval=seconds)
 
 
 def _ball(centre: Array, radius: float) -> Any:

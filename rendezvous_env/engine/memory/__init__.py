@@ -87,6 +87,9 @@ class Robot(NamedTuple):
     axes: tuple[int, ...]  # (0, 1) or (0, 1, 2)
     entries: tuple[int, ...]  # (0, …, d² − 1), indices of frame entries
     memories: tuple[int, ...]  # (0, …, k − 1), indices of the model's memory
+    limits: Any = None
+    """Constants of each robot, (n, constants), see ``motion.constants_of_robot``; None where all
+    robots have those of ``model``."""
 
 
 def _of_one(kind: type) -> Any:

@@ -26,7 +26,7 @@ def apply_occlusion(
     first,
     last,
     errors,
-    radius,
+    radii,
     slots,
     packed,
     links,
@@ -41,8 +41,8 @@ def apply_occlusion(
 ):
     """Apply occlusion to both ends of every link, in row order; of an arc to one end.
 
-    ``radius`` is that of an occluding robot, m. Working memory: vectors (3, n, d), listed (2, E),
-    weights (E,), counts (n,).
+    ``radii``, (n,), are those of occluding robots, m. Working memory: vectors (3, n, d), listed
+    (2, E), weights (E,), counts (n,).
     """
     n, positions, outward = robots.shape[1], vectors[0], vectors[1]
     for block in range(first, last):
@@ -52,7 +52,7 @@ def apply_occlusion(
             if errors.error > 0.0:
                 outward_directions(positions, merged_into[b], outward)
             world = obstacles_of(obstacles, b)
-            scene, places = (world, merged_into[b], radius), (positions, outward)
+            scene, places = (world, merged_into[b], radii), (positions, outward)
             found = load_links(links, block, lane, n, listed[0], listed[1], weights)
             counts[:] = 0
             for end in range(2 * found):

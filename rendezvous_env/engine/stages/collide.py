@@ -12,6 +12,7 @@ from ...obstacles.contact import move_curved, move_straight, work_of
 from ...obstacles.spatial_index import obstacles_within
 from ...physics.packing import is_packed, move_apart
 from ...physics.vectors import norm
+from ...robots.motion import constants_of_robot
 from ..memory import (
     ACTIVE,
     AFTER_MERGE,
@@ -75,7 +76,7 @@ def stop_at_obstacles(
                     here = obstacles_within(world, index, b, point, reach, near, listed)
                     met, executed = move_straight(point, way, here, mode, normals)
                     move, environment = moves[block - first, i], environments[block]
-                    _execute(met, executed, i, lane, lanes, d, move, environment, contact[b])
+                    execute_motion(met, executed, i, lane, lanes, d, move, environment, contact[b])
 
 
 @kernel
@@ -114,7 +115,7 @@ def stop_curves_at_obstacles(
                     met, executed = move_curved(
                         point,
                         load_point(move, 0, lane, lanes, d),
-                        robot.model,
+                        constants_of_robot(robot.model, robot.limits, i),
                         load_fields(move, d + 1, lane, lanes, robot.inputs),
                         load_fields(state, d, lane, lanes, robot.entries),
                         load_fields(state, d + d * d, lane, lanes, robot.memories),
@@ -124,7 +125,7 @@ def stop_curves_at_obstacles(
                         work,
                     )
                     environment = environments[block]
-                    _execute(met, executed, i, lane, lanes, d, move, environment, contact[b])
+                    execute_motion(met, executed, i, lane, lanes, d, move, environment, contact[b])
 
 
 @inner_kernel
@@ -137,7 +138,7 @@ def _lanes_near(block, lanes, batch, environment):
 
 
 @inner_kernel
-def _execute(met, executed, i, lane, lanes, d, move, environment, contact):
+def execute_motion(met, executed, i, lane, lanes, d, move, environment, contact):
     """Write the displacement of robot i, a triple; after a contact its length, and the contact.
 
     The length is that of the chord, since the path along a surface is not stored.
@@ -259,10 +260,12 @@ def pack_robots(
 def reaches(rules, has_contacts):
     """Square distance of neighbours, m², and clearance, m, below which contact is possible.
 
-    In a step, distances decrease by at most 2 v_max τ, clearances by v_max τ. ``rules`` are the
+    In a step, distances decrease by at most 2 v_max τ, clearances by v_max τ and by the motion of
+    obstacles. ``rules`` are the
     ``Constants``.
     """
     reach = rules.speed_limit * rules.duration * _ROUNDING
     square = (rules.merge_radius * _ROUNDING + 2.0 * reach) ** 2
     # bodies touch whether or not they are neighbours
-    return math.inf if rules.packs else square, reach + _NEAREST if has_contacts else -math.inf
+    clearance = reach + rules.obstacle_reach + _NEAREST
+    return math.inf if rules.packs else square, clearance if has_contacts else -math.inf

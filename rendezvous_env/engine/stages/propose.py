@@ -6,7 +6,14 @@ Also the update of robot model memory and frames after the step.
 from ...compilation import inner_kernel, kernel
 from ...obstacles.contact import STOP
 from ...robots.motion import FREE as UNTOUCHED
-from ...robots.motion import SLID, STOPPED, frame_of, propose, update_memory
+from ...robots.motion import (
+    SLID,
+    STOPPED,
+    constants_of_robot,
+    frame_of,
+    propose,
+    update_memory,
+)
 from ..memory import (
     ACTIVE,
     CLEARANCE,
@@ -51,19 +58,20 @@ def propose_motion(
                 for lane in range(len(values)):
                     row[(d + 1 + k) * lanes + lane] = values[lane]
         for i in range(n):
-            _propose_robot(width, robot, robots[block, i], move[i])
+            _propose_robot(width, robot, i, robots[block, i], move[i])
         _hold_still(move, count, lanes, start, environment, merged_into)
         near += _begin_step(width, reach, environment)
     return near
 
 
 @inner_kernel(inline="code")
-def _propose_robot(width, robot, state, move):
-    """Propose the motion of one robot in every lane."""
+def _propose_robot(width, robot, i, state, move):
+    """Propose the motion of robot i in every lane."""
     lanes, d = lane_count(width), len(robot.axes)
+    model = constants_of_robot(robot.model, robot.limits, i)
     for lane in range(lanes):
         moved, length = propose(
-            robot.model,
+            model,
             load_fields(move, d + 1, lane, lanes, robot.inputs),
             load_fields(state, d, lane, lanes, robot.entries),
             load_fields(state, d + d * d, lane, lanes, robot.memories),
@@ -144,11 +152,12 @@ def update_robots(
         count = min(lanes, len(merged_into) - block * lanes)
         for i in range(robots.shape[1]):
             state, move = robots[block, i], moves[block - first, i]
+            model = constants_of_robot(robot.model, robot.limits, i)
             for lane in range(count):
                 if environments[block, STATUS * lanes + lane] == RUNNING:
                     frame = load_fields(state, d, lane, lanes, robot.entries)
                     after = update_memory(
-                        robot.model,
+                        model,
                         load_fields(move, d + 1, lane, lanes, robot.inputs),
                         frame,
                         load_fields(state, d + d * d, lane, lanes, robot.memories),

@@ -6,6 +6,7 @@ import numpy as np
 
 from ...graphs.random_graphs import CustomFamily
 from ...limits import LARGEST
+from ...obstacles.moving import moves
 from ...robots.motion import frame_turns
 from ...robots.robot_models import constants_of, is_custom
 from ...scenario.scenario import Scenario
@@ -345,7 +346,7 @@ def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> s
     unhurried = scenario.merge_radius / (2.0 * scenario.tau)
     if asked.by in ("law", "heading", "tank"):  # who sees most goes slowest (theory 4)
         speed *= unhurried / max(unhurried, scenario.max_degree)
-    speed = min(speed, scenario.speed_limit, unhurried)
+    speed = min(speed, scenario.min_speed_limit, unhurried)
     moved = scenario.tau * speed * asked.min_alignment
     k = 2.0
     if asked.by in ("heading", "tank"):
@@ -402,13 +403,30 @@ def _even_so(scenario: Scenario, asked: Asked, words: str) -> str:
     return "" if pays or outlasts_rounding(scenario, asked) else words
 
 
+def still_obstacles(scenario: Scenario, asked: Asked) -> str:
+    """Obstacles stand still, or robots pass through them."""
+    if not moves(scenario.obstacles) or scenario.obstacle_contact == "ignore":
+        return ""
+    return (
+        "none: obstacles move and push robots, which may raise V and tear links; no theorem covers "
+        "it: make them still, or obstacle_contact 'ignore'"
+    )
+
+
 IN_STEPS = (rows_for_all, outlasts_rounding)
 """Assumptions of every rendezvous guarantee in sampled time."""
 JOINED = (without_range, connected, one_leader_at_most, velocity_inputs, *IN_STEPS)
 """Assumptions of theorems about L: all robots but one leader always have a visible neighbour."""
 TEAM = (undirected, connected, velocity_inputs, *IN_STEPS)
 """Assumptions about permanent links."""
-LASTING_LINKS = (undirected, connected, known_bodies, bounded_errors, all_neighbours_visible)
+LASTING_LINKS = (
+    undirected,
+    connected,
+    known_bodies,
+    bounded_errors,
+    all_neighbours_visible,
+    still_obstacles,
+)
 """Assumptions of theorems about V."""
 KEPT = (*LASTING_LINKS, merges_everywhere, outlasts_rounding)
 """Assumptions of bounds on V or V + ΣA, including rounding."""

@@ -135,7 +135,7 @@ def long_step(scenario: Scenario) -> bool:
 def scale_bound(scenario: Scenario) -> float:
     """Minimum velocity scaling s_min = min(1, r/(2D̄τ), v_max/D̄), without unit."""
     held = scenario.merge_radius / (2.0 * scenario.max_degree * scenario.tau)
-    return min(1.0, held, scenario.speed_limit / scenario.max_degree)
+    return min(1.0, held, scenario.min_speed_limit / scenario.max_degree)
 
 
 def merge_rise_allowance(scenario: Scenario) -> float:

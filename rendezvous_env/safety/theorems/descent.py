@@ -9,9 +9,9 @@ nothing in the way; neighbours merge at r, whatever is between them. A: law (1),
 
     T ≤ σ n V0⁺/(4 ε² a*²)      and      T ≤ σ V0⁺ max_m m/(4 ε² c_m²) + (n−1) τ,
 
-σ = max(1, 2D̄τ/r) max(1, D̄/v_max); on a complete graph of equal weights a without obstacles,
-T ≤ σ V(0)/(2 (n−1) ε² a²). With obstacles, V is bounded in motion without a contact; so is V of
-nonholonomic robots under headings. Proof: docs/proofs.md, A to C.
+σ = max(1, 2D̄τ/r) max(1, D̄/v_max), v_max of the slowest robot; on a complete graph of equal
+weights a without obstacles, T ≤ σ V(0)/(2 (n−1) ε² a²). With obstacles, V is bounded in motion
+without a contact; so is V of nonholonomic robots under headings. Proof: docs/proofs.md, A to C.
 """
 
 import numpy as np
@@ -48,7 +48,7 @@ def time_bound(
         return np.full(initial.shape, np.inf)
     n, a = scenario.n_robots, scenario.bottleneck_weight
     slowed = max(1.0, 2.0 * scenario.max_degree * scenario.tau / scenario.merge_radius)
-    slowed *= max(1.0, scenario.max_degree / scenario.speed_limit)
+    slowed *= max(1.0, scenario.max_degree / scenario.min_speed_limit)
     most, square = known.lyapunov_bound(scenario, initial), min_alignment**2
     bound = np.minimum(
         known.over_rate(n * most, 4.0 * square * a**2 / slowed),

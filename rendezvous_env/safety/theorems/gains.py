@@ -75,7 +75,7 @@ def _gains(scenario: Scenario, asked: Asked) -> tuple[Array, float]:
     gains, most = np.ones(scenario.n_robots - 1), scenario.max_degree
     if asked.by == "gains":
         least, most = gain_range(scenario, asked.min_gain, asked.max_gain)
-        return gains * min(least, scenario.speed_limit), most
+        return gains * min(least, scenario.min_speed_limit), most
     if given.nearest_always_visible(scenario):
         # behind others all but the nearest may be hidden, and its link may be the lightest
         gains *= known.lightest_link(scenario)
@@ -86,7 +86,7 @@ def _gains(scenario: Scenario, asked: Asked) -> tuple[Array, float]:
     if scenario.scales_velocity:
         slow = scenario.merge_radius / (2.0 * scenario.tau)
         gains, most = np.minimum(gains, slow), min(most, slow)
-    return np.minimum(gains, scenario.speed_limit), most
+    return np.minimum(gains, scenario.min_speed_limit), most
 
 
 def hull_bounds(scenario: Scenario, asked: Asked) -> Bounds:

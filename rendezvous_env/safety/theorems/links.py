@@ -93,7 +93,7 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
         most = 2.0 * heaviest * reach * (pairs + (n - 1) ** 2)
         most += (n - 1) * merges * heaviest * pairs
         degrees = np.full(n - 1, known.lightest_link(scenario))
-    speeds = np.minimum(degrees, min(scenario.speed_limit, radius / (2.0 * scenario.tau)))
+    speeds = np.minimum(degrees, min(scenario.min_speed_limit, radius / (2.0 * scenario.tau)))
     left = known.robots_left(scenario)
     sure = np.maximum(1.0 - 2.0 * left * asked.error / np.pi, 0.0)
     rates = 4.0 * asked.share * degrees * speeds * sure**2 / left

@@ -122,7 +122,7 @@ def _scatter(scenario: Scenario, seen: Detection, bent: float, gamma: float) -> 
 def lyapunov_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Theorem E[T]; infinite for a step too long for the scatter, or limited speed."""
     degree, seen = scenario.max_degree, detection_of(scenario)
-    if scenario.scales_velocity or scenario.speed_limit < degree:
+    if scenario.scales_velocity or scenario.min_speed_limit < degree:
         return Bounds()
     fall = lyapunov_decrease(scenario, seen)
     exact = known.min_bearing_square(scenario)
@@ -157,7 +157,7 @@ def max_unlinked(scenario: Scenario) -> Array:
 def hull_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Theorem E[L]; infinite for a step too long for the hull to be nested."""
     seen, m, r = detection_of(scenario), known.robots_left(scenario), scenario.merge_radius
-    limit, most = scenario.speed_limit, scenario.max_degree
+    limit, most = scenario.min_speed_limit, scenario.max_degree
     if scenario.scales_velocity:
         limit, most = min(limit, r / (2.0 * scenario.tau)), min(most, r / (2.0 * scenario.tau))
     spare = r - seen.longest * most

@@ -68,7 +68,7 @@ def equal_gains(scenario: Scenario, asked: Asked) -> Array | None:
     else:
         even = known.degrees_stay_equal(scenario) and not scenario.scales_velocity
         gains = known.min_degrees(scenario)
-    return gains if even and scenario.speed_limit >= gains.max(initial=0.0) else None
+    return gains if even and scenario.min_speed_limit >= gains.max(initial=0.0) else None
 
 
 def gains_are_equal(scenario: Scenario, asked: Asked) -> str:
@@ -121,7 +121,7 @@ def tolerated_error(
 def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Theorem N1; no time bound for a long step or limited speed."""
     n, left, chord = scenario.n_robots, known.robots_left(scenario), error_chord(asked.error)
-    as_it_is = scenario.speed_limit >= scenario.max_degree and not known.long_step(scenario)
+    as_it_is = scenario.min_speed_limit >= scenario.max_degree and not known.long_step(scenario)
     most = known.lyapunov_bound(scenario)
     most += (n - 1) * scenario.tau * n * (chord * scenario.max_degree) ** 2
     feigned = left * (chord * known.max_degrees(scenario)) ** 2
@@ -188,7 +188,7 @@ def delay_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     meanwhile = (n - 1) * n * scenario.merge_radius * degree / 2.0
     most = float(known.lyapunov_bound(scenario))
     most += 2.0 * known.merge_rise_allowance(scenario) + meanwhile
-    slowest = min(1.0, scenario.speed_limit / degree) * known.min_bearing_square(scenario)
+    slowest = min(1.0, scenario.min_speed_limit / degree) * known.min_bearing_square(scenario)
     time = float(known.over_rate(most, slowest) + (n - 1) * (late + 1) * scenario.tau)
     words = f"theorem E1: law (1) meets in finite time on bearings that are {late} steps late"
     return Bounds(words, meets=True, time=time, lyapunov=most)

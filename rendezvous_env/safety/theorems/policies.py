@@ -68,7 +68,7 @@ def unmet(scenario: Scenario, guarantee: Guarantee) -> str:
             f"none: the sensor's bearings may err by {own:.4g} rad, and the policy's filter "
             f"expects {told:.4g} rad at most; make it with bearing_error={own:.6g}"
         )
-    needed = min(scenario.turn_limit, MAX_TURN_RATE)
+    needed = min(scenario.min_turn_limit, MAX_TURN_RATE)
     if scenario.model.nonholonomic and guarantee.get("max_turn_rate", math.inf) < needed:
         return (
             f"none: the policy's filter turns robots by {guarantee['max_turn_rate']:.4g} rad/s at "

@@ -40,7 +40,7 @@ def _pull_and_turn(scenario: Scenario) -> tuple[float, float]:
     """F, m/s, and p, rad (theorem T)."""
     least = float((2.0 * known.min_degrees(scenario) / known.robots_left(scenario)).min())
     most = (0.7 * scenario.tau * least, math.pi / 3.0) if scenario.dim == 2 else (math.pi / 2.0,)
-    return least, min(min(scenario.turn_limit, MAX_TURN_RATE) * scenario.tau, *most)
+    return least, min(min(scenario.min_turn_limit, MAX_TURN_RATE) * scenario.tau, *most)
 
 
 def turns_outlast_rounding(scenario: Scenario, asked: Asked) -> str:
@@ -72,7 +72,7 @@ def gate_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     words = (
         "theorem T: under the gate robots that turn meet in finite time, whatever turn rates are "
         "asked for; the bound is very loose and needs a wrapper that allows "
-        f"{min(scenario.turn_limit, MAX_TURN_RATE):g} rad/s"
+        f"{min(scenario.min_turn_limit, MAX_TURN_RATE):g} rad/s"
     )
     return Bounds(words, meets=True, time=float(count * scenario.tau * windows))
 

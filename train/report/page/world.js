@@ -59,7 +59,7 @@ function drawWorld(canvas, rec, moment, bounds, planes, k, chosen) {
   pen.rect(MARGIN.left, MARGIN.top, width - MARGIN.left - MARGIN.right,
     height - MARGIN.top - MARGIN.bottom);
   pen.clip();
-  drawObstacles(pen, view, rec.obstacles);
+  drawObstacles(pen, view, rec, moment);
   const robots = rec.shape.positions[1];
   for (let robot = 0; robot < robots; robot++) drawTrail(pen, view, rec, moment, robot);
   const chosenLives = chosen !== null && isActive(rec, moment.frame, chosen);
@@ -112,17 +112,31 @@ function line(pen, x0, y0, x1, y1) {
   pen.stroke();
 }
 
-function drawObstacles(pen, view, obstacles) {
+/** Displacement of an outline at a moment from its place at the start: m, all axes. */
+function shiftOf(rec, moment, outline) {
+  if (!rec.obstacle_offsets) return [0, 0, 0];
+  const [frames, outlines, dim] = rec.shape.obstacle_offsets;
+  const next = Math.min(moment.frame + 1, frames - 1);
+  const at = (frame, axis) => rec.obstacle_offsets[(frame * outlines + outline) * dim + axis];
+  return Array.from({ length: dim }, (_, axis) => {
+    const here = at(moment.frame, axis);
+    return here + moment.share * (at(next, axis) - here);
+  });
+}
+
+function drawObstacles(pen, view, rec, moment) {
   const [a, b] = view.axes;
   pen.fillStyle = colour("obstacle");
   pen.strokeStyle = colour("obstacle-edge");
   pen.lineWidth = 1;
-  for (const { centre, radius, vertices } of obstacles) {
+  for (const [outline, { centre, radius, vertices }] of rec.obstacles.entries()) {
+    const shift = shiftOf(rec, moment, outline);
+    const [x, y] = [(at) => view.x(at[a] + shift[a]), (at) => view.y(at[b] + shift[b])];
     pen.beginPath();
     if (vertices.length) {
-      for (const corner of vertices) pen.lineTo(view.x(corner[a]), view.y(corner[b]));
+      for (const corner of vertices) pen.lineTo(x(corner), y(corner));
       pen.closePath();
-    } else pen.arc(view.x(centre[a]), view.y(centre[b]), view.scale * radius, 0, 2 * Math.PI);
+    } else pen.arc(x(centre), y(centre), view.scale * radius, 0, 2 * Math.PI);
     pen.globalAlpha = centre.length === 3 ? 0.45 : 1; // spheres hide what is behind them
     pen.fill();
     pen.globalAlpha = 1;

@@ -1,0 +1,1 @@
+"""Obstacles that move: motion over a step, and contact in relative motion."""
