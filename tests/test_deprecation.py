@@ -1,0 +1,62 @@
+"""Former names of arguments and attributes."""
+
+import pytest
+
+import rendezvous_env as rv
+from rendezvous_env.deprecation import renamed_arguments, renamed_attribute
+from train.learn.settings import Config
+
+NUM_ENVS = pytest.warns(DeprecationWarning, match="num_teams is called num_envs now")
+PENALTY = pytest.warns(DeprecationWarning, match="touch_penalty is called contact_penalty now")
+
+
+class Wheel:
+    radius = 0.1
+    size = renamed_attribute("size", "radius")
+
+    @renamed_arguments(size="radius")
+    def __init__(self, radius: float = 0.1) -> None:
+        self.radius = radius
+
+
+def test_renamed_argument_is_passed_with_a_warning():
+    with pytest.warns(DeprecationWarning, match="^size is called radius now$") as warned:
+        assert Wheel(size=0.3).radius == 0.3
+    assert warned[0].filename == __file__
+
+
+def test_renamed_argument_is_refused_beside_its_new_name():
+    with pytest.raises(TypeError, match="size is the former name of radius; give one of them"):
+        Wheel(radius=0.1, size=0.2)
+
+
+def test_renamed_attribute_reads_the_new_one():
+    with pytest.warns(DeprecationWarning, match="^Wheel.size is called radius now$") as warned:
+        assert Wheel(0.5).size == 0.5
+    assert warned[0].filename == __file__
+
+
+def test_training_env_accepts_touch_penalty():
+    with PENALTY:
+        envs = rv.vector.training_env("duo", 2, touch_penalty=0.25, learning_preset=False)
+    assert envs.contact_penalty == 0.25
+    with pytest.warns(DeprecationWarning, match="TrainingTeams.touch_penalty is called"):
+        assert envs.touch_penalty == 0.25
+    with PENALTY:
+        assert rv.training_env("duo", touch_penalty=0.25).teams.contact_penalty == 0.25
+
+
+def test_make_robots_accepts_num_teams():
+    make_robots = pytest.importorskip("rendezvous_env.adapters.sb3").make_robots
+    with NUM_ENVS:
+        assert make_robots("duo", num_teams=3).num_envs == 6
+
+
+def test_config_accepts_former_names_in_calls_and_in_stored_runs():
+    with NUM_ENVS, PENALTY:
+        config = Config(num_teams=7, touch_penalty=0.5)
+    assert config == Config(num_envs=7, contact_penalty=0.5)
+    stored = config.to_plain()
+    stored["num_teams"] = stored.pop("num_envs")
+    stored["touch_penalty"] = stored.pop("contact_penalty")
+    assert Config.from_plain(stored) == config
