@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal
 from rendezvous_env.baselines.learned.plain_data import read_json
 from rendezvous_env.baselines.learned.policy_settings import PolicySettings, memory_of
 from rendezvous_env.baselines.steering import can_steer, check_steerable
-from rendezvous_env.deprecation import renamed_arguments
 from tyro.conf import arg
 
+from rendezvous_env.deprecation import renamed_arguments
 from rendezvous_env.obstacles.fields import ObstacleField
 from rendezvous_env.rewards.terms import RewardWeights
 from rendezvous_env.safety.settings import SMALLEST_MARGIN
