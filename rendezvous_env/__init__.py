@@ -27,6 +27,7 @@ from .obstacles.walls import WallField
 from .rendezvous_v0 import parallel_env
 from .rewards.custom_terms import RewardStep, reward_term
 from .rewards.terms import RewardWeights
+from .robots.activation import Activation
 from .robots.motion import FREE, SLID, STOPPED, Motion
 from .robots.motion import describe as describe_motion
 from .robots.robot_models import RobotModel, register_robot_model
@@ -44,7 +45,7 @@ from .trajectory import Trajectory, rollout
 
 __version__ = "0.2.0"
 __all__ = [
-    "FREE", "SLID", "STOPPED", "Capsule", "Certificate", "Disc", "EnergyTankWrapper",
+    "FREE", "SLID", "STOPPED", "Activation", "Capsule", "Certificate", "Disc", "EnergyTankWrapper",
     "GainWrapper", "GuaranteeWrapper", "HeadingVectorWrapper", "LinkKeepingWrapper", "Motion",
     "ObservationLayout", "ObstacleField", "Polygon", "RewardStep", "RewardWeights",
     "RobotModel", "SafetyFilter", "Scenario", "Seen", "Sensing", "Simulator", "Sphere",

@@ -106,6 +106,15 @@ class StateView:
         return read_only(self._state.merged_into == np.arange(self.scenario.n_robots))
 
     @property
+    def conditions(self) -> dict[str, NDArray[np.bool_]]:
+        """Condition of each robot in the last step by infos key, (B, n) each.
+
+        "activated" with ``Scenario.activation``: active robots that took a new command. Empty for
+        other scenarios.
+        """
+        return {name: array.copy() for name, array in self._state.conditions.items()}
+
+    @property
     def ended(self) -> NDArray[np.bool_]:
         """Environments whose episode has ended, (B,)."""
         status = self._state.statistic("status")

@@ -178,6 +178,12 @@ def scenario_fields(draw: st.DrawFn) -> dict[Any, Any]:
         "start_headings": any_table(n, dim - 1),
         "local_frames": nearly(st.sampled_from(["random", "global"]), "own"),
         "on_merge": nearly(st.sampled_from(["remove", "follow"]), "stay"),
+        "activation": nearly(
+            st.sampled_from(["random", {"kind": "bounded", "max_wait": 3}, {"kind": "periodic"}]),
+            "never",
+            {"kind": "periodic", "period": [1, 2]},
+        ),
+        "hold": nearly(st.sampled_from(["command", "stop"]), "wait"),
         "reward": st.dictionaries(
             st.sampled_from(["progress", "collision_penalty", "rendezvous_bonus", "bonus"]),
             nearly(st.floats(-5, 5)),

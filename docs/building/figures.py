@@ -139,11 +139,42 @@ def guarantee_price() -> Any:
     return figure
 
 
+CLOCKS = {
+    "synchronous": {},
+    "stand still, k = 4": {"hold": "stop"},
+    "held commands, k = 4": {"hold": "command"},
+}
+"""Fields of ``clocks`` by label."""
+
+
+@styled
+def clocks() -> Any:
+    """V under law (1) with and without own clocks, at the step that held commands need and at the
+    default one.
+    """
+    base = rv.Scenario(n_robots=8, graph="cycle", time_limit=15.0)
+    wait = rv.Activation(kind="bounded", max_wait=4)
+    figure = new_figure(PAGE, 2.3)
+    steps = {"time step of Theorem E3": 0.28 * base.certified_step, "default time step": base.tau}
+    for axes, (title, step) in zip(figure.subplots(1, 2, sharey=True), steps.items(), strict=True):
+        for (label, fields), colour in zip(CLOCKS.items(), (GREY, BLUE, VERMILLION), strict=True):
+            own = {"activation": wait, **fields} if fields else {}
+            scenario = base.replace(time_step=step, **own)
+            played = rv.rollout(scenario, baselines.make("bearing-only", scenario), seed=1)
+            axes.plot(played.times, played.lyapunov[:, 0], color=colour, label=label)
+        axes.set(xlabel="time (s)", title=title, xlim=(0, 15), ylim=(0, None))
+        axes.grid(True)
+    figure.axes[0].set_ylabel("V (m²/s)")
+    axes.legend()
+    return figure
+
+
 FIGURES: dict[str, Callable[[], Any]] = {
     **DIAGRAMS,
     "bound": bound,
     "tightness": tightness,
     "guarantee-price": guarantee_price,
+    "clocks": clocks,
 }
 
 

@@ -13,7 +13,7 @@ from ..outcome import SCORES, StepOutput
 from . import threads
 from .memory import RUNNING
 from .memory_layout import scratch
-from .preparation import constants, robot, sensor
+from .preparation import clocks, constants, robot, sensor
 from .state import State
 from .step import StepStages
 from .thread_tuner import ThreadTuner
@@ -105,7 +105,7 @@ class BatchRunner:
         self._tuner = self._tuner_of(1)
         self._tuners: dict[int, ThreadTuner] = {}  # by number of steps per call
         self.robot = robot(place.scenario)
-        self._sensor = sensor(state)
+        self._sensor, self._clocks = sensor(state), clocks(place.scenario)
         self._scratch = [scratch(place) for _ in range(self._tuner.max_threads)]
         self.scratch = self._scratch[0]
         """Free working memory, between steps."""
@@ -136,7 +136,7 @@ class BatchRunner:
     def limit(self, max_steps: int) -> None:
         """Set the time limit of episodes, in steps."""
         found = constants(self._state.scenario, self.robot, max_steps)
-        self._stages = StepStages(self._state, self.robot, found, self._sensor)
+        self._stages = StepStages(self._state, self.robot, found, self._sensor, self._clocks)
 
     def new_output(self) -> StepOutput:
         """Allocate the output of a step, new except for ``neighbour_overflow``.
@@ -305,8 +305,10 @@ class BatchRunner:
         if self._may_overflow:
             output.neighbour_overflow.fill(-1)
         calls = stages.calls(0, blocks, actions, output, self.scratch, self._near)
-        near = calls[0]() > 0.0
+        if ahead := stages.n_ahead:
+            deque(map(call, calls[:ahead]), 0)
+        near = calls[ahead]() > 0.0
         if near and not self._near:
             calls = stages.calls(0, blocks, actions, output, self.scratch, True)
         self._near = near
-        return calls[1:]
+        return calls[ahead + 1 :]

@@ -70,7 +70,8 @@ class MemoryLayout:
         """Size of the arrays of robots, environments and discs, bytes."""
         n, lanes = self.scenario.n_robots, self.lanes
         numbers = n * self.fields + N_FIELDS + 3 * self.discs
-        return 8 * (self.blocks * lanes * numbers + self.batch * n)
+        clocks = 0 if self.scenario.activation.synchronous else n * (1 + self.scenario.action_size)
+        return 8 * (self.blocks * lanes * numbers + self.batch * (n + clocks))
 
 
 def aligned(*shape: int, kind: Any = np.float64) -> NDArray[Any]:

@@ -10,6 +10,8 @@ from ..obstacles.fields import Field, Rules
 from ..obstacles.obstacle_set import ObstacleSet
 from ..physics.random_streams import ignore_overflow
 from ..rewards.terms import CLEARANCE_PENALTY
+from ..robots.activation import ActivationRules
+from ..robots.activation import rules_of as activation_rules
 from ..robots.motion import init_memory
 from ..robots.robot_models import constants_of
 from ..scenario.scenario import CONTACT_MODES, Scenario
@@ -103,6 +105,13 @@ def constants(scenario: Scenario, robot: Robot, max_steps: int) -> Constants:
         packs=scenario.meeting == "pack",
         merges_through=scenario.merges_through,
     )
+
+
+def clocks(scenario: Scenario) -> ActivationRules | None:
+    """Clocks of a scenario's robots; None if every robot is active in every step."""
+    if scenario.activation.synchronous:
+        return None
+    return activation_rules(scenario.activation, scenario.hold, scenario.n_robots)
 
 
 class StartRules(NamedTuple):

@@ -68,6 +68,17 @@ class State:
         self.errors = aligned(*shape, erring, self.lanes, kind=np.float32)
         self.held = np.zeros((place.batch, n if held else 0, held, rows.dim), np.float32)
         """Observations that are held between samples; none without a sample period."""
+        clocked = place.batch, 0 if self.scenario.activation.synchronous else n
+        self.commands = np.zeros((*clocked, self.scenario.action_size), np.float32)
+        """Commands in execution, see ``stages.commands``; none if robots are synchronous, as of
+        the next two."""
+        self.last_activation = np.full(clocked, -1)
+        """Step of each robot's last activation, −1 before the first."""
+        self.activated = np.zeros(clocked, np.bool_)
+        """Robots that were active in the last step."""
+        found = {"activated": self.activated}
+        self.conditions = {name: array for name, array in found.items() if array.size}
+        """Condition of robots in the last step, (B, n) each, by infos key."""
         self._all = np.arange(place.batch)
         fields = self.robots.reshape(place.blocks, n, place.fields, self.lanes)
         self._fields = self.environments.reshape(place.blocks, N_FIELDS, self.lanes)
@@ -86,6 +97,8 @@ class State:
         self._arrays: dict[str, NDArray[Any]] = {**in_blocks, "merged_into": self.merged_into}
         self._arrays |= {**links, "seed": self.seed, "episode": self.number, "past": self.past}
         self._arrays["held"] = self.held
+        clocks = {"commands": self.commands, "last_activation": self.last_activation}
+        self._arrays |= clocks
         self._arrays |= self.obstacles._asdict()
         self._in_blocks = set(in_blocks)
         """Arrays in blocks, (blocks, …, L); others are (B, …)."""
@@ -95,7 +108,7 @@ class State:
         """Arrays that are neither constant nor derived."""
         self._kept += ["frames"] if self.scenario.model.n_angles == 0 else []
         of_sensors = "past", "detection", "errors", "held"
-        self._kept += [name for name in of_sensors if self._arrays[name].size]
+        self._kept += [name for name in (*of_sensors, *clocks) if self._arrays[name].size]
         # the first observation of an episode writes what sensors keep
         begun = {name: array for name, array in self._arrays.items() if name not in of_sensors}
         self._begun_anew = [name for name, array in begun.items() if array.size]
@@ -162,6 +175,9 @@ class State:
         for name, value in {**known, **far}.items():
             fields[EPISODE_FIELDS.index(name)] = value
         self.give(which, environments=fields[None], merged_into=np.arange(n))
+        if self.commands.size:
+            self.commands[which], self.last_activation[which] = 0.0, -1
+            self.activated[which] = False
 
     def settle(self) -> None:
         """Set V of all environments from an observation without a step."""

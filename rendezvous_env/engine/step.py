@@ -2,6 +2,7 @@
 
 From the action to the new observation, over the blocks of one thread after another:
 
+    take_commands               commands in execution, where robots have their own clocks
     propose_motion              displacement of every robot without contacts
     stop_at_obstacles           exact contacts, where an obstacle is within reach
     merge_robots, pack_robots   exact merges, or bodies that touch, where robots are within reach
@@ -19,7 +20,7 @@ From the action to the new observation, over the blocks of one thread after anot
 
 Each stage is a separate kernel with the arrays it uses as arguments, compiled on first use. Stages
 that a scenario does not need are skipped. Between stages numbers are in the scratch memory of a
-thread. An observation without a step omits the first five and the last.
+thread. An observation without a step omits the first six and the last.
 """
 
 import math
@@ -36,6 +37,7 @@ from ..graphs.edges import DENSE
 from ..obstacles.contact import IGNORE
 from ..outcome import StepOutput
 from ..physics.random_streams import ignore_overflow
+from ..robots.activation import ActivationRules
 from ..robots.motion import frame_turns
 from ..sensors.imperfections import Imperfections
 from .memory import Robot
@@ -51,6 +53,7 @@ from .stages.collide import (
     stop_at_obstacles,
     stop_curves_at_obstacles,
 )
+from .stages.commands import take_commands
 from .stages.conclude import conclude_step
 from .stages.propose import advance_free, propose_motion, refresh_frames, update_robots
 from .stages.remember import hold_observations, remember_detection, remember_errors
@@ -77,9 +80,17 @@ class StepStages:
     """Stages of the steps of B environments, as calls."""
 
     def __init__(
-        self, state: State, robot: Robot, constants: Constants, sensor: Sensor | None
+        self,
+        state: State,
+        robot: Robot,
+        constants: Constants,
+        sensor: Sensor | None,
+        clocks: ActivationRules | None = None,
     ) -> None:
         self._state, self._robot, self._constants, self._sensor = state, robot, constants, sensor
+        self._clocks = clocks
+        self.n_ahead = 0 if clocks is None else 1
+        """Number of calls ahead of ``propose_motion``; to repeat them in a step is harmless."""
         self.all_compiled = False
         """True if the stages of contacts and merges are also compiled."""
         self._entries: dict[Any, Callable[..., Any]] = {}
@@ -160,7 +171,12 @@ class StepStages:
         width, lanes, environments = state.place.width, state.lanes, state.environments
         now = state.robots, state.merged_into, environments, work.moves
         reach = reaches(rules, self._has_contacts)
-        yield propose_motion, width, robot, first, last, reach, *now, _ACTIONS
+        if self._clocks is None:
+            actions: Any = _ACTIONS
+        else:
+            yield self._take_commands(self._clocks, first, last, work)
+            actions = state.commands
+        yield propose_motion, width, robot, first, last, reach, *now, actions
         if collides:
             blocks, mode = (first, last), rules.contact_mode
             if self._has_contacts:
@@ -187,6 +203,16 @@ class StepStages:
         if robot.memories:
             given = first, last, rules.contact_mode, *now
             yield update_robots, width, robot, *given, _OUTPUT.contact
+
+    def _take_commands(
+        self, clocks: ActivationRules, first: int, last: int, work: Scratch
+    ) -> tuple[Any, ...]:
+        state = self._state
+        streams, now = (state.seed, state.number), (state.robots, state.merged_into)
+        kept = state.commands, state.last_activation, state.activated
+        given = clocks, streams, *now, state.environments, state.links, kept
+        memory = work.vectors, work.listed, work.numbers[0]
+        return take_commands, self._robot, state.lanes, first, last, *given, *memory, _ACTIONS
 
     def _sense_neighbours(self, first: int, last: int, moves: bool, work: Scratch) -> Iterator[Any]:
         state, robot, rules, links = self._state, self._robot, self._constants, self._state.links

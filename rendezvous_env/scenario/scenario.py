@@ -25,6 +25,7 @@ from ..obstacles import parsing as obstacles
 from ..obstacles.parsing import Obstacles
 from ..rewards.costs import as_costs
 from ..rewards.terms import RewardWeights
+from ..robots.activation import Activation, ActivationLike, as_activation
 from ..robots.robot_models import ROBOT_MODELS, RobotModel, try_with
 from ..sensors.sensing import Sensing
 from . import scenario_files
@@ -160,6 +161,15 @@ class Scenario:
     """Costs for constrained learning: "contact", "rise", "link_lost", or registered reward
     terms; see ``rewards.costs``."""
 
+    activation: Annotated[ActivationLike, as_activation] = dataclasses.field(
+        default_factory=Activation
+    )
+    """Clocks of the robots: "synchronous", "periodic", "random", "bounded", or an Activation with
+    periods, a probability or a bound. Robots that are not active ignore their action."""
+    hold: Literal["command", "stop"] = "command"
+    """Robots that are not active keep their last command, or stand still (zero action). No effect
+    while robots are synchronous."""
+
     def __post_init__(self) -> None:
         checks.check_fields(self)
         if self.dim not in self.model.dims:
@@ -172,6 +182,7 @@ class Scenario:
         self._check_starts()
         self._check_time_step()
         self.sensing.check_fits(self.n_robots, self.tau)
+        self.activation.check_fits(self.n_robots)
 
     @property
     def sensing_graph(self) -> Graph:
@@ -352,6 +363,9 @@ class Scenario:
         plain["reward"] = self.reward.to_plain()
         plain["sensing"] = None if self.sensing.exact else self.sensing.to_plain()
         plain["costs"] = list(self.costs) or None
+        clocks = self.activation
+        plain["activation"] = None if clocks.synchronous else clocks.to_plain()
+        plain["hold"] = None if self.hold == "command" else self.hold
         plain["merge_through_obstacles"] = False if not self.merge_through_obstacles else None
         for key in ("neighbour_overflow", "obstacle_overflow"):  # younger than files of scenarios
             plain[key] = None if plain[key] == "error" else plain[key]

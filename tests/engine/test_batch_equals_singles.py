@@ -11,6 +11,7 @@ from test_measured_sensors import MEASURED
 from test_sensing_engine import SHAPES, WORST
 
 from rendezvous_env import (
+    Activation,
     Capsule,
     ObstacleField,
     Scenario,
@@ -41,6 +42,7 @@ FAST = {
     "errors in the open": five("single_integrator-2d", sensing=WORST, spawn_size=3.0),
     "measured": five("unicycle", obstacles=SHAPES[:1], sensing=MEASURED, **TIGHT),
     "packing": scenarios.get("robotarium-4"),
+    "own clocks": five("unicycle", activation=Activation(kind="bounded", max_wait=3), **TIGHT),
 }
 SLOW = {
     "nothing in the way": five("single_integrator-2d", spawn_size=3.0),
@@ -61,12 +63,13 @@ SLOW = {
 """Covered by the other cases, except for compilation."""
 SCENARIOS = FAST | SLOW
 KERNELS = (
-    "two rows", "packing", "flying among solids", "errors", "drawn graphs", "errors in space",
+    "two rows", "own clocks", "packing", "flying among solids", "errors", "drawn graphs",
+    "errors in space",
 )  # fmt: skip
 """Cases that together call every kernel of a step."""
 MEETS_NOTHING = (
     "nothing in the way", "two rows", "drawn graphs", "errors in the open", "errors in two rows",
-    "measured in space", "measured in two rows", "packing",
+    "measured in space", "measured in two rows", "packing", "own clocks",
 )  # fmt: skip
 
 

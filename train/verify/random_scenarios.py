@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rendezvous_env as rv
+from rendezvous_env.safety.theorems.delay import longest_held_step
 from rendezvous_env.safety.theorems.theorem import CHOICES
 
 from . import random_starts as places_of
@@ -32,6 +33,7 @@ _TRIES = 40
 _CORNERS = 0.25  # share of scenarios that are drawn where promises would break first
 _TOLERABLE = 0.8
 """Fraction of scenarios with one sensor imperfection small enough for some theorem."""
+_CLOCKED = 0.25  # share of scenarios in which robots have clocks of their own
 _CLIMBING = 0.15  # share of trials whose starts are improved
 _SIZES = (2, 3, 3, 3, 4, 4, 4, 5, 6)
 _MODELS = (
@@ -116,6 +118,7 @@ def _draw(random: Random, kind: Kind) -> tuple[rv.Scenario, Given, Starts]:
                 scenario = _tolerable(random, scenario, given)
         except ValueError:
             continue  # fields that do not go together
+        scenario = _with_clocks(random.spawn(1)[0], scenario)
         if scenario.start_positions is None:
             return scenario, given, ()
         # half of the others are drawn anew where no obstacles lie between the robots
@@ -123,6 +126,33 @@ def _draw(random: Random, kind: Kind) -> tuple[rv.Scenario, Given, Starts]:
         others = other_starts(random, scenario, own[None], anew)[1:]
         return scenario, given, (scenario, *others)
     return rv.Scenario(), {by: _arguments(random, rv.Scenario(), by) for by in CHOICES}, ()
+
+
+def _with_clocks(random: Random, scenario: rv.Scenario) -> rv.Scenario:
+    """Mostly the scenario itself; else with clocks of the robots, half of them where a theorem is
+    known: exact bearings, nothing in the way, and commands that are held for a short time.
+    """
+    if random.random() >= _CLOCKED:
+        return scenario
+    n, kind = scenario.n_robots, str(pick(random, "periodic", "random", "bounded", "bounded"))
+    own: dict[str, Any] = {"max_wait": int(random.integers(1, 6))}
+    if kind == "periodic":
+        periods = random.integers(1, 6, n)
+        phases = random.integers(0, periods)
+        own = {"period": periods.tolist(), "phase": phases.tolist()}
+    elif kind == "random":
+        own = {"probability": log_uniform(random, 0.05, 1.0)}
+    hold = str(pick(random, "command", "stop"))
+    clocked = scenario.replace(activation=rv.Activation(kind=kind, **own), hold=hold)
+    lasting = scenario.sensing_graph.kind not in (*GRAPHS["changing"], "proximity")
+    if not lasting or random.random() < 0.5:
+        return clocked
+    passed = scenario.obstacles if scenario.obstacle_contact == "ignore" else ()
+    clocked = clocked.replace(sensing=rv.Sensing(), obstacles=passed)
+    if hold == "command" and kind != "random":
+        step = longest_held_step(clocked) * random.uniform(0.3, 1.05)
+        clocked = clocked.replace(time_step=step, time_limit=1000.0 * step)
+    return clocked
 
 
 def other_starts(random: Random, scenario: rv.Scenario, places: Array, anew: float = 0.0) -> Starts:

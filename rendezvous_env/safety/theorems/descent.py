@@ -11,7 +11,9 @@ nothing in the way; neighbours merge at r, whatever is between them. A: law (1),
 
 σ = max(1, 2D̄τ/r) max(1, D̄/v_max); on a complete graph of equal weights a without obstacles,
 T ≤ σ V(0)/(2 (n−1) ε² a²). With obstacles, V is bounded in motion without a contact; so is V of
-nonholonomic robots under headings. Proof: docs/proofs.md, A to C.
+nonholonomic robots under headings. As inequality (1) of the proofs is a sum over robots, V also
+never rises where some of them stand still in a step (``Scenario.hold="stop"``).
+Proof: docs/proofs.md, A to C.
 """
 
 import numpy as np
@@ -88,7 +90,7 @@ _A = Theorem("A", ("law",), (*given.UNHINDERED, *_HELD), time_bounds)
 _C = Theorem("C", ("heading",), (*given.UNHINDERED, given.exact_bearings), time_bounds)
 THEOREMS = (
     _A,
-    Theorem("V", ("law",), _LAW_V, lyapunov_bounds, False, "descent"),
+    Theorem("V", ("law",), _LAW_V, lyapunov_bounds, False, "descent", ("stop",)),
     _C,
-    Theorem("V", ("heading",), given.KEPT, lyapunov_bounds, False, "descent"),
+    Theorem("V", ("heading",), given.KEPT, lyapunov_bounds, False, "descent", ("stop",)),
 )

@@ -12,8 +12,9 @@ over τ, τ C < r (D1):
     ψ = π/n,  with a leader 5π/(12 (n−1)),  in 3-D π (1 − cos 5π/12)/(2 (n−1)),
     μ = ψ,  in 3-D 2π (1 − cos(ψ/2)).
 
-For τ C ≤ r the hull does not grow in a step that begins with linked robots r or more apart; L0
-holds what it grows by in others. Proof: docs/proofs.md, G and D1.
+For τ C ≤ r the hull does not grow in a step that begins with linked robots r or more apart, in
+which any robots may stand still; L0 holds what it grows by in others.
+Proof: docs/proofs.md, G and D1.
 """
 
 import math
@@ -126,6 +127,6 @@ _SEEN = given.bounded_errors, given.some_neighbour_visible, given.no_obstacles
 _LAW_HULL = *_HULL, given.all_neighbours_visible, *_NESTED
 THEOREMS = (
     Theorem("G", ("law", "gains"), (*given.JOINED, *_SEEN, *_WITHIN), bounds, every_step="nested"),
-    Theorem("G, the hull", ("gains",), (*_HULL, *_NESTED), hull_bounds, False, "nested"),
-    Theorem("G, the hull", ("law",), _LAW_HULL, hull_bounds, False, "nested"),
+    Theorem("G, the hull", ("gains",), (*_HULL, *_NESTED), hull_bounds, False, "nested", ("stop",)),
+    Theorem("G, the hull", ("law",), _LAW_HULL, hull_bounds, False, "nested", ("stop",)),
 )

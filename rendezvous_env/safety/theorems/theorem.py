@@ -113,9 +113,21 @@ class Theorem:
     """Property of every step without merge or contact, or empty: V does not increase ("descent"),
     nor V + ΣA ("ledger"), the hull ("nested", while linked robots are at least r apart), or any
     link ("links")."""
+    clocks: tuple[str, ...] = ()
+    """Values of ``Scenario.hold`` with which it also holds where robots have clocks of their own
+    (``Scenario.activation``)."""
 
     def unmet(self, scenario: Scenario, asked: Asked) -> tuple[int, str]:
-        """Number of assumptions met before the first failure, and its message, if any."""
+        """Number of assumptions met before the first failure, and its message, if any.
+
+        −1 if the scenario has what the theorem does not speak of at all.
+        """
+        clocks = scenario.activation
+        if not clocks.synchronous and scenario.hold not in self.clocks:
+            return -1, (
+                f"none: robots have clocks of their own (activation {clocks}, hold = "
+                f"{scenario.hold!r}), and no theorem covers {CHOICES[asked.by]} with them"
+            )
         if scenario.meeting == "pack":
             return 0, (
                 "none: theorems end with one robot left, and with meeting='pack' none merges; "
