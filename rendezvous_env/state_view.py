@@ -109,10 +109,11 @@ class StateView:
     def conditions(self) -> dict[str, NDArray[np.bool_]]:
         """Condition of each robot in the last step by infos key, (B, n) each.
 
-        "activated" with ``Scenario.activation``: active robots that took a new command. Empty for
-        other scenarios.
+        "activated" with ``Scenario.activation``: active robots that took a new command. With
+        ``Scenario.events``: "crashed", "adversarial", and "blind" for the last observation. Empty
+        for other scenarios, and False for merged robots.
         """
-        return {name: array.copy() for name, array in self._state.conditions.items()}
+        return self._state.conditions()
 
     @property
     def ended(self) -> NDArray[np.bool_]:

@@ -183,6 +183,11 @@ def scenario_fields(draw: st.DrawFn) -> dict[Any, Any]:
             "never",
             {"kind": "periodic", "period": [1, 2]},
         ),
+        "events": nearly(
+            st.sampled_from([{"slip": 0.5}, {"n_crashed": 1}, {"sensor_failures": [[0, 1, 2]]}]),
+            {"slip": 2},
+            {"crashes": [[9, 1.0]]},
+        ),
         "hold": nearly(st.sampled_from(["command", "stop"]), "wait"),
         "reward": st.dictionaries(
             st.sampled_from(["progress", "collision_penalty", "rendezvous_bonus", "bonus"]),

@@ -169,12 +169,42 @@ def clocks() -> Any:
     return figure
 
 
+FAILURES: dict[str, dict[str, Any]] = {
+    "law (1)": {},
+    "one crash": {"crashes": [[0, 0.3]]},
+    "an adversary": {"adversaries": [[0, 0.5]]},
+    "w = 1.5 m/s": {"disturbance": 1.5},
+}
+"""Events of ``failures`` by title."""
+
+
+@styled
+def failures() -> Any:
+    """Paths of law (1) with failures and a disturbance; robot 0 is red."""
+    base = rv.Scenario(n_robots=6, graph="cycle", time_limit=8.0, max_speed=2.0)
+    figure = new_figure(PAGE, 2.3)
+    panels = zip(figure.subplots(1, len(FAILURES)), FAILURES.items(), strict=True)
+    for axes, (title, events) in panels:
+        scenario = base.replace(events=events)
+        played = rv.rollout(scenario, baselines.make("bearing-only", scenario), seed=8)
+        for robot in range(scenario.n_robots):
+            path = played.positions[:, 0, robot]
+            colour = VERMILLION if robot == 0 else BLUE
+            axes.plot(*path.T, color=colour, linewidth=0.8, zorder=3 if robot == 0 else 2)
+            axes.plot(*path[0], "o", color=colour, markersize=3)
+            axes.plot(*path[-1], "k.", markersize=3, zorder=4)
+        axes.set(title=title, aspect="equal", xlabel="x (m)", xlim=(-6, 6), ylim=(-6, 6))
+    figure.axes[0].set_ylabel("y (m)")
+    return figure
+
+
 FIGURES: dict[str, Callable[[], Any]] = {
     **DIAGRAMS,
     "bound": bound,
     "tightness": tightness,
     "guarantee-price": guarantee_price,
     "clocks": clocks,
+    "failures": failures,
 }
 
 

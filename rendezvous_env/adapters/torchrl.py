@@ -39,7 +39,7 @@ class RendezvousEnv(EnvBase):
     | ("robots", "action") | (B, n, a) float32 | (B, n) int64 with ``discrete=True`` |
     | ("robots", "active") | (B, n, 1) bool | the robot is active (not merged) |
     | ("robots", "reward") | (B, n, 1) float32 | after a step |
-    | ("robots", "info", "activated") | (B, n, 1) bool | with ``Scenario.activation`` |
+    | ("robots", "info", "activated") | (B, n, 1) bool | see ``Simulator.conditions`` |
     | ("robots", "info", "cost") | (B, n, 1) float32 | with ``Scenario.costs``; also "cost_NAME" |
     | "contacts" | (B, 1) int64 | obstacle contacts so far, summed over robots and base steps |
     | "state" | (B, size) float32 | privileged; with ``return_state=True`` |

@@ -13,7 +13,7 @@ from ..outcome import SCORES, StepOutput
 from . import threads
 from .memory import RUNNING
 from .memory_layout import scratch
-from .preparation import clocks, constants, robot, sensor
+from .preparation import clocks, constants, events, robot, sensor
 from .state import State
 from .step import StepStages
 from .thread_tuner import ThreadTuner
@@ -106,6 +106,7 @@ class BatchRunner:
         self._tuners: dict[int, ThreadTuner] = {}  # by number of steps per call
         self.robot = robot(place.scenario)
         self._sensor, self._clocks = sensor(state), clocks(place.scenario)
+        self._events = events(place.scenario)
         self._scratch = [scratch(place) for _ in range(self._tuner.max_threads)]
         self.scratch = self._scratch[0]
         """Free working memory, between steps."""
@@ -136,7 +137,9 @@ class BatchRunner:
     def limit(self, max_steps: int) -> None:
         """Set the time limit of episodes, in steps."""
         found = constants(self._state.scenario, self.robot, max_steps)
-        self._stages = StepStages(self._state, self.robot, found, self._sensor, self._clocks)
+        self._stages = StepStages(
+            self._state, self.robot, found, self._sensor, self._clocks, self._events
+        )
 
     def new_output(self) -> StepOutput:
         """Allocate the output of a step, new except for ``neighbour_overflow``.

@@ -12,6 +12,8 @@ from ..physics.random_streams import ignore_overflow
 from ..rewards.terms import CLEARANCE_PENALTY
 from ..robots.activation import ActivationRules
 from ..robots.activation import rules_of as activation_rules
+from ..robots.events import EventRules
+from ..robots.events import rules_of as event_rules
 from ..robots.motion import init_memory
 from ..robots.robot_models import constants_of
 from ..scenario.scenario import CONTACT_MODES, Scenario
@@ -114,6 +116,11 @@ def clocks(scenario: Scenario) -> ActivationRules | None:
     return activation_rules(scenario.activation, scenario.hold, scenario.n_robots)
 
 
+def events(scenario: Scenario) -> EventRules | None:
+    """Failures and disturbances of a scenario's robots; None if there are none."""
+    return None if scenario.events.none else event_rules(scenario)
+
+
 class StartRules(NamedTuple):
     """Rules of initial conditions: sampled quantities and their ranges."""
 
@@ -180,6 +187,8 @@ def has_fixed_start(scenario: Scenario) -> bool:
 
     Frames may be sampled: they rotate observations and actions alike.
     """
+    if scenario.events.is_random or scenario.activation.kind == "random":
+        return False
     rules, model = start_rules(scenario), scenario.model
     if scenario.start_positions is None or _draws_links(scenario) or rules.draw_obstacles:
         return False

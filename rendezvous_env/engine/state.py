@@ -10,6 +10,7 @@ from ..graphs.edges import DENSE
 from ..obstacles import obstacle_set, parsing
 from ..obstacles.disc import BALL
 from ..obstacles.shape import BOUND, MIDDLE
+from ..robots.events import ADVERSARY, BLIND, CRASH, NEVER, SIGHTED
 from .edge_tables import changes_of, empty_links, matrices, state_arrays
 from .memory import (
     EPISODE_FIELDS,
@@ -30,6 +31,10 @@ KEPT = {
     "min_clearance": np.float64,
 }
 """Statistics that belong to the state, with their types; the others are derived."""
+
+
+_PASSED_ON = ("crashed", "crash", CRASH), ("adversarial", "adversary", ADVERSARY)
+"""Key, kind and column of events that robots pass on to those with which they merge."""
 
 
 class State:
@@ -76,9 +81,12 @@ class State:
         """Step of each robot's last activation, −1 before the first."""
         self.activated = np.zeros(clocked, np.bool_)
         """Robots that were active in the last step."""
-        found = {"activated": self.activated}
-        self.conditions = {name: array for name, array in found.items() if array.size}
-        """Condition of robots in the last step, (B, n) each, by infos key."""
+        fails = self.scenario.events.fails
+        self.faults = np.full((place.batch, n if fails else 0, 4), NEVER)
+        """Steps of failures, see ``robots.events``; none if nothing fails."""
+        drives = self.scenario.events.drives
+        self.executed = np.zeros((place.batch, n, self.scenario.action_size * drives), np.float32)
+        """Commands after failures and disturbances; none without them."""
         self._all = np.arange(place.batch)
         fields = self.robots.reshape(place.blocks, n, place.fields, self.lanes)
         self._fields = self.environments.reshape(place.blocks, N_FIELDS, self.lanes)
@@ -98,6 +106,7 @@ class State:
         self._arrays |= {**links, "seed": self.seed, "episode": self.number, "past": self.past}
         self._arrays["held"] = self.held
         clocks = {"commands": self.commands, "last_activation": self.last_activation}
+        clocks["faults"] = self.faults
         self._arrays |= clocks
         self._arrays |= self.obstacles._asdict()
         self._in_blocks = set(in_blocks)
@@ -152,6 +161,23 @@ class State:
     def obstacle_table(self) -> NDArray[np.float64]:
         """Obstacles as tables, (B, M, width), see ``obstacles.obstacle_set``."""
         return obstacle_set.table_of(self.obstacles)
+
+    def conditions(self) -> dict[str, NDArray[np.bool_]]:
+        """Condition of robots in the last step, (B, n) each, by infos key."""
+        found = {"activated": self.activated.copy()} if self.activated.size else {}
+        if self.faults.size:
+            steps = self.statistic("steps")[:, None]
+            kinds, rows = self.scenario.events.kinds, self._all[:, None]
+            own = self.merged_into == np.arange(self.scenario.n_robots)
+            for key, kind, column in _PASSED_ON:
+                if kind in kinds:
+                    since = np.full(own.shape, NEVER)
+                    np.minimum.at(since, (rows, self.merged_into), self.faults[..., column])
+                    found[key] = own & (since < steps)
+            if "blind" in kinds:
+                failed = self.faults[..., BLIND], self.faults[..., SIGHTED]
+                found["blind"] = own & (failed[0] <= steps) & (steps < failed[1])
+        return found
 
     def lay_out_discs(self, which: NDArray[np.int64]) -> None:
         """Copy the discs of some environments into their lanes; a radius of NaN marks no disc."""

@@ -182,6 +182,8 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
     if "last_activation" in state:
         own, latest = state["last_activation"], state["steps"][:, None] - 1
         refuse("last_activation", (own < -1) | (own > latest), "from -1 to steps - 1")
+    if "faults" in state:
+        refuse("faults", state["faults"] < 0, "0 or more")
     if "frames" in state:  # those of teams that have not begun are not drawn yet
         check_rotations(state, state["episode"] >= 0, _ROUNDING)
     if scenario.model.keeps_velocity:  # how far a robot may come in a step stands on its limit

@@ -3,11 +3,13 @@
 From the action to the new observation, over the blocks of one thread after another:
 
     take_commands               commands in execution, where robots have their own clocks
+    disturb_commands            crashes, adversaries, slip and disturbances
     propose_motion              displacement of every robot without contacts
     stop_at_obstacles           exact contacts, where an obstacle is within reach
     merge_robots, pack_robots   exact merges, or bodies that touch, where robots are within reach
     advance_free                all other environments
     update_robots               memory and frames of robot models
+    turn_frames                 drift of local frames
     update_links                arcs that change with time
     sense_pairs, sense_links    bearings of neighbours, V, the closest pair
     sense_discs, sense_shapes   angular extents of obstacles, clearance
@@ -16,11 +18,12 @@ From the action to the new observation, over the blocks of one thread after anot
     apply_effects               blind zone, detection, errors with a memory, outliers
     write_observations          from lanes to one array for each environment
     apply_occlusion             occlusion, compact rows, samples, delay
+    hide_from_blind             no rows for robots with a failed sensor
     conclude_step               reward, rendezvous, time limit
 
 Each stage is a separate kernel with the arrays it uses as arguments, compiled on first use. Stages
 that a scenario does not need are skipped. Between stages numbers are in the scratch memory of a
-thread. An observation without a step omits the first six and the last.
+thread. An observation without a step omits the stages of motion and the last.
 """
 
 import math
@@ -38,6 +41,7 @@ from ..obstacles.contact import IGNORE
 from ..outcome import StepOutput
 from ..physics.random_streams import ignore_overflow
 from ..robots.activation import ActivationRules
+from ..robots.events import EventRules
 from ..robots.motion import frame_turns
 from ..sensors.imperfections import Imperfections
 from .memory import Robot
@@ -53,7 +57,7 @@ from .stages.collide import (
     stop_at_obstacles,
     stop_curves_at_obstacles,
 )
-from .stages.commands import take_commands
+from .stages.commands import disturb_commands, hide_from_blind, take_commands, turn_frames
 from .stages.conclude import conclude_step
 from .stages.propose import advance_free, propose_motion, refresh_frames, update_robots
 from .stages.remember import hold_observations, remember_detection, remember_errors
@@ -86,10 +90,12 @@ class StepStages:
         constants: Constants,
         sensor: Sensor | None,
         clocks: ActivationRules | None = None,
+        events: EventRules | None = None,
     ) -> None:
         self._state, self._robot, self._constants, self._sensor = state, robot, constants, sensor
-        self._clocks = clocks
-        self.n_ahead = 0 if clocks is None else 1
+        self._clocks, self._events = clocks, events
+        self._drives = events is not None and state.scenario.events.drives
+        self.n_ahead = (clocks is not None) + self._drives
         """Number of calls ahead of ``propose_motion``; to repeat them in a step is harmless."""
         self.all_compiled = False
         """True if the stages of contacts and merges are also compiled."""
@@ -163,6 +169,10 @@ class StepStages:
         yield from self._write_observations(first, last, work)
         if self._sensor is not None:
             yield from self._apply_occlusion(first, last, moves, self._sensor, work)
+        if "blind" in state.scenario.events.kinds:
+            sensed = state.scenario.observation_layout.obstacles.stop
+            given = moves, sensed, state.environments, state.faults
+            yield hide_from_blind, lanes, first, last, *given, _OUTPUT.observations
         if moves:
             yield self._conclude(first, last)
 
@@ -171,11 +181,13 @@ class StepStages:
         width, lanes, environments = state.place.width, state.lanes, state.environments
         now = state.robots, state.merged_into, environments, work.moves
         reach = reaches(rules, self._has_contacts)
-        if self._clocks is None:
-            actions: Any = _ACTIONS
-        else:
+        actions: Any = _ACTIONS
+        if self._clocks is not None:
             yield self._take_commands(self._clocks, first, last, work)
             actions = state.commands
+        if self._events is not None and self._drives:
+            yield self._disturb_commands(self._events, first, last, work, actions)
+            actions = state.executed
         yield propose_motion, width, robot, first, last, reach, *now, actions
         if collides:
             blocks, mode = (first, last), rules.contact_mode
@@ -203,6 +215,10 @@ class StepStages:
         if robot.memories:
             given = first, last, rules.contact_mode, *now
             yield update_robots, width, robot, *given, _OUTPUT.contact
+        if self._events is not None and state.scenario.events.turns_frames:
+            shape, streams = (robot.axes, robot.entries), (state.seed, state.number)
+            given = self._events, streams, environments, state.robots
+            yield turn_frames, *shape, lanes, first, last, *given
 
     def _take_commands(
         self, clocks: ActivationRules, first: int, last: int, work: Scratch
@@ -213,6 +229,15 @@ class StepStages:
         given = clocks, streams, *now, state.environments, state.links, kept
         memory = work.vectors, work.listed, work.numbers[0]
         return take_commands, self._robot, state.lanes, first, last, *given, *memory, _ACTIONS
+
+    def _disturb_commands(
+        self, events: EventRules, first: int, last: int, work: Scratch, commands: Any
+    ) -> tuple[Any, ...]:
+        state = self._state
+        streams, now = (state.seed, state.number), (state.robots, state.merged_into)
+        given = events, streams, *now, state.environments, state.links, state.faults, state.executed
+        memory = work.vectors, work.listed, work.numbers[0], work.counts
+        return disturb_commands, self._robot, state.lanes, first, last, *given, *memory, commands
 
     def _sense_neighbours(self, first: int, last: int, moves: bool, work: Scratch) -> Iterator[Any]:
         state, robot, rules, links = self._state, self._robot, self._constants, self._state.links

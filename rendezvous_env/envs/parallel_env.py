@@ -101,6 +101,7 @@ class RendezvousParallelEnv(BaseParallelEnv[Box], ParallelEnv[str, NDArray[np.fl
     | lyapunov | V, m²/s |
     | cost, cost_NAME | with ``Scenario.costs``: cost of the step for this robot |
     | activated | with ``Scenario.activation``: whether the robot took a new command |
+    | crashed, blind, adversarial | with such ``Scenario.events``: whether the robot is |
 
     ``info["summary"]``, which is none of the keys, reads success to lyapunov once more.
     ``state()`` is the privileged global state for centralised critics; ``simulator`` holds it in SI

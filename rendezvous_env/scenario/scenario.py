@@ -26,6 +26,7 @@ from ..obstacles.parsing import Obstacles
 from ..rewards.costs import as_costs
 from ..rewards.terms import RewardWeights
 from ..robots.activation import Activation, ActivationLike, as_activation
+from ..robots.events import Events
 from ..robots.robot_models import ROBOT_MODELS, RobotModel, try_with
 from ..sensors.sensing import Sensing
 from . import scenario_files
@@ -170,6 +171,10 @@ class Scenario:
     """Robots that are not active keep their last command, or stand still (zero action). No effect
     while robots are synchronous."""
 
+    events: Annotated[Events, checks.of_class(Events)] = dataclasses.field(default_factory=Events)
+    """Failures and disturbances of robots: crashes, sensor failures, adversaries, drift of local
+    frames, slip and velocity disturbances. None by default."""
+
     def __post_init__(self) -> None:
         checks.check_fields(self)
         if self.dim not in self.model.dims:
@@ -183,6 +188,7 @@ class Scenario:
         self._check_time_step()
         self.sensing.check_fits(self.n_robots, self.tau)
         self.activation.check_fits(self.n_robots)
+        self.events.check_fits(self)
 
     @property
     def sensing_graph(self) -> Graph:
@@ -365,6 +371,7 @@ class Scenario:
         plain["costs"] = list(self.costs) or None
         clocks = self.activation
         plain["activation"] = None if clocks.synchronous else clocks.to_plain()
+        plain["events"] = self.events.to_plain() or None
         plain["hold"] = None if self.hold == "command" else self.hold
         plain["merge_through_obstacles"] = False if not self.merge_through_obstacles else None
         for key in ("neighbour_overflow", "obstacle_overflow"):  # younger than files of scenarios
