@@ -116,6 +116,14 @@ class StateView:
         return self._state.conditions()
 
     @property
+    def failed(self) -> NDArray[np.bool_]:
+        """Robots that have crashed, are adversarial or blind in the last step, (B, n)."""
+        found = np.zeros(self._state.merged_into.shape, np.bool_)
+        for name, array in self._state.conditions().items():
+            found |= array if name != "activated" else False
+        return found
+
+    @property
     def ended(self) -> NDArray[np.bool_]:
         """Environments whose episode has ended, (B,)."""
         status = self._state.statistic("status")

@@ -18,6 +18,7 @@ class Moment(NamedTuple):
     merged_into: NDArray[np.int64]  # (n,)
     contact: Bools  # (n,), in the step
     lyapunov: float  # V, m²/s
+    failed: Bools  # (n,), robots that have crashed, are adversarial or observe nothing
 
     @property
     def active(self) -> Bools:

@@ -154,6 +154,7 @@ class Renderer:
             simulator.merged_into[:teams],
             contact[:teams].copy(),
             simulator.lyapunov()[:teams].tolist(),
+            simulator.failed[:teams],
         )
         all_obstacles, initially = simulator.obstacles, simulator.initial_lyapunov.tolist()
         self._histories = []

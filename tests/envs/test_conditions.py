@@ -56,3 +56,53 @@ def test_synchronous_environment_has_no_such_key():
     env = rv.make_vec(SCENARIO.replace(activation="synchronous"), 2)
     _, infos = env.reset(seed=0)
     assert "activated" not in infos
+
+
+FAILING = rv.Events(crashes=[[1, 0.1]], sensor_failures=[[2, 0.1, 0.2]], adversaries=[[3, 0.2]])
+
+
+def test_failures_are_reported_by_kind():
+    scenario = SCENARIO.replace(events=FAILING, time_step=0.1, allow_long_step=True)
+    env = rv.make_vec(scenario, 3, autoreset_mode="disabled")
+    one = rv.parallel_env(scenario)
+    env.reset(seed=0), one.reset(seed=0)
+    wanted = {
+        "crashed": [[], [1], [1]],
+        "blind": [[2], [], []],
+        "adversarial": [[], [], [3]],
+    }
+    for step in range(3):
+        infos = env.step(np.zeros((3, 4, 2), np.float32))[4]
+        told = one.step({name: np.zeros(2, np.float32) for name in one.agents})[4]
+        for key, robots in wanted.items():
+            assert (infos[key] == np.isin(np.arange(4), robots[step])).all()
+            assert [info[key] for info in told.values()] == infos[key][0].tolist()
+
+
+def test_trajectory_keeps_conditions_in_a_file(tmp_path):
+    scenario = SCENARIO.replace(events=FAILING)
+    played = rv.rollout(scenario, lambda seen, time: np.zeros((2, 4, 2)), num_envs=2)
+    assert {*played.conditions} == {"activated", "crashed", "blind", "adversarial"}
+    shape = len(played.times) - 1, 2, 4
+    assert all(array.shape == shape for array in played.conditions.values())
+    assert (played.conditions["activated"][:8, 0] == WANTED).all()
+    copy = rv.Trajectory.load(played.save(tmp_path / "played.npz"))
+    assert copy.conditions.keys() == played.conditions.keys()
+    for key, array in played.conditions.items():
+        assert (copy.conditions[key] == array).all()
+
+
+def test_picture_marks_failed_robots():
+    pictures = []
+    for events in ({}, {"crashes": [[0, 0.0]]}):
+        start = [[0.0, 0.0], [5.0, 0.0], [0.0, 5.0], [5.0, 5.0]]
+        scenario = rv.Scenario(n_robots=4, start_positions=start, events=events)
+        env = rv.parallel_env(scenario, render_mode="rgb_array")
+        env.reset(seed=0)
+        env.step({name: np.zeros(2, np.float32) for name in env.agents})
+        pictures.append(env.render())
+        place = env.renderer.pixels(np.zeros(2)).round().astype(int)
+    plain, marked = (picture.astype(int) for picture in pictures)
+    x, y = place
+    around = np.abs(plain - marked)[y - 20 : y + 20, x - 20 : x + 20]
+    assert around.max() > 100
