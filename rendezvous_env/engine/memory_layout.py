@@ -70,8 +70,10 @@ class MemoryLayout:
         """Size of the arrays of robots, environments and discs, bytes."""
         n, lanes = self.scenario.n_robots, self.lanes
         numbers = n * self.fields + N_FIELDS + 3 * self.discs
-        clocks = 0 if self.scenario.activation.synchronous else n * (1 + self.scenario.action_size)
-        return 8 * (self.blocks * lanes * numbers + self.batch * (n + clocks))
+        clocked, events = not self.scenario.activation.synchronous, self.scenario.events
+        size = self.scenario.action_size
+        own = 1 + clocked * (1 + size) + 4 * events.fails + size * events.drives
+        return 8 * (self.blocks * lanes * numbers + self.batch * n * own)
 
 
 def aligned(*shape: int, kind: Any = np.float64) -> NDArray[Any]:

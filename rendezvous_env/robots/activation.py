@@ -176,7 +176,7 @@ def rules_of(activation: Activation, hold: str, n_robots: int) -> ActivationRule
     )
 
 
-@inner_kernel
+@inner_kernel(inline="code")
 def is_scheduled(rules, key, step, waited, i):
     """True if robot i must be active in a step, whatever it would gain.
 
@@ -190,7 +190,7 @@ def is_scheduled(rules, key, step, waited, i):
     return rules.kind == _SYNCHRONOUS or waited + 1 >= rules.max_wait
 
 
-@inner_kernel
+@inner_kernel(inline="code")
 def is_adversarial(rules):
     """True if an adversary may activate a robot earlier than ``is_scheduled``."""
     return rules.kind == _BOUNDED

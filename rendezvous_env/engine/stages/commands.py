@@ -1,11 +1,13 @@
 """Stages of clocks and of failures, called only in scenarios with ``activation`` or ``events``.
 
 Before ``propose_motion``: a robot that is active takes its action as its command, any other one
-keeps its command or stands still; then crashes, adversaries, slip and disturbances change what is
-executed. After the motion local frames turn, and robots with a failed sensor observe nothing.
+keeps its command or stands still; then crashes, adversaries, slip and disturbances change the
+command. After the motion local frames turn, and robots with a failed sensor observe nothing.
 """
 
 import math
+
+import numpy as np
 
 from ...compilation import inner_kernel, kernel
 from ...graphs.edges import load_links
@@ -27,6 +29,7 @@ from ..memory import (
 
 _NUMBERS = 10  # random numbers reserved for a robot in a step
 _CRASHED, _ADVERSE = 1, 2
+_ZERO = np.float32(0.0)
 
 
 @kernel
@@ -62,10 +65,8 @@ def take_commands(
             running = now[STATUS * lanes + lane] == RUNNING
             if running and is_adversarial(rules):
                 _find_net_bearings(links, robots, block, lane, lanes, vectors, listed, weights)
-            key, step = (
-                stream_key(seeds[b], episodes[b], ACTIVATION),
-                int(now[STEPS * lanes + lane]),
-            )
+            step = int(now[STEPS * lanes + lane])
+            key = stream_key(seeds[b], episodes[b], ACTIVATION)
             for i in range(n):
                 activated[b, i] = False
                 if not running or merged_into[b, i] != i:
@@ -79,13 +80,11 @@ def take_commands(
                     if not rules.stops:
                         kept = _work(robot, lanes, lane, state, command, net_bearing)
                     due = gain < kept
-                if due:
-                    activated[b, i], last_step[b, i] = True, step
-                for k in range(len(command)):
-                    if due:
-                        command[k] = action[k]
-                    elif rules.stops:
-                        command[k] = 0.0
+                # selection instead of a branch, which random activation would mispredict
+                activated[b, i], last_step[b, i] = due, step if due else before
+                for k in range(len(robot.inputs)):
+                    other = _ZERO if rules.stops else command[k]
+                    command[k] = action[k] if due else other
 
 
 @inner_kernel
@@ -97,7 +96,7 @@ def _find_net_bearings(links, robots, block, lane, lanes, vectors, listed, weigh
     net_bearings_of_links(vectors[0], edges, vectors[1])
 
 
-@inner_kernel
+@inner_kernel(inline="code")
 def _work(robot, lanes, lane, state, action, net_bearing):
     """f_i · Δ_i of an action, m²/s: half of the rate at which it lowers V."""
     d, given = len(robot.axes), action

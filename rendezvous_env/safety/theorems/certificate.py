@@ -265,7 +265,7 @@ def answer(scenario: Scenario, asked: Asked) -> tuple[Certificate, list[tuple[Th
     The text is that of the first theorem that guarantees rendezvous, or the missing assumption of
     the closest one. If several apply, the one with the largest admissible bearing error is cited.
     """
-    applies, nearest, words = [], (-2.0, 0.0), ""
+    applies, nearest, words = [], (-3.0, 0.0), ""
     for theorem in THEOREMS:
         if asked.by not in theorem.by:
             continue

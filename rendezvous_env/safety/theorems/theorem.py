@@ -125,11 +125,11 @@ class Theorem:
     def unmet(self, scenario: Scenario, asked: Asked) -> tuple[int, str]:
         """Number of assumptions met before the first failure, and its message, if any.
 
-        −1 if the scenario has what the theorem does not speak of at all.
+        Negative if the scenario has clocks (−2) or events (−1) of which it says nothing.
         """
         clocks = scenario.activation
         if not clocks.synchronous and scenario.hold not in self.clocks:
-            return -1, (
+            return -2, (
                 f"none: robots have clocks of their own (activation {clocks}, hold = "
                 f"{scenario.hold!r}), and no theorem covers {CHOICES[asked.by]} with them"
             )
