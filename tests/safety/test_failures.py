@@ -63,7 +63,7 @@ def test_two_crashes_are_refused_and_never_meet():
     assert not met and (places[:, [0, 3]] == places[0, [0, 3]]).all()
 
 
-def test_bounds_of_theorem_w_are_those_of_the_proof():
+def test_bounds_of_theorem_n2_are_those_of_the_proof():
     scenario = BASE.replace(start_positions=PLACES, time_step=0.02)
     found = certificate(scenario=scenario, slip=0.2, disturbance=0.5)
     most = 48.0 + 3 * 0.2 * 6.0 + 3 * 0.02 * 4 * 0.25 / 0.8

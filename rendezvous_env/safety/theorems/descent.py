@@ -1,4 +1,4 @@
-"""Theorems A, B, C and W: V falls under law (1), and under any headings that keep a margin.
+"""Theorems A, B, C and N2: V falls under law (1), and under any headings that keep a margin.
 
 **Assumptions.** Fixed, undirected, connected graph; robots whose action is their velocity; exact
 bearings of all neighbours, inputs held over τ ≤ r/(2D̄) or velocities scaled by r/(2 D_i τ);
@@ -15,7 +15,7 @@ nonholonomic robots under headings. As inequality (1) of the proofs is a sum ove
 never rises where some of them stand still in a step (``Scenario.hold="stop"``).
 Proof: docs/proofs.md, A to C.
 
-**W.** Law (1) as in theorem A with failures and disturbances (``Scenario.events``): sensors fail
+**N2.** Law (1) as in theorem A with failures and disturbances (``Scenario.events``): sensors fail
 until a time t_f, robots execute a share of at least s of f_i, and a velocity of at most w is added.
 With w > 0 no sensor fails, v_max ≥ D̄ and τ ≤ r/(2D̄). Then s = 1 − slip, else (1 − slip) times
 min(1, r/(2D̄τ), v_max/D̄). If w < s min_m 2c_m/m,
@@ -23,7 +23,7 @@ min(1, r/(2D̄τ), v_max/D̄). If w < s min_m 2c_m/m,
     V ≤ V_w = V0⁺ + (n−1) τ n w²/s,
     T ≤ t_f + V_w/min_m(4 s c_m²/m − m w²/s) + (n−1) τ.
 
-Proof: docs/proofs.md, W.
+Proof: docs/proofs.md, N2.
 """
 
 import numpy as np
@@ -94,7 +94,7 @@ def time_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 
 
 def _disturbed_rates(scenario: Scenario) -> tuple[float, Array]:
-    """s, without unit, and s 4c_m²/m − m w²/s, an array (n − 1,), (m/s)² (theorem W)."""
+    """s, without unit, and s 4c_m²/m − m w²/s, an array (n − 1,), (m/s)² (theorem N2)."""
     events, left = scenario.events, known.robots_left(scenario)
     share = 1.0 - events.slip
     if events.disturbance == 0.0:
@@ -107,7 +107,7 @@ def _disturbed_rates(scenario: Scenario) -> tuple[float, Array]:
 
 def has_events(scenario: Scenario, asked: Asked) -> str:
     """Something fails or is disturbed."""
-    return "none: theorem W is for failures and disturbances" if scenario.events.none else ""
+    return "none: theorem N2 is for failures and disturbances" if scenario.events.none else ""
 
 
 def small_disturbance(scenario: Scenario, asked: Asked) -> str:
@@ -122,7 +122,7 @@ def small_disturbance(scenario: Scenario, asked: Asked) -> str:
     if share <= 0.0:
         return "none: with slip = 1 robots may stand still for ever; take less"
     return (
-        f"none: events.disturbance is {events.disturbance:.4g} m/s, and theorem W tolerates less "
+        f"none: events.disturbance is {events.disturbance:.4g} m/s, and theorem N2 tolerates less "
         f"than {at_least(most)} m/s here: from there on it can move robots as fast as law (1)"
     )
 
@@ -133,7 +133,7 @@ def unlimited_if_disturbed(scenario: Scenario, asked: Asked) -> str:
     if scenario.events.disturbance == 0.0 or not (slow or known.long_step(scenario)):
         return ""
     return (
-        "none: with a disturbance theorem W needs max_speed of at least "
+        "none: with a disturbance theorem N2 needs max_speed of at least "
         f"{scenario.max_degree:.6g} m/s and time_step of at most {scenario.certified_step:.6g} s"
     )
 
@@ -157,14 +157,14 @@ def last_failure(scenario: Scenario) -> float:
 
 
 def disturbed_bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """Bounds of theorem W on the time and on V."""
+    """Bounds of theorem N2 on the time and on V."""
     n, (share, rates) = scenario.n_robots, _disturbed_rates(scenario)
     reach = max(scenario.merge_radius / 2.0, scenario.speed_limit * scenario.tau)
     disturbed = scenario.events.disturbance > 0.0
     most = float(known.lyapunov_bound(scenario, reach=reach if disturbed else None))
     most += (n - 1) * scenario.tau * n * scenario.events.disturbance**2 / share
     time = last_failure(scenario) + float(known.held_time(scenario, most, rates))
-    words = f"theorem W: law (1) meets in finite time with {scenario.events}"
+    words = f"theorem N2: law (1) meets in finite time with {scenario.events}"
     return Bounds(words, meets=True, time=time, lyapunov=most)
 
 
@@ -183,5 +183,5 @@ THEOREMS = (
     Theorem("V", ("law",), _LAW_V, lyapunov_bounds, False, "descent", ("stop",), _SLOW),
     _C,
     Theorem("V", ("heading",), given.KEPT, lyapunov_bounds, False, "descent", ("stop",), _SLOW[:2]),
-    Theorem("W", ("law",), _DISTURBED, disturbed_bounds, events=("blind", "slip", "disturbance")),
+    Theorem("N2", ("law",), _DISTURBED, disturbed_bounds, events=("blind", "slip", "disturbance")),
 )

@@ -120,12 +120,12 @@ class Theorem:
     (``Scenario.activation``)."""
     events: tuple[str, ...] = ()
     """Kinds of ``Scenario.events`` with which it also holds. Frames may turn in all theorems but
-    those that assume ``frames_stay`` (docs/proofs.md, W)."""
+    those that assume ``frames_stay`` (docs/proofs.md, N2)."""
 
     def unmet(self, scenario: Scenario, asked: Asked) -> tuple[int, str]:
         """Number of assumptions met before the first failure, and its message, if any.
 
-        Negative if the scenario has clocks (−2) or events (−1) of which it says nothing.
+        Negative if it does not cover the clocks (−2) or events (−1) of the scenario.
         """
         clocks = scenario.activation
         if not clocks.synchronous and scenario.hold not in self.clocks:
