@@ -303,21 +303,25 @@ def drawn_disturbance(rules, key, counter, axes):
     """Velocity disturbance of a robot in a step, a pair or triple, m/s, in the global frame, from
     eight numbers of a stream.
     """
-    w, sigma, turn = rules.disturbance, rules.noise, 2.0 * math.pi
-    one, two = uniform(key, counter), turn * uniform(key, counter + 1)
-    c, s = math.cos(two), math.sin(two)
-    far = sigma * math.sqrt(-2.0 * math.log(1.0 - uniform(key, counter + 3)))
-    angle = turn * uniform(key, counter + 4)
-    x, y = far * math.cos(angle), far * math.sin(angle)
+    turn, x, y, z = 2.0 * math.pi, 0.0, 0.0, 0.0
+    if rules.disturbance > 0.0:
+        share, angle = uniform(key, counter), turn * uniform(key, counter + 1)
+        length, level = rules.disturbance * math.sqrt(share), 1.0
+        if len(axes) == 3:
+            height = 2.0 * share - 1.0
+            length = rules.disturbance * uniform(key, counter + 2) ** (1.0 / 3.0)
+            level, z = math.sqrt(max(1.0 - height * height, 0.0)), length * height
+        x, y = length * level * math.cos(angle), length * level * math.sin(angle)
+    if rules.noise > 0.0:
+        far = rules.noise * math.sqrt(-2.0 * math.log(1.0 - uniform(key, counter + 3)))
+        angle = turn * uniform(key, counter + 4)
+        x, y = x + far * math.cos(angle), y + far * math.sin(angle)
+        if len(axes) == 3:
+            far = rules.noise * math.sqrt(-2.0 * math.log(1.0 - uniform(key, counter + 5)))
+            z += far * math.cos(turn * uniform(key, counter + 6))
     if len(axes) == 2:
-        length = w * math.sqrt(one)
-        return x + length * c, y + length * s
-    height = 2.0 * one - 1.0
-    length = w * uniform(key, counter + 2) ** (1.0 / 3.0)
-    level = length * math.sqrt(max(1.0 - height * height, 0.0))
-    far = sigma * math.sqrt(-2.0 * math.log(1.0 - uniform(key, counter + 5)))
-    z = far * math.cos(turn * uniform(key, counter + 6))
-    return x + level * c, y + level * s, z + length * height
+        return x, y
+    return x, y, z
 
 
 @inner_kernel
