@@ -28,6 +28,8 @@ from .obstacles.walls import WallField
 from .rendezvous_v0 import parallel_env
 from .rewards.custom_terms import RewardStep, reward_term
 from .rewards.terms import RewardWeights
+from .robots.activation import Activation
+from .robots.events import Events
 from .robots.motion import FREE, SLID, STOPPED, Motion
 from .robots.motion import describe as describe_motion
 from .robots.robot_models import RobotModel, register_robot_model
@@ -45,11 +47,12 @@ from .trajectory import Trajectory, rollout
 
 __version__ = "0.2.0"
 __all__ = [
-    "FREE", "SLID", "STOPPED", "Capsule", "Certificate", "Disc", "EnergyTankWrapper",
-    "GainWrapper", "GuaranteeWrapper", "HeadingVectorWrapper", "LinkKeepingWrapper", "Motion",
-    "Moving", "ObservationLayout", "ObstacleField", "Polygon", "RewardStep", "RewardWeights",
-    "RobotModel", "SafetyFilter", "Scenario", "Seen", "Sensing", "Simulator", "Sphere",
-    "TimeStepWarning", "Trajectory", "WallField", "certificate", "certified_heading",
+    "FREE", "SLID", "STOPPED", "Activation", "Capsule", "Certificate", "Disc",
+    "EnergyTankWrapper", "Events", "GainWrapper", "GuaranteeWrapper", "HeadingVectorWrapper",
+    "LinkKeepingWrapper", "Motion", "Moving", "ObservationLayout", "ObstacleField", "Polygon",
+    "RewardStep", "RewardWeights", "RobotModel", "SafetyFilter", "Scenario", "Seen", "Sensing",
+    "Simulator", "Sphere", "TimeStepWarning", "Trajectory", "WallField", "certificate",
+    "certified_heading",
     "describe_motion", "graphs", "kernel", "make_vec", "parallel_env", "register_filter",
     "register_robot_model", "rendezvous_v0", "reward_term", "rollout", "scenarios",
     "sensor_imperfection", "training_env", "vector",

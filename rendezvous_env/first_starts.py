@@ -19,7 +19,7 @@ def digest(scenario: ScenarioLike) -> str:
     """SHA-256 of a scenario's non-default fields and its first 1,000 initial conditions.
 
     Rewards and costs are excluded. Initial conditions are positions, headings, frames, weights and
-    obstacles, to 1e-9.
+    obstacles, to 1e-9, and the steps of failures.
 
     Raises:
         RuntimeError: if there is no space for an initial condition.
@@ -37,4 +37,6 @@ def digest(scenario: ScenarioLike) -> str:
     for name in ("positions", "headings", "frames", "weights", "obstacles"):
         rounded = np.round(getattr(simulator, name), _DECIMALS) + 0.0  # no negative zero
         found.update(f"{name} {rounded.shape} ".encode() + rounded.astype("<f8").tobytes())
+    if simulator.scenario.events.fails:
+        found.update(b"faults " + simulator.get_state()["faults"].astype("<i8").tobytes())
     return found.hexdigest()

@@ -114,6 +114,24 @@ class StateView:
         return read_only(self._state.merged_into == np.arange(self.scenario.n_robots))
 
     @property
+    def conditions(self) -> dict[str, NDArray[np.bool_]]:
+        """Condition of each robot in the last step by infos key, (B, n) each.
+
+        "activated" with ``Scenario.activation``: active robots that took a new command. With
+        ``Scenario.events``: "crashed", "adversarial", and "blind" for the last observation. Empty
+        for other scenarios, and False for merged robots.
+        """
+        return self._state.conditions()
+
+    @property
+    def failed(self) -> NDArray[np.bool_]:
+        """Robots that have crashed, are adversarial or blind in the last step, (B, n)."""
+        found = np.zeros(self._state.merged_into.shape, np.bool_)
+        for name, array in self._state.conditions().items():
+            found |= array if name != "activated" else False
+        return found
+
+    @property
     def ended(self) -> NDArray[np.bool_]:
         """Environments whose episode has ended, (B,)."""
         status = self._state.statistic("status")

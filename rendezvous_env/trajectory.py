@@ -73,6 +73,9 @@ class Trajectory:
     """Obstacles, (B, M, width), as tables of ``obstacles.obstacle_set``."""
     recorded: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     """Quantities recorded on request, by name."""
+    conditions: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    """Conditions of robots in each step, (T, B, n), with own clocks or events; see
+    ``Simulator.conditions``."""
     start: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     """State after the reset, from which to repeat the rollout; see ``Simulator.get_state``."""
     policy: str = ""
@@ -236,6 +239,7 @@ def rollout(
     asked = _requested(record)
     simulator = Simulator(resolve(scenario), num_envs)
     kept: defaultdict[str, list[NDArray[Any]]] = defaultdict(list)
+    told: defaultdict[str, list[NDArray[np.bool_]]] = defaultdict(list)
 
     def keep(**arrays: NDArray[Any]) -> None:
         for name, array in arrays.items():
@@ -267,6 +271,8 @@ def rollout(
             contacts=outcome.contact,
             actions=step.actions.copy(),  # a policy may reuse its array
         )
+        for name, values in simulator.conditions.items():
+            told[name].append(values)
         keep_state(outcome.observations)
         met = step.running & (simulator.status == RENDEZVOUS)
         finished_at[met] = simulator.time[met]
@@ -279,6 +285,7 @@ def rollout(
         rendezvous_time=finished_at,
         obstacles=obstacles,
         recorded={name: arrays.pop(name) for name in asked},
+        conditions={name: np.stack(values) for name, values in told.items()},
         start=start,
         policy=str(getattr(policy, "__name__", None) or type(policy).__name__.lstrip("_")),
         played_by=policy,

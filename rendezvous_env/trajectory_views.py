@@ -30,8 +30,8 @@ _SHOWN = 10
 """Number of printed table rows, if the table has at least two more."""
 _FORMAT = 1
 """File format version."""
-_KEPT, _START = "recorded/", "start/"
-"""Prefixes in a file of recorded quantities, and of the state after the reset."""
+_KEPT, _START, _TOLD = "recorded/", "start/", "conditions/"
+"""Prefixes in a file of recorded quantities, of the state after the reset, and of conditions."""
 
 
 @dataclass(frozen=True)
@@ -213,6 +213,7 @@ def save(trajectory: Any, path: str | os.PathLike[str]) -> Path:
         "policy": trajectory.policy,
     }
     arrays |= {f"{_START}{name}": array for name, array in trajectory.start.items()}
+    arrays |= {f"{_TOLD}{name}": array for name, array in trajectory.conditions.items()}
     arrays["about"] = np.array(json.dumps(about))
     part = place.with_name(f".{place.name}.{os.getpid()}.part")
     try:
@@ -228,6 +229,7 @@ def read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Fields of a saved trajectory and its arrays, by name; errors as of ``Trajectory.load``."""
     about, arrays = _read(path)
     own: dict[str, Any] = {"recorded": _taken(arrays, _KEPT), "start": _taken(arrays, _START)}
+    own["conditions"] = _taken(arrays, _TOLD)
     own |= {"scenario": Scenario.from_plain(about["scenario"]), "policy": about["policy"]}
     return own, arrays
 

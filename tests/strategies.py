@@ -178,6 +178,17 @@ def scenario_fields(draw: st.DrawFn) -> dict[Any, Any]:
         "start_headings": any_table(n, dim - 1),
         "local_frames": nearly(st.sampled_from(["random", "global"]), "own"),
         "on_merge": nearly(st.sampled_from(["remove", "follow"]), "stay"),
+        "activation": nearly(
+            st.sampled_from(["random", {"kind": "bounded", "max_wait": 3}, {"kind": "periodic"}]),
+            "never",
+            {"kind": "periodic", "period": [1, 2]},
+        ),
+        "events": nearly(
+            st.sampled_from([{"slip": 0.5}, {"n_crashed": 1}, {"sensor_failures": [[0, 1, 2]]}]),
+            {"slip": 2},
+            {"crashes": [[9, 1.0]]},
+        ),
+        "hold": nearly(st.sampled_from(["command", "stop"]), "wait"),
         "reward": st.dictionaries(
             st.sampled_from(["progress", "collision_penalty", "rendezvous_bonus", "bonus"]),
             nearly(st.floats(-5, 5)),

@@ -94,6 +94,10 @@ def describe(scenario: Scenario) -> str:
         parts.append(f"{_obstacles(scenario)}{passed}")
     if not scenario.sensing.exact:
         parts.append(f"sensing with {scenario.sensing.departures()}")
+    if not scenario.activation.synchronous:
+        parts.append(f"activation {scenario.activation}, hold = {scenario.hold!r}")
+    if not scenario.events.none:
+        parts.append(f"events with {scenario.events}")
     parts += ["one start, which is given"] if has_fixed_start(scenario) else []
     return ", ".join(parts)
 

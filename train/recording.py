@@ -55,13 +55,14 @@ LINKS = ("weights", "first", "second")
 def is_recomputable(scenario: Scenario) -> bool:
     """True if observations can be recomputed from recorded states.
 
-    This holds for exact sensors, fixed links, robot models without further state, and obstacles
-    that stand still.
+    This holds for exact sensors that do not fail, fixed links, obstacles that stand still, and
+    robot models without further state.
     """
     model = scenario.model
     recorded = model.n_angles + scenario.dim * model.keeps_velocity
     plain = model.memory_size(scenario.dim) == recorded and not moves(scenario.obstacles)
-    return plain and scenario.sensing.exact and scenario.sensing_graph.undirected
+    exact = scenario.sensing.exact and "blind" not in scenario.events.kinds
+    return plain and exact and scenario.sensing_graph.undirected
 
 
 def state_of(simulator: Simulator) -> Callable[[], Recording]:

@@ -139,11 +139,72 @@ def guarantee_price() -> Any:
     return figure
 
 
+CLOCKS = {
+    "synchronous": {},
+    "stand still, k = 4": {"hold": "stop"},
+    "held commands, k = 4": {"hold": "command"},
+}
+"""Fields of ``clocks`` by label."""
+
+
+@styled
+def clocks() -> Any:
+    """V under law (1) with and without own clocks, at the step that held commands need and at the
+    default one.
+    """
+    base = rv.Scenario(n_robots=8, graph="cycle", time_limit=15.0)
+    wait = rv.Activation(kind="bounded", max_wait=4)
+    figure = new_figure(PAGE, 2.3)
+    steps = {"time step of Theorem E3": 0.28 * base.certified_step, "default time step": base.tau}
+    for axes, (title, step) in zip(figure.subplots(1, 2, sharey=True), steps.items(), strict=True):
+        for (label, fields), colour in zip(CLOCKS.items(), (GREY, BLUE, VERMILLION), strict=True):
+            own = {"activation": wait, **fields} if fields else {}
+            scenario = base.replace(time_step=step, **own)
+            played = rv.rollout(scenario, baselines.make("bearing-only", scenario), seed=1)
+            axes.plot(played.times, played.lyapunov[:, 0], color=colour, label=label)
+        axes.set(xlabel="time (s)", title=title, xlim=(0, 15), ylim=(0, None))
+        axes.grid(True)
+    figure.axes[0].set_ylabel("V (m²/s)")
+    axes.legend()
+    return figure
+
+
+FAILURES: dict[str, dict[str, Any]] = {
+    "law (1)": {},
+    "one crash": {"crashes": [[0, 0.3]]},
+    "an adversary": {"adversaries": [[0, 0.5]]},
+    "w = 1.5 m/s": {"disturbance": 1.5},
+}
+"""Events of ``failures`` by title."""
+
+
+@styled
+def failures() -> Any:
+    """Paths of law (1) with failures and a disturbance; robot 0 is red."""
+    base = rv.Scenario(n_robots=6, graph="cycle", time_limit=8.0, max_speed=2.0)
+    figure = new_figure(PAGE, 2.3)
+    panels = zip(figure.subplots(1, len(FAILURES)), FAILURES.items(), strict=True)
+    for axes, (title, events) in panels:
+        scenario = base.replace(events=events)
+        played = rv.rollout(scenario, baselines.make("bearing-only", scenario), seed=8)
+        for robot in range(scenario.n_robots):
+            path = played.positions[:, 0, robot]
+            colour = VERMILLION if robot == 0 else BLUE
+            axes.plot(*path.T, color=colour, linewidth=0.8, zorder=3 if robot == 0 else 2)
+            axes.plot(*path[0], "o", color=colour, markersize=3)
+            axes.plot(*path[-1], "k.", markersize=3, zorder=4)
+        axes.set(title=title, aspect="equal", xlabel="x (m)", xlim=(-6, 6), ylim=(-6, 6))
+    figure.axes[0].set_ylabel("y (m)")
+    return figure
+
+
 FIGURES: dict[str, Callable[[], Any]] = {
     **DIAGRAMS,
     "bound": bound,
     "tightness": tightness,
     "guarantee-price": guarantee_price,
+    "clocks": clocks,
+    "failures": failures,
 }
 
 

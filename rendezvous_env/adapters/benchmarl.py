@@ -84,7 +84,7 @@ class RendezvousTask(TaskClass):
         return _of_group(env, observation=sees)
 
     def info_spec(self, env: EnvBase) -> Composite | None:
-        """Spec of the robots' costs per step with ``Scenario.costs``, else None."""
+        """Spec of the costs and conditions of robots, if the scenario has any, else None."""
         spec = env.full_observation_spec_unbatched[GROUP]
         return _of_group(env, info=spec["info"].clone()) if "info" in spec.keys() else None
 

@@ -50,7 +50,8 @@ class RobotPufferEnv(pufferlib.PufferEnv):
 
     When environments end, infos hold one dict for each of them: ``episode_return`` (sum of team
     rewards), ``episode_length`` (steps) and the episode summary. ``Scenario.costs`` adds
-    ``episode_cost``; ``costs`` then holds those of the last step, (agents,).
+    ``episode_cost``; ``costs`` then holds those of the last step, (agents,). ``conditions`` are
+    those of ``Simulator``, (agents,) bool each.
 
     Args:
         teams: a vector environment with SAME_STEP autoreset and ``on_merge="follow"``, such as
@@ -75,6 +76,7 @@ class RobotPufferEnv(pufferlib.PufferEnv):
         self.single_observation_space = self.slots.single_observation_space
         self.single_action_space = self.slots.single_action_space
         self.costs: dict[str, NDArray[np.float64]] = {}
+        self.conditions: dict[str, NDArray[np.bool_]] = {}
         super().__init__(buf)
 
     def reset(self, seed: int | None = None) -> tuple[NDArray[np.float32], list[dict[str, Any]]]:
@@ -92,7 +94,7 @@ class RobotPufferEnv(pufferlib.PufferEnv):
         The error for an invalid action names the robot.
         """
         step = self.slots.step(np.asarray(actions))
-        n, self.costs = self.slots.n_robots, step.costs
+        n, self.costs, self.conditions = self.slots.n_robots, step.costs, step.conditions
         self.observations[:], self.rewards[:] = step.observations, step.rewards
         self.terminals[:] = np.repeat(step.met, n) if step.finished else False
         self.truncations[:] = np.repeat(step.late, n) if step.finished else False

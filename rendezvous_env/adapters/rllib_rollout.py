@@ -54,7 +54,8 @@ class Rollout:
             np.stack([getattr(step, name) for step in steps])
             for name in ("rewards", "acted", "ended")
         )
-        costs = {key: np.stack([step.costs[key] for step in steps]) for key in steps[0].costs}
+        reports = [step.costs | step.conditions for step in steps]
+        infos = {key: np.stack([report[key] for report in reports]) for key in reports[0]}
         columns = {name: np.stack([each[name] for each in chosen]) for name in chosen[0]}
         after = seen[1:].copy()  # next observations; at an end, those to bootstrap from
         for t, step in enumerate(steps):
@@ -74,7 +75,7 @@ class Rollout:
                         slot,
                         np.concatenate([seen[part, slot], after[end, slot, None]]),
                         rewards[part, slot],
-                        {key: values[part, slot] for key, values in costs.items()},
+                        {key: values[part, slot] for key, values in infos.items()},
                         {name: values[part, slot] for name, values in columns.items()},
                         terminated=over and met,
                         truncated=over and not met,
@@ -89,16 +90,16 @@ class Rollout:
         slot: int,
         observations: NDArray[np.float32],
         rewards: NDArray[np.float32],
-        costs: dict[str, NDArray[np.float64]],
+        infos: dict[str, NDArray[Any]],
         columns: dict[str, NDArray[Any]],
         **ends: bool,
     ) -> SingleAgentEpisode:
         """Part of one robot's episode, with one more observation than rewards.
 
-        The costs of a step are in the info of the next observation.
+        Costs and conditions of a step are in the info of the next observation.
         """
         actions = columns.pop(Columns.ACTIONS)
-        told = ({key: costs[key][t].item() for key in costs} for t in range(len(rewards)))
+        told = ({key: infos[key][t].item() for key in infos} for t in range(len(rewards)))
         return SingleAgentEpisode(
             self._ids[slot],
             observations=InfiniteLookbackBuffer(observations),

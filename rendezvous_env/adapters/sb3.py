@@ -137,9 +137,9 @@ class RobotVecEnv(VecEnv):
     def _infos(self, step: SlotStep) -> list[dict[str, Any]]:
         n = self.n_robots
         infos: list[dict[str, Any]] = [{"acted": acted} for acted in step.acted.tolist()]
-        for key, costs in step.costs.items():
-            for info, cost in zip(infos, costs.tolist(), strict=True):
-                info[key] = cost
+        for key, values in (step.costs | step.conditions).items():
+            for info, value in zip(infos, values.tolist(), strict=True):
+                info[key] = value
         for team, episode in step.finished.items():
             passed = round(time.time() - self._started, 6)
             monitored = {"r": episode.pop("return"), "l": episode.pop("length"), "t": passed}

@@ -50,6 +50,7 @@ class SlotStep(NamedTuple):
     """Results of each ended environment: "return" (sum of team rewards), "length" (steps) and
     STANDING. With ``Scenario.costs`` also "cost", the sum over its robots."""
     costs: dict[str, NDArray[np.float64]]  # (slots,) each, of the step, by key of infos
+    conditions: dict[str, NDArray[np.bool_]]  # (slots,) each, see ``Simulator.conditions``
 
 
 class RobotSlots:
@@ -146,6 +147,8 @@ class RobotSlots:
         acted = self.active.reshape(-1)
         robot_rewards = self._shaping.robot_rewards(rewards, infos, self.active)
         costs = {key: infos[key].reshape(-1) for key in self.simulator.costs}
+        named = self.simulator.conditions
+        conditions = {key: final_value(infos, over, key).reshape(-1) for key in named}
         self.active = infos["active"].copy()
         self._counts["returns"] += rewards
         self._counts["lengths"] += 1
@@ -164,6 +167,7 @@ class RobotSlots:
             late=late,
             finished=self._finish(over, infos) if over.any() else {},
             costs=costs,
+            conditions=conditions,
         )
 
     def _finish(self, over: NDArray[np.bool_], infos: Mapping[str, Any]) -> dict[int, Any]:

@@ -39,6 +39,7 @@ class RendezvousEnv(EnvBase):
     | ("robots", "action") | (B, n, a) float32 | (B, n) int64 with ``discrete=True`` |
     | ("robots", "active") | (B, n, 1) bool | the robot is active (not merged) |
     | ("robots", "reward") | (B, n, 1) float32 | after a step |
+    | ("robots", "info", "activated") | (B, n, 1) bool | see ``Simulator.conditions`` |
     | ("robots", "info", "cost") | (B, n, 1) float32 | with ``Scenario.costs``; also "cost_NAME" |
     | "contacts" | (B, 1) int64 | obstacle contacts so far, summed over robots and base steps |
     | "state" | (B, size) float32 | privileged; with ``return_state=True`` |
@@ -118,9 +119,11 @@ class RendezvousEnv(EnvBase):
             observation=unbounded(self.teams.single_observation_space),
             active=Categorical(2, shape=one, dtype=torch.bool),
         )
-        if keys := list(self.simulator.costs):
-            costs = Composite({key: Unbounded(one) for key in keys}, shape=robots)
-            self.observation_spec[GROUP, "info"] = costs
+        specs: dict[str, Any] = {key: Unbounded(one) for key in self.simulator.costs}
+        for key in self.simulator.conditions:
+            specs[key] = Categorical(2, shape=one, dtype=torch.bool)
+        if specs:
+            self.observation_spec[GROUP, "info"] = Composite(specs, shape=robots)
         self.observation_spec["contacts"] = Unbounded(done.shape, dtype=torch.int64)
         if self._gives_state:
             state = self.teams.unwrapped.single_state_space
@@ -172,11 +175,11 @@ class RendezvousEnv(EnvBase):
         robots: dict[str, Any] = {"observation": torch.from_numpy(observations)}
         for key, values in {"active": active, **scalars}.items():
             robots[key] = torch.from_numpy(values[..., None])
-        if keys := list(self.simulator.costs):
-            costs = {
-                key: torch.from_numpy(infos[key].astype(np.float32)[..., None]) for key in keys
-            }
-            robots["info"] = TensorDict(costs, batch_size=active.shape, device=self.device)
+        told = {key: infos[key].astype(np.float32) for key in self.simulator.costs}
+        told |= {key: infos[key] for key in self.simulator.conditions}
+        if told:
+            kept = {key: torch.from_numpy(values[..., None]) for key, values in told.items()}
+            robots["info"] = TensorDict(kept, batch_size=active.shape, device=self.device)
         given: dict[str, Any] = {
             GROUP: TensorDict(robots, batch_size=active.shape, device=self.device)
         }

@@ -13,7 +13,7 @@ from ..outcome import SCORES, StepOutput
 from . import threads
 from .memory import RUNNING
 from .memory_layout import scratch
-from .preparation import constants, robot, sensor, traffic
+from .preparation import clocks, constants, events, robot, sensor, traffic
 from .state import State
 from .step import StepStages
 from .thread_tuner import ThreadTuner
@@ -108,6 +108,7 @@ class BatchRunner:
         self._sensor, self._traffic = sensor(state), traffic(place.scenario)
         if self._traffic is not None:
             state.still_skins = self._traffic.skins
+        self._clocks, self._events = clocks(place.scenario), events(place.scenario)
         self._scratch = [scratch(place) for _ in range(self._tuner.max_threads)]
         self.scratch = self._scratch[0]
         """Free working memory, between steps."""
@@ -138,7 +139,8 @@ class BatchRunner:
     def limit(self, max_steps: int) -> None:
         """Set the time limit of episodes, in steps."""
         found = constants(self._state.scenario, self.robot, max_steps)
-        self._stages = StepStages(self._state, self.robot, found, self._sensor, self._traffic)
+        own = self._sensor, self._traffic, self._clocks, self._events
+        self._stages = StepStages(self._state, self.robot, found, *own)
 
     def new_output(self) -> StepOutput:
         """Allocate the output of a step, new except for ``neighbour_overflow``.
@@ -307,8 +309,10 @@ class BatchRunner:
         if self._may_overflow:
             output.neighbour_overflow.fill(-1)
         calls = stages.calls(0, blocks, actions, output, self.scratch, self._near)
-        near = calls[0]() > 0.0
+        if ahead := stages.n_ahead:
+            deque(map(call, calls[:ahead]), 0)
+        near = calls[ahead]() > 0.0
         if near and not self._near:
             calls = stages.calls(0, blocks, actions, output, self.scratch, True)
         self._near = near
-        return calls[1:]
+        return calls[ahead + 1 :]

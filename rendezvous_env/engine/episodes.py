@@ -12,6 +12,7 @@ from ..graphs.edges import ARCS
 from ..graphs.random_graphs import CustomFamily
 from ..obstacles.obstacle_set import world_of
 from ..physics.random_streams import ignore_overflow
+from ..robots.events import draw_faults, fault_rules
 from ..scenario.start_options import StartOptions
 from . import reset
 from .edge_tables import as_kept
@@ -81,6 +82,8 @@ class Episodes:
         if rules.draw_weights and rules.factors is not None:
             given = *rules.factors, *streams, state.scenario.n_robots, state.links
             self._run(reset.multiply_arcs, which, *given)
+        if state.faults.size:
+            self._run(draw_faults, which, fault_rules(state.scenario), *streams, state.faults)
         state.begin(which, status)
 
     def _draw_room(

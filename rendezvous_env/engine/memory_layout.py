@@ -79,7 +79,10 @@ class MemoryLayout:
         n, lanes = self.scenario.n_robots, self.lanes
         numbers = n * self.fields + N_FIELDS + 3 * self.discs
         numbers += (STATE * self.n_obstacles + 3 * n) if self.moving else 0
-        return 8 * (self.blocks * lanes * numbers + self.batch * n)
+        clocked, events = not self.scenario.activation.synchronous, self.scenario.events
+        size = self.scenario.action_size
+        own = 1 + clocked * (1 + size) + 4 * events.fails + size * events.drives
+        return 8 * (self.blocks * lanes * numbers + self.batch * n * own)
 
 
 def aligned(*shape: int, kind: Any = np.float64) -> NDArray[Any]:

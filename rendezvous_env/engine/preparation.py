@@ -20,6 +20,10 @@ from ..obstacles.obstacle_set import ObstacleSet
 from ..obstacles.shape import ABSENT, KIND
 from ..physics.random_streams import ignore_overflow
 from ..rewards.terms import CLEARANCE_PENALTY
+from ..robots.activation import ActivationRules
+from ..robots.activation import rules_of as activation_rules
+from ..robots.events import EventRules
+from ..robots.events import rules_of as event_rules
 from ..robots.mixed_team import MIXED, mixed_limits
 from ..robots.motion import init_memory
 from ..robots.robot_models import constants_of, limits_of
@@ -132,6 +136,18 @@ def constants(scenario: Scenario, robot: Robot, max_steps: int) -> Constants:
     )
 
 
+def clocks(scenario: Scenario) -> ActivationRules | None:
+    """Clocks of a scenario's robots; None if every robot is active in every step."""
+    if scenario.activation.synchronous:
+        return None
+    return activation_rules(scenario.activation, scenario.hold, scenario.n_robots)
+
+
+def events(scenario: Scenario) -> EventRules | None:
+    """Failures and disturbances of a scenario's robots; None if there are none."""
+    return None if scenario.events.none else event_rules(scenario)
+
+
 class StartRules(NamedTuple):
     """Rules of initial conditions: sampled quantities and their ranges."""
 
@@ -200,6 +216,8 @@ def has_fixed_start(scenario: Scenario) -> bool:
 
     Frames may be sampled: they rotate observations and actions alike.
     """
+    if scenario.events.is_random or scenario.activation.kind == "random":
+        return False
     rules, model = start_rules(scenario), scenario.model
     if walks(scenario.obstacles):
         return False

@@ -11,6 +11,7 @@ from ..obstacles import obstacle_set, parsing, spatial_index
 from ..obstacles.disc import BALL
 from ..obstacles.obstacle_set import ObstacleSet
 from ..obstacles.shape import BOUND, MIDDLE
+from ..robots.events import ADVERSARY, BLIND, CRASH, NEVER, SIGHTED
 from ..traffic.motion import STATE
 from .edge_tables import changes_of, empty_links, matrices, state_arrays
 from .memory import (
@@ -32,6 +33,10 @@ KEPT = {
     "min_clearance": np.float64,
 }
 """Statistics that belong to the state, with their types; the others are derived."""
+
+
+_PASSED_ON = ("crashed", "crash", CRASH), ("adversarial", "adversary", ADVERSARY)
+"""Key, kind and column of events that robots pass on to those with which they merge."""
 
 
 class State:
@@ -79,6 +84,20 @@ class State:
         """Observations that are held between samples; none without a sample period."""
         self.still_skins: Any = 0.0
         """Skins in a scenario with moving obstacles, (M,), m; those of still ones."""
+        clocked = place.batch, 0 if self.scenario.activation.synchronous else n
+        self.commands = np.zeros((*clocked, self.scenario.action_size), np.float32)
+        """Commands in execution, see ``stages.commands``; none if robots are synchronous, as of
+        the next two."""
+        self.last_activation = np.full(clocked, -1)
+        """Step of each robot's last activation, −1 before the first."""
+        self.activated = np.zeros(clocked, np.bool_)
+        """Robots that were active in the last step."""
+        fails = self.scenario.events.fails
+        self.faults = np.full((place.batch, n if fails else 0, 4), NEVER)
+        """Steps of failures, see ``robots.events``; none if nothing fails."""
+        drives = self.scenario.events.drives
+        self.executed = np.zeros((place.batch, n, self.scenario.action_size * drives), np.float32)
+        """Commands after failures and disturbances; none without them."""
         self._all = np.arange(place.batch)
         fields = self.robots.reshape(place.blocks, n, place.fields, self.lanes)
         self._fields = self.environments.reshape(place.blocks, N_FIELDS, self.lanes)
@@ -98,6 +117,9 @@ class State:
         self._arrays |= {**links, "seed": self.seed, "episode": self.number, "past": self.past}
         self._arrays["held"] = self.held
         self._arrays["traffic"] = self.traffic
+        clocks = {"commands": self.commands, "last_activation": self.last_activation}
+        clocks["faults"] = self.faults
+        self._arrays |= clocks
         self._arrays |= self.obstacles._asdict()
         self._arrays |= {} if self.index is None else self.index._asdict()
         self._in_blocks = set(in_blocks)
@@ -109,7 +131,7 @@ class State:
         self._kept += ["frames"] if self.scenario.model.n_angles == 0 else []
         self._kept += ["traffic"] if place.moving else []
         of_sensors = "past", "detection", "errors", "held"
-        self._kept += [name for name in of_sensors if self._arrays[name].size]
+        self._kept += [name for name in (*of_sensors, *clocks) if self._arrays[name].size]
         # the first observation of an episode writes what sensors keep
         begun = {name: array for name, array in self._arrays.items() if name not in of_sensors}
         self._begun_anew = [name for name, array in begun.items() if array.size]
@@ -161,6 +183,23 @@ class State:
         index = {} if self.index is None else spatial_index.index_of(world)._asdict()
         return {**world._asdict(), **index}
 
+    def conditions(self) -> dict[str, NDArray[np.bool_]]:
+        """Condition of robots in the last step, (B, n) each, by infos key."""
+        found = {"activated": self.activated.copy()} if self.activated.size else {}
+        if self.faults.size:
+            steps = self.statistic("steps")[:, None]
+            kinds, rows = self.scenario.events.kinds, self._all[:, None]
+            own = self.merged_into == np.arange(self.scenario.n_robots)
+            for key, kind, column in _PASSED_ON:
+                if kind in kinds:
+                    since = np.full(own.shape, NEVER)
+                    np.minimum.at(since, (rows, self.merged_into), self.faults[..., column])
+                    found[key] = own & (since < steps)
+            if "blind" in kinds:
+                failed = self.faults[..., BLIND], self.faults[..., SIGHTED]
+                found["blind"] = own & (failed[0] <= steps) & (steps < failed[1])
+        return found
+
     def lay_out_discs(self, which: NDArray[np.int64]) -> None:
         """Copy the discs of some environments into their lanes; a radius of NaN marks no disc."""
         if self.discs.size:
@@ -183,6 +222,9 @@ class State:
         for name, value in {**known, **far}.items():
             fields[EPISODE_FIELDS.index(name)] = value
         self.give(which, environments=fields[None], merged_into=np.arange(n))
+        if self.commands.size:
+            self.commands[which], self.last_activation[which] = 0.0, -1
+            self.activated[which] = False
 
     def settle(self) -> None:
         """Set V of all environments from an observation without a step."""

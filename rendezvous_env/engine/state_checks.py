@@ -21,7 +21,7 @@ PLACE = slice(CENTRE, CENTRE + 3)
 """Columns of an obstacle's centre in a table."""
 _FINITE = (
     "positions", "memory", "weights", "path_length", "initial_lyapunov", "frames", "past", "held",
-    "detection", "errors", "traffic",
+    "detection", "errors", "traffic", "commands",
 )  # fmt: skip
 _NOT_NEGATIVE = "weights", "steps", "contacts", "path_length", "initial_lyapunov", "detection"
 _MOST = {
@@ -183,6 +183,11 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
     refuse("status", (status < 0) | (status > AWAITING_RESET), f"0 to {AWAITING_RESET}")
     refuse("seed", state["seed"] >= 2**63, "below 2**63")
     refuse("episode", state["episode"] < -1, "-1 (none yet) or more")
+    if "last_activation" in state:
+        own, latest = state["last_activation"], state["steps"][:, None] - 1
+        refuse("last_activation", (own < -1) | (own > latest), "from -1 to steps - 1")
+    if "faults" in state:
+        refuse("faults", state["faults"] < 0, "0 or more")
     if "frames" in state:  # those of teams that have not begun are not drawn yet
         check_rotations(state, state["episode"] >= 0, _ROUNDING)
     if scenario.model.keeps_velocity:  # how far a robot may come in a step stands on its limit

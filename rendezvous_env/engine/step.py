@@ -2,6 +2,8 @@
 
 From the action to the new observation, over the blocks of one thread after another:
 
+    take_commands               commands in execution, where robots have their own clocks
+    disturb_commands            crashes, adversaries, slip and disturbances
     propose_motion              displacement of every robot without contacts
     move_obstacles              obstacles that move, and contacts with all
     stop_at_obstacles           exact contacts, where an obstacle is within reach, if none moves
@@ -9,6 +11,7 @@ From the action to the new observation, over the blocks of one thread after anot
     settle_merged               positions of robots that merged beside moving obstacles
     advance_free                all other environments
     update_robots               memory and frames of robot models
+    turn_frames                 drift of local frames
     update_links                arcs that change with time
     sense_pairs, sense_links    bearings of neighbours, V, the closest pair
     sense_discs, sense_shapes   angular extents of obstacles, clearance
@@ -18,11 +21,12 @@ From the action to the new observation, over the blocks of one thread after anot
     apply_effects               blind zone, detection, errors with a memory, outliers
     write_observations          from lanes to one array for each environment
     apply_occlusion             occlusion, compact rows, samples, delay
+    hide_from_blind             no rows for robots with a failed sensor
     conclude_step               reward, rendezvous, time limit
 
 Each stage is a separate kernel with the arrays it uses as arguments, compiled on first use. Stages
 that a scenario does not need are skipped. Between stages numbers are in the scratch memory of a
-thread. An observation without a step omits those up to update_robots and the last.
+thread. An observation without a step omits the stages of motion and the last.
 """
 
 import math
@@ -40,6 +44,8 @@ from ..obstacles.contact import IGNORE
 from ..obstacles.moving import Traffic
 from ..outcome import StepOutput
 from ..physics.random_streams import ignore_overflow
+from ..robots.activation import ActivationRules
+from ..robots.events import EventRules
 from ..robots.motion import frame_turns
 from ..sensors.imperfections import Imperfections
 from .memory import Robot
@@ -55,6 +61,7 @@ from .stages.collide import (
     stop_at_obstacles,
     stop_curves_at_obstacles,
 )
+from .stages.commands import disturb_commands, hide_from_blind, take_commands, turn_frames
 from .stages.conclude import conclude_step
 from .stages.move_obstacles import move_obstacles, settle_merged
 from .stages.propose import advance_free, propose_motion, refresh_frames, update_robots
@@ -93,9 +100,14 @@ class StepStages:
         constants: Constants,
         sensor: Sensor | None,
         traffic: Traffic | None = None,
+        clocks: ActivationRules | None = None,
+        events: EventRules | None = None,
     ) -> None:
         self._state, self._robot, self._constants, self._sensor = state, robot, constants, sensor
-        self._traffic = traffic
+        self._traffic, self._clocks, self._events = traffic, clocks, events
+        self._drives = events is not None and state.scenario.events.drives
+        self.n_ahead = (clocks is not None) + self._drives
+        """Number of calls ahead of ``propose_motion``; to repeat them in a step is harmless."""
         self.all_compiled = False
         """True if the stages of contacts and merges are also compiled."""
         self._entries: dict[Any, Callable[..., Any]] = {}
@@ -168,6 +180,10 @@ class StepStages:
         yield from self._write_observations(first, last, work)
         if self._sensor is not None:
             yield from self._apply_occlusion(first, last, moves, self._sensor, work)
+        if "blind" in state.scenario.events.kinds:
+            sensed = state.scenario.observation_layout.obstacles.stop
+            given = moves, sensed, state.environments, state.faults
+            yield hide_from_blind, lanes, first, last, *given, _OUTPUT.observations
         if moves:
             yield self._conclude(first, last)
 
@@ -176,7 +192,14 @@ class StepStages:
         width, lanes, environments = state.place.width, state.lanes, state.environments
         now = state.robots, state.merged_into, environments, work.moves
         reach = reaches(rules, self._has_contacts)
-        yield propose_motion, width, robot, first, last, reach, *now, _ACTIONS
+        actions: Any = _ACTIONS
+        if self._clocks is not None:
+            yield self._take_commands(self._clocks, first, last, work)
+            actions = state.commands
+        if self._events is not None and self._drives:
+            yield self._disturb_commands(self._events, first, last, work, actions)
+            actions = state.executed
+        yield propose_motion, width, robot, first, last, reach, *now, actions
         if self._traffic is not None:
             yield self._move_obstacles(first, last, self._traffic, work)
         if collides:
@@ -212,6 +235,29 @@ class StepStages:
         if robot.memories:
             given = first, last, rules.contact_mode, *now
             yield update_robots, width, robot, *given, _OUTPUT.contact
+        if self._events is not None and state.scenario.events.turns_frames:
+            shape, streams = (robot.axes, robot.entries), (state.seed, state.number)
+            given = self._events, streams, environments, state.robots
+            yield turn_frames, *shape, lanes, first, last, *given
+
+    def _take_commands(
+        self, clocks: ActivationRules, first: int, last: int, work: Scratch
+    ) -> tuple[Any, ...]:
+        state = self._state
+        streams, now = (state.seed, state.number), (state.robots, state.merged_into)
+        kept = state.commands, state.last_activation, state.activated
+        given = clocks, streams, *now, state.environments, state.links, kept
+        memory = work.vectors, work.listed, work.numbers[0]
+        return take_commands, self._robot, state.lanes, first, last, *given, *memory, _ACTIONS
+
+    def _disturb_commands(
+        self, events: EventRules, first: int, last: int, work: Scratch, commands: Any
+    ) -> tuple[Any, ...]:
+        state = self._state
+        streams, now = (state.seed, state.number), (state.robots, state.merged_into)
+        given = events, streams, *now, state.environments, state.links, state.faults, state.executed
+        memory = work.vectors, work.listed, work.numbers[0], work.counts
+        return disturb_commands, self._robot, state.lanes, first, last, *given, *memory, commands
 
     def _move_obstacles(self, first: int, last: int, traffic: Traffic, work: Scratch) -> Any:
         state, rules = self._state, self._constants

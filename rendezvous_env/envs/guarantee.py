@@ -195,6 +195,7 @@ class FilterWrapperMixin:
                 f"state_key of {kind}", key, "no name of an environment's own, which this is"
             )
         of_infos = {*_OF_INFOS, *self._base.simulator.costs}
+        of_infos |= {*self._base.simulator.conditions}
         if taken := sorted(of_infos & set(made.diagnostics)):
             raise ValueError(
                 f"{kind} tells {taken[0]!r}, which environments tell in infos themselves; give it "

@@ -100,6 +100,8 @@ class RendezvousParallelEnv(BaseParallelEnv[Box], ParallelEnv[str, NDArray[np.fl
     | path_length | total path length of the team so far, m |
     | lyapunov | V, m²/s |
     | cost, cost_NAME | with ``Scenario.costs``: cost of the step for this robot |
+    | activated | with ``Scenario.activation``: whether the robot took a new command |
+    | crashed, blind, adversarial | with such ``Scenario.events``: whether the robot is |
 
     ``info["summary"]``, which is none of the keys, reads success to lyapunov once more.
     ``state()`` is the privileged global state for centralised critics; ``simulator`` holds it in SI
@@ -177,7 +179,7 @@ class RendezvousParallelEnv(BaseParallelEnv[Box], ParallelEnv[str, NDArray[np.fl
             cuts[name] = over and not ended
             infos[name] = info = kind(statistics)  # then one by one: half as long as at once
             info["merged_into"], info["contact"], info["clearance"] = survivor, touched, distance
-        for key, values in simulator.costs.items():
+        for key, values in (simulator.costs | simulator.conditions).items():
             for name, told in infos.items():
                 told[key] = values[0].item(self._indices[name])
         self.agents = [] if over else [name for name in alive if not ends[name]]

@@ -149,6 +149,7 @@ class RendezvousVectorEnv(
             "merged_into": simulator.merged_into.copy(),
             "contact": np.zeros(active.shape, dtype=np.bool_),
             "clearance": simulator.clearance.copy(),
+            **simulator.conditions,
         }
         which = np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask
         if self.records_passage:
@@ -220,6 +221,7 @@ class RendezvousVectorEnv(
             "contact": outcome.contact,
             "clearance": outcome.clearance,
             **simulator.costs,
+            **simulator.conditions,
             **more,
         }
         terminations, truncations = outcome.status == RENDEZVOUS, outcome.status == TIME_OUT
@@ -238,6 +240,7 @@ class RendezvousVectorEnv(
         infos |= self.simulator.episode_statistics(outcome)
         infos["merged_into"] = self.simulator.copy_of_merged()
         infos["contact"][which] = False
+        infos |= self.simulator.conditions
         return maybe_flatten(outcome.observations, self.flatten)
 
     def state(self) -> NDArray[np.float32]:

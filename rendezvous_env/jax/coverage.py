@@ -35,6 +35,8 @@ def check_covered(scenario: Scenario) -> None:
         "neighbour_slots": slots is not None and slots != most,
         "neighbour_overflow": scenario.neighbour_overflow != "error",
         "costs": bool(scenario.costs),
+        "events": not scenario.events.none,
+        "activation": not scenario.activation.synchronous,
         "reward": bool(scenario.reward.custom) or scenario.reward.clearance_penalty != 0.0,
     }
     shown = {"graph": graph.kind, "sensing": f"Sensing({scenario.sensing.departures()})"}

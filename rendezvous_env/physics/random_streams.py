@@ -12,7 +12,9 @@ import numpy as np
 
 from ..compilation import compiled, inner_kernel, kernel
 
-START, FRAMES, OBSTACLES, GRAPH, SENSING, ACTUATION, SWITCHING, TRAFFIC = range(8)
+(
+    START, FRAMES, OBSTACLES, GRAPH, SENSING, ACTUATION, SWITCHING, TRAFFIC, ACTIVATION, EVENTS,
+) = range(10)  # fmt: skip
 """Purposes of streams; separate streams are independent."""
 
 _INCREMENT = np.uint64(0x9E3779B97F4A7C15)
@@ -35,7 +37,7 @@ def mix(word):
 
 @kernel
 def stream_key(seed, episode, purpose):
-    """Key of the stream for one purpose (START … TRAFFIC) in one episode of a seed, uint64,
+    """Key of the stream for one purpose (START … EVENTS) in one episode of a seed, uint64,
     without unit: mix(mix(mix(seed + γ) ⊕ (episode + γ)) ⊕ (purpose + γ)), γ the increment of
     SplitMix64.
     """

@@ -19,6 +19,7 @@ class Moment(NamedTuple):
     contact: Bools  # (n,), in the step
     lyapunov: float  # V, m²/s
     obstacles: Floats  # (M, width), a table of ``obstacles.obstacle_set``, where they are
+    failed: Bools  # (n,), robots that have crashed, are adversarial or observe nothing
 
     @property
     def active(self) -> Bools:

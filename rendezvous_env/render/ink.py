@@ -71,6 +71,14 @@ def ring(surface: pygame.Surface, place: Place, unit: float, radius: float = 0.0
     pygame.draw.circle(surface, BLACK, place, radius or 4 * unit, max(1, round(1.5 * unit)))
 
 
+def square(surface: pygame.Surface, place: Place, unit: float, radius: float = 0.0) -> None:
+    """Draw the mark of a failed robot, around it if its radius is given."""
+    half, width = radius or 5 * unit, max(1, round(1.5 * unit))
+    box = pygame.Rect(0, 0, round(2 * half), round(2 * half))
+    box.center = round(place[0]), round(place[1])
+    pygame.draw.rect(surface, BLACK, box, width)
+
+
 def sector(
     layer: pygame.Surface,
     shade: Rgb,

@@ -98,6 +98,8 @@ class Page:
             area, said = self._pictures[0].area, in_contact(int(self._simulator.contacts[0]))
             corner = area.width - 8 * unit, area.top + area.height - 6 * unit
             ink.write(page, said, corner, 17 * unit, anchor="bottomright")
+        if self._simulator.scenario.events.fails:
+            marks.append(("failed", ink.square))
         for word, mark in marks:
             x -= ink.write(page, word, (x, middle), size, anchor="midright") + 10 * unit
             mark(page, (x, middle), unit)

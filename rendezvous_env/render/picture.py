@@ -236,6 +236,8 @@ class TeamPicture:
             pygame.draw.circle(canvas, shade, place, radius)
             if moment.contact[i]:
                 ink.ring(canvas, place, unit, radius + 3 * unit)
+            if moment.failed[i]:
+                ink.square(canvas, place, unit, radius + 4 * unit)
             if sizes[i] > 1:
                 number, size = str(sizes[i]), 2 * radius
                 ink.write(canvas, number, place, size, anchor="center", colour=ink.WHITE)

@@ -170,6 +170,7 @@ class Renderer:
             contact[:teams].copy(),
             simulator.lyapunov()[:teams].tolist(),
             simulator.obstacles[:teams].copy(),
+            simulator.failed[:teams],
         )
         initially = simulator.initial_lyapunov.tolist()
         self._histories = []

@@ -27,6 +27,8 @@ from ..obstacles.moving import moves
 from ..obstacles.parsing import Obstacles
 from ..rewards.costs import as_costs
 from ..rewards.terms import RewardWeights
+from ..robots.activation import Activation, ActivationLike, as_activation
+from ..robots.events import Events
 from ..robots.mixed_team import MEMBERS, MIXED
 from ..robots.robot_models import ROBOT_MODELS, RobotModel, try_with
 from ..sensors.sensing import Sensing
@@ -188,6 +190,19 @@ class Scenario:
     """Costs for constrained learning: "contact", "rise", "link_lost", or registered reward
     terms; see ``rewards.costs``."""
 
+    activation: Annotated[ActivationLike, as_activation] = dataclasses.field(
+        default_factory=Activation
+    )
+    """Clocks of the robots: "synchronous", "periodic", "random", "bounded", or an Activation with
+    periods, a probability or a bound. Robots that are not active ignore their action."""
+    hold: Literal["command", "stop"] = "command"
+    """Robots that are not active keep their last command, or stand still (zero action). No effect
+    while robots are synchronous."""
+
+    events: Annotated[Events, checks.of_class(Events)] = dataclasses.field(default_factory=Events)
+    """Failures and disturbances of robots: crashes, sensor failures, adversaries, drift of local
+    frames, slip and velocity disturbances. None by default."""
+
     def __post_init__(self) -> None:
         checks.check_fields(self)
         if self.dim not in self.model.dims:
@@ -201,6 +216,8 @@ class Scenario:
         self._check_starts()
         self._check_time_step()
         self.sensing.check_fits(self.n_robots, self.tau)
+        self.activation.check_fits(self.n_robots)
+        self.events.check_fits(self)
 
     @property
     def sensing_graph(self) -> Graph:
@@ -471,6 +488,10 @@ class Scenario:
         ]
         plain |= {name: list(getattr(self, name)) for name in self.per_robot}
         plain["obstacle_push"] = None if self.obstacle_push == "push" else self.obstacle_push
+        clocks = self.activation
+        plain["activation"] = None if clocks.synchronous else clocks.to_plain()
+        plain["events"] = self.events.to_plain() or None
+        plain["hold"] = None if self.hold == "command" else self.hold
         plain["merge_through_obstacles"] = False if not self.merge_through_obstacles else None
         for key in ("neighbour_overflow", "obstacle_overflow"):  # younger than files of scenarios
             plain[key] = None if plain[key] == "error" else plain[key]

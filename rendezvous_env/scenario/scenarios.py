@@ -285,6 +285,13 @@ _FIELDS: dict[str, Fields] = {
         "robot_model": "unicycle",
         "sensing": {"field_of_view": 2.0 * math.pi / 3.0},
     },
+    "failures-8": {
+        "n_robots": 8,
+        "activation": {"kind": "bounded", "max_wait": 3},
+        "hold": "stop",
+        "events": {"n_crashed": 1, "slip": 0.2},
+        "time_limit": 60.0,
+    },
     # discs that stand in the way of sight as of robots, and robots that hide one another
     "occluded-8": {**_clutter(8, 8), "sensing": {"occlusion": "both"}},
     "range-12": {

@@ -356,3 +356,15 @@ def test_infos_of_every_slot_hold_costs():
     assert ended == 6 and make_robots("duo", 1).get_state().keys() == {
         "teams", "active", "returns", "lengths", "told",
     }  # fmt: skip
+
+
+def test_infos_of_slots_hold_the_conditions_of_robots():
+    clocks = {"kind": "periodic", "period": [1, 2, 3]}
+    env = make_robots(SCENARIO.replace(activation=clocks, spawn_size=40.0), 2)
+    env.seed(SEED)
+    env.reset()
+    for step in range(SCENARIO.max_steps):
+        infos = env.step(np.zeros((env.num_envs, 2), np.float32))[3]
+        wanted = [step % period == k % period for k, period in enumerate(clocks["period"])] * 2
+        assert [info["activated"] for info in infos] == wanted
+    assert all("episode" in info for info in infos[2::3])

@@ -11,7 +11,9 @@ from test_measured_sensors import MEASURED
 from test_sensing_engine import SHAPES, WORST
 
 from rendezvous_env import (
+    Activation,
     Capsule,
+    Events,
     ObstacleField,
     Scenario,
     Simulator,
@@ -41,6 +43,12 @@ FAST = {
     "errors in the open": five("single_integrator-2d", sensing=WORST, spawn_size=3.0),
     "measured": five("unicycle", obstacles=SHAPES[:1], sensing=MEASURED, **TIGHT),
     "packing": scenarios.get("robotarium-4"),
+    "failures": five(
+        "single_integrator-2d",
+        events=Events(n_crashed=1, n_blind=2, slip=0.3, disturbance=0.2, compass_walk=0.5),
+        **TIGHT,
+    ),
+    "own clocks": five("unicycle", activation=Activation(kind="bounded", max_wait=3), **TIGHT),
 }
 SLOW = {
     "nothing in the way": five("single_integrator-2d", spawn_size=3.0),
@@ -61,13 +69,14 @@ SLOW = {
 """Covered by the other cases, except for compilation."""
 SCENARIOS = FAST | SLOW
 KERNELS = (
-    "two rows", "packing", "field", "measured", "flying among solids", "errors", "drawn graphs",
-    "errors in space", "measured in space", "measured in two rows",
+    "two rows", "own clocks", "failures", "packing", "field", "measured", "flying among solids",
+    "errors", "drawn graphs", "errors in space", "measured in space", "measured in two rows",
 )  # fmt: skip
 """Cases that together call every kernel of a step."""
 MEETS_NOTHING = (
     "nothing in the way", "two rows", "drawn graphs", "errors in the open", "errors in two rows",
-    "measured in space", "measured in two rows", "packing",
+    "measured in space", "measured in two rows", "packing", "own clocks",
+    "failures",
 )  # fmt: skip
 
 

@@ -20,6 +20,8 @@ import rendezvous_env as rv
         ("meeting", "robotarium-4", {}),
         ("neighbour_slots", "swarm-20", {"neighbour_slots": 30}),
         ("costs", "duo", {"costs": ("rise",)}),
+        ("events", "duo", {"events": {"slip": 0.1}}),
+        ("activation", "duo", {"activation": "random"}),
         ("reward", "duo", {"reward": rv.RewardWeights(clearance_penalty=1.0)}),
         ("guarantee", "unicycle-6", {"guarantee": "heading"}),
         ("guarantee", "duo", {"guarantee": "tank"}),

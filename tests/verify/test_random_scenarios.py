@@ -1,6 +1,7 @@
 """``rendezvous verify --random-scenarios``: random scenarios reveal wrong certificates."""
 
 import dataclasses
+import itertools
 import json
 import math
 from functools import partial
@@ -58,6 +59,10 @@ def test_random_scenarios_cover_all_kinds():
     exact = vars(rv.Sensing())
     flaws = {name for one in drawn for name in exact if vars(one.sensing)[name] != exact[name]}
     assert flaws == set(exact) - {"custom"}
+    clocks = {(one.activation.kind, one.hold) for one in drawn if not one.activation.synchronous}
+    assert clocks == {*itertools.product(("periodic", "random", "bounded"), ("command", "stop"))}
+    kinds = {"crash", "blind", "adversary", "compass", "slip", "disturbance", "noise"}
+    assert set().union(*(one.events.kinds for one in drawn)) == kinds
     steps = [scenario.tau / scenario.certified_step for scenario in drawn]
     assert min(steps) < 0.15 and max(steps) > 15
     given = [np.array(s.start_positions) for s in drawn if s.start_positions is not None]

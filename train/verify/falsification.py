@@ -336,6 +336,8 @@ def _simpler(trial: Trial) -> Iterator[Trial]:
         {"obstacles": ()},
         *[{name: getattr(plain, name)} for name in fields],
         {"local_frames": "global"},
+        {"activation": rv.Activation()},
+        {"events": rv.Events()},
         *[{"sensing": replace(scenario.sensing, **{n: getattr(exact, n)})} for n in flaws],
         *[{"obstacles": given[:k] + given[k + 1 :]} for k in range(len(given))],
         *_fewer_robots(scenario),

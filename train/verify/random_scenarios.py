@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rendezvous_env as rv
+from rendezvous_env.safety.theorems.delay import longest_held_step
 from rendezvous_env.safety.theorems.theorem import CHOICES
 
 from . import random_starts as places_of
@@ -34,6 +35,8 @@ _TOLERABLE = 0.8
 """Fraction of scenarios with one sensor imperfection small enough for some theorem."""
 _BY_CHANCE = 0.35
 """Fraction of these with detection by chance, for which a mean time is bounded."""
+_CLOCKED = 0.25  # share of scenarios in which robots have clocks of their own
+_EVENTFUL = 0.25  # share of scenarios with failures or disturbances
 _CLIMBING = 0.15  # share of trials whose starts are improved
 _SIZES = (2, 3, 3, 3, 4, 4, 4, 5, 6)
 _MODELS = (
@@ -118,6 +121,8 @@ def _draw(random: Random, kind: Kind) -> tuple[rv.Scenario, Given, Starts]:
                 scenario = _tolerable(random, scenario, given)
         except ValueError:
             continue  # fields that do not go together
+        scenario = _with_clocks(random.spawn(1)[0], scenario)
+        scenario = _with_events(random.spawn(1)[0], scenario)
         if scenario.start_positions is None:
             return scenario, given, ()
         # half of the others are drawn anew where no obstacles lie between the robots
@@ -125,6 +130,73 @@ def _draw(random: Random, kind: Kind) -> tuple[rv.Scenario, Given, Starts]:
         others = other_starts(random, scenario, own[None], anew)[1:]
         return scenario, given, (scenario, *others)
     return rv.Scenario(), {by: _arguments(random, rv.Scenario(), by) for by in CHOICES}, ()
+
+
+def _with_clocks(random: Random, scenario: rv.Scenario) -> rv.Scenario:
+    """Mostly the scenario itself; else with clocks of the robots, half of them where a theorem is
+    known: exact bearings, nothing in the way, and commands that are held for a short time.
+    """
+    if random.random() >= _CLOCKED:
+        return scenario
+    n, kind = scenario.n_robots, str(pick(random, "periodic", "random", "bounded", "bounded"))
+    own: dict[str, Any] = {"max_wait": int(random.integers(1, 6))}
+    if kind == "periodic":
+        periods = random.integers(1, 6, n)
+        phases = random.integers(0, periods)
+        own = {"period": periods.tolist(), "phase": phases.tolist()}
+    elif kind == "random":
+        own = {"probability": log_uniform(random, 0.05, 1.0)}
+    hold = str(pick(random, "command", "stop"))
+    clocked = scenario.replace(activation=rv.Activation(kind=kind, **own), hold=hold)
+    lasting = scenario.sensing_graph.kind not in (*GRAPHS["changing"], "proximity")
+    if not lasting or random.random() < 0.5:
+        return clocked
+    passed = scenario.obstacles if scenario.obstacle_contact == "ignore" else ()
+    clocked = clocked.replace(sensing=rv.Sensing(), obstacles=passed)
+    if hold == "command" and kind != "random":
+        step = longest_held_step(clocked) * random.uniform(0.3, 1.05)
+        clocked = clocked.replace(time_step=step, time_limit=1000.0 * step)
+    return clocked
+
+
+def _with_events(random: Random, scenario: rv.Scenario) -> rv.Scenario:
+    """Mostly the scenario itself; else with one or two failures or disturbances, half of them
+    where a theorem is known.
+    """
+    if random.random() >= _EVENTFUL:
+        return scenario
+    n, tau = scenario.n_robots, scenario.tau
+    robot, times = int(random.integers(n)), np.sort(tau * random.integers(0, 40, 2))
+    pull = 2.0 * scenario.bottleneck_weight / n
+    events: dict[str, dict[str, Any]] = {
+        "crash": {"crashes": [[robot, float(times[0])]]},
+        "crashes": {"n_crashed": int(random.integers(1, n + 1))},
+        "blind": {"sensor_failures": [[robot, float(times[0]), float(times[1] + tau)]]},
+        "blinded": {"n_blind": int(random.integers(1, n + 1))},
+        "adversary": {"adversaries": [[robot, float(times[0])]]},
+        "adversaries": {"n_adversarial": int(random.integers(1, n + 1))},
+        "drift": {"compass_drift": float(random.normal() * 0.3 / tau)},
+        "walk": {"compass_walk": float(0.3 * random.random() / math.sqrt(tau))},
+        "slip": {"slip": random.random()},
+        "disturbance": {"disturbance": pull * log_uniform(random, 0.05, 2.0)},
+        "noise": {"disturbance_noise": pull * log_uniform(random, 0.05, 2.0)},
+    }
+    names = [*events, "crash", "blind", "slip", "disturbance", "disturbance", "drift"]
+    chosen: dict[str, Any] = {}
+    for _ in range(pick(random, 1, 1, 2)):
+        chosen |= events[str(pick(random, *names))]
+    with suppress(ValueError):  # fields that do not go together
+        eventful = scenario.replace(events=rv.Events(**chosen))
+        lasting = scenario.sensing_graph.kind not in (*GRAPHS["changing"], "proximity")
+        if not lasting or random.random() < 0.5:
+            return eventful
+        passed = scenario.obstacles if scenario.obstacle_contact == "ignore" else ()
+        plain = {"sensing": rv.Sensing(), "obstacles": passed, "activation": rv.Activation()}
+        step = scenario.certified_step * random.uniform(0.1, 1.0)
+        speed = scenario.max_degree * random.uniform(1.0, 1.5)
+        clock = {"time_step": step, "time_limit": 1000.0 * step, "max_speed": speed}
+        return eventful.replace(**plain, **clock)
+    return scenario
 
 
 def other_starts(random: Random, scenario: rv.Scenario, places: Array, anew: float = 0.0) -> Starts:

@@ -109,6 +109,11 @@ def velocity_inputs(scenario: Scenario, asked: Asked) -> str:
 
 def frames_stay(scenario: Scenario, asked: Asked) -> str:
     """Local frames are fixed, so delayed bearings refer to the current frame."""
+    if scenario.events.turns_frames:
+        return (
+            f"none: local frames turn ({scenario.events}), and bearings or commands of the past "
+            "refer to the frame of that time"
+        )
     if not frame_turns(type(constants_of(scenario))):
         return ""
     return (

@@ -16,12 +16,12 @@ from ...scenario.scenario import Scenario
 from ...scenario.scenarios import resolve
 from ..gains import gain_range
 from ..settings import TANK_MARGIN, bounded_error, check_bearing_error, check_share
-from . import descent, gains, links, mean_time, noise, policies, tank, turning
+from . import delay, descent, gains, links, mean_time, noise, policies, tank, turning
 from .theorem import CHOICES, LAW, PROMISED, Asked, Bounds, Theorem, at_least, at_most
 
 THEOREMS: tuple[Theorem, ...] = tuple(
     theorem
-    for file in (gains, descent, turning, tank, links, noise, mean_time)
+    for file in (gains, descent, turning, tank, links, noise, delay, mean_time)
     for theorem in file.THEOREMS
 )
 """All theorems in order of precedence; the first that guarantees rendezvous is cited."""
@@ -258,7 +258,7 @@ def answer(scenario: Scenario, asked: Asked) -> tuple[Certificate, list[tuple[Th
     The text is that of the first theorem that guarantees rendezvous, or the missing assumption of
     the closest one. If several apply, the one with the largest admissible bearing error is cited.
     """
-    applies, nearest, words = [], (-1.0, 0.0), ""
+    applies, nearest, words = [], (-3.0, 0.0), ""
     for theorem in THEOREMS:
         if asked.by not in theorem.by:
             continue

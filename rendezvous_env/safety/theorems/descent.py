@@ -1,4 +1,4 @@
-"""Theorems A, B and C: V falls under law (1), and under any headings that keep a margin.
+"""Theorems A, B, C and N2: V falls under law (1), and under any headings that keep a margin.
 
 **Assumptions.** Fixed, undirected, connected graph; robots whose action is their velocity; exact
 bearings of all neighbours, inputs held over τ ≤ r/(2D̄) or velocities scaled by r/(2 D_i τ);
@@ -11,7 +11,19 @@ nothing in the way; neighbours merge at r, whatever is between them. A: law (1),
 
 σ = max(1, 2D̄τ/r) max(1, D̄/v_max), v_max of the slowest robot; on a complete graph of equal
 weights a without obstacles, T ≤ σ V(0)/(2 (n−1) ε² a²). With obstacles, V is bounded in motion
-without a contact; so is V of nonholonomic robots under headings. Proof: docs/proofs.md, A to C.
+without a contact; so is V of nonholonomic robots under headings. As inequality (1) of the proofs
+is a sum over robots, V also never rises where some of them stand still in a step
+(``Scenario.hold="stop"``). Proof: docs/proofs.md, A to C.
+
+**N2.** Law (1) as in theorem A with failures and disturbances (``Scenario.events``): sensors fail
+until a time t_f, robots execute a share of at least s of f_i, and a velocity of at most w is added.
+With w > 0 no sensor fails, v_max ≥ D̄ and τ ≤ r/(2D̄). Then s = 1 − slip, else (1 − slip) times
+min(1, r/(2D̄τ), v_max/D̄). If w < s min_m 2c_m/m,
+
+    V ≤ V_w = V0⁺ + (n−1) τ n w²/s,
+    T ≤ t_f + V_w/min_m(4 s c_m²/m − m w²/s) + (n−1) τ.
+
+Proof: docs/proofs.md, N2.
 """
 
 import numpy as np
@@ -22,7 +34,7 @@ from ...scenario.scenario import Scenario
 from ..settings import bounded_error, check_share
 from . import assumptions as given
 from . import constants as known
-from .theorem import Asked, Bounds, Theorem
+from .theorem import Asked, Bounds, Theorem, at_least
 
 Array = NDArray[np.float64]
 
@@ -81,14 +93,95 @@ def time_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     return Bounds(words, True, time, lyapunov=float(known.lyapunov_bound(scenario)))
 
 
+def _disturbed_rates(scenario: Scenario) -> tuple[float, Array]:
+    """s, without unit, and s 4c_m²/m − m w²/s, an array (n − 1,), (m/s)² (theorem N2)."""
+    events, left = scenario.events, known.robots_left(scenario)
+    share = 1.0 - events.slip
+    if events.disturbance == 0.0:
+        share *= known.scale_bound(scenario)
+    if share <= 0.0:
+        return 0.0, np.zeros(len(left))
+    pull = share * 4.0 * known.min_degrees(scenario) ** 2 / left
+    return share, pull - left * events.disturbance**2 / share
+
+
+def has_events(scenario: Scenario, asked: Asked) -> str:
+    """Something fails or is disturbed."""
+    return "none: theorem N2 is for failures and disturbances" if scenario.events.none else ""
+
+
+def small_disturbance(scenario: Scenario, asked: Asked) -> str:
+    """Bound w < s min_m 2c_m/m, and robots that see nothing are not disturbed."""
+    events, left = scenario.events, known.robots_left(scenario)
+    if events.disturbance > 0.0 and "blind" in events.kinds:
+        return "none: a robot whose sensor has failed drifts with the disturbance"
+    share = 1.0 - events.slip
+    most = share * float((2.0 * known.min_degrees(scenario) / left).min())
+    if share > 0.0 and (events.disturbance == 0.0 or events.disturbance < most):
+        return ""
+    if share <= 0.0:
+        return "none: with slip = 1 robots may stand still for ever; take less"
+    return (
+        f"none: events.disturbance is {events.disturbance:.4g} m/s, and theorem N2 tolerates less "
+        f"than {at_least(most)} m/s here: from there on it can move robots as fast as law (1)"
+    )
+
+
+def unlimited_if_disturbed(scenario: Scenario, asked: Asked) -> str:
+    """With a disturbance: v_max ≥ D̄ and τ ≤ r/(2D̄)."""
+    slow = scenario.min_speed_limit < scenario.max_degree * (1 - 1e-12)
+    if scenario.events.disturbance == 0.0 or not (slow or known.long_step(scenario)):
+        return ""
+    return (
+        "none: with a disturbance theorem N2 needs max_speed of at least "
+        f"{scenario.max_degree:.6g} m/s and time_step of at most {scenario.certified_step:.6g} s"
+    )
+
+
+def progress_outlasts_rounding(scenario: Scenario, asked: Asked) -> str:
+    """As ``outlasts_rounding``, for what disturbances leave of the progress."""
+    share, rates = _disturbed_rates(scenario)
+    pull = 4.0 * known.min_degrees(scenario) ** 2 / known.robots_left(scenario)
+    left = min(share, float((rates / pull).min()))
+    return given.outlasts_rounding(scenario, asked._replace(min_alignment=left))
+
+
+def last_failure(scenario: Scenario) -> float:
+    """Time from which all sensors work and no more robots crash, s; 0 without such events."""
+    events, tau = scenario.events, scenario.tau
+    if events.n_blind + events.n_crashed > 0:
+        return (scenario.max_steps + 1) * tau
+    ends = [0.0, *(end for _, _, end in events.sensor_failures)]
+    ends += [time for _, time in events.crashes]
+    return max(ends) + tau * (max(ends) > 0.0)  # an event waits for the next step
+
+
+def disturbed_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+    """Bounds of theorem N2 on the time and on V."""
+    n, (share, rates) = scenario.n_robots, _disturbed_rates(scenario)
+    reach = max(scenario.merge_radius / 2.0, scenario.speed_limit * scenario.tau)
+    disturbed = scenario.events.disturbance > 0.0
+    most = float(known.lyapunov_bound(scenario, reach=reach if disturbed else None))
+    most += (n - 1) * scenario.tau * n * scenario.events.disturbance**2 / share
+    time = last_failure(scenario) + float(known.held_time(scenario, most, rates))
+    words = f"theorem N2: law (1) meets in finite time with {scenario.events}"
+    return Bounds(words, meets=True, time=time, lyapunov=most)
+
+
 # The paper's laws for robots that turn, held, can raise V a little; certified ones cannot.
 _HELD = given.certified_or_scaled, given.exact_bearings
 _LAW_V = *given.LASTING_LINKS, given.merges_everywhere, given.velocity_inputs, *_HELD
+_SLOW = "crash", "blind", "slip"  # robots stand still, or move less; (1) is a sum over them
+_DISTURBED = (
+    *(has_events, *given.UNHINDERED, *_HELD),
+    *(small_disturbance, unlimited_if_disturbed, progress_outlasts_rounding),
+)
 _A = Theorem("A", ("law",), (*given.UNHINDERED, *_HELD), time_bounds)
 _C = Theorem("C", ("heading",), (*given.UNHINDERED, given.exact_bearings), time_bounds)
 THEOREMS = (
     _A,
-    Theorem("V", ("law",), _LAW_V, lyapunov_bounds, False, "descent"),
+    Theorem("V", ("law",), _LAW_V, lyapunov_bounds, False, "descent", ("stop",), _SLOW),
     _C,
-    Theorem("V", ("heading",), given.KEPT, lyapunov_bounds, False, "descent"),
+    Theorem("V", ("heading",), given.KEPT, lyapunov_bounds, False, "descent", ("stop",), _SLOW[:2]),
+    Theorem("N2", ("law",), _DISTURBED, disturbed_bounds, events=("blind", "slip", "disturbance")),
 )

@@ -13,11 +13,14 @@ over τ, τ C < r (D1):
 
 and with a leader that of n − 1 robots in the directions within 75° of one, times 0.78.
 
-For τ C ≤ r the hull does not grow in a step that begins with linked robots r or more apart; L0
-holds what it grows by in others. Proof: docs/proofs.md, G and D1.
+For τ C ≤ r the hull does not grow in a step that begins with linked robots r or more apart, in
+which any robots may stand still; L0 holds what it grows by in others.
+A robot that crashes is a stationary root from then on, on an undirected graph too.
+Proof: docs/proofs.md, G and D1.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,7 +29,8 @@ from ...scenario.scenario import Scenario
 from ..gains import gain_range
 from . import assumptions as given
 from . import constants as known
-from .theorem import Asked, Bounds, Theorem
+from .descent import last_failure
+from .theorem import TWO_CRASHED, Asked, Bounds, Theorem
 
 Array = NDArray[np.float64]
 
@@ -112,10 +116,28 @@ def depth_gained(n: ArrayLike, dim: int, led: bool) -> Array:
     return np.asarray(total * (_DEEP if led else 1.0))
 
 
-def bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """Bounds on both times and on L."""
+def one_crash(scenario: Scenario, asked: Asked) -> str:
+    """One robot crashes, and all others reach it along links."""
+    count = len(scenario.events.crashes) + scenario.events.n_crashed
+    if count > 1:
+        return TWO_CRASHED
+    return "" if count else "none: no robot crashes"
+
+
+def crashed_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+    """Bounds after one robot has crashed: it is then a stationary root."""
+    after = last_failure(scenario)
+    found = bounds(scenario, asked, led=True)
+    words = f"theorem G: the others meet at the crashed robot, from {after:.4g} s on"
+    time = after + found.time
+    return replace(found, words=words, time=time, continuous_time=math.inf)
+
+
+def bounds(scenario: Scenario, asked: Asked, led: bool | None = None) -> Bounds:
+    """Bounds on both times and on L, with a stationary root if ``led``; None is as on the graph."""
     (gains, most), m, dim = _gains(scenario, asked), known.robots_left(scenario), scenario.dim
-    led, hull = known.led(scenario), hull_bounds(scenario, asked).hull
+    led = known.led(scenario) if led is None else led
+    hull = hull_bounds(scenario, asked).hull
     spare = max(scenario.merge_radius - scenario.tau * most, 0.0)
     held = gains * depth_gained(m, dim, led) * spare / (spare + 2.0 * scenario.tau * gains)
     followed = (shrinking_to_leader if led else shrinking)(m, dim, gains).min()
@@ -139,9 +161,21 @@ _HULL = given.velocity_inputs, given.bounded_errors, given.no_obstacles
 _WITHIN = given.within_neighbours, given.exact_bearings
 _NESTED = *_WITHIN, given.outlasts_rounding  # or robots leave the hull, as far as they like
 _SEEN = given.bounded_errors, given.some_neighbour_visible, given.no_obstacles
+_SLOW = "crash", "blind", "slip"
+_CRASHED = one_crash, *given.TEAM, *_SEEN, *_WITHIN
 _LAW_HULL = *_HULL, given.all_neighbours_visible, *_NESTED
 THEOREMS = (
     Theorem("G", ("law", "gains"), (*given.JOINED, *_SEEN, *_WITHIN), bounds, every_step="nested"),
-    Theorem("G, the hull", ("gains",), (*_HULL, *_NESTED), hull_bounds, False, "nested"),
-    Theorem("G, the hull", ("law",), _LAW_HULL, hull_bounds, False, "nested"),
+    Theorem(
+        "G, the hull",
+        ("gains",),
+        (*_HULL, *_NESTED),
+        hull_bounds,
+        False,
+        "nested",
+        ("stop",),
+        _SLOW,
+    ),
+    Theorem("G, the hull", ("law",), _LAW_HULL, hull_bounds, False, "nested", ("stop",), _SLOW),
+    Theorem("G, one crash", ("law", "gains"), _CRASHED, crashed_bounds, events=_SLOW[:2]),
 )

@@ -208,9 +208,15 @@ def _events(
     return rate[best], time[best]
 
 
+def rows_keep_their_frame(scenario: Scenario, asked: Asked) -> str:
+    """Rows that are held between samples refer to the current frame."""
+    return given.frames_stay(scenario, asked) if scenario.sensing.sample_period > 0.0 else ""
+
+
 _white = given.departs_by_chance("noise")
 _drawn = given.departs_by_chance()
+_FREE = given.no_obstacles, rows_keep_their_frame
 THEOREMS = (
-    Theorem("E[T]", ("law",), (*given.TEAM, _white, given.no_obstacles), lyapunov_bounds, False),
-    Theorem("E[L]", ("law",), (*given.JOINED, _drawn, given.no_obstacles), hull_bounds, False),
+    Theorem("E[T]", ("law",), (*given.TEAM, _white, *_FREE), lyapunov_bounds, False),
+    Theorem("E[L]", ("law",), (*given.JOINED, _drawn, *_FREE), hull_bounds, False),
 )

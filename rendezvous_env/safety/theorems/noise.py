@@ -1,4 +1,4 @@
-"""Theorems N, N1, N1' and E1: bounded bearing errors, and delayed bearings.
+"""Theorems N, N1 and N1': bounded bearing errors.
 
 **N.** All Σ_j c_ij equal c, every bearing error is at most η < π/n, in 3-D tan η < 1/√(n(n−2)). On
 any graph on which every robot has a visible neighbour, in continuous time,
@@ -19,12 +19,7 @@ merges, and T ≤ V0⁺ max_m m/(q_m² s_min) + (n−1) τ if all q_m = 2ε c_m 
 sin(η/2), β = ½, are positive. If V/(m−1) never increases at merges, V(0)/(n−1) and q_m²/(m−1) may
 replace V0⁺ and q_m².
 
-**E1.** Law (1) on a fixed undirected connected graph with exact bearings delayed by k steps, (k+1)
-τ ≤ r/(2D̄), also at merges; single integrators with fixed frames; no obstacles. s = min(1, v_max/D̄):
-
-    T ≤ V_late max_m m/(4 s c_m²) + (n−1)(k+1) τ,      V ≤ V_late = V0⁺ + (n−1)(2 r W + n r D̄/2).
-
-Proofs: docs/proofs.md, N to N1' and E1.
+Proofs: docs/proofs.md, N to N1'.
 """
 
 import math
@@ -170,36 +165,9 @@ def heading_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     return certified_bounds(scenario, asked, most, each, DEAD_ZONE, words, who, even_so)
 
 
-def small_delay(scenario: Scenario, asked: Asked) -> str:
-    """(k+1) τ ≤ r/(2D̄): the age of delayed and held bearings is small enough."""
-    age = (scenario.delay_steps + 1) * scenario.tau
-    oldest = scenario.merge_radius / (2.0 * scenario.max_degree)
-    if age <= oldest * (1 + 1e-12):
-        return ""
-    return (
-        f"none: late and held, bearings are up to {age:.4g} s old, and theorem E1 needs no more "
-        f"than r/(2D̄) = {oldest:.4g} s"
-    )
-
-
-def delay_bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """Bounds on the time and on V."""
-    n, degree, late = scenario.n_robots, scenario.max_degree, scenario.delay_steps
-    meanwhile = (n - 1) * n * scenario.merge_radius * degree / 2.0
-    most = float(known.lyapunov_bound(scenario))
-    most += 2.0 * known.merge_rise_allowance(scenario) + meanwhile
-    slowest = min(1.0, scenario.min_speed_limit / degree) * known.min_bearing_square(scenario)
-    time = float(known.over_rate(most, slowest) + (n - 1) * (late + 1) * scenario.tau)
-    words = f"theorem E1: law (1) meets in finite time on bearings that are {late} steps late"
-    return Bounds(words, meets=True, time=time, lyapunov=most)
-
-
 _SEEN = given.bounded_errors, given.all_neighbours_visible, given.no_obstacles
-_late = given.flawed_by("delay", "theorem E1 is for bearings that are late and nothing else")
-_LATE = *given.TEAM, _late, given.no_obstacles, small_delay, given.frames_stay
 THEOREMS = (
     Theorem("N", ("law", "gains"), (*given.JOINED, *_SEEN, gains_are_equal), equal_gain_bounds),
     Theorem("N1", ("law",), (*given.TEAM, *_SEEN, given.certified_or_scaled), law_bounds),
     Theorem("N1'", ("heading",), (*given.TEAM, *_SEEN), heading_bounds),
-    Theorem("E1", ("law",), _LATE, delay_bounds),
 )

@@ -99,6 +99,8 @@ def bounds_with_errors(
 Assumption = Callable[[Scenario, Asked], str]
 """Predicate of a scenario: an empty string if met, otherwise a message."""
 
+TWO_CRASHED = "none: two robots that crash apart can never meet; at most one may crash"
+
 
 @dataclass(frozen=True)
 class Theorem:
@@ -113,9 +115,26 @@ class Theorem:
     """Property of every step without merge or contact, or empty: V does not increase ("descent"),
     nor V + ΣA ("ledger"), the hull ("nested", while linked robots are at least r apart), or any
     link ("links")."""
+    clocks: tuple[str, ...] = ()
+    """Values of ``Scenario.hold`` with which it also holds where robots have clocks of their own
+    (``Scenario.activation``)."""
+    events: tuple[str, ...] = ()
+    """Kinds of ``Scenario.events`` with which it also holds. Frames may turn in all theorems but
+    those that assume ``frames_stay`` (docs/proofs.md, N2)."""
 
     def unmet(self, scenario: Scenario, asked: Asked) -> tuple[int, str]:
-        """Number of assumptions met before the first failure, and its message, if any."""
+        """Number of assumptions met before the first failure, and its message, if any.
+
+        Negative if it does not cover the clocks (−2) or events (−1) of the scenario.
+        """
+        clocks = scenario.activation
+        if not clocks.synchronous and scenario.hold not in self.clocks:
+            return -2, (
+                f"none: robots have clocks of their own (activation {clocks}, hold = "
+                f"{scenario.hold!r}), and no theorem covers {CHOICES[asked.by]} with them"
+            )
+        if kinds := scenario.events.kinds - {"compass", *self.events}:
+            return -1, _why_not_with(scenario, kinds, CHOICES[asked.by])
         if scenario.meeting == "pack":
             return 0, (
                 "none: theorems end with one robot left, and with meeting='pack' none merges; "
@@ -128,3 +147,15 @@ class Theorem:
             )
         failing = ((met, holds(scenario, asked)) for met, holds in enumerate(self.assumptions))
         return next((found for found in failing if found[1]), (len(self.assumptions), ""))
+
+
+def _why_not_with(scenario: Scenario, kinds: set[str], who: str) -> str:
+    """Message that a theorem does not hold with some kinds of events."""
+    events = scenario.events
+    if len(events.crashes) + events.n_crashed > 1:
+        return TWO_CRASHED
+    if "adversary" in kinds:
+        return "none: an adversarial robot can flee for ever, at the speed of the others"
+    if "noise" in kinds:
+        return "none: a Gaussian disturbance has no bound; events.disturbance has one"
+    return f"none: no theorem covers {who} with these failures or disturbances ({events})"

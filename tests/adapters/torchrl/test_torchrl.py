@@ -45,6 +45,18 @@ def test_environment_passes_check_env_specs(choices):
     assert env.group_map == {GROUP: ["robot_0", "robot_1", "robot_2", "robot_3"]}
 
 
+def test_conditions_of_robots_are_in_the_group_info():
+    clocks = {"kind": "periodic", "period": 2, "phase": [0, 0, 1, 1]}
+    choices = {"activation": clocks, "costs": "rise", "spawn_size": 60.0, "obstacles": ()}
+    env = RendezvousEnv("clutter-8", 3, seed=1, **SHORT, **choices)
+    check_env_specs(env)
+    data, _ = drive(env, 4)
+    told = data["next", GROUP, "info"]
+    assert set(told.keys()) == {"cost", "cost_rise", "activated"}
+    wanted = torch.tensor([[True, True, False, False], [False, False, True, True]] * 2)
+    assert (told["activated"][..., 0] == wanted).all()
+
+
 def drive(env, steps, seed=0):
     """A rollout under a fixed sequence of actions, and the sequence."""
     random = torch.Generator().manual_seed(seed)
