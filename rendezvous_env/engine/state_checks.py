@@ -161,6 +161,16 @@ class StatefulMixin:
         return checked
 
 
+def _check_velocities(scenario: Scenario, memory: NDArray[Any]) -> None:
+    """Reject velocities above the limits, which bound the displacement in a step."""
+    limits = speed_limits_of(robot(scenario))
+    velocities = memory[..., scenario.model.n_angles :]
+    too_fast = np.linalg.norm(velocities, axis=-1) > limits * (1 + _ROUNDING)
+    refuse_first(
+        "memory", too_fast, memory, f"a velocity of at most {format_limit(limits.max())} m/s"
+    )
+
+
 def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
     """Reject a state of ``Simulator.get_state`` that no episode can have.
 
@@ -190,11 +200,8 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
         refuse("faults", state["faults"] < 0, "0 or more")
     if "frames" in state:  # those of teams that have not begun are not drawn yet
         check_rotations(state, state["episode"] >= 0, _ROUNDING)
-    if scenario.model.keeps_velocity:  # how far a robot may come in a step stands on its limit
-        velocities = state["memory"][..., scenario.model.n_angles :]
-        limits = speed_limits_of(robot(scenario))
-        too_fast = np.linalg.norm(velocities, axis=-1) > limits * (1 + _ROUNDING)
-        refuse("memory", too_fast, f"a velocity of at most {format_limit(limits.max())} m/s")
+    if scenario.model.keeps_velocity:
+        _check_velocities(scenario, state["memory"])
     if "first" in state:
         _check_lists(scenario.n_robots, state)
     _check_merges(state, scenario.meeting == "pack")

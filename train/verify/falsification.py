@@ -188,7 +188,7 @@ def begin(trial: Trial, bearing_error: float, count: int) -> tuple[Any, Any, Pol
         begin_policy(own, wrapped.unwrapped.simulator)
         return wrapped, start, partial(policies.called, trial.policy, own)
     if trial.by == "law":
-        law = baselines.make(_LAWS.get(scenario.robot_model, "bearing-only"), scenario)
+        law = baselines.make(_LAWS.get(scenario.model.name, "bearing-only"), scenario)
         return wrapped, start, lambda seen, now: law(seen, now.time)
     random = np.random.default_rng([trial.seed, 1])
     turn_rate = arguments.get("max_turn_rate", MAX_TURN_RATE)
