@@ -45,16 +45,18 @@ class World(NamedTuple):
 
 
 class Tolerances(NamedTuple):
-    """Lengths within which contact is decided, m; see ``obstacles.contact``."""
+    """Lengths within which contact is decided, m, and ratios; see ``obstacles.contact``."""
 
     depth: float  # from which a path is a contact
     touching: float  # rounding error of the distance of a resting robot, negative
     touched_skin: float  # contact distance of a skin
     vertex: float  # of points on a vertex
+    into: float  # share of a velocity that may point into a surface
+    parallel: float  # squared sine of the angle below which two planes are parallel
 
 
-EXACT = Tolerances(CONTACT_DEPTH, -1e-13, 1e-8, 1e-9)
-COARSE = Tolerances(1e-4, -1e-5, 1e-5, 1e-5)
+EXACT = Tolerances(CONTACT_DEPTH, -1e-13, 1e-8, 1e-9, 1e-12, 1e-24)
+COARSE = Tolerances(1e-4, -1e-5, 1e-5, 1e-5, 1e-6, 1e-10)
 """Those of float32, in which places at 10 m are 1 µm apart."""
 
 
