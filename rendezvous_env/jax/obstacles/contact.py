@@ -20,9 +20,9 @@ from ...obstacles.contact import (
 from ...obstacles.obstacle_set import _MAX_PUSHES
 from ...physics.vectors import cross, dot, triple
 from ...robots.motion import SLID, STOPPED, chord_error_bound, displacement_at, period
-from ..array_form import Array, array_form, norm_of, select
-from ..selection import divided
-from ..some_teams import for_teams
+from ..arrays.array_form import Array, array_form, norm_of, select
+from ..arrays.selection import divided
+from ..arrays.some_teams import for_teams
 from .fields import Fields
 from .shapes import Shapes, World
 

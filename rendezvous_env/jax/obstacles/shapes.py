@@ -30,8 +30,8 @@ from ...obstacles.shape import (
 )
 from ...physics.crossings import capsule_crossing
 from ...physics.vectors import combine, cross, dot
-from ..array_form import Array, array_form, norm_of, replaces, select, square_root
-from ..selection import divided
+from ..arrays.array_form import Array, array_form, norm_of, replaces, select, square_root
+from ..arrays.selection import divided
 
 Point = Any  # a triple of arrays (*batch), m
 
