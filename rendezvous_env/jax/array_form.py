@@ -43,9 +43,17 @@ def quotient(a: Any, b: Any) -> Any:
     return jnp.where(some, a / jnp.where(some, b, 1.0), 0.0)
 
 
+def angle_of(y: Any, x: Any) -> Any:
+    """Angle of (x, y), rad, and 0 with a derivative of 0 for (0, 0)."""
+    none = (x == 0.0) & (y == 0.0)
+    return jnp.where(none, 0.0, jnp.arctan2(jnp.where(none, 0.0, y), jnp.where(none, 1.0, x)))
+
+
 _MATH = SimpleNamespace(
-    sqrt=square_root, sin=jnp.sin, cos=jnp.cos, atan2=jnp.arctan2, pi=math.pi, inf=math.inf
+    sqrt=square_root, sin=jnp.sin, cos=jnp.cos, atan2=angle_of, pi=math.pi, inf=math.inf
 )
+_NUMPY = SimpleNamespace(**vars(jnp) | {"sqrt": square_root, "arctan2": angle_of})
+_OURS = "rendezvous_env", "baselines"
 _BUILT_IN = {"min": jnp.minimum, "max": jnp.maximum, "abs": jnp.abs}
 
 
@@ -79,9 +87,9 @@ def _array_value(value: Any) -> Any:
     if value is math:
         return _MATH
     if value is np:
-        return jnp
+        return _NUMPY
     plain = getattr(value, "py_func", value)
-    ours = inspect.isfunction(plain) and plain.__module__.startswith(__package__.split(".")[0])
+    ours = inspect.isfunction(plain) and plain.__module__.split(".")[0] in _OURS
     return array_form(value) if ours else value
 
 
