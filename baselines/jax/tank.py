@@ -39,7 +39,7 @@ def account_of(f: Any, degree: Array, robot: Robot) -> Account:
 
 
 def gain_of(account: Account, displacement: Any, robot: Robot) -> Array:
-    """G(Δ) of a displacement, a pair, m: by how much a tank fills, m²/s."""
+    """Gain G(Δ) of the tank from a displacement Δ, a pair, m; m²/s."""
     sure = _certain(account.f, account.degree, displacement, robot.merge_radius)
     return sure - account.owed
 
