@@ -8,15 +8,16 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from rendezvous_env.jax.array_form import Array, array_form, quotient
+from rendezvous_env.jax.array_form import array_form
 from rendezvous_env.safety.heading import scale_of_step
 from rendezvous_env.safety.turning import Robot
 
 from ..learned import feature_kernels as kernels
 from ..learned.feature_kernels import _turn, _turn_rate
 from ..learned.features import FeatureLayout
+from .arrays import Array, length_of, parts_of, quotient, where
 from .merged_intervals import Joined, direction_of, joined_interval
-from .policy import Rows, length_of, parts_of, where
+from .policy import Rows
 from .tank import account_of
 
 Pair = tuple[Array, ...]

@@ -5,10 +5,11 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from rendezvous_env.jax.array_form import Array, angle_of, array_form
+from rendezvous_env.jax.array_form import array_form
 from rendezvous_env.jax.laws import bearing_only_law, flexible_velocity
 
 from ..laws import paper_laws
+from .arrays import Array, angle_of
 from .policy import (
     JaxPolicy,
     Memory,

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rendezvous_env.jax.array_form import Array, array_form, quotient
+from rendezvous_env.jax.array_form import array_form
 from rendezvous_env.jax.heading import certify, turn_limit
 from rendezvous_env.physics.vectors import rotated
 from rendezvous_env.safety.heading import scale_of_step
@@ -20,6 +20,7 @@ from ..learned.policy_settings import PolicySettings
 from ..learned.shipped import NAMES
 from ..policy import AT_PATH
 from ..steering import WITHIN
+from .arrays import Array, parts_of, quotient, where
 from .features import FeatureMemory, Motion, features, no_memory
 from .merged_intervals import direction_of, joined_headings
 from .policy import (
@@ -28,10 +29,8 @@ from .policy import (
     Rows,
     check_in_plane,
     degree_of,
-    parts_of,
     register,
     sum_of,
-    where,
     within_limits,
 )
 from .tank import account_of, spend

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rendezvous_env.jax.array_form import Array, angle_of, array_form, replaces
+from rendezvous_env.jax.array_form import array_form, replaces
 from rendezvous_env.physics.vectors import cross_in_plane, dot, rotated, split
 
 from ..obstacle_rules.merged_silhouettes_2d import (
@@ -18,6 +18,7 @@ from ..obstacle_rules.merged_silhouettes_2d import (
     _between,
     counter_clockwise,
 )
+from .arrays import Array, angle_of
 
 _cross, _dot, _rotated = map(array_form, (cross_in_plane, dot, rotated))
 

@@ -6,17 +6,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 
 from rendezvous_env.checks import short_repr
-from rendezvous_env.jax.array_form import Array, array_form, quotient, square_root
+from rendezvous_env.jax.array_form import Array, array_form
 from rendezvous_env.robots.single_integrator import limit_factor
 from rendezvous_env.safety.heading import step_scale
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike
 
 from .. import policy as policies
+from .arrays import length_of, where
 
 Memory = Any
 """Tree of arrays, (..., n, …); () of a policy without memory."""
@@ -74,15 +74,6 @@ class JaxPolicy(ABC):
         )
 
 
-def where(mask: Array, new: Any, old: Any) -> Any:
-    """The first of two trees of arrays (..., …) where a mask (...) holds, else the second."""
-
-    def one(a: Array, b: Array) -> Array:
-        return jnp.where(mask.reshape(*mask.shape, *[1] * (a.ndim - mask.ndim)), a, b)
-
-    return jax.tree.map(one, new, old)
-
-
 def sum_of(seen: Rows) -> Array:
     """Net bearing fᵢ, (..., d), m/s."""
     return jnp.sum(seen.neighbours, axis=-2)
@@ -91,11 +82,6 @@ def sum_of(seen: Rows) -> Array:
 def degree_of(seen: Rows) -> Array:
     """Degree Dᵢ = Σⱼ aᵢⱼ, (...), m/s."""
     return jnp.sum(length_of(seen.neighbours), axis=-1)
-
-
-def length_of(vectors: Array) -> Array:
-    """Lengths of vectors (..., d), with a derivative of 0 at zero."""
-    return square_root(jnp.sum(vectors * vectors, axis=-1))
 
 
 def scale_of(degree: Array, scenario: Scenario) -> Array:
@@ -110,17 +96,6 @@ def within_limits(actions: Array, scenario: Scenario) -> Array:
         return jnp.clip(actions, -bounds, bounds)
     factor = array_form(limit_factor)(length_of(actions), scenario.action_bounds[0])
     return actions * factor[..., None]
-
-
-def unit_of(vectors: Array) -> tuple[Array, Array]:
-    """Lengths (...) and unit vectors (..., d); zero for zero vectors."""
-    length = length_of(vectors)
-    return length, vectors * quotient(jnp.ones_like(length), length)[..., None]
-
-
-def parts_of(vectors: Array) -> tuple[Array, ...]:
-    """Vectors (..., d) as a tuple of d arrays, as equations of ``physics`` take them."""
-    return tuple(vectors[..., k] for k in range(vectors.shape[-1]))
 
 
 _FORMS: dict[str, Callable[[Any], JaxPolicy]] = {}

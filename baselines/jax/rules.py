@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from rendezvous_env.jax.array_form import Array, angle_of, array_form, select
+from rendezvous_env.jax.array_form import array_form
 from rendezvous_env.jax.heading import certify, turn_limit
 from rendezvous_env.jax.laws import flexible_velocity
 from rendezvous_env.physics.vectors import combine, dot, perpendicular, rotated, split
@@ -15,13 +15,13 @@ from ..obstacle_rules import tank_policies
 from ..obstacle_rules.merged_silhouettes_2d import TWO_PI
 from ..obstacle_rules.obstacle_avoidance import TunedJoinedPolicy
 from ..obstacle_rules.tank_policies import TankJoinedPolicy
+from .arrays import Array, angle_of, parts_of, select
 from .merged_intervals import Joined, direction_of, joined_headings, joined_interval
 from .policy import (
     JaxPolicy,
     Memory,
     check_in_plane,
     degree_of,
-    parts_of,
     register,
     scale_of,
     sum_of,

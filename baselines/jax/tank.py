@@ -8,12 +8,14 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from rendezvous_env.jax.array_form import Array, array_form, select
+from rendezvous_env.jax.array_form import array_form
 from rendezvous_env.physics.vectors import dot, scaled, split
 from rendezvous_env.robots.single_integrator import limit_factor
 from rendezvous_env.safety.heading import into_cap
 from rendezvous_env.safety.tank import _moved, certain_descent, descent_scale, promised_descent
 from rendezvous_env.safety.turning import Robot
+
+from .arrays import Array, select
 
 _dot, _scaled, _split = map(array_form, (dot, scaled, split))
 _certain, _scale, _promised = map(array_form, (certain_descent, descent_scale, promised_descent))

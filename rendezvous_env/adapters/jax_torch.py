@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
+from torch.utils.dlpack import from_dlpack
 
 from ..checks import raise_invalid
 from ..jax import RendezvousJaxEnv, State, make
@@ -22,7 +23,7 @@ Tensors = dict[str, torch.Tensor]
 
 def to_torch(array: Any) -> torch.Tensor:
     """Tensor with the memory of a JAX array, on its device, by DLPack; never write to it."""
-    return torch.from_dlpack(array)
+    return from_dlpack(array)
 
 
 def to_jax(tensor: Any) -> Any:
@@ -72,7 +73,7 @@ class JaxTorchVectorEnv(VectorEnv[torch.Tensor, torch.Tensor, Any]):
         self.state: State | None = None
         """State of the environments; None before the first reset."""
 
-    def reset(  # type: ignore[override]
+    def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[torch.Tensor, Tensors]:
         """Begin the first episodes of a seed, as ``make_vec``; None samples one.
@@ -87,7 +88,7 @@ class JaxTorchVectorEnv(VectorEnv[torch.Tensor, torch.Tensor, Any]):
         observations, self.state = self.functions.reset(seed)
         return to_torch(observations), {}
 
-    def step(  # type: ignore[override]
+    def step(
         self, actions: Any
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, Tensors]:
         """Advance all environments; ``actions`` are a tensor (B, n, a) on the same device.

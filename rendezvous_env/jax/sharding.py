@@ -1,18 +1,17 @@
 """Distribution of environments over devices."""
 
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import numpy as np
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
 from ..checks import raise_invalid
+from .environment import State
 
-Tree = TypeVar("Tree")
 
-
-def shard(state: Tree, devices: Sequence[Any] | None = None) -> Tree:
+def shard(state: State, devices: Sequence[Any] | None = None) -> State:
     """Distribute the environments of a state, the last axis of its arrays, over devices.
 
     ``step`` then computes each part on its device and returns arrays distributed likewise. The
@@ -26,10 +25,9 @@ def shard(state: Tree, devices: Sequence[Any] | None = None) -> Tree:
         ValueError: if the number of devices does not divide B, or the state has no batch axis.
     """
     chosen = jax.devices() if devices is None else list(devices)
-    sizes = {array.shape[-1:] for array in jax.tree.leaves(state)}
-    for size in sizes:
-        if not size or size[0] % len(chosen):
-            raise_invalid("num_envs", *size or [None], f"a multiple of {len(chosen)} devices")
+    number = len(state.status) if state.status.ndim else None
+    if number is None or number % len(chosen):
+        raise_invalid("num_envs", number, f"a multiple of {len(chosen)} devices")
     mesh = Mesh(np.array(chosen), ("envs",), axis_types=(AxisType.Auto,))
 
     def split(array: jax.Array) -> jax.Array:

@@ -46,6 +46,7 @@ def test_gradients_are_finite_at_singular_states(model, rj):
             assert np.isfinite(found).all()
 
 
+@pytest.mark.slow
 def test_gradient_of_edge_weights_and_meeting_time_equals_differences(rj):
     import jax
     import jax.numpy as jnp

@@ -142,7 +142,10 @@ def test_make_names_what_has_no_jax_form(jax_policies):
     assert {"bearing-only", "tank-joined", "learned"} <= set(jax_policies.names())
 
 
-@pytest.mark.parametrize("name", ["bearing-only", "tangent-joined-tuned", "tank-joined"])
+@pytest.mark.parametrize(
+    "name",
+    marked(["bearing-only", "tangent-joined-tuned", "tank-joined"], slow=["tank-joined"]),
+)
 def test_gradients_of_rules_are_finite_where_nothing_is_observed(name, jax_policies):
     import jax
 

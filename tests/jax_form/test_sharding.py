@@ -42,7 +42,7 @@ for envs in (6, None):
 print(json.dumps({
     "devices": len(jax.devices()),
     "apart": max(
-        float(np.abs(np.asarray(a, float) - np.asarray(b, float)).max())
+        float(np.abs(np.asarray(a, float) - np.asarray(b, float)).max(initial=0.0))
         for a, b in zip(jax.tree.leaves(alone), jax.tree.leaves(shared), strict=True)
     ),
     "episodes": int(shared[1].episode.sum()),
@@ -52,6 +52,7 @@ print(json.dumps({
 """
 
 
+@pytest.mark.slow
 def test_sharded_environments_equal_those_of_one_device(tmp_path):
     pytest.importorskip("jax")
     program = tmp_path / "program.py"
