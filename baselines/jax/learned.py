@@ -7,9 +7,8 @@ import jax
 import jax.numpy as jnp
 
 from rendezvous_env.jax.array_form import array_form
-from rendezvous_env.jax.heading import certify, turn_limit
 from rendezvous_env.physics.vectors import rotated
-from rendezvous_env.safety.heading import scale_of_step
+from rendezvous_env.safety.heading import certify_one, scale_of_step, turn_limit
 from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.safety.turning import Robot, robot_of
 
@@ -207,9 +206,11 @@ class Learned(JaxPolicy):
             sent, levels = spend(desired, account, kept.levels, robot)
             actions, h = jnp.stack(sent, axis=-1), jnp.stack(raw, axis=-1)
             return actions, kept._replace(headings=h, velocities=actions, levels=levels)
-        limit = turn_limit(settings.max_turn_rate * self.scenario.tau)
+        limit = array_form(turn_limit)(settings.max_turn_rate * self.scenario.tau)
         gate = robot.gate
-        h = jnp.stack(certify(raw, f, carried, gate.min_alignment, gate.dead_zone, limit), axis=-1)
+        certified = array_form(certify_one)
+        h = certified(raw, f, carried, gate.min_alignment, gate.dead_zone, limit)
+        h = jnp.stack(h, axis=-1)
         along = jnp.sum(h * net, axis=-1)
         if self.scenario.tau > self.scenario.certified_step:
             along = along * array_form(scale_of_step)(

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from rendezvous_env.jax.array_form import array_form
-from rendezvous_env.jax.heading import certify, turn_limit
 from rendezvous_env.jax.laws import flexible_velocity
 from rendezvous_env.physics.vectors import combine, dot, perpendicular, rotated, split
+from rendezvous_env.safety.heading import certify_one, turn_limit
 from rendezvous_env.safety.turning import robot_of
 
 from ..obstacle_rules import tank_policies
@@ -53,9 +53,10 @@ class TunedJoined(JaxPolicy):
         raw = joined_headings(
             direction_of(f), seen.obstacles, self.clearance, carried, self.persistence
         )
-        limit = turn_limit(self.max_turn_rate * scenario.tau)
+        limit = array_form(turn_limit)(self.max_turn_rate * scenario.tau)
         dead_zone = scenario.dead_zone or 1.0
-        h = jnp.stack(certify(raw, f, carried, self.min_alignment, dead_zone, limit), axis=-1)
+        h = array_form(certify_one)(raw, f, carried, self.min_alignment, dead_zone, limit)
+        h = jnp.stack(h, axis=-1)
         velocity = scale_of(degree_of(seen), scenario)[..., None] * flexible_velocity(net, h)
         return within_limits(velocity, scenario), h
 

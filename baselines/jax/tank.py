@@ -11,8 +11,13 @@ import jax.numpy as jnp
 from rendezvous_env.jax.array_form import array_form
 from rendezvous_env.physics.vectors import dot, scaled, split
 from rendezvous_env.robots.single_integrator import limit_factor
-from rendezvous_env.safety.heading import into_cap
-from rendezvous_env.safety.tank import _moved, certain_descent, descent_scale, promised_descent
+from rendezvous_env.safety.tank import (
+    _moved,
+    certain_descent,
+    descending_velocity,
+    descent_scale,
+    promised_descent,
+)
 from rendezvous_env.safety.turning import Robot
 
 from .arrays import Array, select
@@ -51,10 +56,11 @@ def spend(desired: Any, account: Account, levels: Array, robot: Robot) -> tuple[
 
     A desired velocity is executed where A + G ≥ 0, else law (4) along it.
     """
-    limit, duration = robot.speed_limit, robot.gate.duration
+    limit, duration, margin = robot.speed_limit, robot.gate.duration, robot.gate.min_alignment
     wanted = _rounded(_scaled(desired, array_form(limit_factor)(_split(desired)[0], limit)))
     accepted = levels + gain_of(account, _moved_by(wanted, limit, duration), robot) >= 0.0
-    law = _rounded(_descending(desired, account, robot.gate.min_alignment))
+    law = array_form(descending_velocity)(desired, account.f, account.scale, margin)
+    law = _rounded(law)
     sees = account.degree > 0.0
     sent = _scaled(select(accepted, wanted, law), jnp.where(sees, 1.0, 0.0))
     gain = gain_of(account, _moved_by(sent, limit, duration), robot)
@@ -68,12 +74,3 @@ def _moved_by(velocity: Any, limit: float, duration: float) -> Any:
 def _rounded(vector: Any) -> Any:
     """Round to float32, as the commands of robots are."""
     return tuple(part.astype(jnp.float32).astype(part.dtype) for part in vector)
-
-
-def _descending(desired: Any, account: Account, margin: float) -> Any:
-    """``descending_velocity`` over arrays."""
-    (length, h), (_, towards) = _split(desired), _split(account.f)
-    h = select(length > 0.0, h, towards)
-    h = _scaled(h, jnp.where(_dot(h, towards) < 0.0, -1.0, 1.0))
-    h = array_form(into_cap)(h, towards, margin, towards)
-    return _scaled(h, account.scale * _dot(h, account.f))

@@ -4,8 +4,12 @@ from typing import NoReturn
 
 from ..checks import short_repr
 from ..graphs.random_graphs import DrawnGraph
+from ..obstacles.fields import ObstacleField
+from ..obstacles.parsing import max_count
 from ..robots.robot_models import is_custom
 from ..scenario.scenario import Scenario
+from .imperfections import not_covered
+from .obstacles.fields import MOST_SPHERES
 
 _REMEDY = "not covered by JAX; use rendezvous_env.make_vec, which supports it"
 
@@ -13,6 +17,14 @@ _REMEDY = "not covered by JAX; use rendezvous_env.make_vec, which supports it"
 def raise_not_covered(field: str, value: str) -> NoReturn:
     """Reject a field that ``rendezvous_env.jax`` does not support."""
     raise NotImplementedError(f"{field} is {value}: {_REMEDY}")
+
+
+def _is_rare_field(scenario: Scenario) -> bool:
+    """True for a random field with a minimum passage, or many spheres."""
+    field = scenario.obstacles
+    if not isinstance(field, ObstacleField):
+        return False
+    return field.passage > 0.0 or (scenario.dim == 3 and field.most > MOST_SPHERES)
 
 
 def check_covered(scenario: Scenario) -> None:
@@ -23,20 +35,20 @@ def check_covered(scenario: Scenario) -> None:
     """
     graph, layout = scenario.sensing_graph, scenario.observation_layout
     most = graph.most_neighbours(scenario.n_robots)
-    slots = scenario.neighbour_slots
+    slots, sensing = scenario.neighbour_slots, not_covered(scenario.sensing)
     rejected = {
-        "obstacles": bool(scenario.obstacles),
-        "obstacle_slots": layout.obstacle_slots > 0,
+        "obstacles": _is_rare_field(scenario),
+        "obstacle_slots": layout.obstacle_slots < max_count(scenario.obstacles),
         "graph": graph.changes or isinstance(graph, DrawnGraph),
         "robot_model": is_custom(scenario.model),
         "meeting": scenario.meeting != "merge",
-        "sensing": not scenario.sensing.exact,
+        "sensing": bool(sensing),
         "neighbour_slots": slots is not None and slots != most,
         "neighbour_overflow": scenario.neighbour_overflow != "error",
-        "costs": bool(scenario.costs),
-        "reward": bool(scenario.reward.custom) or scenario.reward.clearance_penalty != 0.0,
+        "costs": bool(set(scenario.costs) - {"contact", "link_lost"}),
+        "reward": bool(scenario.reward.custom),
     }
-    shown = {"graph": graph.kind, "sensing": f"Sensing({scenario.sensing.departures()})"}
+    shown = {"graph": graph.kind, "sensing": f"Sensing({sensing})"}
     for field, is_rejected in rejected.items():
         if is_rejected:
             raise_not_covered(field, shown.get(field) or short_repr(getattr(scenario, field)))

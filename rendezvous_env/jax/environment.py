@@ -17,19 +17,27 @@ from ..envs.gymnasium_env import _autoreset_mode
 from ..envs.overrides import sorted_overrides
 from ..envs.spaces import action_box, choice_box, observation_box, team_box
 from ..limits import MAX_TEAMS
+from ..obstacles.contact import IGNORE
 from ..rewards.terms import team_reward
 from ..robots.motion import FREE, motion_of
 from ..robots.robot_models import constants_of
 from ..safety.heading import HeadingFilter
-from ..safety.safety_filter import FILTERS
-from ..scenario.scenario import Scenario
+from ..safety.safety_filter import FILTERS, SafetyFilter
+from ..safety.tank import EnergyTank
+from ..scenario.scenario import CONTACT_MODES, Scenario
 from ..scenario.scenarios import ScenarioLike, resolve
 from ..scenario.start_options import seeds_of_environments
-from .array_form import Array, array_form, quotient
+from ..sensors.imperfections import imperfections_of
+from .array_form import Array, array_form, norm_of
 from .coverage import check_covered, raise_not_covered
-from .heading import Heading
+from .filters.heading import Heading
+from .filters.tank import Tank
+from .imperfections import Sensor, delayed
 from .merging import Merging, Moving
-from .sensing import sense
+from .obstacles.contact import ObstacleContact
+from .obstacles.fields import Fields
+from .selection import divided
+from .sensing import sense, sense_obstacles
 from .some_teams import for_teams
 from .starts import Starts
 
@@ -70,6 +78,14 @@ class State:
     """V at the start of the episode, m²/s."""
     closest: Array
     """Smallest squared distance of neighbours, m²."""
+    contacts: Array
+    """Contacts in this episode, one for each robot and step."""
+    clearance: Array
+    """(n,), m, distance to the nearest obstacle; inf without one, and for merged robots."""
+    obstacles: Any
+    """Sampled obstacles of the episode; () without any."""
+    past: Any
+    """Last observations, for a delay, (delay + 1, n, rows, d); () without one."""
     guarantee: Any
     """State of the filter; () without one."""
 
@@ -84,7 +100,7 @@ class RendezvousJaxEnv:
     def __init__(
         self,
         scenario: Scenario,
-        safety_filter: HeadingFilter | None,
+        safety_filter: SafetyFilter | None,
         num_envs: int | None,
         autoreset: bool,
         differentiable: bool,
@@ -101,19 +117,33 @@ class RendezvousJaxEnv:
             action_box(scenario) if safety_filter is None else choice_box(safety_filter), n
         )
         self._action_shape: tuple[int, ...] = self.action_space.shape or ()
-        self._filter = None if safety_filter is None else Heading(safety_filter)
         self._batch: tuple[int, ...] = () if num_envs is None else (num_envs,)
         self._dtype = jnp.result_type(float)
         self._seen_as = self._dtype if differentiable else jnp.float32
+        self._filter: Heading | Tank | None = None
+        if isinstance(safety_filter, EnergyTank):
+            self._filter = Tank(safety_filter, self._seen_as)
+        elif isinstance(safety_filter, HeadingFilter):
+            self._filter = Heading(safety_filter, self._seen_as)
         self._model = constants_of(scenario)
         motion = motion_of(type(self._model))
         assert motion is not None  # robot models are described before they are registered
         self._motion = {name: array_form(getattr(motion, name)) for name in _EQUATIONS}
-        self._row_shape = scenario.observation_layout.shape
-        self._starts = Starts(scenario, self._dtype)
+        has_obstacles = scenario.observation_layout.obstacle_slots > 0
+        self._fields = Fields(scenario, self._dtype) if has_obstacles else None
+        self._starts = Starts(scenario, self._fields, self._dtype)
+        exact = imperfections_of(scenario.sensing) is None
+        self._sensor = None if exact else Sensor(scenario)
         radius, reach = scenario.merge_radius, self._model.speed_limit * scenario.tau
         self._reach = ((radius + 2.0 * reach) * _ROUNDING) ** 2
-        self._merge = Merging(n, radius, scenario.sensing_graph.directed, differentiable)
+        one_way = scenario.sensing_graph.directed
+        self._merge = Merging(
+            n, radius, one_way, differentiable, self._fields, scenario.merges_through
+        )
+        mode = CONTACT_MODES.index(scenario.obstacle_contact)
+        self._contact: ObstacleContact | None = None
+        if self._fields is not None and mode != IGNORE:
+            self._contact = ObstacleContact(self._fields, self._model, mode, differentiable)
         self._begin, self._go = jax.jit(self._begin_all), jax.jit(self._step_all)
 
     @property
@@ -171,10 +201,10 @@ class RendezvousJaxEnv:
 
         Returns:
             Observations, state, team reward, termination (rendezvous), truncation (time limit),
-            and infos: ``robot_rewards``, ``active`` and ``merged_into`` (n,);
-            ``success``, ``time`` (s), ``path_length`` (m) and ``lyapunov`` (m²/s) at the end of the
-            step, before an autoreset; and with ``final_obs`` the observations with which an episode
-            ended, zero where none did.
+            and infos: ``robot_rewards``, ``active``, ``merged_into``, ``contact`` and ``clearance``
+            (m), (n,); ``success``, ``time`` (s), ``contacts``, ``path_length`` (m) and ``lyapunov``
+            (m²/s) at the end of the step, before an autoreset; and with ``final_obs`` the
+            observations with which an episode ended, zero where none did.
 
         Raises:
             ValueError: for an action of another shape, or not of real numbers.
@@ -198,15 +228,24 @@ class RendezvousJaxEnv:
         number = jnp.zeros(self._batch, self._dtype)
         start, n = self._starts(seed, zero), self.scenario.n_robots
         robots = jnp.broadcast_to(self._robots, (n, *self._batch))
-        counts = {"episode": zero, "status": zero + RUNNING, "steps": zero}
+        counts = {"episode": zero, "status": zero + RUNNING, "steps": zero, "contacts": zero}
+        clearance = jnp.full((n, *self._batch), jnp.inf, self._dtype)
         totals = dict.fromkeys(("path_length", "lyapunov", "initial_lyapunov", "closest"), number)
         begun = State(
-            **start._asdict(), merged_into=robots, seed=seed, **counts, **totals, guarantee=()
-        )
+            **start._asdict(), merged_into=robots, seed=seed, clearance=clearance, **counts,
+            **totals, past=self._no_past(), guarantee=(),
+        )  # fmt: skip
         if self._filter is not None:
             begun = begun.replace(guarantee=self._forgotten())
         seen, state = self._look(begun)
         return self._told(seen), state.replace(initial_lyapunov=state.lyapunov)
+
+    def _no_past(self) -> Any:
+        delay, sensed = self.scenario.delay_steps, self.scenario.observation_layout.obstacles.stop
+        if delay == 0:
+            return ()
+        shape = delay + 1, self.scenario.n_robots, sensed, self.scenario.dim, *self._batch
+        return jnp.zeros(shape, self._seen_as)
 
     @property
     def _robots(self) -> Array:
@@ -227,7 +266,13 @@ class RendezvousJaxEnv:
     ) -> tuple[Array, State, Array, Array, Array, Info]:
         took_part, running = state.merged_into == self._robots, state.status == RUNNING
         before = state
-        state = self._move(state, action, took_part & running)
+        state, contact = self._move(state, action, took_part & running)
+        touched = jnp.sum(contact, axis=0)
+        state = state.replace(contacts=state.contacts + touched)
+        costs = self._costs(contact)
+        if isinstance(self._filter, Tank):
+            levels = self._filter.update(state.guarantee, contact, state.merged_into, running)
+            state = state.replace(guarantee=levels)
         active = state.merged_into == self._robots
         steps = state.steps + running
         met = running & (jnp.sum(active, axis=0) == 1)
@@ -237,19 +282,23 @@ class RendezvousJaxEnv:
         state = state.replace(steps=steps, status=status.astype(jnp.int32))
         told["time"] = steps * self.scenario.tau
         told["path_length"], told["success"] = state.path_length, state.status == RENDEZVOUS
+        told["contacts"] = state.contacts
         if self.autoreset:
             last, state, told_last = self._end(state, ended)
             told |= told_last
-        seen, state = self._look(state)
-        now = state.lyapunov
+        seen, state = self._look(state, running)
+        now, closeness = state.lyapunov, self._closeness(state)
         if self.autoreset:
-            now = jnp.where(ended, last, now)
+            now = jnp.where(ended, last[0], now)
+            closeness = jnp.where(ended, last[1], closeness)
+            contact &= ~ended
             first = jnp.where(ended, state.lyapunov, state.initial_lyapunov)
             state = state.replace(initial_lyapunov=first)
         told["lyapunov"] = now
         reward = array_form(team_reward)(
-            quotient(before.lyapunov - now, before.initial_lyapunov),
-            1.0 / self.scenario.max_steps, 0.0, 0.0, met, self.scenario.reward.built_in,
+            divided(before.lyapunov - now, before.initial_lyapunov),
+            1.0 / self.scenario.max_steps, touched.astype(self._dtype), closeness, met,
+            self.scenario.reward.built_in,
         )  # fmt: skip
         reward = jnp.where(running, reward, 0.0)
         follows = self.scenario.on_merge == "follow"
@@ -258,8 +307,23 @@ class RendezvousJaxEnv:
             "robot_rewards": self._told(earned),
             "active": self._told(state.merged_into == self._robots),
             "merged_into": self._told(state.merged_into),
+            **{key: self._told(cost) for key, cost in costs.items()},
+            "contact": self._told(contact),
+            "clearance": self._told(state.clearance),
         }
         return self._told(seen), state, reward, met, over, told
+
+    def _costs(self, contact: Array) -> Info:
+        """Costs of the step by key, (n, *batch), as ``rewards.costs``."""
+        each = {"contact": contact.astype(self._dtype)}  # links are lost by merging only
+        names = self.scenario.costs
+        costs = {f"cost_{name}": each.get(name, jnp.zeros_like(each["contact"])) for name in names}
+        return costs | ({"cost": sum(costs.values(), start=0.0)} if names else {})
+
+    def _closeness(self, state: State) -> Array:
+        """Σ_i max(0, 1 − clearance_i/range), see ``team_reward``."""
+        near = jnp.maximum(0.0, 1.0 - state.clearance / self.scenario.obstacle_range)
+        return jnp.sum(near, axis=0)
 
     def _frames_of(self, state: State) -> Any:
         """Frames as tuples of arrays (n, *batch)."""
@@ -278,10 +342,10 @@ class RendezvousJaxEnv:
             return action
         largest = jnp.max(jnp.abs(action), axis=1, keepdims=True)
         least = 0.0 if self._filter is None else 1.0 / _LONGEST
-        return action * quotient(jnp.clip(largest, least, _LONGEST), largest)
+        return action * divided(jnp.clip(largest, least, _LONGEST), largest)
 
-    def _move(self, state: State, action: Array, acting: Array) -> State:
-        """Motion, merges and memory of the robots that act."""
+    def _move(self, state: State, action: Array, acting: Array) -> tuple[State, Array]:
+        """Motion, merges and memory of the robots that act, and their contacts."""
         action = jnp.moveaxis(action, 0, -1) if self._batch else action
         action = action.astype(self._seen_as).astype(self._dtype)
         memory = state.guarantee
@@ -294,15 +358,23 @@ class RendezvousJaxEnv:
         kept = tuple(state.memory[:, k] for k in range(state.memory.shape[1]))
         way, length = self._motion["propose"](self._model, inputs, frame, kept)
         way = tuple(jnp.where(acting, part, 0.0) for part in way)
+        ways, length = jnp.stack(way, axis=1), jnp.where(acting, length, 0.0)
+        contact, met = jnp.zeros(acting.shape, bool), FREE
+        if self._contact is not None:
+            near = acting & (state.clearance < self._contact.reach)
+            curve = inputs, frame, kept
+            ways, contact = self._contact(state.obstacles, near, state.positions, ways, curve)
+            way = tuple(ways[:, k] for k in range(ways.shape[1]))
+            length = jnp.where(contact, norm_of(way), length)
+            met = jnp.where(contact, self._contact.outcome, FREE)
         moving = Moving(
-            state.positions, jnp.stack(way, axis=1), jnp.where(acting, length, 0.0),
-            state.weights, state.merged_into,
-        )  # fmt: skip
+            state.positions, ways, length, state.weights, state.merged_into, state.obstacles
+        )
         near = (state.status == RUNNING) & (state.closest < self._reach)
-        free = moving._replace(positions=moving.positions + moving.displacements)
+        free = moving._replace(positions=moving.positions + moving.displacements, obstacles=())
         moved = for_teams(near, self._merge, moving, free, self.differentiable)
         if kept:
-            after = self._motion["update"](self._model, inputs, frame, kept, way, FREE)
+            after = self._motion["update"](self._model, inputs, frame, kept, way, met)
             runs = state.status == RUNNING
             after = [jnp.where(runs, new, old) for new, old in zip(after, kept, strict=True)]
             state = state.replace(memory=jnp.stack(after, axis=1))
@@ -312,32 +384,37 @@ class RendezvousJaxEnv:
             merged_into=moved.merged_into,
             path_length=state.path_length + jnp.sum(moved.lengths, axis=0),
             guarantee=memory,
-        )
+        ), contact
 
-    def _end(self, state: State, ended: Array) -> tuple[Array, State, Info]:
-        """Begin the next episode where one has ended; also return its final V and observations."""
-        changing = "positions", "frames", "memory", "weights"
+    def _end(self, state: State, ended: Array) -> tuple[tuple[Array, Array], State, Info]:
+        """Begin the next episode where one has ended.
+
+        Also returns V and closeness at its end, and its last observations.
+        """
+        changing = "positions", "frames", "memory", "weights", "obstacles"
         team = {name: getattr(state, name) for name in changing}
         given = {"team": state, "episode": state.episode + 1}
         zero, seen = jnp.zeros_like(state.lyapunov), {}
         if self.final_obs:
-            shape = (self.scenario.n_robots, *self._row_shape, *self._batch)
+            shape = (*(self.single_observation_space.shape or ()), *self._batch)
             seen = {"final_obs": jnp.zeros(shape, self._seen_as)}
 
         def renew(given: Any) -> Any:
             old = given["team"]
-            rows, after = self._look(old)
+            rows, after = self._look(old, jnp.ones(old.status.shape, bool))
             new = self._starts(old.seed, given["episode"])
             told = {"final_obs": rows} if self.final_obs else {}
-            return after.lyapunov, new._asdict(), told
+            return (after.lyapunov, self._closeness(after)), new._asdict(), told
 
-        last, team, seen = for_teams(ended, renew, given, (zero, team, seen), self.differentiable)
+        otherwise = (zero, zero), team, seen
+        last, team, seen = for_teams(ended, renew, given, otherwise, self.differentiable)
         state = state.replace(
             **team,
             merged_into=jnp.where(ended, self._robots, state.merged_into),
             episode=jnp.where(ended, state.episode + 1, state.episode),
             status=jnp.where(ended, RUNNING, state.status),
             steps=jnp.where(ended, 0, state.steps),
+            contacts=jnp.where(ended, 0, state.contacts),
             path_length=jnp.where(ended, 0.0, state.path_length),
         )
         if self._filter is not None:
@@ -347,27 +424,51 @@ class RendezvousJaxEnv:
             state = state.replace(guarantee=memory)
         return last, state, {name: self._told(rows) for name, rows in seen.items()}
 
-    def _look(self, state: State) -> tuple[Array, State]:
-        """Observations of all robots, (n, rows, d, *batch), and the state with its V."""
+    def _look(self, state: State, advances: Any = False) -> tuple[Array, State]:
+        """Observations of all robots, (n, rows, d, *batch), and the state with its V.
+
+        ``advances`` is whether an environment (*batch) has done a step since its last observation.
+        """
         layout, n = self.scenario.observation_layout, self.scenario.n_robots
+        keys, sensor = None, self._sensor
+        if sensor is not None:
+            keys = sensor.keys(state.seed, state.episode, state.steps)
         frame = self._frames_of(state)
         frames = jnp.stack(frame, axis=1)
-        sight = sense(state.positions, frames, state.weights, layout.neighbour_slots)
-        rows = sight.rows
+        senses = self._seen_as, sensor, keys
+        sight = sense(state.positions, frames, state.weights, layout.neighbour_slots, *senses)
+        rows, clearance = sight.rows, state.clearance
+        ndim = state.merged_into.ndim - 1
+        robots = jnp.arange(n).reshape(n, *[1] * ndim)
+        if self._fields is not None:
+            world, active = self._fields.world(state.obstacles, ndim), state.merged_into == robots
+            edges, clearance = sense_obstacles(
+                self._fields.shapes, world, state.positions, frames, active, sight.net_bearings,
+                self.scenario.obstacle_range, *senses,
+            )  # fmt: skip
+            rows = jnp.concatenate([rows, edges], axis=1)
+        past = state.past
+        if self.scenario.delay_steps > 0:
+            past, rows = delayed(past, rows, state.steps == 0, advances)
+            rows = jnp.where((state.merged_into == robots)[:, None, None], rows, 0.0)
         if self.scenario.model.senses:
             kept = tuple(state.memory[:, k] for k in range(state.memory.shape[1]))
             told = self._motion["sense"](self._model, frame, kept)
             own = jnp.stack([jnp.broadcast_to(part, frame[0].shape) for part in told], axis=1)
-            robots = jnp.arange(n).reshape(n, *[1] * (state.merged_into.ndim - 1))
             own = jnp.where((state.merged_into == robots)[:, None], own, 0.0)
-            rows = jnp.concatenate([rows, own[:, None]], axis=1)
-        rows, memory = rows.astype(self._seen_as), state.guarantee
+            rows = jnp.concatenate([rows, own[:, None].astype(rows.dtype)], axis=1)
+        memory = state.guarantee
         if self._filter is not None:
             rows, memory = self._filter.observe(rows, memory)
-        return rows, state.replace(lyapunov=sight.lyapunov, closest=sight.closest, guarantee=memory)
+        return rows, state.replace(
+            lyapunov=sight.lyapunov, closest=sight.closest, clearance=clearance, past=past,
+            guarantee=memory,
+        )  # fmt: skip
 
 
 _EQUATIONS = ("propose", "update", "frame", "sense")
+_COVERED: dict[str, Any] = {"heading": HeadingFilter, "tank": EnergyTank}
+"""Filters of ``safety`` by name."""
 
 
 def make(
@@ -386,8 +487,8 @@ def make(
 
     Args:
         scenario: as for ``rendezvous_env.make_vec``.
-        guarantee: "heading" for the heading filter (theorem C); actions are then its inputs. None
-            for no filter.
+        guarantee: "heading" for the heading filter (theorem C), "tank" for the energy tank
+            (theorem D); actions are then its inputs. None for no filter.
         num_envs: B environments, which is faster than ``vmap``; None for one without a batch axis.
             In the arrays of the state the environment axis is last.
         autoreset_mode: DISABLED, an environment that has ended stops; or SAME_STEP.
@@ -397,34 +498,35 @@ def make(
         **options: fields of the scenario to change, and settings of the filter.
 
     Raises:
-        NotImplementedError: naming a field that the JAX form does not cover.
+        NotImplementedError: naming a field that the JAX form does not cover. Obstacles with which
+            robots have contact are not differentiable.
         TypeError: for an unknown option, with the nearest known one.
         ValueError: for an invalid value.
     """
     if guarantee is not None:
         choice("guarantee", guarantee, FILTERS)
-        if guarantee != "heading":
+        if guarantee not in _COVERED:
             raise_not_covered("guarantee", repr(guarantee))
-    settings = [] if guarantee is None else settings_of(HeadingFilter)
+    settings = [] if guarantee is None else settings_of(_COVERED[guarantee])
     of_filter, fields = sorted_overrides(make, settings, options)
     resolved = resolve(scenario, **fields)
     check_covered(resolved)
     mode = _autoreset_mode(autoreset_mode)
     if mode is AutoresetMode.NEXT_STEP:
         raise_not_covered("autoreset_mode", str(mode))
+    contact = resolved.observation_layout.obstacle_slots and resolved.obstacle_contact != "ignore"
+    if flag("differentiable", differentiable) and contact:
+        raise_not_covered("differentiable", "True with contact at obstacles")
     if num_envs is not None:
         check_int("num_envs", num_envs, 1, MAX_TEAMS)
     safety_filter = None
     if guarantee is not None:
-        if resolved.model.nonholonomic:
-            model = resolved.robot_model
-            raise_not_covered("guarantee", f"{guarantee!r} with robot_model {model!r}")
-        safety_filter = HeadingFilter(resolved, 1, **of_filter)
+        safety_filter = _COVERED[guarantee](resolved, 1, **of_filter)
     return RendezvousJaxEnv(
         resolved,
         safety_filter,
         num_envs,
         mode is AutoresetMode.SAME_STEP,
-        flag("differentiable", differentiable),
+        differentiable,
         flag("final_obs", final_obs),
     )

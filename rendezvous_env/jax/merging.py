@@ -12,6 +12,7 @@ import numpy as np
 
 from ..physics.crossings import first_crossing
 from .array_form import Array, array_form
+from .obstacles.fields import Fields
 
 
 class Moving(NamedTuple):
@@ -22,6 +23,7 @@ class Moving(NamedTuple):
     lengths: Array  # (n, *batch), of the paths, m
     weights: Array  # (n, n, *batch), a_ij, m/s
     merged_into: Array  # (n, *batch)
+    obstacles: Any = ()  # of the state
 
 
 class Merging:
@@ -32,10 +34,21 @@ class Merging:
         radius: r, m.
         one_way: whether links can be one-way.
         bounded: whether loops have a fixed length, n − 1, through which gradients pass.
+        fields: obstacles, in which no merged robot may be placed, or None.
+        through: whether robots merge through obstacles.
     """
 
-    def __init__(self, n: int, radius: float, one_way: bool, bounded: bool) -> None:
+    def __init__(
+        self,
+        n: int,
+        radius: float,
+        one_way: bool,
+        bounded: bool,
+        fields: Fields | None = None,
+        through: bool = True,
+    ) -> None:
         self._n, self._radius, self._one_way, self._bounded = n, radius, one_way, bounded
+        self._fields, self._through = fields, through or fields is None
         self._first, self._second = np.triu_indices(n, 1)
 
     def __call__(self, moving: Moving) -> Moving:
@@ -43,7 +56,7 @@ class Merging:
         moving, _ = self._repeat(self._merge_first, (moving, self._moments(moving)))
         moving = moving._replace(positions=moving.positions + moving.displacements)
         moving, _ = self._repeat(self._merge_nearest, (moving, self._squares(moving)))
-        return moving
+        return moving._replace(obstacles=())
 
     def _repeat(self, merge: Callable[[Any, Array], Any], begun: Any) -> Any:
         """Merge until the keys of all pairs are inf, so that no pair is due."""
@@ -82,19 +95,48 @@ class Merging:
         due = moment < jnp.inf
         moment = jnp.where(due, moment, 0.0)
         here = moving.positions + moment * moving.displacements
+        hidden = self._is_hidden(moving, here, pair) & due
+        due &= ~hidden
         moving, merging = self._merge(moving, here, pair, due)
         moving = moving._replace(
             displacements=jnp.where(merging[:, None], 0.0, moving.displacements),
             lengths=jnp.where(merging, moving.lengths * moment, moving.lengths),
         )
         rests = merging[self._first] | merging[self._second]
+        if not self._through:
+            rests |= self._numbers(pair) & hidden
         return moving, jnp.where(rests, jnp.inf, moments)
 
     def _merge_nearest(self, moving: Moving, squares: Array) -> tuple[Moving, Array]:
         """Merge the shortest link of those shorter than r."""
-        due = jnp.min(squares, axis=0) < jnp.inf
-        moving, _ = self._merge(moving, moving.positions, jnp.argmin(squares, axis=0), due)
-        return moving, self._squares(moving)
+        due, pair = jnp.min(squares, axis=0) < jnp.inf, jnp.argmin(squares, axis=0)
+        hidden = self._is_hidden(moving, moving.positions, pair) & due
+        moving, _ = self._merge(moving, moving.positions, pair, due & ~hidden)
+        after = self._squares(moving)
+        if not self._through:  # a merge changes which pairs are hidden
+            others = jnp.where(self._numbers(pair), jnp.inf, squares)
+            after = jnp.where(hidden, others, after)
+        return moving, after
+
+    def _numbers(self, pair: Array) -> Array:
+        """Whether each pair is this one, (E, *batch)."""
+        return np.arange(len(self._first)).reshape(-1, *[1] * pair.ndim) == pair
+
+    def _point(self, values: Array, robot: Array) -> Any:
+        """Vector of one robot, (*batch), as a triple."""
+        chosen = np.arange(self._n).reshape(-1, *[1] * robot.ndim) == robot
+        place = jnp.sum(jnp.where(chosen[:, None], values, 0.0), axis=0)
+        return (*place, jnp.zeros_like(place[0]))[:3]
+
+    def _is_hidden(self, moving: Moving, here: Array, pair: Array) -> Array:
+        """Whether an obstacle prevents the merge of a pair, (*batch)."""
+        if self._through or self._fields is None:
+            return jnp.zeros(pair.shape, bool)
+        world = self._fields.world(moving.obstacles, pair.ndim)
+        first, second = jnp.asarray(self._first)[pair], jnp.asarray(self._second)[pair]
+        one, other = self._point(here, first), self._point(here, second)
+        way = tuple(b - a for a, b in zip(one, other, strict=True))
+        return self._fields.shapes.hides(world, one, way)
 
     def _merge(self, moving: Moving, here: Array, pair: Array, due: Array) -> tuple[Moving, Array]:
         """Move a pair to its midpoint and merge the second into the first.
@@ -106,6 +148,12 @@ class Merging:
         is_first, is_second = (robots == first) & due, (robots == second) & due
         merging = is_first | is_second
         middle = 0.5 * jnp.sum(jnp.where(merging[:, None], here, 0.0), axis=0)
+        if self._fields is not None:  # the place of the lower index is collision-free
+            world = self._fields.world(moving.obstacles, pair.ndim)
+            point = (*middle, jnp.zeros_like(middle[0]))[:3]
+            is_clear = self._fields.shapes.is_clear(world, point, 0.0)
+            place = jnp.sum(jnp.where(is_first[:, None], here, 0.0), axis=0)
+            middle = jnp.where(is_clear, middle, place)
         into = moving.merged_into
         return moving._replace(
             positions=jnp.where(merging[:, None], middle, moving.positions),

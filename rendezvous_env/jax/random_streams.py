@@ -66,8 +66,13 @@ def stream_key(seed: Word, episode: Any, purpose: int) -> Word:
     return mix(exclusive_or(key, word(purpose + _INCREMENT)))
 
 
+def word_of(key: Word, counter: Any) -> Word:
+    """``physics.random_streams.word_of``."""
+    count = jnp.asarray(counter).astype(jnp.uint32) + jnp.uint32(1)
+    return mix(add(key, times((jnp.zeros_like(count), count), word(_INCREMENT))))
+
+
 def uniform(key: Word, counter: Any, dtype: Any) -> Any:
     """``physics.random_streams.uniform``: exact in float64, rounded in float32."""
-    count = jnp.asarray(counter).astype(jnp.uint32) + jnp.uint32(1)
-    high, low = mix(add(key, times((jnp.zeros_like(count), count), word(_INCREMENT))))
+    high, low = word_of(key, counter)
     return high.astype(dtype) * 2.0**-32 + (low >> 11).astype(dtype) * 2.0**-53

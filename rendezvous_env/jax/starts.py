@@ -3,9 +3,6 @@
 Arrays have the batch axis last. Random numbers equal those of the engine.
 """
 
-from collections.abc import Callable
-from functools import partial
-from types import FunctionType
 from typing import Any, NamedTuple
 
 import jax
@@ -17,10 +14,11 @@ from ..engine.preparation import start_rules
 from ..engine.reset import _MAX_DRAWS
 from ..graphs.edges import pair_index
 from ..physics.random_streams import FRAMES, GRAPH, START, draw_rotation
-from ..robots.motion import motion_of
+from ..robots.motion import init_memory
 from ..robots.robot_models import constants_of
 from ..scenario.scenario import Scenario
 from .array_form import Array, array_form
+from .obstacles.fields import Fields
 from .random_streams import Word, stream_key, uniform
 
 
@@ -31,13 +29,14 @@ class Start(NamedTuple):
     frames: Array  # (n, d·d, *batch), row by row; (n, 0, *batch) where memory has them
     memory: Array  # (n, k, *batch)
     weights: Array  # (n, n, *batch), m/s
+    obstacles: Any  # World; () where there are none, or the same in all episodes
 
 
 class Starts:
     """Initial conditions of a scenario."""
 
-    def __init__(self, scenario: Scenario, dtype: Any) -> None:
-        self._scenario, self._dtype = scenario, dtype
+    def __init__(self, scenario: Scenario, fields: Fields | None, dtype: Any) -> None:
+        self._scenario, self._fields, self._dtype = scenario, fields, dtype
         self._rules, n = start_rules(scenario), scenario.n_robots
         self._base: NDArray[np.float64] = scenario.sensing_graph.base_weights(n)
         self._linked = (self._base > 0.0) | (self._base.T > 0.0)
@@ -45,19 +44,28 @@ class Starts:
     def __call__(self, seed: Array, episode: Array) -> Start:
         """Sample initial conditions of episodes (*batch) of seeds (2, *batch)."""
         words, batch = (seed[0], seed[1]), episode.shape
+        obstacles: Any = ()
+        if self._fields is not None and self._fields.fixed is None:
+            given = self._scenario.start_positions
+            starts = None if given is None else self._given(given, batch)
+            obstacles = self._fields.draw(words, episode, starts)
         return Start(
-            self._positions(stream_key(words, episode, START), batch),
+            self._positions(stream_key(words, episode, START), obstacles, batch),
             self._frames(stream_key(words, episode, FRAMES), batch),
             self._memory(stream_key(words, episode, FRAMES), batch),
             self._weights(stream_key(words, episode, GRAPH), batch),
+            obstacles,
         )
 
     def _given(self, table: Any, batch: tuple[int, ...]) -> Array:
         rows = jnp.asarray(np.array(table), self._dtype)
         return jnp.broadcast_to(rows.reshape(*rows.shape, *[1] * len(batch)), rows.shape + batch)
 
-    def _positions(self, key: Word, batch: tuple[int, ...]) -> Array:
-        """Uniform positions in the spawn area, away from neighbours; NaN if there is no room."""
+    def _positions(self, key: Word, obstacles: Any, batch: tuple[int, ...]) -> Array:
+        """Uniform positions in the spawn area, away from neighbours and obstacles.
+
+        NaN if there is no room.
+        """
         scenario, rules = self._scenario, self._rules
         if scenario.start_positions is not None:
             return self._given(scenario.start_positions, batch)
@@ -81,6 +89,10 @@ class Starts:
             square = sum((positions[:, axis] - place[axis]) ** 2 for axis in range(d))
             others = jnp.moveaxis(linked[jnp.minimum(robot, n - 1)], -1, 0) & (robots < robot)
             kept = busy & ~jnp.any(others & (square < near), axis=0)
+            if self._fields is not None:
+                world = self._fields.world(obstacles, len(batch))
+                point = (*place, jnp.zeros_like(place[0]))[:3]
+                kept &= self._fields.shapes.is_clear(world, point, self._fields.keep_out)
             mine = (robots == robot) & kept
             positions = jnp.where(mine[:, None], place[None], positions)
             tries = jnp.where(kept, 0, tries + busy)
@@ -98,8 +110,8 @@ class Starts:
             return jnp.zeros((n, 0, *batch), self._dtype)
         if not self._rules.draw_frames:
             return self._given(np.tile(np.eye(d).ravel(), (n, 1)), batch)
-        sample = _sampling(draw_rotation, self._dtype)
-        return jnp.stack(sample(key, self._counters(batch), range(d)), axis=1)
+        drawn = array_form(draw_rotation)(key, self._counters(batch), range(d))
+        return jnp.stack(drawn, axis=1)
 
     def _counters(self, batch: tuple[int, ...]) -> Array:
         """3i of each robot i, (n, *batch)."""
@@ -135,14 +147,5 @@ class Starts:
 
 def _memory(model: Any, key: Word, counter: Array, dtype: Any) -> Any:
     """``init_memory`` of the model at counters of a stream."""
-    motion = motion_of(type(model))
-    assert motion is not None  # robot models are described before they are registered
-    sampled = _sampling(motion.init, dtype)(model, key, counter)
+    sampled = array_form(init_memory)(model, key, counter)
     return [jnp.broadcast_to(jnp.asarray(value, dtype), counter.shape) for value in sampled]
-
-
-def _sampling(kernel: Any, dtype: Any) -> Callable[..., Any]:
-    """The array form of a kernel that reads random numbers, with those of ``random_streams``."""
-    form: Any = array_form(kernel)
-    scope = form.__globals__ | {"uniform": partial(uniform, dtype=dtype)}
-    return FunctionType(form.__code__, scope, form.__name__)

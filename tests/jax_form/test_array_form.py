@@ -5,11 +5,14 @@ import importlib
 import numpy as np
 import pytest
 
+import rendezvous_env as rv
+from rendezvous_env.obstacles import obstacle_set
 from rendezvous_env.physics import random_streams as engine_streams
 from rendezvous_env.physics.crossings import first_crossing
 from rendezvous_env.robots.double_integrator import mean_speed
 from rendezvous_env.robots.unicycle import mean_cos_sin
-from rendezvous_env.safety.heading import certified_heading
+from rendezvous_env.safety.heading import certified_heading, certify_one, turn_limit
+from rendezvous_env.sensors.chance import cosine_and_sine, gaussian
 
 
 def test_random_streams_equal_the_engine_bit_by_bit(rj):
@@ -49,9 +52,124 @@ def test_forms_that_select_equal_kernels_that_branch(kernel, rj):
     assert len(np.unique(expected)) > 50
 
 
+def _shapes(kind, dim):
+    """Obstacles of a kind, as a set of the engine and as arrays of one environment."""
+    shapes = importlib.import_module("rendezvous_env.jax.obstacles.shapes")
+    centre = (0.3, -0.2, 0.1)[:dim]
+    made = {
+        "disc": [rv.Disc((0.3, -0.2), 0.7)],
+        "sphere": [rv.Sphere((0.3, -0.2, 0.1), 0.7)],
+        "capsule": [rv.Capsule((centre, (1.0, 0.6, -0.4)[:dim]), 0.5)],
+        "polygon": [
+            rv.Polygon(((0.0, 0.0), (1.0, 0.0), (0.8, 0.9))),
+            rv.Polygon(((-1.0, -1.0), (0.0, -1.0), (0.2, -0.3), (-0.4, 0.1), (-1.0, -0.2))),
+        ],
+    }[kind]
+    world = obstacle_set.world_of(obstacle_set.pack(made, len(made)), dim=dim)
+    present = np.ones((len(made), 1), bool)
+    arrays = shapes.World(present, world.shapes[..., None], world.skins[:, None])
+    return world, shapes.Shapes(world.kinds, world.corners, dim, shapes.EXACT, False), arrays
+
+
+@pytest.mark.parametrize(
+    ("kind", "dim"),
+    [("disc", 2), ("capsule", 2), ("polygon", 2), ("sphere", 3), ("capsule", 3)],
+)
+def test_shapes_equal_the_kernels(kind, dim, rj):
+    world, shapes, arrays = _shapes(kind, dim)
+    rng = np.random.default_rng(2)
+    points, ways = rng.uniform(-2.0, 2.0, (2, 200, 3))
+    points[:, dim:], ways[:, dim:] = 0.0, 0.0
+    point, way = tuple(points.T), tuple(ways.T)
+    distance, normal = shapes.surface(arrays, point)
+    entries = {depth: shapes.entry(arrays, point, way, depth) for depth in (1e-6, -0.3)}
+    for m in range(len(world.kinds)):
+        expected = [obstacle_set.surface(world, m, tuple(one)) for one in points]
+        np.testing.assert_allclose(distance[m], [one[0] for one in expected], atol=1e-12)
+        normals = np.stack([part[m] for part in normal], axis=1)
+        np.testing.assert_allclose(normals, [one[1] for one in expected], atol=1e-9)
+        for depth, entry in entries.items():
+            pairs = [(tuple(p), tuple(w)) for p, w in zip(points, ways, strict=True)]
+            found = [obstacle_set.entry(world, m, p, w, depth) for p, w in pairs]
+            np.testing.assert_allclose(entry[m], found, atol=1e-9)
+            assert 5 < np.isfinite(found).sum() < 200
+    outside = np.asarray((distance > 0.0).all(axis=0))
+    net, axes = tuple(rng.standard_normal((3, 200))), tuple(np.eye(3)[:2])
+    edges = shapes.silhouettes(arrays, point, net, axes)
+    out = np.zeros((2 if dim == 2 else 8, dim))
+    for k in np.flatnonzero(outside)[:40]:
+        for m in range(len(world.kinds)):
+            if dim == 2:
+                obstacle_set.silhouette_2d(world, m, tuple(points[k]), out)
+            else:
+                f = tuple(part[k] for part in net)
+                obstacle_set.silhouette_3d(world, m, tuple(points[k]), f, *map(tuple, axes), out)
+            found = [[part[m, k] for part in one[:dim]] for one in edges]
+            np.testing.assert_allclose(found, out, atol=1e-9)
+
+
+def test_skins_of_balls_equal_the_kernels(rj):
+    import jax.numpy as jnp
+
+    fields = importlib.import_module("rendezvous_env.jax.obstacles.fields")
+    rng = np.random.default_rng(3)
+    env = rj.make("clutter-3d", n_robots=2)
+    assert env._fields is not None
+    seams = 0
+    for gap in (-1.3e-6, -0.9e-6, 0.7e-6, 1.1e-6):
+        for size in (2, 3):
+            table = np.zeros((12, 6))
+            table[:, 0], table[:, 2] = 1, 0.1
+            table[:, 3:] = 100.0 + 10.0 * np.arange(12)[:, None]
+            table[:size, 3:] = rng.standard_normal((size, 3))
+            meeting = np.average(table[:size, 3:], axis=0, weights=rng.random(size) + 0.2)
+            reach = np.linalg.norm(table[:size, 3:] - meeting, axis=1)
+            table[:size, 2] = reach - gap
+            world = obstacle_set.world_of(table, dim=3)
+            found = env._fields._skins(
+                fields.World(
+                    jnp.ones((12, 1), bool),
+                    jnp.asarray(table[:, 2:])[..., None],
+                    jnp.zeros((12, 1)),
+                )
+            )
+            np.testing.assert_array_equal(np.asarray(found)[:, 0], world.skins)
+            seams += int((world.skins > 0.0).sum())
+    assert seams == 10
+
+
+def test_a_branch_that_is_not_supported_is_refused(rj):
+    form = importlib.import_module("rendezvous_env.jax.array_form").array_form
+
+    def first_negative(values):
+        for value in values:
+            if value < 0.0:
+                return value
+        return 0.0
+
+    with pytest.raises(NotImplementedError, match="first_negative has no array form: For"):
+        form(first_negative)
+
+
+@pytest.mark.parametrize("kernel", [gaussian, cosine_and_sine])
+def test_random_rotations_equal_the_kernels_when_compiled(kernel, rj):
+    import jax
+    import jax.numpy as jnp
+
+    importlib.import_module("rendezvous_env.jax.imperfections")
+    form = importlib.import_module("rendezvous_env.jax.array_form").array_form
+    words = np.random.default_rng(4).integers(0, 2**32, 300, dtype=np.uint32)
+    words[:4] = 0, 1, 2**32 - 1, 2**31
+    given, more = (words, ()) if kernel is gaussian else (words.view(np.int32) * 1e-9, (False,))
+    given = given if kernel is gaussian else given.astype(np.float32)
+    found = jax.jit(lambda x: form(kernel)(x, *more))(jnp.asarray(given))
+    expected = np.array([kernel(x, *more) for x in given]).T
+    np.testing.assert_allclose(np.asarray(found), expected, rtol=1e-6, atol=1e-6)
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 def test_certified_headings_equal_the_filter(dim, rj):
-    heading = importlib.import_module("rendezvous_env.jax.heading")
+    form = importlib.import_module("rendezvous_env.jax.array_form").array_form
     rng = np.random.default_rng(1)
     raw, f, previous = rng.standard_normal((3, 300, dim))
     raw[::5], f[::7], previous[::11] = 0.0, 0.0, 0.0
@@ -60,6 +178,6 @@ def test_certified_headings_equal_the_filter(dim, rj):
     for most in (0.05, 1.0, np.inf):
         settings = {"min_alignment": 0.2, "dead_zone": 0.1, "max_turn": most}
         expected = certified_heading(raw, f, previous, **settings)
-        limit = heading.turn_limit(most)
-        found = heading.certify(tuple(raw.T), tuple(f.T), tuple(previous.T), 0.2, 0.1, limit)
+        limit = form(turn_limit)(most)
+        found = form(certify_one)(tuple(raw.T), tuple(f.T), tuple(previous.T), 0.2, 0.1, limit)
         np.testing.assert_allclose(np.stack(found, axis=1), expected, atol=1e-9)

@@ -9,6 +9,31 @@ from rendezvous_env import graphs
 
 STEPS, TEAMS, SEED = 200, 3, 5
 UNEVEN = graphs.directed([[0, 1, 0, 2.0], [0, 0, 1, 0], [1, 0, 0, 0.5], [0, 1, 0, 0]])
+LONG = {"time_limit": 8.0}
+INERT = {"robot_model": "double_integrator"}
+AMONG = {"max_speed": 1.0, "spawn_size": 8.0, **LONG}
+HIDDEN = {"merge_through_obstacles": False, "merge_radius": 1.2}
+GIVEN = {
+    "start_positions": [[-2.0, 0.0], [2.0, 0.5]],
+    "reward": rv.RewardWeights(clearance_penalty=0.3),
+}
+PLANE = [
+    rv.Capsule(((-1.0, -1.0), (1.0, 1.5)), 0.4),
+    rv.Disc((1.5, -1.0), 0.6),
+    rv.Polygon(((-2.0, 1.0), (-1.0, 1.0), (-1.0, 2.0), (-2.0, 2.0))),
+]
+SEAMS = [
+    rv.Polygon(((-2.0, -1.0), (0.0, -1.0), (0.0, 1.0), (-2.0, 1.0))),
+    rv.Polygon(((0.0, -1.0), (2.0, -1.0), (2.0, 1.0), (0.0, 1.0))),
+    rv.Disc((0.0, 1.5), 0.5),
+]
+SPACE = [
+    rv.Capsule(((-1.0, -1.0, 0.3), (1.0, 1.5, -0.2)), 0.6),
+    rv.Sphere((1.5, -1.0, 0.5), 0.8),
+    rv.Sphere((0.0, 0.0, 0.0), 0.9),
+]
+DISJOINT = rv.ObstacleField((2, 6), overlap=False)
+IMPERFECT = rv.Sensing(range=4.0, noise=0.3, bias=0.05, dropout=0.1, delay=2)
 CASES = {
     "duo": ("duo", None, {}),
     "plane": ("cloud-8", None, {"dim": 2, "n_robots": 4}),
@@ -31,8 +56,40 @@ CASES = {
     "heading on a cycle": ("ring-12", "heading", {"local_frames": "global"}),
     "uncertified heading": ("duo", "heading", {"n_robots": 4, "certified": False}),
     "heading with errors": ("duo", "heading", {"frame": "local", "bearing_error": 0.2}),
-}
-FAST = {"plane", "drawn arcs", "heading"}
+    "heading of unicycles": ("unicycle-6", "heading", {"n_robots": 4, "max_turn_rate": 2.0}),
+    "heading of vehicles": ("uav-6", "heading", {"n_robots": 4}),
+    "tank": ("cloud-8", "tank", {"dim": 2, "n_robots": 4, "budget": 2.0}),
+    "tank in space": ("cloud-8", "tank", {"n_robots": 4, "observe_level": True}),
+    "tank with errors": ("clutter-4", "tank", {"bearing_error": 0.1, "budget": 1.0, **LONG}),
+    "tank of unicycles": ("unicycle-6", "tank", {"n_robots": 4, "budget": 2.0}),
+    "tank of vehicles": ("uav-6", "tank", {"n_robots": 4, "budget": 2.0}),
+    "discs": ("clutter-4", None, {"costs": ("contact", "link_lost"), **LONG}),
+    "figure": ("fig4", None, LONG),
+    "ignored": ("fig3", None, LONG),
+    "corridor": ("corridor", None, {**LONG, "obstacle_contact": "stop"}),
+    "rooms": ("rooms", None, LONG),
+    "all shapes": ("duo", None, {"n_robots": 4, "obstacles": PLANE, **AMONG}),
+    "seams": ("duo", None, {"n_robots": 4, "obstacles": SEAMS, **AMONG, **HIDDEN}),
+    "disjoint discs": ("duo", None, {"n_robots": 2, "obstacles": DISJOINT, **AMONG, **GIVEN}),
+    "spheres": ("clutter-3d", None, LONG),
+    "capsules in space": ("duo", None, {"n_robots": 3, "dim": 3, "obstacles": SPACE, **AMONG}),
+    "unicycles among discs": ("unicycle-clutter-8", None, LONG),
+    "vehicles among spheres": ("uav-clutter-16", None, LONG),
+    "inertia among shapes": (
+        "duo", None, {"n_robots": 3, "obstacles": PLANE, **INERT, **AMONG},
+    ),
+    "noise": ("noisy-8", None, {"n_robots": 4, "sensing": IMPERFECT}),
+    "noise in space": (
+        "clutter-3d", None, {"sensing": rv.Sensing(noise=0.2, bias=0.1, dropout=0.1), **LONG},
+    ),
+    "view": ("fov-8", None, {"n_robots": 4}),
+    "view of discs": (
+        "clutter-4", None, {"sensing": rv.Sensing(field_of_view=2.0, noise=0.05), **LONG},
+    ),
+    "noise on a cycle": ("ring-12", None, {"sensing": rv.Sensing(noise=0.2, dropout=0.2)}),
+}  # fmt: skip
+SETTINGS = ("certified", "frame", "bearing_error", "budget", "observe_level")
+FAST = {"plane", "drawn arcs", "heading", "tank", "discs", "noise"}
 
 
 def choices(rng, env, observations, guarantee):
@@ -54,14 +111,15 @@ def test_step_agrees_with_the_engine(case, rj):
     name, guarantee, changes = CASES[case]
     shared = {"num_envs": TEAMS, "autoreset_mode": "SAME_STEP", "time_limit": 2.0, **changes}
     env = rj.make(name, guarantee, final_obs=True, **shared)
-    settings = {k: shared.pop(k) for k in ("certified", "frame", "bearing_error") if k in shared}
+    settings = {k: shared.pop(k) for k in SETTINGS if k in shared}
     engine = rv.make_vec(name, **shared)
     if guarantee is not None:
-        engine = rv.vector.HeadingVectorWrapper(engine, **settings)
+        engine = rv.vector.GuaranteeWrapper(engine, guarantee, **settings)
     expected, _ = engine.reset(seed=SEED)
     observations, state = env.reset(SEED)
     np.testing.assert_allclose(observations, expected, rtol=0, atol=1e-6)
     rng, simulator, ends, merged = np.random.default_rng(1), engine.unwrapped.simulator, 0, 0
+    touched = 0
     for step in range(STEPS):
         actions = choices(rng, engine, expected, guarantee)
         expected, rewards, terminations, truncations, infos = engine.step(actions)
@@ -70,6 +128,9 @@ def test_step_agrees_with_the_engine(case, rj):
         np.testing.assert_array_equal(truncated, truncations)
         np.testing.assert_array_equal(info["merged_into"], infos["merged_into"])
         np.testing.assert_array_equal(info["active"], simulator.active)
+        np.testing.assert_array_equal(info["contact"], infos["contact"])
+        for key in (key for key in infos if key.startswith("cost")):
+            np.testing.assert_array_equal(info[key], infos[key])
         into = np.moveaxis(np.asarray(state.merged_into), -1, 0)
         places = np.moveaxis(np.asarray(state.positions), -1, 0)
         places = np.take_along_axis(places, into[..., None], axis=1)
@@ -77,15 +138,22 @@ def test_step_agrees_with_the_engine(case, rj):
         np.testing.assert_allclose(observations, expected, rtol=0, atol=2e-6)
         np.testing.assert_allclose(reward, rewards, rtol=0, atol=1e-9)
         np.testing.assert_allclose(info["robot_rewards"], infos["robot_rewards"], atol=1e-9)
+        np.testing.assert_allclose(info["clearance"], infos["clearance"], rtol=0, atol=1e-9)
+        if guarantee == "tank":
+            levels = np.moveaxis(np.asarray(state.guarantee.levels), -1, 0)
+            np.testing.assert_allclose(levels, engine.filter.levels, rtol=0, atol=1e-9)
+        touched += int(infos["contact"].sum())
         merged, ended = merged + int((~simulator.active).sum()), terminations | truncations
         ends += int(ended.sum())
         if ended.any():
             last = infos["final_info"]
-            for key in ("success", "time", "path_length", "lyapunov"):
+            for key in ("success", "time", "contacts", "path_length", "lyapunov"):
                 np.testing.assert_allclose(
                     np.asarray(info[key])[ended], last[key][ended], rtol=1e-9, atol=1e-9
                 )
             final = np.stack(infos["final_obs"][ended])
             np.testing.assert_allclose(np.asarray(info["final_obs"])[ended], final, atol=2e-6)
     assert ends > 0, "no episode ended, so that none began anew"
-    assert merged > 0 or name == "duo", "nobody merged"
+    assert merged > 0 or name == "duo" or "clutter" in name, "nobody merged"
+    if engine.unwrapped.scenario.obstacles and name != "fig3":
+        assert touched > 0, "nobody touched an obstacle"

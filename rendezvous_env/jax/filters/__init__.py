@@ -1,0 +1,1 @@
+"""Safety filters over arrays, with the settings of the engine's filters."""

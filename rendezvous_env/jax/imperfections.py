@@ -1,0 +1,144 @@
+"""Imperfect sensors over arrays: range, field of view, noise, bias, dropout and delay.
+
+The equations are those of ``sensors.imperfections`` and ``sensors.chance``, the random words those
+of ``engine.stages.apply_noise``. Arrays have the environment axis last; rows are float32.
+"""
+
+from dataclasses import asdict
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..engine.stages.apply_noise import DRAWS, highest_word
+from ..graphs.edges import pair_index
+from ..physics.random_streams import SENSING
+from ..scenario.scenario import Scenario
+from ..sensors import chance
+from ..sensors.imperfections import imperfections_of, is_in_view, is_seen
+from ..sensors.sensing import Sensing
+from .array_form import Array, array_form, replaces
+from .random_streams import Word, exclusive_or, mix, stream_key, times, word, word_of
+
+COVERED = ("range", "field_of_view", "noise", "bias", "dropout", "delay", "delay_time")
+"""Fields of ``Sensing`` that the JAX form covers."""
+
+
+@replaces(chance.cosine_and_sine)
+def _cosine_and_sine(angle: Any, small: bool) -> Any:
+    """As the kernel, which rounds by adding a large number; XLA leaves that addition out."""
+    near_zero = array_form(chance._near_zero)
+    if small:
+        return near_zero(angle)
+    count = jnp.round(angle * chance._QUARTERS)
+    first, rest = chance._QUARTER
+    cosine, sine = near_zero((angle - count * first) - count * rest)
+    quarter = count.astype(jnp.int32)
+    swapped = (quarter & 1) != 0
+    c, s = jnp.where(swapped, sine, cosine), jnp.where(swapped, cosine, sine)
+    negative_c, negative_s = ((quarter + 1) & 2) != 0, (quarter & 2) != 0
+    return jnp.where(negative_c, -c, c), jnp.where(negative_s, -s, s)
+
+
+def not_covered(sensing: Sensing) -> str:
+    """Names and values of imperfections that are not covered, as text."""
+    own, ideal = asdict(sensing), asdict(Sensing())
+    found = [name for name in own if own[name] != ideal[name] and name not in COVERED]
+    if isinstance(sensing.noise, tuple):
+        found.append("noise")
+    return ", ".join(f"{name} = {own[name]}" for name in found)
+
+
+class Keys(NamedTuple):
+    """Keys of the sensing streams of environments, (*batch)."""
+
+    episode: Word
+    step: Word
+
+
+class Sensor:
+    """Imperfections of the sensors of a scenario."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        errors = imperfections_of(scenario.sensing)
+        assert errors is not None
+        n = scenario.n_robots
+        self._errors, self._dim, self._n = errors, scenario.dim, n
+        self._slots = scenario.observation_layout.obstacle_slots
+        self._points = scenario.observation_layout.silhouette_points
+        pairs = [[pair_index(min(i, j), max(i, j), n) if i != j else 0 for j in range(n)]
+                 for i in range(n)]  # fmt: skip
+        self._couples = np.array(pairs, np.uint32)
+        self._second = np.arange(n)[:, None] > np.arange(n)
+
+    def keys(self, seed: Array, episode: Array, step: Array) -> Keys:
+        """Keys of seeds (2, *batch), episodes and steps (*batch)."""
+        key = stream_key((seed[0], seed[1]), episode, SENSING)
+        count = (step + 1).astype(jnp.uint32)
+        product = times((jnp.zeros_like(count), count), word(int(chance._STEP)))
+        return Keys(key, mix(exclusive_or(key, product)))
+
+    def neighbours(self, robot: Any, rows: Array, offset: Any, frame: Any, keys: Keys) -> Array:
+        """Rows (n, d, *batch) of all robots, as one robot observes them.
+
+        Offsets in the global frame, m, are tuples of (n, *batch), the frame one of (*batch).
+        """
+        errors = self._errors
+        if np.isfinite(errors.reach) or errors.half_field < np.pi:
+            seen = array_form(is_seen)(offset, frame, errors.reach, errors.half_field)
+            rows = jnp.where(seen[:, None], rows, 0.0)
+        shape = (-1, *[1] * (rows.ndim - 2))
+        couple = jnp.asarray(self._couples)[robot].reshape(shape) * np.uint32(DRAWS)
+        second = jnp.asarray(self._second)[robot].reshape(shape)
+        if errors.dropout > 0.0:
+            upper, lower = word_of(keys.step, couple + np.uint32(2))
+            missed = jnp.where(second, lower, upper) <= highest_word(errors.dropout)
+            rows = jnp.where(missed[:, None], 0.0, rows)
+        return self._turned(rows, couple, second, keys)
+
+    def obstacles(self, robot: Any, rows: Array, keys: Keys) -> Array:
+        """Edge points (M, S, d, *batch) of obstacles, as one robot observes them."""
+        if self._errors.half_field < np.pi:
+            exact = tuple(rows[:, :, k].astype(jnp.result_type(float)) for k in range(self._dim))
+            in_view = array_form(is_in_view)(exact, self._errors.half_field)
+            exists = jnp.any(rows != 0.0, axis=2)
+            rows = jnp.where(jnp.any(in_view & exists, axis=1)[:, None, None], rows, 0.0)
+        flat = rows.reshape(-1, *rows.shape[2:])
+        shape = (-1, *[1] * (flat.ndim - 2))
+        points = np.arange(self._slots * self._points).reshape(shape)
+        first = self._n * (self._n - 1) // 2 + (robot * self._slots * self._points + points) // 2
+        couple = jnp.asarray(first).astype(jnp.uint32) * np.uint32(DRAWS)
+        return self._turned(flat, couple, points % 2 == 1, keys).reshape(rows.shape)
+
+    def _turned(self, rows: Array, couple: Any, second: Any, keys: Keys) -> Array:
+        """Rows (N, d, *batch), rotated by bias and noise."""
+        for deviation, key in ((self._errors.bias, keys.episode), (self._errors.noise, keys.step)):
+            if deviation > 0.0:
+                rows = self._rotated(rows, np.float32(deviation), couple, second, key)
+        return rows
+
+    def _rotated(
+        self, rows: Array, deviation: np.float32, couple: Any, second: Any, key: Word
+    ) -> Array:
+        if self._dim == 2:  # one word for both of a couple
+            upper, lower = word_of(key, couple)
+            angle, other = jnp.where(second, lower, upper), upper
+        else:
+            angle, other = word_of(key, couple + jnp.where(second, jnp.uint32(1), jnp.uint32(0)))
+        row = tuple(rows[:, k] for k in range(self._dim))
+        small = bool(chance.is_small(deviation))
+        turned = array_form(chance.turned_by_chance)(row, deviation, small, angle, other)
+        return jnp.stack(turned, axis=1)
+
+
+def delayed(past: Array, rows: Array, begins: Array, advances: Array) -> tuple[Array, Array]:
+    """Store rows (n, rows, d, *batch), and return the memory and the rows that are due.
+
+    ``past``, (delay + 1, n, rows, d, *batch), has the latest rows last. They are all equal at the
+    first step, and replaced where an environment does not advance (*batch).
+    """
+    shifted = jnp.concatenate([past[1:], rows[None]])
+    replaced = jnp.concatenate([past[:-1], rows[None]])
+    kept = jnp.where(advances, shifted, replaced)
+    kept = jnp.where(begins, jnp.broadcast_to(rows, past.shape), kept)
+    return kept, kept[0]

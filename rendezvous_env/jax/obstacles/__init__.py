@@ -1,0 +1,1 @@
+"""Obstacles over arrays: shapes, contact, random fields, and their angular extents."""

@@ -1,0 +1,343 @@
+"""Contact with obstacles over arrays: ``obstacles.contact`` for many robots at once.
+
+Robots are lanes, (L,), the last axis of every array. Points and displacements are triples.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from ...obstacles.contact import (
+    _CHORD_TOLERANCE,
+    _LEAST_CHORDS,
+    _MAX_LEGS,
+    _MOST_CHORDS,
+    _MOST_WORK,
+    SLIDE,
+    STOP,
+    _onto_face,
+)
+from ...obstacles.obstacle_set import _MAX_PUSHES
+from ...physics.vectors import dot, triple
+from ...robots.motion import SLID, STOPPED, chord_error_bound, displacement_at, period
+from ..array_form import Array, array_form, norm_of, select
+from ..selection import divided
+from ..some_teams import for_teams
+from .fields import Fields
+from .shapes import Shapes, World
+
+_ROUNDING = 1.0 + 1e-6  # of float32
+_dot = array_form(dot)
+
+
+def _add(a: Any, b: Any) -> Any:
+    return tuple(x + y for x, y in zip(a, b, strict=True))
+
+
+def _subtract(a: Any, b: Any) -> Any:
+    return tuple(x - y for x, y in zip(a, b, strict=True))
+
+
+def _scaled(a: Any, factor: Any) -> Any:
+    return tuple(x * factor for x in a)
+
+
+class Contact:
+    """Motion of robots up to and along obstacles, in SLIDE or STOP mode."""
+
+    def __init__(self, shapes: Shapes, mode: int) -> None:
+        self._shapes, self._mode, self._tolerances = shapes, mode, shapes.tolerances
+
+    def move_straight(self, world: World, point: Any, way: Any) -> tuple[Array, Any]:
+        """``contact.move_straight``: whether there was a contact, and the displacement."""
+        near, fraction = self._first_contact(world, point, way, self._tolerances.depth)
+        end_is_clear = self._shapes.is_clear(world, _add(point, way), self._tolerances.touching)
+        free = ~near | ((fraction > 1.0) & end_is_clear)
+        has_room, in_skin, start = self._out_of_skins(world, point, ~free)
+        if self._shapes.has_skins:
+            _, again = self._first_contact(world, start, way, self._tolerances.depth)
+            fraction = jnp.where(in_skin, again, fraction)
+        end = self._follow(world, start, way, ~free & has_room)
+        executed = _subtract(end, point)
+        met = (fraction <= 1.0) | self._is_held(world, point, executed, way)
+        return self._outcome(free, has_room, way, met, executed)
+
+    def move_curved(self, world: World, point: Any, way: Any, curve: Any) -> tuple[Array, Any]:
+        """``contact.move_curved``; a curve is (model, action, frame, memory)."""
+        model = curve[0]
+        reach = model.speed_limit * model.duration
+        near = jnp.any(self._shapes.within(world, point, reach), axis=0)
+        has_room, in_skin, start = self._out_of_skins(world, point, near)
+        time = self._first_contact_on_curve(world, start, curve, near & has_room)
+        contact, free_end = time <= model.duration, _add(start, way)
+        is_clear = self._shapes.is_clear(world, free_end, self._tolerances.touching)
+        free = ~near | (~contact & is_clear)
+        share = jnp.minimum(time, model.duration)
+        pace = jnp.full_like(share, model.speed_limit)
+
+        def place(share: Any) -> Any:
+            return _add(start, self._displacement(curve, share))
+
+        end = self._settle(world, start, place, share, pace, ~free & has_room)
+        if self._mode == SLIDE:
+            left = _subtract(free_end, end)
+            slid = self._follow(world, end, left, ~free & has_room & contact)
+            end = select(contact, slid, end)
+        executed = _subtract(end, point)
+        met = contact | self._is_held(world, point, executed, way)
+        moved = select(in_skin, _subtract(free_end, point), way) if self._shapes.has_skins else way
+        met, executed = self._outcome(free, has_room, moved, met, executed)
+        return met & near, select(near, executed, way)
+
+    def _outcome(self, free: Any, has_room: Any, way: Any, met: Any, executed: Any) -> Any:
+        met = jnp.where(has_room, met & ~free, _dot(way, way) > 0.0)
+        executed = select(free, way, executed)
+        return met, tuple(jnp.where(has_room, part, 0.0) for part in executed)
+
+    def _displacement(self, curve: Any, time: Any) -> Any:
+        moved = array_form(triple)(array_form(displacement_at)(*curve, time))
+        return tuple(jnp.broadcast_to(part, time.shape) for part in moved)
+
+    def _first_contact(self, world: World, point: Any, way: Any, depth: Any) -> tuple[Array, Array]:
+        reach = norm_of(way) + jnp.maximum(0.0, -depth)
+        within = self._shapes.within(world, point, reach)
+        entries = jnp.where(within, self._shapes.entry(world, point, way, depth), jnp.inf)
+        return jnp.any(within, axis=0), jnp.min(entries, axis=0)
+
+    def _out_of_skins(self, world: World, point: Any, asked: Array) -> tuple[Array, Array, Any]:
+        yes = jnp.ones_like(asked)
+        if not self._shapes.has_skins:
+            return yes, ~yes, point
+        distance = self._shapes.distances(world, point)
+        skins = (world.skins > 0.0) & self._shapes.within(world, point, 0.0)
+        deep = skins & (distance < world.skins + self._tolerances.touching)
+        in_skin = asked & jnp.any(deep, axis=0)
+        has_room, start = self._push_out(world, point, in_skin)
+        return has_room | ~in_skin, in_skin, select(in_skin, start, point)
+
+    def _push_out(self, world: World, point: Any, asked: Array) -> tuple[Array, Any]:
+        """``obstacle_set.push_out``: pushes in the order of obstacles, 8 times through all."""
+        slots = jnp.arange(self._shapes.count).reshape(-1, 1)
+
+        def push(now: Any) -> Any:
+            point, slot, rounds, is_out, busy = now
+            distance, normal = self._shapes.surface(world, point)
+            deep = distance < world.skins
+            begins = ~jnp.any(deep & (slots >= slot), axis=0)  # all are through
+            rounds = rounds + begins
+            clear = jnp.all(distance >= self._tolerances.touching + world.skins, axis=0)
+            ends = begins & (clear | (rounds > _MAX_PUSHES))
+            pushing = deep & ((slots >= slot) | begins)
+            which = jnp.argmax(pushing, axis=0).astype(jnp.int32)
+            one = pushing & (slots == which) & busy & ~ends
+            depth = jnp.sum(jnp.where(one, world.skins - distance, 0.0), axis=0)
+            along = tuple(jnp.sum(jnp.where(one, part, 0.0), axis=0) for part in normal)
+            point = tuple(x + depth * n for x, n in zip(point, along, strict=True))
+            is_out = jnp.where(ends & busy, clear, is_out)
+            return point, which + 1, rounds, is_out, busy & ~ends
+
+        none = jnp.zeros(asked.shape, jnp.int32)
+        begun = point, none + self._shapes.count, none, jnp.zeros_like(asked), asked
+        point, _, _, is_out, _ = jax.lax.while_loop(lambda now: jnp.any(now[-1]), push, begun)
+        return is_out, point
+
+    def _settle(
+        self, world: World, start: Any, place: Any, share: Any, pace: Any, asked: Array
+    ) -> Any:
+        """``contact._settle``: a place on the path, outside the obstacles."""
+
+        def retreat(now: Any) -> Any:
+            share, step, end, busy = now
+            last = ~((share > 0.0) & (step > 0.0))
+            is_out, point = self._push_out(world, select(last, start, place(share)), busy)
+            ends = busy & (is_out | last)
+            return share - step, 2.0 * step, select(ends, point, end), busy & ~ends
+
+        depth = self._tolerances.depth
+        begun = share, depth / jnp.maximum(depth, pace), start, asked
+        _, _, end, _ = jax.lax.while_loop(lambda now: jnp.any(now[-1]), retreat, begun)
+        return end
+
+    def _follow(self, world: World, point: Any, way: Any, asked: Array) -> Any:
+        """``contact._follow``: the end of a robot that slides, or stops."""
+
+        def go(now: Any) -> Any:
+            start, leg, left, legs, busy = now
+            _, fraction = self._first_contact(world, start, leg, self._tolerances.depth)
+
+            def place(share: Any) -> Any:
+                return _add(start, _scaled(leg, share))
+
+            share = jnp.minimum(fraction, 1.0)
+            end = self._settle(world, start, place, share, norm_of(leg), busy)
+            start = select(busy, end, start)
+            busy = busy & (fraction < 1.0) & (legs + 1 < _MAX_LEGS)
+            if self._mode == STOP:
+                return start, leg, left, legs + 1, jnp.zeros_like(busy)
+            left = left * (1.0 - jnp.minimum(fraction, 1.0))
+            leg = _scaled(self._free_part(world, way, start, busy), left)
+            return start, leg, left, legs + 1, busy
+
+        begun = point, way, jnp.ones_like(way[0]), jnp.int32(0), asked
+        return jax.lax.while_loop(lambda now: jnp.any(now[-1]), go, begun)[0]
+
+    def _is_held(self, world: World, point: Any, executed: Any, way: Any) -> Array:
+        moves = _dot(way, way) > 0.0
+        share = jnp.where(moves, divided(norm_of(executed), norm_of(way)), 1.0)
+        end, depth = _add(point, executed), self._tolerances.depth
+        near = self._shapes.within(world, end, depth)
+        near &= self._shapes.distances(world, end) < world.skins + depth
+        touched = jnp.sum(jnp.where(near, jnp.where(world.skins > 0.0, 2, 1), 0), axis=0)
+        return (share < 1e-3) | ((share < 0.5) & (touched > 1))
+
+    def _free_part(self, world: World, velocity: Any, point: Any, asked: Array) -> Any:
+        """``contact.free_part``: the longest projection that enters no touched obstacle."""
+        reach = jnp.where(
+            world.skins > 0.0, world.skins + self._tolerances.touched_skin, self._tolerances.depth
+        )
+        distance, normal = self._shapes.surface(world, point)
+        touched = asked & (distance < reach)
+        one, other = self._shapes.normals(world, point, normal)
+        rank, count = jnp.cumsum(touched, axis=0) - 1, jnp.sum(touched, axis=0)
+        most = jnp.max(count)
+
+        def is_free(candidate: Any) -> Array:
+            rounding = 1e-12 * norm_of(candidate)
+            along = jnp.maximum(_dot(candidate, one), _dot(candidate, other))
+            return ~jnp.any(touched & (along < -rounding), axis=0)
+
+        def normals_at(k: Any) -> tuple[Any, Any]:
+            mine = touched & (rank == k)
+            pair = ((jnp.sum(jnp.where(mine, x, 0.0), axis=0) for x in n) for n in (one, other))
+            first, second = pair
+            return tuple(first), tuple(second)
+
+        def consider(best: Any, candidate: Any, exists: Any) -> Any:
+            longest, chosen = best
+            length = _dot(candidate, candidate)
+            better = exists & (length > longest) & is_free(candidate)
+            return jnp.where(better, length, longest), select(better, candidate, chosen)
+
+        face = array_form(_onto_face)
+
+        def pair_up(now: Any) -> Any:
+            i, j, best = now
+            exists = (i < count) & (j < count)
+            mine, others = normals_at(i), normals_at(j)
+            if self._shapes.dim == 2:  # two planes leave no direction in the plane
+                for normal in mine:
+                    best = consider(best, face(velocity, normal, normal), exists)
+                return i + 1, i + 1, best
+            best = consider(best, face(velocity, mine[0], others[0]), exists)
+            wraps = j + 1 >= most
+            return jnp.where(wraps, i + 1, i), jnp.where(wraps, i + 1, j + 1), best
+
+        zero = jnp.zeros_like(velocity[0])
+        begun = jnp.int32(0), jnp.int32(0), (zero, (zero, zero, zero))
+        _, _, (_, best) = jax.lax.while_loop(lambda now: now[0] < most, pair_up, begun)
+        return select(is_free(velocity), velocity, best)
+
+    def _first_contact_on_curve(self, world: World, point: Any, curve: Any, asked: Array) -> Array:
+        """``contact._first_contact_on_curve``: the time until contact, s, or inf."""
+        model, action, _, memory = curve
+        bent = array_form(chord_error_bound)(model, action, memory)
+        closes = array_form(period)(model, action, memory)
+        duration = jnp.broadcast_to(jnp.minimum(model.duration, closes), asked.shape)
+        work = 1 + sum(1 + corners for corners in self._shapes.corners)
+        most = max(_LEAST_CHORDS, min(_MOST_CHORDS, _MOST_WORK // work))
+        depth = self._tolerances.depth
+
+        def advance(now: Any) -> Any:
+            here, time, piece, found, chords, busy = now
+            end = jnp.minimum(duration, time + piece)
+            there = _add(point, self._displacement(curve, end))
+            sagitta = bent * (end - time) ** 2
+            _, fraction = self._first_contact(world, here, _subtract(there, here), depth - sagitta)
+            clear, precise = fraction > 1.0, sagitta <= _CHORD_TOLERANCE
+            arrives, touches = clear & (end >= duration), ~clear & precise
+            found = jnp.where(busy & arrives, jnp.inf, found)
+            at = time + jnp.minimum(fraction, 1.0) * (end - time)
+            found = jnp.where(busy & touches, at, found)
+            piece = jnp.where(clear, 2.0 * piece, 0.5 * (end - time))
+            goes_on = busy & clear & ~arrives
+            time, here = jnp.where(goes_on, end, time), select(goes_on, there, here)
+            busy = busy & ~arrives & ~touches & (chords + 1 < most)
+            found = jnp.where(goes_on & ~busy, time, found)
+            return here, time, piece, found, chords + 1, busy
+
+        zero = jnp.zeros_like(duration)
+        none = jnp.full_like(duration, jnp.inf)
+        begun = point, zero, duration, none, jnp.int32(0), asked
+        return jax.lax.while_loop(lambda now: jnp.any(now[-1]), advance, begun)[3]
+
+
+class ObstacleContact:
+    """Motion of the robots of environments among obstacles.
+
+    Args:
+        fields: the obstacles.
+        model: constants of the robot model.
+        mode: SLIDE or STOP.
+        every: whether all robots are computed, rather than those near an obstacle, a few at a time.
+    """
+
+    def __init__(self, fields: Fields, model: Any, mode: int, every: bool) -> None:
+        self._fields, self._model, self._every = fields, model, every
+        self._contact = Contact(fields.shapes, mode)
+        self.outcome = STOPPED if mode == STOP else SLID
+        """Contact of robots that meet an obstacle, for ``Motion.update``."""
+        margin = 3.0 * fields.shapes.tolerances.depth  # more than a skin
+        self.reach = model.speed_limit * model.duration * _ROUNDING + margin
+        """Clearance below which contact is possible in a step, m."""
+
+    def __call__(
+        self, obstacles: Any, near: Array, positions: Array, ways: Array, curve: Any
+    ) -> tuple[Array, Array]:
+        """Displacements (n, d, *batch), m, that obstacles allow, and contacts (n, *batch).
+
+        ``curve`` is the action, frame and memory, tuples of (n, *batch), of robots that are
+        ``near`` (n, *batch) an obstacle.
+        """
+        n, d = positions.shape[:2]
+        shape = near.shape
+        count = near.size // n
+
+        def lanes(values: Any) -> Any:
+            return [value.reshape(-1) for value in values]
+
+        def rows(values: Array) -> Array:
+            return jnp.stack([values[:, k].reshape(-1) for k in range(d)])
+
+        given = {
+            "point": rows(positions), "way": rows(ways), "curve": [lanes(part) for part in curve],
+            "environment": jnp.arange(near.size) % count,
+        }  # fmt: skip
+
+        def stop(given: Any) -> Any:
+            return self._stop(self._world_of(obstacles, given["environment"]), given)
+
+        otherwise = given["way"], jnp.zeros(near.size, bool)
+        moved, contact = for_teams(near.reshape(-1), stop, given, otherwise, self._every)
+        moved = jnp.stack([part.reshape(shape) for part in moved], axis=1)
+        return moved, contact.reshape(shape)
+
+    def _world_of(self, obstacles: Any, environment: Array) -> World:
+        """Obstacles of lanes, which belong to these environments."""
+        if self._fields.fixed is not None:
+            return self._fields.world(None, 1)
+
+        if obstacles.present.ndim == 1:  # one environment
+            return jax.tree.map(lambda values: values[..., None], obstacles)
+        return jax.tree.map(lambda values: jnp.take(values, environment, axis=-1), obstacles)
+
+    def _stop(self, world: World, given: Any) -> Any:
+        zero = jnp.zeros_like(given["way"][0])
+        point, way = ((*given[name], zero)[:3] for name in ("point", "way"))
+        action, frame, memory = (tuple(part) for part in given["curve"])
+        if memory:
+            curve = self._model, action, frame, memory
+            met, executed = self._contact.move_curved(world, point, way, curve)
+        else:
+            met, executed = self._contact.move_straight(world, point, way)
+        return jnp.stack(executed[: len(given["way"])]), met
