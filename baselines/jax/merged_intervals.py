@@ -33,7 +33,7 @@ class Joined(NamedTuple):
 
     @property
     def closed(self) -> Array:
-        """Whether no direction is free."""
+        """True if no direction is free."""
         return self.high - self.low >= TWO_PI
 
 
