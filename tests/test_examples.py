@@ -82,3 +82,30 @@ def test_noisy_sensors_example_runs(tmp_path):
     times = {row["policy"]: float(row["time"]) for row in found if row["sensor"] == "noise 0.2"}
     assert times["learned"] != times["learned@0.6"]
     assert figure.stat().st_size > 5000
+
+
+@pytest.mark.slow
+def test_jax_ppo_example_runs():
+    pytest.importorskip("jax")
+    program = (EXAMPLES / "15_jax_ppo.py").read_text(encoding="utf-8")
+    assert len([line for line in program.splitlines() if line.strip()]) <= 200
+    sizes = ("--updates", "2", "--report", "1", "--envs", "8", "--steps", "4", "--held-out", "8")
+    told = run("15_jax_ppo.py", "--scenario", "duo", *sizes).splitlines()
+    shares = re.compile(r"(\d+\.\d)% met, (\d+\.\d)% without contact, \d+\.\d s")
+    names, results = zip(*(line.split(": ") for line in told), strict=True)
+    assert names[:2] == ("bearing-only", "before")
+    assert [name.split(",")[0] for name in names[2:]] == ["update 1", "update 2"]
+    found = [shares.fullmatch(line).groups() for line in results]
+    assert found[0] == ("100.0", "100.0") and all(a == b for a, b in found)
+
+
+@pytest.mark.slow
+def test_jax_gradient_example_improves_the_slowest(tmp_path):
+    pytest.importorskip("jax")
+    figure = tmp_path / "gradient.png"
+    sizes = ("--iterations", "8", "--starts", "20", "--seconds", "4", "--figure", str(figure))
+    told = run("16_jax_gradient.py", *sizes)
+    costs = [float(cost) for cost in re.findall(r"cost (\S+) s", told)]
+    before, after = map(float, re.search(r"(\S+) s before, (\S+) s after", told).groups())
+    assert costs[-1] < costs[0] - 0.02 and after < before
+    assert figure.stat().st_size > 20_000

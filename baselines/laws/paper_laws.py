@@ -180,6 +180,24 @@ def _no_farther(rate: Array, angle: Array, duration: float) -> Array:
     return np.clip(rate, -most, most)
 
 
+def unicycle_inputs(net_bearing: Array, duration: float) -> Array:
+    """``unicycle_law`` for steps of a duration, s: the body turns no farther than to f."""
+    f = net_bearing
+    rate = _no_farther(f[..., 1], np.arctan2(f[..., 1], f[..., 0]), duration)
+    return unicycle_law(np.stack([f[..., 0], rate], axis=-1))
+
+
+def nonholonomic_3d_inputs(net_bearing: Array, pitch: Array, duration: float) -> Array:
+    """``nonholonomic_3d_law`` for steps of a duration, s: the body turns no farther than to f."""
+    f = net_bearing
+    speed, yaw_rate, pitch_rate = np.moveaxis(nonholonomic_3d_law(f, pitch), -1, 0)
+    upright = np.copysign(1.0, np.cos(pitch))
+    ahead = np.abs(np.cos(pitch)) * f[..., 0] - upright * np.sin(pitch) * f[..., 2]
+    azimuth, rise = np.arctan2(upright * f[..., 1], ahead), np.arctan2(f[..., 2], f[..., 0])
+    turns = _no_farther(yaw_rate, azimuth, duration), _no_farther(pitch_rate, rise, duration)
+    return np.stack([speed, *turns], axis=-1)
+
+
 is_unicycle = of_model("unicycle")
 """True if actions are a speed and a turn rate in the plane."""
 
@@ -194,9 +212,7 @@ class _Unicycle(Law):
         return {"by": "law"}
 
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
-        actions, angle = unicycle_law(f), np.arctan2(f[..., 1], f[..., 0])
-        actions[..., 1] = _no_farther(actions[..., 1], angle, self.scenario.tau)
-        return actions
+        return unicycle_inputs(f, self.scenario.tau)
 
 
 @register("unicycle-cosine", fits=is_unicycle, kind="law")
@@ -238,14 +254,7 @@ class _Nonholonomic3D(Law):
 
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         assert seen.gravity is not None  # these robots always sense it
-        pitch = pitch_of(seen.gravity)
-        actions = nonholonomic_3d_law(f, pitch)
-        upright = np.copysign(1.0, np.cos(pitch))
-        ahead = np.abs(np.cos(pitch)) * f[..., 0] - upright * np.sin(pitch) * f[..., 2]
-        azimuth, rise = np.arctan2(upright * f[..., 1], ahead), np.arctan2(f[..., 2], f[..., 0])
-        actions[..., 1] = _no_farther(actions[..., 1], azimuth, self.scenario.tau)
-        actions[..., 2] = _no_farther(actions[..., 2], rise, self.scenario.tau)
-        return actions
+        return nonholonomic_3d_inputs(f, pitch_of(seen.gravity), self.scenario.tau)
 
 
 @register("damped", fits=is_double_integrator, kind="law")

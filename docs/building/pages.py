@@ -52,7 +52,7 @@ REFERENCE = {
     "learned": ("Learned policies", ("baselines/learned",)),
     "adapters": ("Adapters to learning libraries", ("rendezvous_env/adapters",)),
     "equations": ("Equations", ("rendezvous_env/physics",)),
-    "jax": ("JAX form", ("rendezvous_env/jax",)),
+    "jax": ("JAX form", ("rendezvous_env/jax", "baselines/jax")),
 }
 """Pages of the reference: a title, and the folders of the modules on it."""
 RENAMED = {

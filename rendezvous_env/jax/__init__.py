@@ -16,7 +16,9 @@ except ImportError as error:
 
 from .environment import RendezvousJaxEnv, State, make
 from .laws import bearing_only_law, flexible_velocity, net_bearing
+from .sharding import shard
 
 __all__ = [
     "RendezvousJaxEnv", "State", "bearing_only_law", "flexible_velocity", "make", "net_bearing",
+    "shard",
 ]  # fmt: skip

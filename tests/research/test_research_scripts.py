@@ -1,5 +1,6 @@
 """Research scripts: learning figures, tables of the literature, invalid arguments, Ctrl-C."""
 
+import json
 import math
 import runpy
 import signal
@@ -9,7 +10,7 @@ import time
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import ROOT, run_python
 from inference_network import make_network
 from learning_figures import learning_figure, tank_figure, watch_tanks
 
@@ -177,3 +178,18 @@ def test_interrupted_search_resumes(tmp_path):
         said, _ = search.communicate(timeout=60)
     assert search.returncode == 130 and "small-batch, seed" not in said
     assert not (tmp_path / "runs" / "small-batch-1").exists()
+
+
+@pytest.mark.slow
+def test_device_bench_writes_rates(tmp_path):
+    pytest.importorskip("jax")
+    out = tmp_path / "device.json"
+    run_python(ROOT, ROOT / "research" / "device_bench.py", "--small", "--out", out)
+    told = json.loads(out.read_text(encoding="utf-8"))
+    assert told["device"]["platform"] == "cpu" and told["rates"].keys() == {"64"}
+    measured = [told["rates"]["64"]["jax"], *(told["alternating"][k] for k in ("jax", "make_vec"))]
+    for rates in measured:
+        low, high = rates["quartiles"]
+        assert 0.0 < low <= rates["steps_per_s"] <= high and rates["calls"] >= 3
+        assert rates["steps_per_call"] == 6400
+    assert len(told["ppo"]["all"]) == 3 and told["ppo"]["robot_steps_per_s"] > 0.0

@@ -58,14 +58,22 @@ class _Namespace:
         return getattr(self._module, name)
 
 
-_NAMES = {"sin": "sin", "cos": "cos", "atan2": "arctan2", "asinh": "arcsinh", "hypot": "hypot"}
+def angle_of(y: Any, x: Any) -> Any:
+    """Angle of (x, y), rad, and 0 with a derivative of 0 for (0, 0)."""
+    none = (x == 0.0) & (y == 0.0)
+    return jnp.where(none, 0.0, jnp.arctan2(jnp.where(none, 0.0, y), jnp.where(none, 1.0, x)))
+
+
+_NAMES = {"sin": "sin", "cos": "cos", "asinh": "arcsinh", "hypot": "hypot"}
 _NAMES |= {"copysign": "copysign", "floor": "floor", "ceil": "ceil"}
 _MATH = _Namespace(
     math,
     sqrt=_of(math.sqrt, square_root),
+    atan2=_of(math.atan2, angle_of),
     **{name: _of(getattr(math, name), getattr(jnp, of)) for name, of in _NAMES.items()},
 )
-_NUMPY = _Namespace(jnp, float64=as_number)
+_NUMPY = _Namespace(jnp, float64=as_number, sqrt=square_root, arctan2=angle_of)
+_OURS = "rendezvous_env", "baselines"
 _BUILT_IN = {
     "min": lambda *values: reduce(_of(min, jnp.minimum), values),
     "max": lambda *values: reduce(_of(max, jnp.maximum), values),
@@ -122,7 +130,7 @@ def _array_value(value: Any) -> Any:
     if value is np:
         return _NUMPY
     plain = getattr(value, "py_func", value)
-    ours = inspect.isfunction(plain) and plain.__module__.startswith(__package__.split(".")[0])
+    ours = inspect.isfunction(plain) and plain.__module__.split(".")[0] in _OURS
     return (lambda *arguments: array_form(value)(*arguments)) if ours else value
 
 

@@ -1,0 +1,16 @@
+"""Policies as pure JAX functions, from the equations of ``baselines``.
+
+policy = baselines.jax.make("tangent-joined-tuned", "clutter-8")
+memory = policy.begin((num_envs,))
+actions, memory = policy.act(observations, memory)
+"""
+
+try:
+    import jax as _jax  # noqa: F401
+except ImportError as error:
+    raise ImportError("baselines.jax needs JAX: pip install 'rendezvous-env[jax]'") from error
+
+from . import laws, learned, rules
+from .policy import JaxPolicy, make, names
+
+__all__ = ["JaxPolicy", "laws", "learned", "make", "names", "rules"]

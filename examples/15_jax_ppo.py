@@ -1,0 +1,254 @@
+"""PPO compiled end to end: environment, network and optimiser in one JAX program.
+
+    python examples/15_jax_ppo.py
+
+It needs `pip install 'rendezvous-env[jax]'` and runs on a CPU, GPU or TPU without change. All
+robots share one network, which chooses the angle of the raw heading from f, under certified
+headings (theorem C). A mask excludes merged robots, whose advantages continue with their
+survivor's. Greedy choices are compared with the tuned rule on held-out initial conditions.
+"""
+
+import argparse
+import itertools
+import time
+
+import jax
+import jax.numpy as jnp
+from rendezvous_env.baselines import jax as policies
+
+import rendezvous_env.jax as rj
+from rendezvous_env import RewardWeights
+
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("--scenario", default="clutter-8", help="single integrators in the plane")
+sizes = {"updates": 300, "envs": 256, "steps": 32, "held-out": 500, "report": 20, "seed": 0}
+for name, usual in sizes.items():  # steps are decisions in an update, reports count updates
+    parser.add_argument(f"--{name}", type=int, default=usual)
+given = parser.parse_args()
+GAMMA, LAMBDA, CLIP, EPOCHS, MINIBATCHES, ENTROPY, RATE = 0.99, 0.95, 0.2, 4, 16, 3e-3, 1e-3
+HOLD, CONTACT, WIDTH, HELD_OUT = 12, 0.5, 64, 1_000_000  # steps, penalty, units, first seed
+ANGLES = jnp.array([0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0, 1.4, -1.4])  # rad from f
+HEADINGS = jnp.stack([jnp.cos(ANGLES), jnp.sin(ANGLES)], axis=-1)
+
+
+def make(num_envs, autoreset, guarantee="heading"):
+    """Environments, with the heading filter or bare; contact is penalised below."""
+    filtered = {"min_alignment": 0.05, "max_turn_rate": 100.0} if guarantee else {}
+    fields = {"num_envs": num_envs, "reward": RewardWeights(collision_penalty=0.0), **filtered}
+    resets = {"autoreset_mode": autoreset, "final_obs": autoreset == "SAME_STEP"}
+    return rj.make(given.scenario, guarantee, **fields, **resets)
+
+
+env = make(given.envs, "SAME_STEP")
+layout, n = env.scenario.observation_layout, env.scenario.n_robots
+RULE = "tangent-joined-tuned" if layout.obstacle_slots else "bearing-only"
+
+
+def new_network(key):
+    """Layers by name: of neighbours and obstacles, of all features, and of the last outputs."""
+    sizes = {"neighbours": (2, WIDTH, WIDTH), "obstacles": (4, WIDTH, WIDTH)}
+    sizes |= {"trunk": (4 * WIDTH + 4, 128, 128), "actor": (128, len(ANGLES)), "critic": (128, 1)}
+    network = {}
+    for name, widths in sizes.items():
+        network[name] = []
+        for inputs, outputs in itertools.pairwise(widths):
+            key, own = jax.random.split(key)
+            scale = 0.01 if name == "actor" else 2**0.5
+            weight = scale * jax.nn.initializers.orthogonal()(own, (inputs, outputs))
+            network[name].append((weight, jnp.zeros(outputs)))
+    return network
+
+
+def through(layers, x, activation):
+    """Output of layers for x."""
+    for weight, bias in layers:
+        x = activation(x @ weight + bias)
+    return x
+
+
+def pooled(layers, rows):
+    """Mean and maximum over rows, with zero for those that are absent."""
+    present = jnp.any(rows != 0.0, axis=-1, keepdims=True)
+    found = jnp.where(present, through(layers, rows, jax.nn.relu), 0.0)
+    return [found.mean(axis=-2), found.max(axis=-2)]
+
+
+def evaluate(network, seen, last):
+    """Logits (..., choices) and values (...) of robots, of observations and last choices."""
+    neighbours = seen[..., layout.neighbours, :]
+    edges = seen[..., layout.obstacles, :].reshape(*seen.shape[:-2], layout.obstacle_slots, 4)
+    edges = edges if layout.obstacle_slots else jnp.zeros((*seen.shape[:-2], 1, 4))
+    sets = pooled(network["neighbours"], neighbours) + pooled(network["obstacles"], edges)
+    x = jnp.concatenate([*sets, neighbours.sum(axis=-2), HEADINGS[last]], axis=-1)
+    x = through(network["trunk"], x, jnp.tanh)
+    logits, value = (through(network[name], x, lambda y: y) for name in ("actor", "critic"))
+    return logits, value[..., 0]
+
+
+def hold(env, state, seen, choices):
+    """HOLD steps with the same choices; rewards, contacts and merges up to the episode's end."""
+
+    def step(now, _):
+        state, _, told = now
+        seen, state, _, met, late, info = env.step(None, state, HEADINGS[choices])
+        runs, ends = ~told["ended"], (met | late) & ~told["ended"]
+        told = {
+            "final": jnp.where(
+                ends[:, None, None, None], info.get("final_obs", seen), told["final"]
+            ),
+            "into": jnp.where((runs & ~ends)[:, None], info["merged_into"], told["into"]),
+            "reward": told["reward"] + runs[:, None] * info["robot_rewards"],
+            "touched": told["touched"] | runs[:, None] & info.get("contact", False),
+            "ended": told["ended"] | ends,
+            "late": told["late"] | ends & late,
+        }
+        return (state, seen, told), None
+
+    none = jnp.zeros(choices.shape, bool)
+    told = {"final": seen, "into": jnp.broadcast_to(jnp.arange(n), choices.shape)}
+    told |= {"reward": jnp.zeros(choices.shape), "touched": none}
+    told |= {"ended": none[:, 0], "late": none[:, 0]}
+    return jax.lax.scan(step, (state, seen, told), None, HOLD)[0]
+
+
+def collect(network, now, key):
+    """One decision of all robots, and the sample of it."""
+    state, seen, last = now
+    logits, value = evaluate(network, seen, last)
+    choices = jax.random.categorical(key, logits)
+    acted = state.merged_into.T == jnp.arange(n)
+    sample = {"seen": seen, "last": last, "choices": choices, "acted": acted, "value": value}
+    sample["log_prob"] = of(jax.nn.log_softmax(logits), choices)
+    state, seen, told = hold(env, state, seen, choices)
+    cut = told["late"][:, None] * evaluate(network, told["final"], choices)[1]
+    sample["reward"] = told["reward"] - CONTACT * told["touched"] + GAMMA * cut
+    sample |= {"ended": told["ended"], "into": told["into"]}
+    return (state, seen, jnp.where(told["ended"][:, None], 0, choices)), sample
+
+
+def of(log_probs, choices):
+    """Log probabilities of choices."""
+    return jnp.take_along_axis(log_probs, choices[..., None], axis=-1)[..., 0]
+
+
+def advantages(samples, value):
+    """Generalised advantage estimates; those of a merged robot continue with its survivor's."""
+
+    def back(now, sample):
+        value, later = (jnp.take_along_axis(part, sample["into"], axis=1) for part in now)
+        goes_on = ~sample["ended"][:, None]
+        later = sample["reward"] + GAMMA * goes_on * (value + LAMBDA * later) - sample["value"]
+        return (sample["value"], later), later
+
+    return jax.lax.scan(back, (value, jnp.zeros_like(value)), samples, reverse=True)[1]
+
+
+def loss_of(network, batch):
+    """Loss of PPO with clipping, over the robots that acted."""
+    logits, value = evaluate(network, batch["seen"], batch["last"])
+    log_probs, weight = jax.nn.log_softmax(logits), batch["acted"] / batch["acted"].mean()
+    ratio, gain = jnp.exp(of(log_probs, batch["choices"]) - batch["log_prob"]), batch["gain"]
+    gain = gain - (weight * gain).mean()
+    gain /= jnp.sqrt((weight * gain**2).mean()) + 1e-8
+    policy = jnp.minimum(ratio * gain, jnp.clip(ratio, 1 - CLIP, 1 + CLIP) * gain)
+    entropy = -(jnp.exp(log_probs) * log_probs).sum(axis=-1)
+    return (weight * (0.5 * (value - batch["target"]) ** 2 - policy - ENTROPY * entropy)).mean()
+
+
+def adam(network, slope, moments, rate):
+    """A step of Adam (Kingma & Ba 2015), with the norm of the gradient limited to 0.5."""
+    count, first, second = moments[0] + 1, *moments[1:]
+    size = jnp.sqrt(sum((part**2).sum() for part in jax.tree.leaves(slope)))
+    slope = jax.tree.map(lambda g: g * jnp.minimum(1.0, 0.5 / (size + 1e-9)), slope)
+    first = jax.tree.map(lambda m, g: 0.9 * m + 0.1 * g, first, slope)
+    second = jax.tree.map(lambda v, g: 0.999 * v + 0.001 * g * g, second, slope)
+    rate, later = rate / (1 - 0.9**count), 1 / (1 - 0.999**count)
+    move = lambda w, m, v: w - rate * m / (jnp.sqrt(later * v) + 1e-5)  # noqa: E731
+    return jax.tree.map(move, network, first, second), (count, first, second)
+
+
+def update(now, index):
+    """Collect decisions of all environments, then improve the network in minibatches."""
+    network, moments, acting, key = now
+    key, order, *keys = jax.random.split(key, given.steps + 2)
+    acting, samples = jax.lax.scan(
+        lambda acting, key: collect(network, acting, key), acting, jnp.stack(keys)
+    )
+    gain = advantages(samples, evaluate(network, *acting[1:])[1])
+    kept = {name: samples[name] for name in ("seen", "last", "choices", "log_prob", "acted")}
+    kept |= {"gain": gain, "target": gain + samples["value"]}
+    flat = jax.tree.map(lambda part: part.reshape(-1, *part.shape[3:]), kept)
+
+    def improve(now, rows):
+        batch = jax.tree.map(lambda part: part[rows], flat)
+        slope = jax.grad(loss_of)(now[0], batch)
+        return adam(*now[:1], slope, now[1], RATE * (1.0 - index / given.updates)), None
+
+    rows = [jax.random.permutation(own, gain.size) for own in jax.random.split(order, EPOCHS)]
+    rows = jnp.stack(rows)[:, : gain.size // MINIBATCHES * MINIBATCHES]
+    rows = rows.reshape(EPOCHS * MINIBATCHES, -1)
+    (network, moments), _ = jax.lax.scan(improve, (network, moments), rows)
+    return (network, moments, acting, key), (samples["reward"].mean(), samples["acted"].sum())
+
+
+def judge(env, memory, act):
+    """Share of held-out environments that meet, and meet without contact, and their mean time."""
+
+    def advance(now):
+        *now, touched = now
+        *now, contact = act(*now)
+        return *now, touched | contact
+
+    seen, state = env.reset(HELD_OUT)
+    begun = state, seen, memory, jnp.zeros((given.held_out, n), bool)
+    state, *_, touched = jax.lax.while_loop(lambda now: (now[0].status == 0).any(), advance, begun)
+    met, times = state.status == 1, state.steps * env.scenario.tau
+    free = met & ~touched.any(axis=-1)
+    return met.mean(), free.mean(), (met * times).sum() / met.sum()
+
+
+@jax.jit
+def judge_network(network):
+    """Greedy choices of a network."""
+    env = make(given.held_out, "DISABLED")
+
+    def act(state, seen, last):
+        choices = evaluate(network, seen, last)[0].argmax(axis=-1)
+        state, seen, told = hold(env, state, seen, choices)
+        return state, seen, choices, told["touched"]
+
+    return judge(env, jnp.zeros((given.held_out, n), int), act)
+
+
+@jax.jit
+def judge_rule():
+    """The tuned rule, or law (1) without obstacles, as a JAX function."""
+    env = make(given.held_out, "DISABLED", guarantee=None)
+    rule = policies.make(RULE, env.scenario)
+
+    def act(state, seen, memory):
+        actions, memory = rule.act(seen, memory)
+        seen, state, *_, info = env.step(None, state, actions)
+        return state, seen, memory, info.get("contact", False)
+
+    return judge(env, rule.begin((given.held_out,)), act)
+
+
+def show(name, shares):
+    """Print what was judged."""
+    met, free, seconds = shares
+    print(f"{name}: {met:.1%} met, {free:.1%} without contact, {seconds:.1f} s", flush=True)
+
+
+show(RULE, judge_rule())
+key, first = jax.random.split(jax.random.key(given.seed))
+network, (seen, state) = new_network(first), env.reset(given.seed)
+moments = 0, *(jax.tree.map(jnp.zeros_like, network) for _ in range(2))
+now = network, moments, (state, seen, jnp.zeros((given.envs, n), int)), key
+show("before", judge_network(network))
+many = jax.jit(lambda now, indices: jax.lax.scan(update, now, indices))
+for done in range(0, given.updates, given.report):
+    begun = time.perf_counter()
+    now, (rewards, decisions) = many(now, jnp.arange(done, done + given.report))
+    rate = HOLD * float(decisions.sum()) / (time.perf_counter() - begun)
+    show(f"update {done + given.report}, {rate:,.0f} robot steps/s", judge_network(now[0]))
