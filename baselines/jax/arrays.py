@@ -4,7 +4,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-
 from rendezvous_env.jax.array_form import Array, angle_of, square_root
 
 __all__ = [
