@@ -171,6 +171,16 @@ def _check_velocities(scenario: Scenario, memory: NDArray[Any]) -> None:
     )
 
 
+def _check_conditions(state: Mapping[str, NDArray[Any]]) -> None:
+    """Reject impossible steps of activations and of failures."""
+    if "last_activation" in state:
+        own, latest = state["last_activation"], state["steps"][:, None] - 1
+        wrong = (own < -1) | (own > latest)
+        refuse_first("last_activation", wrong, own, "from -1 to steps - 1")
+    if "faults" in state:
+        refuse_first("faults", state["faults"] < 0, state["faults"], "0 or more")
+
+
 def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
     """Reject a state of ``Simulator.get_state`` that no episode can have.
 
@@ -193,11 +203,7 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
     refuse("status", (status < 0) | (status > AWAITING_RESET), f"0 to {AWAITING_RESET}")
     refuse("seed", state["seed"] >= 2**63, "below 2**63")
     refuse("episode", state["episode"] < -1, "-1 (none yet) or more")
-    if "last_activation" in state:
-        own, latest = state["last_activation"], state["steps"][:, None] - 1
-        refuse("last_activation", (own < -1) | (own > latest), "from -1 to steps - 1")
-    if "faults" in state:
-        refuse("faults", state["faults"] < 0, "0 or more")
+    _check_conditions(state)
     if "frames" in state:  # those of teams that have not begun are not drawn yet
         check_rotations(state, state["episode"] >= 0, _ROUNDING)
     if scenario.model.keeps_velocity:
