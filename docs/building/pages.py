@@ -40,7 +40,9 @@ REFERENCE = {
         "Scenarios, graphs, obstacles, sensors",
         tuple(
             f"rendezvous_env/{room}"
-            for room in ("scenario", "graphs", "obstacles", "sensors", "rewards", "robots")
+            for room in (
+                *("scenario", "graphs", "obstacles", "sensors", "calibration", "rewards", "robots"),
+            )
         ),
     ),
     "simulator": ("Simulator and trajectories", ("rendezvous_env",)),

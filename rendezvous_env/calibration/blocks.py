@@ -10,6 +10,8 @@ from .log import Floats, Ints
 CONFIDENCE = 0.99
 """Of the intervals, since a dozen parameters are read at once."""
 DRAWS = 120
+_WIDER = 1.15
+"""By which the spread of replicates is multiplied: blocks are not quite independent."""
 _SPANS, _LONGEST, _SHORTEST = 40, 60.0, 4.0
 """Spans of time in a log, and their longest and shortest length, s."""
 
@@ -66,7 +68,7 @@ def half_width(replicates: Floats, blocks_used: int) -> float:
     if len(found) < 2:
         return np.inf
     factor = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(blocks_used - 1, 2))
-    return float(factor * found.std(ddof=1))
+    return float(_WIDER * factor * found.std(ddof=1))
 
 
 def weighted_quantile(values: Floats, weights: Floats, share: float) -> float:

@@ -209,10 +209,10 @@ def _field(
         [_likelihoods(rows, p, np.array([h]), falloffs).sum(axis=0) for h in halves]
     ).reshape(len(halves), -1)
     total[halves == math.pi, 1:] = -np.inf  # no edge, no fall-off
+    if total[halves == math.pi, 0] > total.max() - 0.5 * _SIGNIFICANT:
+        return math.pi, 0.0  # no robot was missed for its bearing
     h, w = np.unravel_index(np.argmax(total), total.shape)
     half, falloff = float(halves[h]), float(falloffs[w])
-    if half == math.pi:
-        return half, 0.0
     fine_h, fine_w = _fine(half, falloff, near)
     low = max(0.0, min(half - falloff, near) - 0.3 * near)
     rows, p = _edge_rows(chances, nodes, values, blind, low, half + 0.4 * near)

@@ -100,8 +100,9 @@ def show(fit: SensorFit, plain: Mapping[str, Any], console: Console) -> None:
     if held:
         console.print(
             f"held-out half: errors {held['error']:.4g} rad, predicted "
-            f"{held['predicted_error']:.4g} rad, {held['within_95']:.1%} within 1.96 noise levels; detection Brier score "
-            f"{held['detection_brier']:.3f}, of a constant {held['detection_brier_constant']:.3f}",
+            f"{held['predicted_error']:.4g} rad, {held['within_95']:.1%} within 1.96 noise levels; "
+            f"detection Brier score {held['detection_brier']:.3f}, of a constant "
+            f"{held['detection_brier_constant']:.3f}",
             soft_wrap=True,
         )
     else:

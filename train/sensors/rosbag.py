@@ -22,7 +22,8 @@ _TOPIC = re.compile(r"/(?P<robot>[^/]+)/(?P<what>bearings|pose)")
 TYPES = {"bearings": "std_msgs/msg/Float64MultiArray", "pose": "geometry_msgs/msg/PoseStamped"}
 """Message types of the topics."""
 _FAR = 0.3  # rad, beyond which a bearing is near no robot
-_UNSEEN = 0.1  # s, before the first and after the last pose in which a robot is still assigned
+_ASSIGNED = "bearings have no identity; each is assigned to the nearest robot by ground truth"
+_UNSEEN = 0.5  # s, before the first and after the last pose in which a robot is still assigned
 _SAMPLE = 400  # messages from which the delay is found, s
 _DELAYS = np.arange(-0.3, 1.001, 0.05)
 
@@ -52,7 +53,7 @@ def read_recording(path: Path, clock_offset: float = 0.0) -> SensorLog:
     return from_tables(
         _columns(("time", "observer", "target", "bearing"), rows), truth, source=str(path),
         frames="listed",
-    ).noted("bearings have no identity; each is assigned to the nearest robot by ground truth")  # fmt: skip
+    ).noted(_ASSIGNED)  # fmt: skip
 
 
 def check_rosbags(path: Path) -> None:
@@ -151,9 +152,10 @@ def _identified(
             rows.append((time, robot, "", math.nan))
             continue
         # what is far from all robots must not displace another bearing
-        apart = np.minimum(_apart(angles, bearings), _FAR)
+        others = np.array([k for k, name in enumerate(names) if name != robot])
+        apart = np.minimum(_apart(angles, bearings[others]), _FAR)
         found = zip(*linear_sum_assignment(apart), strict=True)
-        rows += [(time, robot, names[j], float(angles[i])) for i, j in found if names[j] != robot]
+        rows += [(time, robot, names[others[j]], float(angles[i])) for i, j in found]
     return rows
 
 
