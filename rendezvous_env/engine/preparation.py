@@ -137,7 +137,7 @@ def start_rules(scenario: Scenario) -> StartRules:
         draw_memory=True,
         draw_weights=True,
         draw_obstacles=field is not None,
-        spawn_edges=(*scenario.spawn_edges, 0.0)[:3],
+        spawn_edges=_three_edges(*scenario.spawn_edges),
         least_distance=(1.0 if scenario.meeting == "pack" else 2.0) * scenario.merge_radius,
         keep_out=float(field.keep_out) if field else 0.0,
         graph=graph_rules(graph, scenario.n_robots),
@@ -145,6 +145,10 @@ def start_rules(scenario: Scenario) -> StartRules:
         reach=float(scenario.start_reach) if graph.changes else None,
         field=field.rules if field else None,
     )
+
+
+def _three_edges(x: float, y: float, z: float = 0.0) -> tuple[float, float, float]:
+    return x, y, z
 
 
 def _factors(scenario: Scenario) -> tuple[float, float] | None:
