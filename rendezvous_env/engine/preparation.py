@@ -169,11 +169,6 @@ class StartRules(NamedTuple):
     field: Rules | None  # None where no episode draws obstacles
 
 
-def _triple(edges: tuple[float, ...]) -> tuple[float, float, float]:
-    x, y, *z = edges
-    return x, y, z[0] if z else 0.0
-
-
 def start_rules(scenario: Scenario) -> StartRules:
     """Rules of an initial condition without given parts."""
     graph = scenario.sensing_graph
@@ -186,7 +181,7 @@ def start_rules(scenario: Scenario) -> StartRules:
         draw_memory=True,
         draw_weights=True,
         draw_obstacles=field is not None,
-        spawn_edges=_triple(scenario.spawn_edges),
+        spawn_edges=_three_edges(*scenario.spawn_edges),
         region=None if scenario.start_region is None else triangles_of(scenario.start_region),
         least_distance=(1.0 if scenario.meeting == "pack" else 2.0) * scenario.merge_radius,
         keep_out=float(field.keep_out) if field else 0.0,
@@ -195,6 +190,10 @@ def start_rules(scenario: Scenario) -> StartRules:
         reach=float(scenario.start_reach) if graph.changes else None,
         field=field.rules if field else None,
     )
+
+
+def _three_edges(x: float, y: float, z: float = 0.0) -> tuple[float, float, float]:
+    return x, y, z
 
 
 def _factors(scenario: Scenario) -> tuple[float, float] | None:
