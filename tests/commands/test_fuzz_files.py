@@ -243,7 +243,7 @@ def command_lines(draw):
         words.append(draw(st.sampled_from(["fig3", "fig4"])))
     if command == "play":
         words.append(draw(st.sampled_from(["duo", "clutter-4"])))
-    for field in draw(st.lists(st.sampled_from(fields), max_size=3)):
+    for field in draw(st.lists(st.sampled_from(fields or given), max_size=3)):
         number = any(kind in str(field.type) for kind in ("int", "float"))
         values = st.sampled_from(NUMBERS if number else NAMES)
         if draw(st.integers(0, 9)) == 0:
