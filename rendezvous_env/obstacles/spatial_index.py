@@ -12,12 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import by_type, inner_kernel, kernel
+from .capsule import Capsule
+from .disc import Disc
 from .obstacle_set import ObstacleSet
-from .polygon import POLYGON
+from .polygon import POLYGON, Polygon
 from .shape import ABSENT, BOUND, MIDDLE, OWN
 
 INDEX_FROM = 64
 """Number of obstacles from which an index is faster than a visit of all."""
+SHAPES = Disc, Polygon, Capsule
+"""Shapes that an index supports; they do not move."""
 _MARGIN = 1e-6  # m, plus rounding; by which boxes are larger than their shapes, more than a skin
 _ROUNDING = 1e-12  # of the largest coordinate
 

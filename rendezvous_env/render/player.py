@@ -229,7 +229,10 @@ class Player:
         else:
             _shift(state["obstacles"][0, index], point - self._grip)
         if self._is_possible(state):
-            self.simulator.set_state(state)
+            try:
+                self.simulator.set_state(state)
+            except ValueError:  # for example an obstacle that follows a path of its own
+                return
             self._observations = self.simulator.observe()
             self._grip = point
 

@@ -427,8 +427,9 @@ class Scenario:
     @property
     def indexes_obstacles(self) -> bool:
         """True if a spatial index finds the obstacles near robots: given ones, many, in 2-D."""
-        given = self.dim == 2 and isinstance(self.obstacles, tuple) and not moves(self.obstacles)
-        return given and self.obstacle_places >= spatial_index.INDEX_FROM
+        given = self.obstacles if self.dim == 2 and isinstance(self.obstacles, tuple) else ()
+        many = len(given) > 0 and self.obstacle_places >= spatial_index.INDEX_FROM
+        return many and all(isinstance(one, spatial_index.SHAPES) for one in given)
 
     @cached_property
     def with_all_rows(self) -> Scenario:

@@ -7,7 +7,7 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from rendezvous_env.simulator import Simulator
-from rendezvous_env.trajectory import begin
+from rendezvous_env.trajectory import Policy, begin
 
 from .. import policies
 from ..checks import Bounds, Flags, UserError, check_installed
@@ -45,25 +45,30 @@ def run(config: Config) -> int:
     scenario = policies.resolve_scenario(config.scenario, config.set)
     name = config.policy or policies.best(scenario)
     policy = policies.tried(name, scenario)
-    simulator = Simulator(scenario)
     console = Console()
+    made = _play(config, Simulator(scenario), name, policy, console)
+    console.print(f"{scenario.name}, {name}: {made} steps")
+    return 0
+
+
+def _play(config: Config, simulator: Simulator, name: str, policy: Policy, console: Console) -> int:
+    """Number of steps that the user has made."""
     with console.status("the first use on a machine compiles …"):
         simulator.reset(config.seed)
         simulator.compile()
-        from rendezvous_env.render.player import Player
+    from rendezvous_env.render.player import Player
 
-        try:
-            player = Player(
-                simulator,
-                lambda seen, time: np.asarray(policy(seen, time)),
-                name,
-                config.size,
-                config.seed,
-                lambda: begin(policy, simulator),
-            )
-        except RuntimeError as error:
-            raise UserError(f"{error}; rendezvous render writes a video instead") from error
+    try:
+        player = Player(
+            simulator,
+            lambda seen, time: np.asarray(policy(seen, time)),
+            name,
+            config.size,
+            config.seed,
+            lambda: begin(policy, simulator),
+        )
+    except RuntimeError as error:
+        raise UserError(f"{error}; rendezvous render writes a video instead") from error
     made = player.run(config.steps)
     player.close()
-    console.print(f"{scenario.name}, {name}: {made} steps")
-    return 0
+    return made
