@@ -35,12 +35,12 @@ class PrivilegedPolicy(TeamPolicy):
         """Take the teams, freshly reset, whose map and positions it may read. A ValueError if it is
         no simulator of such robots.
         """
-        n, d, model = self.scenario.n_robots, self.scenario.dim, self.scenario.robot_model
+        n, d, model = self.scenario.n_robots, self.scenario.dim, self.scenario.model.name
         wanted = f"a Simulator of {n} {model.replace('_', ' ')}s in {d}-D"
         if not isinstance(simulator, Simulator):
             raise_invalid("simulator", simulator, wanted)
         given = simulator.scenario
-        if (given.robot_model, given.n_robots, given.dim) != (model, n, d):
+        if (given.model.name, given.n_robots, given.dim) != (model, n, d):
             raise_invalid("simulator", given, wanted)
         self._simulator, self._steps = simulator, simulator.steps
         self.reset()

@@ -44,7 +44,7 @@ PATIENT_STEPS = 1000
 FEW_STEPS = 8, 80
 """Minimum and maximum number of steps of trials whose time bound cannot be reached."""
 _PARENTS = 3  # starts from which those of the next generation are made
-_LAWS = {"unicycle": "unicycle", "nonholonomic_3d": "nonholonomic-3d"}
+_LAWS = {"unicycle": "unicycle", "mixed": "by-model", "nonholonomic_3d": "nonholonomic-3d"}
 _HOW = ("by", "arguments", "frame", "period", "seed", "policy", "numbers")
 """Fields of a trial that are written in addition to its scenario."""
 
@@ -186,7 +186,7 @@ def begin(trial: Trial, bearing_error: float, count: int) -> tuple[Any, Any, Pol
         begin_policy(own, wrapped.unwrapped.simulator)
         return wrapped, start, partial(policies.called, trial.policy, own)
     if trial.by == "law":
-        law = baselines.make(_LAWS.get(scenario.robot_model, "bearing-only"), scenario)
+        law = baselines.make(_LAWS.get(scenario.model.name, "bearing-only"), scenario)
         return wrapped, start, lambda seen, now: law(seen, now.time)
     random = np.random.default_rng([trial.seed, 1])
     turn_rate = arguments.get("max_turn_rate", MAX_TURN_RATE)
