@@ -40,7 +40,7 @@ class PrivilegedPolicy(TeamPolicy):
         if not isinstance(simulator, Simulator):
             raise_invalid("simulator", simulator, wanted)
         given = simulator.scenario
-        if (given.robot_model, given.n_robots, given.dim) != (model, n, d):
+        if (given.model.name, given.n_robots, given.dim) != (model, n, d):
             raise_invalid("simulator", given, wanted)
         self._simulator, self._steps = simulator, simulator.steps
         self.reset()

@@ -9,6 +9,8 @@ import shapely
 from scipy.optimize import brentq
 
 import rendezvous_env as rv
+from rendezvous_env.obstacles.obstacle_set import pack, world_of
+from rendezvous_env.traffic import contact
 
 DISC = rv.Disc((0.0, 0.0), 0.5)
 TRIANGLE = rv.Polygon(((-0.6, -0.5), (0.6, -0.5), (0.0, 0.7)))
@@ -147,6 +149,7 @@ def test_push_lets_nothing_through_at_any_speed(name, speed):
     assert sim.positions[0, 0, 0] > centre or sim.positions[0, 0, 1] != 0.0
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("speed", [0.5, 40.0, 1e6])
 def test_stop_holds_obstacle_up_until_robot_leaves(speed):
     scene = scenario([rv.Moving(DISC, velocity=(speed, 0.0))], obstacle_push="stop")
@@ -158,6 +161,7 @@ def test_stop_holds_obstacle_up_until_robot_leaves(speed):
     assert sim.obstacle_offsets[0, 0, 0] > 2.5 + 0.4 * speed
 
 
+@pytest.mark.kernels
 def test_squeezed_robot_stops_the_obstacle():
     wall = rv.Polygon(((4.0, -5.0), (5.0, -5.0), (5.0, 5.0), (4.0, 5.0)))
     for speed in (0.5, 1e4):
@@ -177,6 +181,7 @@ def test_obstacles_from_two_sides_stop_at_a_robot_in_between():
     assert right - left < 2e-6
 
 
+@pytest.mark.kernels
 def test_pushing_in_3d_slides_along_floor_and_wall():
     floor = rv.Sphere((3.0, 0.0, -100.0), 100.0)
     ball = rv.Moving(rv.Sphere((0.0, 0.0, 0.2), 0.5), velocity=(1.0, 0.0, -0.01))
@@ -186,6 +191,7 @@ def test_pushing_in_3d_slides_along_floor_and_wall():
     assert sim.contacts[0] > 0
 
 
+@pytest.mark.kernels
 def test_waypoints_repeat_and_end():
     rows = ((0.0, 0.0, 0.0), (1.0, 2.0, 0.0), (3.0, 0.0, 0.0))
     there = {0.5: 1.0, 1.0: 2.0, 2.0: 1.0, 3.0: 0.0, 3.5: 1.0}
@@ -253,6 +259,7 @@ def played(scene: rv.Scenario, batch: int, steps: int = 60):
     return found
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("push", ["push", "stop"])
 @pytest.mark.parametrize(
     ("model", "dim"), [("single_integrator", 2), ("unicycle", 2), ("nonholonomic_3d", 3)]
@@ -265,9 +272,9 @@ def test_batch_equals_singles_with_moving_obstacles(model, dim, push):
 
 
 def test_no_robot_is_ever_inside_an_obstacle():
-    for contact in ("slide", "stop"):
+    for mode in ("slide", "stop"):
         for push in ("push", "stop"):
-            scene = crossing(obstacle_contact=contact, obstacle_push=push)
+            scene = crossing(obstacle_contact=mode, obstacle_push=push)
             sim = rv.Simulator(scene, 40)
             sim.reset(0)
             random = np.random.default_rng(1)
@@ -325,6 +332,7 @@ def test_ignored_obstacles_pass_through_robots():
     assert sim.min_clearance[0] < -0.4
 
 
+@pytest.mark.kernels
 def test_merge_beside_a_fast_obstacle_stays_outside():
     """Robots merge early in a step in which an obstacle passes their place."""
     bar = rv.Polygon(((-1.0, -2.0), (-0.9, -2.0), (-0.9, 2.0), (-1.0, 2.0)))
@@ -369,3 +377,37 @@ def test_moving_survives_files(tmp_path):
 def test_options_replace_no_moving_obstacles():
     with pytest.raises(ValueError, match="those given to a reset stand still"):
         rv.Simulator(crossing()).reset(0, {"obstacles": [DISC]})
+
+
+X, Y, Z = np.eye(3)
+
+
+@pytest.mark.kernels
+@pytest.mark.parametrize(
+    ("wish", "rows", "velocity"),
+    [
+        ((1.0, 2.0, 0.0), [(X, 0.5)], (1.0, 2.0, 0.0)),  # faster than the obstacle
+        ((0.0, 2.0, 0.0), [(X, 0.5)], (0.5, 2.0, 0.0)),  # pushed, and slides
+        ((-1.0, -1.0, 0.0), [(X, 0.5), (Y, 0.0)], (0.5, 0.0, 0.0)),  # pushed along a wall
+        ((0.0, 0.0, 0.0), [(X, 0.5), (-X, 0.0)], None),  # between an obstacle and a wall
+        ((0.0, 0.0, 0.0), [(X, 0.5), (-X, -0.7)], (0.5, 0.0, 0.0)),  # the other leaves faster
+        ((-1.0, -1.0, -1.0), [(X, 0.1), (Y, 0.2), (Z, 0.3)], (0.1, 0.2, 0.3)),  # a corner
+    ],
+)
+def test_nearest_allowed_velocity_by_hand(wish, rows, velocity):
+    held = np.array([normal for normal, _ in rows for _ in range(2)])
+    levels = np.array([level for _, level in rows for _ in range(2)])
+    dim = 3 if len(rows) == 3 else 2
+    possible, found = contact.nearest_allowed(wish, held, levels, len(held), dim)
+    assert possible == (velocity is not None)
+    if possible:
+        np.testing.assert_allclose(found, velocity, atol=1e-12)
+
+
+@pytest.mark.kernels
+def test_halt_all_marks_obstacles_that_still_move():
+    world = world_of(pack([DISC, DISC, DISC], 3))
+    plans = np.array([[1.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.4], [0.0, 0.0, 0.0, 1.0]])
+    halts = np.zeros(3, np.bool_)
+    contact._halt_all((0.0, 0.0, 0.0), 0.5, world, plans, halts)
+    assert halts.tolist() == [True, False, False]

@@ -219,6 +219,7 @@ def test_mixed_team_moves_each_robot_by_its_own_model():
             np.testing.assert_allclose(moved[:, i], way, atol=1e-12)
 
 
+@pytest.mark.kernels
 def test_mixed_team_batch_equals_singles():
     for one, other in zip(played(mixed(), 1), played(mixed(), 7), strict=True):
         for name in ("positions", "memory", "merged_into"):

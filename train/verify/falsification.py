@@ -46,7 +46,7 @@ PATIENT_STEPS = 1000
 FEW_STEPS = 8, 80
 """Minimum and maximum number of steps of trials whose time bound cannot be reached."""
 _PARENTS = 3  # starts from which those of the next generation are made
-_LAWS = {"unicycle": "unicycle", "nonholonomic_3d": "nonholonomic-3d"}
+_LAWS = {"unicycle": "unicycle", "mixed": "by-model", "nonholonomic_3d": "nonholonomic-3d"}
 _HOW = ("by", "arguments", "frame", "period", "seed", "policy", "numbers")
 """Fields of a trial that are written in addition to its scenario."""
 
