@@ -155,17 +155,17 @@ class Shapes:
         return select(skin, normal, one), select(skin, normal, other)
 
     def within(self, world: World, point: Point, reach: Any) -> Array:
-        """Whether the bounding balls with skins are nearer than ``reach``, m, (M, *batch)."""
+        """True where the bounding balls with skins are nearer than ``reach``, m, (M, *batch)."""
         square: Any = sum((point[k] - world.shapes[:, MIDDLE + k]) ** 2 for k in range(3))
         bound = world.shapes[:, BOUND] + world.skins + reach
         return world.present & (square <= bound * bound)
 
     def is_clear(self, world: World, point: Point, margin: Any) -> Array:
-        """Whether a point has distances ≥ ``margin``, m, to all obstacles and skins, (*batch)."""
+        """True where a point has distances ≥ ``margin``, m, to all obstacles and skins, (*batch)."""
         return jnp.all(self.distances(world, point) >= margin + world.skins, axis=0)
 
     def hides(self, world: World, point: Point, way: Point) -> Array:
-        """Whether a straight path goes into an obstacle beyond contact, (*batch)."""
+        """True where a straight path goes into an obstacle beyond contact, (*batch)."""
         entries = self.entry(world, point, way, self.tolerances.depth)
         return jnp.any(entries <= 1.0, axis=0)
 
