@@ -33,8 +33,8 @@ _TRIES = 40
 _CORNERS = 0.25  # share of scenarios that are drawn where promises would break first
 _TOLERABLE = 0.8
 """Fraction of scenarios with one sensor imperfection small enough for some theorem."""
-_CLOCKED = 0.25  # share of scenarios in which robots have clocks of their own
-_EVENTFUL = 0.25  # share of scenarios with failures or disturbances
+_CLOCKED = 0.08  # share of scenarios in which robots have clocks of their own
+_EVENTFUL = 0.08  # share of scenarios with failures or disturbances
 _CLIMBING = 0.15  # share of trials whose starts are improved
 _SIZES = (2, 3, 3, 3, 4, 4, 4, 5, 6)
 _MODELS = (
