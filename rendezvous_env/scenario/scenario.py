@@ -23,7 +23,6 @@ from ..graphs import Graph, GraphLike
 from ..limits import LONGEST_NAME, MAX_OBSTACLES, MAX_ROBOTS, MAX_STEPS
 from ..obstacles import parsing as obstacles
 from ..obstacles import spatial_index
-from ..obstacles.moving import moves
 from ..obstacles.parsing import Obstacles
 from ..rewards.costs import as_costs
 from ..rewards.terms import RewardWeights

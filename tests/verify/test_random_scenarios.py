@@ -59,14 +59,20 @@ def test_random_scenarios_cover_all_kinds():
     exact = vars(rv.Sensing())
     flaws = {name for one in drawn for name in exact if vars(one.sensing)[name] != exact[name]}
     assert flaws == set(exact) - {"custom"}
-    clocks = {(one.activation.kind, one.hold) for one in drawn if not one.activation.synchronous}
-    assert clocks == {*itertools.product(("periodic", "random", "bounded"), ("command", "stop"))}
-    kinds = {"crash", "blind", "adversary", "compass", "slip", "disturbance", "noise"}
-    assert set().union(*(one.events.kinds for one in drawn)) == kinds
     steps = [scenario.tau / scenario.certified_step for scenario in drawn]
     assert min(steps) < 0.15 and max(steps) > 15
     given = [np.array(s.start_positions) for s in drawn if s.start_positions is not None]
     assert 300 < len(given) < 600
+
+
+def test_random_scenarios_cover_clocks_and_events(monkeypatch):
+    for share in ("_CLOCKED", "_EVENTFUL"):
+        monkeypatch.setattr(random_scenarios, share, 0.9)
+    drawn = [trials_of(0, number, number)[0].scenario for number in range(200)]
+    clocks = {(one.activation.kind, one.hold) for one in drawn if not one.activation.synchronous}
+    assert clocks == {*itertools.product(("periodic", "random", "bounded"), ("command", "stop"))}
+    kinds = {"crash", "blind", "adversary", "compass", "slip", "disturbance", "noise"}
+    assert set().union(*(one.events.kinds for one in drawn)) == kinds
 
 
 def test_equal_seed_gives_equal_scenario():

@@ -35,8 +35,8 @@ _TOLERABLE = 0.8
 """Fraction of scenarios with one sensor imperfection small enough for some theorem."""
 _BY_CHANCE = 0.35
 """Fraction of these with detection by chance, for which a mean time is bounded."""
-_CLOCKED = 0.25  # share of scenarios in which robots have clocks of their own
-_EVENTFUL = 0.25  # share of scenarios with failures or disturbances
+_CLOCKED = 0.08  # share of scenarios in which robots have clocks of their own
+_EVENTFUL = 0.08  # share of scenarios with failures or disturbances
 _CLIMBING = 0.15  # share of trials whose starts are improved
 _SIZES = (2, 3, 3, 3, 4, 4, 4, 5, 6)
 _MODELS = (
