@@ -94,7 +94,7 @@ docs: .venv/installed
 
 .venv/installed: .venv/run
 	$(BIN)/pip install --quiet --constraint constraints.txt torch==2.13.0
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[train,render,analysis,export,jax,docs,dev]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[train,render,analysis,export,jax,maps,logs,docs,dev]'
 	touch $@
 
 .venv-lint/installed: constraints-lint.txt

@@ -82,7 +82,7 @@ def _messages(path: Path) -> tuple[list[Any], list[Any]]:
             for connection, stamp, raw in reader.messages(used):
                 found = _TOPIC.fullmatch(connection.topic)
                 assert found is not None
-                message = reader.deserialize(raw, connection.msgtype)
+                message: Any = reader.deserialize(raw, connection.msgtype)
                 time, robot = 1e-9 * (stamp - start), found["robot"]
                 if found["what"] == "bearings":
                     seen.append((time, robot, np.asarray(message.data, np.float64)))
