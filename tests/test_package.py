@@ -50,6 +50,8 @@ ROOMS = (
     {"render"},
     {"envs"},
     {"rendezvous_v0", "vector", "safe_names"},
+    {"jax.arrays"},
+    {"jax.obstacles", "jax.filters"},
     {"jax"},
     {"adapters"},
 )

@@ -1,7 +1,7 @@
 """The environment as pure functions: ``make``, ``reset`` and ``step``."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +28,9 @@ from ..scenario.scenario import CONTACT_MODES, Scenario
 from ..scenario.scenarios import ScenarioLike, resolve
 from ..scenario.start_options import seeds_of_environments
 from ..sensors.imperfections import imperfections_of
-from .array_form import Array, array_form, norm_of
+from .arrays.array_form import Array, array_form, norm_of
+from .arrays.selection import divided
+from .arrays.some_teams import for_teams
 from .coverage import check_covered, raise_not_covered
 from .filters.heading import Heading
 from .filters.tank import Tank
@@ -36,9 +38,7 @@ from .imperfections import Sensor, delayed
 from .merging import Merging, Moving
 from .obstacles.contact import ObstacleContact
 from .obstacles.fields import Fields
-from .selection import divided
 from .sensing import sense, sense_obstacles
-from .some_teams import for_teams
 from .starts import Starts
 
 Info = dict[str, Array]
@@ -318,7 +318,9 @@ class RendezvousJaxEnv:
         each = {"contact": contact.astype(self._dtype)}  # links are lost by merging only
         names = self.scenario.costs
         costs = {f"cost_{name}": each.get(name, jnp.zeros_like(each["contact"])) for name in names}
-        return costs | ({"cost": sum(costs.values(), start=0.0)} if names else {})
+        if names:
+            costs["cost"] = sum(costs.values(), jnp.zeros_like(each["contact"]))
+        return costs
 
     def _closeness(self, state: State) -> Array:
         """Σ_i max(0, 1 − clearance_i/range), see ``team_reward``."""
@@ -359,7 +361,7 @@ class RendezvousJaxEnv:
         way, length = self._motion["propose"](self._model, inputs, frame, kept)
         way = tuple(jnp.where(acting, part, 0.0) for part in way)
         ways, length = jnp.stack(way, axis=1), jnp.where(acting, length, 0.0)
-        contact, met = jnp.zeros(acting.shape, bool), FREE
+        contact, met = jnp.zeros(acting.shape, bool), cast(Any, FREE)
         if self._contact is not None:
             near = acting & (state.clearance < self._contact.reach)
             curve = inputs, frame, kept

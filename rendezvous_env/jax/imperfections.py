@@ -17,8 +17,8 @@ from ..scenario.scenario import Scenario
 from ..sensors import chance
 from ..sensors.imperfections import imperfections_of, is_in_view, is_seen
 from ..sensors.sensing import Sensing
-from .array_form import Array, array_form, replaces
-from .random_streams import Word, exclusive_or, mix, stream_key, times, word, word_of
+from .arrays.array_form import Array, array_form, replaces
+from .arrays.random_streams import Word, exclusive_or, mix, stream_key, times, word, word_of
 
 COVERED = ("range", "field_of_view", "noise", "bias", "dropout", "delay", "delay_time")
 """Fields of ``Sensing`` that the JAX form covers."""

@@ -5,7 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from ..scenario.observation_layout import ObservationLayout
-from .array_form import Array
+from .arrays.array_form import Array
 
 
 def net_bearing(observations: Any, layout: ObservationLayout) -> Array:

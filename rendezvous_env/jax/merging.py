@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..physics.crossings import first_crossing
-from .array_form import Array, array_form
+from .arrays.array_form import Array, array_form
 from .obstacles.fields import Fields
 
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from ..physics.potential import observed, sighting
 from ..physics.vectors import local_axis, to_local
-from .array_form import Array, array_form
+from .arrays.array_form import Array, array_form
 from .imperfections import Sensor
 from .obstacles.shapes import Shapes, World
 

@@ -17,9 +17,9 @@ from ..physics.random_streams import FRAMES, GRAPH, START, draw_rotation
 from ..robots.motion import init_memory
 from ..robots.robot_models import constants_of
 from ..scenario.scenario import Scenario
-from .array_form import Array, array_form
+from .arrays.array_form import Array, array_form
+from .arrays.random_streams import Word, stream_key, uniform
 from .obstacles.fields import Fields
-from .random_streams import Word, stream_key, uniform
 
 
 class Start(NamedTuple):

@@ -61,7 +61,8 @@ SLOW = {
 """Covered by the other cases, except for compilation."""
 SCENARIOS = FAST | SLOW
 KERNELS = (
-    "two rows", "packing", "flying among solids", "errors", "drawn graphs", "errors in space",
+    "two rows", "packing", "field", "measured", "flying among solids", "errors", "drawn graphs",
+    "errors in space", "measured in space", "measured in two rows",
 )  # fmt: skip
 """Cases that together call every kernel of a step."""
 MEETS_NOTHING = (

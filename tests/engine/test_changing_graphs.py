@@ -280,6 +280,7 @@ def test_proximity_starts_are_connected_after_merges():
         rv.Simulator(made.replace(spawn_size=200.0)).reset(0)
 
 
+@pytest.mark.kernels
 def test_directed_cycle_weights_are_sampled_or_given():
     graph = graphs.directed_cycle((0.5, 2.0))
     sim = started(scenario(graph=graph), 3)

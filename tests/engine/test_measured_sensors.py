@@ -267,6 +267,7 @@ def test_persistence_without_a_miss_changes_nothing():
 
 
 @BOTH
+@pytest.mark.kernels
 def test_outliers_are_uniform_directions_of_the_length_of_a_row(scenario):
     sim, exact = simulator(sensing(scenario, outliers=0.25), 400), simulator(scenario, 400)
     rows, true = by_robot(neighbours(sim)), by_robot(neighbours(exact))

@@ -18,7 +18,7 @@ from rendezvous_env.sensors.chance import cosine_and_sine, gaussian
 def test_random_streams_equal_the_engine_bit_by_bit(rj):
     import jax.numpy as jnp
 
-    streams = importlib.import_module("rendezvous_env.jax.random_streams")
+    streams = importlib.import_module("rendezvous_env.jax.arrays.random_streams")
     seeds = [0, 1, 2**32 - 1, 2**32, 0x9E3779B97F4A7C15, 2**63 - 1]
     for seed in seeds:
         for purpose in (0, 3):
@@ -32,7 +32,7 @@ def test_random_streams_equal_the_engine_bit_by_bit(rj):
 
 @pytest.mark.parametrize("kernel", [first_crossing, mean_speed, mean_cos_sin])
 def test_forms_that_select_equal_kernels_that_branch(kernel, rj):
-    array_form = importlib.import_module("rendezvous_env.jax.array_form").array_form
+    array_form = importlib.import_module("rendezvous_env.jax.arrays.array_form").array_form
     rng = np.random.default_rng(0)
     a, b = rng.uniform(-1.0, 1.0, (2, 400, 3))
     b[::3] *= 1e-4
@@ -139,7 +139,7 @@ def test_skins_of_balls_equal_the_kernels(rj):
 
 
 def test_a_branch_that_is_not_supported_is_refused(rj):
-    form = importlib.import_module("rendezvous_env.jax.array_form").array_form
+    form = importlib.import_module("rendezvous_env.jax.arrays.array_form").array_form
 
     def first_negative(values):
         for value in values:
@@ -157,7 +157,7 @@ def test_random_rotations_equal_the_kernels_when_compiled(kernel, rj):
     import jax.numpy as jnp
 
     importlib.import_module("rendezvous_env.jax.imperfections")
-    form = importlib.import_module("rendezvous_env.jax.array_form").array_form
+    form = importlib.import_module("rendezvous_env.jax.arrays.array_form").array_form
     words = np.random.default_rng(4).integers(0, 2**32, 300, dtype=np.uint32)
     words[:4] = 0, 1, 2**32 - 1, 2**31
     given, more = (words, ()) if kernel is gaussian else (words.view(np.int32) * 1e-9, (False,))
@@ -169,7 +169,7 @@ def test_random_rotations_equal_the_kernels_when_compiled(kernel, rj):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_certified_headings_equal_the_filter(dim, rj):
-    form = importlib.import_module("rendezvous_env.jax.array_form").array_form
+    form = importlib.import_module("rendezvous_env.jax.arrays.array_form").array_form
     rng = np.random.default_rng(1)
     raw, f, previous = rng.standard_normal((3, 300, dim))
     raw[::5], f[::7], previous[::11] = 0.0, 0.0, 0.0

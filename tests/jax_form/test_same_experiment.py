@@ -89,7 +89,8 @@ CASES = {
     "noise on a cycle": ("ring-12", None, {"sensing": rv.Sensing(noise=0.2, dropout=0.2)}),
 }  # fmt: skip
 SETTINGS = ("certified", "frame", "bearing_error", "budget", "observe_level")
-FAST = {"plane", "drawn arcs", "heading", "tank", "discs", "noise"}
+FAST = {"drawn arcs", "heading", "tank", "discs"}
+TOUCHING = {"discs", "figure", "corridor", "all shapes", "spheres", "unicycles among discs"}
 
 
 def choices(rng, env, observations, guarantee):
@@ -155,5 +156,4 @@ def test_step_agrees_with_the_engine(case, rj):
             np.testing.assert_allclose(np.asarray(info["final_obs"])[ended], final, atol=2e-6)
     assert ends > 0, "no episode ended, so that none began anew"
     assert merged > 0 or name == "duo" or "clutter" in name, "nobody merged"
-    if engine.unwrapped.scenario.obstacles and name != "fig3":
-        assert touched > 0, "nobody touched an obstacle"
+    assert touched > 0 or case not in TOUCHING, "nobody touched an obstacle"

@@ -146,6 +146,7 @@ class TestSkins:
             assert not world_of(table, dim=scenario.dim).skins.any()
 
 
+@pytest.mark.kernels
 class TestMotion:
     """Motion near a wall of two tiles with its face on y = 0, robots below it."""
 

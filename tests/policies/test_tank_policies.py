@@ -27,7 +27,7 @@ def made(scenario=CLUTTER, **options):
 @pytest.mark.parametrize(
     ("name", "budget", "teams", "least"),
     [
-        ("clutter-24", 0.0, 32, 10_000),
+        pytest.param("clutter-24", 0.0, 32, 10_000, marks=pytest.mark.kernels),
         ("clutter-24", 5.0, 32, 10_000),
         ("slab-3d", 5.0, 32, 10_000),
         ("unicycle-clutter-24-slow", 0.0, 120, 100_000),

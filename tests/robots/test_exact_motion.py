@@ -12,6 +12,7 @@ from scipy.integrate import quad, solve_ivp
 
 from rendezvous_env.robots import motion
 from rendezvous_env.robots.double_integrator import DoubleIntegrator, final_velocity, mean_speed
+from rendezvous_env.robots.single_integrator import SingleIntegrator
 from rendezvous_env.robots.unicycle import mean_cos_sin
 
 pytestmark = pytest.mark.kernels
@@ -60,6 +61,21 @@ def test_body_frame_is_rotation_with_heading_first(yaw, pitch):
 
 
 TAU, V_MAX, A_MAX = 0.4, 2.0, 5.0
+
+
+def test_default_equations_describe_straight_motion_without_memory():
+    model, frame, action = SingleIntegrator(0.1, 1.0), (0.6, -0.8, 0.8, 0.6), (3.0, 4.0)
+    defaults = motion.motion_of(SingleIntegrator)
+    way, _ = defaults.propose(model, action, frame, ())
+    half = defaults.displacement_at(model, action, frame, (), 0.05)
+    np.testing.assert_allclose(half, np.array(way) / 2.0, rtol=1e-15)
+    assert math.hypot(*way) == pytest.approx(0.1)
+    assert defaults.chord_error_bound(model, action, ()) == 0.0
+    assert defaults.update(model, action, frame, (1.5,), way, motion.FREE) == (1.5,)
+    assert defaults.frame(model, frame, ()) == frame and defaults.sense(model, frame, ()) == ()
+    assert defaults.init(model, 1, 0) == () and defaults.period(model, action, ()) == math.inf
+
+
 MODEL = DoubleIntegrator(TAU, V_MAX, A_MAX, (0.0, 0.0))
 GLOBAL = (1.0, 0.0, 0.0, 1.0)
 numbers = st.floats(-3, 3).map(lambda x: round(x, 4))

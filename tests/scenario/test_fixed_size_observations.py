@@ -85,6 +85,7 @@ def test_nearest_neighbours_of_large_sparse_teams():
     np.testing.assert_allclose(seen[0], wanted, atol=1e-6)
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("fields", [{}, {"robot_model": "double_integrator"}])
 def test_nearest_obstacles_are_shown_in_their_order(fields):
     scenario = Scenario(

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from ...compilation import inner_kernel, kernel
-from ...graphs.edges import ARCS, edge_weight, load_links, pair_index
+from ...graphs.edges import ARCS, edge_weight, pair_index
 from ...physics.packing import apart
 from ...physics.potential import bearing_factor, observed, sighting
 from ...physics.random_streams import GRAPH, SWITCHING, stream_key, uniform
@@ -241,13 +241,3 @@ def hide_docked(lanes, first, last, docked, robots, positions, rows):
                     if touched < n - 1 and j != i and apart(positions, i, j) <= docked:
                         row = rows[block - first, i, j - (j > i)]
                         row[2 * lane : 2 * lane + 2] = 0.0
-
-
-@kernel
-def list_links(links, block, n, first, second, weights):
-    """``load_links`` of a block's rows, with all pairs for DENSE; returns their number."""
-    if links.form == 0:
-        for e in range(links.first.shape[1]):
-            first[e], second[e] = links.first[0, e], links.second[0, e]
-        return links.first.shape[1]
-    return load_links(links, block, 0, n, first, second, weights)

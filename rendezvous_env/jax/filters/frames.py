@@ -11,7 +11,7 @@ from ...physics.vectors import cross, split, without
 from ...safety.frames import _CLEARLY_LONGER, _NEARLY_ALONG
 from ...safety.safety_filter import SafetyFilter
 from ...safety.turning import Robot
-from ..array_form import Array, array_form, select, square_root
+from ..arrays.array_form import Array, array_form, select, square_root
 
 
 class Seen(NamedTuple):

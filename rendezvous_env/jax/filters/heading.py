@@ -16,7 +16,7 @@ from ...safety.heading import (
     without_error,
 )
 from ...safety.turning import Gate, desired_rates, gated_rates, mean_axis, rates_of
-from ..array_form import Array, array_form
+from ..arrays.array_form import Array, array_form
 from .frames import Seen, held, look, nothing_seen
 
 Vector = Any

@@ -23,7 +23,7 @@ from ...safety.tank import (
     unit_of_tanks,
 )
 from ...safety.turning import desired_rates, gated_rates, rates_of
-from ..array_form import Array, array_form, select
+from ..arrays.array_form import Array, array_form, select
 from .frames import Seen, held, look, nothing_seen
 from .heading import turned, vector_of
 

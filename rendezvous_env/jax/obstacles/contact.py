@@ -16,14 +16,13 @@ from ...obstacles.contact import (
     _MOST_WORK,
     SLIDE,
     STOP,
-    _onto_face,
 )
 from ...obstacles.obstacle_set import _MAX_PUSHES
-from ...physics.vectors import dot, triple
+from ...physics.vectors import cross, dot, triple
 from ...robots.motion import SLID, STOPPED, chord_error_bound, displacement_at, period
-from ..array_form import Array, array_form, norm_of, select
-from ..selection import divided
-from ..some_teams import for_teams
+from ..arrays.array_form import Array, array_form, norm_of, select
+from ..arrays.selection import divided
+from ..arrays.some_teams import for_teams
 from .fields import Fields
 from .shapes import Shapes, World
 
@@ -203,7 +202,7 @@ class Contact:
         most = jnp.max(count)
 
         def is_free(candidate: Any) -> Array:
-            rounding = 1e-12 * norm_of(candidate)
+            rounding = self._tolerances.into * norm_of(candidate)
             along = jnp.maximum(_dot(candidate, one), _dot(candidate, other))
             return ~jnp.any(touched & (along < -rounding), axis=0)
 
@@ -219,7 +218,13 @@ class Contact:
             better = exists & (length > longest) & is_free(candidate)
             return jnp.where(better, length, longest), select(better, candidate, chosen)
 
-        face = array_form(_onto_face)
+        def face(m: Any, n: Any) -> Any:
+            """``contact._onto_face``: onto a plane, or the line in which two planes meet."""
+            line, along = array_form(cross)(m, n), _dot(velocity, n)
+            squared = _dot(line, line)
+            plane = tuple(v - along * part for v, part in zip(velocity, n, strict=True))
+            onto_line = _scaled(line, divided(_dot(velocity, line), squared))
+            return select(squared < self._tolerances.parallel, plane, onto_line)
 
         def pair_up(now: Any) -> Any:
             i, j, best = now
@@ -227,9 +232,9 @@ class Contact:
             mine, others = normals_at(i), normals_at(j)
             if self._shapes.dim == 2:  # two planes leave no direction in the plane
                 for normal in mine:
-                    best = consider(best, face(velocity, normal, normal), exists)
+                    best = consider(best, face(normal, normal), exists)
                 return i + 1, i + 1, best
-            best = consider(best, face(velocity, mine[0], others[0]), exists)
+            best = consider(best, face(mine[0], others[0]), exists)
             wraps = j + 1 >= most
             return jnp.where(wraps, i + 1, i), jnp.where(wraps, i + 1, j + 1), best
 

@@ -18,9 +18,9 @@ from ...obstacles.shape import ABSENT, AHEAD, BOUND, CONTACT_DEPTH, DETAILS, MID
 from ...obstacles.walls import _NUMBERS, _TRIES, BOX, _draw_layout
 from ...physics.random_streams import OBSTACLES
 from ...scenario.scenario import Scenario
-from ..array_form import Array, array_form, norm_of
-from ..random_streams import Word, stream_key, uniform
-from ..selection import divided
+from ..arrays.array_form import Array, array_form, norm_of
+from ..arrays.random_streams import Word, stream_key, uniform
+from ..arrays.selection import divided
 from .shapes import COARSE, EXACT, Shapes, World
 
 MOST_SPHERES = 16
@@ -109,7 +109,7 @@ class Fields:
             (shapes, zero, zero + 1, zero),
         )
         none = jnp.zeros((slots, *batch), self._dtype)
-        return World(indices < m, _failed(shapes, m < count), none)
+        return World(jnp.asarray(indices) < m, _failed(shapes, m < count), none)
 
     def _fits(self, row: Array, shapes: Array, earlier: Any, starts: Any) -> Array:
         """``fields._fits`` for a ball with this row (4, *batch)."""

@@ -30,8 +30,8 @@ from ...obstacles.shape import (
 )
 from ...physics.crossings import capsule_crossing
 from ...physics.vectors import combine, cross, dot
-from ..array_form import Array, array_form, norm_of, replaces, select, square_root
-from ..selection import divided
+from ..arrays.array_form import Array, array_form, norm_of, replaces, select, square_root
+from ..arrays.selection import divided
 
 Point = Any  # a triple of arrays (*batch), m
 
@@ -45,16 +45,18 @@ class World(NamedTuple):
 
 
 class Tolerances(NamedTuple):
-    """Lengths within which contact is decided, m; see ``obstacles.contact``."""
+    """Lengths within which contact is decided, m, and ratios; see ``obstacles.contact``."""
 
     depth: float  # from which a path is a contact
     touching: float  # rounding error of the distance of a resting robot, negative
     touched_skin: float  # contact distance of a skin
     vertex: float  # of points on a vertex
+    into: float  # share of a velocity that may point into a surface
+    parallel: float  # squared sine of the angle below which two planes are parallel
 
 
-EXACT = Tolerances(CONTACT_DEPTH, -1e-13, 1e-8, 1e-9)
-COARSE = Tolerances(1e-4, -1e-5, 1e-5, 1e-5)
+EXACT = Tolerances(CONTACT_DEPTH, -1e-13, 1e-8, 1e-9, 1e-12, 1e-24)
+COARSE = Tolerances(1e-4, -1e-5, 1e-5, 1e-5, 1e-6, 1e-10)
 """Those of float32, in which places at 10 m are 1 µm apart."""
 
 
@@ -153,17 +155,17 @@ class Shapes:
         return select(skin, normal, one), select(skin, normal, other)
 
     def within(self, world: World, point: Point, reach: Any) -> Array:
-        """Whether the bounding balls with skins are nearer than ``reach``, m, (M, *batch)."""
+        """True where the bounding balls with skins are nearer than ``reach``, m, (M, *batch)."""
         square: Any = sum((point[k] - world.shapes[:, MIDDLE + k]) ** 2 for k in range(3))
         bound = world.shapes[:, BOUND] + world.skins + reach
         return world.present & (square <= bound * bound)
 
     def is_clear(self, world: World, point: Point, margin: Any) -> Array:
-        """Whether a point has distances ≥ ``margin``, m, to all obstacles and skins, (*batch)."""
+        """True where a point has distances ≥ ``margin``, m, to all obstacles and skins, (*batch)."""
         return jnp.all(self.distances(world, point) >= margin + world.skins, axis=0)
 
     def hides(self, world: World, point: Point, way: Point) -> Array:
-        """Whether a straight path goes into an obstacle beyond contact, (*batch)."""
+        """True where a straight path goes into an obstacle beyond contact, (*batch)."""
         entries = self.entry(world, point, way, self.tolerances.depth)
         return jnp.any(entries <= 1.0, axis=0)
 

@@ -97,7 +97,7 @@ def rewritten(function: FunctionType) -> tuple[CodeType, set[str]]:
 
 
 def _check(node: ast.FunctionDef) -> None:
-    for one in ast.walk(node):
+    for one in (x for x in ast.walk(node) if isinstance(x, ast.stmt)):
         returns = isinstance(one, ast.For) and any(isinstance(x, ast.Return) for x in ast.walk(one))
         if returns or isinstance(one, _UNSUPPORTED):
             raise NotImplementedError(
@@ -114,7 +114,7 @@ class _Branches:
 
     def block(self, statements: list[ast.stmt], bound: set[str]) -> list[ast.stmt]:
         """Rewritten statements, given the names that have a value before them."""
-        bound, out = set(bound), []
+        bound, out = set(bound), list[ast.stmt]()
         for k, statement in enumerate(statements):
             if isinstance(statement, ast.If):
                 if _returns(statement.body) or _returns(statement.orelse):
@@ -165,7 +165,9 @@ class _Branches:
                 defaults=[ast.Name(one, ast.Load()) for one in own],
             )
             code: Any = self.block(body, bound) or [ast.Pass()]
-            defined.append(ast.FunctionDef(name, given, code, [], type_params=[]))
+            made: Any = ast.FunctionDef(name, given, code, [])
+            made.type_params = []  # which Python 3.12 and later need
+            defined.append(made)
         functions = [ast.Name(name, ast.Load()) for name in names]
         return defined, _call("choose__", test, *functions)
 

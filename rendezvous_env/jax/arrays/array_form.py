@@ -17,9 +17,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..physics import random_streams as engine_streams
-from ..physics.potential import bearing_factor
-from ..physics.vectors import dot, split, store
+from ...physics import random_streams as engine_streams
+from ...physics.potential import bearing_factor
+from ...physics.vectors import dot, split, store
 from . import random_streams
 from .selection import HELPERS, divided, is_static, rewritten
 

@@ -1,0 +1,114 @@
+"""Contacts and merges among obstacles against the kernels, robot by robot."""
+
+import importlib
+
+import numpy as np
+import pytest
+
+import rendezvous_env as rv
+from rendezvous_env.graphs.merging import merge_swept
+from rendezvous_env.obstacles import obstacle_set
+from rendezvous_env.obstacles.contact import SLIDE, STOP, move_straight
+
+WORLDS = {
+    "mixed": [
+        rv.Capsule(((-1.0, -1.0), (1.0, 1.5)), 0.4),
+        rv.Disc((1.5, -1.0), 0.6),
+        rv.Polygon(((-2.0, 1.0), (-1.0, 1.0), (-1.0, 2.0), (-2.0, 2.0))),
+    ],
+    "seams": [
+        rv.Polygon(((-2.0, -1.0), (0.0, -1.0), (0.0, 1.0), (-2.0, 1.0))),
+        rv.Polygon(((0.0, -1.0), (2.0, -1.0), (2.0, 1.0), (0.0, 1.0))),
+        rv.Disc((0.0, 1.5), 0.5),
+    ],
+    "space": [
+        rv.Capsule(((-1.0, -1.0, 0.3), (1.0, 1.5, -0.2)), 0.6),
+        rv.Sphere((1.0, -0.4, 0.5), 0.8),
+        rv.Sphere((0.0, 0.0, 0.0), 0.9),
+    ],
+}
+
+
+def fields_of(name):
+    """Obstacles of the JAX form, and as the engine keeps them."""
+    import jax.numpy as jnp
+
+    fields = importlib.import_module("rendezvous_env.jax.obstacles.fields")
+    given = WORLDS[name]
+    scenario = rv.Scenario(n_robots=2, dim=given[0].dim, obstacles=given)
+    world = obstacle_set.world_of(obstacle_set.pack(given, len(given)), dim=given[0].dim)
+    return fields.Fields(scenario, jnp.float64), world
+
+
+@pytest.mark.parametrize(
+    ("name", "mode"),
+    [
+        ("seams", SLIDE),
+        pytest.param("mixed", SLIDE, marks=pytest.mark.slow),
+        pytest.param("mixed", STOP, marks=pytest.mark.slow),
+        pytest.param("space", SLIDE, marks=pytest.mark.slow),
+    ],
+)
+def test_contacts_equal_the_kernels(name, mode, rj):
+    import jax
+
+    contact = importlib.import_module("rendezvous_env.jax.obstacles.contact")
+    fields, world = fields_of(name)
+    dim, rng = WORLDS[name][0].dim, np.random.default_rng(0)
+    points, ways = rng.uniform(-2.5, 2.5, (600, 3)), rng.uniform(-1.0, 1.0, (600, 3))
+    points[:, dim:], ways[:, dim:] = 0.0, 0.0
+    for k in range(0, 300, 2):  # on a surface, or within a skin
+        points[k + 1] = obstacle_set.push_out(tuple(points[k]), world, -1e-13)[1]
+        for m in range(len(world.kinds)):
+            distance, normal = obstacle_set.surface(world, m, tuple(points[k + 1]))
+            if k % 4 == 0 and distance < 3e-6:
+                points[k + 1] -= 0.5 * distance * np.array(normal)
+    outside = [min(obstacle_set.distance_to(world, m, tuple(p)) for m in range(3)) for p in points]
+    chosen = np.array(outside) > -1e-12
+    points, ways = points[chosen], ways[chosen]
+    normals, expected = np.zeros((6, 3)), []
+    for point, way in zip(points, ways, strict=True):
+        expected.append(move_straight(tuple(point), tuple(way), world, mode, normals))
+    move = contact.Contact(fields.shapes, mode).move_straight
+    met, executed = jax.jit(lambda p, w: move(fields.world(None, 1), p, w))(
+        tuple(points.T), tuple(ways.T)
+    )
+    np.testing.assert_array_equal(met, [one[0] for one in expected])
+    np.testing.assert_allclose(np.stack(executed, axis=1), [one[1] for one in expected], atol=1e-9)
+    assert 50 < np.sum(met) < len(points)
+
+
+def test_pairs_behind_obstacles_do_not_merge(rj):
+    import jax
+    import jax.numpy as jnp
+
+    merging = importlib.import_module("rendezvous_env.jax.merging")
+    fields, world = fields_of("mixed")
+    n, radius, rng = 4, 0.9, np.random.default_rng(1)
+    first, second = np.triu_indices(n, 1)
+    starts, ways = rng.uniform(-2.2, 2.2, (2, 150, n, 2))
+    ways *= 0.3
+    merge = jax.jit(merging.Merging(n, radius, False, False, fields, through=False))
+    moving = merging.Moving(
+        jnp.moveaxis(jnp.asarray(starts), 0, -1),
+        jnp.moveaxis(jnp.asarray(ways), 0, -1),
+        jnp.ones((n, 150)),
+        jnp.broadcast_to(1.0 - jnp.eye(n)[..., None], (n, n, 150)),
+        jnp.broadcast_to(jnp.arange(n)[:, None], (n, 150)),
+    )
+    found, hidden = merge(moving), 0
+    for k in range(150):
+        results = []
+        for through in (False, True):
+            places, left, lengths = starts[k].copy(), ways[k].copy(), np.ones(n)
+            links = first.copy(), second.copy(), np.ones(len(first))
+            into, work = np.arange(n), (np.zeros(6), np.zeros((n, 2)), np.zeros(n, bool))
+            given = places, left, lengths, links, None, into, world, radius
+            merge_swept(*given, (*work, np.zeros(4)), through)
+            results.append((places[into], into, lengths))
+        places, into, lengths = results[0]
+        np.testing.assert_array_equal(found.merged_into[:, k], into)
+        np.testing.assert_allclose(found.lengths[:, k], lengths, atol=1e-9)
+        np.testing.assert_allclose(np.asarray(found.positions)[into, :, k], places, atol=1e-9)
+        hidden += int((into != results[1][1]).any())
+    assert hidden > 5, "no obstacle prevented a merge"
