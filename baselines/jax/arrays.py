@@ -5,7 +5,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rendezvous_env.jax.array_form import Array, angle_of, square_root
+from rendezvous_env.jax.arrays.array_form import Array, angle_of, square_root
 
 __all__ = [
     "Array", "angle_of", "length_of", "parts_of", "quotient", "select", "square_root", "where",

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from rendezvous_env.jax.array_form import array_form
+from rendezvous_env.jax.arrays.array_form import array_form
 from rendezvous_env.safety.heading import scale_of_step
 from rendezvous_env.safety.turning import Robot
 

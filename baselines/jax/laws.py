@@ -5,7 +5,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from rendezvous_env.jax.array_form import array_form
+from rendezvous_env.jax.arrays.array_form import array_form
 from rendezvous_env.jax.laws import bearing_only_law, flexible_velocity
 
 from ..laws import paper_laws

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rendezvous_env.jax.array_form import array_form
+from rendezvous_env.jax.arrays.array_form import array_form
 from rendezvous_env.physics.vectors import rotated
 from rendezvous_env.safety.heading import certify_one, scale_of_step, turn_limit
 from rendezvous_env.safety.tank import unit_of_tanks

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rendezvous_env.jax.array_form import array_form, replaces
+from rendezvous_env.jax.arrays.array_form import array_form, replaces
 from rendezvous_env.physics.vectors import cross_in_plane, dot, rotated, split
 
 from ..obstacle_rules.merged_silhouettes_2d import (

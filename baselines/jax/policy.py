@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from rendezvous_env.checks import short_repr
-from rendezvous_env.jax.array_form import Array, array_form
+from rendezvous_env.jax.arrays.array_form import Array, array_form
 from rendezvous_env.robots.single_integrator import limit_factor
 from rendezvous_env.safety.heading import step_scale
 from rendezvous_env.scenario.scenario import Scenario

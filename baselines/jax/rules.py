@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from rendezvous_env.jax.array_form import array_form
+from rendezvous_env.jax.arrays.array_form import array_form
 from rendezvous_env.jax.laws import flexible_velocity
 from rendezvous_env.physics.vectors import combine, dot, perpendicular, rotated, split
 from rendezvous_env.safety.heading import certify_one, turn_limit

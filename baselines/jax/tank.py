@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from rendezvous_env.jax.array_form import array_form
+from rendezvous_env.jax.arrays.array_form import array_form
 from rendezvous_env.physics.vectors import dot, scaled, split
 from rendezvous_env.robots.single_integrator import limit_factor
 from rendezvous_env.safety.tank import (
