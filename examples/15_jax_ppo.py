@@ -26,7 +26,7 @@ for name, usual in sizes.items():  # steps are decisions in an update, reports c
     parser.add_argument(f"--{name}", type=int, default=usual)
 given = parser.parse_args()
 GAMMA, LAMBDA, CLIP, EPOCHS, MINIBATCHES, ENTROPY, RATE = 0.99, 0.95, 0.2, 4, 16, 3e-3, 1e-3
-HOLD, CONTACT, WIDTH, HELD_OUT = 12, 0.5, 64, 1_000_000  # steps, penalty, units, first seed
+HOLD, CONTACT, WIDTH, HELD_OUT = 12, 0.5, 64, 1_000_000  # steps, of first contact, units, seed
 ANGLES = jnp.array([0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0, 1.4, -1.4])  # rad from f
 HEADINGS = jnp.stack([jnp.cos(ANGLES), jnp.sin(ANGLES)], axis=-1)
 
@@ -105,15 +105,14 @@ def hold(env, state, seen, choices):
         return (state, seen, told), None
 
     none = jnp.zeros(choices.shape, bool)
-    told = {"final": seen, "into": jnp.broadcast_to(jnp.arange(n), choices.shape)}
-    told |= {"reward": jnp.zeros(choices.shape), "touched": none}
-    told |= {"ended": none[:, 0], "late": none[:, 0]}
+    told = {"final": seen, "touched": none, "ended": none[:, 0], "late": none[:, 0]}
+    told |= {"into": jnp.broadcast_to(jnp.arange(n), none.shape), "reward": jnp.zeros(none.shape)}
     return jax.lax.scan(step, (state, seen, told), None, HOLD)[0]
 
 
 def collect(network, now, key):
     """One decision of all robots, and the sample of it."""
-    state, seen, last = now
+    state, seen, last, touched = now
     logits, value = evaluate(network, seen, last)
     choices = jax.random.categorical(key, logits)
     acted = state.merged_into.T == jnp.arange(n)
@@ -121,9 +120,10 @@ def collect(network, now, key):
     sample["log_prob"] = of(jax.nn.log_softmax(logits), choices)
     state, seen, told = hold(env, state, seen, choices)
     cut = told["late"][:, None] * evaluate(network, told["final"], choices)[1]
-    sample["reward"] = told["reward"] - CONTACT * told["touched"] + GAMMA * cut
+    sample["reward"] = told["reward"] - CONTACT * (told["touched"] & ~touched) + GAMMA * cut
     sample |= {"ended": told["ended"], "into": told["into"]}
-    return (state, seen, jnp.where(told["ended"][:, None], 0, choices)), sample
+    last, touched = jnp.where(told["ended"][:, None], 0, choices), touched | told["touched"]
+    return (state, seen, last, touched & ~told["ended"][:, None]), sample
 
 
 def of(log_probs, choices):
@@ -174,7 +174,7 @@ def update(now, index):
     acting, samples = jax.lax.scan(
         lambda acting, key: collect(network, acting, key), acting, jnp.stack(keys)
     )
-    gain = advantages(samples, evaluate(network, *acting[1:])[1])
+    gain = advantages(samples, evaluate(network, *acting[1:3])[1])
     kept = {name: samples[name] for name in ("seen", "last", "choices", "log_prob", "acted")}
     kept |= {"gain": gain, "target": gain + samples["value"]}
     flat = jax.tree.map(lambda part: part.reshape(-1, *part.shape[3:]), kept)
@@ -203,8 +203,7 @@ def judge(env, memory, act):
     begun = state, seen, memory, jnp.zeros((given.held_out, n), bool)
     state, *_, touched = jax.lax.while_loop(lambda now: (now[0].status == 0).any(), advance, begun)
     met, times = state.status == 1, state.steps * env.scenario.tau
-    free = met & ~touched.any(axis=-1)
-    return met.mean(), free.mean(), (met * times).sum() / met.sum()
+    return met.mean(), (met & ~touched.any(axis=-1)).mean(), (met * times).sum() / met.sum()
 
 
 @jax.jit
@@ -244,7 +243,8 @@ show(RULE, judge_rule())
 key, first = jax.random.split(jax.random.key(given.seed))
 network, (seen, state) = new_network(first), env.reset(given.seed)
 moments = 0, *(jax.tree.map(jnp.zeros_like, network) for _ in range(2))
-now = network, moments, (state, seen, jnp.zeros((given.envs, n), int)), key
+none = jnp.zeros((given.envs, n), int)
+now = network, moments, (state, seen, none, none > 0), key
 show("before", judge_network(network))
 many = jax.jit(lambda now, indices: jax.lax.scan(update, now, indices))
 for done in range(0, given.updates, given.report):
