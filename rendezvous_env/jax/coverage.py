@@ -48,7 +48,6 @@ def check_covered(scenario: Scenario) -> None:
         "sensing": bool(sensing),
         "neighbour_slots": slots is not None and slots != most,
         "neighbour_overflow": scenario.neighbour_overflow != "error",
-        "spawn_size": isinstance(scenario.spawn_size, tuple),
         "costs": bool(set(scenario.costs) - {"contact", "link_lost"}),
         "events": not scenario.events.none,
         "activation": not scenario.activation.synchronous,

@@ -155,12 +155,12 @@ class Player:
     def _driven_action(self, robot: int) -> NDArray[np.float64]:
         """Action of the held keys: at the limits of the robot, in its own frame."""
         scenario = self.simulator.scenario
-        bounds, dim = scenario.action_bounds, scenario.dim
+        own, bounds, dim = scenario.of_robot(robot), scenario.robot_bounds[robot], scenario.dim
         ways = [_DIRECTIONS[key] for key in self._held if key in _DIRECTIONS]
         right, up, third = np.sum(ways, axis=0) if ways else np.zeros(3)
         action = np.zeros(len(bounds))
-        if scenario.model.n_angles:  # speed along its axis, then turn rates: left is positive
-            action[: min(3, len(bounds))] = (up, -right, third)[: len(bounds)]
+        if own.model.n_angles:  # speed along its axis, then turn rates: left is positive
+            action[: own.action_size] = (up, -right, third)[: own.action_size]
             return action * bounds
         way = np.array([right, up, third][:dim], dtype=np.float64)
         if (length := float(np.linalg.norm(way))) > 0.0:

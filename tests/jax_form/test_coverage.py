@@ -24,7 +24,6 @@ import rendezvous_env as rv
         ("events", "duo", {"events": {"slip": 0.1}}),
         ("activation", "duo", {"activation": "random"}),
         ("merge_through_obstacles", "clutter-4", {"merge_through_obstacles": False}),
-        ("spawn_size", "duo", {"spawn_size": (4.0, 5.0)}),
         ("obstacles", "crossing-traffic-8", {}),
         ("robot_model", "mixed-8", {}),
         ("max_speed", "duo", {"max_speed": (1.0, 2.0)}),

@@ -156,6 +156,16 @@ def test_keys_drive_unicycle_by_speed_and_turn_rate(play, keys, sign):
     assert np.array_equal(player._driven_action(0), np.array(sign) * bounds)
 
 
+def test_keys_drive_robots_of_a_mixed_team_at_their_own_limits(play):
+    models, speeds = ("single_integrator", "unicycle", "unicycle"), (1.0, 2.0, 0.5)
+    player = play(robot_model=models, max_speed=speeds, obstacles=())
+    press(pygame.K_SPACE, pygame.K_d, pygame.K_UP)
+    player.advance()
+    actions = np.stack([player._driven_action(robot) for robot in range(3)])
+    assert np.linalg.norm(actions[0]) == pytest.approx(1.0)
+    assert actions[1:].tolist() == [[2.0, 0.0], [0.5, 0.0]]
+
+
 def test_driven_robot_in_3d_follows_view(play):
     starts = ((-4.0, 0.0, 0.0), (4.0, 0.0, 0.0), (0.0, 4.0, 1.0))
     player = play(lambda seen, _: np.zeros((1, 3, 3)), dim=3, start_positions=starts, obstacles=())
