@@ -37,7 +37,7 @@ class Config(Flags):
     """
 
     action: Positional[Literal["fit", "replay"]]
-    """fit: sensor model of the log. replay: open-loop replay through policies."""
+    """The action: fit a sensor model, or replay the log through policies, open-loop."""
     path: Positional[Path]
     """File or folder of the log."""
     out: Path | None = None
