@@ -2,7 +2,7 @@
 
 For each robot NAME a recording has ``/NAME/bearings``, std_msgs/Float64MultiArray, the angles that
 its node receives, rad, and ``/NAME/pose``, geometry_msgs/PoseStamped, ground truth. Times are those
-of recording, of one clock. examples/15_ros_recorder.py writes such files.
+of recording, of one clock. examples/17_ros_recorder.py writes such files.
 """
 
 import importlib.util

@@ -62,7 +62,7 @@ def run(seed, folder, *parameters, recording=None):
         if recording is not None:
             names = [f"robot{i}" for i in range(4)]
             recorder = start(
-                *(*python, ROOT / "examples/15_ros_recorder.py", recording, *names),
+                *(*python, ROOT / "examples/17_ros_recorder.py", recording, *names),
                 preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
             )
             robots.append(recorder)

@@ -1,6 +1,6 @@
 """Recorder of bearings and ground truth in ROS 2, for ``rendezvous sensor``.
 
-    python examples/15_ros_recorder.py OUT robot0 robot1 robot2 robot3
+    python examples/17_ros_recorder.py OUT robot0 robot1 robot2 robot3
 
 It needs `pip install 'rendezvous-env[ros,logs]'`. For each robot it records ``bearings``, which the
 node of 14_ros_node.py receives, and ``pose``, geometry_msgs/PoseStamped of motion capture, until
