@@ -29,6 +29,7 @@ DATA = (
     (rv.Sphere, "One of `[[obstacles]]`, in 3-D."),
     (rv.Capsule, "One of `[[obstacles]]`, in the plane or in 3-D."),
     (rv.Polygon, "One of `[[obstacles]]`, in the plane."),
+    (rv.Moving, "One of `[[obstacles]]`, in the plane or in 3-D; `shape` is one of the above."),
     (rv.ObstacleField, "The table `[obstacles]`: sampled for every episode."),
     (rv.WallField, "The table `[obstacles]`: sampled for every episode."),
 )
@@ -40,7 +41,10 @@ REFERENCE = {
         "Scenarios, graphs, obstacles, sensors",
         tuple(
             f"rendezvous_env/{room}"
-            for room in ("scenario", "graphs", "obstacles", "sensors", "rewards", "robots")
+            for room in (
+                *("scenario", "graphs", "obstacles", "traffic", "sensors", "rewards"),
+                "robots",
+            )
         ),
     ),
     "simulator": ("Simulator and trajectories", ("rendezvous_env",)),
