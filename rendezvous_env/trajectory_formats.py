@@ -168,4 +168,6 @@ def minari_dataset(trajectory: Any, name: str, **about: Any) -> MinariDataset:
 def _arrays(trajectory: Any) -> dict[str, NDArray[Any]]:
     """Arrays of every trajectory, and those recorded on request."""
     own = {name: array for name, array in vars(trajectory).items() if name in DIMENSIONS}
+    if not trajectory.obstacle_offsets.size:
+        del own["obstacle_offsets"]
     return own | trajectory.recorded

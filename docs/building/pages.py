@@ -29,6 +29,7 @@ DATA = (
     (rv.Sphere, "One of `[[obstacles]]`, in 3-D."),
     (rv.Capsule, "One of `[[obstacles]]`, in the plane or in 3-D."),
     (rv.Polygon, "One of `[[obstacles]]`, in the plane."),
+    (rv.Moving, "One of `[[obstacles]]`, in the plane or in 3-D; `shape` is one of the above."),
     (rv.ObstacleField, "The table `[obstacles]`: sampled for every episode."),
     (rv.WallField, "The table `[obstacles]`: sampled for every episode."),
 )
@@ -41,7 +42,8 @@ REFERENCE = {
         tuple(
             f"rendezvous_env/{room}"
             for room in (
-                *("scenario", "graphs", "obstacles", "sensors", "calibration", "rewards", "robots"),
+                *("scenario", "graphs", "obstacles", "traffic", "sensors", "calibration"),
+                *("rewards", "robots"),
             )
         ),
     ),

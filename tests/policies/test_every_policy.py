@@ -13,7 +13,7 @@ from baselines.policy import is_single_integrator
 from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.trajectory import begin, run
 
-SCENARIOS = ("clutter-8", "clutter-3d", "unicycle-6", "uav-6", "duo")
+SCENARIOS = ("clutter-8", "clutter-3d", "unicycle-6", "uav-6", "duo", "mixed-8")
 HEAVY = rv.Scenario(n_robots=3, robot_model="double_integrator")
 ROUNDED = ("learned", "learned-tank", "learned-tank-noise")
 """The order of a network's sums depends on the batch size."""
