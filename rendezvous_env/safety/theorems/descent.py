@@ -147,7 +147,7 @@ def progress_outlasts_rounding(scenario: Scenario, asked: Asked) -> str:
 
 
 def last_failure(scenario: Scenario) -> float:
-    """Time from which all sensors work and no more robots crash, s; 0 without such events."""
+    """Time from which all sensors work and no more robots crash, s, or 0 (theorem N2)."""
     events, tau = scenario.events, scenario.tau
     if events.n_blind + events.n_crashed > 0:
         return (scenario.max_steps + 1) * tau

@@ -99,7 +99,7 @@ def hull_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 
 
 def depth_gained(n: ArrayLike, dim: int, led: bool) -> Array:
-    """Minimum Σ_i ∫ sin x du over the normal cones N_i, x the angle from u to the edge, (...).
+    """Minimum Σ_i ∫ sin x du over the normal cones N_i, x the angle from u to the edge, (...), rad.
 
         2-D:   2 n (1 − cos(π/n)),                      3-D:   n π (sin φ − φ cos φ),   φ = π/n
 

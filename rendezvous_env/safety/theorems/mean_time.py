@@ -138,7 +138,7 @@ def lyapunov_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 
 
 def max_unlinked(scenario: Scenario) -> Array:
-    """Largest sets of robots without links among them, α_m, (n − 1,), an upper bound.
+    """Upper bounds on robots without links among them, α_m, an array (n − 1,), without unit.
 
     Each of E links has an end outside the set, which has Δ links at most: α ≤ n − E/Δ. Merging does
     not enlarge such a set. A graph that joins m robots has a link: α ≤ m − 1.
