@@ -8,7 +8,7 @@ actions, memory = policy.act(observations, memory)
 try:
     import jax as _jax  # noqa: F401
 except ImportError as error:
-    raise ImportError("baselines.jax needs JAX: pip install 'rendezvous-env[jax]'") from error
+    raise ImportError("policies in JAX need it: pip install 'rendezvous-env[jax]'") from error
 
 from . import laws, learned, rules
 from .policy import JaxPolicy, make, names
