@@ -161,7 +161,7 @@ class Shapes:
         return world.present & (square <= bound * bound)
 
     def is_clear(self, world: World, point: Point, margin: Any) -> Array:
-        """True where a point has distances ≥ ``margin``, m, to all obstacles and skins, (*batch)."""
+        """True where a point is ``margin``, m, from all obstacles and skins, (*batch)."""
         return jnp.all(self.distances(world, point) >= margin + world.skins, axis=0)
 
     def hides(self, world: World, point: Point, way: Point) -> Array:
