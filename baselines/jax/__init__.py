@@ -1,8 +1,10 @@
 """Policies as pure JAX functions, from the equations of ``baselines``.
 
-policy = baselines.jax.make("tangent-joined-tuned", "clutter-8")
-memory = policy.begin((num_envs,))
-actions, memory = policy.act(observations, memory)
+    policy = baselines.jax.make("tangent-joined-tuned", "clutter-8")
+    memory = policy.begin((num_envs,))
+    actions, memory = policy.act(observations, memory)
+
+``names`` lists the policies that have a JAX form.
 """
 
 try:
