@@ -60,7 +60,8 @@ def test_dataframe_row_matches_arrays(fig4):
 
 def test_dataset_has_all_arrays_with_units(fig4):
     found = fig4.to_xarray()
-    assert set(found.data_vars) == set(trajectory_formats.DIMENSIONS) - {"headings"}
+    absent = {"headings", "obstacle_offsets"}
+    assert set(found.data_vars) == set(trajectory_formats.DIMENSIONS) - absent
     for name in found.data_vars:
         np.testing.assert_array_equal(found[name], getattr(fig4, name))
     assert found.lyapunov.attrs["units"] == "m²/s"
@@ -69,6 +70,13 @@ def test_dataset_has_all_arrays_with_units(fig4):
     np.testing.assert_array_equal(found.step_end, fig4.times[1:])
     again = rv.Scenario.from_plain(json.loads(found.attrs["scenario"]))
     assert again == fig4.scenario
+
+
+def test_dataset_has_offsets_of_moving_obstacles():
+    played = rv.rollout("crossing-traffic-8", baselines.make("bearing-only", "crossing-traffic-8"))
+    found = played.to_xarray().obstacle_offsets
+    assert found.dims == ("time", "env", "obstacle", "axis") and found.attrs["units"] == "m"
+    np.testing.assert_array_equal(found, played.obstacle_offsets)
 
 
 def test_z_and_all_angles_have_names():
