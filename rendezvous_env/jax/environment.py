@@ -267,7 +267,7 @@ class RendezvousJaxEnv:
         took_part, running = state.merged_into == self._robots, state.status == RUNNING
         before = state
         state, contact = self._move(state, action, took_part & running)
-        touched = jnp.sum(contact, axis=0)
+        touched = jnp.sum(contact, axis=0, dtype=jnp.int32)
         state = state.replace(contacts=state.contacts + touched)
         costs = self._costs(contact)
         if isinstance(self._filter, Tank):

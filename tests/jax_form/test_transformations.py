@@ -172,3 +172,27 @@ def test_what_is_not_a_number_stays_in_its_team(rj):
     assert np.isfinite(reward[1])
     assert np.isfinite(state.positions[..., 1]).all()
     assert (state.merged_into[:, 1] != np.arange(3)).any()
+
+
+@pytest.mark.parametrize("wide", [False, True])
+@pytest.mark.parametrize(
+    ("name", "guarantee", "changes"),
+    [
+        ("cloud-8", None, {}),
+        ("clutter-4", "tank", {"sensing": rv.Sensing(noise=0.1, dropout=0.1, delay=2)}),
+        ("uav-6", "heading", {"sensing": rv.Sensing(range=5.0, bias=0.1)}),
+        ("corridor", None, {"robot_model": "unicycle", "merge_through_obstacles": False}),
+    ],
+)
+def test_a_step_keeps_the_types_of_the_state(name, guarantee, changes, wide, rj):
+    import jax
+
+    with jax.enable_x64(wide):
+        env = rj.make(name, guarantee, num_envs=2, autoreset_mode="SAME_STEP", **changes)
+        seed = jax.ShapeDtypeStruct((2, 2), np.uint32)
+        _, before = jax.eval_shape(env._begin, seed)
+        action = jax.ShapeDtypeStruct(env.action_space.shape, np.float32)
+        _, after, *_ = jax.eval_shape(env._go, before, action)
+    assert jax.tree.structure(before) == jax.tree.structure(after)
+    pairs = zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True)
+    assert all(a.dtype == b.dtype and a.shape == b.shape for a, b in pairs)
