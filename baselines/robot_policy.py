@@ -119,7 +119,7 @@ class RobotPolicy(OneRobot):
         self, scenario: ScenarioLike, policy: str | Path | Policy = "learned", **options: Any
     ) -> None:
         scenario = resolve(scenario)
-        check_steerable(scenario, "a RobotPolicy steers")
+        check_one_robot(scenario)
         if isinstance(policy, Path):
             policy = f"{registry.AT_PATH}{policy}"
         if isinstance(policy, str):
@@ -130,6 +130,16 @@ class RobotPolicy(OneRobot):
                 "policy", policy, "a name, a Path, or a function of observations and time"
             )
         super().__init__(scenario, policy, common_gain(scenario))
+
+
+def check_one_robot(scenario: Scenario) -> None:
+    """Raise a ValueError for robots that cannot be steered, or whose limits or models differ."""
+    check_steerable(scenario, "a RobotPolicy steers")
+    if scenario.per_robot:
+        raise ValueError(
+            f"scenario has a list of {scenario.per_robot[0]}; a RobotPolicy needs the scenario of "
+            "one robot: scenario.of_robot(i)"
+        )
 
 
 def common_gain(scenario: Scenario) -> float:

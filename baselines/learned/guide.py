@@ -247,8 +247,8 @@ class GuidedTeams:
         is_choice = (numbers >= 0) & (numbers < count) & (numbers == np.floor(numbers))
         for team, robot in np.argwhere(~is_choice):
             raise ValueError(
-                f"action of robot_{robot} in team {team} is {given[team, robot]}; it must be a "
-                f"integer below {count}"
+                f"action of robot_{robot} in team {team} is {given[team, robot]}; it must be "
+                f"an integer below {count}"
             )
         self.choices = numbers.astype(np.int64)
         self._directions = self._turns[self.choices]

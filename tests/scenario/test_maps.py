@@ -273,7 +273,7 @@ class TestOutlines:
         ("options", "words"),
         [
             ({"tolerance": -1}, "tolerance is -1; it must be a finite number from 0"),
-            ({"max_shapes": 0}, "max_shapes is 0; it must be a whole number, 1 or more"),
+            ({"max_shapes": 0}, "max_shapes is 0; it must be an integer, 1 or more"),
             ({"unknown": "wall"}, "unknown is 'wall'; it must be one of 'occupied', 'free'"),
             ({"cell_size": 0}, "cell_size is 0; it must be a positive"),
             ({"min_occupancy": 0}, "min_occupancy is 0; it must be a finite number from"),

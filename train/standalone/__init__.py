@@ -15,8 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from rendezvous_env.baselines import policy as registry
 from rendezvous_env.baselines.learned.policy_settings import PolicySettings
-from rendezvous_env.baselines.robot_policy import RobotPolicy, check_kind, common_gain
-from rendezvous_env.baselines.steering import check_steerable
+from rendezvous_env.baselines.robot_policy import (
+    RobotPolicy,
+    check_kind,
+    check_one_robot,
+    common_gain,
+)
 
 from rendezvous_env import __version__
 from rendezvous_env.scenario.scenario import Scenario
@@ -127,6 +131,8 @@ TEAM = SimpleNamespace(
     n_robots=1,  # that are steered from here; the numbers below are those of the whole team
     observation_layout=ObservationLayout({layout}),
     action_bounds=np.array({bounds}),
+    robot_bounds=np.array([{bounds}]),
+    per_robot=(),
     model=SimpleNamespace(**{model}),
     **{numbers},
 )
@@ -215,7 +221,7 @@ def text_of(
     scenario. A ValueError names robots or a policy that ``RobotPolicy`` does not support either, or
     code that cannot be in one file.
     """
-    check_steerable(scenario, "a RobotPolicy steers")
+    check_one_robot(scenario)
     stand_ins, roots, extra = _STAND_INS | _OF_OTHER_DIMENSIONS[scenario.dim], list(_ROOTS), ""
     if scenario.dim == 2:
         roots += _WHEELS

@@ -199,7 +199,7 @@ def departs_by_chance(*more: str) -> Assumption:
 
 def _mean_time(scenario: Scenario, asked: Asked) -> str:
     """Remark on the mean time of law (1) for a message: where it is, or why there is none."""
-    if asked.by != "law":
+    if asked.by != "law" or not scenario.activation.synchronous or scenario.events.kinds:
         return ""
     if not departs_by_chance("noise")(scenario, asked):
         return "; see expected_time_bound for the mean time of law (1)"
