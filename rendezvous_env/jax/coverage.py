@@ -44,7 +44,6 @@ def check_covered(scenario: Scenario) -> None:
         "robot_model": is_custom(scenario.model),
         "start_region": scenario.start_region is not None,
         "meeting": scenario.meeting != "merge",
-        "merge_through_obstacles": not scenario.merge_through_obstacles,
         "sensing": bool(sensing),
         "neighbour_slots": slots is not None and slots != most,
         "neighbour_overflow": scenario.neighbour_overflow != "error",

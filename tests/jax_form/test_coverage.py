@@ -23,7 +23,6 @@ import rendezvous_env as rv
         ("costs", "duo", {"costs": ("rise",)}),
         ("events", "duo", {"events": {"slip": 0.1}}),
         ("activation", "duo", {"activation": "random"}),
-        ("merge_through_obstacles", "clutter-4", {"merge_through_obstacles": False}),
         ("obstacles", "crossing-traffic-8", {}),
         ("robot_model", "mixed-8", {}),
         ("max_speed", "duo", {"max_speed": (1.0, 2.0)}),

@@ -120,7 +120,7 @@ class TestRegistry:
             (HEAVY, {"damped", *everywhere}),
         ):
             assert set(baselines.names(scenario)) == wanted
-        assert len(baselines.names()) == 32
+        assert len(baselines.names()) == 33
 
     def test_policies_have_descriptions_in_order_of_kind(self):
         """Exactly the oracles, which read positions, have privileged in name and kind."""
