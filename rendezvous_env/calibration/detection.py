@@ -81,7 +81,7 @@ class View(NamedTuple):
 
 
 def share_in_view(bearing: Floats, half_field: float, falloff: float) -> Floats:
-    """By what the edge of the field of view multiplies the probability of detection."""
+    """Factor of the detection probability due to the edge of the field of view."""
     inside = half_field - np.abs(bearing)
     if falloff < 1e-9:
         return (inside >= 0.0).astype(np.float64)

@@ -219,7 +219,7 @@ class Player:
         return int(inside[0]) if len(inside) else None
 
     def _drag(self, pixel: tuple[int, int]) -> None:
-        """Move what is dragged to the mouse, unless a robot would be in an obstacle."""
+        """Move the dragged object to the mouse, unless a robot would be in an obstacle."""
         if self._dragged is None:
             return
         (kind, index), point = self._dragged, self._renderer.points(np.array(pixel, np.float64))

@@ -33,7 +33,7 @@ class Config(Flags):
     rosbag2 or MCAP recording, or WSR result files (.json).
 
     fit estimates the fields of Sensing with 99 % intervals. replay passes the logged bearings to
-    policies, and tells for which share of the time their motion would have decreased V.
+    policies, and reports the share of time in which their motion would have decreased V.
     """
 
     action: Positional[Literal["fit", "replay"]]

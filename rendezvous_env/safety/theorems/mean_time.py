@@ -1,4 +1,4 @@
-"""Theorems E[T] and E[L]: mean time of law (1) where chance decides what a robot detects.
+"""Theorems E[T] and E[L]: mean time of law (1) under random detection.
 
 **Sensor.** All rows are refreshed together, at most h apart, h = τ without a sample period, and
 held. Given the past, link ij is detected with probability p(‖p_ij‖) ≥ q, independently per ordered
