@@ -97,8 +97,8 @@ _WHEELS = (
 )
 NUMBERS = (
     "name", "dim", "robot_model", "merge_radius", "tau", "certified_step", "dead_zone",
-    "max_degree", "speed_limit", "min_speed_limit", "max_turn_rate", "scales_velocity", "drops_neighbours",
-    "action_size",
+    "max_degree", "speed_limit", "min_speed_limit", "max_turn_rate", "scales_velocity",
+    "drops_neighbours", "action_size",
 )  # fmt: skip
 """Scenario quantities used by single-robot policies."""
 
