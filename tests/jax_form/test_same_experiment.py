@@ -60,7 +60,9 @@ CASES = {
     "heading of unicycles": ("unicycle-6", "heading", {"n_robots": 4, "max_turn_rate": 2.0}),
     "heading of vehicles": ("uav-6", "heading", {"n_robots": 4}),
     "tank": ("cloud-8", "tank", {"dim": 2, "n_robots": 4, "budget": 2.0}),
-    "tank in space": ("cloud-8", "tank", {"n_robots": 4, "observe_level": True}),
+    "tank in space": (
+        "cloud-8", "tank", {"n_robots": 4, "observe_level": True, "spawn_size": 2.0},
+    ),
     "tank with errors": ("clutter-4", "tank", {"bearing_error": 0.1, "budget": 1.0, **LONG}),
     "tank of unicycles": ("unicycle-6", "tank", {"n_robots": 4, "budget": 2.0}),
     "tank of vehicles": ("uav-6", "tank", {"n_robots": 4, "budget": 2.0}),
