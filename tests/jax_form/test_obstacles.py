@@ -55,9 +55,10 @@ def test_contacts_equal_the_kernels(name, mode, rj):
     contact = importlib.import_module("rendezvous_env.jax.obstacles.contact")
     fields, world = fields_of(name)
     dim, rng = WORLDS[name][0].dim, np.random.default_rng(0)
-    points, ways = rng.uniform(-2.5, 2.5, (600, 3)), rng.uniform(-1.0, 1.0, (600, 3))
+    count = 600 if dim == 2 else 2400
+    points, ways = rng.uniform(-2.5, 2.5, (count, 3)), rng.uniform(-1.0, 1.0, (count, 3))
     points[:, dim:], ways[:, dim:] = 0.0, 0.0
-    for k in range(0, 300, 2):  # on a surface, or within a skin
+    for k in range(0, count // 2, 2):  # on a surface, or within a skin
         points[k + 1] = obstacle_set.push_out(tuple(points[k]), world, -1e-13)[1]
         for m in range(len(world.kinds)):
             distance, normal = obstacle_set.surface(world, m, tuple(points[k + 1]))
