@@ -1,5 +1,7 @@
 """Teams whose robots differ in speed, turn rate, acceleration and body radius."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -234,6 +236,23 @@ def test_unicycles_of_a_mixed_team_move_as_in_a_team_of_unicycles():
         ).all():
             for name in ("positions", "memory"):
                 np.testing.assert_array_equal(one[name][:, 1:3], other[name][:, 1:3])
+
+
+@pytest.mark.kernels
+def test_unicycles_of_a_mixed_team_slide_as_in_a_team_of_unicycles():
+    starts = [[-2.0, 2.0], [0.5, -0.3], [1.2, 0.3], [-2.0, -2.0]]
+    headings = [[0.0], [math.pi / 2.0], [math.pi], [0.0]]  # robots 1 and 2 face the disc
+    scene = mixed(start_positions=starts, start_headings=headings)
+    actions, found = np.array([[[0.0, 0.0], [3.0, 0.4], [3.0, -0.4], [0.0, 0.0]]]), []
+    for scenario in (scene, scene.replace(robot_model="unicycle")):
+        sim = rv.Simulator(scenario, 1)
+        sim.reset(0)
+        touched = np.zeros(4, np.bool_)
+        for _ in range(40):
+            touched |= sim.step(actions).contact[0]
+        found.append((touched.tolist(), sim.positions[0, 1:3]))
+    assert found[0][0] == found[1][0] == [False, True, True, False]
+    np.testing.assert_array_equal(found[0][1], found[1][1])
 
 
 def test_mixed_team_with_global_frames_has_them():
