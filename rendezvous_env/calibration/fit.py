@@ -35,6 +35,7 @@ from .tables import LogError
 _LEAST_ROWS = 50
 _CLOCKS = 0.5  # s, delay from which clocks are said to differ
 _FLAT = 0.01  # relative change of the spread below which a delay is not seen
+_RAREST = 1e-6  # rate of outliers that is not distinguished from none
 _FINEST = 1e-3  # rad, least scale of errors that may be outliers
 _ZERO = Estimate(0.0, 0.0, 0.0)
 
@@ -222,6 +223,8 @@ def _fields(found: Estimates, parameters: dict[str, Estimate], per_robot: bool) 
     if found.view.half_field.value >= math.pi:
         fields.pop("field_of_view", None)
         fields.pop("view_falloff", None)
+    if parameters["outliers"].low < _RAREST:
+        fields.pop("outliers", None)
     if found.outliers.kind == "robot" and "outliers" in fields:
         fields["outlier_kind"] = "robot"
     fields.update(_detection(found.view, len(found.chances.seen)))

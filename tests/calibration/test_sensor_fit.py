@@ -134,11 +134,11 @@ def test_an_all_round_sensor_with_dropout_has_no_other_effect():
     sensing = {"noise": 0.05, "dropout": 0.2}
     ((bearings, poses),) = simulate(sensing, seeds=(0,), duration=120.0, n_robots=3)
     fields = fit_sensor(from_tables(bearings, poses)).fields
-    assert set(fields) <= {"noise", "dropout", "sample_period", "outliers", "bias", "observer_bias"}
+    assert set(fields) <= {"noise", "dropout", "sample_period", "bias", "observer_bias"}
     assert fields["noise"] == pytest.approx(0.05, rel=0.05)
     assert fields["dropout"] == pytest.approx(0.2, abs=0.03)
     assert fields["sample_period"] == pytest.approx(0.1, rel=1e-3)
-    assert fields.get("outliers", 0.0) < 1e-3 and fields.get("bias", 0.0) < 0.01
+    assert fields.get("bias", 0.0) < 0.01
 
 
 def test_bearings_of_other_robots_are_told_from_uniform_outliers():
