@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .blocks import Blocks, half_width
-from .errors import Estimate, _lowest
+from .errors import SIGNIFICANT, Estimate, most_likely
 from .frames import Chances
 from .log import Floats, Mask
 
@@ -21,7 +21,6 @@ _FLOOR = 0.003
 _ROUNDS = 3
 _RUN = 3.0
 """Detections in a row that count as one, for the end of the blind zone."""
-_SIGNIFICANT = 9.0
 
 
 class Binned(NamedTuple):
@@ -209,7 +208,7 @@ def _field(
         [_likelihoods(rows, p, np.array([h]), falloffs).sum(axis=0) for h in halves]
     ).reshape(len(halves), -1)
     total[halves == math.pi, 1:] = -np.inf  # no edge, no fall-off
-    if total[halves == math.pi, 0] > total.max() - 0.5 * _SIGNIFICANT:
+    if total[halves == math.pi, 0] > total.max() - 0.5 * SIGNIFICANT:
         return math.pi, 0.0  # no robot was missed for its bearing
     h, w = np.unravel_index(np.argmax(total), total.shape)
     half, falloff = float(halves[h]), float(falloffs[w])
@@ -325,14 +324,8 @@ def find_memory(chances: Chances, view: View, blocks: Blocks) -> Memory:
     white = np.where(b, p[second], 1.0 - p[second])
     gain = np.log(np.where(b[:, None], chance, 1.0 - chance)) - np.log(white)[:, None]
     block = blocks.of(rows.observer[second], rows.time[second])
-    sums = blocks.sums(block, gain)
-    total = sums.sum(axis=0)
-    if 2.0 * total.max() < _SIGNIFICANT:
-        return none
-    steps = np.log(times)
-    found = np.array([_lowest(steps, -one) for one in blocks.draws(block) @ sums])
-    value = math.exp(_lowest(steps, -total))
-    return none._replace(persistence=Estimate.by_factor(value, found, len(np.unique(block))))
+    found = most_likely(times, gain, block, blocks)
+    return none if found is None else none._replace(persistence=found)
 
 
 def _runs(rows: Chances) -> tuple[list[int], list[int]]:

@@ -17,10 +17,10 @@ _CORE = 3.5
 _SCAN = np.arange(-1.0, 2.0001, 0.05)
 """Delays of the scan, s."""
 _COARSE_ROWS, _FINE_ROWS = 3000, 20_000
-_LONGEST_WHITE = 9.0
-"""Twice the gain of log-likelihood from which a correlation is accepted."""
+SIGNIFICANT = 9.0
+"""Twice the gain of log-likelihood from which an effect is accepted."""
 _TAILS = (4.0, 8.0, 100.0)
-"""Degrees of freedom of errors that are not outliers, of which the most likely count."""
+"""Degrees of freedom of errors other than outliers; the most likely ones are used."""
 
 
 class Estimate(NamedTuple):
@@ -153,6 +153,21 @@ def _lowest(x: Floats, y: Floats) -> float:
     bend = a - 2.0 * b + c
     shift = 0.5 * (a - c) / bend if bend > 0.0 else 0.0
     return float(x[k] + np.clip(shift, -1.0, 1.0) * (x[k] - x[k - 1]))
+
+
+def most_likely(times: Floats, gain: Floats, block: Ints, blocks: Blocks) -> Estimate | None:
+    """Time constant of the largest likelihood, s; None if it explains no more than none does.
+
+    ``gain`` are log-likelihood ratios to independence, (N, len(times)), of entries in blocks (N,).
+    """
+    sums = blocks.sums(block, gain)
+    total = sums.sum(axis=0)
+    if 2.0 * total.max() < SIGNIFICANT:
+        return None
+    steps = np.log(times)
+    found = np.array([_lowest(steps, -one) for one in blocks.draws(block) @ sums])
+    value = math.exp(_lowest(steps, -total))
+    return Estimate.by_factor(value, found, len(np.unique(block)))
 
 
 class Constant(NamedTuple):
@@ -360,15 +375,8 @@ def correlation_time(
     rest = 1.0 - rho**2
     a, b = z[first][:, None], z[second][:, None]
     gain = -0.5 * np.log(rest) - 0.5 * (b - rho * a) ** 2 / rest + 0.5 * b**2
-    block = blocks.of(errors.observer[first], errors.time[first])
-    sums = blocks.sums(block, gain)
-    total = sums.sum(axis=0)
-    if 2.0 * total.max() < _LONGEST_WHITE:
-        return white
-    steps = np.log(times)
-    found = np.array([_lowest(steps, -one) for one in blocks.draws(block) @ sums])
-    value = math.exp(_lowest(steps, -total))
-    return Correlation(Estimate.by_factor(value, found, len(np.unique(block))), lags, values)
+    found = most_likely(times, gain, blocks.of(errors.observer[first], errors.time[first]), blocks)
+    return white if found is None else Correlation(found, lags, values)
 
 
 def _successive(errors: Errors, core: Mask, longest: float) -> tuple[Ints, Ints, Floats]:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from ..checks import raise_invalid, short_repr
 from ..compilation import by_type, kernel
-from ..deprecation import warn_renamed
+from ..deprecation import renamed_arguments
 from ..kernel_cache import depends_on
 from ..physics.vectors import scaled
 
@@ -107,11 +107,9 @@ class Motion(_Equations):
 
     __slots__ = ()
 
+    @renamed_arguments(**_RENAMED)
     def __new__(cls, *equations: Any, **named: Any) -> Motion:
         """Equations in order or by name; names of version 0.2 are accepted with a warning."""
-        for old in _RENAMED.keys() & named.keys():
-            warn_renamed(old, _RENAMED[old])
-            named[_RENAMED[old]] = named.pop(old)
         return super().__new__(cls, *equations, **named)
 
 

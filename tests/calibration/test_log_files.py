@@ -176,7 +176,7 @@ def test_empty_targets_are_frames_without_detections(folder):
 
 
 def test_wsr_files_give_errors_without_time(tmp_path):
-    """Two experiments with two transmitters, of which one bearing is off by 6°."""
+    """Two experiments with two transmitters; one bearing is off by 6°."""
 
     def packet(name, azimuth, x, y, measured):
         return {

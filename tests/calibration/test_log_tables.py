@@ -9,7 +9,7 @@ TURN = 0.5  # rad/s, of robot a
 
 
 def tables(count=60):
-    """Two robots at rest 2 m apart, of which the first turns, and exact bearings."""
+    """Two robots at rest 2 m apart, the first turning, and exact bearings."""
     time = 0.2 * np.arange(count)
     heading = TURN * time
     names = np.repeat(["a", "b"], count)

@@ -45,7 +45,7 @@ def test_fit_recovers_each_parameter_within_its_interval(fits):
 
 
 def test_intervals_are_narrow(fits):
-    """Of half the value or less, but for constant errors, of which a log has few."""
+    """Half the value or less, except for constant errors: a log has few of them."""
     for name in set(SCALARS) - {"bias", "observer_bias", "outliers", "view_falloff"}:
         one = fits[0].parameters[name]
         assert one.high - one.low < 0.5 * one.value, name

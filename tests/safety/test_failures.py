@@ -29,7 +29,7 @@ def episode(scenario, seed=0, steps=300):
 
 
 def test_one_crash_makes_a_stationary_root():
-    """The bound is that of the directed graph in which this robot observes nobody."""
+    """The bound is that of the directed graph in which this robot observes no other."""
     found = certificate(crashes=[[1, 2.0]])
     weights = 1.0 - np.eye(4)
     weights[1] = 0.0

@@ -32,7 +32,7 @@ class ObstacleMap(Sequence[Polygon]):
     source: str
     """File of the map."""
     shapes: tuple[Polygon, ...]
-    """Convex polygons, the union of which are the obstacles; m."""
+    """Convex polygons, m; their union is the obstacles."""
     bounds: tuple[float, float, float, float]
     """Extent of the map: least x and y, largest x and y, m."""
     _area: Area = field(compare=False)
