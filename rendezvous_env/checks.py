@@ -140,7 +140,9 @@ def one_or_each(field: str, value: Any, check: Callable[[str, Any], Any], unit: 
     if not is_sequence(value):
         return check(field, value)
     if len(value) == 0:
-        raise_invalid(field, value, f"one value, or a list of one for each robot {unit}".rstrip())
+        raise_invalid(
+            field, value, "one value, or a list of one for each robot" + f", {unit}" * bool(unit)
+        )
     each = tuple(check(f"{field}[{robot}]", entry) for robot, entry in enumerate(value))
     return each[0] if len(each) > 1 and len(set(each)) == 1 else each
 
