@@ -45,15 +45,18 @@ def over_teams(
 _entry_points: dict[tuple[Any, type, np.dtype[Any], int], Callable[..., Any]] = {}
 
 
-def over_robots(kernel: Any, part: Slice, constants: Any, *arrays: NDArray[Any]) -> Calls:
+def over_robots(
+    kernel: Any, part: Slice, constants: Any, *arrays: NDArray[Any], work: Any = None
+) -> Calls:
     """Call of a kernel for the robots of a slice.
 
     Its arguments are axes, (0, 1) or (0, 1, 2), the range of robots, constants, flat views of
-    ``arrays`` (B, n, ...) of any unit, observations first, and memory for ``lanes_of`` and rows.
+    ``arrays`` (B, n, ...) of any unit, observations first, and working memory, by default for
+    ``lanes_of`` and rows.
     """
     rows, d = arrays[0].shape[2:]
     robots, flat = by_robot(part, arrays)
-    arguments = (0, 1, 2)[:d], robots, constants, flat, room_for(rows, d)
+    arguments = (0, 1, 2)[:d], robots, constants, flat, room_for(rows, d) if work is None else work
     kind = kernel, type(constants), arrays[0].dtype, d  # all other types follow from these
     if (run := _entry_points.get(kind)) is None:
         run = _entry_points[kind] = entry_point(kernel, arguments)
