@@ -261,7 +261,8 @@ class GuidedTeams:
     def _aim_calls(self, part: Slice, observations: Float32, carried: Array, raw: Array) -> Calls:
         """Call that writes the directions of the rule to ``raw``, (B, n, 2)."""
         work = room_for_aim(observations.shape[2], self._rule.neighbour_slots)
-        arrays = observations, self._directions, carried, raw
+        bits = np.ascontiguousarray(observations).view(np.int64)
+        arrays = observations, bits, self._directions, carried, raw
         return over_robots(aim, part, self._rule, *arrays, work=work)
 
     def update_calls(self, part: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:

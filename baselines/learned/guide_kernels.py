@@ -23,6 +23,9 @@ from ..obstacle_rules.merged_silhouettes_2d import (
 )
 from ..steering import WITHIN
 
+_NO_SIGNS = 0x7FFFFFFF7FFFFFFF
+"""All bits of two float32 but their signs, since zeros have either sign."""
+
 
 class Rule(NamedTuple):
     """Parameters of the rule of merged intervals for kernels."""
@@ -43,10 +46,10 @@ def room_for_aim(rows: int, neighbour_slots: int) -> Any:
 def aim(axes, robots, rule, arrays, work):
     """Directions of the rule for f rotated by pairs (N, 2), to raw (N, 2).
 
-    ``arrays`` are observations, rotations (cos φ, sin φ), carried headings, and raw, which may be
-    the headings.
+    ``arrays`` are observations, their pairs of float32 as int64, rotations (cos φ, sin φ), carried
+    headings, and raw, which may be the headings.
     """
-    observations, rotations, headings, raw = arrays
+    observations, bits, rotations, headings, raw = arrays
     numbers, listed, intervals = work
     if numbers.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
         return
@@ -64,7 +67,7 @@ def aim(axes, robots, rule, arrays, work):
             towards = aside[0] if length > 0.0 else 1.0, aside[1] if length > 0.0 else 0.0
             write(towards, lanes.heading, lane)
             lanes.accepted[lane] = always_near
-        count = _list_visible(rows, K, intervals.shape[0], listed)
+        count = _list_visible(bits[first:stop], K, intervals.shape[0], listed)
         for k in range(count):
             lane, row = listed[0][0, k], listed[0][1, k]
             last, clockwise = load_pair(rows[lane, row]), load_pair(rows[lane, row + 1])
@@ -83,19 +86,19 @@ def aim(axes, robots, rule, arrays, work):
 
 
 @inner_kernel
-def _list_visible(rows, neighbour_slots, obstacles, listed):
-    """List visible obstacles of robots, rows (N, rows, 2); returns their number.
+def _list_visible(bits, neighbour_slots, obstacles, listed):
+    """List visible obstacles of robots, rows as int64 (N, rows, 1); returns their number.
 
     The list holds robots and first rows, in order; ``listed[1][0]`` is where each robot's begin.
     """
     (found, _), count = listed, 0
-    for lane in range(len(rows)):
+    for lane in range(len(bits)):
         listed[1][0, lane] = count
         for m in range(obstacles):
             row = neighbour_slots + 2 * m
             found[0, count], found[1, count] = lane, row
-            count += (rows[lane, row, 0] != 0.0) | (rows[lane, row, 1] != 0.0)
-    listed[1][0, len(rows)] = count
+            count += (bits[lane, row, 0] & _NO_SIGNS) != 0
+    listed[1][0, len(bits)] = count
     return count
 
 

@@ -13,6 +13,7 @@ from .silhouettes import STRAIGHT_AHEAD, direction_of, is_seen
 TWO_PI = 2.0 * math.pi
 _ROUNDING = 1e-12
 _A_LITTLE_LESS = 1.0 - 1e-9
+_UNDECIDED = 1e-9  # rad; costs closer than this are compared exactly
 _FAR = 100.0  # rad; bound of sums of angles in this module
 
 
@@ -50,20 +51,27 @@ def joined_heading_2d(towards, silhouettes, carried, rule, intervals):
 def heading_past(towards, intervals, carried, rule):
     """Heading past merged intervals (count, 2) around a unit triple, see ``joined_headings_2d``."""
     clearance, persistence = rule
-    kept, weight = 0.0, 0.0
-    if carried[0] != 0.0 or carried[1] != 0.0:
-        kept = math.atan2(cross_in_plane(towards, carried), dot(towards, carried))
-        weight = persistence
     low, high, gap_below, gap_above = merged_interval(intervals)
     turn = 0.0
     if not (high - low >= TWO_PI or low >= clearance or high <= -clearance):
-        above = high + weight * _between(high, kept)
-        below = -low + weight * _between(low, kept)
-        if above <= below:
+        if _is_upper_nearer(low, high, towards, carried, persistence):
             turn = high + min(clearance, 0.5 * gap_above)
         else:
             turn = low - min(clearance, 0.5 * gap_below)
     return rotated(towards, turn)
+
+
+@inner_kernel
+def _is_upper_nearer(low, high, towards, carried, persistence):
+    """True if the counter-clockwise edge costs less: its angle plus λ times that from carried."""
+    if carried[0] == 0.0 and carried[1] == 0.0:
+        return high <= -low
+    # the two angles from carried differ by no more than the edges do
+    if abs(high + low) > persistence * _between(high, low) + _UNDECIDED:
+        return high < -low
+    kept = math.atan2(cross_in_plane(towards, carried), dot(towards, carried))
+    above = high + persistence * _between(high, kept)
+    return above <= -low + persistence * _between(low, kept)
 
 
 @inner_kernel
