@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 class CommandedTank(EnergyTank):
     """``EnergyTank`` without feedback about contacts and merges: steps are booked as commanded."""
 
-    uses_feedback = False
+    uses_feedback, reuses_calls = False, True
 
     def __init__(self, scenario: Scenario, num_envs: int, **arguments: Any) -> None:
         super().__init__(scenario, num_envs, frame="local", **arguments)
@@ -75,6 +75,8 @@ class HeadingTankFilter(CommandedTank):
     Δ = τ min(v_max, s ‖f‖) h,   s = min(1, r/(2 D τ))
     """
 
+    reuses_calls = True
+
     def __init__(self, scenario: Scenario, num_envs: int, **arguments: Any) -> None:
         super().__init__(scenario, num_envs, **arguments)
         self.carried = np.zeros((num_envs, scenario.n_robots, scenario.dim))
@@ -116,7 +118,7 @@ class GuidedTeams:
     decision, and ``apply`` in every step. Arguments and errors are those of ``Features``.
     """
 
-    uses_feedback = False  # as ``CommandedTank``
+    uses_feedback, reuses_calls = False, True  # as ``CommandedTank``
     action_diagnostics = ()
 
     def __init__(

@@ -1,7 +1,7 @@
 """Runner of step stages over the blocks of a batch, in several threads."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from operator import call
 from typing import Any, NamedTuple, Protocol
@@ -9,11 +9,12 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..compilation import entry_point
 from ..outcome import SCORES, StepOutput
 from . import threads
-from .memory import RUNNING
 from .memory_layout import scratch
 from .preparation import clocks, constants, events, robot, sensor, traffic
+from .stages.conclude import add_to_totals, begin_next_step
 from .state import State
 from .step import StepStages
 from .thread_tuner import ThreadTuner
@@ -28,7 +29,6 @@ _OBSTACLES, _ERRING, _CONTROLLED = 4, 2, 3
 """Relative cost of obstacle rows, of imperfect sensors, and of steps with a controller."""
 
 _Observations = NDArray[np.float32]  # annotations within ``step_n`` are looked up in every step
-_Steps = Iterator[Callable[[], Any]]
 ObservationCallback = Callable[[Slice, _Observations], Calls]
 """Maps a slice of the batch and observations (B, n, rows, d) to calls that read them."""
 
@@ -37,7 +37,8 @@ class BatchController(Protocol):
     """Controller that maps observations to actions by slices of the batch, as safety filters do."""
 
     uses_feedback: bool
-    """True if ``update_calls`` follow every step."""
+    """True if ``update_calls`` follow every step. An attribute ``reuses_calls``, if True, promises
+    that calls can be made again in further steps, with the same arrays."""
 
     @property
     def action_diagnostics(self) -> Sequence[NDArray[Any]]:
@@ -121,6 +122,7 @@ class BatchRunner:
         self._near = False
         """True if something could meet in the last step."""
         self._may_overflow = place.scenario.observation_layout.neighbour_slots < n - 1
+        self._bookkeepers: list[Callable[..., Any]] | None = None  # compiled on first use
         self._actions = np.zeros((place.batch, n, place.scenario.action_size), np.float32)
         self.limit(max_steps)
 
@@ -190,52 +192,68 @@ class BatchRunner:
         Resting environments, (B,), skip the first step; the array is overwritten.
         """
         state, output, actions = self._state, self.new_output(), self._actions
-        rewards, robot_rewards, touched = output.rewards, output.robot_rewards, output.contact
+        totals = output.rewards, output.robot_rewards, output.contact
         if count > 1:
-            rewards, robot_rewards = np.zeros_like(rewards), np.zeros_like(robot_rewards)
-            touched = np.zeros_like(touched)
+            totals = tuple(map(np.zeros_like, totals))
         lanes, follows = state.lanes, state.scenario.on_merge == "follow"
         if (tuner := self._tuners.get(count)) is None:
             tuner = self._tuners[count] = self._tuner_of(_CONTROLLED * count)
         while len(self._scratch) < tuner.max_threads:
             self._scratch.append(scratch(state.place))
         step_calls = self._step_calls(actions, output)
+        begin, add = self._bookkeeping(output, resting, totals)
+        reuses = getattr(controller, "reuses_calls", False)
 
-        def step(part: Slice, mine: Slice, now: _Observations) -> _Steps:
-            yield from controller.apply_calls(mine, now, actions)
-            yield from step_calls(part)
+        def calls_of_step(mine: Slice, now: _Observations, stages: Calls) -> Calls:
+            calls = [*controller.apply_calls(mine, now, actions), *stages]
             if controller.uses_feedback:
-                merged_into = state.merged_into
-                yield from controller.update_calls(mine, output.contact, merged_into, resting)
+                step = output.contact, state.merged_into, resting
+                calls += controller.update_calls(mine, *step)
+            return calls
 
-        def lead(part: Slice, mine: Slice) -> None:
+        def lead(mine: Slice, stages: Calls) -> None:
             rows, now = slice(*mine[:2]), observations
             diagnostics = [one[rows] for one in controller.action_diagnostics]
             for number in range(count):
                 if number:
-                    np.not_equal(output.status[rows], RUNNING, out=resting[rows])
-                    output.contact[rows] = False
+                    begin(*mine[:2])
+                if number and diagnostics:
                     active = ~resting[rows, None] & (follows | output.active[rows])
                     snapshot = DiagnosticsSnapshot(diagnostics, active)
-                for one in step(part, mine, now):
+                if number < 2 or not reuses:
+                    calls = calls_of_step(mine, now, stages)
+                for one in calls:
                     one()
-                if number:
+                if number and diagnostics:
                     snapshot.restore()
-                rewards[rows] += output.rewards[rows]
-                robot_rewards[rows] += output.robot_rewards[rows]
-                touched[rows] |= output.contact[rows]
+                add(*mine[:2])
                 now = output.observations
 
         def calls_of(part: Slice) -> Calls:
             mine = part[0] * lanes, min(part[1] * lanes, len(actions)), part[2]
-            steps = step(part, mine, observations) if count == 1 else [partial(lead, part, mine)]
+            steps = calls_of_step(mine, observations, step_calls(part)) if count == 1 else [partial(lead, mine, step_calls(part))]
             seen = callback(mine, output.observations) if callback is not None else ()
             return [*steps, *seen]
 
         threads.share(calls_of, state.place.blocks, tuner.begin(), tuner.head_start)
         tuner.end()
         self._last = output
-        return RolloutResult(output, rewards, robot_rewards, touched)
+        return RolloutResult(output, *totals)
+
+    def _bookkeeping(
+        self, output: StepOutput, resting: NDArray[np.bool_], totals: tuple[NDArray[Any], ...]
+    ) -> tuple[Callable[..., Any], Callable[..., Any]]:
+        """Calls before and after a step of several, for environments first ≤ b < stop."""
+        begun = output.status, resting, output.contact
+        added = output.rewards, output.robot_rewards, output.contact, totals
+        if self._bookkeepers is None:
+            both = (begin_next_step, begun), (add_to_totals, added)
+            self._bookkeepers = [entry_point(one, (0, 0, *given)) for one, given in both]
+        begin, add = self._bookkeepers
+        return (
+            lambda first, stop: begin(first, stop, *begun),
+            lambda first, stop: add(first, stop, *added),
+        )
 
     def compile(self) -> None:
         """Compile all stages, as ``Simulator.compile``."""

@@ -153,6 +153,7 @@ class SafetyFilter(StatefulMixin):
     chooses_vectors = True  # whether a choice is a vector, which turns with the frame it is seen in
     lowest_choice = -1.0  # the least that each number of a choice can be; the most is 1
     uses_feedback = False  # whether ``update`` has to be called after every step
+    reuses_calls = False  # whether calls can be made again in further steps, with the same arrays
     state_key = "filter"  # what its memory is called in a wrapper's state
     observes_level = False  # whether ``observe`` adds one row, the level of a robot's own tank
 
@@ -184,6 +185,8 @@ class SafetyFilter(StatefulMixin):
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Take the old names of what a subclass overrides for the new ones."""
         super().__init_subclass__(**kwargs)
+        if {"apply_calls", "update_calls"} & vars(cls).keys() and "reuses_calls" not in vars(cls):
+            cls.reuses_calls = False
         for old in _RENAMED.keys() & vars(cls).keys():
             warn_renamed(f"{cls.__name__}.{old}", _RENAMED[old])
             setattr(cls, _RENAMED[old], vars(cls)[old])

@@ -123,3 +123,26 @@ def _conclude(width, duration, max_steps, reward_weights, environment):
         environment[FINAL * lanes + lane] = now
         environment[BEFORE_MERGE * lanes + lane] = first if merged else now
         environment[AFTER_MERGE * lanes + lane] = last if merged else now
+
+
+@kernel
+def begin_next_step(first, stop, status, resting, contact):
+    """Before a further step under one decision: environments (B,) that rest, and no contacts.
+
+    It covers first ≤ b < stop; contacts are (B, n).
+    """
+    for b in range(first, stop):
+        resting[b] = status[b] != RUNNING
+        for i in range(contact.shape[1]):
+            contact[b, i] = False
+
+
+@kernel
+def add_to_totals(first, stop, rewards, robot_rewards, contact, totals):
+    """Add the rewards (B,) and (B, n), and contacts (B, n), of a step to those of a decision."""
+    total, of_robots, touched = totals
+    for b in range(first, stop):
+        total[b] += rewards[b]
+        for i in range(contact.shape[1]):
+            of_robots[b, i] += robot_rewards[b, i]
+            touched[b, i] |= contact[b, i]
