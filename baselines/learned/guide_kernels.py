@@ -1,14 +1,15 @@
 """Kernels of the base controller: the rule of merged intervals for a batch of robots.
 
 Most obstacles are out of sight, and most robots have none in their way, in no regular order. So
-visible obstacles are listed first, and angles are computed only for robots near one of them.
+visible obstacles are listed without a branch, and angles computed only for robots near one.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from rendezvous_env.compilation import inner_kernel, kernel
+from rendezvous_env.compilation import kernel
 from rendezvous_env.engine.memory import read, write
 from rendezvous_env.physics.neighbour_rows import net_bearing_of
 from rendezvous_env.physics.vectors import load, load_pair, norm, scaled, split, store, triple
@@ -21,10 +22,8 @@ from ..obstacle_rules.merged_silhouettes_2d import (
     interval_around,
     least_square_cosine,
 )
+from ..obstacle_rules.silhouettes import list_seen
 from ..steering import WITHIN
-
-_NO_SIGNS = 0x7FFFFFFF7FFFFFFF
-"""All bits of two float32 but their signs, since zeros have either sign."""
 
 
 class Rule(NamedTuple):
@@ -36,10 +35,9 @@ class Rule(NamedTuple):
 
 
 def room_for_aim(rows: int, neighbour_slots: int) -> Any:
-    """Working memory of ``aim``: as ``room_for``, lists of obstacles and robots, and intervals."""
+    """Working memory of ``aim``: as ``room_for``, and rows and intervals of visible obstacles."""
     obstacles = (rows - neighbour_slots) // 2
-    listed = np.empty((2, LANES * obstacles + 1), np.int64), np.empty((2, LANES + 1), np.int64)
-    return room_for(0, 2)[0], listed, np.empty((obstacles, 2))
+    return room_for(0, 2)[0], np.empty(obstacles + 1, np.int64), np.empty((obstacles, 2))
 
 
 @kernel
@@ -53,63 +51,34 @@ def aim(axes, robots, rule, arrays, work):
     numbers, listed, intervals = work
     if numbers.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
         return
-    lanes, K = lanes_of(numbers), rule.neighbour_slots
+    lanes = lanes_of(numbers)
     how, least = (rule.clearance, rule.persistence), least_square_cosine(rule.clearance)
-    always_near = 1.0 if rule.clearance >= 0.5 * np.pi else 0.0
+    always_near = rule.clearance >= 0.5 * math.pi
     for first in range(robots[0], robots[1], LANES):
         stop = min(first + LANES, robots[1])
         rows = observations[first:stop]
-        sum_rows(axes, rows, K, lanes.f)
+        sum_rows(axes, rows, rule.neighbour_slots, lanes.f)
         take_in(axes, rotations, first, stop, lanes.choice)
         for lane in range(LANES):
             f, (c, s) = read(lanes.f, lane, axes), read(lanes.choice, lane, axes)
             length, aside = split((c * f[0] - s * f[1], s * f[0] + c * f[1]))
             towards = aside[0] if length > 0.0 else 1.0, aside[1] if length > 0.0 else 0.0
             write(towards, lanes.heading, lane)
-            lanes.accepted[lane] = always_near
-        count = _list_visible(bits[first:stop], K, intervals.shape[0], listed)
-        for k in range(count):
-            lane, row = listed[0][0, k], listed[0][1, k]
-            last, clockwise = load_pair(rows[lane, row]), load_pair(rows[lane, row + 1])
-            near = comes_near(read(lanes.heading, lane, axes), last, clockwise, least)
-            lanes.accepted[lane] = max(lanes.accepted[lane], 1.0 if near else 0.0)
-        for k in range(_list_nonzero(lanes.accepted, len(rows), listed[1][1])):
-            lane = listed[1][1, k]
-            towards, seen = triple(read(lanes.heading, lane, axes)), 0
-            for found in range(listed[1][0, lane], listed[1][0, lane + 1]):
-                row = listed[0][1, found]
-                interval_around(towards, rows[lane, row : row + 2], intervals[seen])
-                seen += 1
-            carried = load(headings[first + lane])
-            write(heading_past(towards, intervals[:seen], carried, how), lanes.heading, lane)
+        for lane in range(len(rows)):
+            towards, near = read(lanes.heading, lane, axes), always_near
+            count = list_seen(bits[first + lane], rule.neighbour_slots, len(intervals), listed)
+            for k in range(count):
+                row = listed[k]
+                last, clockwise = load_pair(rows[lane, row]), load_pair(rows[lane, row + 1])
+                near |= comes_near(towards, last, clockwise, least)
+            if near:
+                for k in range(count):
+                    silhouette = rows[lane, listed[k] : listed[k] + 2]
+                    interval_around(triple(towards), silhouette, intervals[k])
+                carried = load(headings[first + lane])
+                heading = heading_past(triple(towards), intervals[:count], carried, how)
+                write(heading, lanes.heading, lane)
         give_out(axes, lanes.heading, first, stop, raw)
-
-
-@inner_kernel
-def _list_visible(bits, neighbour_slots, obstacles, listed):
-    """List visible obstacles of robots, rows as int64 (N, rows, 1); returns their number.
-
-    The list holds robots and first rows, in order; ``listed[1][0]`` is where each robot's begin.
-    """
-    (found, _), count = listed, 0
-    for lane in range(len(bits)):
-        listed[1][0, lane] = count
-        for m in range(obstacles):
-            row = neighbour_slots + 2 * m
-            found[0, count], found[1, count] = lane, row
-            count += (bits[lane, row, 0] & _NO_SIGNS) != 0
-    listed[1][0, len(bits)] = count
-    return count
-
-
-@inner_kernel
-def _list_nonzero(values, stop, listed):
-    """List the indices before ``stop`` of nonzero numbers; returns how many there are."""
-    count = 0
-    for k in range(stop):
-        listed[count] = k
-        count += values[k] != 0.0
-    return count
 
 
 @kernel
