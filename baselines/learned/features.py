@@ -160,12 +160,14 @@ class Features(StatefulMixin):
             times[:] = check_numbers("elapsed", elapsed, robots[:1], "(B,)")
         if shown is None:
             shown = np.zeros((*robots, self.layout.size), dtype=np.float32)
-        given = (teams, times), observations, moving, self._known
+        seen = observations, np.ascontiguousarray(observations).view(np.int64)
+        given = (teams, times), seen, moving, self._known
         tanks = nothing if levels is None else levels[..., np.newaxis], self._walls.array
         weight = _WEIGHT * robots[1]
 
         def calls_of(part: Slice) -> Calls:
-            memory = self._edges, self._records.array, np.empty((slots, 2))
+            room = np.empty((slots, 2)), np.empty(slots + 1, np.int64)
+            memory = self._edges, self._records.array, room
             return [partial(show, part, *given, memory, tanks, shown)]
 
         over_teams(calls_of, len(teams), weight, self._num_threads)
