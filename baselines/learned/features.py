@@ -173,7 +173,12 @@ class Features(StatefulMixin):
         over_teams(calls_of, len(teams), weight, self._num_threads)
         return shown
 
+    @property
+    def remembers_angles(self) -> bool:
+        """True if chosen angles are part of the memory."""
+        return self._walls.array.size > 0
+
     def note(self, angles: Array) -> None:
-        """Store the chosen angles (B, n), rad."""
-        if self._walls.array.size:
+        """Store the chosen angles (B, n), rad, if they are part of the memory."""
+        if self.remembers_angles:
             self._walls.views["angle"][...] = angles

@@ -23,7 +23,7 @@ from ..obstacle_rules.planes_in_space import PASSABLE
 from ..policy import Float32, Mask
 from ..steady_frames import OdometryFrame, SteadyPlanes
 from .features import Features
-from .guide_kernels import Rule, aim, desired_velocities, room_for_aim
+from .guide_kernels import Rule, aim, desired_velocities, room_for_aim, unit_vectors
 from .policy_settings import PolicySettings
 
 Array = NDArray[np.float64]
@@ -221,14 +221,15 @@ class GuidedTeams:
         """
         given = floats("actions", vectors)
         check_shape("actions", given, (*self.choices.shape, 2), axes="(B, n, 2)")
-        for team, robot, _ in np.argwhere(~np.isfinite(given)):
+        turned = np.empty(given.shape)
+        if not unit_vectors(given, turned, tuple(self._turns[0])):
+            team, robot, _ = np.argwhere(~np.isfinite(given))[0]
             raise_invalid(
                 f"action of robot_{robot} in team {team}", given[team, robot].tolist(), "finite"
             )
-        length = np.linalg.norm(given, axis=-1, keepdims=True)
-        unit = given / np.where(length > 0.0, length, 1.0)
-        self._directions = turned = np.where(length > 0.0, unit, self._turns[0])
-        self.perception.note(np.arctan2(turned[..., 1], turned[..., 0]))
+        self._directions = turned
+        if self.perception.remembers_angles:
+            self.perception.note(np.arctan2(turned[..., 1], turned[..., 0]))
 
     def apply(self, observations: Float32, *, elapsed: float | None = None) -> Float32:
         """Actions (B, n, a) for observations (B, n, rows, d).
