@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+from itertools import groupby
 from operator import call
 from typing import Any, NamedTuple, Protocol
 
@@ -27,6 +28,10 @@ _WORK_AHEAD = 12288
 """Rows that a thread computes while another thread wakes up."""
 _OBSTACLES, _ERRING, _CONTROLLED = 4, 2, 3
 """Relative cost of obstacle rows, of imperfect sensors, and of steps with a controller."""
+
+_FEW = 6
+"""Calls for one block take as long as for several: a group is observed as a whole if at least one
+of so many of its blocks has to be."""
 
 _Observations = NDArray[np.float32]  # annotations within ``step_n`` are looked up in every step
 ObservationCallback = Callable[[Slice, _Observations], Calls]
@@ -261,29 +266,38 @@ class BatchRunner:
 
     def observe(self) -> StepOutput:
         """Observe all environments in their current state."""
-        output = self.new_output()
-        self._observe(range(self._state.place.blocks), output)
+        output, place = self.new_output(), self._state.place
+        starts = range(0, place.blocks, place.group)
+        self._observe([(k, min(k + place.group, place.blocks)) for k in starts], output)
         return output
 
     def observe_again(self, which: NDArray[np.int64], output: StepOutput) -> NDArray[np.int64]:
         """Recompute the observations of some environments.
 
-        Those of all environments in their blocks are rewritten unchanged. Returns all these
-        environments.
+        Those of all environments in their blocks are rewritten unchanged, and those of a group of
+        blocks of which many are. Returns all these environments.
         """
-        lanes, (batch,) = self._state.lanes, self._shapes[3]
-        blocks = np.unique(which // lanes)
-        self._observe(blocks.tolist(), output)
-        rewritten = (blocks[:, np.newaxis] * lanes + np.arange(lanes)).reshape(-1)
-        return rewritten[rewritten < batch]
+        place, (batch,) = self._state.place, self._shapes[3]
+        parts: list[tuple[int, int]] = []
+        for first, blocks in groupby(np.unique(which // place.lanes).tolist(), self._group_of):
+            found, stop = list(blocks), min(first + place.group, place.blocks)
+            many = _FEW * len(found) >= stop - first
+            parts += [(first, stop)] if many else [(block, block + 1) for block in found]
+        self._observe(parts, output)
+        ends = [(first * place.lanes, min(stop * place.lanes, batch)) for first, stop in parts]
+        return np.concatenate([which[:0], *(np.arange(*each) for each in ends)])
 
-    def _observe(self, blocks: Iterable[int], output: StepOutput) -> None:
+    def _group_of(self, block: int) -> int:
+        """First block of the group that stages process together."""
+        return block - block % self._state.place.group
+
+    def _observe(self, parts: Iterable[tuple[int, int]], output: StepOutput) -> None:
         if self._may_overflow:
             output.neighbour_overflow.fill(-1)
         calls = [
             one
-            for block in blocks
-            for one in self._stages.calls(block, block + 1, None, output, self.scratch, False)
+            for part in parts
+            for one in self._stages.calls(*part, None, output, self.scratch, False)
         ]
         deque(map(call, [*calls, self._state.settle]), 0)
 
