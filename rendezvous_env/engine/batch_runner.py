@@ -15,7 +15,7 @@ from ..outcome import SCORES, StepOutput
 from . import threads
 from .memory_layout import scratch
 from .preparation import clocks, constants, events, robot, sensor, traffic
-from .stages.conclude import add_to_totals, begin_next_step
+from .stages.conclude import add_step
 from .state import State
 from .step import StepStages
 from .thread_tuner import ThreadTuner
@@ -92,6 +92,50 @@ class DiagnosticsSnapshot:
     put_back = restore  # its name in version 0.2
 
 
+class _ControlledSteps(NamedTuple):
+    """Consecutive steps of a batch under a controller."""
+
+    controller: BatchController
+    state: State
+    actions: NDArray[np.float32]
+    output: StepOutput
+    resting: NDArray[np.bool_]  # (B,), environments that do not take part
+
+    def calls(self, mine: Slice, observations: NDArray[np.float32], stages: Calls) -> Calls:
+        """Calls of a step of some environments, from its ``stages``."""
+        controller, output = self.controller, self.output
+        calls = [*controller.apply_calls(mine, observations, self.actions), *stages]
+        if controller.uses_feedback:
+            outcome = output.contact, self.state.merged_into, self.resting
+            calls += controller.update_calls(mine, *outcome)
+        return calls
+
+    def run(
+        self,
+        mine: Slice,
+        observations: NDArray[np.float32],
+        stages: Calls,
+        count: int,
+        add: Callable[[int, int, bool], Any],
+    ) -> None:
+        """Make several steps of some environments, and ``add`` up rewards and contacts."""
+        reuses, rows = getattr(self.controller, "reuses_calls", False), slice(*mine[:2])
+        diagnostics = [one[rows] for one in self.controller.action_diagnostics]
+        follows = self.state.scenario.on_merge == "follow"
+        for number in range(count):
+            if number and diagnostics:
+                part = ~self.resting[rows, None] & (follows | self.output.active[rows])
+                snapshot = DiagnosticsSnapshot(diagnostics, part)
+            if number < 2 or not reuses:  # the first step has other observations
+                calls = self.calls(mine, observations, stages)
+            for one in calls:
+                one()
+            if number and diagnostics:
+                snapshot.restore()
+            add(*mine[:2], number == count - 1)
+            observations = self.output.observations
+
+
 # names of version 0.2
 Pilot, Driven, Show, Kept = BatchController, RolloutResult, ObservationCallback, DiagnosticsSnapshot
 
@@ -127,7 +171,7 @@ class BatchRunner:
         self._near = False
         """True if something could meet in the last step."""
         self._may_overflow = place.scenario.observation_layout.neighbour_slots < n - 1
-        self._bookkeepers: list[Callable[..., Any]] | None = None  # compiled on first use
+        self._add_step: Callable[..., Any] | None = None  # compiled on first use
         self._actions = np.zeros((place.batch, n, place.scenario.action_size), np.float32)
         self.limit(max_steps)
 
@@ -200,65 +244,36 @@ class BatchRunner:
         totals = output.rewards, output.robot_rewards, output.contact
         if count > 1:
             totals = tuple(map(np.zeros_like, totals))
-        lanes, follows = state.lanes, state.scenario.on_merge == "follow"
+        lanes = state.lanes
         if (tuner := self._tuners.get(count)) is None:
             tuner = self._tuners[count] = self._tuner_of(_CONTROLLED * count)
         while len(self._scratch) < tuner.max_threads:
             self._scratch.append(scratch(state.place))
         step_calls = self._step_calls(actions, output)
-        begin, add = self._bookkeeping(output, resting, totals)
-        reuses = getattr(controller, "reuses_calls", False)
-
-        def calls_of_step(mine: Slice, now: _Observations, stages: Calls) -> Calls:
-            calls = [*controller.apply_calls(mine, now, actions), *stages]
-            if controller.uses_feedback:
-                step = output.contact, state.merged_into, resting
-                calls += controller.update_calls(mine, *step)
-            return calls
-
-        def lead(mine: Slice, stages: Calls) -> None:
-            rows, now = slice(*mine[:2]), observations
-            diagnostics = [one[rows] for one in controller.action_diagnostics]
-            for number in range(count):
-                if number:
-                    begin(*mine[:2])
-                if number and diagnostics:
-                    active = ~resting[rows, None] & (follows | output.active[rows])
-                    snapshot = DiagnosticsSnapshot(diagnostics, active)
-                if number < 2 or not reuses:
-                    calls = calls_of_step(mine, now, stages)
-                for one in calls:
-                    one()
-                if number and diagnostics:
-                    snapshot.restore()
-                add(*mine[:2])
-                now = output.observations
+        steps = _ControlledSteps(controller, state, actions, output, resting)
+        add = self._adding(output, resting, totals) if count > 1 else None
 
         def calls_of(part: Slice) -> Calls:
             mine = part[0] * lanes, min(part[1] * lanes, len(actions)), part[2]
-            steps = calls_of_step(mine, observations, step_calls(part)) if count == 1 else [partial(lead, mine, step_calls(part))]
+            given = mine, observations, step_calls(part)
+            calls = steps.calls(*given) if add is None else [partial(steps.run, *given, count, add)]
             seen = callback(mine, output.observations) if callback is not None else ()
-            return [*steps, *seen]
+            return [*calls, *seen]
 
         threads.share(calls_of, state.place.blocks, tuner.begin(), tuner.head_start)
         tuner.end()
         self._last = output
         return RolloutResult(output, *totals)
 
-    def _bookkeeping(
+    def _adding(
         self, output: StepOutput, resting: NDArray[np.bool_], totals: tuple[NDArray[Any], ...]
-    ) -> tuple[Callable[..., Any], Callable[..., Any]]:
-        """Calls before and after a step of several, for environments first ≤ b < stop."""
-        begun = output.status, resting, output.contact
-        added = output.rewards, output.robot_rewards, output.contact, totals
-        if self._bookkeepers is None:
-            both = (begin_next_step, begun), (add_to_totals, added)
-            self._bookkeepers = [entry_point(one, (0, 0, *given)) for one, given in both]
-        begin, add = self._bookkeepers
-        return (
-            lambda first, stop: begin(first, stop, *begun),
-            lambda first, stop: add(first, stop, *added),
-        )
+    ) -> Callable[[int, int, bool], Any]:
+        """Call of ``add_step`` for the environments from one to before another."""
+        step = output.rewards, output.robot_rewards, output.contact
+        given = output.status, resting, step, totals
+        if self._add_step is None:
+            self._add_step = entry_point(add_step, (*given, 0, 0, False))
+        return partial(self._add_step, *given)
 
     def compile(self) -> None:
         """Compile all stages, as ``Simulator.compile``."""

@@ -126,23 +126,19 @@ def _conclude(width, duration, max_steps, reward_weights, environment):
 
 
 @kernel
-def begin_next_step(first, stop, status, resting, contact):
-    """Before a further step under one decision: environments (B,) that rest, and no contacts.
+def add_step(status, resting, step, totals, first, stop, is_last):
+    """Add rewards (B,) and (B, n), and contacts (B, n), of a step to those of several.
 
-    It covers first ≤ b < stop; contacts are (B, n).
+    It covers first ≤ b < stop. Unless the step ``is_last``, its contacts are cleared, and
+    environments that have ended are marked as ``resting``, (B,).
     """
+    (rewards, robot_rewards, contact), (earned, robots_earned, touched) = step, totals
     for b in range(first, stop):
-        resting[b] = status[b] != RUNNING
+        earned[b] += rewards[b]
         for i in range(contact.shape[1]):
-            contact[b, i] = False
-
-
-@kernel
-def add_to_totals(first, stop, rewards, robot_rewards, contact, totals):
-    """Add the rewards (B,) and (B, n), and contacts (B, n), of a step to those of a decision."""
-    total, of_robots, touched = totals
-    for b in range(first, stop):
-        total[b] += rewards[b]
-        for i in range(contact.shape[1]):
-            of_robots[b, i] += robot_rewards[b, i]
+            robots_earned[b, i] += robot_rewards[b, i]
             touched[b, i] |= contact[b, i]
+        if not is_last:
+            resting[b] = status[b] != RUNNING
+            for i in range(contact.shape[1]):
+                contact[b, i] = False
