@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 import rendezvous_env as rv
-from rendezvous_env.safety import safety_filter
 from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper, training_env
 
 TRAINED, WRAPPED = (512, 4), (1024, 8)

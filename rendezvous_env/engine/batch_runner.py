@@ -241,10 +241,9 @@ class BatchRunner:
         Resting environments, (B,), skip the first step; the array is overwritten.
         """
         state, output, actions = self._state, self.new_output(), self._actions
-        totals = output.rewards, output.robot_rewards, output.contact
+        lanes, totals = state.lanes, (output.rewards, output.robot_rewards, output.contact)
         if count > 1:
-            totals = tuple(map(np.zeros_like, totals))
-        lanes = state.lanes
+            totals = np.zeros_like(totals[0]), np.zeros_like(totals[1]), np.zeros_like(totals[2])
         if (tuner := self._tuners.get(count)) is None:
             tuner = self._tuners[count] = self._tuner_of(_CONTROLLED * count)
         while len(self._scratch) < tuner.max_threads:
