@@ -2,9 +2,9 @@
 
     learner_speed.py                        # ratios to the physics beneath, CPU time of one thread
     learner_speed.py --threads 2 --clock    # wall time of two threads
-    learner_speed.py --stages               # and the time of each kernel in a decision
 
-Both sides of a ratio alternate within one process. It prints medians and 95 % intervals of them.
+Both sides of a ratio alternate within one process. It prints their medians with 95 % intervals, and
+on one thread the share of each part in the time of a decision.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import statistics
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -27,7 +26,9 @@ from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper, train
 TRAINED, WRAPPED = (512, 4), (1024, 8)
 """Environments and robots of decisions, and of steps under a guarantee."""
 TAUGHT = (("clutter-8", "heading"), ("clutter-24", "tank"))
+_PARTS = ("physics", "base controller", "safety filter", "features", "frames")
 Step = Callable[[], Any]
+Clock = Callable[[], float]
 
 
 def stepping(env: Any) -> Step:
@@ -39,13 +40,13 @@ def stepping(env: Any) -> Step:
     return lambda: env.step(next(tape))
 
 
-def decision(name: str, guarantee: str, threads: int) -> tuple[Step, Step]:
-    """A decision of ``training_env``, and the same number of base steps of its physics."""
-    num_envs, _ = TRAINED
+def decision(name: str, guarantee: str, threads: int) -> tuple[Step, Any]:
+    """Base steps of a decision of ``training_env``, without learner, and the environment."""
+    num_envs, n = TRAINED
     env: Any = training_env(name, num_envs, guarantee=guarantee, num_threads=threads)
     simulator = rv.Simulator(env.scenario, num_envs, num_threads=threads)
     simulator.reset(0)
-    random, shape = np.random.default_rng(0), (8, num_envs, *simulator.active.shape[1:], 2)
+    random, shape = np.random.default_rng(0), (8, num_envs, n, 2)
     tape = itertools.cycle(random.uniform(-1.0, 1.0, shape).astype(np.float32))
 
     def physics() -> None:
@@ -54,18 +55,18 @@ def decision(name: str, guarantee: str, threads: int) -> tuple[Step, Step]:
             if not simulator.all_running:
                 simulator.restart(simulator.ended, outcome)
 
-    return physics, stepping(env)
+    return physics, env
 
 
-def wrapped(wrap: Any, threads: int) -> tuple[Step, Step]:
-    """A step of ``make_vec``, without and with a guarantee, of robots too far apart to merge."""
+def wrapped(wrap: Any, threads: int) -> tuple[Step, Any]:
+    """A step of ``make_vec`` and the environment with a guarantee; robots too far to merge."""
     num_envs, n = WRAPPED
     far = rv.Scenario(n_robots=n, spawn_size=1e6 * n * n, time_limit=1e9)
     make = partial(rv.make_vec, far, num_envs, num_threads=threads)
-    return stepping(make()), stepping(wrap(make()))
+    return stepping(make()), wrap(make())
 
 
-def cases(threads: int) -> Iterator[tuple[str, Callable[[], tuple[Step, Step]]]]:
+def cases(threads: int) -> Iterator[tuple[str, Callable[[], tuple[Step, Any]]]]:
     """Names and builders of all ratios."""
     for name, guarantee in TAUGHT:
         named = f"training_env, {name}, {guarantee}, over its base steps"
@@ -75,7 +76,7 @@ def cases(threads: int) -> Iterator[tuple[str, Callable[[], tuple[Step, Step]]]]
 
 
 def paired_times(
-    one: Step, other: Step, clock: Callable[[], float], pairs: int, seconds: float
+    one: Step, other: Step, clock: Clock, pairs: int, seconds: float
 ) -> list[tuple[float, float]]:
     """Times of a step of either, s, measured alternately and in alternating order."""
     counts = []
@@ -105,11 +106,50 @@ def median_interval(values: list[float]) -> tuple[float, float, float]:
     return statistics.median(ordered), ordered[k], ordered[n - 1 - k]
 
 
-@contextmanager
-def timed_kernels(clock: Callable[[], float]) -> Iterator[Counter[str]]:
-    """Time of all kernels that filters and the simulator call, s, by name."""
+def shares(env: Any, step: Step, clock: Clock, count: int) -> dict[str, float]:
+    """Shares of _PARTS in the time of ``count`` steps on one thread, and of the rest.
+
+    The rest are resets, infos, copies, and the calls of compiled code.
+    """
     spent: Counter[str] = Counter()
-    yield spent
+    for _ in range(count):
+        step()
+    _watch(env, spent, clock)
+    begin = clock()
+    for _ in range(count):
+        step()
+    total = clock() - begin
+    found = {part: spent[part] / total for part in _PARTS if spent[part] > 0.0}
+    return found | {"rest": 1.0 - sum(found.values())}
+
+
+def _watch(env: Any, spent: Counter[str], clock: Clock) -> None:
+    """Add up the time of all compiled calls of an environment in its part."""
+
+    def timed(part: str, call: Step) -> Step:
+        def run() -> Any:
+            begin = clock()
+            result = call()
+            spent[part] += clock() - begin
+            return result
+
+        return run
+
+    def watch(part: str, owner: Any, name: str) -> None:
+        method = getattr(owner, name)
+        calls_of = lambda *given: [timed(part, call) for call in method(*given)]  # noqa: E731
+        setattr(owner, name, calls_of)
+
+    teams = getattr(env, "env", env) if hasattr(env, "teams") else env
+    watch("physics", env.unwrapped.simulator._runner._stages, "calls")
+    for name in ("apply_calls", "update_calls"):
+        watch("safety filter", teams.filter, name)
+    if (guided := getattr(teams, "guided", None)) is None:
+        watch("frames", teams.filter, "observe_calls")
+        return
+    watch("base controller", guided, "_aim_calls")
+    show = guided.show
+    guided.show = lambda *given: timed("features", partial(show, *given))()
 
 
 def main() -> None:
@@ -122,10 +162,16 @@ def main() -> None:
     given = parser.parse_args()
     clock = time.perf_counter if given.clock else time.process_time
     for name, build in cases(given.threads):
-        times = paired_times(*build(), clock, given.pairs, given.seconds)
+        bare, env = build()
+        own = stepping(env)
+        times = paired_times(bare, own, clock, given.pairs, given.seconds)
         ratio, low, high = median_interval([one / other for one, other in times])
-        bare, own = (1e6 * statistics.median(pair[side] for pair in times) for side in (0, 1))
-        print(f"{name}: {ratio:.3f} [{low:.3f}, {high:.3f}], {bare:.0f} and {own:.0f} µs")
+        micros = [1e6 * statistics.median(pair[side] for pair in times) for side in (0, 1)]
+        print(f"{name}: {ratio:.3f} [{low:.3f}, {high:.3f}], {micros[0]:.0f}, {micros[1]:.0f} µs")
+        if given.threads == 1:
+            count = max(1, round(1e6 * given.pairs * given.seconds / micros[1]))
+            found = shares(env, own, clock, count)
+            print("   ", ", ".join(f"{part} {share:.2f}" for part, share in found.items()))
 
 
 if __name__ == "__main__":
