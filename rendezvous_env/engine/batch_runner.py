@@ -288,8 +288,8 @@ class BatchRunner:
     def observe_again(self, which: NDArray[np.int64], output: StepOutput) -> NDArray[np.int64]:
         """Recompute the observations of some environments.
 
-        Those of all environments in their blocks are rewritten unchanged, and those of a group of
-        blocks of which many are. Returns all these environments.
+        Those of all environments in their blocks are rewritten unchanged, or in their groups of
+        blocks if these have many. Returns all these environments.
         """
         place, (batch,) = self._state.place, self._shapes[3]
         parts: list[tuple[int, int]] = []
