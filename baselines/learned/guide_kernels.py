@@ -85,18 +85,18 @@ def aim(axes, robots, rule, arrays, work):
 def unit_vectors(given, out, otherwise):
     """Write vectors (B, n, 2) of any length as unit vectors; ``otherwise`` for zero vectors.
 
-    Returns whether all numbers are finite.
+    Returns False at a number that is not finite.
     """
-    finite = True
     for team in range(len(given)):
         for i in range(given.shape[1]):
             x, y = given[team, i, 0], given[team, i, 1]
+            if not (abs(x) < math.inf and abs(y) < math.inf):
+                return False
             length = math.sqrt(x * x + y * y)
-            finite &= abs(x) < math.inf and abs(y) < math.inf
             along = length > 0.0
             out[team, i, 0] = x / length if along else otherwise[0]
             out[team, i, 1] = y / length if along else otherwise[1]
-    return finite
+    return True
 
 
 @kernel
