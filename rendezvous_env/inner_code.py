@@ -8,7 +8,7 @@ seventh of the time of compiling.
 from typing import Any
 
 import llvmlite.binding as llvm
-from numba import _dynfunc
+from numba import _dynfunc  # type: ignore[attr-defined]
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult, _LowerResult, compile_result
 from numba.core.compiler_machinery import register_pass
