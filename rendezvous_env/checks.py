@@ -74,6 +74,14 @@ def format_limit(limit: float) -> str:
     return short if float(short) == limit else repr(float(limit))
 
 
+def counted(count: int, noun: str) -> str:
+    """Count with its noun, in the plural unless it is 1: "1 step", "2 policies"."""
+    if count == 1:
+        return f"1 {noun}"
+    plural = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}s"
+    return f"{count} {plural}"
+
+
 def to_float(value: Any) -> float:
     """Number of any type as a Python float; infinite beyond float64, NaN for other values.
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import check_int, load, raise_invalid
+from .checks import check_int, counted, load, raise_invalid
 from .scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -127,8 +127,8 @@ def one_line(trajectory: Any) -> str:
     under = f" under {policy}" if policy else ""
     return (
         f"<Trajectory of {scenario.name!r}{under}: "
-        f"{count} environment{'s' * (count > 1)}, {trajectory.positions.shape[2]} robots, "
-        f"{len(trajectory.times) - 1} steps, "
+        f"{counted(count, 'environment')}, {trajectory.positions.shape[2]} robots, "
+        f"{counted(len(trajectory.times) - 1, 'step')}, "
         f"{float(trajectory.times[-1]):.4g} s; {ended}{kept}>"
     )
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from .. import graphs
 from ..checks import (
     check_shape,
+    counted,
     floats,
     format_limit,
     is_int,
@@ -170,7 +171,7 @@ def _check_within(scenario: Any, weights: NDArray[np.float64]) -> None:
         )
     counts, slots = (weights > 0).sum(axis=1), scenario.observation_layout.neighbour_slots
     if counts.max() > slots:
-        found = f"robot_{int(np.argmax(counts))} {counts.max()} neighbours"
+        found = f"robot_{int(np.argmax(counts))} {counted(counts.max(), 'neighbour')}"
         rows = f"there are rows for neighbour_slots = {slots}"
         raise ValueError(f"weights give {found}; {rows}; give the scenario more neighbour_slots")
 
@@ -264,7 +265,9 @@ def seeds_of_environments(seed: Any, num_envs: int) -> list[int | None] | None:
         first = check_seed(seed)  # the others follow on it
         return [folded(first + team) for team in range(num_envs)]
     if len(seed) != num_envs:
-        raise ValueError(f"seed has {len(seed)} entries; it must be one number, or {num_envs}")
+        raise ValueError(
+            f"seed has {counted(len(seed), 'entry')}; it must be one number, or {num_envs}"
+        )
     return [None if entry is None else folded(check_seed(entry)) for entry in seed]
 
 

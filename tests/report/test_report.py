@@ -13,10 +13,10 @@ import pytest
 from report_data import arrays_of, data_of
 
 from rendezvous_env import Disc
+from rendezvous_env.checks import counted
 from rendezvous_env.obstacles.obstacle_set import pack
 from train import cli, results
 from train import encoding as report_encoding
-from train.console import counted
 from train.report import build as report
 from train.report.input import read
 

@@ -14,11 +14,16 @@ from strategies import DEEP, HUGE, UNWRITABLE, refusal
 import baselines
 import rendezvous_env as rv
 from rendezvous_env import Scenario
-from rendezvous_env.checks import short_repr
+from rendezvous_env.checks import counted, short_repr
 from rendezvous_env.limits import MAX_STEPS
 from rendezvous_env.simulator import Simulator
 
 PAIR = Scenario(n_robots=2)
+
+
+def test_counted_gives_the_plural_unless_the_count_is_one():
+    assert [counted(n, "step") for n in (0, 1, 2)] == ["0 steps", "1 step", "2 steps"]
+    assert [counted(n, "policy") for n in (1, 3)] == ["1 policy", "3 policies"]
 
 
 @pytest.mark.parametrize(

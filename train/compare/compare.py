@@ -12,8 +12,10 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rendezvous_env.checks import counted
+
 from .. import results
-from ..console import Console, counted
+from ..console import Console
 from ..resume import RunCheckpoint
 from ..tasks import Workers, parallel_map
 from . import out_folder, statistics, sweep, tables, upper_bound

@@ -10,9 +10,10 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from rendezvous_env.checks import counted
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..console import Console, counted
+from ..console import Console
 from ..results import grouped
 from .ranking import NONE_MET, ONE_START, Ranking
 from .statistics import rounding_of_clearance, rounding_of_v
@@ -41,7 +42,7 @@ def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Tab
     for name, own in grouped(rows, "scenario").items():
         first, scenario = own[0], scenarios[name]
         limit, rounding = scenario.max_steps * scenario.tau, rounding_of_v(scenario)
-        starts = "one start" if first["episodes"] == 1 else f"{first['episodes']} starts"
+        starts = counted(first["episodes"], "start")
         table.add_row(f"{name}, {starts}", style="bold")
         for row in own:
             times = (_time(row[name], limit) for name in ("median_time", "time_low", "time_high"))

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rendezvous_env.checks import counted
 from rendezvous_env.render.palette import OBSTACLE, ROBOTS, code
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..console import counted
 from ..results import grouped
 from .style import COLUMN, PAGE, SMALL, new_figure, styled
 

@@ -16,13 +16,14 @@ import numpy as np
 from tyro.conf import Positional
 
 from rendezvous_env import baselines
+from rendezvous_env.checks import counted
 from rendezvous_env.safety.theorems.certificate import certificate
 from rendezvous_env.scenario import scenarios
 from rendezvous_env.trajectory import Trajectory, rollout
 
 from .. import policies, results
 from ..checks import Bounds, Flags, check_installed, check_unused
-from ..console import Console, counted
+from ..console import Console
 from ..recording import Recording
 from . import bounds, path_figures, style
 from .figures import BLUE, VERMILLION

@@ -10,6 +10,8 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from rendezvous_env.checks import counted
+
 from .. import results
 from ..checks import UserError
 
@@ -43,7 +45,9 @@ class Table:
         self._kept = []
         for number, row in enumerate(rows, start=2):
             if len(row) != len(columns):
-                raise self._damaged(f"line {number} has {len(row)} cells, not {len(columns)}")
+                raise self._damaged(
+                    f"line {number} has {counted(len(row), 'cell')}, not {len(columns)}"
+                )
             cells = dict(zip(columns, row, strict=True))
             if not re.fullmatch(r"\d{1,19}", cells["step"], re.ASCII):
                 said = f"line {number}: step is {cells['step']!r}; it must be an integer"

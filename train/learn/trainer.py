@@ -19,6 +19,7 @@ from rich.progress import Progress
 from stable_baselines3.common.logger import Logger
 
 from rendezvous_env.adapters.sb3_logging import episode_numbers
+from rendezvous_env.checks import counted
 from rendezvous_env.engine.threads import available_cores
 
 from .. import interrupts, results
@@ -362,5 +363,5 @@ def _evaluation_line(row: Mapping[str, Any]) -> str:
     return (
         f"{row['scenario']} met {100 * row['success']:.1f} % · cleanly {clean} [{low}, {high}] % · "
         f"median {row['median_time']:.2f} s · alignment ≥ {number(row['min_alignment'], '.3f')} · "
-        f"{row['episodes']} held-out starts"
+        f"{counted(row['episodes'], 'held-out initial condition')}"
     )

@@ -29,6 +29,7 @@ Proof: docs/proofs.md, E1 and E3.
 
 import math
 
+from ...checks import counted
 from ...scenario.scenario import Scenario
 from . import assumptions as given
 from . import constants as known
@@ -55,7 +56,7 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     most += 2.0 * known.merge_rise_allowance(scenario) + meanwhile
     slowest = min(1.0, scenario.min_speed_limit / degree) * known.min_bearing_square(scenario)
     time = float(known.over_rate(most, slowest) + (n - 1) * (late + 1) * scenario.tau)
-    words = f"theorem E1: law (1) meets in finite time on bearings that are {late} steps late"
+    words = f"theorem E1: law (1) meets in finite time on bearings {counted(late, 'step')} late"
     return Bounds(words, meets=True, time=time, lyapunov=most)
 
 
