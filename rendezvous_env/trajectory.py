@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import trajectory_formats, trajectory_views
-from .checks import floats, raise_invalid, short_repr
+from .checks import floats, known_arguments, raise_invalid, raise_other_scenario, short_repr
 from .engine.memory import RENDEZVOUS, RUNNING
 from .field_docs import lists_fields
 from .outcome import StepOutput
@@ -183,10 +183,30 @@ def begin(policy: Policy, simulator: Simulator) -> None:
 
     Calls its ``reset(mask=None)`` and ``watch(simulator)``, if present. Only privileged policies,
     which read positions, have ``watch``.
+
+    Raises:
+        ValueError: for a policy made for other robots or other observation rows.
     """
+    _check_made_for(policy, simulator.scenario)
     for method, arguments in (("reset", ()), ("watch", (simulator,))):
         if callable(found := getattr(policy, method, None)):
             found(*arguments)
+
+
+def _check_made_for(policy: Policy, scenario: Scenario) -> None:
+    """Raise an error for a policy whose own scenario has other robots or observations."""
+    made_for = getattr(policy, "scenario", None)
+    if not isinstance(made_for, Scenario):
+        return
+    names = ("robot_model", "dim", "neighbour_slots", "obstacle_slots")
+    own, here = (
+        (one.robot_model, one.dim, layout.neighbour_slots, layout.obstacle_slots)
+        for one in (made_for, scenario)
+        for layout in [one.observation_layout]
+    )
+    differing = {name: (a, b) for name, a, b in zip(names, own, here, strict=True) if a != b}
+    if differing:
+        raise_other_scenario(type(policy).__name__, made_for.name, scenario.name, differing)
 
 
 def run(simulator: Simulator, policy: Policy, observations: NDArray[np.float32]) -> Iterator[Step]:
@@ -210,6 +230,7 @@ def run(simulator: Simulator, policy: Policy, observations: NDArray[np.float32])
         observations = outcome.observations
 
 
+@known_arguments
 def rollout(
     scenario: Scenario | str | os.PathLike[str],
     policy: Policy,

@@ -144,7 +144,6 @@ def training_env(
         chosen, num_envs, autoreset_mode, num_threads, max_cycles, render_mode, flatten
     )
     if guarantee is not None:
-        _say_what_is_not_covered(chosen, guarantee, arguments)
         if preset is not None and shown:
             teams = preset.wrap(teams, guarantee, discrete, arguments)
         elif guarantee in WRAPPERS:
@@ -153,6 +152,7 @@ def training_env(
             teams = GuaranteeWrapper(teams, guarantee, **arguments)
     if contact_penalty is not None:
         price = number("contact_penalty", contact_penalty)
+    _say_what_is_not_covered(chosen, guarantee, arguments)  # after all errors
     if (chosen.reward, price) not in _logged:
         _logged.add((chosen.reward, price))
         _LOGGER.info("training_env: in force are %s and contact_penalty %g", chosen.reward, price)
@@ -173,10 +173,10 @@ def _merged(preset: RewardWeights, given: Any, reward: RewardWeights) -> RewardW
 
 
 def _say_what_is_not_covered(
-    scenario: Scenario, guarantee: str, arguments: Mapping[str, Any]
+    scenario: Scenario, guarantee: str | None, arguments: Mapping[str, Any]
 ) -> None:
     """Log, once per scenario, the part of a guarantee that does not apply, with the reason."""
-    if guarantee not in WRAPPERS:
+    if guarantee is None or guarantee not in WRAPPERS:
         return
     settings = inspect.signature(FILTERS[guarantee]).parameters
     own, told = bounded_error(scenario.sensing, scenario.dim), arguments.get("bearing_error", 0.0)

@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from ..checks import Seconds, format_limit, raise_invalid, short_repr
+from ..checks import Seconds, format_limit, known_arguments, raise_invalid, short_repr
 from .graph import Graph, GraphNumbers, LinkArrays, parse, step_degree
 
 
@@ -103,6 +103,7 @@ class SwitchingGraph(Graph, kinds=("switching",)):
         return {"kind": self.kind, "graphs": listed, "dwell": self.dwell, "order": self.order}
 
 
+@known_arguments
 def switching(
     graphs: Iterable[Any], dwell: float = 1.0, order: Literal["cyclic", "random"] = "cyclic"
 ) -> Graph:

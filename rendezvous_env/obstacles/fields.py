@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
-from ..checks import format_limit, is_int, is_sequence, raise_invalid
+from ..checks import format_limit, is_int, is_sequence, names_unknown_fields, raise_invalid
 from ..compilation import by_type, inner_kernel, kernel
 from ..field_docs import lists_fields
 from ..limits import MAX_OBSTACLES
@@ -29,6 +29,7 @@ def _check_count(field: str, value: Any) -> int | tuple[int, int]:
 
 
 @lists_fields
+@names_unknown_fields("ObstacleField")
 @dataclass(frozen=True)
 class ObstacleField(Drawn):
     """Discs (2-D) or spheres (3-D), sampled in every episode.

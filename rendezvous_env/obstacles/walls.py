@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from ..checks import format_limit, raise_invalid
+from ..checks import format_limit, names_unknown_fields, raise_invalid
 from ..compilation import inner_kernel, kernel
 from ..field_docs import lists_fields
 from ..physics.random_streams import uniform
@@ -33,6 +33,7 @@ _NUMBERS = 15  # random numbers per trial: 3 for the pose, at most 3 for each of
 
 
 @lists_fields
+@names_unknown_fields("WallField")
 @dataclass(frozen=True)
 class WallField(Drawn):
     """Walls of a layout, with position and angle sampled in every episode.

@@ -42,23 +42,23 @@ class StartOptions(NamedTuple):
 def parse_options(scenario: Any, num_envs: int, options: Mapping[str, Any] | None) -> StartOptions:
     """Check the options of a reset of B teams, see ``Simulator.reset``.
 
-    An unknown key is ignored, as Gymnasium has it, unless it is nearly one of ours, or a field of
+    An unknown key is ignored, as in Gymnasium, unless it is similar to an option or to a field of
     the scenario, which no reset changes.
 
     Raises:
         ValueError: naming the option, its value and what would be right.
     """
     options = as_options(options)
-    fields = {field.name for field in dataclasses.fields(scenario)} if options else set()
+    fields = ["max_cycles", *(field.name for field in dataclasses.fields(scenario) if options)]
     for key in options:
-        near = nearest_word(key, OPTIONS, cutoff=0.8)
-        if key not in OPTIONS and near:
+        if key in OPTIONS:
+            continue
+        if near := nearest_word(key, OPTIONS, cutoff=0.8):
             raise ValueError(f"options: {short_repr(key)} is not an option; did you mean {near!r}?")
-        if key not in OPTIONS and (key == "max_cycles" or key in fields):
+        if field := nearest_word(key, fields, cutoff=0.8, parts=False):
             raise ValueError(
                 f"options: {short_repr(key)} is of the scenario, which a reset does not change; "
-                "make "
-                f"another environment with {key}=…; options are {', '.join(OPTIONS)}"
+                f"make another environment with {field}=…; options are {', '.join(OPTIONS)}"
             )
     values = ((options.get(key), read) for key, read in _READERS.items())
     given = StartOptions(

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Annotated, Any, Literal
 
 from .. import checks
-from ..checks import Metres
+from ..checks import Metres, known_arguments
 from ..field_docs import lists_fields
 from ..limits import MAX_DELAY, MAX_SECTORS
 from .custom_sensors import as_custom
@@ -180,6 +180,7 @@ class Sensing:
         return cls(noise=0.145) if line_of_sight else cls(noise=0.15, outliers=0.18)
 
     @classmethod
+    @known_arguments
     def fit(cls, bearings: Any, poses: Any, *, per_robot: bool = False, seed: int = 0) -> Sensing:
         """Sensor model of a log of bearings with ground truth.
 

@@ -205,6 +205,13 @@ def test_statistics_recorder_keeps_tanks_of_others():
     np.testing.assert_array_equal(env.step(away)[0][0], whole.step(away)[0][0])
 
 
+def test_training_env_logs_no_missing_guarantee_before_it_refuses(caplog):
+    fields = {"n_robots": 12, "neighbour_slots": 7, "neighbour_overflow": "nearest"}
+    with pytest.raises(ValueError, match="neighbour"):
+        rv.vector.training_env("clutter-4", 2, **fields)
+    assert not caplog.messages
+
+
 def test_training_env_logs_missing_guarantee_once(caplog):
     """Including errors that are unknown to its wrapper."""
     erring = rv.Scenario(n_robots=2, sensing=rv.Sensing(error=0.01))

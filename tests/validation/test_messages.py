@@ -188,6 +188,16 @@ WRONG_OPTIONS = [
     (5, "options is 5; it must be None or a dict"),
     ([("positions", 1)], "options is .* None or a dict"),
     ({"position": 1}, "options: 'position' is not an option; did you mean 'positions'"),
+    (
+        {"start_positions": 1},
+        "options: 'start_positions' is not an option; did you mean 'positions'",
+    ),
+    ({"adjacency": 1}, "options: 'adjacency' is not an option; did you mean 'weights'"),
+    (
+        {"speed_limit": 1},
+        "options: 'speed_limit' is of the scenario.* environment with max_speed=…",
+    ),
+    ({"n_robot": 3}, "options: 'n_robot' is of the scenario.* environment with n_robots=…"),
     ({"positions": [[HUGE, 0], [0, 0]]}, "positions is .* numbers"),
     ({"positions": DEEP}, "positions is"),
     ({"frames": np.full((2, 2, 2), 1e300)}, "frames of robot_0 is"),

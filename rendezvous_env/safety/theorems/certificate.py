@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from ...checks import choice, raise_invalid, to_float
+from ...checks import choice, known_arguments, raise_invalid, to_float
 from ...deprecation import renamed_attribute
 from ...field_docs import lists_fields
 from ...scenario.scenario import Scenario
@@ -135,6 +135,7 @@ class Certificate:
         )
 
 
+@known_arguments
 def certificate(
     scenario: Scenario | str | os.PathLike[str],
     min_alignment: float = 1.0,
