@@ -155,7 +155,8 @@ def training_env(
     _say_what_is_not_covered(chosen, guarantee, arguments)  # after all errors
     if (chosen.reward, price) not in _logged:
         _logged.add((chosen.reward, price))
-        _LOGGER.info("training_env: in force are %s and contact_penalty %g", chosen.reward, price)
+        reward = chosen.reward.to_plain()
+        _LOGGER.info("training_env: reward in use: %s, contact_penalty %g", reward, price)
     return TrainingTeams(teams, price)
 
 

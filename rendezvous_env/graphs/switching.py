@@ -50,6 +50,11 @@ class SwitchingGraph(Graph, kinds=("switching",)):
     order: Literal["cyclic", "random"] = "cyclic"
     """Order: cyclic, or random at every switch."""
 
+    def __repr__(self) -> str:
+        """As ``Graph``."""
+        order = "" if self.order == "cyclic" else f", order={self.order!r}"
+        return f"graphs.switching({list(self.graphs)}, dwell={self.dwell}{order})"
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.weight_range != (1.0, 1.0):

@@ -8,6 +8,7 @@ from typing import Annotated, Any, NamedTuple
 from ..checks import format_limit, is_int, is_sequence, names_unknown_fields, raise_invalid
 from ..compilation import by_type, inner_kernel, kernel
 from ..field_docs import lists_fields
+from ..field_repr import repr_of_changes
 from ..limits import MAX_OBSTACLES
 from ..physics.random_streams import uniform
 from ..physics.vectors import load
@@ -55,6 +56,8 @@ class ObstacleField(Drawn):
 
     numbers = 0
     only_balls = True
+
+    __repr__ = repr_of_changes
 
     def __post_init__(self) -> None:
         super().__post_init__()

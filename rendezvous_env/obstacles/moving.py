@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..checks import flag, is_sequence, names_unknown_fields, number, positive, raise_invalid
 from ..field_docs import lists_fields
+from ..field_repr import repr_of_changes
 from . import shape
 from .capsule import Capsule
 from .disc import Disc, Sphere
@@ -99,6 +100,8 @@ class Moving(shape.Shape):
     """Lower and upper corner of the box in which a random walk keeps the obstacle's centre, m."""
     interval: Annotated[float, partial(positive, unit="s")] = 2.0
     """Time between two directions of a random walk, s."""
+
+    __repr__ = repr_of_changes
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -15,6 +15,7 @@ from typing import Literal, NamedTuple
 from ..checks import format_limit, names_unknown_fields, raise_invalid
 from ..compilation import inner_kernel, kernel
 from ..field_docs import lists_fields
+from ..field_repr import repr_of_changes
 from ..physics.random_streams import uniform
 from ..physics.vectors import load
 from .obstacle_set import clear, clear_of_obstacles
@@ -59,6 +60,8 @@ class WallField(Drawn):
 
     numbers = BOX
     only_balls = False
+
+    __repr__ = repr_of_changes
 
     def __post_init__(self) -> None:
         super().__post_init__()

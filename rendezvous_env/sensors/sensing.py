@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from .. import checks
 from ..checks import Metres, known_arguments
 from ..field_docs import lists_fields
+from ..field_repr import repr_of_changes
 from ..limits import MAX_DELAY, MAX_SECTORS
 from .custom_sensors import as_custom
 
@@ -132,6 +133,8 @@ class Sensing:
     outlier_kind: Literal["uniform", "robot"] = "uniform"
     """What an outlier is: a uniform direction, or the bearing of another robot than the neighbour,
     drawn from those that are left; with none, bearings stay."""
+
+    __repr__ = repr_of_changes
 
     def __post_init__(self) -> None:
         checks.check_fields(self, "sensing.{}")

@@ -12,6 +12,7 @@ from typing import Any
 from ...checks import choice, known_arguments, raise_invalid, to_float
 from ...deprecation import renamed_attribute
 from ...field_docs import lists_fields
+from ...field_repr import repr_of_changes
 from ...scenario.scenario import Scenario
 from ...scenario.scenarios import resolve
 from ..gains import gain_range
@@ -85,6 +86,8 @@ class Certificate:
     contact."""
     policy: str = ""
     """Name of the certified policy; empty if none was given."""
+
+    __repr__ = repr_of_changes
 
     @property
     def promises(self) -> dict[str, float]:
