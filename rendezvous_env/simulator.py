@@ -217,7 +217,9 @@ class Simulator(StateView):
     def _check_ready(self) -> None:
         if not self._ready:
             never = np.flatnonzero(self._state.number < 0)
-            which = f": team {never[0]} has had none" if 0 < len(never) < self.num_envs else ""
+            which = (
+                f": environment {never[0]} has had none" if 0 < len(never) < self.num_envs else ""
+            )
             raise RuntimeError(f"call reset() before step(){which}")
 
     @property
@@ -343,7 +345,7 @@ class Simulator(StateView):
             return
         team = int(np.argmax(output.neighbour_overflow >= 0))
         raise RuntimeError(
-            f"robot_{output.neighbour_overflow[team]} of team {team} has more than "
+            f"robot_{output.neighbour_overflow[team]} of environment {team} has more than "
             f"neighbour_slots = {slots} neighbours after step {self.steps[team]}; "
             "give the scenario more neighbour_slots"
         )

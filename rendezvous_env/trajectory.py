@@ -329,7 +329,7 @@ def _warn_of_size(simulator: Simulator, a_state: int, asked: tuple[str, ...]) ->
     actions = 4 * n * size if "actions" in asked else 0
     a_step = a_state + simulator.num_envs * (3 * 8 + n + actions)  # V twice, reward, contacts
     if (total := a_step * (simulator.max_steps + 1)) > _MUCH:
-        advice = "take fewer teams or steps" + (", or record less" if asked else "")
+        advice = "take fewer environments or steps" + (", or record less" if asked else "")
         warnings.warn(
             f"this rollout may keep {total / 1e9:.1f} GB, {a_step / 1e6:.3g} MB a step for up to "
             f"{simulator.max_steps} steps; {advice}",

@@ -31,11 +31,11 @@ RESULTS = {
     "scenario": "name of the scenario",
     "policy": "name of the policy",
     "episodes": "number of starts",
-    "success": "fraction of teams that met, 0 to 1",
+    "success": "fraction of episodes that met, 0 to 1",
     "success_low": f"lower end {_INTERVAL} (Wilson)",
     "success_high": "upper end of it",
-    "clean_success": "fraction of teams that met without touching an obstacle; empty where robots "
-    "pass through obstacles",
+    "clean_success": "fraction of episodes that met without touching an obstacle; empty where "
+    "robots pass through obstacles",
     "clean_low": f"lower end {_INTERVAL} (Wilson)",
     "clean_high": "upper end of it",
     "median_time": "median time of rendezvous, s; a time-out counts as later than any time",

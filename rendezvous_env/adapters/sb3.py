@@ -262,5 +262,5 @@ class RobotVecEnv(VecEnv):
         layers = *layers_of(self.teams), self.simulator
         owner = next((layer for layer in layers if hasattr(layer, name)), default)
         if owner is None:
-            raise AttributeError(f"neither the teams nor their simulator have {name!r}")
+            raise AttributeError(f"neither the environments nor their simulator have {name!r}")
         return owner

@@ -99,7 +99,11 @@ def test_invalid_filter_is_rejected():
         (rv.GuaranteeWrapper, (base, "half_sped"), "safety_filter is 'half_sped'"),
         (rv.GuaranteeWrapper, (base, 5), "safety_filter is 5; it must be one of"),
         (rv.GuaranteeWrapper, (base, dict), "safety_filter is <class 'dict'>; .* a subclass of it"),
-        (rv.GuaranteeWrapper, (base, HalfSpeed(base.scenario, 2)), "this scenario and 1 teams"),
+        (
+            rv.GuaranteeWrapper,
+            (base, HalfSpeed(base.scenario, 2)),
+            "this scenario and 1 environment",
+        ),
         (rv.register_filter, ("heading", HalfSpeed), "which are taken"),
         (rv.register_filter, ("other", dict), "subclass of SafetyFilter"),
         (rv.register_filter, ("no word", HalfSpeed), "a word"),

@@ -143,7 +143,9 @@ def test_unrecordable_policy_is_rejected(record):
 
 
 def test_large_recording_warns():
-    with pytest.warns(UserWarning, match=r"may keep .* GB.*; take fewer teams or steps, or record"):
+    with pytest.warns(
+        UserWarning, match=r"may keep .* GB.*; take fewer environments or steps, or record"
+    ):
         with pytest.raises(ZeroDivisionError):
             rollout("clutter-24", lambda seen, time: 1 / 0, num_envs=20_000, record="all")
 

@@ -149,7 +149,7 @@ class TestFunctions:
         raw[1, 2, 0] = np.nan
         for choice, given, message in (
             ([0.0, 1.0], seen, rf"choose gave .* \(2,\); .* \(3, {n}, 2\)"),
-            (raw, seen, "action of robot_2 in team 1 is"),
+            (raw, seen, "action of robot_2 in environment 1 is"),
             (raw, seen[:, :1], "observations have shape"),
         ):
             with pytest.raises(ValueError, match=message):
@@ -247,7 +247,9 @@ class TestModels:
         with pytest.raises(ValueError, match=r"output of predict .*; it must be \(2, 2\)"):
             policy(rv.Simulator(rv.scenarios.get("duo"), 1).reset(0), 0.0)
         policy = TrainedPolicy("duo", lambda seen: np.full(len(seen), 1.5), discrete=True)
-        with pytest.raises(ValueError, match=r"robot_0 in team 0 is 1.5; it must be an integer"):
+        with pytest.raises(
+            ValueError, match=r"robot_0 in environment 0 is 1.5; it must be an integer"
+        ):
             policy(rv.Simulator(rv.scenarios.get("duo"), 1).reset(0), 0.0)
 
 

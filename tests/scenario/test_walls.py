@@ -68,7 +68,7 @@ class TestField:
     def test_impossible_walls_are_error(self):
         crowd = np.stack(np.meshgrid(*2 * [np.linspace(-9, 9, 10)]), axis=-1).reshape(-1, 2)
         walls = field("trap", keep_out=2.0)
-        with pytest.raises(RuntimeError, match="no room for the start of team 0"):
+        with pytest.raises(RuntimeError, match="no room for initial positions in environment 0"):
             started(Scenario(n_robots=100, obstacles=walls), positions=crowd)
 
 

@@ -93,7 +93,7 @@ def test_invalid_action_arrays_are_rejected(name):
         for team in (wrong, [wrong, wrong]):
             message = refusal(env.step, team if single else [team])
             assert re.match(
-                r"actions? (is|have shape|of robot_\d in team 0 is) .* must be", message
+                r"actions? (is|have shape|of robot_\d in environment 0 is) .* must be", message
             )
     np.testing.assert_equal(env.get_state(), before)
     message = refusal(env.step, [[0, 0], [1e300, 0]] if single else [[[0, 0], [1e300, 0]]])
@@ -275,7 +275,7 @@ def test_policies_reject_invalid_masks_and_times():
     policy = baselines.make("tangent-certified", CLUTTER)
     policy(np.zeros((3, 2, *CLUTTER.observation_layout.shape)), 0.0)
     for wrong in ([True], "abc", [[True, False, True]], [1, 0, 1], 5):
-        assert "one for each of 3 teams" in refusal(policy.reset, wrong)
+        assert "one for each of 3 environments" in refusal(policy.reset, wrong)
     policy.reset([True, False, True])
     scenario = Scenario(n_robots=2, robot_model="unicycle")
     policy = baselines.make("unicycle-cosine", scenario)

@@ -86,7 +86,10 @@ def test_finished_random_scenarios_are_not_repeated(tmp_path):
         done, again = checked(config(tmp_path, **settings))
     assert done == whole[2:] and len(whole) == 3
     assert read_csv(tmp_path / "any.csv") == read_csv(tmp_path / "whole/any.csv")
-    assert printed.split(" of 24 teams")[0] in again and "72 random scenarios" in again
+    assert (
+        printed.split(" of 24 environments")[0] in again
+        and "72 initial conditions of 12 random scenarios" in again
+    )
 
 
 def test_other_command_or_program_is_rejected(tmp_path, monkeypatch):
