@@ -74,7 +74,7 @@ class Trajectory:
     recorded: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     """Quantities recorded on request, by name."""
     conditions: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
-    """Conditions of robots in each step, (T, B, n), with own clocks or events; see
+    """Conditions of robots in each step, (T, B, n), with asynchronous activation or events; see
     ``Simulator.conditions``."""
     start: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     """State after the reset, from which to repeat the rollout; see ``Simulator.get_state``."""

@@ -60,9 +60,9 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     return Bounds(words, meets=True, time=time, lyapunov=most)
 
 
-def own_clocks(scenario: Scenario, asked: Asked) -> str:
+def asynchronous(scenario: Scenario, asked: Asked) -> str:
     """Some robots skip steps."""
-    synchronous = "none: theorem E3 is for robots with own clocks, and these are synchronous"
+    synchronous = "none: theorem E3 is for asynchronous activation; these robots are synchronous"
     return synchronous if scenario.activation.synchronous else ""
 
 
@@ -138,7 +138,7 @@ def drawn_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 
 _late = given.flawed_by("delay", "theorem E1 is for bearings that are late and nothing else")
 _LATE = *given.TEAM, _late, given.no_obstacles, small_delay, given.frames_stay
-_ACTED = own_clocks, *given.UNHINDERED, given.exact_bearings
+_ACTED = asynchronous, *given.UNHINDERED, given.exact_bearings
 _HELD = *_ACTED, given.frames_stay, bounded_wait, short_hold
 _STOPPED = *_ACTED, given.certified_or_scaled
 _WAITED, _DRAWN = (*_STOPPED, bounded_wait), (*_STOPPED, drawn_activation)
