@@ -226,6 +226,7 @@ def test_training_env_logs_missing_guarantee_once(caplog):
         (erring, {"bearing_error": 0.01}, []),
     ):
         caplog.clear()
-        for _ in range(2):
-            rv.vector.training_env(scenario, learning_preset=False, time_limit=7.25, **given)
+        for number in range(2):
+            fields = {"time_limit": 7.25, "reward": {"time_penalty": float(number)}} | given
+            rv.vector.training_env(scenario, learning_preset=False, **fields)
         assert len(caplog.messages) == len(words) and all(word in caplog.text for word in words)

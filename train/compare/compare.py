@@ -274,6 +274,5 @@ def _pictures(found: Found, config: Config) -> Iterator[Picture]:
             if done.job.scenario == scenario and 0 in done.recordings
         }
         if first and scenario.dim == 2:
-            own = figures.own_names(found.rows)
-            draw = partial(path_figures.trajectories_figure, scenario, first, own)
+            draw = partial(path_figures.trajectories_figure, scenario, first)
             yield f"trajectories-{scenario.name}", draw
