@@ -217,6 +217,17 @@ def test_modified_description_is_rejected(content, message, folder, refused):
     assert message in refused(folder)
 
 
+def test_folder_of_the_former_format_is_read(folder, compared, reseal):
+    for name in ("results.csv", "paired.csv"):
+        text = (folder / name).read_text()
+        assert "collision_free_" in text
+        (folder / name).write_text(text.replace("collision_free_", "clean_"))
+    reseal(folder, format_version=5)
+    former, current = read(folder), read(compared)
+    assert former.rows == current.rows and "collision_free_success" in former.rows[0]
+    assert former.paired == current.paired
+
+
 class TestForged:
     """One-line message also for invalid content with valid digests."""
 

@@ -54,7 +54,11 @@ def page(folder: Path) -> str:
         "rankings": [],
         "leaders": [one["replay"] for one in played if one["replay"]],
         "results": [
-            {"scenario": one["scenario"], "policy": one["replay"], "clean_success": one["clean"]}
+            {
+                "scenario": one["scenario"],
+                "policy": one["replay"],
+                "collision_free_success": one["clean"],
+            }
             for one in cells
         ],
     }
