@@ -92,8 +92,13 @@ class Trajectory:
 
     @property
     def collision_free(self) -> NDArray[np.bool_]:
-        """Environments without contact, (B,); with ``success`` the usual metric."""
+        """Environments without contact, (B,), whether or not the robots met."""
         return np.asarray(~self.contacts.any(axis=(0, 2)))
+
+    @property
+    def collision_free_success(self) -> NDArray[np.bool_]:
+        """Environments in which all robots met without contact, (B,), the metric of all tables."""
+        return self.success & self.collision_free
 
     @property
     def observations(self) -> NDArray[np.float32]:

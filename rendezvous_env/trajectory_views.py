@@ -120,7 +120,7 @@ def one_line(trajectory: Any) -> str:
     ended = "met" if met else "did not meet"
     if count > 1:
         ended = f"{met} of {count} met"
-    free = int((trajectory.success & trajectory.collision_free).sum())
+    free = int(trajectory.collision_free_success.sum())
     if scenario.obstacles:
         ended += f", {free} collision-free" if count > 1 else ", collision-free" * free
     kept = f", recorded: {', '.join(recorded)}" if recorded else ""
