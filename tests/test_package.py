@@ -30,7 +30,7 @@ MODULES = sorted(
     for path in (ROOT / package).rglob("*.py")
 )
 ROOMS = (
-    {"compilation", "kernel_cache", "checks", "deprecation", "field_docs", "limits"},
+    {"compilation", "kernel_cache", "checks", "deprecation", "field_docs", "field_repr", "limits"},
     {"physics"},
     {"robots", "rewards"},
     {"obstacles"},
