@@ -209,8 +209,9 @@ class Simulator(StateView):
         return output
 
     def compile(self) -> None:
-        """Compile all stages of a step, those of contacts and merges too, which a small batch
-        otherwise compiles when for the first time something can meet.
+        """Compile all stages of a step.
+
+        Small batches otherwise compile contacts and merges when one is first possible.
         """
         self._runner.compile()
 
@@ -226,8 +227,8 @@ class Simulator(StateView):
     def supports_step_n(self) -> bool:
         """True if ``step_n`` is available.
 
-        It requires that no user code runs in a step, that observations are those of the engine, and
-        that no robot can exceed its neighbour rows.
+        It requires steps without user code and observations of the engine. No robot may exceed its
+        neighbour rows.
         """
         slots = self.scenario.observation_layout.neighbour_slots
         crowds = slots < self.scenario.n_robots - 1

@@ -57,10 +57,9 @@ class RobotSlots:
     """B environments of n robots as B·n slots; slot = environment · n + robot.
 
     An environment is reset in the step in which it ends. Rendezvous is a termination; a time-out
-    and a merge are truncations. Such a slot is bootstrapped from its own last observation at a
-    time-out and from its survivor's at a merge, so an early merge is not penalised. With action
-    repeat this requires ``on_merge="follow"``: otherwise the robot earns nothing in the remaining
-    steps.
+    and a merge are truncations. At a time-out a slot is bootstrapped from its own last observation,
+    at a merge from its survivor's, so an early merge is not penalised. With action repeat this
+    requires ``on_merge="follow"``: otherwise the robot earns nothing in the remaining steps.
 
     Args:
         teams: a vector environment with SAME_STEP autoreset, wrapped or not; a ValueError for

@@ -263,11 +263,11 @@ def class_of(kind: Any) -> type[Graph]:
 
 
 def parse(value: Any, n: int | None = None) -> Graph:
-    """A Graph of n robots, if that is known, from a Graph, a name, the plain data of
-    ``Graph.to_plain``, a matrix of weights, an edge list, or a networkx graph.
+    """Graph from a name, plain data, a matrix of weights, an edge list, or a networkx graph.
 
-    A table of n rows is a matrix where it can be one; others with rows of two or three entries are
-    edges. A networkx graph that is directed gives a directed graph.
+    Plain data are those of ``Graph.to_plain``; a Graph is returned unchanged. A table of n rows is
+    a matrix where it can be one; others with rows of two or three entries are edges. A directed
+    networkx graph gives a directed graph.
     """
     if isinstance(value, Graph):
         return value

@@ -55,7 +55,7 @@ class Config(Workers):
     """
 
     trials: Annotated[int, Bounds(1, 10**8)] = 1000
-    """Teams for each claim, or with --random-scenarios or --policy scenarios."""
+    """Environments for each claim; initial conditions with --random-scenarios or --policy."""
     seed: Annotated[int, Bounds(0)] = 0
     """Seed of the random environments."""
     out: Path = Path("out/verify")
