@@ -238,7 +238,7 @@ def test_invalid_discrete_action_is_rejected():
     robots.reset()
     robots.step(np.full(4, 8))
     for wrong in (1.5, np.nan, 9):
-        with pytest.raises(ValueError, match=f"team 0 is {wrong}; .* integer below 9"):
+        with pytest.raises(ValueError, match=f"environment 0 is {wrong}; .* integer below 9"):
             robots.step(np.full(4, wrong))
 
 

@@ -175,5 +175,5 @@ class TestNobodyIsWalledIn:
     def test_hopeless_field_is_error(self):
         """One robot amid many discs, and one outside."""
         closed = ObstacleField(400, (0.8, 0.9), 12, 0.3, passage=0.6)
-        with pytest.raises(RuntimeError, match="no room for the start"):
+        with pytest.raises(RuntimeError, match="no room for initial positions"):
             started(Scenario(n_robots=2, obstacles=closed), positions=[[0.0, 0.0], [0.0, 20.0]])
