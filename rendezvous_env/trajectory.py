@@ -338,5 +338,5 @@ def _warn_of_size(simulator: Simulator, a_state: int, asked: tuple[str, ...]) ->
         warnings.warn(
             f"this rollout may keep {total / 1e9:.1f} GB, {a_step / 1e6:.3g} MB a step for up to "
             f"{simulator.max_steps} steps; {advice}",
-            stacklevel=3,
+            stacklevel=4,  # of the caller of ``rollout``, which is decorated
         )
