@@ -207,8 +207,8 @@ class GuidedTeams:
         is_choice = (numbers >= 0) & (numbers < count) & (numbers == np.floor(numbers))
         for team, robot in np.argwhere(~is_choice):
             raise ValueError(
-                f"action of robot_{robot} in team {team} is {given[team, robot]}; it must be "
-                f"an integer below {count}"
+                f"action of robot_{robot} in environment {team} is {given[team, robot]}; it must "
+                f"be an integer below {count}"
             )
         self.choices = numbers.astype(np.int64)
         self._directions = self._turns[self.choices]
@@ -225,7 +225,9 @@ class GuidedTeams:
         if not unit_vectors(given, turned, tuple(self._turns[0])):
             team, robot, _ = np.argwhere(~np.isfinite(given))[0]
             raise_invalid(
-                f"action of robot_{robot} in team {team}", given[team, robot].tolist(), "finite"
+                f"action of robot_{robot} in environment {team}",
+                given[team, robot].tolist(),
+                "finite",
             )
         self._directions = turned
         if self.perception.remembers_angles:
