@@ -30,7 +30,7 @@ from ..robots.robot_models import constants_of, limits_of
 from ..scenario.scenario import CONTACT_MODES, Scenario
 from ..scenario.start_region import triangles_of
 from ..sensors.effects import Effects, effects_of, kept_share
-from ..sensors.imperfections import Imperfections, imperfections_of
+from ..sensors.imperfections import Imperfections, Views, imperfections_of, views_of
 from .edge_tables import LinkList
 from .memory import Robot
 from .state import State
@@ -69,6 +69,7 @@ class Sensor(NamedTuple):
     detection_kept: float  # of the memory of detection in a step, see ``effects``
     errors_kept: float  # likewise, of that of noise
     samples_per_step: float  # 0 without a sample period
+    views: Views | None  # where they differ between robots
 
 
 def robot(scenario: Scenario) -> Robot:
@@ -109,6 +110,7 @@ def sensor(state: State) -> Sensor | None:
         detection_kept=kept_share(sensing.persistence, tau),
         errors_kept=kept_share(sensing.noise_correlation, tau),
         samples_per_step=tau / sensing.sample_period if sensing.sample_period > 0.0 else 0.0,
+        views=views_of(sensing, scenario.n_robots),
     )
 
 

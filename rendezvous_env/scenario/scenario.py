@@ -30,6 +30,7 @@ from ..robots.activation import Activation, ActivationLike, as_activation
 from ..robots.events import Events
 from ..robots.mixed_team import MEMBERS, MIXED
 from ..robots.robot_models import ROBOT_MODELS, RobotModel, try_with
+from ..sensors.robot_sensors import as_sensing
 from ..sensors.sensing import Sensing
 from . import scenario_files
 from .observation_layout import ObservationLayout
@@ -177,10 +178,8 @@ class Scenario:
     """Frames of single integrators: a random fixed rotation per robot, or the global frame."""
     on_merge: Literal["remove", "follow"] = "remove"
     """Agent of a merged robot: it ends ("remove"), or stays with zero observations ("follow")."""
-    sensing: Annotated[Sensing, checks.of_class(Sensing)] = dataclasses.field(
-        default_factory=Sensing
-    )
-    """Sensor imperfections; none by default."""
+    sensing: Annotated[Sensing, as_sensing] = dataclasses.field(default_factory=Sensing)
+    """Sensor imperfections; none by default. A list of n sensors gives each robot its own."""
     reward: Annotated[RewardWeights, checks.of_class(RewardWeights)] = dataclasses.field(
         default_factory=RewardWeights
     )

@@ -202,7 +202,7 @@ def _with_events(random: Random, scenario: rv.Scenario) -> rv.Scenario:
 def other_starts(random: Random, scenario: rv.Scenario, places: Array, anew: float = 0.0) -> Starts:
     """The scenario with ``STARTS`` variations of initial positions (k, n, d), m."""
     n, dim, r = scenario.n_robots, scenario.dim, scenario.merge_radius
-    reach, found = reach_of(scenario.sensing.range, n, r), list[rv.Scenario]()
+    reach, found = reach_of(scenario.sensing.smallest("range"), n, r), list[rv.Scenario]()
     for k in range(4 * STARTS):
         start = (
             places_of.random_positions(random, n, dim, r, reach) if random.random() < anew else None
