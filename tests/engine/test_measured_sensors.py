@@ -489,7 +489,8 @@ def test_what_does_not_fit_the_team_is_refused(fields, words):
 @pytest.mark.parametrize(
     "fields",
     [
-        {"min_range": 1.0}, {"sample_period": 1.0}, {"observer_bias": 0.1}, {"noise": (0.1, 0.2, 0.1, 0.2, 0.1)},
+        {"min_range": 1.0}, {"sample_period": 1.0}, {"observer_bias": 0.1},
+        {"noise": (*[0.1] * 4, 0.2)},
         {"noise": 0.1, "noise_correlation": 1.0}, {"detection": ((1.0, 0.0),)}, {"outliers": 0.01},
         {"field_of_view": 1.0, "view_falloff": 0.1},
     ],
