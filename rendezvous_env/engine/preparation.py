@@ -24,7 +24,7 @@ from ..robots.activation import ActivationRules
 from ..robots.activation import rules_of as activation_rules
 from ..robots.events import EventRules
 from ..robots.events import rules_of as event_rules
-from ..robots.mixed_team import MIXED, mixed_limits
+from ..robots.mixed_team import mixed_limits
 from ..robots.motion import init_memory
 from ..robots.robot_models import constants_of, limits_of
 from ..scenario.scenario import CONTACT_MODES, Scenario
@@ -81,7 +81,7 @@ def robot(scenario: Scenario) -> Robot:
         axes=tuple(range(d)),
         entries=tuple(range(d * d)),
         memories=tuple(range(scenario.model.memory_size(d))),
-        limits=mixed_limits(scenario) if scenario.model is MIXED else limits_of(scenario),
+        limits=mixed_limits(scenario) if scenario.mixes_models else limits_of(scenario),
     )
 
 

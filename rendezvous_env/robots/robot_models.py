@@ -26,7 +26,7 @@ from ..checks import (
 )
 from .motion import FREE, STOPPED, Motion, check_function, is_number, motion_of
 
-MAX_KEPT = 4  # numbers that a robot model may keep from step to step
+MAX_KEPT = 5  # numbers that a robot model may keep from step to step
 _SAMPLES = 12
 _ROUNDING = 1e-9
 
