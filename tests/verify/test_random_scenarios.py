@@ -49,7 +49,7 @@ def test_random_scenarios_cover_all_kinds():
         *("directed", "directed_cycle", "switching", "proximity"),
     }
     models = {"single_integrator", "double_integrator", "unicycle", "nonholonomic_3d"}
-    assert {scenario.robot_model for scenario in drawn} == models
+    assert {scenario.robot_model for scenario in drawn if not scenario.mixes_models} == models
     assert {scenario.n_robots for scenario in drawn} == {2, 3, 4, 5, 6}
     solid = [scenario for scenario in drawn if scenario.obstacles]
     assert {scenario.obstacle_contact for scenario in solid} == {"slide", "stop", "ignore"}
@@ -73,6 +73,40 @@ def test_random_scenarios_cover_clocks_and_events(monkeypatch):
     assert clocks == {*itertools.product(("periodic", "random", "bounded"), ("command", "stop"))}
     kinds = {"crash", "blind", "adversary", "compass", "slip", "disturbance", "noise"}
     assert set().union(*(one.events.kinds for one in drawn)) == kinds
+
+
+def test_random_scenarios_cover_mixed_teams_sensors_of_robots_and_areas(monkeypatch):
+    before = [trials_of(0, number, number)[0].scenario for number in range(150)]
+    monkeypatch.setattr(random_scenarios, "_VARIED", 0.0)
+    plain = [trials_of(0, number, number)[0].scenario for number in range(150)]
+    changed = sum(one != other for one, other in zip(before, plain, strict=True))
+    assert 5 < changed < 0.25 * 150
+    monkeypatch.setattr(random_scenarios, "_VARIED", 0.9)
+    drawn = [trials_of(0, number, number)[0].scenario for number in range(150)]
+    models = {name for one in drawn if one.mixes_models for name in one.robot_model}
+    assert models == {"single_integrator", "double_integrator", "unicycle", "nonholonomic_3d"}
+    own = {name for one in drawn for name in one.sensing.per_robot}
+    assert own == {"range", "field_of_view", "noise", "dropout", "min_range"}
+    assert {one.dim for one in drawn if isinstance(one.spawn_size, tuple)} == {2, 3}
+    assert {len(one.start_region) for one in drawn if one.start_region} == {1, 2}
+    bounded = [
+        one for one in drawn
+        if one.sensing.per_robot == ("dropout",)
+        and rv.certificate(one).expected_time_bound < math.inf
+    ]  # fmt: skip
+    assert bounded
+
+
+def test_shrunk_scenarios_leave_out_robots_with_their_sensors():
+    sensing = rv.Sensing(dropout=[0.1, 0.2, 0.3, 0.4])
+    fewer = [
+        one.scenario
+        for one in falsification._simpler(trial(SQUARE.replace(sensing=sensing)))
+        if one.scenario.n_robots == 3
+    ]
+    assert [one.sensing.dropout for one in fewer] == [
+        (0.2, 0.3, 0.4), (0.1, 0.3, 0.4), (0.1, 0.2, 0.4), (0.1, 0.2, 0.3),
+    ]  # fmt: skip
 
 
 def test_equal_seed_gives_equal_scenario():
