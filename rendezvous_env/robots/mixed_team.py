@@ -35,7 +35,7 @@ from .motion import (
     update_memory,
 )
 from .nonholonomic_3d import body_frame_3d
-from .robot_models import RobotModel, constants_of, is_custom
+from .robot_models import RobotModel, constants_of
 from .unicycle import body_frame_2d
 
 MAX_MEMBERS = 3
@@ -396,8 +396,3 @@ def mixed_limits(scenario: Any) -> NDArray[np.float64]:
                     f"robot model {name!r}; annotate it as float in its class"
                 )
     return table
-
-
-def mixes_custom(members: tuple[RobotModel, ...]) -> bool:
-    """True if any of several models is custom."""
-    return any(map(is_custom, members))
