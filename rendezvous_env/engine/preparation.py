@@ -65,7 +65,7 @@ class Sensor(NamedTuple):
     packed: bool
     """True if the rows of visible neighbours come first, rather than each in its own."""
     effects: Effects | None
-    observer_bias: float  # rad
+    observer_bias: NDArray[np.float64]  # of each robot, (n,), rad
     detection_kept: float  # of the memory of detection in a step, see ``effects``
     errors_kept: float  # likewise, of that of noise
     samples_per_step: float  # 0 without a sample period
@@ -106,7 +106,7 @@ def sensor(state: State) -> Sensor | None:
         listed=place.packed and in_order,
         packed=place.packed,
         effects=effects_of(sensing, scenario.n_robots),
-        observer_bias=sensing.observer_bias,
+        observer_bias=sensing.each("observer_bias", scenario.n_robots),
         detection_kept=kept_share(sensing.persistence, tau),
         errors_kept=kept_share(sensing.noise_correlation, tau),
         samples_per_step=tau / sensing.sample_period if sensing.sample_period > 0.0 else 0.0,

@@ -389,7 +389,7 @@ class StepStages:
         self, rows: tuple[int, int], blocks: tuple[int, int, bool], sensor: Sensor, work: Scratch
     ) -> Iterator[Any]:
         """Turn rows, from one to before another, by what a robot's sensor is askew."""
-        if sensor.observer_bias > 0.0:
+        if sensor.observer_bias.max() > 0.0:
             state = self._state
             streams = state.seed, state.number, state.environments
             given = (
@@ -427,7 +427,7 @@ class StepStages:
             rows = own, points, self._state.batch
             yield limit_views_of_silhouettes, *shape, sensor.views, *rows, _ROWS
         turns = effects is not None and effects.turns
-        if not turns and sensor.observer_bias == 0.0:
+        if not turns and sensor.observer_bias.max() == 0.0:
             yield from noise(errors)
             return
         yield from noise(errors._replace(sectors=0))

@@ -44,7 +44,8 @@ class Effects(NamedTuple):
     turns: bool  # whether noise is drawn here
     drifts: bool  # whether noise has a memory
     levels: NDArray[np.float32]  # (n,), of noise, rad
-    outliers: float
+    replaces: bool  # whether there are outliers
+    outliers: NDArray[np.float64]  # their probability for each robot, (n,)
     uniform: bool  # whether outliers are uniform, rather than another robot's bearing
 
 
@@ -64,7 +65,8 @@ def effects_of(sensing: Sensing, n_robots: int) -> Effects | None:
     """Constants of a sensor's effects for kernels; None without effects."""
     detects, turns = draws_detection(sensing), draws_noise(sensing)
     nearest = sensing.each("min_range", n_robots)
-    if not (detects or turns) and nearest.max() == 0.0 and sensing.outliers == 0.0:
+    outliers = sensing.each("outliers", n_robots)
+    if not (detects or turns) and max(nearest.max(), outliers.max()) == 0.0:
         return None
     table = np.array(sensing.detection or ((0.0, 1.0),), np.float64)
     levels = sensing.each("noise", n_robots) if turns else np.zeros(n_robots)
@@ -83,7 +85,8 @@ def effects_of(sensing: Sensing, n_robots: int) -> Effects | None:
         turns=turns,
         drifts=turns and sensing.noise_correlation > 0.0,
         levels=levels.astype(np.float32),
-        outliers=sensing.outliers,
+        replaces=bool(outliers.max() > 0.0),
+        outliers=outliers,
         uniform=sensing.outlier_kind == "uniform",
     )
 

@@ -16,7 +16,9 @@ from ..limits import MAX_DELAY, MAX_SECTORS
 from .custom_sensors import as_custom
 
 _FULL_CIRCLE = 2.0 * math.pi
-PER_ROBOT = ("range", "field_of_view", "noise", "dropout", "min_range")
+PER_ROBOT = (
+    "range", "field_of_view", "noise", "dropout", "min_range", "observer_bias", "outliers",
+)  # fmt: skip
 """Fields with one value for all robots, or a list with one for each."""
 UNLIMITED = "unlimited"
 """In a list of ranges, in plain data, that of a robot without a limit."""
@@ -128,11 +130,13 @@ class Sensing:
     of it, and held until then; 0 is every step."""
     delay_time: _Time = 0.0
     """Delay of observations, s, instead of delay: rounded to whole steps, half a step upwards."""
-    observer_bias: _Deviation = 0.0
+    observer_bias: Annotated[
+        _Each, _each(partial(checks.number, least=0.0, most=_FULL_CIRCLE, unit="rad"), "rad")
+    ] = 0.0
     """Standard deviation of a constant error that a robot's bearings, of obstacles too, share in an
-    episode, rad: of its angle in the plane; in 3-D the sensor is turned about a random axis, and
-    this is the root mean square by which it turns any bearing. Unlike a compass error it does not
-    turn commands."""
+    episode, rad, of all robots or a list with one for each: of its angle in the plane; in 3-D the
+    sensor is turned about a random axis, and this is the root mean square by which it turns any
+    bearing. Unlike a compass error it does not turn commands."""
     noise_correlation: _Time = 0.0
     """Time constant of noise, s: errors at two times t apart have correlation exp(−t/T), and the
     same distribution as white ones, which 0 gives. In 3-D the axis belongs to pair and episode."""
@@ -147,8 +151,9 @@ class Sensing:
     """Time constant of detection, s: a two-state Markov chain for each ordered pair. With a
     probability p of detection, robots seen are seen again after t with p + (1 − p) exp(−t/T), and
     robots missed are seen with p (1 − exp(−t/T)); 0 draws each step independently."""
-    outliers: Annotated[float, partial(checks.number, least=0.0, most=1.0)] = 0.0
-    """Probability that a detected neighbour's bearing is replaced in a step by an outlier."""
+    outliers: Annotated[_Each, _each(partial(checks.number, least=0.0, most=1.0))] = 0.0
+    """Probability that a detected neighbour's bearing is replaced in a step by an outlier, of all
+    robots or a list with one for each."""
     outlier_kind: Literal["uniform", "robot"] = "uniform"
     """What an outlier is: a uniform direction, or the bearing of another robot than the neighbour,
     drawn from those that are left; with none, bearings stay."""

@@ -16,15 +16,19 @@ SENSORS = {
     "noise": [0.0, 0.1, 0.3, 0.01, 0.5],
     "dropout": [0.0, 0.2, 0.4, 0.5, 0.7],
     "min_range": [0.0, 2.0, 4.0, 1.0, 0.5],
+    "observer_bias": [0.1, 0.0, 0.3, 0.05, 1.0],
+    "outliers": [0.0, 0.5, 0.1, 1.0, 0.0],
 }
 DETECTED = {"detection": [[0.0, 1.0]]}  # misses of one chance and of several use one stream
 OTHERS = {
     "plain": DETECTED,
     "measured": {
         "detection": [[0.0, 1.0], [5.0, 0.8]], "persistence": 0.5, "noise_correlation": 0.4,
-        "observer_bias": 0.1, "outliers": 0.1, "bias": 0.05, "sectors": 720,
+        "outlier_kind": "robot", "bias": 0.05, "sectors": 720,
     },
 }  # fmt: skip
+FIELDS = {"plain": PER_ROBOT[:5], "measured": PER_ROBOT}
+"""Fields that differ: with observer_bias, noise of one level is applied in another order."""
 TEAMS = {
     "plane": WALLED,
     "space": SPACE,
@@ -34,9 +38,14 @@ TEAMS = {
 }
 
 
-def own(robot: int) -> dict:
+def own(robot: int, others: str = "measured") -> dict:
     """Sensor fields of one robot."""
-    return {name: values[robot] for name, values in SENSORS.items()}
+    return {name: SENSORS[name][robot] for name in FIELDS[others]}
+
+
+def mixed(others: str) -> rv.Sensing:
+    """Sensor whose fields differ between robots."""
+    return rv.Sensing(**{name: SENSORS[name] for name in FIELDS[others]}, **OTHERS[others])
 
 
 def seen(scenario: rv.Scenario, batch: int, steps: int = 3) -> np.ndarray:
@@ -53,10 +62,10 @@ def seen(scenario: rv.Scenario, batch: int, steps: int = 3) -> np.ndarray:
 @pytest.mark.parametrize("team", TEAMS)
 def test_sensors_each_robot_observes_as_in_a_team_of_its_sensor(team, others):
     scenario, common = TEAMS[team], OTHERS[others]
-    found = seen(scenario.replace(sensing=rv.Sensing(**SENSORS, **common)), 2)
+    found = seen(scenario.replace(sensing=mixed(others)), 2)
     hidden = 0
     for robot in range(5):
-        alone = seen(scenario.replace(sensing=rv.Sensing(**own(robot), **common)), 2)
+        alone = seen(scenario.replace(sensing=rv.Sensing(**own(robot, others), **common)), 2)
         np.testing.assert_array_equal(found[:, :, robot], alone[:, :, robot])
         hidden += int((alone[:, :, robot] == 0.0).all(axis=-1).sum())
     assert hidden > 20 and found.any()
@@ -65,7 +74,7 @@ def test_sensors_each_robot_observes_as_in_a_team_of_its_sensor(team, others):
 @pytest.mark.parametrize("others", OTHERS)
 @pytest.mark.parametrize("team", TEAMS)
 def test_sensors_batch_equals_singles(team, others):
-    scenario = TEAMS[team].replace(sensing=rv.Sensing(**SENSORS, **OTHERS[others]))
+    scenario = TEAMS[team].replace(sensing=mixed(others))
     many = seen(scenario, 40)
     for team_number in (0, 17, 39):
         sim = rv.Simulator(scenario, 1)
@@ -109,7 +118,10 @@ def test_sensors_survive_plain_data_and_toml(tmp_path):
 
 
 def test_sensors_that_are_equal_are_one():
-    camera = rv.Sensing(range=4.0, field_of_view=2.0, noise=0.1, dropout=0.2, min_range=0.1)
+    camera = rv.Sensing(
+        range=4.0, field_of_view=2.0, noise=0.1, dropout=0.2, min_range=0.1, observer_bias=0.1,
+        outliers=0.1,
+    )  # fmt: skip
     equal = {name: [getattr(camera, name)] * 5 for name in PER_ROBOT}
     assert rv.Sensing(**equal) == camera and rv.Sensing(range=[None] * 5) == rv.Sensing()
     assert PLANE.replace(sensing=[camera] * 5) == PLANE.replace(sensing=camera)

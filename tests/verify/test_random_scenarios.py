@@ -11,6 +11,7 @@ import pytest
 import test_verify
 
 import rendezvous_env as rv
+from rendezvous_env.sensors.sensing import PER_ROBOT
 from train.verify import adversaries, falsification, random_scenarios, random_starts
 from train.verify.falsification import ask, climb, play, repeat, shrink, write
 from train.verify.random_scenarios import CHOICES, Kind, Trial, trials_of
@@ -86,7 +87,7 @@ def test_random_scenarios_cover_mixed_teams_sensors_of_robots_and_areas(monkeypa
     models = {name for one in drawn if one.mixes_models for name in one.robot_model}
     assert models == {"single_integrator", "double_integrator", "unicycle", "nonholonomic_3d"}
     own = {name for one in drawn for name in one.sensing.per_robot}
-    assert own == {"range", "field_of_view", "noise", "dropout", "min_range"}
+    assert own == set(PER_ROBOT)
     assert {one.dim for one in drawn if isinstance(one.spawn_size, tuple)} == {2, 3}
     assert {len(one.start_region) for one in drawn if one.start_region} == {1, 2}
     bounded = [

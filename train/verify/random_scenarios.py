@@ -246,6 +246,8 @@ def _of_several_sensors(random: Random, scenario: rv.Scenario) -> rv.Scenario:
         "noise": [log_uniform(random, 0.001, 1.0) for _ in range(n)],
         "dropout": random.uniform(0.0, 0.9, n).tolist(),
         "min_range": [r * log_uniform(random, 0.3, 30.0) for _ in range(n)],
+        "observer_bias": random.uniform(0.0, 1.0, n).tolist(),
+        "outliers": random.uniform(0.0, 0.5, n).tolist(),
     }
     names = random.permutation([*lists])[: pick(random, 1, 1, 2)]
     return scenario.replace(

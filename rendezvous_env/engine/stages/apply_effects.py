@@ -112,7 +112,7 @@ def _apply(width, axes, entries, purpose, effects, ends, team, work, row):
 def _is_called_for(effects, purpose):
     if purpose == _DETECTS:
         return effects.blind or effects.detects
-    return effects.turns if purpose == _TURNS else effects.outliers > 0.0
+    return effects.turns if purpose == _TURNS else effects.replaces
 
 
 @inner_kernel
@@ -212,7 +212,9 @@ def _turn_by(width, axes, level, small, kept, keys, odd, row):
 def _replace(width, axes, entries, effects, pair, team, keys, words, row):
     """Replace a row by an outlier as long as it, in the lanes in which one is drawn."""
     lanes, (i, j, number), (block, merged_into, robots) = lane_count(width), pair, team
-    highest, lowest = highest_word(effects.outliers), words[0]
+    if effects.outliers[i] == 0.0:
+        return
+    highest, lowest = highest_word(effects.outliers[i]), words[0]
     for lane in range(lanes):
         lowest = min(lowest, words[lane])
     if lowest > highest:
@@ -322,7 +324,7 @@ def turn_observers(
     last,
     moves,
     samples_per_step,
-    deviation,
+    deviations,
     begin,
     end,
     seeds,
@@ -333,14 +335,14 @@ def turn_observers(
     rows,
 ):
     """Turn the rows from ``begin`` to ``end`` of each robot by the constant error of its sensor, of
-    this standard deviation, rad. Working memory: keys (2, L), turns (≥ 5·L,).
+    these standard deviations, (n,), rad. Working memory: keys (2, L), turns (≥ 5·L,).
     """
     for block in range(first, last):
         if not is_due(width, moves, samples_per_step, environments[block]):
             continue
         part_keys(width, block, moves, OBSERVER, seeds, episodes, environments[block], keys)
         for i in range(rows.shape[1]):
-            _draw_turns(width, axes, np.float32(deviation), i, keys, turns)
+            _draw_turns(width, axes, np.float32(deviations[i]), i, keys, turns)
             for number in range(begin, end):
                 row = rows[block - first, i, number]
                 for lane in range(lane_count(width)):
