@@ -185,6 +185,23 @@ def test_mixed_models_in_gymnasium_and_vector_environments(case):
     np.testing.assert_array_equal(seen[0], seen[1][0])
 
 
+@EVERY
+def test_mixed_models_in_training_environments_by_name(case):
+    scenario = team(case, obstacles=(), on_merge="follow")
+    settings = {"guarantee": None, "learning_preset": False, "flatten": False}
+    named = rv.training_env(scenario, **settings)
+    teams = rv.vector.training_env(scenario, 1, **settings)
+    named.reset(seed=4), teams.reset(seed=4)
+    padded = np.random.default_rng(0).uniform(-0.4, 0.4, (4, scenario.action_size))
+    for _ in range(3):
+        own = {
+            name: padded[robot, scenario.action_mask[robot]]
+            for robot, name in enumerate(named.possible_agents)
+        }
+        rows, seen = named.step(own)[0], teams.step(padded[None])[0]
+    np.testing.assert_array_equal(np.stack([*rows.values()]), seen[0])
+
+
 @pytest.mark.parametrize("case", ["rails", "space"])
 def test_mixed_models_in_stable_baselines3(case):
     sb3 = pytest.importorskip("rendezvous_env.adapters.sb3")
