@@ -2,7 +2,8 @@
 
 **Sensor.** All rows are refreshed together, at most h apart, h = τ without a sample period, and
 held. Given the past, link ij is detected with probability p(‖p_ij‖) ≥ q, independently per ordered
-pair; with persistence it is redrawn with probability 1 − κ, and unchanged otherwise.
+pair; with persistence it is redrawn with probability 1 − κ, and unchanged otherwise. In E[L] robots
+may differ in p, and q is that of the robot that detects least.
 
 **E[T].** Undirected connected graph, no velocity scaling; white noise is allowed. With γ the mean
 cosine of the noise, A = γ(1−κ), b = γκ, p ≤ p̄, θ = 2D̄h/r, β = max(r p(d)/d) + r max p′₊ and X ≥
