@@ -98,6 +98,23 @@ def test_random_scenarios_cover_mixed_teams_sensors_of_robots_and_areas(monkeypa
     assert bounded
 
 
+def test_random_gains_of_each_robot_are_within_those_of_all(monkeypatch):
+    before = [trials_of(0, number, number)[3] for number in range(120)]
+    monkeypatch.setattr(random_scenarios, "_VARIED", 0.0)
+    plain = [trials_of(0, number, number)[3] for number in range(120)]
+    own = 0
+    for one, other in zip(before, plain, strict=True):
+        if one.arguments != other.arguments:
+            low, high = (np.array(one.arguments[name]) for name in ("min_gain", "max_gain"))
+            assert len(low) == one.scenario.n_robots and (low <= high).all()
+            assert low.min() == other.arguments["min_gain"]
+            assert high.max() == other.arguments["max_gain"]
+            alike = next(falsification._simpler(one))
+            assert alike.arguments == other.arguments
+            own += 1
+    assert own > 2
+
+
 def test_shrunk_scenarios_leave_out_robots_with_their_sensors():
     sensing = rv.Sensing(dropout=[0.1, 0.2, 0.3, 0.4])
     fewer = [

@@ -345,7 +345,14 @@ def _simpler(trial: Trial) -> Iterator[Trial]:
         *_fewer_robots(scenario),
         *_rounder(scenario),
     ]
+    own_limits = {name: one for name, one in trial.arguments.items() if isinstance(one, list)}
+    if own_limits:  # of each robot
+        of_all = {"min_gain": min, "max_gain": max}
+        alike = {name: of_all[name](own) for name, own in own_limits.items()}
+        yield replace(trial, arguments=trial.arguments | alike)
     for change in changes:
+        if own_limits and "n_robots" in change:
+            continue
         if any(getattr(scenario, name) != value for name, value in change.items()):
             with suppress(ValueError):
                 yield replace(trial, scenario=scenario.replace(**change))

@@ -23,7 +23,7 @@ from .random_starts import log_uniform, pick
 
 Array = NDArray[np.float64]
 Random = np.random.Generator
-Given = dict[str, dict[str, float]]  # arguments for each of CHOICES
+Given = dict[str, dict[str, Any]]  # arguments for each of CHOICES
 Starts = tuple[rv.Scenario, ...]
 
 STARTS = 6
@@ -64,7 +64,7 @@ class Trial:
 
     scenario: rv.Scenario
     by: str
-    arguments: dict[str, float]  # of the certificate, and of the wrapper
+    arguments: dict[str, Any]  # of the certificate, and of the wrapper
     frame: str = "local"
     period: int = 1  # base steps for which a choice is held
     seed: int = 0  # team b has this seed + b; adversaries are drawn from it
@@ -126,6 +126,7 @@ def _draw(random: Random, kind: Kind) -> tuple[rv.Scenario, Given, Starts]:
         scenario = _with_clocks(random.spawn(1)[0], scenario)
         scenario = _with_events(random.spawn(1)[0], scenario)
         scenario = _varied(random.spawn(1)[0], scenario)
+        _vary_gains(random.spawn(1)[0], scenario, given)
         if scenario.start_positions is None:
             return scenario, given, ()
         # half of the others are drawn anew where no obstacles lie between the robots
@@ -212,6 +213,16 @@ def _varied(random: Random, scenario: rv.Scenario) -> rv.Scenario:
     with suppress(ValueError):  # fields that do not go together
         return cast(rv.Scenario, change(random, scenario))
     return scenario
+
+
+def _vary_gains(random: Random, scenario: rv.Scenario, given: Given) -> None:
+    """Give robots limits of gains of their own, rarely, between those of all."""
+    limits = given["gains"]
+    if random.random() < _VARIED and {*limits} == {"min_gain", "max_gain"}:
+        low, high = limits["min_gain"], limits["max_gain"]
+        own = np.sort(random.uniform(low, high, (2, scenario.n_robots)), axis=0)
+        own[0, 0], own[1, -1] = low, high
+        given["gains"] = {"min_gain": own[0].tolist(), "max_gain": own[1].tolist()}
 
 
 def _of_several_models(random: Random, scenario: rv.Scenario) -> rv.Scenario:
