@@ -56,9 +56,7 @@ class MixedTeam(NamedTuple):
     kept: _Places  # of each model, its entries of the memory
     angles: tuple[int, ...]  # entries of the memory that are angles
     blank: tuple[float, ...]  # a memory of zeros
-    unsensed: tuple[
-        float, ...
-    ]  # proprioception of robots without: zeros, or nothing if all have none
+    unsensed: tuple[float, ...]  # proprioception of models without any: zeros, or nothing
 
 
 @by_type("model", frame_turns)

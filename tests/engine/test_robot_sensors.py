@@ -188,3 +188,22 @@ def test_certificate_refuses_sensors_that_hide_neighbours(field, values):
     for by in ("law", "links"):
         found = rv.certificate(scenario, by=by)
         assert not found.guaranteed and field in found.theorem
+
+
+def test_sensors_of_each_robot_in_interfaces():
+    sb3 = pytest.importorskip("rendezvous_env.adapters.sb3")
+    scenario = PLANE.replace(sensing=mixed("measured"), on_merge="follow")
+    settings = {"guarantee": None, "learning_preset": False, "flatten": False}
+    robots = sb3.RobotVecEnv(rv.vector.training_env(scenario, 2, **settings))
+    named, teams = rv.parallel_env(scenario), rv.make_vec(scenario, num_envs=2)
+    sim = rv.Simulator(scenario, 2)
+    robots.seed(7), robots.reset()
+    named.reset(seed=7), teams.reset(seed=7), sim.reset(7)
+    actions = np.random.default_rng(0).uniform(-0.3, 0.3, (4, 5, 2)).astype(np.float32)
+    for one in actions:
+        wanted = sim.step(np.stack([one, one])).observations
+        rows = named.step(dict(zip(named.agents, one, strict=True)))[0]
+        np.testing.assert_array_equal(np.stack([*rows.values()]), wanted[0])
+        np.testing.assert_array_equal(teams.step(np.stack([one, one]))[0], wanted)
+        slots = robots.step(np.concatenate([one, one]))[0]
+        np.testing.assert_array_equal(slots, wanted.reshape(slots.shape))
