@@ -26,6 +26,9 @@ def as_sensing(field: str, value: Any) -> Sensing:
     return Sensing(**fields)
 
 
+setattr(as_sensing, "made", Sensing)  # noqa: B010 - as ``of_class``, for hints on its fields
+
+
 def _combined(field: str, name: str, sensors: list[Sensing]) -> Any:
     """A field of the sensors of all robots: one value, or a list of those of ``PER_ROBOT``."""
     values = [getattr(sensor, name) for sensor in sensors]
